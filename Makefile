@@ -1,0 +1,111 @@
+# Sets up everything in .venv, then runs. Needs python3, its venv module and make.
+#
+# What pip installs is stamped by a hash of what describes it, so that a second start installs
+# nothing. The package itself is installed in editable mode: the sources of this folder run. What
+# pip then leaves out, which is what `ros2 run` and the ament index need, setup.py's own
+# install_data puts into .venv.
+
+SHELL := /bin/bash
+.SHELLFLAGS := -e -o pipefail -c
+.DEFAULT_GOAL := help
+
+VENV := .venv
+RUN_ARGS ?=
+TEST_ARGS ?=
+
+# A native ROS 2 Jazzy is used where there is one; the wheels must not shadow it.
+ROS_PREFIX ?= /opt/ros/jazzy
+ifneq ($(wildcard $(ROS_PREFIX)/setup.bash),)
+  ROS := native
+  WITH_ROS := source $(ROS_PREFIX)/setup.bash &&
+else ifeq ($(ROS_DISTRO),jazzy)
+  # Sourced already, from elsewhere, unless the variable is all there is.
+  ROS := $(shell python3 -c 'import rclpy' 2>/dev/null && echo native || echo wheels)
+else
+  ROS := wheels
+endif
+
+ifeq ($(ROS),native)
+  PYTHON ?= $(if $(WITH_ROS),/usr/bin/python3,python3)
+  VENV_FLAGS := --system-site-packages
+  RUN_PACKAGE := .
+  TEST_PACKAGE := .[test]
+else
+  # PyBullet has wheels up to Python 3.11: such a Python goes before a newer python3.
+  PYTHON ?= $(shell for python in python3 python3.11 python3.10; do \
+      $$python -c 'import ensurepip, sys; sys.exit(not (3, 10) <= sys.version_info < (3, 12))' \
+          2>/dev/null && echo $$python && exit; \
+    done; echo python3)
+  VENV_FLAGS :=
+  RUN_PACKAGE := .[ros]
+  TEST_PACKAGE := .[ros,test]
+endif
+
+BIN := $(VENV)/bin
+PIP := $(WITH_ROS) $(BIN)/python -m pip install -qq --disable-pip-version-check
+DESCRIPTION := setup.py setup.cfg pyproject.toml multicontact_control/__init__.py
+KEY := $(ROS)-$(shell (pwd; cat $(DESCRIPTION)) | sha256sum | cut -c1-12)
+VENV_STAMP := $(VENV)/.made-$(ROS)-$(shell pwd | sha256sum | cut -c1-12)
+RUN_STAMP := $(VENV)/.run-$(KEY)
+TEST_STAMP := $(VENV)/.test-$(KEY)
+DATA_STAMP := $(VENV)/.data
+
+define CHECK_PYTHON
+import pathlib, shutil, sys, sysconfig
+found = f'error: {sys.executable} is Python {sys.version.split()[0]}'
+if sys.version_info < (3, 10):
+    sys.exit(f'{found}; 3.10 or newer is needed (make PYTHON=...)')
+headers = pathlib.Path(sysconfig.get_path('include'), 'Python.h')
+if sys.version_info >= (3, 12) and not (headers.is_file() and shutil.which('c++')):
+    sys.exit(f'{found}, for which PyBullet has no wheel. Install Python 3.11 with its venv '
+             'module (make finds it, or PYTHON=...), or g++ and python3-dev to compile PyBullet.')
+endef
+export CHECK_PYTHON
+
+.PHONY: help setup run simulate test lint clean
+
+help:  ## Show this list
+	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "make %-10s %s\n", $$1, $$2}' Makefile
+	@echo 'Pass arguments on with RUN_ARGS="--scenario quick" and TEST_ARGS="-k force".'
+
+setup: $(RUN_STAMP) $(DATA_STAMP)  ## Set up .venv
+
+run: setup  ## Run the experiment over ROS 2: RUN_ARGS="--scenario quick --out DIR"
+	@$(WITH_ROS) exec $(BIN)/multicontact run $(RUN_ARGS)
+
+simulate: setup  ## Run the experiment in one process, without ROS
+	@$(WITH_ROS) exec $(BIN)/multicontact simulate $(RUN_ARGS)
+
+lint: $(TEST_STAMP)  ## Check style and types
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+
+test: $(TEST_STAMP) $(DATA_STAMP) lint  ## Check style and types, then run the tests
+	@$(WITH_ROS) exec $(BIN)/python -m pytest $(TEST_ARGS)
+
+clean:  ## Remove .venv and everything built, but no runs
+	rm -rf $(VENV) build install log dist *.egg-info .hypothesis .mypy_cache .pytest_cache \
+	    .ruff_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+$(VENV_STAMP):
+	@echo 'Setting up $(VENV) with $(PYTHON) and ROS 2 Jazzy ($(ROS)): once, a few minutes.'
+	@$(PYTHON) -c "$$CHECK_PYTHON"
+	@$(PYTHON) -m venv --clear $(VENV_FLAGS) $(VENV)
+	@touch $@
+
+$(RUN_STAMP): | $(VENV_STAMP)
+	@echo 'Installing the dependencies.'
+	@$(PIP) 'setuptools>=70.1,<80' --editable '$(RUN_PACKAGE)'
+	@rm -f $(VENV)/.run-* $(VENV)/.test-* $(DATA_STAMP)
+	@touch $@
+
+$(TEST_STAMP): $(RUN_STAMP)
+	@echo 'Installing what the tests need.'
+	@$(PIP) --editable '$(TEST_PACKAGE)'
+	@touch $@
+
+$(DATA_STAMP): $(RUN_STAMP) package.xml $(wildcard resource/*) $(shell find config)
+	@rm -rf $(VENV)/share/multicontact_control $(VENV)/lib/multicontact_control
+	@$(BIN)/python -W ignore setup.py --quiet install_data --install-dir $(VENV)
+	@touch $@

@@ -1,0 +1,24 @@
+"""Array types and the shape check used across the core."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multicontact_control.errors import ShapeError
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+def require_shape(name: str, array: NDArray[np.generic], expected: tuple[int, ...]) -> None:
+    """
+    Check the shape of an array.
+
+    Raises
+    ------
+    ShapeError
+        Naming the array, the expected shape and the one found.
+
+    """
+    if array.shape != expected:
+        raise ShapeError(name, expected, array.shape)

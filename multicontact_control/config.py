@@ -1,0 +1,361 @@
+"""
+The configuration of the controller and the estimator: every tunable value, once.
+
+Each field carries its default, unit, description and range here and nowhere else. The ROS
+parameters of the nodes are generated from these models, the YAML files in ``config/`` are ROS 2
+parameter files that these models validate, and both report a bad value in the same one line.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+import math
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator, ValidationError
+import yaml
+
+from multicontact_control.errors import ConfigError
+
+UNIT_NORM_TOLERANCE = 1e-3
+MAX_DELAY_PERIODS = 10
+
+ModelT = TypeVar('ModelT', bound='Config')
+
+
+def _finite(value: float) -> float:
+    if not math.isfinite(value):
+        raise ValueError('expected a finite number')
+    return value
+
+
+def _unit_length(vector: tuple[float, float, float]) -> tuple[float, float, float]:
+    norm = math.sqrt(sum(x * x for x in vector))
+    if not abs(norm - 1.0) <= UNIT_NORM_TOLERANCE:
+        raise ValueError(
+            f'expected a vector of unit length (within {UNIT_NORM_TOLERANCE}), length {norm:.6g}')
+    x, y, z = (component / norm for component in vector)
+    return (x, y, z)
+
+
+Real = Annotated[float, AfterValidator(_finite)]
+Vector = tuple[Real, ...]
+Vector3 = tuple[Real, Real, Real]
+UnitVector3 = Annotated[Vector3, AfterValidator(_unit_length)]
+
+
+def parameter(
+    default: Any, description: str, *, unit: str = '', live: bool = False, **bounds: Any,
+) -> Any:
+    """
+    Declare one tunable value.
+
+    Parameters
+    ----------
+    default
+        Default value; ``...`` makes the value required.
+    description
+        One sentence; the unit is appended to it in the ROS parameter description.
+    unit
+        SI unit, empty for names and flags.
+    live
+        Whether the value may be changed while a node runs.
+    bounds
+        Pydantic bounds: ``gt``, ``ge``, ``lt``, ``le``, ``min_length``.
+
+    Returns
+    -------
+    Any
+        A pydantic field.
+
+    """
+    return Field(
+        default, description=description, json_schema_extra={'unit': unit, 'live': live}, **bounds)
+
+
+class Config(BaseModel):
+    """Base of every configuration: frozen, and strict about unknown keys."""
+
+    model_config = ConfigDict(extra='forbid', frozen=True, validate_default=True)
+
+
+class RobotConfig(Config):
+    """Where the robot's model comes from and what its joints and frames are called."""
+
+    urdf: str = parameter(
+        ..., 'URDF of the arm with its tool: a path, or a path relative to the parameter file.')
+    joint_names: tuple[str, ...] = parameter(
+        ..., 'Joints in the order of every joint vector.', min_length=1)
+    armature: Vector = parameter(
+        (), 'Rotor inertia seen at each joint; empty for none.', unit='kg m^2')
+    operational_frame: str = parameter(
+        ..., 'URDF link that carries the operational point and its axes.')
+    sensor_frame: str = parameter(
+        ..., 'URDF link in whose axes and at whose origin the wrist sensor reads.')
+    gravity_world: Vector3 = parameter((0.0, 0.0, -9.81), 'Gravity.', unit='m/s^2')
+
+
+class ToolConfig(Config):
+    """What hangs on the sensor and is weighed by it, for subtraction from its readings."""
+
+    mass: Real = parameter(0.0, 'Mass beyond the sensor.', unit='kg', ge=0.0)
+    com_sensor: Vector3 = parameter(
+        (0.0, 0.0, 0.0), 'Centre of mass of that, in the sensor frame.', unit='m')
+
+
+class MotionConfig(Config):
+    """The PD motion law (P04 sec. 3.1, 5.2)."""
+
+    natural_frequency: Real = parameter(
+        30.0, 'Natural frequency of the motion loop.', unit='rad/s', live=True, gt=0.0, le=200.0)
+    damping_ratio: Real = parameter(
+        1.0, 'Damping ratio of the motion loop.', live=True, gt=0.0, le=5.0)
+
+
+class ForceConfig(Config):
+    """The force law and its active observer, one per contact (P04 sec. 3.2, 4)."""
+
+    time_constant: Real = parameter(
+        0.02, 'Time constant of the dominant closed-loop pole.', unit='s', live=True, gt=0.0)
+    second_pole_ratio: Real = parameter(
+        1.0, 'Second pole relative to the first, 1 for two equal ones.', live=True, ge=1.0)
+    damping_rate: Real = parameter(
+        20.0, 'K_2 of eq. 32, damping of the contact motion.', unit='1/s', live=True, ge=0.0)
+    input_delay: Real = parameter(
+        0.006, 'T_d of eq. 32, from commanded to acting input.', unit='s', ge=0.0)
+    process_noise: Real = parameter(
+        1e-3, 'Q_k = process_noise I (P04 sec. 5.2).', live=True, gt=0.0)
+    initial_covariance: Real = parameter(1e-3, 'P_0 = initial_covariance I.', gt=0.0)
+    active_state_order: int = parameter(
+        1, 'Order of the active state p_k, 0 for plain pole placement without it.', ge=0, le=3)
+    allocation: Literal['decoupled', 'paper'] = parameter(
+        'decoupled', 'Force allocation: f_c* = N (N^T N)^-1 alpha* or N alpha* (eq. 30).')
+    projection: Literal['euclidean', 'inertia'] = parameter(
+        'euclidean', 'Metric of Omega_f and Omega_m: eqs 11-12 or dynamically consistent.')
+
+
+class FrictionConfig(Config):
+    """Compensation of the joints' friction, which the paper's model does not have."""
+
+    coulomb: Vector = parameter(
+        (), 'Coulomb friction added per joint in the direction of its motion; empty for none.',
+        unit='N m')
+    viscous: Vector = parameter(
+        (), 'Viscous friction added per joint; empty for none.', unit='N m s/rad')
+    speed: Real = parameter(
+        0.02, 'Joint speed at which tanh(v / speed) lets most of the Coulomb friction in.',
+        unit='rad/s', live=True, gt=0.0)
+
+
+class ContactConfig(Config):
+    """One point contact."""
+
+    normal_world: UnitVector3 = parameter(
+        ..., 'Unit surface normal INTO the surface, in world axes.')
+    point_operational: Vector3 = parameter(
+        ..., 'Contact point in the operational frame.', unit='m')
+    stiffness: Real = parameter(
+        6000.0, 'Modelled stiffness k_env at the contact point.', unit='N/m', gt=0.0)
+
+
+class ControllerConfig(Config):
+    """Everything the controller needs to know."""
+
+    rate: Real = parameter(500.0, 'Control rate 1/h.', unit='Hz', gt=0.0)
+    robot: RobotConfig
+    tool: ToolConfig = ToolConfig()
+    motion: MotionConfig = MotionConfig()
+    force: ForceConfig = ForceConfig()
+    friction: FrictionConfig = FrictionConfig()
+    contact_names: tuple[str, ...] = parameter(
+        ..., 'Contacts in the order of every contact vector.', min_length=1)
+    contacts: dict[str, ContactConfig]
+    wrench_input: Literal['raw', 'filtered'] = parameter(
+        'raw', 'Which wrench feeds the loop: ft_sensor/wrench or ft_sensor/wrench_filtered.')
+    initial_noise_variance: Real = parameter(
+        0.6, 'R until an estimate arrives.', unit='N^2', gt=0.0)
+    torque_limit: Vector = parameter(
+        (), 'Largest commanded torque per joint; empty for none.', unit='N m')
+    nullspace_damping: Real = parameter(
+        2.0, 'Joint damping in the null space of arms with more than six joints.',
+        unit='1/s', ge=0.0)
+
+    @model_validator(mode='after')
+    def _check_across_fields(self) -> ControllerConfig:
+        joints = len(self.robot.joint_names)
+        per_joint = {
+            'robot.armature': self.robot.armature, 'friction.coulomb': self.friction.coulomb,
+            'friction.viscous': self.friction.viscous, 'torque_limit': self.torque_limit}
+        for name, values in per_joint.items():
+            if values and len(values) != joints:
+                raise ConfigError(name, f'{joints} values, one per joint', f'{len(values)}')
+        for name in self.contact_names:
+            if name not in self.contacts:
+                raise ConfigError(
+                    'contact_names', f'names among {", ".join(sorted(self.contacts))}',
+                    f"'{name}'")
+        if len(set(self.contact_names)) != len(self.contact_names):
+            raise ConfigError('contact_names', 'distinct names', list(self.contact_names))
+        periods = self.force.input_delay * self.rate
+        if periods > MAX_DELAY_PERIODS + 1e-9:
+            raise ConfigError(
+                'force.input_delay', f'at most {MAX_DELAY_PERIODS} periods '
+                f'({MAX_DELAY_PERIODS / self.rate:g} s)', f'{self.force.input_delay:g} s')
+        return self
+
+    @property
+    def period(self) -> float:
+        """Control period h [s]."""
+        return 1.0 / self.rate
+
+
+class NoiseEstimatorConfig(Config):
+    """The on-line estimate of R_k (P04 sec. 4.2)."""
+
+    estimator: Literal['lead_window', 'fixed'] = parameter(
+        'lead_window', 'How R_k is estimated.')
+    contact_names: tuple[str, ...] = parameter(
+        ..., 'Contacts in the order of every contact vector.', min_length=1)
+    rate: Real = parameter(500.0, 'Rate of the force samples.', unit='Hz', gt=0.0)
+    window: int = parameter(50, 'Samples in the window N of eq. 43.', ge=2, le=10000)
+    zero_frequency: Real = parameter(3.0, 'Zero of G_f, eq. 42.', unit='Hz', gt=0.0)
+    pole_frequency: Real = parameter(60.0, 'Pole of G_f, eq. 42.', unit='Hz', gt=0.0)
+    fixed_variance: Real = parameter(
+        0.6, 'R of the estimator `fixed`, and of the others until they know one.',
+        unit='N^2', gt=0.0)
+    variance_floor: Real = parameter(1e-3, 'Smallest R ever given out.', unit='N^2', gt=0.0)
+    variance_ceiling: Real = parameter(1e6, 'Largest R ever given out.', unit='N^2', gt=0.0)
+
+    @model_validator(mode='after')
+    def _check_across_fields(self) -> NoiseEstimatorConfig:
+        for name in ('zero_frequency', 'pole_frequency'):
+            if getattr(self, name) >= 0.5 * self.rate:
+                raise ConfigError(
+                    name, f'below the Nyquist frequency {0.5 * self.rate:g} Hz',
+                    f'{getattr(self, name):g} Hz')
+        if not self.variance_floor < self.variance_ceiling:
+            raise ConfigError(
+                'variance_floor', f'below variance_ceiling {self.variance_ceiling:g}',
+                f'{self.variance_floor:g}')
+        return self
+
+
+def validate(model: type[ModelT], values: Mapping[str, Any], source: str = '') -> ModelT:
+    """
+    Build a configuration from plain values.
+
+    Parameters
+    ----------
+    model
+        The configuration class.
+    values
+        Nested plain values, as a YAML file gives them.
+    source
+        File name for the error message.
+
+    Returns
+    -------
+    Config
+        The frozen configuration.
+
+    Raises
+    ------
+    ConfigError
+        With the first field that is not acceptable.
+
+    """
+    try:
+        return model.model_validate(values)
+    except ConfigError as error:
+        raise ConfigError(error.field, error.expected, error.found, source) from None
+    except ValidationError as error:
+        raise _first_error(error, model, source) from None
+
+
+def _first_error(
+    error: ValidationError, model: type[Config], source: str,
+) -> ConfigError:
+    detail = error.errors(include_url=False)[0]
+    field = '.'.join(str(part) for part in detail['loc']) or model.__name__
+    kind, message = detail['type'], detail['msg']
+    if kind == 'extra_forbidden':
+        return ConfigError(field, f'a known key ({_known_keys(model, detail["loc"])})',
+                           f"unknown key '{detail['loc'][-1]}'", source)
+    if kind == 'missing':
+        return ConfigError(field, 'a value', 'nothing', source)
+    expected = message.removeprefix('Value error, ').removeprefix('Input should be ')
+    return ConfigError(field, expected.removeprefix('expected '), repr(detail['input']), source)
+
+
+def _known_keys(model: type[Config], location: tuple[int | str, ...]) -> str:
+    """Return the keys that are known at the level of the unknown one."""
+    current: Any = model
+    for part in location[:-1]:
+        if isinstance(current, type) and issubclass(current, BaseModel):
+            current = current.model_fields[str(part)].annotation if (
+                str(part) in current.model_fields) else None
+        else:
+            arguments = getattr(current, '__args__', ())
+            current = arguments[-1] if arguments else None
+    if isinstance(current, type) and issubclass(current, BaseModel):
+        return ', '.join(current.model_fields)
+    return 'see the documentation'
+
+
+def read_yaml(path: Path) -> dict[str, Any]:
+    """
+    Read a YAML mapping.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read, is not YAML, or does not hold a mapping.
+
+    """
+    try:
+        data = yaml.safe_load(path.read_text(encoding='utf-8'))
+    except OSError as error:
+        raise ConfigError(str(path), 'a readable file', error.strerror or error) from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        line = str(error).replace('\n', ' ')
+        raise ConfigError(str(path), 'valid YAML', line) from None
+    if not isinstance(data, dict):
+        raise ConfigError(str(path), 'a mapping of keys to values', type(data).__name__)
+    return data
+
+
+def read_parameters(path: Path) -> dict[str, Any]:
+    """
+    Read the parameters of a ROS 2 parameter file with one `ros__parameters` section.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read or has no such section.
+
+    """
+    data = read_yaml(path)
+    sections = [value for value in data.values() if isinstance(value, dict)]
+    if len(data) != 1 or not sections or not isinstance(sections[0].get('ros__parameters'), dict):
+        raise ConfigError(str(path), "one node key holding 'ros__parameters'", list(data))
+    parameters: dict[str, Any] = sections[0]['ros__parameters']
+    return parameters
+
+
+def merge(base: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
+    """Return `base` with the nested `overrides` laid over it."""
+    merged = dict(base)
+    for key, value in overrides.items():
+        if isinstance(value, Mapping) and isinstance(merged.get(key), Mapping):
+            merged[key] = merge(merged[key], value)
+        else:
+            merged[key] = value
+    return merged
+
+
+def write_parameters(path: Path, config: Config) -> None:
+    """Write a configuration as a ROS 2 parameter file that reads back to the same values."""
+    values = config.model_dump(mode='json')
+    text = yaml.safe_dump({'/**': {'ros__parameters': values}}, sort_keys=False)
+    path.write_text(text, encoding='utf-8')

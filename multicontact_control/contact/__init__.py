@@ -1,0 +1,1 @@
+"""Contact geometry: which wrenches contacts can bear, which motions they leave free."""

@@ -1,0 +1,1 @@
+"""The composed control law and what feeds it."""

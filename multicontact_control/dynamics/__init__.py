@@ -1,0 +1,1 @@
+"""The robot's model and its operational-space quantities."""

@@ -1,0 +1,162 @@
+"""The rigid-body model of the arm; the only place that knows pinocchio."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+
+from multicontact_control.arrays import Matrix, require_shape, Vector
+from multicontact_control.config import RobotConfig
+from multicontact_control.dynamics.pose import Pose
+from multicontact_control.errors import ConfigError
+
+
+@dataclass(frozen=True, slots=True)
+class RobotState:
+    """
+    Everything the control law needs to know of the arm at one instant.
+
+    Attributes
+    ----------
+    mass_matrix
+        Joint inertia M with armature, shape (n, n) [kg m^2].
+    coriolis
+        Coriolis and centripetal torque C(q, v) v, shape (n,) [N m].
+    gravity
+        Gravity torque g(q), shape (n,) [N m].
+    jacobian
+        J of the operational point, world axes, linear rows first, shape (6, n).
+    jacobian_drift
+        dJ/dt v, shape (6,) [m/s^2, rad/s^2].
+    pose
+        Pose of the operational frame.
+    twist_world
+        J v, shape (6,) [m/s, rad/s].
+    velocity
+        Joint velocity v, shape (n,) [rad/s].
+    sensor_pose
+        Pose of the wrist sensor's frame.
+
+    """
+
+    mass_matrix: Matrix
+    coriolis: Vector
+    gravity: Vector
+    jacobian: Matrix
+    jacobian_drift: Vector
+    pose: Pose
+    twist_world: Vector
+    velocity: Vector
+    sensor_pose: Pose
+
+
+class RobotModel:
+    """
+    A fixed-base arm read from a URDF.
+
+    Parameters
+    ----------
+    config
+        Names and armature of the arm.
+    base_dir
+        Folder that a relative ``config.urdf`` is relative to.
+
+    Raises
+    ------
+    ConfigError
+        If the URDF cannot be read, or a joint or frame name does not match it.
+
+    """
+
+    def __init__(self, config: RobotConfig, base_dir: Path = Path()) -> None:
+        path = base_dir / config.urdf
+        self.urdf_path = path
+        self._model = _load(path)
+        names = list(self._model.names)[1:]
+        if names != list(config.joint_names):
+            raise ConfigError('robot.joint_names', f"the robot's joints {names}",
+                              list(config.joint_names))
+        if self._model.nq != self._model.nv:
+            raise ConfigError('robot.urdf', 'joints with one coordinate each', str(path))
+        if config.armature:
+            self._model.armature = np.array(config.armature)
+        self._model.gravity.linear = np.array(config.gravity_world)
+        self._frame = self._frame_id('robot.operational_frame', config.operational_frame)
+        self._sensor = self._frame_id('robot.sensor_frame', config.sensor_frame)
+        self._data = self._model.createData()
+        self._zero = np.zeros(self._model.nv)
+
+    @property
+    def joint_count(self) -> int:
+        """Number of joints n."""
+        return int(self._model.nv)
+
+    @property
+    def total_mass(self) -> float:
+        """Mass of all moving links [kg]."""
+        return float(sum(inertia.mass for inertia in list(self._model.inertias)[1:]))
+
+    def _frame_id(self, field: str, name: str) -> int:
+        if not self._model.existFrame(name):
+            bodies = [f.name for f in self._model.frames if f.type == pin.FrameType.BODY]
+            raise ConfigError(field, f'a link of the robot among {", ".join(bodies)}', f"'{name}'")
+        return int(self._model.getFrameId(name))
+
+    def update(self, q: Vector, v: Vector) -> RobotState:
+        """
+        Compute the arm's state.
+
+        Parameters
+        ----------
+        q, v
+            Joint positions [rad] and velocities [rad/s], shape (n,).
+
+        Returns
+        -------
+        RobotState
+            Arrays that do not share memory with the model.
+
+        Raises
+        ------
+        ShapeError
+            If `q` or `v` is not of shape (n,).
+
+        """
+        require_shape('q', q, (self._model.nv,))
+        require_shape('v', v, (self._model.nv,))
+        model, data = self._model, self._data
+        pin.forwardKinematics(model, data, q, v, self._zero)
+        pin.updateFramePlacement(model, data, self._frame)
+        pin.updateFramePlacement(model, data, self._sensor)
+        drift = pin.getFrameClassicalAcceleration(
+            model, data, self._frame, pin.LOCAL_WORLD_ALIGNED).vector.copy()
+        jacobian = np.ascontiguousarray(
+            pin.computeFrameJacobian(model, data, q, self._frame, pin.LOCAL_WORLD_ALIGNED))
+        upper = pin.crba(model, data, q)
+        mass_matrix = np.triu(upper) + np.triu(upper, 1).T
+        gravity = pin.computeGeneralizedGravity(model, data, q).copy()
+        coriolis = pin.nonLinearEffects(model, data, q, v) - gravity
+        return RobotState(
+            mass_matrix=mass_matrix, coriolis=coriolis, gravity=gravity, jacobian=jacobian,
+            jacobian_drift=drift, pose=_pose(data.oMf[self._frame]), twist_world=jacobian @ v,
+            velocity=v.copy(), sensor_pose=_pose(data.oMf[self._sensor]))
+
+
+def _load(path: Path) -> pin.Model:
+    try:
+        text = path.read_text(encoding='utf-8')
+    except OSError as error:
+        raise ConfigError('robot.urdf', 'a readable URDF file',
+                          f'{path} ({error.strerror})') from None
+    try:
+        return pin.buildModelFromXML(text)
+    except (ValueError, RuntimeError) as error:
+        reason = str(error).strip().splitlines()[-1] if str(error).strip() else 'not a URDF'
+        raise ConfigError('robot.urdf', 'a valid URDF', f'{path} ({reason})') from None
+
+
+def _pose(placement: pin.SE3) -> Pose:
+    return Pose(placement.translation.copy(), np.ascontiguousarray(placement.rotation))

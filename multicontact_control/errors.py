@@ -1,0 +1,50 @@
+"""The errors this package raises: one root, each saying what was expected and what was found."""
+
+
+class MulticontactError(Exception):
+    """Root of every error raised by this package."""
+
+
+class ConfigError(MulticontactError):
+    """
+    A value in a configuration is not acceptable.
+
+    Parameters
+    ----------
+    field
+        Dotted name of the field, e.g. ``contacts.table.normal_world``.
+    expected
+        What would have been accepted, with its unit.
+    found
+        What was there.
+    source
+        File the value came from, if any.
+
+    """
+
+    def __init__(self, field: str, expected: str, found: object, source: str = '') -> None:
+        self.field = field
+        self.expected = expected
+        self.found = found
+        self.source = source
+        where = f'{source}: ' if source else ''
+        super().__init__(f'{where}{field}: expected {expected}, found {found}')
+
+
+class ShapeError(MulticontactError):
+    """An array does not have the shape its function documents."""
+
+    def __init__(self, name: str, expected: object, found: object) -> None:
+        super().__init__(f'{name}: expected shape {expected}, found {found}')
+
+
+class SingularTaskError(MulticontactError):
+    """The arm cannot accelerate its operational point in every direction here."""
+
+
+class ContactGeometryError(MulticontactError):
+    """The contact normals do not span independent directions at the operational point."""
+
+
+class RunError(MulticontactError):
+    """A run could not start or did not end as it should."""

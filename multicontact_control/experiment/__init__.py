@@ -1,0 +1,1 @@
+"""Running, recording, judging and drawing experiments."""

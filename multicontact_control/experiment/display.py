@@ -1,0 +1,97 @@
+"""What a person sees on the terminal while a run goes on, and after it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any, Protocol
+
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+
+class ShowProgress(Protocol):
+    """Takes the time into a run [s] and the measured forces [N]."""
+
+    def __call__(self, time: float, forces: Mapping[str, float]) -> None:
+        """Show them."""
+        ...
+
+
+@contextmanager
+def progress_bar(title: str, duration: float, console: Console) -> Iterator[ShowProgress]:
+    """
+    Show a bar with the live forces for the time of a run.
+
+    Parameters
+    ----------
+    title
+        What runs.
+    duration
+        Length of the run [s].
+    console
+        Where to show it; nothing moves where that is not a terminal.
+
+    """
+    columns = (TextColumn('{task.description}'), BarColumn(),
+               TextColumn('{task.completed:5.1f} / {task.total:.1f} s'), TimeRemainingColumn(),
+               TextColumn('{task.fields[forces]}'))
+    with Progress(*columns, console=console, refresh_per_second=5) as progress:
+        task = progress.add_task(title, total=duration, forces='')
+
+        def show(time: float, forces: Mapping[str, float]) -> None:
+            text = '  '.join(f'{name} {force:5.1f} N' for name, force in forces.items())
+            progress.update(task, completed=min(time, duration), forces=text)
+
+        yield show
+        progress.update(task, forces='')
+
+
+def summary_table(summary: Mapping[str, Any]) -> Table:
+    """Return the short table a run ends with."""
+    table = Table(title=f"{summary['scenario']}, plant {summary['plant']}, "
+                        f"{summary['noise_estimator']}, seed {summary['seed']}, "
+                        f"{summary['mode']}")
+    table.add_column('')
+    for name in summary['contacts']:
+        table.add_column(name, justify='right')
+    contacts = summary['contacts'].values()
+    for key, label, digits in (('step_rise_63_s', 'step rise 63 % [s]', 3),
+                               ('step_overshoot_percent', 'overshoot [%]', 0)):
+        table.add_row(escape(label), *(_number(c[key], digits) for c in contacts))
+    for window in ('rest', 'moving'):
+        for key, label, digits in (
+                ('true_error_rms_n', 'true error rms [N]', 2),
+                ('estimate_error_rms_n', 'estimate error rms [N]', 2),
+                ('noise_variance_median_n2', 'noise variance [N²]', 2),
+                ('contact_loss_fraction', 'contact lost [share]', 4)):
+            table.add_row(escape(f'{window}: {label}'), *(_number(c[window][key], digits)
+                                                   for c in contacts))
+    return table
+
+
+def verdict_lines(summary: Mapping[str, Any], folder: object) -> list[str]:
+    """Return what is said below the table: verdict, warnings, where the results are."""
+    motion, torque, timing = summary['motion'], summary['torque'], summary['timing']
+    lines = [
+        f"motion error {_number(motion['position_rms_m'], 5)} m rms, "
+        f"{_number(motion['orientation_max_rad'], 4)} rad at most; torque at most "
+        f"{100.0 * torque['max_fraction_of_limit']:.0f} % of its limit"]
+    if summary['stable']:
+        lines.append('[green]stable[/green]')
+    else:
+        lines.append(f"[red]NOT stable:[/red] {'; '.join(summary['instabilities'])}")
+    misses, lost = timing.get('deadline_misses', 0), timing.get('lost_messages', 0)
+    if misses:
+        lines.append(f"[yellow]warning: {misses} of {summary['ticks']} deadlines missed "
+                     f"({100.0 * misses / max(summary['ticks'], 1):.2f} %)[/yellow]")
+    if lost:
+        lines.append(f'[yellow]warning: {lost} messages lost[/yellow]')
+    lines.append(f'results in {folder}')
+    return lines
+
+
+def _number(value: float | None, digits: int) -> str:
+    return '-' if value is None else f'{value:.{digits}f}'

@@ -1,0 +1,270 @@
+"""What is read off a run: errors, rise times, losses, stability."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multicontact_control.arrays import Mask, Matrix, Vector
+from multicontact_control.control.reference import ReferenceConfig
+from multicontact_control.experiment.recording import RunData
+from multicontact_control.experiment.scenario import Setup
+
+SETTLE_AFTER_STEP = 1.0  # s, the start of the window `rest` after the last force step
+SETTLE_AFTER_START = 2.0  # s, the start of the window `moving` after the motion's start
+LONGEST_LOSS = 0.1  # s, of contact or to saturation, that still counts as stable
+LARGEST_GAP = 0.01  # share of samples without a message, that still lets a run be judged
+LARGEST_FORCE = 5.0  # times the command, that still counts as stable
+
+
+@dataclass(frozen=True)
+class Windows:
+    """
+    The stretches of a run that are judged.
+
+    Attributes
+    ----------
+    rest, moving, loaded
+        Masks of samples, shape (m,): at rest under the last force step, in motion, and from the
+        first force step on.
+
+    """
+
+    rest: Mask
+    moving: Mask
+    loaded: Mask
+
+
+def windows(reference: ReferenceConfig, time: Vector) -> Windows:
+    """
+    Return the judged stretches of a scenario.
+
+    Parameters
+    ----------
+    reference
+        The scenario's commands.
+    time
+        Time of the samples, shape (m,) [s].
+
+    """
+    steps = reference.force_steps
+    start = reference.motion.start_time if reference.motion else math.inf
+    first = steps[0].time if steps else math.inf
+    before_motion = [step.time for step in steps if step.time < start]
+    rest_from = before_motion[-1] + SETTLE_AFTER_STEP if before_motion else math.inf
+    return Windows(
+        rest=(time >= rest_from) & (time < start), moving=time >= start + SETTLE_AFTER_START,
+        loaded=time >= first)
+
+
+@dataclass(frozen=True)
+class StepResponse:
+    """
+    The answer of one contact to one commanded step.
+
+    Attributes
+    ----------
+    time, size
+        When [s] and how large [N].
+    rise_63
+        From the command to the first true force beyond 63 % of the step [s]; None if never.
+    overshoot_percent
+        Of the step, until the next command.
+
+    """
+
+    time: float
+    size: float
+    rise_63: float | None
+    overshoot_percent: float
+
+
+def step_responses(data: RunData, setup: Setup, contact: int) -> list[StepResponse]:
+    """Return the answers of one contact to the scenario's force steps at rest."""
+    reference = setup.scenario.reference
+    name = data.contact_names[contact]
+    stop = reference.motion.start_time if reference.motion else math.inf
+    steps = [(step.time, step.forces[name]) for step in reference.force_steps
+             if name in step.forces and step.time < min(stop, data.time[-1])]
+    ends = [time for time, _ in steps[1:]] + [min(stop, float(data.time[-1]))]
+    before = reference.approach.preload
+    responses = []
+    for (start, after), end in zip(steps, ends):
+        window = (data.time >= start - 1e-9) & (data.time < end)
+        size = after - before
+        if size == 0.0 or not window.any():
+            continue
+        travelled = (data.alpha_true[window, contact] - before) / size
+        beyond = np.flatnonzero(travelled > 0.63)
+        rise = float(data.time[window][beyond[0]] - start) if beyond.size else None
+        responses.append(StepResponse(
+            start, size, rise, 100.0 * max(float(np.nanmax(travelled)) - 1.0, 0.0)))
+        before = after
+    return responses
+
+
+def longest_run(mask: NDArray[np.bool_]) -> int:
+    """Return the length of the longest run of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(int)))
+    return int((edges[1::2] - edges[::2]).max()) if edges.size else 0
+
+
+def instabilities(data: RunData, setup: Setup, ended_early: str = '') -> list[str]:
+    """
+    Return why a run was not stable, nothing if it was.
+
+    Stable: no saturation for more than 0.1 s, no contact lost for more than 0.1 s after the
+    preload, no force beyond 5 times its command, nothing that is not finite, and every contact
+    made.
+    """
+    found = [ended_early] if ended_early else []
+    limit = LONGEST_LOSS * data.rate
+    loaded = windows(setup.scenario.reference, data.time).loaded
+    series = (data.q, data.qd, data.torque, data.alpha_true, data.alpha_meas)
+    if any(np.isinf(values).any() for values in series):
+        found.append('a number is not finite')
+    missing = max(float(np.isnan(values).any(axis=1).mean()) for values in series)
+    if missing > LARGEST_GAP:
+        found.append(f'{100.0 * missing:.1f} % of the samples are missing')
+    saturated = saturation(data, setup)
+    if longest_run(saturated) > limit:
+        found.append(f'torque saturated for {longest_run(saturated) / data.rate:.2f} s')
+    for i, name in enumerate(data.contact_names):
+        force, desired = data.alpha_true[:, i], data.alpha_des[:, i]
+        if not (desired > 0.0).any():
+            found.append(f'{name}: no contact was made')
+            continue
+        lost = longest_run(loaded & (force <= 0.0))
+        if lost > limit:
+            found.append(f'{name}: contact lost for {lost / data.rate:.2f} s')
+        commanded = desired > 0.0
+        ratio = force[commanded] / desired[commanded]
+        if np.nanmax(ratio) > LARGEST_FORCE:
+            found.append(f'{name}: force {np.nanmax(ratio):.1f} times its command')
+    return found
+
+
+def saturation(data: RunData, setup: Setup) -> Mask:
+    """Return at which samples a commanded torque was at its limit, shape (m,)."""
+    at_limit = np.abs(data.torque) >= 0.999999 * torque_limit(setup)
+    return np.asarray(at_limit.any(axis=1))
+
+
+def torque_limit(setup: Setup) -> Vector:
+    """Return the limits of the joint torques, shape (n,) [N m], infinite where there is none."""
+    limit = setup.controller.torque_limit
+    return np.array(limit) if limit else np.full(len(setup.controller.robot.joint_names), np.inf)
+
+
+def contact_summary(data: RunData, setup: Setup, contact: int) -> dict[str, Any]:
+    """
+    Return the numbers of one contact, as in ``summary.json``.
+
+    The step answers are those to the largest step up; every step is listed under ``steps``.
+    """
+    judged = windows(setup.scenario.reference, data.time)
+    responses = step_responses(data, setup, contact)
+    largest = max(responses, key=lambda response: response.size, default=None)
+    return {
+        'step_rise_63_s': largest.rise_63 if largest else None,
+        'step_overshoot_percent': largest.overshoot_percent if largest else None,
+        'steps': [{'time_s': response.time, 'size_n': response.size,
+                   'rise_63_s': response.rise_63,
+                   'overshoot_percent': response.overshoot_percent} for response in responses],
+        'rest': _window_summary(data, contact, judged.rest),
+        'moving': _window_summary(data, contact, judged.moving)}
+
+
+def _window_summary(data: RunData, contact: int, window: Mask) -> dict[str, float | None]:
+    names = ('true_error_rms_n', 'estimate_error_rms_n', 'noise_variance_median_n2',
+             'contact_loss_fraction')
+    if not window.any():
+        return dict.fromkeys(names)
+    true = data.alpha_true[window, contact]
+    values = (
+        _rms(true - data.alpha_des[window, contact]),
+        _rms(data.alpha_est[window, contact] - true),
+        float(np.nanmedian(data.noise_variance[window, contact])),
+        float((true <= 0.0).mean()))
+    return dict(zip(names, values))
+
+
+def motion_summary(data: RunData, setup: Setup) -> dict[str, float | None]:
+    """
+    Return how well the commanded motion was followed.
+
+    The position error counts along the directions that no contact constrains, the orientation
+    error in full, both from the first force step to the end.
+    """
+    loaded = windows(setup.scenario.reference, data.time).loaded
+    if not loaded.any():
+        return {'position_rms_m': None, 'orientation_max_rad': None}
+    normals = np.array([setup.controller.contacts[name].normal_world
+                        for name in setup.controller.contact_names])
+    free = np.eye(3) - np.linalg.pinv(normals) @ normals
+    error = (data.position - data.position_des)[loaded] @ free
+    return {'position_rms_m': float(np.sqrt(np.nanmean((error * error).sum(axis=1)))),
+            'orientation_max_rad': float(np.nanmax(orientation_error(data)[loaded]))}
+
+
+def orientation_error(data: RunData) -> Vector:
+    """Return the angle between the orientation and its command, shape (m,) [rad]."""
+    cosine = np.abs((data.quaternion * data.quaternion_des).sum(axis=1))
+    angle: Vector = 2.0 * np.arccos(np.minimum(cosine, 1.0))
+    return angle
+
+
+def torque_summary(data: RunData, setup: Setup) -> dict[str, float]:
+    """Return how much of the torque limits was used."""
+    fraction: Matrix = np.abs(data.torque) / torque_limit(setup)
+    return {'max_fraction_of_limit': float(np.nanmax(fraction)),
+            'saturated_fraction': float(saturation(data, setup).mean())}
+
+
+def percentiles(values: Vector) -> dict[str, float]:
+    """Return p50, p99, p99.9 and the largest of some times."""
+    if not len(values):
+        return {'p50': 0.0, 'p99': 0.0, 'p999': 0.0, 'max': 0.0}
+    p50, p99, p999 = np.percentile(values, [50.0, 99.0, 99.9])
+    return {'p50': float(p50), 'p99': float(p99), 'p999': float(p999),
+            'max': float(np.max(values))}
+
+
+def summarise(
+    data: RunData, setup: Setup, *, mode: str, timing: dict[str, Any], ended_early: str = '',
+) -> dict[str, Any]:
+    """
+    Return the content of ``summary.json`` (schema 1).
+
+    Parameters
+    ----------
+    data
+        The recorded series.
+    setup
+        The configuration of the run.
+    mode
+        ``in_process``, ``lockstep`` or ``real_time``.
+    timing
+        Deadline misses, tick times, latencies.
+    ended_early
+        Why the run ended before its time, if it did.
+
+    """
+    unstable = instabilities(data, setup, ended_early)
+    return {
+        'schema': 1, 'scenario': setup.scenario.name, 'plant': setup.plant_name,
+        'noise_estimator': setup.noise_estimator.estimator, 'mode': mode, 'seed': setup.seed,
+        'ticks': data.ticks, 'rate_hz': data.rate,
+        'trajectory_sha256': data.trajectory_sha256(), 'timing': timing,
+        'contacts': {name: contact_summary(data, setup, i)
+                     for i, name in enumerate(data.contact_names)},
+        'motion': motion_summary(data, setup), 'torque': torque_summary(data, setup),
+        'stable': not unstable, 'instabilities': unstable, 'claims': []}
+
+
+def _rms(values: Vector) -> float:
+    return float(np.sqrt(np.nanmean(values * values)))

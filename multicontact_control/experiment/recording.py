@@ -1,0 +1,126 @@
+"""The series of one run, tick by tick, wherever they were recorded."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+import hashlib
+from pathlib import Path
+from typing import Any
+import zipfile
+
+import numpy as np
+
+from multicontact_control.arrays import Matrix, Vector
+from multicontact_control.errors import RunError
+
+SERIES_FILE = 'samples.npz'
+
+
+@dataclass(frozen=True)
+class RunData:
+    """
+    Every series of a run; row k belongs to sample k, NaN where a message is missing.
+
+    Attributes
+    ----------
+    rate
+        Samples per second [Hz].
+    contact_names, joint_names
+        Order of the contact and joint columns.
+    time
+        Time since the first sample, shape (m,) [s].
+    q, qd, effort, torque
+        Joint position, velocity, measured and commanded torque, shape (m, n).
+    wrench, wrench_filtered
+        What the wrist sensor reads, in its frame, shape (m, 6).
+    alpha_true, alpha_meas, alpha_est, alpha_rate_est, alpha_des
+        Contact forces [N] and the estimate's rate [N/s], shape (m, r).
+    noise_variance
+        R estimated from the samples up to k (the controller uses it at k + 1), shape (m, r).
+    position, quaternion, position_des, quaternion_des
+        Operational point, world axes, shapes (m, 3) and (m, 4), scalar last.
+
+    """
+
+    rate: float
+    contact_names: tuple[str, ...]
+    joint_names: tuple[str, ...]
+    time: Vector
+    q: Matrix
+    qd: Matrix
+    effort: Matrix
+    torque: Matrix
+    wrench: Matrix
+    wrench_filtered: Matrix
+    alpha_true: Matrix
+    alpha_meas: Matrix
+    alpha_est: Matrix
+    alpha_rate_est: Matrix
+    alpha_des: Matrix
+    noise_variance: Matrix
+    position: Matrix
+    quaternion: Matrix
+    position_des: Matrix
+    quaternion_des: Matrix
+
+    @property
+    def ticks(self) -> int:
+        """Number of samples."""
+        return int(self.time.shape[0])
+
+    def trajectory_sha256(self) -> str:
+        """Return the hash of the commanded torques as little-endian float64, tick by tick."""
+        return hashlib.sha256(np.ascontiguousarray(self.torque, dtype='<f8').tobytes()).hexdigest()
+
+    def truncated(self, ticks: int) -> RunData:
+        """Return the first `ticks` samples."""
+        series: dict[str, Any] = {
+            f.name: getattr(self, f.name)[:ticks] for f in fields(self)
+            if isinstance(getattr(self, f.name), np.ndarray)}
+        return replace(self, **series)
+
+    def save(self, folder: Path) -> None:
+        """Write the series to ``samples.npz`` in a folder."""
+        values: dict[str, Any] = {
+            f.name: np.asarray(getattr(self, f.name)) for f in fields(self)}
+        with (folder / SERIES_FILE).open('wb') as file:
+            np.savez_compressed(file, **values)
+
+    @classmethod
+    def load(cls, folder: Path) -> RunData:
+        """
+        Read the series that `save` wrote.
+
+        Raises
+        ------
+        RunError
+            If the file is missing or damaged.
+
+        """
+        path = folder / SERIES_FILE
+        try:
+            with np.load(path, allow_pickle=False) as data:
+                values = {name: data[name] for name in data.files}
+        except (OSError, ValueError, zipfile.BadZipFile) as error:
+            raise RunError(f'{path}: expected a recording of a run, found {error}') from None
+        return cls(**{**values, 'rate': float(values['rate']),
+                      'contact_names': tuple(str(name) for name in values['contact_names']),
+                      'joint_names': tuple(str(name) for name in values['joint_names'])})
+
+
+def empty_run_data(
+    ticks: int, rate: float, contact_names: tuple[str, ...], joint_names: tuple[str, ...],
+) -> RunData:
+    """Return series of NaN to be filled in, with the time axis set."""
+    n, r = len(joint_names), len(contact_names)
+
+    def series(columns: int) -> Matrix:
+        return np.full((ticks, columns), np.nan)
+
+    return RunData(
+        rate=rate, contact_names=contact_names, joint_names=joint_names,
+        time=np.arange(ticks) / rate, q=series(n), qd=series(n), effort=series(n),
+        torque=series(n), wrench=series(6), wrench_filtered=series(6), alpha_true=series(r),
+        alpha_meas=series(r), alpha_est=series(r), alpha_rate_est=series(r),
+        alpha_des=series(r), noise_variance=series(r), position=series(3), quaternion=series(4),
+        position_des=series(3), quaternion_des=series(4))

@@ -1,0 +1,78 @@
+"""The folder a run leaves: making it, filling it, keeping what is already there."""
+
+from __future__ import annotations
+
+from datetime import datetime
+import json
+import os
+from pathlib import Path
+import shutil
+from typing import Any
+
+from multicontact_control.errors import ConfigError
+
+SUMMARY_FILE = 'summary.json'
+CONFIG_FOLDER = 'config'
+
+
+def prepare_folder(out: Path | None, scenario: str, *, overwrite: bool, now: datetime) -> Path:
+    """
+    Make the folder of a run.
+
+    Parameters
+    ----------
+    out
+        The folder; None for ``runs/<date>-<time>-<scenario>``.
+    scenario
+        Name of the scenario.
+    overwrite
+        Whether a run that is already in `out` may be replaced.
+    now
+        Date and time for the name.
+
+    Returns
+    -------
+    Path
+        The folder, empty of any earlier run.
+
+    Raises
+    ------
+    ConfigError
+        If the folder holds something and must not be overwritten, or cannot be made.
+
+    """
+    folder = out or Path('runs') / f'{now:%Y%m%d-%H%M%S}-{scenario}'
+    if folder.exists():
+        if not folder.is_dir():
+            raise ConfigError('out', 'a folder', f'{folder}, a file')
+        if any(folder.iterdir()):
+            if not (folder / CONFIG_FOLDER).is_dir():
+                raise ConfigError('out', 'a new or empty folder', f'{folder}, which holds files')
+            if not overwrite:
+                raise ConfigError('out', 'a folder without a run, or --overwrite',
+                                  f'{folder}, which holds a run')
+            shutil.rmtree(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError('out', 'a folder that can be made',
+                          f'{folder} ({error.strerror})') from None
+    if out is None:
+        point_latest(folder)
+    return folder
+
+
+def point_latest(folder: Path) -> None:
+    """Make ``runs/latest`` lead to a run folder."""
+    link = folder.parent / 'latest'
+    fresh = folder.parent / f'.latest-{os.getpid()}'
+    fresh.unlink(missing_ok=True)
+    fresh.symlink_to(folder.name)
+    fresh.replace(link)
+
+
+def write_json(path: Path, content: Any) -> None:
+    """Write JSON such that a reader sees the old file or the new one, never half of one."""
+    partial = path.with_suffix('.partial')
+    partial.write_text(json.dumps(content, indent=2, allow_nan=False) + '\n', encoding='utf-8')
+    partial.replace(path)

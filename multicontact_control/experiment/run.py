@@ -1,0 +1,150 @@
+"""One run from its configuration to its folder: in process, or on the ROS 2 graph."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from multicontact_control.errors import RunError
+from multicontact_control.experiment.bag import BagContent, read_bag
+from multicontact_control.experiment.display import progress_bar, summary_table, verdict_lines
+from multicontact_control.experiment.figures import draw_figures
+from multicontact_control.experiment.loop import run_in_process
+from multicontact_control.experiment.metrics import percentiles, summarise
+from multicontact_control.experiment.recording import RunData
+from multicontact_control.experiment.results import CONFIG_FOLDER, SUMMARY_FILE, write_json
+from multicontact_control.experiment.scenario import Setup
+
+FIGURE_FOLDER = 'figures'
+
+
+def run_simulate(setup: Setup, folder: Path, console: Console | None = None) -> dict[str, Any]:
+    """
+    Run a scenario in this process and leave its results in a folder.
+
+    Parameters
+    ----------
+    setup
+        The run.
+    folder
+        Where the series, ``summary.json``, the figures and the configuration go.
+    console
+        Where progress and the table are shown.
+
+    Returns
+    -------
+    dict
+        The content of ``summary.json``.
+
+    """
+    console = console or Console()
+    setup.write(folder / CONFIG_FOLDER)
+    with progress_bar(f'simulate {setup.scenario.name}', setup.scenario.duration,
+                      console) as show:
+        result = run_in_process(setup, lambda time, alpha: show(
+            time, dict(zip(setup.controller.contact_names, alpha))))
+        show(setup.scenario.duration, {})
+    if not result.data.ticks:
+        raise RunError(f'the run ended at once: {result.ended_early}')
+    result.data.save(folder)
+    timing = {
+        'deadline_misses': 0, 'lost_messages': 0, 'tick_us': percentiles(result.tick_us),
+        'latency_us': None,
+        'realtime_factor': result.data.ticks / result.data.rate / result.wall_time}
+    summary = summarise(result.data, setup, mode='in_process', timing=timing,
+                        ended_early=result.ended_early)
+    return _finish(result.data, setup, folder, summary, console)
+
+
+def run_real_time(
+    setup: Setup, folder: Path, *, lockstep: bool = False, domain_id: int | None = None,
+    console: Console | None = None,
+) -> tuple[dict[str, Any], int | None]:
+    """
+    Run a scenario on the ROS 2 graph, record it, and leave its results in a folder.
+
+    Parameters
+    ----------
+    setup
+        The run.
+    folder
+        Where the bag, the logs, ``summary.json``, the figures and the configuration go.
+    lockstep
+        Whether the nodes wait for each other instead of for the wall clock.
+    domain_id
+        ROS_DOMAIN_ID of the graph.
+    console
+        Where progress and the table are shown.
+
+    Returns
+    -------
+    tuple
+        The content of ``summary.json``, and the signal that ended the run early, if one did.
+
+    Raises
+    ------
+    RunError
+        If ROS cannot be loaded or a node dies; what was recorded stays in the folder.
+
+    """
+    console = console or Console()
+    try:
+        from multicontact_control.experiment.graph import GraphSpec, run_graph
+    except ImportError as error:
+        raise RunError(f'ROS 2 (rclpy) cannot be loaded: {error}; install the extra [ros], '
+                       'source a ROS 2 Jazzy, or use `multicontact simulate`') from None
+    config = folder / CONFIG_FOLDER
+    setup.write(config)
+    spec = GraphSpec(
+        out=folder, ticks=setup.ticks, rate=setup.controller.rate, lockstep=lockstep,
+        seed=setup.seed, reference_file=config / 'reference.yaml', domain_id=domain_id,
+        parameter_files={
+            'controller_node': config / 'controller.yaml', 'sim_node': config / 'plant.yaml',
+            'noise_estimator_node': config / 'noise_estimator.yaml'})
+    with progress_bar(f'run {setup.scenario.name}', setup.scenario.duration, console) as show:
+        result = run_graph(spec, lambda progress: show(progress.time, progress.forces))
+        if result.interrupted is None:
+            show(setup.scenario.duration, {})
+    content = read_bag(
+        result.bag, rate=setup.controller.rate, contact_names=setup.controller.contact_names,
+        joint_names=setup.controller.robot.joint_names)
+    summary = summarise(
+        content.data, setup, mode='lockstep' if lockstep else 'real_time',
+        timing=graph_timing(result.timing, content),
+        ended_early='' if result.interrupted is None else 'interrupted by a signal')
+    return _finish(content.data, setup, folder, summary, console), result.interrupted
+
+
+def graph_timing(
+    timing: Mapping[str, Mapping[str, Any]], content: BagContent,
+) -> dict[str, Any]:
+    """Return the `timing` of ``summary.json`` from what the nodes and the bag say."""
+    sim, controller = timing.get('sim_node', {}), timing.get('controller_node', {})
+    recorder = timing.get('recorder_node', {})
+    sim_time = content.data.ticks / content.data.rate
+    wall = sim.get('wall_s') or 0.0
+    return {
+        'deadline_misses': sim.get('deadline_misses', 0),
+        'pace_slips': sim.get('pace_slips', 0),
+        'lost_messages': recorder.get('lost', 0) + sum(content.missing.values()),
+        'missing_by_topic': {topic: n for topic, n in content.missing.items() if n},
+        'tick_us': controller.get('tick_us'), 'latency_us': sim.get('latency_us'),
+        'plant_us': sim.get('plant_us'),
+        'realtime_factor': sim_time / wall if wall else None,
+        'topic_rates_hz': {topic: round(rate, 3)
+                           for topic, rate in sorted(content.topic_rates.items())}}
+
+
+def _finish(
+    data: RunData, setup: Setup, folder: Path, summary: dict[str, Any], console: Console,
+) -> dict[str, Any]:
+    """Write figures and summary and show the table."""
+    draw_figures(data, setup, folder / FIGURE_FOLDER)
+    write_json(folder / SUMMARY_FILE, summary)
+    console.print(summary_table(summary))
+    for line in verdict_lines(summary, folder):
+        console.print(line, highlight=False)
+    return summary

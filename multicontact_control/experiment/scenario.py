@@ -1,0 +1,213 @@
+"""Scenarios, and everything they resolve to before a run starts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+import shutil
+from typing import Any
+
+import yaml
+
+from multicontact_control.config import (
+    Config,
+    ControllerConfig,
+    merge,
+    NoiseEstimatorConfig,
+    parameter,
+    read_parameters,
+    read_yaml,
+    Real,
+    validate,
+    write_parameters,
+)
+from multicontact_control.control.reference import ReferenceConfig, ScenarioReference
+from multicontact_control.errors import ConfigError
+from multicontact_control.paths import config_dir
+from sim_bridge.config import PlantConfig
+
+PLANTS = ('rigid', 'puma')
+
+
+class ScenarioConfig(Config):
+    """One experiment: what is commanded when, and what differs from the defaults."""
+
+    name: str = parameter(..., 'Name, as used in file names.', min_length=1)
+    description: str = parameter('', 'What it shows.')
+    duration: Real = parameter(..., 'Length of the run.', unit='s', gt=0.0)
+    reference: ReferenceConfig = ReferenceConfig()
+    controller: dict[str, Any] = parameter({}, 'Values laid over config/controller.yaml.')
+    noise_estimator: dict[str, Any] = parameter(
+        {}, 'Values laid over config/noise_estimator.yaml.')
+    plant: dict[str, Any] = parameter({}, "Values laid over the plant preset's.")
+
+
+@dataclass(frozen=True)
+class Setup:
+    """
+    Everything a run needs, resolved and checked.
+
+    Attributes
+    ----------
+    scenario, controller, noise_estimator, plant
+        The frozen configurations.
+    plant_name
+        Preset or path of the plant.
+    seed
+        Of every random number of the plant.
+    urdf_dir
+        Folder that ``controller.robot.urdf`` is relative to.
+
+    """
+
+    scenario: ScenarioConfig
+    controller: ControllerConfig
+    noise_estimator: NoiseEstimatorConfig
+    plant: PlantConfig
+    plant_name: str
+    seed: int
+    urdf_dir: Path
+
+    @property
+    def ticks(self) -> int:
+        """Number of samples of the run."""
+        return round(self.scenario.duration * self.controller.rate)
+
+    def reference(self) -> ScenarioReference:
+        """Return the scenario's reference, at its start."""
+        return ScenarioReference(
+            self.scenario.reference, rate=self.controller.rate,
+            contact_names=self.controller.contact_names)
+
+    def write(self, folder: Path) -> None:
+        """Write the exact configuration into a folder, such that the nodes can be run on it."""
+        folder.mkdir(parents=True, exist_ok=True)
+        urdf = Path(self.controller.robot.urdf)
+        shutil.copyfile(self.urdf_dir / urdf, folder / urdf.name)
+        robot = self.controller.robot.model_copy(update={'urdf': urdf.name})
+        write_parameters(folder / 'controller.yaml',
+                         self.controller.model_copy(update={'robot': robot}))
+        write_parameters(folder / 'noise_estimator.yaml', self.noise_estimator)
+        write_parameters(folder / 'plant.yaml', self.plant)
+        for name, config in (('reference.yaml', self.scenario.reference),
+                             ('scenario.yaml', self.scenario)):
+            (folder / name).write_text(
+                yaml.safe_dump(config.model_dump(mode='json'), sort_keys=False),
+                encoding='utf-8')
+
+
+def scenario_path(name: str) -> Path:
+    """
+    Return the file of a scenario.
+
+    Parameters
+    ----------
+    name
+        Name of a file in config/scenarios, or a path.
+
+    Raises
+    ------
+    ConfigError
+        If there is neither.
+
+    """
+    folder = config_dir() / 'scenarios'
+    named = folder / f'{name}.yaml'
+    if named.is_file():
+        return named
+    path = Path(name)
+    if path.is_file():
+        return path
+    known = ', '.join(sorted(file.stem for file in folder.glob('*.yaml')))
+    raise ConfigError('scenario', f'one of {known}, or a path', f"'{name}'")
+
+
+def plant_path(name: str) -> Path:
+    """
+    Return the parameter file of a plant preset, or the path given instead of one.
+
+    Raises
+    ------
+    ConfigError
+        If there is neither.
+
+    """
+    if name in PLANTS:
+        return config_dir() / f'plant_{name}.yaml'
+    path = Path(name)
+    if path.is_file():
+        return path
+    raise ConfigError('plant', f'one of {", ".join(PLANTS)}, or a path', f"'{name}'")
+
+
+def resolve(
+    scenario: str, *, plant: str = 'puma', seed: int = 0, duration: float | None = None,
+    noise_estimator: dict[str, Any] | None = None, controller: dict[str, Any] | None = None,
+    plant_overrides: dict[str, Any] | None = None,
+) -> Setup:
+    """
+    Read and check everything a run needs.
+
+    Parameters
+    ----------
+    scenario
+        Name or path.
+    plant
+        Preset or path.
+    seed
+        Seed of the plant's noise and roughness.
+    duration
+        Overrides the scenario's [s].
+    noise_estimator, controller, plant_overrides
+        Values laid over the files' and the scenario's.
+
+    Returns
+    -------
+    Setup
+        The frozen configurations.
+
+    Raises
+    ------
+    ConfigError
+        With the first value that is not acceptable.
+
+    """
+    if seed < 0:
+        raise ConfigError('seed', 'a whole number >= 0', seed)
+    path = scenario_path(scenario)
+    text = read_yaml(path)
+    config = validate(
+        ScenarioConfig, text if duration is None else {**text, 'duration': duration}, str(path))
+    folder = config_dir()
+    controller_config = validate(
+        ControllerConfig,
+        merge(merge(read_parameters(folder / 'controller.yaml'), config.controller),
+              controller or {}), 'controller.yaml')
+    estimator_config = validate(
+        NoiseEstimatorConfig,
+        merge(merge(read_parameters(folder / 'noise_estimator.yaml'), config.noise_estimator),
+              noise_estimator or {}), 'noise_estimator.yaml')
+    plant_file = plant_path(plant)
+    plant_config = validate(
+        PlantConfig, merge(merge(read_parameters(plant_file), config.plant),
+                           plant_overrides or {}), plant_file.name)
+    setup = Setup(
+        scenario=config, controller=controller_config, noise_estimator=estimator_config,
+        plant=plant_config, plant_name=plant, seed=seed, urdf_dir=folder)
+    _check_together(setup, path)
+    return setup
+
+
+def _check_together(setup: Setup, path: Path) -> None:
+    names = setup.controller.contact_names
+    for what, found in (('noise_estimator.contact_names', setup.noise_estimator.contact_names),
+                        ('plant.contact_names', setup.plant.contact_names)):
+        if found != names:
+            raise ConfigError(what, f"the controller's contacts {list(names)}", list(found))
+    if setup.noise_estimator.rate != setup.controller.rate:
+        raise ConfigError('noise_estimator.rate', f"the controller's {setup.controller.rate:g} Hz",
+                          f'{setup.noise_estimator.rate:g} Hz')
+    try:
+        setup.reference()
+    except ConfigError as error:
+        raise ConfigError(error.field, error.expected, error.found, str(path)) from None

@@ -1,0 +1,1 @@
+"""Force dynamics of one contact: its plant, its observer, its noise."""

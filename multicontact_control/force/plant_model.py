@@ -1,0 +1,231 @@
+"""The delayed plant of one force loop and its state feedback (P04 eqs 32, 33, 36)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+import math
+
+import numpy as np
+from scipy.linalg import expm
+
+from multicontact_control.arrays import Matrix, require_shape, Vector
+from multicontact_control.config import MAX_DELAY_PERIODS
+from multicontact_control.errors import ConfigError, MulticontactError
+
+
+@dataclass(frozen=True, slots=True)
+class DelayedPlant:
+    """
+    x_k = Phi x_{k-1} + Gamma u_{k-1}, y_k = C x_k (P04 eq. 33).
+
+    x = [alpha, dalpha/dt, v_{k-d}, ..., v_{k-1}], where v = u + p is what acts on the plant.
+
+    Attributes
+    ----------
+    Phi, Gamma, C
+        Shapes (2 + d, 2 + d), (2 + d,), (2 + d,).
+    delay_steps
+        d, the number of inputs under way.
+
+    """
+
+    Phi: Matrix
+    Gamma: Vector
+    C: Vector
+    delay_steps: int
+
+
+def delayed_plant(
+    stiffness: float, damping_rate: float, input_delay: float, period: float,
+) -> DelayedPlant:
+    """
+    Discretise G(s) = k e^(-s T_d) / (s (s + K_2)) with a zero-order hold (P04 eqs 32-33).
+
+    With T_d = (d - 1) h + tau', 0 < tau' <= h, the input u_{k-d} acts for tau' of a period and
+    u_{k-d+1} for the rest of it.
+
+    Parameters
+    ----------
+    stiffness
+        k [N/m]: force rate per speed.
+    damping_rate
+        K_2 [1/s].
+    input_delay
+        T_d [s], at most 10 periods.
+    period
+        h [s].
+
+    Returns
+    -------
+    DelayedPlant
+        Input in [m/s^2], output in [N].
+
+    Raises
+    ------
+    ConfigError
+        If a value is out of its range.
+
+    """
+    for name, value, ok in (
+            ('stiffness', stiffness, stiffness > 0.0), ('period', period, period > 0.0),
+            ('damping_rate', damping_rate, damping_rate >= 0.0)):
+        if not (ok and math.isfinite(value)):
+            raise ConfigError(name, 'a positive number', value)
+    if not 0.0 <= input_delay <= MAX_DELAY_PERIODS * period * (1.0 + 1e-9):
+        raise ConfigError('input_delay', f'0 to {MAX_DELAY_PERIODS} periods '
+                          f'({MAX_DELAY_PERIODS * period:g} s)', f'{input_delay:g} s')
+    # The tolerance keeps 0.006 / 0.002 at three periods in spite of rounding.
+    d = math.ceil(input_delay / period - 1e-9)
+    late = input_delay - (d - 1) * period if d else 0.0  # tau'
+    late = min(max(late, 0.0), period)
+    A = np.array([[0.0, 1.0], [0.0, -damping_rate]])
+    B = np.array([0.0, stiffness])
+    Phi_h, _ = _zero_order_hold(A, B, period)
+    after, recent = _zero_order_hold(A, B, period - late)
+    _, early = _zero_order_hold(A, B, late)
+    Phi = np.zeros((2 + d, 2 + d))
+    Gamma = np.zeros(2 + d)
+    Phi[:2, :2] = Phi_h
+    inputs = np.zeros((2, d + 1))  # columns: u_{k-1-d}, ..., u_{k-1}
+    inputs[:, 0] = after @ early
+    inputs[:, min(1, d)] += recent
+    Phi[:2, 2:] = inputs[:, :d]
+    Gamma[:2] = inputs[:, d]
+    for i in range(d - 1):
+        Phi[2 + i, 3 + i] = 1.0
+    if d:
+        Gamma[-1] = 1.0
+    C = np.zeros(2 + d)
+    C[0] = 1.0
+    return DelayedPlant(Phi=Phi, Gamma=Gamma, C=C, delay_steps=d)
+
+
+def _zero_order_hold(A: Matrix, B: Vector, duration: float) -> tuple[Matrix, Vector]:
+    """Return exp(A t) and the integral of exp(A s) B over s from 0 to t."""
+    n = A.shape[0]
+    augmented = np.zeros((n + 1, n + 1))
+    augmented[:n, :n] = A
+    augmented[:n, n] = B
+    exponential = expm(augmented * duration)
+    return exponential[:n, :n], exponential[:n, n]
+
+
+def ackermann(Phi: Matrix, Gamma: Vector, poles: Sequence[float]) -> Vector:
+    """
+    Return the feedback L that places the eigenvalues of Phi - Gamma L.
+
+    L = [0 ... 0 1] [Gamma, Phi Gamma, ...]^-1 phi_c(Phi), phi_c the wanted characteristic
+    polynomial (Ackermann's formula, P04 eq. 36).
+
+    Parameters
+    ----------
+    Phi, Gamma
+        System of order n, shapes (n, n) and (n,).
+    poles
+        n real poles; repeated ones are allowed.
+
+    Returns
+    -------
+    Vector
+        L, shape (n,).
+
+    Raises
+    ------
+    ShapeError
+        If the shapes do not fit.
+    MulticontactError
+        If the system cannot be controlled by its input.
+
+    """
+    n = Phi.shape[0]
+    require_shape('Phi', Phi, (n, n))
+    require_shape('Gamma', Gamma, (n,))
+    require_shape('poles', np.asarray(poles), (n,))
+    # Balanced first: alpha is some 1e4 times its inputs, and Ackermann squares that again.
+    scale = np.maximum(np.abs(Gamma), np.abs(Phi).max(axis=1))
+    scale[scale == 0.0] = 1.0
+    Phi_s = Phi / scale[:, None] * scale
+    Gamma_s = Gamma / scale
+    columns = [Gamma_s]
+    for _ in range(n - 1):
+        columns.append(Phi_s @ columns[-1])
+    controllability = np.column_stack(columns)
+    if np.linalg.matrix_rank(controllability) < n:
+        raise MulticontactError(
+            f'(Phi, Gamma): expected a controllable pair of order {n}, found a rank of '
+            f'{np.linalg.matrix_rank(controllability)}')
+    polynomial = np.eye(n)
+    for pole in sorted(poles, reverse=True):
+        polynomial = polynomial @ (Phi_s - pole * np.eye(n))
+    last = np.zeros(n)
+    last[-1] = 1.0
+    feedback: Vector = np.linalg.solve(controllability.T, last) @ polynomial / scale
+    return feedback
+
+
+@dataclass(frozen=True, slots=True)
+class ForceLoop:
+    """
+    A plant with its state feedback u = r - L x - p, r = L_1 f_des (P04 eq. 36).
+
+    Attributes
+    ----------
+    plant
+        The delayed plant.
+    L
+        State feedback L_r, shape (2 + d,). L_1 as the gain of the command gives the loop a DC
+        gain of 1 from desired to real force.
+
+    """
+
+    plant: DelayedPlant
+    L: Vector
+
+    @property
+    def closed_loop(self) -> Matrix:
+        """Phi_r - Gamma_r L_r, shape (2 + d, 2 + d)."""
+        matrix: Matrix = self.plant.Phi - np.outer(self.plant.Gamma, self.L)
+        return matrix
+
+
+def design_force_loop(
+    stiffness: float, *, damping_rate: float, input_delay: float, period: float,
+    time_constant: float, second_pole_ratio: float = 1.0,
+) -> ForceLoop:
+    """
+    Design the feedback of one force loop.
+
+    Poles at exp(-h / tau) and exp(-h ratio / tau), the delay states' at 0.
+
+    Parameters
+    ----------
+    stiffness
+        k of the model [N/m].
+    damping_rate
+        K_2 [1/s].
+    input_delay
+        T_d [s].
+    period
+        h [s].
+    time_constant
+        tau of the dominant pole [s].
+    second_pole_ratio
+        How much faster the second pole is; 1 gives two equal ones.
+
+    Returns
+    -------
+    ForceLoop
+        The plant and its feedback.
+
+    Raises
+    ------
+    ConfigError
+        If a value is out of its range.
+
+    """
+    plant = delayed_plant(stiffness, damping_rate, input_delay, period)
+    poles = [math.exp(-period / time_constant),
+             math.exp(-period * second_pole_ratio / time_constant)]
+    poles += [0.0] * plant.delay_steps
+    return ForceLoop(plant, ackermann(plant.Phi, plant.Gamma, poles))

@@ -1,0 +1,116 @@
+"""Package description for pip and for colcon (ament_python)."""
+
+from pathlib import Path
+import re
+import sys
+
+from setuptools import find_packages, setup
+
+package_name = 'multicontact_control'
+share = f'share/{package_name}'
+here = Path(__file__).resolve().parent
+
+console_scripts = {
+    'multicontact': 'multicontact_control.cli:main',
+    'sim_node': 'sim_bridge.sim_node:main',
+    'controller_node': 'multicontact_control.nodes.controller_node:main',
+    'noise_estimator_node': 'multicontact_control.nodes.noise_estimator_node:main',
+    'recorder_node': 'multicontact_control.nodes.recorder_node:main',
+}
+
+install_requires = [
+    'numpy>=2.2,<3',
+    'scipy>=1.13,<2',
+    'numba>=0.61,<1',
+    'pin>=4.0,<5',
+    'pybullet>=3.2.7,<4',
+    'pydantic>=2.10,<3',
+    'PyYAML>=6.0.1,<7',
+    'typer>=0.15,<1',
+    'rich>=13.9,<16',
+    'matplotlib>=3.9,<4',
+    'mcap>=1.2,<2',
+    'mcap-ros2-support>=0.5.5,<0.7',
+]
+
+extras_require = {
+    # Not for a machine with a native ROS 2 Jazzy. Exact, because the wheels these stand for are
+    # pinned by them alone: any other version may bring another ROS 2 distribution. They bring
+    # rosgraph_msgs and lifecycle_msgs along.
+    'ros': [
+        'ros-jazzy-rclpy==7.1.6',
+        'ros-jazzy-rmw-fastrtps-cpp==8.4.3',
+        'ros-jazzy-common-interfaces==5.3.6',
+    ],
+    'test': [
+        'pytest>=8,<10',
+        'hypothesis>=6.100,<7',
+        'rosbags>=0.10,<0.12',
+        'ruff>=0.17.5,<0.18',
+        'mypy>=2.4,<3',
+        'types-PyYAML>=6.0,<7',
+    ],
+}
+
+
+def version():
+    """Return the version, which only the package itself states."""
+    text = (here / package_name / '__init__.py').read_text(encoding='utf-8')
+    return re.search(r"^__version__ = '([^']+)'$", text, re.MULTILINE).group(1)
+
+
+def config_files():
+    """Return the entries of `data_files` for config/, one for each folder."""
+    folders = sorted({path.parent for path in here.glob('config/**/*') if path.is_file()})
+    return [
+        (f'{share}/{folder.relative_to(here).as_posix()}',
+         sorted(str(path.relative_to(here)) for path in folder.iterdir() if path.is_file()))
+        for folder in folders]
+
+
+def ros2_run_wrappers():
+    """
+    Return the entry of `data_files` that lets `ros2 run` find what pip installed.
+
+    `ros2 run` looks in lib/<package>. colcon installs the console scripts there by setup.cfg,
+    which pip ignores; so a wheel (and the Makefile's `install_data`) carries small scripts that
+    call those in bin/. With colcon they would collide, so they are left out.
+    """
+    commands = [argument for argument in sys.argv[1:] if not argument.startswith('-')]
+    if 'bdist_wheel' not in commands and commands[:1] != ['install_data']:
+        return []
+    folder = here / 'build' / 'ros2_run'
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in console_scripts:
+        path = folder / name
+        path.write_text(
+            f'#!/bin/sh\nexec "$(dirname "$0")/../../bin/{name}" "$@"\n', encoding='utf-8')
+        path.chmod(0o755)
+    wrappers = [str((folder / name).relative_to(here)) for name in console_scripts]
+    return [(f'lib/{package_name}', wrappers)]
+
+
+setup(
+    name=package_name,
+    version=version(),
+    description='Multi-contact compliant motion control with active observers on ROS 2',
+    author='multicontact_control maintainers',
+    maintainer='multicontact_control maintainers',
+    maintainer_email='maintainers@example.com',
+    license='Apache-2.0',
+    python_requires='>=3.10',
+    packages=find_packages(exclude=['test*']),
+    package_data={package_name: ['py.typed']},
+    data_files=[
+        ('share/ament_index/resource_index/packages', [f'resource/{package_name}']),
+        (share, ['package.xml']),
+        *config_files(),
+        *ros2_run_wrappers(),
+    ],
+    zip_safe=False,
+    install_requires=install_requires,
+    extras_require=extras_require,
+    entry_points={
+        'console_scripts': [f'{name} = {target}' for name, target in console_scripts.items()],
+    },
+)

@@ -1,0 +1,1 @@
+"""The plant: a simulated arm with its drives, wrist sensor and contacts."""

@@ -1,0 +1,132 @@
+"""The arm in PyBullet: links and joints only, everything else is applied to it from outside."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import pybullet as bullet
+
+from multicontact_control.arrays import Vector
+from sim_bridge.puma560 import link_inertias, RobotData, SENSOR_FRAME, TOOL_LINK, urdf_text
+
+MAX_JOINT_SPEED = 1e4
+
+
+class BulletArm:
+    """
+    One arm alone in a PyBullet world of its own; `reset` puts it there.
+
+    Parameters
+    ----------
+    robot
+        The arm's data.
+    gravity_world
+        Gravity [m/s^2].
+    step
+        Integration step [s].
+
+    Attributes
+    ----------
+    client, body
+        PyBullet's names for the world and the arm.
+
+    """
+
+    def __init__(
+        self, robot: RobotData, gravity_world: tuple[float, float, float], step: float,
+    ) -> None:
+        self._robot = robot
+        self._gravity = gravity_world
+        self._step = step
+        self.client: int = bullet.connect(bullet.DIRECT)
+
+    def reset(self, q: Vector) -> None:
+        """Start afresh from rest at joint angles `q`; nothing of the past is left."""
+        bullet.resetSimulation(physicsClientId=self.client)
+        self._load()
+        for joint, angle in zip(self._joints, q.tolist(), strict=True):
+            bullet.resetJointState(self.body, joint, angle, 0.0, physicsClientId=self.client)
+
+    def read(self, q: Vector, qd: Vector, wrench: Vector) -> None:
+        """
+        Fill in the state of the joints and the wrench at the sensor.
+
+        Parameters
+        ----------
+        q, qd
+            Shape (n,) [rad], [rad/s].
+        wrench
+            What the arm exerts on the tool, in the sensor's frame, shape (6,) [N, N m]: PyBullet
+            gives it at the child's centre of mass, which in the sensor's face is its origin.
+
+        """
+        states = bullet.getJointStates(self.body, self._read_joints, physicsClientId=self.client)
+        for i in range(len(self._joints)):
+            q[i], qd[i] = states[i][:2]
+        wrench[:] = states[-1][2]
+
+    def push_tool(self, force: list[float], point: list[float]) -> None:
+        """Apply a force [N] at a point [m] of the tool for one step, world axes."""
+        bullet.applyExternalForce(
+            self.body, self._tool, force, point, bullet.WORLD_FRAME, physicsClientId=self.client)
+
+    def push_wrist(self, force: list[float], point: list[float]) -> None:
+        """Apply a force [N] at a point [m] of the last link for one step, world axes."""
+        bullet.applyExternalForce(
+            self.body, self._joints[-1], force, point, bullet.WORLD_FRAME,
+            physicsClientId=self.client)
+
+    def step(self, torque: list[float]) -> None:
+        """Advance by one step under joint torques, shape (n,) [N m]."""
+        bullet.setJointMotorControlArray(
+            self.body, self._joints, bullet.TORQUE_CONTROL, forces=torque,
+            physicsClientId=self.client)
+        bullet.stepSimulation(physicsClientId=self.client)
+
+    def close(self) -> None:
+        """Give the world back."""
+        if bullet.isConnected(physicsClientId=self.client):
+            bullet.disconnect(physicsClientId=self.client)
+
+    def _load(self) -> None:
+        client = self.client
+        bullet.setGravity(*self._gravity, physicsClientId=client)
+        bullet.setTimeStep(self._step, physicsClientId=client)
+        # A world without contacts: nothing to iterate for.
+        bullet.setPhysicsEngineParameter(
+            numSubSteps=0, numSolverIterations=1, enableFileCaching=0, physicsClientId=client)
+        with TemporaryDirectory() as folder:
+            path = Path(folder) / 'arm.urdf'
+            path.write_text(urdf_text(self._robot, for_bullet=True), encoding='utf-8')
+            self.body: int = bullet.loadURDF(
+                str(path), useFixedBase=True, flags=bullet.URDF_USE_INERTIA_FROM_FILE,
+                physicsClientId=client)
+        indices = {}
+        for joint in range(bullet.getNumJoints(self.body, physicsClientId=client)):
+            info = bullet.getJointInfo(self.body, joint, physicsClientId=client)
+            indices[info[1].decode()] = joint
+        self._joints = [indices[name] for name in self._robot.joint_names]
+        sensor = indices[f'{SENSOR_FRAME}_joint']
+        self._tool = indices[f'{TOOL_LINK}_joint']
+        self._read_joints = [*self._joints, sensor]
+        self._remove_surprises(sensor)
+
+    def _remove_surprises(self, sensor: int) -> None:
+        """Set what the importer changes or adds unasked."""
+        client = self.client
+        bullet.changeDynamics(
+            self.body, -1, linearDamping=0.0, angularDamping=0.0, physicsClientId=client)
+        joints = [*self._joints, sensor, self._tool]
+        for joint, inertia in zip(joints, link_inertias(self._robot), strict=True):
+            # A call of its own: beside a damping, the value would go to the base unnoticed.
+            bullet.changeDynamics(
+                self.body, joint, localInertiaDiagonal=inertia, physicsClientId=client)
+            bullet.changeDynamics(
+                self.body, joint, jointDamping=0.0, maxJointVelocity=MAX_JOINT_SPEED,
+                physicsClientId=client)
+        # Every joint is born with a motor that holds its speed at zero.
+        bullet.setJointMotorControlArray(
+            self.body, self._joints, bullet.VELOCITY_CONTROL, forces=[0.0] * len(self._joints),
+            physicsClientId=client)
+        bullet.enableJointForceTorqueSensor(self.body, sensor, True, physicsClientId=client)

@@ -1,0 +1,176 @@
+"""Everything about the simulated plant that can be chosen."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+from pydantic import model_validator
+
+from multicontact_control.config import (
+    Config,
+    parameter,
+    read_parameters,
+    Real,
+    UnitVector3,
+    validate,
+    Vector,
+    Vector3,
+)
+from multicontact_control.errors import ConfigError
+from multicontact_control.paths import config_dir
+
+PRESETS = ('puma', 'rigid')
+MAX_ACTUATOR_DELAY = 5
+
+
+class SurfaceConfig(Config):
+    """One compliant, rough surface that one bar tip may touch."""
+
+    tip_link: str = parameter(..., 'URDF link at the tip that meets this surface.')
+    point_world: Vector3 = parameter(..., 'A point of the mean surface.', unit='m')
+    normal_world: UnitVector3 = parameter(..., 'Unit surface normal INTO the surface.')
+    stiffness: Real = parameter(6000.0, 'Contact stiffness.', unit='N/m', gt=0.0)
+    damping: Real = parameter(30.0, 'Contact damping.', unit='N s/m', ge=0.0)
+    friction: Real = parameter(0.1, 'Coulomb friction coefficient.', ge=0.0, le=2.0)
+    slip_speed: Real = parameter(
+        5e-3, 'Sliding speed at which friction reaches 71 % of its value.', unit='m/s', gt=0.0)
+    roughness_std: Real = parameter(
+        4e-5, 'Standard deviation of the height profile, 0 for a smooth one.', unit='m', ge=0.0)
+    roughness_length: Real = parameter(
+        1e-4, 'Standard deviation of the Gaussian that smooths the profile.', unit='m', gt=0.0)
+
+
+class SensorConfig(Config):
+    """The wrist force/torque sensor; force before torque, x y z."""
+
+    noise: bool = parameter(True, 'Whether white noise is added.')
+    force_noise_std: Real = parameter(0.047, 'Noise per force axis.', unit='N', ge=0.0)
+    torque_noise_std: Real = parameter(0.004, 'Noise per torque axis.', unit='N m', ge=0.0)
+    bias: Vector = parameter((0.0,) * 6, 'Constant offset of each axis.', unit='N, N m')
+    saturate: bool = parameter(True, 'Whether readings stop at full scale.')
+    full_scale: Vector = parameter(
+        (100.0, 100.0, 200.0, 5.0, 5.0, 5.0), 'Largest reading of each axis.', unit='N, N m')
+    quantise: bool = parameter(True, 'Whether readings come in steps.')
+    bits: int = parameter(14, 'Bits over the whole range, both signs.', ge=2, le=32)
+    low_pass: bool = parameter(True, 'Whether ft_sensor/wrench_filtered is filtered.')
+    low_pass_cutoff: Real = parameter(
+        125.0, 'Cut-off of the last of the cascaded low-passes.', unit='Hz', gt=0.0)
+
+    @model_validator(mode='after')
+    def _check_lengths(self) -> SensorConfig:
+        for name in ('bias', 'full_scale'):
+            if len(getattr(self, name)) != 6:
+                raise ConfigError(f'sensor.{name}', '6 values', len(getattr(self, name)))
+        if min(self.full_scale) <= 0.0:
+            raise ConfigError('sensor.full_scale', 'values above 0', min(self.full_scale))
+        return self
+
+
+class PlantConfig(Config):
+    """The simulated arm, its drives, its sensor and what it touches."""
+
+    home: Vector = parameter(..., 'Joint angles at the start.', unit='rad')
+    gravity_world: Vector3 = parameter((0.0, 0.0, -9.81), 'Gravity.', unit='m/s^2')
+    substep: Real = parameter(2.5e-4, 'Integration step.', unit='s', gt=0.0)
+    actuator_delay_ticks: int = parameter(
+        1, 'Control periods from a sample to the torque that answers it.',
+        ge=0, le=MAX_ACTUATOR_DELAY)
+    drives: Literal['rigid', 'flexible'] = parameter(
+        'flexible', 'Whether rotors and links are one or joined by springs.')
+    drive_stiffness: Vector = parameter(
+        (), 'Stiffness between rotor and link, joint side.', unit='N m/rad')
+    drive_damping: Vector = parameter(
+        (), 'Damping between rotor and link, joint side.', unit='N m s/rad')
+    joint_sensing: Literal['motor', 'joint'] = parameter(
+        'motor', 'Side of the drive springs the encoders sit on.')
+    joint_friction_scale: Real = parameter(
+        0.6, 'Joint friction relative to the published one, 0 for none.', ge=0.0, le=5.0)
+    joint_friction_speed: Real = parameter(
+        1e-3, 'Joint speed scale of the smoothed Coulomb friction.', unit='rad/s', gt=0.0)
+    torque_limit: Vector = parameter(
+        (), "Largest joint torque; empty for the robot's own.", unit='N m')
+    contact_names: tuple[str, ...] = parameter(
+        ..., 'Surfaces in the order of every contact vector.')
+    surfaces: dict[str, SurfaceConfig]
+    sensor: SensorConfig = SensorConfig()
+    push_start: Vector = parameter((), 'When each push begins.', unit='s')
+    push_duration: Vector = parameter((), 'How long each push lasts.', unit='s')
+    push_force_world: Vector = parameter(
+        (), 'Forces of the pushes at the operational point, x y z of each in turn.', unit='N')
+
+    @model_validator(mode='after')
+    def _check_across_fields(self) -> PlantConfig:
+        for name in self.contact_names:
+            if name not in self.surfaces:
+                raise ConfigError(
+                    'contact_names', f'names among {", ".join(sorted(self.surfaces))}',
+                    f"'{name}'")
+        if len(set(self.contact_names)) != len(self.contact_names):
+            raise ConfigError('contact_names', 'distinct names', list(self.contact_names))
+        self._check_lengths()
+        for name in ('drive_stiffness', 'torque_limit'):
+            if min(getattr(self, name), default=1.0) <= 0.0:
+                raise ConfigError(name, 'values above 0', min(getattr(self, name)))
+        for name in ('drive_damping', 'push_duration', 'push_start'):
+            if min(getattr(self, name), default=0.0) < 0.0:
+                raise ConfigError(name, 'no negative value', min(getattr(self, name)))
+        return self
+
+    def _check_lengths(self) -> None:
+        joints, pushes = len(self.home), len(self.push_start)
+        flexible = self.drives == 'flexible'
+        wanted = {
+            'drive_stiffness': joints, 'drive_damping': joints, 'torque_limit': joints,
+            'push_duration': pushes, 'push_force_world': 3 * pushes}
+        for name, count in wanted.items():
+            found = len(getattr(self, name))
+            optional = name == 'torque_limit' or (name.startswith('drive') and not flexible)
+            if found != count and not (optional and found == 0):
+                raise ConfigError(name, f'{count} values', found)
+
+    def substeps(self, rate: float) -> int:
+        """
+        Return the number of integration steps in one control period.
+
+        Raises
+        ------
+        ConfigError
+            If the period is not a whole number of them.
+
+        """
+        if not (math.isfinite(rate) and rate > 0.0):
+            raise ConfigError('rate', 'a finite rate above 0 Hz', rate)
+        ratio = 1.0 / (rate * self.substep)
+        count = round(ratio)
+        if count < 1 or abs(ratio - count) > 1e-6 * count:
+            raise ConfigError(
+                'substep', f'a whole fraction of the control period {1.0 / rate:g} s',
+                f'{self.substep:g} s')
+        return count
+
+
+def load_preset(name: str) -> PlantConfig:
+    """
+    Read one of the plants that come with the package.
+
+    Parameters
+    ----------
+    name
+        ``puma`` or ``rigid``.
+
+    Returns
+    -------
+    PlantConfig
+        The validated configuration.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such preset, or its file is not acceptable.
+
+    """
+    if name not in PRESETS:
+        raise ConfigError('plant', f'one of {", ".join(PRESETS)}', f"'{name}'")
+    path = config_dir() / f'plant_{name}.yaml'
+    return validate(PlantConfig, read_parameters(path), str(path))

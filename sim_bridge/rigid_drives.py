@@ -1,0 +1,131 @@
+"""Rigid drives: rotors that turn with the links, in a simulator that knows no rotors."""
+
+from __future__ import annotations
+
+from numba import njit
+import numpy as np
+import pinocchio as pin
+
+from multicontact_control.arrays import Matrix, Vector
+from sim_bridge.joint_friction import (
+    friction_slope,
+    friction_torque,
+    NEWTON_STEPS,
+    NEWTON_TOLERANCE,
+    VISCOUS,
+)
+
+
+class RigidDrives:
+    """
+    The torque that makes links without rotors move as links with rotors do.
+
+    PyBullet knows no armature Ja. All forces being known, the acceleration with it is too
+    (pinocchio's articulated-body algorithm), and tau - Ja qdd makes PyBullet find the same.
+
+    Parameters
+    ----------
+    model
+        The arm with its armature.
+    friction
+        Friction table, shape (n, 4).
+    step
+        Integration step [s].
+
+    """
+
+    def __init__(self, model: pin.Model, friction: Matrix, step: float) -> None:
+        self._model, self._data = model, model.createData()
+        self._armature = np.array(model.armature)
+        self._friction, self._step = friction, step
+        self._frictionless = not friction[:, VISCOUS:VISCOUS + 3].any()
+
+    def torque(
+        self, torque: Vector, load: Vector, q: Vector, qd: Vector, joint_torque: Vector,
+    ) -> None:
+        """
+        Fill in what to apply to the links.
+
+        Parameters
+        ----------
+        torque
+            Motor torque, joint side, shape (n,) [N m].
+        load
+            What everything outside the arm does to the joints, gravity apart, shape (n,) [N m].
+        q, qd
+            State at the start of the step, shape (n,) [rad], [rad/s].
+        joint_torque
+            Filled with the torque on the links, shape (n,) [N m].
+
+        """
+        acceleration = pin.aba(self._model, self._data, q, qd, torque + load)
+        if self._frictionless:
+            joint_torque[:] = torque - self._armature * acceleration
+            return
+        upper = np.triu(pin.crba(self._model, self._data, q))
+        mass_matrix = upper + np.triu(upper, 1).T
+        speed = qd.copy()
+        implicit_joint_speed(
+            qd + self._step * acceleration, self._step, mass_matrix, self._friction, speed)
+        slowed = (speed - qd) / self._step
+        friction = mass_matrix @ (acceleration - slowed)
+        joint_torque[:] = torque - friction - self._armature * slowed
+
+
+@njit(cache=True)
+def implicit_joint_speed(
+    free_speed: Vector, step: float, mass_matrix: Matrix, friction: Matrix, speed: Vector,
+) -> None:
+    """
+    Solve M (v - free_speed) + step f(v) = 0 for the speeds of joints that move each other.
+
+    The left side is the gradient of a convex function, so Newton's method with step halving
+    converges to its only zero.
+
+    Parameters
+    ----------
+    free_speed
+        Speeds at the end of the step without friction, shape (n,) [rad/s].
+    step
+        Length of the step [s].
+    mass_matrix
+        Joint inertia with armature, shape (n, n) [kg m^2].
+    friction
+        Friction table.
+    speed
+        First guess; replaced by the solution, shape (n,) [rad/s].
+
+    """
+    n = free_speed.shape[0]
+    residual = _friction_residual(speed, free_speed, step, mass_matrix, friction)
+    for _ in range(NEWTON_STEPS):
+        slope = mass_matrix.copy()
+        for joint in range(n):
+            slope[joint, joint] += step * friction_slope(speed[joint], friction[joint])
+        change = np.linalg.solve(slope, residual)
+        share = 1.0
+        before = np.dot(residual, change)
+        for _ in range(30):
+            trial = speed - share * change
+            residual = _friction_residual(trial, free_speed, step, mass_matrix, friction)
+            # The function still falls at the trial point, or hardly rises: not overshot.
+            if np.dot(residual, change) >= -0.5 * before:
+                break
+            share *= 0.5
+        speed[:] = trial
+        if np.max(np.abs(change)) <= NEWTON_TOLERANCE * (1.0 + np.max(np.abs(speed))):
+            return
+
+
+@njit(cache=True)
+def _friction_residual(
+    speed: Vector, free_speed: Vector, step: float, mass_matrix: Matrix, friction: Matrix,
+) -> Vector:
+    """Return M (v - free_speed) + step f(v)."""
+    n = speed.shape[0]
+    residual = np.zeros(n)
+    for row in range(n):
+        for column in range(n):
+            residual[row] += mass_matrix[row, column] * (speed[column] - free_speed[column])
+        residual[row] += step * friction_torque(speed[row], friction[row])
+    return residual

@@ -1,0 +1,83 @@
+"""N, T and k_s against the paper's example and their defining properties."""
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+import numpy as np
+import pytest
+
+from multicontact_control.contact.geometry import (
+    contact_coordinates,
+    contact_normals,
+    free_motions,
+    operational_stiffness,
+)
+from multicontact_control.errors import ContactGeometryError, ShapeError
+
+vectors = arrays(float, (3,), elements=st.floats(-2.0, 2.0, allow_subnormal=False))
+directions = vectors.filter(lambda v: np.linalg.norm(v) > 0.1).map(
+    lambda v: v / np.linalg.norm(v))
+
+
+@given(normal=directions, lever=vectors)
+def test_contact_normals_are_force_and_moment_at_the_operational_point(normal, lever):
+    """A force n at the contact point, -l away, has the moment -l x n = n x l (P04 eq. 5)."""
+    N = contact_normals(normal[None], lever[None])[:, 0]
+    np.testing.assert_allclose(N[:3], normal)
+    np.testing.assert_allclose(N[3:], np.cross(-lever, normal), atol=1e-15)
+
+
+@settings(deadline=None)
+@given(st.data(), st.integers(0, 4))
+def test_free_motions_are_orthogonal_to_every_normal(data, count):
+    """N^T T = 0 and T^T T = 1 for any number of contacts (P04 eq. 6)."""
+    normals = np.array([data.draw(directions) for _ in range(count)]).reshape(-1, 3)
+    levers = np.array([data.draw(vectors) for _ in range(count)]).reshape(-1, 3)
+    N = contact_normals(normals, levers)
+    singular = np.linalg.svd(N, compute_uv=False)
+    if count and singular[-1] < 1e-3:
+        return
+    T = free_motions(N)
+    assert T.shape == (6, 6 - count)
+    np.testing.assert_allclose(N.T @ T, 0.0, atol=1e-12)
+    np.testing.assert_allclose(T.T @ T, np.eye(6 - count), atol=1e-12)
+
+
+def test_free_motions_refuses_dependent_normals():
+    """Two contacts on one line of action are one contact."""
+    N = contact_normals(np.tile([0.0, 0.0, 1.0], (2, 1)), np.array([[0, 0, 0.1], [0, 0, 0.3]]))
+    with pytest.raises(ContactGeometryError, match='2 independent columns'):
+        free_motions(N)
+
+
+def test_operational_stiffness_of_the_planar_example():
+    """k_s = k_env (1 + l^2 sin^2 gamma) (P04 eq. 21)."""
+    l, gamma = 0.7, 0.6
+    normal = np.array([0.0, 1.0, 0.0])
+    lever = l * np.array([np.sin(gamma), np.cos(gamma), 0.0])
+    expected = 6000.0 * (1.0 + (l * np.sin(gamma)) ** 2)
+    assert operational_stiffness(6000.0, normal, lever) == pytest.approx(expected, rel=1e-14)
+
+
+@given(normal=directions, lever=vectors)
+def test_operational_stiffness_is_k_env_times_squared_length_of_the_normal(normal, lever):
+    """1 + |l x n|^2 = N_i^T N_i (P04 eqs 5, 17)."""
+    N = contact_normals(normal[None], lever[None])[:, 0]
+    assert operational_stiffness(3.0, normal, lever) == pytest.approx(3.0 * N @ N, rel=1e-12)
+
+
+def test_contact_coordinates_recovers_forces_whatever_the_free_part():
+    """N^+ (N alpha + T beta) = alpha (P04 eq. 7)."""
+    rng = np.random.default_rng(0)
+    normals = rng.standard_normal((3, 3))
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    N = contact_normals(normals, rng.standard_normal((3, 3)))
+    alpha = rng.standard_normal(3)
+    wrench = N @ alpha + free_motions(N) @ rng.standard_normal(3)
+    np.testing.assert_allclose(contact_coordinates(N, wrench), alpha, atol=1e-12)
+
+
+def test_contact_normals_refuses_levers_of_another_shape():
+    """The message names the array, the expected and the found shape."""
+    with pytest.raises(ShapeError, match=r'levers_world: expected shape \(1, 3\)'):
+        contact_normals(np.zeros((1, 3)), np.zeros((2, 3)))

@@ -1,0 +1,46 @@
+"""What the tests of the plant share."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from sim_bridge.config import load_preset
+from sim_bridge.puma560 import load_robot, urdf_text
+from sim_bridge.pybullet_plant import PybulletPlant
+
+
+@pytest.fixture(scope='session')
+def robot():
+    return load_robot()
+
+
+@pytest.fixture
+def model(robot):
+    """The arm with its tool, without armature."""
+    return pin.buildModelFromXML(urdf_text(robot))
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(20040426)
+
+
+@pytest.fixture
+def make_plant():
+    """Build plants from a preset with nested changes, and close them afterwards."""
+    plants = []
+
+    def make(preset='rigid', *, seed=0, surfaces=None, sensor=None, **changes):
+        config = load_preset(preset)
+        if surfaces is not None:
+            changes['surfaces'] = {
+                name: surface.model_copy(update=surfaces)
+                for name, surface in config.surfaces.items()}
+        if sensor is not None:
+            changes['sensor'] = config.sensor.model_copy(update=sensor)
+        plants.append(PybulletPlant(config.model_copy(update=changes), rate=500.0, seed=seed))
+        return plants[-1]
+
+    yield make
+    for plant in plants:
+        plant.close()

@@ -1,0 +1,75 @@
+import pytest
+
+from multicontact_control.config import merge, read_parameters, validate
+from multicontact_control.errors import ConfigError
+from multicontact_control.paths import config_dir
+from sim_bridge.config import load_preset, PlantConfig, PRESETS
+
+
+def changed(change, preset='puma'):
+    values = read_parameters(config_dir() / f'plant_{preset}.yaml')
+    return validate(PlantConfig, merge(values, change))
+
+
+@pytest.mark.parametrize('name', PRESETS)
+def test_presets_load_and_divide_the_control_period(name):
+    assert load_preset(name).substeps(500.0) >= 1
+
+
+def test_presets_are_what_they_are_called():
+    rigid, puma = load_preset('rigid'), load_preset('puma')
+    assert (rigid.drives, rigid.joint_friction_scale) == ('rigid', 0.0)
+    assert (puma.drives, puma.joint_friction_scale, puma.joint_sensing) == (
+        'flexible', 0.25, 'motor')
+    assert rigid.actuator_delay_ticks == puma.actuator_delay_ticks == 1
+    assert rigid.surfaces == puma.surfaces
+    assert rigid.sensor == puma.sensor
+
+
+@pytest.mark.parametrize(('change', 'message'), [
+    ({'contact_names': ['table', 'wall']}, "contact_names: expected names among board, table, "
+                                           "found 'wall'"),
+    ({'contact_names': ['table', 'table']}, 'contact_names: expected distinct names'),
+    ({'drive_stiffness': [1.0, 2.0]}, 'drive_stiffness: expected 6 values, found 2'),
+    ({'drive_stiffness': [0.0] * 6}, 'drive_stiffness: expected values above 0'),
+    ({'drive_damping': [-1.0] * 6}, 'drive_damping: expected no negative value'),
+    ({'torque_limit': [1.0] * 5}, 'torque_limit: expected 6 values, found 5'),
+    ({'push_start': [1.0]}, 'push_duration: expected 1 values, found 0'),
+    ({'push_start': [1.0], 'push_duration': [0.1], 'push_force_world': [1.0, 2.0]},
+     'push_force_world: expected 3 values, found 2'),
+    ({'actuator_delay_ticks': 6}, 'actuator_delay_ticks: expected'),
+    ({'substep': 0.0}, 'substep: expected greater than 0'),
+    ({'drives': 'soft'}, "drives: expected 'rigid' or 'flexible'"),
+    ({'sensor': {'bias': [0.0]}}, 'sensor.bias: expected 6 values, found 1'),
+    ({'sensor': {'full_scale': [0.0] * 6}}, 'sensor.full_scale: expected values above 0'),
+    ({'surfaces': {'table': {'stiffness': -1.0}}},
+     'surfaces.table.stiffness: expected greater than 0'),
+    ({'surfaces': {'table': {'normal_world': [0.0, 0.0, -1.1]}}},
+     'surfaces.table.normal_world: expected a vector of unit length'),
+    ({'surfaces': {'table': {'stifness': 1.0}}}, "unknown key 'stifness'"),
+    ({'home': [0.0, 0.0, 'nan', 0.0, 0.0, 0.0]}, 'home.2: expected a finite number'),
+])
+def test_config_names_the_bad_field(change, message):
+    with pytest.raises(ConfigError) as caught:
+        changed(change)
+    assert message in str(caught.value)
+
+
+def test_rigid_drives_need_no_springs():
+    assert changed({'drives': 'rigid', 'drive_stiffness': [], 'drive_damping': []}).drives
+
+
+@pytest.mark.parametrize(('rate', 'expected'), [(500.0, 8), (1000.0, 4), (4000.0, 1)])
+def test_substeps_fill_the_period(rate, expected):
+    assert load_preset('puma').substeps(rate) == expected
+
+
+@pytest.mark.parametrize('rate', [300.0, 8000.0])
+def test_substep_that_does_not_divide_the_period_is_refused(rate):
+    with pytest.raises(ConfigError, match='substep: expected a whole fraction'):
+        load_preset('puma').substeps(rate)
+
+
+def test_unknown_preset_is_refused():
+    with pytest.raises(ConfigError, match="plant: expected one of puma, rigid, found 'soft'"):
+        load_preset('soft')

@@ -1,0 +1,50 @@
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from sim_bridge.config import load_preset
+from sim_bridge.drives import FlexibleDrives
+
+NO_FRICTION = np.tile([0.0, 0.0, 0.0, 1e-3], (2, 1))
+
+
+def test_flexible_drives_conserve_energy_without_damping():
+    """Two rotors on two free flywheels: no drift over 20 000 steps (symplectic Euler)."""
+    inertia, wheel, step = np.array([0.8, 0.2]), np.array([0.3, 0.01]), 2.5e-4
+    stiffness = np.array([3e4, 2e3])
+    drives = FlexibleDrives(inertia, np.column_stack((stiffness, [0, 0])), NO_FRICTION, step)
+    q, qd, torque = np.zeros(2), np.array([0.5, -0.5]), np.zeros(2)
+    energy, momentum = [], []
+    for _ in range(20000):
+        drives.advance(np.zeros(2), q, qd, torque)
+        qd += step * torque / wheel
+        q += step * qd
+        twist = drives.q - q
+        energy.append(0.5 * np.sum(
+            inertia * drives.qd ** 2 + wheel * qd ** 2 + stiffness * twist ** 2))
+        momentum.append(inertia * drives.qd + wheel * qd)
+    early, late = np.mean(energy[:5000]), np.mean(energy[-5000:])
+    assert late == pytest.approx(early, rel=1e-3)
+    np.testing.assert_allclose(momentum, np.tile(wheel * [0.5, -0.5], (20000, 1)), atol=1e-9)
+
+
+def test_flexible_drives_rest_with_springs_wound_up():
+    drives = FlexibleDrives(
+        np.ones(2), np.array([[1e4, 10.0], [2e3, 1.0]]), NO_FRICTION, 2.5e-4)
+    q, load, torque = np.array([0.3, -0.2]), np.array([30.0, -5.0]), np.zeros(2)
+    drives.reset(q, load)
+    for _ in range(100):
+        drives.advance(load, q, np.zeros(2), torque)
+    np.testing.assert_allclose(torque, load, rtol=1e-9)
+    np.testing.assert_allclose(drives.qd, 0.0, atol=1e-12)
+
+
+def test_drive_modes_with_locked_rotors_are_the_noted_ones(model):
+    """Eigenfrequencies of M x'' + K x = 0 at home, without rotors [Hz]."""
+    config = load_preset('puma')
+    data = model.createData()
+    upper = np.triu(pin.crba(model, data, np.array(config.home)))
+    mass_matrix = upper + np.triu(upper, 1).T
+    squares = np.linalg.eigvals(np.linalg.solve(mass_matrix, np.diag(config.drive_stiffness)))
+    modes = np.sort(np.sqrt(squares.real)) / (2 * np.pi)
+    np.testing.assert_allclose(modes, [16, 21, 33, 78, 104, 192], rtol=0.1)

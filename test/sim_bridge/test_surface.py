@@ -1,0 +1,116 @@
+import numpy as np
+import pytest
+
+from sim_bridge.config import SurfaceConfig
+from sim_bridge.surface import (
+    build_surfaces,
+    contact_force,
+    POINTS_PER_LENGTH,
+    profile_at,
+    roughness_profile,
+    track_direction,
+)
+
+NORMAL = np.array([0.0, 0.6, -0.8])
+
+
+def surface(**changes):
+    values = {'tip_link': 'tip', 'point_world': (0.1, 0.2, 0.3), 'normal_world': tuple(NORMAL),
+              'roughness_std': 0.0}
+    return build_surfaces([SurfaceConfig(**{**values, **changes})], [np.random.default_rng(1)])
+
+
+def touch(surfaces, depth, velocity=(0.0, 0.0, 0.0), along=0.0):
+    point = surfaces.points_world[0] + depth * NORMAL + along * surfaces.tracks_world[0]
+    force = np.full(3, np.nan)
+    alpha = contact_force(
+        point, np.array(velocity, dtype=float), surfaces.points_world[0],
+        surfaces.normals_world[0], surfaces.tracks_world[0], surfaces.parameters[0],
+        surfaces.heights[0], surfaces.slopes[0], force)
+    return alpha, force
+
+
+def test_contact_force_has_the_slope_of_the_stiffness():
+    surfaces = surface()
+    depths = np.linspace(1e-4, 5e-3, 20)
+    forces = [touch(surfaces, depth)[0] for depth in depths]
+    np.testing.assert_allclose(np.polyfit(depths, forces, 1), [6000.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(touch(surfaces, 1e-3)[1], 6.0 * NORMAL, atol=1e-12)
+
+
+def test_contact_force_damps_the_approach():
+    alpha, _ = touch(surface(), 1e-3, 0.02 * NORMAL)
+    assert alpha == pytest.approx(6000.0 * 1e-3 + 30.0 * 0.02)
+
+
+@pytest.mark.parametrize(('depth', 'speed'), [(-1e-6, 0.0), (-1e-3, 1.0), (1e-4, -1.0)])
+def test_contact_force_never_pulls(depth, speed):
+    """Neither out of reach nor when the tip leaves faster than the spring can follow."""
+    alpha, force = touch(surface(), depth, speed * NORMAL)
+    assert alpha == 0.0
+    np.testing.assert_array_equal(force, 0.0)
+
+
+def test_friction_stays_in_its_cone_and_along_the_sliding(rng):
+    surfaces = surface(friction=0.3)
+    for _ in range(100):
+        velocity = rng.standard_normal(3) * 10 ** rng.uniform(-5, 0)
+        alpha, force = touch(surfaces, 5e-3, velocity)
+        sliding = velocity - NORMAL * (NORMAL @ velocity)
+        friction = force - alpha * NORMAL
+        assert np.linalg.norm(friction) <= 0.3 * alpha
+        np.testing.assert_allclose(np.cross(friction, sliding), 0.0, atol=1e-12)
+        assert friction @ sliding >= 0.0
+
+
+def test_friction_reaches_coulombs_value_when_sliding():
+    alpha, force = touch(surface(friction=0.3), 1e-3, (0.5, 0.0, 0.0))
+    assert force[0] == pytest.approx(0.3 * alpha, rel=1e-4)
+
+
+def test_roughness_has_the_asked_deviation_and_correlation_length():
+    """Autocorrelation exp(-(d / 2 L)^2): 1/e at twice the kernel's length."""
+    profile = roughness_profile(4e-5, np.random.default_rng(3))
+    assert np.std(profile) == pytest.approx(4e-5, rel=1e-12)
+    assert np.mean(profile) == pytest.approx(0.0, abs=1e-12)
+    for points in (POINTS_PER_LENGTH, 2 * POINTS_PER_LENGTH):
+        correlation = np.mean(profile * np.roll(profile, points)) / np.var(profile)
+        expected = np.exp(-(points / (2 * POINTS_PER_LENGTH)) ** 2)
+        assert correlation == pytest.approx(expected, abs=0.03)
+
+
+def test_roughness_is_felt_as_depth_and_as_rate():
+    surfaces = surface(roughness_std=4e-5)
+    spacing = surfaces.parameters[0, -1]
+    for point in (0, 17, -5):
+        height, slope = surfaces.heights[0, point], surfaces.slopes[0, point]
+        alpha, _ = touch(surfaces, 1e-3, along=point * spacing)
+        assert alpha == pytest.approx(6000.0 * (1e-3 + height), rel=1e-9)
+        moving, _ = touch(surfaces, 1e-3, 0.1 * surfaces.tracks_world[0], point * spacing)
+        assert moving - alpha == pytest.approx(30.0 * 0.1 * slope, rel=1e-6, abs=1e-9)
+
+
+def test_roughness_slope_is_the_derivative_of_the_height():
+    surfaces = surface(roughness_std=4e-5)
+    spacing, step = surfaces.parameters[0, -1], surfaces.parameters[0, -1]
+    for position in np.linspace(-0.01, 0.01, 11):
+        ahead, behind = (
+            profile_at(surfaces.heights[0], spacing, position + sign * step) for sign in (1, -1))
+        slope = profile_at(surfaces.slopes[0], spacing, position)
+        assert slope == pytest.approx((ahead - behind) / (2 * step), rel=1e-6, abs=1e-9)
+
+
+@pytest.mark.parametrize('normal', [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, -1.0),
+                                    (0.6, 0.0, 0.8)])
+def test_track_direction_lies_in_the_surface(normal):
+    track = track_direction(np.array(normal))
+    assert np.linalg.norm(track) == pytest.approx(1.0)
+    assert track @ np.array(normal) == pytest.approx(0.0, abs=1e-15)
+
+
+def test_build_surfaces_gives_each_its_own_roughness():
+    config = SurfaceConfig(tip_link='tip', point_world=(0, 0, 0), normal_world=(0, 0, -1))
+    one, two, same = (
+        build_surfaces([config], [np.random.default_rng(seed)]).heights for seed in (1, 2, 1))
+    np.testing.assert_array_equal(one, same)
+    assert abs(np.corrcoef(one[0], two[0])[0, 1]) < 0.05

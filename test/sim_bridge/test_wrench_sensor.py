@@ -1,0 +1,93 @@
+import numpy as np
+import pytest
+
+from multicontact_control.errors import ConfigError
+from sim_bridge.config import SensorConfig
+from sim_bridge.wrench_sensor import low_pass_stages, quantum, WrenchSensor
+
+PERIOD = 2.5e-4
+IDEAL = {'noise': False, 'saturate': False, 'quantise': False, 'low_pass': False}
+
+
+def sensor(seed=0, period=PERIOD, **changes):
+    return WrenchSensor(
+        SensorConfig(**{**IDEAL, **changes}), period, np.random.default_rng(seed))
+
+
+def readings(instrument, wrenches):
+    raw, filtered = [], []
+    for wrench in wrenches:
+        instrument.read(np.asarray(wrench, dtype=float))
+        raw.append(instrument.reading.copy())
+        filtered.append(instrument.filtered.copy())
+    return np.array(raw), np.array(filtered)
+
+
+def test_sensor_with_everything_off_is_ideal(rng):
+    wrenches = rng.standard_normal((10, 6)) * 1e3
+    raw, filtered = readings(sensor(), wrenches)
+    np.testing.assert_array_equal(raw, wrenches)
+    np.testing.assert_array_equal(filtered, wrenches)
+
+
+def test_sensor_quantises_to_14_bits_of_full_scale(rng):
+    steps = quantum(SensorConfig())
+    np.testing.assert_allclose(steps[[0, 2, 3]], [200 / 16384, 400 / 16384, 10 / 16384])
+    wrenches = rng.uniform(-1, 1, (200, 6))
+    raw, _ = readings(sensor(quantise=True), wrenches)
+    np.testing.assert_allclose(raw / steps, np.round(raw / steps), atol=1e-9)
+    assert np.all(np.abs(raw - wrenches) <= 0.5 * steps + 1e-15)
+
+
+def test_sensor_saturates_at_full_scale():
+    raw, _ = readings(sensor(saturate=True), [np.full(6, 1e3), np.full(6, -1e3)])
+    np.testing.assert_array_equal(raw[0], [100, 100, 200, 5, 5, 5])
+    np.testing.assert_array_equal(raw[1], -raw[0])
+
+
+def test_sensor_noise_has_the_asked_deviation():
+    raw, _ = readings(sensor(noise=True), np.zeros((20000, 6)))
+    np.testing.assert_allclose(np.std(raw, axis=0), [0.047] * 3 + [0.004] * 3, rtol=0.03)
+    np.testing.assert_allclose(np.mean(raw, axis=0), 0.0, atol=0.0015)
+    assert np.max(np.abs(np.corrcoef(raw.T) - np.eye(6))) < 0.03
+    assert abs(np.mean(raw[1:, 0] * raw[:-1, 0])) < 0.03 * 0.047 ** 2
+
+
+def test_sensor_noise_repeats_with_its_seed():
+    first, again, other = (
+        readings(sensor(seed, noise=True), np.zeros((2000, 6)))[0] for seed in (5, 5, 6))
+    assert first.tobytes() == again.tobytes()
+    assert first.tobytes() != other.tobytes()
+
+
+def test_sensor_bias_is_added():
+    bias = (1.0, -2.0, 3.0, -0.1, 0.2, -0.3)
+    raw, _ = readings(sensor(bias=bias), np.zeros((1, 6)))
+    np.testing.assert_array_equal(raw[0], bias)
+
+
+@pytest.mark.parametrize(('cutoff', 'decibel'), [(500.0, -3.01), (125.0, -3.03), (31.25, -3.03)])
+def test_low_pass_gain_at_the_cutoff(cutoff, decibel):
+    """Measured with a sine, after the transient."""
+    instrument = sensor(low_pass=True, low_pass_cutoff=cutoff)
+    time = np.arange(int(0.64 / PERIOD)) * PERIOD
+    wave = np.sin(2 * np.pi * cutoff * time)
+    _, filtered = readings(instrument, np.repeat(wave[:, None], 6, axis=1))
+    late = slice(len(time) // 2, None)
+    phasor = 2 * np.mean(filtered[late, 0] * np.exp(-2j * np.pi * cutoff * time[late]))
+    assert 20 * np.log10(abs(phasor)) == pytest.approx(decibel, abs=0.03)
+
+
+def test_low_pass_starts_settled_and_has_unit_gain_at_rest():
+    wrench = np.arange(1.0, 7.0)
+    _, filtered = readings(sensor(low_pass=True), [wrench] * 50)
+    np.testing.assert_allclose(filtered, np.tile(wrench, (50, 1)), rtol=1e-12)
+
+
+def test_low_pass_stages_are_a_jr3s_cascade():
+    assert [len(low_pass_stages(cutoff, 4000.0)) for cutoff in (500.0, 125.0, 31.25)] == [1, 2, 3]
+
+
+def test_low_pass_cutoff_beyond_nyquist_is_refused():
+    with pytest.raises(ConfigError, match=r'sensor.low_pass_cutoff: expected below .* 500 Hz'):
+        low_pass_stages(500.0, 1000.0)

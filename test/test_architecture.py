@@ -1,0 +1,116 @@
+"""The rules of who may import whom, held against the sources and against trees that break them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from source_imports import find_cycle, imports_of, is_ros
+
+ROOT = Path(__file__).resolve().parents[1]
+# What is not listed (config, errors, arrays, paths, ...) lies at the bottom.
+LAYERS = {
+    'dynamics': 1, 'contact': 1, 'force': 1, 'control': 2, 'nodes': 3, 'experiment': 4, 'cli': 5,
+    '__main__': 5}
+PINOCCHIO_HOME = 'multicontact_control.dynamics.robot'
+
+
+def area(module: str) -> str:
+    """Return the part of the package a module belongs to, e.g. 'force'; '' for another package."""
+    package, *inner = module.split('.')
+    return (inner[0] if inner else '__init__') if package == 'multicontact_control' else ''
+
+
+def layer(module: str) -> int:
+    return LAYERS.get(area(module), 0)
+
+
+def is_core(module: str) -> bool:
+    return area(module) != '' and layer(module) <= LAYERS['control']
+
+
+def broken_rule(module: str, target: str) -> str:
+    """Return what an import breaks, or nothing."""
+    top = target.split('.')[0]
+    if is_core(module) and (is_ros(target) or top in ('pybullet', 'sim_bridge')):
+        return 'the core knows neither ROS nor the simulation'
+    if top == 'pinocchio' and module != PINOCCHIO_HOME and not module.startswith('sim_bridge'):
+        return 'pinocchio is wrapped in dynamics/robot.py'
+    if area(module) == 'control' and target == 'multicontact_control.force.noise':
+        return 'R reaches the controller as a number'
+    if area(module) and area(target):
+        if layer(module) < layer(target):
+            return 'imports flow downwards'
+        if layer(module) == layer(target) == 1 and area(module) != area(target):
+            return 'dynamics, contact and force know nothing of each other'
+    return ''
+
+
+def violations(root: Path) -> list[str]:
+    graph = imports_of(root)
+    broken = [
+        f'{module} imports {target}: {rule}'
+        for module, targets in graph.items() for target in sorted(targets)
+        if (rule := broken_rule(module, target))]
+    cycle = find_cycle(graph)
+    return broken + ([f'import cycle: {" > ".join(cycle)}'] if cycle else [])
+
+
+def test_sources_keep_the_rules_of_the_architecture():
+    assert imports_of(ROOT), 'no sources found'
+    assert violations(ROOT) == []
+
+
+GOOD = {
+    'multicontact_control/__init__.py': "__version__ = '1'",
+    'multicontact_control/errors.py': '',
+    'multicontact_control/config.py': 'from multicontact_control.errors import ConfigError',
+    'multicontact_control/dynamics/__init__.py': '',
+    'multicontact_control/dynamics/robot.py': 'import numpy\nimport pinocchio',
+    'multicontact_control/contact/geometry.py': 'from multicontact_control import config',
+    'multicontact_control/force/noise.py': '',
+    'multicontact_control/force/observer.py': 'from . import noise',
+    'multicontact_control/control/controller.py': 'import multicontact_control.force.observer',
+    'multicontact_control/nodes/controller_node.py':
+        'import rclpy\nfrom multicontact_control.control.controller import Controller',
+    'multicontact_control/experiment/loop.py': 'from sim_bridge.plant import Plant',
+    'multicontact_control/cli.py': 'def main():\n    import multicontact_control.experiment.loop',
+    'sim_bridge/plant.py': 'import pybullet\nimport pinocchio\nimport multicontact_control.config',
+}
+
+
+def write_tree(root: Path, files: dict[str, str]) -> None:
+    for name, text in files.items():
+        path = root / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding='utf-8')
+
+
+def test_checker_accepts_a_good_tree(tmp_path):
+    write_tree(tmp_path, GOOD)
+    assert violations(tmp_path) == []
+
+
+@pytest.mark.parametrize(('path', 'text', 'complaint'), [
+    ('config.py', 'import rclpy', 'the core knows neither'),
+    ('errors.py', 'import pybullet', 'the core knows neither'),
+    ('force/noise.py', 'from sensor_msgs.msg import JointState', 'the core knows neither'),
+    ('control/controller.py', 'def f():\n    import sim_bridge.plant', 'the core knows neither'),
+    ('control/controller.py', 'import pinocchio as pin', 'pinocchio is wrapped'),
+    ('nodes/controller_node.py', 'import pinocchio', 'pinocchio is wrapped'),
+    ('control/controller.py', 'from multicontact_control.force.noise import f', 'as a number'),
+    ('control/controller.py', 'from multicontact_control.force import noise', 'as a number'),
+    ('control/controller.py', 'from ..force import noise', 'as a number'),
+    ('contact/geometry.py', 'from multicontact_control.force import noise', 'of each other'),
+    ('dynamics/__init__.py', 'from ..contact.geometry import N', 'of each other'),
+    ('errors.py', 'import multicontact_control.force.noise', 'imports flow downwards'),
+    ('control/controller.py', 'from multicontact_control.nodes import qos', 'flow downwards'),
+    ('experiment/loop.py', 'from multicontact_control import cli', 'imports flow downwards'),
+    ('errors.py', 'from multicontact_control.config import Config', 'import cycle'),
+    ('force/noise.py', 'from .observer import Observer', 'import cycle'),
+    ('../sim_bridge/plant.py', 'import multicontact_control.experiment.loop', 'import cycle'),
+])
+def test_checker_finds_a_broken_rule(tmp_path, path, text, complaint):
+    write_tree(tmp_path, GOOD | {'multicontact_control/nodes/qos.py': ''})
+    write_tree(tmp_path / 'multicontact_control', {path: text})
+    assert any(complaint in violation for violation in violations(tmp_path))
