@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 import math
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, get_args, Literal, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator, ValidationError
 import yaml
@@ -293,11 +293,13 @@ def _known_keys(model: type[Config], location: tuple[int | str, ...]) -> str:
     current: Any = model
     for part in location[:-1]:
         if isinstance(current, type) and issubclass(current, BaseModel):
-            current = current.model_fields[str(part)].annotation if (
-                str(part) in current.model_fields) else None
-        else:
-            arguments = getattr(current, '__args__', ())
+            field = current.model_fields.get(str(part))
+            current = field.annotation if field else None
+        else:  # the values of a mapping or the items of a sequence
+            arguments = [x for x in get_args(current) if x is not Ellipsis]
             current = arguments[-1] if arguments else None
+        if type(None) in get_args(current):
+            current = next(x for x in get_args(current) if x is not type(None))
     if isinstance(current, type) and issubclass(current, BaseModel):
         return ', '.join(current.model_fields)
     return 'see the documentation'
