@@ -8,6 +8,7 @@ import numpy as np
 
 from multicontact_control.arrays import Mask, Matrix, require_shape, Vector
 from multicontact_control.config import ControllerConfig
+from multicontact_control.control.kernels import POSITION
 from multicontact_control.control.reference import Reference
 from multicontact_control.dynamics.operational_space import MAX_CONDITION
 
@@ -80,8 +81,10 @@ class Buffers:
         self.wrench_sensor = np.zeros(6)
         self.noise_variance, self.alpha_des = np.ones(contacts), np.zeros(contacts)
         self.active: Mask = np.zeros(contacts, dtype=bool)
-        self.position_des, self.rotation_des = np.zeros(3), np.eye(3)
-        self.twist_des, self.acceleration_des = np.zeros(6), np.zeros(6)
+        self.pose_des, self.motion_des = np.eye(4, 3), np.zeros((2, 6))
+        self._rotation_des, self._position_des = self.pose_des[:3], self.pose_des[POSITION]
+        self._twist_des, self._acceleration_des = self.motion_des
+        self._shapes = (joints,), (joints,), (6,), (contacts,)
         self.normal_rows = np.zeros((contacts, 6))
 
     def take_sample(
@@ -96,10 +99,11 @@ class Buffers:
             If an array is not of the robot's or the contacts' size.
 
         """
-        require_shape('q', q, self.q.shape)
-        require_shape('qd', qd, self.qd.shape)
-        require_shape('wrench_sensor', wrench_sensor, (6,))
-        require_shape('noise_variance', noise_variance, self.noise_variance.shape)
+        if (q.shape, qd.shape, wrench_sensor.shape, noise_variance.shape) != self._shapes:
+            names = ('q', 'qd', 'wrench_sensor', 'noise_variance')
+            for name, array, shape in zip(
+                    names, (q, qd, wrench_sensor, noise_variance), self._shapes):
+                require_shape(name, array, shape)
         self.q[:] = q
         self.qd[:] = qd
         self.wrench_sensor[:] = wrench_sensor
@@ -108,9 +112,9 @@ class Buffers:
     def take_reference(self, reference: Reference) -> None:
         """Copy what is to be done."""
         pose = reference.pose_des
-        self.position_des[:] = pose.position_world
-        self.rotation_des[:] = pose.rotation_world
-        self.twist_des[:] = reference.twist_des
-        self.acceleration_des[:] = reference.acceleration_des
+        self._position_des[:] = pose.position_world
+        self._rotation_des[:] = pose.rotation_world
+        self._twist_des[:] = reference.twist_des
+        self._acceleration_des[:] = reference.acceleration_des
         self.active[:] = reference.active
         self.alpha_des[:] = reference.alpha_des

@@ -7,17 +7,18 @@ The arithmetic is in `kernels`, compiled; here is what surrounds it.
 from __future__ import annotations
 
 import contextlib
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from multicontact_control.arrays import Mask, Matrix, Vector
+from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.contact.geometry import MAX_CONTACTS, operational_stiffness
 from multicontact_control.control.buffers import Buffers, constants_of
 from multicontact_control.control.kernels import control_law, measure_contacts, OK, SINGULAR
 from multicontact_control.control.reference import ReferenceSource
+from multicontact_control.control.tick import ControlOutput, Measurement
 from multicontact_control.dynamics.operational_space import task_inertia
 from multicontact_control.dynamics.pose import Pose
 from multicontact_control.dynamics.robot import LiveTerms, RobotModel
@@ -28,66 +29,11 @@ from multicontact_control.errors import (
     SingularTaskError,
 )
 from multicontact_control.force.active_observer import ActiveObserver
+from multicontact_control.force.kernels import MEASURED, REPORT_ROWS
 from multicontact_control.force.observer_bank import ObserverBank
 from multicontact_control.force.plant_model import design_force_loop
 
-
-@dataclass(frozen=True, slots=True)
-class Measurement:
-    """
-    One sample of the sensors.
-
-    Attributes
-    ----------
-    time
-        Time since the first sample [s].
-    q, qd
-        Joint positions [rad] and velocities [rad/s], shape (n,).
-    wrench_sensor
-        Reading of the wrist sensor in its frame, force first, shape (6,) [N, N m].
-
-    """
-
-    time: float
-    q: Vector
-    qd: Vector
-    wrench_sensor: Vector
-
-
-@dataclass(frozen=True, slots=True)
-class ControlOutput:
-    """
-    The answer to one sample.
-
-    Attributes
-    ----------
-    torque
-        Gamma, shape (n,) [N m].
-    alpha_meas, alpha_est, alpha_rate_est, alpha_des
-        Contact forces [N] and rate [N/s], shape (r,); estimates and desired are 0 where no
-        force is controlled.
-    innovation, prior_variance, variance_used
-        What each observer found in this sample: alpha_meas minus its prediction [N], the
-        variance C P_1 C^T of that prediction and the R it worked with [N^2], shape (r,). All 0
-        where no force is controlled, and for the sample with which control starts.
-    active
-        Which contacts are force controlled, shape (r,).
-    pose, pose_des
-        Present and desired pose of the operational frame.
-
-    """
-
-    torque: Vector
-    alpha_meas: Vector
-    alpha_est: Vector
-    alpha_rate_est: Vector
-    alpha_des: Vector
-    innovation: Vector
-    prior_variance: Vector
-    variance_used: Vector
-    active: Mask
-    pose: Pose
-    pose_des: Pose
+__all__ = ['Controller', 'ControlOutput', 'Measurement']
 
 
 class Controller:
@@ -123,9 +69,11 @@ class Controller:
         self.config = config
         self.robot = robot
         self._reference = reference
-        self._joints, self._contacts = robot.joint_count, len(config.contact_names)
+        self._joints, contacts = robot.joint_count, len(config.contact_names)
+        self._report_shape = len(REPORT_ROWS), contacts
         self._constants = constants_of(config, self._joints)
-        self._buffers = Buffers(self._joints, self._contacts)
+        self._buffers = Buffers(self._joints, contacts)
+        self._measure_arguments = self._gather_measure_arguments()
         self.reset()
         self._warm_up()
 
@@ -146,7 +94,7 @@ class Controller:
 
     def reset(self) -> None:
         """Forget everything measured; the next sample starts anew."""
-        self._observers: ObserverBank | None = None
+        self._started = False
 
     def step(self, measurement: Measurement, noise_variance: Vector) -> ControlOutput:
         """
@@ -178,53 +126,59 @@ class Controller:
         buffers.take_sample(
             measurement.q, measurement.qd, measurement.wrench_sensor, noise_variance)
         terms = self.robot.compute(buffers.q, buffers.qd)
-        alpha_meas = self._measure(terms)
+        report = np.empty(self._report_shape)
+        self._measure(report)
         pose = Pose(terms.position_world.copy(), terms.rotation_world.copy())
-        observers = self._observers
-        if observers is None:
-            observers = self._observers = self._design_observers(pose.rotation_world)
-            self._reference.start(pose, self._constants.normals_world)
-        reference = self._reference.update(measurement.time, alpha_meas)
+        if not self._started:
+            self._start(pose)
+        reference = self._reference.update(measurement.time, report[MEASURED])
         buffers.take_reference(reference)
-        torque, report = self._decide(terms, observers, alpha_meas)
-        alpha_est, alpha_rate_est, innovation, prior_variance, variance_used = report
+        torque = self._decide(terms, report)
         return ControlOutput(
-            torque, alpha_meas, alpha_est, alpha_rate_est, buffers.alpha_des.copy(),
-            innovation, prior_variance, variance_used, buffers.active.copy(), pose,
-            reference.pose_des)
+            torque, report, buffers.active.copy(), pose, reference.pose_des)
 
-    def _measure(self, terms: LiveTerms) -> Vector:
-        """Return the measured contact forces; N is in the buffers then."""
-        constants, buffers = self._constants, self._buffers
-        alpha_meas = np.empty(self._contacts)
-        if not measure_contacts(
-                buffers.wrench_sensor, terms.sensor_rotation_world, terms.sensor_position_world,
-                terms.rotation_world, terms.position_world, constants.tool,
-                constants.normals_world, constants.points_operational, constants.measured,
-                buffers.normal_rows, alpha_meas):
+    def _measure(self, report: Matrix) -> None:
+        """Fill in the measured contact forces; N is in the buffers then."""
+        if not measure_contacts(report, *self._measure_arguments):
             raise self._dependent_contacts()
-        return alpha_meas
 
-    def _decide(
-        self, terms: LiveTerms, observers: ObserverBank, alpha_meas: Vector,
-    ) -> tuple[Vector, Matrix]:
-        """Return the joint torque and what the observers report."""
-        constants, buffers = self._constants, self._buffers
-        torque, report = np.empty(self._joints), np.empty((5, self._contacts))
+    def _start(self, pose: Pose) -> None:
+        """Begin with the first sample."""
+        self._law_arguments = self._gather_law_arguments(
+            self._design_observers(pose.rotation_world))
+        self._reference.start(pose, self._constants.normals_world)
+        self._started = True
+
+    def _decide(self, terms: LiveTerms, report: Matrix) -> Vector:
+        """Return the joint torque; the report is complete then."""
+        torque = np.empty(self._joints)
         status = control_law(
-            terms.mass_matrix, terms.bias_torque, terms.jacobian, terms.jacobian_rate, buffers.qd,
-            terms.position_world, terms.rotation_world, buffers.position_des,
-            buffers.rotation_des, buffers.twist_des, buffers.acceleration_des,
-            buffers.normal_rows, buffers.active, alpha_meas, buffers.alpha_des,
-            buffers.noise_variance, constants.gains, constants.inertia_metric,
-            constants.decoupled, constants.joints, *observers.arrays, report, torque)
+            report, torque, terms.jacobian, terms.jacobian_rate, *self._law_arguments)
         if status == OK:
-            return torque, report
+            return torque
         if status == SINGULAR:
-            state = self.robot.update(buffers.q, buffers.qd)
+            state = self.robot.update(self._buffers.q, self._buffers.qd)
             task_inertia(state.mass_matrix, state.jacobian)  # says what is wrong
             raise SingularTaskError('J M^-1 J^T: expected a positive definite matrix')
         raise self._dependent_contacts()
+
+    def _gather_measure_arguments(self) -> tuple[Any, ...]:
+        """Return what `measure_contacts` takes that stays where it is from tick to tick."""
+        terms, constants, buffers = self.robot.terms, self._constants, self._buffers
+        return (
+            buffers.wrench_sensor, terms.sensor_rotation_world, terms.sensor_position_world,
+            terms.rotation_world, terms.position_world, constants.tool, constants.normals_world,
+            constants.points_operational, constants.measured, buffers.normal_rows)
+
+    def _gather_law_arguments(self, observers: ObserverBank) -> tuple[Any, ...]:
+        """Return what `control_law` takes that stays where it is from tick to tick."""
+        terms, constants, buffers = self.robot.terms, self._constants, self._buffers
+        return (
+            terms.mass_matrix, terms.bias_torque, buffers.qd, terms.position_world,
+            terms.rotation_world, buffers.pose_des, buffers.motion_des, buffers.normal_rows,
+            buffers.active, buffers.alpha_des, buffers.noise_variance, constants.gains,
+            constants.inertia_metric, constants.decoupled, constants.joints,
+            observers.matrices, observers.vectors, observers.scalars, observers.P_0)
 
     def _dependent_contacts(self) -> MulticontactError:
         if not np.isfinite(self._buffers.q).all():
@@ -256,13 +210,12 @@ class Controller:
 
     def _warm_up(self) -> None:
         """Call everything compiled once with arrays of the types it will see."""
-        buffers = self._buffers
-        terms = self.robot.compute(buffers.q, buffers.qd)
+        terms = self.robot.compute(self._buffers.q, self._buffers.qd)
         pose = Pose(terms.position_world.copy(), terms.rotation_world.copy())
         pose.quaternion_xyzw  # noqa: B018 - compiled too
-        alpha_meas = np.zeros(self._contacts)
-        observers = self._design_observers(pose.rotation_world)
-        for warm in (lambda: self._measure(terms),
-                     lambda: self._decide(terms, observers, alpha_meas)):
+        self._law_arguments = self._gather_law_arguments(
+            self._design_observers(pose.rotation_world))
+        report = np.zeros(self._report_shape)
+        for warm in (lambda: self._measure(report), lambda: self._decide(terms, report)):
             with contextlib.suppress(SingularTaskError, ContactGeometryError):
                 warm()  # nobody has said that all joints at 0 is a good posture

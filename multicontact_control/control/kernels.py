@@ -28,7 +28,7 @@ from multicontact_control.dynamics.kernels import (
     mobility_and_inertia,
     rotation_vector,
 )
-from multicontact_control.force.kernels import observe_and_command
+from multicontact_control.force.kernels import ESTIMATED, MEASURED, observe_and_command
 
 # What `control_law` returns.
 OK, SINGULAR, DEPENDENT = range(3)
@@ -36,6 +36,9 @@ OK, SINGULAR, DEPENDENT = range(3)
 K_P, K_V, K_2, FRICTION_SPEED, NULLSPACE_DAMPING, MAX_CONDITION = range(6)
 # Rows of `joints`.
 COULOMB, VISCOUS, TORQUE_LIMIT = range(3)
+# Row of `pose_des` below the axes, and rows of `motion_des`.
+POSITION = 3
+TWIST, ACCELERATION = range(2)
 # Rows of `tool`.
 COM_SENSOR, WEIGHT = range(2)
 
@@ -85,9 +88,9 @@ def operational_wrench(
 
 @compiled
 def measure_contacts(
-    wrench_sensor: Vector, sensor_rotation: Matrix, sensor_position: Vector, rotation: Matrix,
-    position: Vector, tool: Matrix, normals: Matrix, points: Matrix, measured: Mask,
-    rows: Matrix, alpha_meas: Vector,
+    report: Matrix, wrench_sensor: Vector, sensor_rotation: Matrix, sensor_position: Vector,
+    rotation: Matrix, position: Vector, tool: Matrix, normals: Matrix, points: Matrix,
+    measured: Mask, rows: Matrix,
 ) -> bool:
     """
     Work out the contact forces that the wrist sensor feels.
@@ -96,6 +99,8 @@ def measure_contacts(
 
     Parameters
     ----------
+    report
+        Its row MEASURED is filled, 0 for a contact that is not measured, shape (7, r) [N].
     wrench_sensor, sensor_rotation, sensor_position, position, tool
         As for `operational_wrench`.
     rotation
@@ -106,8 +111,6 @@ def measure_contacts(
         Which contacts share the wrench among them, at most six, shape (r,).
     rows
         Filled with N^T, shape (r, 6).
-    alpha_meas
-        Filled, 0 for a contact that is not measured, shape (r,) [N].
 
     Returns
     -------
@@ -125,14 +128,14 @@ def measure_contacts(
     keep_active(rows, measured, kept)
     if not factorise_contacts(kept, kept, measured, factor):
         return False
-    coordinates(kept, factor, wrench, alpha_meas)
+    coordinates(kept, factor, wrench, report[MEASURED])
     return True
 
 
 @compiled
 def motion_law(
-    gains: Vector, position_des: Vector, rotation_des: Matrix, twist_des: Vector,
-    acceleration_des: Vector, position: Vector, rotation: Matrix, twist: Vector, f_t: Vector,
+    gains: Vector, pose_des: Matrix, motion_des: Matrix, position: Vector, rotation: Matrix,
+    twist: Vector, f_t: Vector,
 ) -> None:
     """
     Fill in f_t* = a_des + k_v (theta_des - theta) + k_p (x_des - x) (P04 sec. 3.1).
@@ -141,8 +144,10 @@ def motion_law(
     ----------
     gains
         K_P and K_V of it are used.
-    position_des, rotation_des, twist_des, acceleration_des
-        Reference in world axes, shapes (3,), (3, 3), (6,), (6,).
+    pose_des
+        Desired axes as columns, and below them the desired position, world axes, shape (4, 3).
+    motion_des
+        Desired twist and acceleration, world axes, shape (2, 6).
     position, rotation, twist
         Present motion.
     f_t
@@ -150,12 +155,12 @@ def motion_law(
 
     """
     turn = np.empty(3)
-    rotation_vector(rotation_des, rotation, turn)
+    rotation_vector(pose_des, rotation, turn)
     for i in range(3):
-        f_t[i] = gains[K_P] * (position_des[i] - position[i])
+        f_t[i] = gains[K_P] * (pose_des[POSITION, i] - position[i])
         f_t[3 + i] = gains[K_P] * turn[i]
     for i in range(6):
-        f_t[i] += acceleration_des[i] + gains[K_V] * (twist_des[i] - twist[i])
+        f_t[i] += motion_des[ACCELERATION, i] + gains[K_V] * (motion_des[TWIST, i] - twist[i])
 
 
 @compiled
@@ -222,13 +227,12 @@ def finish_torque(gains: Vector, joints: Matrix, velocity: Vector, torque: Vecto
 
 @compiled
 def control_law(
-    mass_matrix: Matrix, bias_torque: Vector, jacobian: Matrix, jacobian_rate: Matrix,
-    velocity: Vector, position: Vector, rotation: Matrix, position_des: Vector,
-    rotation_des: Matrix, twist_des: Vector, acceleration_des: Vector, all_rows: Matrix,
-    active: Mask, alpha_meas: Vector, alpha_des: Vector, noise_variance: Vector, gains: Vector,
-    inertia_metric: bool, decoupled: bool, joints: Matrix, Phi_c: Matrix, Phi_n: Matrix,
-    Gamma: Matrix, feedback: Matrix, Q: Matrix, P_0: float, x_est: Matrix, P: Matrix,
-    command: Vector, running: Mask, report: Matrix, torque: Vector,
+    report: Matrix, torque: Vector, jacobian: Matrix, jacobian_rate: Matrix,
+    mass_matrix: Matrix, bias_torque: Vector, velocity: Vector, position: Vector,
+    rotation: Matrix, pose_des: Matrix, motion_des: Matrix, all_rows: Matrix, active: Mask,
+    alpha_des: Vector, noise_variance: Vector, gains: Vector, inertia_metric: bool,
+    decoupled: bool, joints: Matrix, matrices: Matrix, vectors: Matrix, scalars: Matrix,
+    P_0: float,
 ) -> int:
     """
     Work out the joint torque of one tick.
@@ -238,22 +242,24 @@ def control_law(
 
     Parameters
     ----------
-    mass_matrix, bias_torque, jacobian, jacobian_rate, velocity
-        M (upper triangle), C v + g, J, dJ/dt and v.
-    position, rotation
-        Pose of the operational frame.
-    position_des, rotation_des, twist_des, acceleration_des
-        Reference of the motion.
-    all_rows
-        N^T of all contacts, shape (r, 6).
-    active, alpha_meas, alpha_des, noise_variance
-        Which contacts are force controlled, measured and desired forces, R; shape (r,).
-    gains, inertia_metric, decoupled, joints
-        Options; see the constants of this module, `compose_acceleration` and `allocate`.
-    Phi_c, Phi_n, Gamma, feedback, Q, P_0, x_est, P, command, running, report
-        Observers; see `observe_and_command`.
+    report
+        What was measured is there; the rest is filled in, see `observe_and_command`.
     torque
         Filled, shape (n,) [N m].
+    jacobian, jacobian_rate, mass_matrix, bias_torque, velocity
+        J, dJ/dt, M (upper triangle), C v + g and v.
+    position, rotation
+        Pose of the operational frame.
+    pose_des, motion_des
+        Reference; see `motion_law`.
+    all_rows
+        N^T of all contacts, shape (r, 6).
+    active, alpha_des, noise_variance
+        Which contacts are force controlled, desired forces, R; shape (r,).
+    gains, inertia_metric, decoupled, joints
+        Options; see the constants of this module, `compose_acceleration` and `allocate`.
+    matrices, vectors, scalars, P_0
+        Observers; see `ObserverBank`.
 
     Returns
     -------
@@ -291,11 +297,9 @@ def control_law(
     force = np.empty(6)
     inputs = np.empty(count)
     multiply(jacobian, velocity, twist)
-    motion_law(gains, position_des, rotation_des, twist_des, acceleration_des, position,
-               rotation, twist, f_t)
+    motion_law(gains, pose_des, motion_des, position, rotation, twist, f_t)
     observe_and_command(
-        Phi_c, Phi_n, Gamma, feedback, Q, P_0, x_est, P, command, running, active, alpha_meas,
-        alpha_des, noise_variance, inputs, report)
+        matrices, vectors, scalars, P_0, active, alpha_des, noise_variance, report, inputs)
     force_law(gains, decoupled, rows, factor, twist, inputs, f_c)
     compose_acceleration(rows, dual_rows, dual_factor, f_t, f_c, acceleration)
     bias_acceleration(L, Y, bias_torque, jacobian_rate, velocity, bias)
@@ -304,7 +308,7 @@ def control_law(
     multiply(Lambda, acceleration, force)
     for i in range(count):
         for k in range(6):
-            force[k] += rows[i, k] * report[0, i]
+            force[k] += rows[i, k] * report[ESTIMATED, i]
     multiply_transposed(jacobian, force, torque)
     if n > 6:
         add_nullspace_torque(mass_matrix, jacobian, L, Y, Lambda, bias_torque, velocity,

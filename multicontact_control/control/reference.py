@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from bisect import bisect_right
 import math
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from pydantic import model_validator
@@ -15,10 +15,9 @@ from multicontact_control.dynamics.pose import Pose
 from multicontact_control.errors import ConfigError
 
 
-@dataclass(frozen=True, slots=True)
-class Reference:
+class Reference(NamedTuple):
     """
-    The task of one tick.
+    The task of one tick; a named tuple, which is made faster than a dataclass.
 
     Attributes
     ----------
@@ -149,9 +148,11 @@ class ScenarioReference:
                         f'contacts among {", ".join(contact_names)}', f"'{name}'")
             forces = np.array([step.forces.get(name, math.nan) for name in contact_names])
             self._steps.append((step.time, forces))
+        self._step_times = [step.time for step in config.force_steps]
         self._count = len(contact_names)
         motion = config.motion
         self._direction = motion.direction_world if motion is not None else (0.0, 0.0, 0.0)
+        self._motion = motion
 
     def start(self, pose: Pose, normals_world: Vector) -> None:
         """Begin from a pose at rest; see `ReferenceSource.start`."""
@@ -173,8 +174,8 @@ class ScenarioReference:
         if not self._all_active:
             approach = self._approach(time, alpha_meas)
         s, ds, dds = 0.0, 0.0, 0.0
-        if self._config.motion is not None:
-            s, ds, dds = sine_motion(self._config.motion, time)
+        if self._motion is not None:
+            s, ds, dds = sine_motion(self._motion, time)
         x, y, z = self._direction
         (px, py, pz), (vx, vy, vz), (ax, ay, az) = self._held, *approach
         position = np.array((px + s * x, py + s * y, pz + s * z))
@@ -203,10 +204,7 @@ class ScenarioReference:
 
     def _desired_forces(self, time: float) -> Vector:
         """Return alpha_des; made anew only when a step is due or a contact has been found."""
-        done = 0
-        for start, _ in self._steps:
-            if time >= start - 1e-9:
-                done += 1
+        done = bisect_right(self._step_times, time + 1e-9)
         if done != self._steps_done:
             self._steps_done = done
             desired = np.full(self._count, self._config.approach.preload)

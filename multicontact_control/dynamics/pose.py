@@ -1,6 +1,6 @@
 """A pose in world axes."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -9,8 +9,7 @@ from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.dynamics.kernels import quaternion_of
 
 
-@dataclass(frozen=True, slots=True)
-class Pose:
+class Pose(NamedTuple):
     """
     Position and orientation of a frame in the world.
 

@@ -90,7 +90,8 @@ def run_in_process(
                 ended_early, done = f'tick {k}: {error}', k
                 break
             noise_variance = estimator.update(output.alpha_meas, Innovation(
-                output.innovation, output.prior_variance, output.variance_used))
+                output.innovation, output.prior_variance, output.variance_used)
+                if estimator.uses_innovation else None)
             tick_us[k] = (time.perf_counter_ns() - before) * 1e-3
             _record(data, k, sample, output, noise_variance)
             if not np.isfinite(output.torque).all():

@@ -6,42 +6,57 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from multicontact_control.arrays import Mask, Matrix, Vector
+from multicontact_control.arrays import Matrix
 from multicontact_control.force.active_observer import ActiveObserver
+from multicontact_control.force.kernels import (
+    FEEDBACK,
+    GAMMA,
+    MATRICES,
+    PHI_C,
+    PHI_N,
+    PROCESS_NOISE,
+    SCALARS,
+    VECTORS,
+)
 
 
 class ObserverBank:
     """
     Design and memory of one active observer per contact.
 
+    Stacked into three arrays because every array that is handed to compiled code costs time.
+
     Parameters
     ----------
     observers
-        One design per contact, all of the same order and delay.
+        One design per contact, all of the same order and delay: m states.
     initial_covariance
         P_0 = initial_covariance I.
 
     Attributes
     ----------
-    Phi_c, Phi_n, Gamma, feedback, Q, P_0
-        Designs stacked along the first axis, see `observe_and_command`.
-    x_est, P, command, running
-        Memory.
+    matrices
+        Phi_c and Phi_n of the designs and the covariances P, shape (3, r, m, m).
+    vectors
+        Gamma, feedback [L_r 1] and diagonal of Q of the designs and the estimates, shape
+        (4, r, m).
+    scalars
+        The command r = L_1 f_des of the tick before, and whether the observer ran then (1 or 0),
+        shape (2, r).
+    P_0
+        Initial variance of every state.
 
     """
 
     def __init__(self, observers: Sequence[ActiveObserver], initial_covariance: float) -> None:
-        self.Phi_c: Matrix = np.stack([observer.Phi_c for observer in observers])
-        self.Phi_n: Matrix = np.stack([observer.Phi_n for observer in observers])
-        self.Gamma: Matrix = np.stack([observer.Gamma for observer in observers])
-        self.feedback: Matrix = np.stack([observer.feedback for observer in observers])
-        self.Q: Matrix = np.stack([observer.Q for observer in observers])
+        count, states = len(observers), observers[0].Gamma.shape[0]
+        self.matrices: Matrix = np.zeros((len(MATRICES), count, states, states))
+        self.vectors: Matrix = np.zeros((len(VECTORS), count, states))
+        self.scalars: Matrix = np.zeros((len(SCALARS), count))
         self.P_0 = float(initial_covariance)
-        self.x_est: Matrix = np.zeros_like(self.Gamma)
-        self.P: Matrix = np.zeros_like(self.Phi_c)
-        self.command: Vector = np.zeros(len(observers))
-        self.running: Mask = np.zeros(len(observers), dtype=bool)
-        # In the order `observe_and_command` takes them.
-        self.arrays = (
-            self.Phi_c, self.Phi_n, self.Gamma, self.feedback, self.Q, self.P_0, self.x_est,
-            self.P, self.command, self.running)
+        for i, observer in enumerate(observers):
+            self.matrices[PHI_C, i] = observer.Phi_c
+            self.matrices[PHI_N, i] = observer.Phi_n
+            self.vectors[GAMMA, i] = observer.Gamma
+            self.vectors[FEEDBACK, i] = observer.feedback
+            self.vectors[PROCESS_NOISE, i] = observer.Q

@@ -76,14 +76,13 @@ class ReferenceController:
         torque = joint_torque(
             force, state, space, nullspace_damping=self.config.nullspace_damping)
         torque += self._friction(measurement.qd)
+        contacts = np.stack([
+            alpha_meas, reference.alpha_des, alpha_est, self._estimates(1),
+            self._reports('innovation'), self._reports('prior_variance'),
+            self._reports('variance_used')])
         return ControlOutput(
-            torque=np.clip(torque, -self._torque_limit, self._torque_limit),
-            alpha_meas=alpha_meas, alpha_est=alpha_est, alpha_rate_est=self._estimates(1),
-            alpha_des=reference.alpha_des.copy(), active=self._active.copy(),
-            innovation=self._reports('innovation'),
-            prior_variance=self._reports('prior_variance'),
-            variance_used=self._reports('variance_used'), pose=state.pose,
-            pose_des=reference.pose_des)
+            torque=np.clip(torque, -self._torque_limit, self._torque_limit), contacts=contacts,
+            active=self._active.copy(), pose=state.pose, pose_des=reference.pose_des)
 
     def _friction(self, qd: Vector) -> Vector:
         """Return the torque that the joints' friction is expected to take, shape (n,) [N m]."""
