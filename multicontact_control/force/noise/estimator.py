@@ -78,20 +78,10 @@ class NoiseEstimator(ABC):
             If an array is not of shape (r,).
 
         """
-        shape = (self._contacts,)
-        require_shape('alpha', alpha, shape)
+        require_shape('alpha', alpha, self._alpha.shape)
         self._alpha[:] = alpha  # whatever its layout: numba would compile anew for another one
-        usable = all_below(self._alpha, MAX_MAGNITUDE)
-        if innovation is not None and self.uses_innovation:
-            for name in ('innovation', 'prior_variance', 'variance_used'):
-                values = getattr(innovation, name)
-                require_shape(name, values, shape)
-                usable = usable and _usable(values)
-        if not usable:
+        if not self._take(innovation):
             self.dropped += 1
-        elif innovation is not None or not self.uses_innovation:
-            estimate, known = self._estimate(self._alpha, innovation)
-            settle_variance(estimate, known, *self._limits, self._variance)
         return self._variance.copy()
 
     def _clamp(self, variance: Vector) -> Vector:
@@ -104,16 +94,14 @@ class NoiseEstimator(ABC):
         """Forget all samples."""
 
     @abstractmethod
-    def _estimate(self, alpha: Vector, innovation: Innovation | None) -> tuple[Vector, Mask]:
+    def _take(self, innovation: Innovation | None) -> bool:
         """
-        Take in a sample of finite numbers.
-
-        `innovation` is there if the estimator `uses_innovation`.
+        Take in the sample in `_alpha` and put what is known now in `_variance`.
 
         Returns
         -------
-        tuple
-            Estimated variances, shape (r,) [N^2], and which of them are known.
+        bool
+            Whether all numbers could be used; if not, nothing has changed.
 
         """
 
@@ -123,15 +111,27 @@ class InnovationEstimator(NoiseEstimator):
 
     uses_innovation = True
 
-    def _estimate(self, alpha: Vector, innovation: Innovation | None) -> tuple[Vector, Mask]:
+    def _take(self, innovation: Innovation | None) -> bool:
+        usable = all_below(self._alpha, MAX_MAGNITUDE)
         if innovation is None:
-            return self._variance, np.zeros(self._contacts, dtype=bool)
-        return self._estimate_from(innovation)
+            return usable
+        for name in ('innovation', 'prior_variance', 'variance_used'):
+            values = getattr(innovation, name)
+            require_shape(name, values, self._alpha.shape)
+            usable = usable and bool((np.abs(values) < MAX_MAGNITUDE).all())  # not so for NaN
+        if usable:
+            estimate, known = self._estimate_from(innovation)
+            settle_variance(estimate, known, *self._limits, self._variance)
+        return usable
 
     @abstractmethod
     def _estimate_from(self, innovation: Innovation) -> tuple[Vector, Mask]:
-        """Take in innovations of finite numbers; as `_estimate`."""
+        """
+        Take in innovations of finite numbers.
 
+        Returns
+        -------
+        tuple
+            Estimated variances, shape (r,) [N^2], and which of them are known.
 
-def _usable(values: Vector) -> bool:
-    return bool((np.abs(values) < MAX_MAGNITUDE).all())  # not so for NaN
+        """

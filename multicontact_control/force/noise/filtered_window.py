@@ -4,28 +4,32 @@ from __future__ import annotations
 
 import numpy as np
 
-from multicontact_control.arrays import Mask, Vector
-from multicontact_control.force.noise.estimator import NoiseEstimator
+from multicontact_control.arrays import Matrix
+from multicontact_control.force.noise.estimator import MAX_MAGNITUDE, NoiseEstimator
 from multicontact_control.force.noise.innovation import Innovation
-from multicontact_control.force.noise.lead_filter import (
-    lead_filter,
-    Normalisation,
-    RunningLeadFilter,
-)
-from multicontact_control.force.noise.windows import WindowedVariance
+from multicontact_control.force.noise.kernels import take_into_window
+from multicontact_control.force.noise.lead_filter import lead_filter, LeadFilter, Normalisation
 
 
 class Window(NoiseEstimator):
     """The variance of the force itself over the window, known once the window is full."""
 
     def _forget(self) -> None:
-        self._window = WindowedVariance(self.config.window, self._contacts)
-        self._all = np.ones(self._contacts, dtype=bool)
-        self._none = np.zeros(self._contacts, dtype=bool)
+        design = self._design()
+        self._filter = np.array([design.pole, design.zero, design.gain, design.dc_gain])
+        self._memory: Matrix = np.zeros((2, self._contacts))
+        self._samples: Matrix = np.zeros((self.config.window, self._contacts))
+        self._count = 0
 
-    def _estimate(self, alpha: Vector, innovation: Innovation | None) -> tuple[Vector, Mask]:
-        variance = self._window.update(alpha)
-        return variance, self._all if self._window.full else self._none
+    def _design(self) -> LeadFilter:
+        return LeadFilter(pole=0.0, zero=0.0, gain=1.0)  # what comes in goes out
+
+    def _take(self, innovation: Innovation | None) -> bool:
+        usable = take_into_window(
+            self._alpha, MAX_MAGNITUDE, self._filter, self._memory, self._samples, self._count,
+            *self._limits, self._variance)
+        self._count += usable
+        return usable
 
 
 class LeadWindow(Window):
@@ -33,14 +37,10 @@ class LeadWindow(Window):
 
     normalisation: Normalisation = 'dc'
 
-    def _forget(self) -> None:
-        super()._forget()
-        self._filter = RunningLeadFilter(lead_filter(
+    def _design(self) -> LeadFilter:
+        return lead_filter(
             self.config.zero_frequency, self.config.pole_frequency, self.config.rate,
-            self.normalisation))
-
-    def _estimate(self, alpha: Vector, innovation: Innovation | None) -> tuple[Vector, Mask]:
-        return super()._estimate(self._filter.update(alpha), innovation)
+            self.normalisation)
 
 
 class HfWindow(LeadWindow):

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from multicontact_control.arrays import Mask, Vector
-from multicontact_control.force.noise.estimator import NoiseEstimator
+from multicontact_control.force.noise.estimator import MAX_MAGNITUDE, NoiseEstimator
 from multicontact_control.force.noise.innovation import Innovation
+from multicontact_control.force.noise.kernels import all_below
 
 
 class Fixed(NoiseEstimator):
@@ -15,5 +13,5 @@ class Fixed(NoiseEstimator):
     def _forget(self) -> None:
         pass  # there is nothing to forget
 
-    def _estimate(self, alpha: Vector, innovation: Innovation | None) -> tuple[Vector, Mask]:
-        return self._variance, np.zeros(self._contacts, dtype=bool)
+    def _take(self, innovation: Innovation | None) -> bool:
+        return all_below(self._alpha, MAX_MAGNITUDE)

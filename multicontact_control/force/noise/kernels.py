@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.compiled import compiled
 
@@ -86,3 +88,52 @@ def settle_variance(
     for i in range(variance.shape[0]):
         if known[i]:
             variance[i] = min(max(scale * estimate[i], floor), ceiling)
+
+
+@compiled
+def take_into_window(
+    alpha: Vector, limit: float, design: Vector, memory: Matrix, samples: Matrix, count: int,
+    scale: float, floor: float, ceiling: float, variance: Vector,
+) -> bool:
+    """
+    Filter one sample per contact, and estimate R once the window is full (P04 eqs 42-44).
+
+    The first sample is the filter's steady state.
+
+    Parameters
+    ----------
+    alpha, limit
+        Forces [N], shape (r,), and what their magnitudes must be below.
+    design
+        Pole, zero, gain and gain at DC of the filter.
+    memory
+        The force and the filtered force of the tick before, overwritten, shape (2, r).
+    samples, count
+        Window of filtered forces, overwritten in turn, shape (N, r), and how many samples have
+        come before this one.
+    scale, floor, ceiling, variance
+        As for `settle_variance`.
+
+    Returns
+    -------
+    bool
+        Whether the forces could be used; if not, nothing has changed.
+
+    """
+    if not all_below(alpha, limit):
+        return False
+    window, contacts = samples.shape
+    previous, filtered = memory[0], memory[1]
+    if count == 0:
+        for i in range(contacts):
+            previous[i] = alpha[i]
+            filtered[i] = design[3] * alpha[i]
+    advance_filter(design[0], design[1], design[2], previous, alpha, filtered)
+    for i in range(contacts):
+        samples[count % window, i] = filtered[i]
+    if count + 1 >= window:
+        estimate = np.empty(contacts)
+        windowed_variance(samples, window, estimate)
+        settle_variance(estimate, np.ones(contacts, dtype=np.bool_), scale, floor, ceiling,
+                        variance)
+    return True

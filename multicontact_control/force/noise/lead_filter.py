@@ -6,9 +6,6 @@ from dataclasses import dataclass
 import math
 from typing import Literal
 
-from multicontact_control.arrays import Vector
-from multicontact_control.force.noise.kernels import advance_filter
-
 Normalisation = Literal['dc', 'hf']
 
 
@@ -63,28 +60,3 @@ def lead_filter(
     pole = math.exp(-2.0 * math.pi * pole_frequency / rate)
     gain = (1.0 - pole) / (1.0 - zero) if normalisation == 'dc' else (1.0 + pole) / (1.0 + zero)
     return LeadFilter(pole=pole, zero=zero, gain=gain)
-
-
-class RunningLeadFilter:
-    """
-    A lead filter with its state; the first sample is its steady state.
-
-    Parameters
-    ----------
-    design
-        The filter.
-
-    """
-
-    def __init__(self, design: LeadFilter) -> None:
-        self._design = design
-        self._previous: Vector | None = None
-
-    def update(self, alpha: Vector) -> Vector:
-        """Take in one sample per contact and return the filtered ones, shape (r,) [N]."""
-        f = self._design
-        if self._previous is None:
-            self._previous = alpha.copy()
-            self._filtered: Vector = f.dc_gain * alpha
-        advance_filter(f.pole, f.zero, f.gain, self._previous, alpha, self._filtered)
-        return self._filtered.copy()

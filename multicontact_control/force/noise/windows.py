@@ -1,5 +1,5 @@
 """
-Statistics over the last N samples, one per contact.
+The mean over the last N samples, one per contact.
 
 Recomputed from the samples each time: a running sum would keep the rounding of every large
 sample for ever.
@@ -10,47 +10,6 @@ from __future__ import annotations
 import numpy as np
 
 from multicontact_control.arrays import Mask, Matrix, Vector
-from multicontact_control.force.noise.kernels import windowed_variance
-
-
-class WindowedVariance:
-    """
-    Variance over the last N samples (P04 eqs 43-44).
-
-    Parameters
-    ----------
-    window
-        N.
-    contacts
-        r.
-
-    """
-
-    def __init__(self, window: int, contacts: int) -> None:
-        self._samples: Matrix = np.zeros((window, contacts))
-        self._count = 0
-
-    @property
-    def full(self) -> bool:
-        """Whether N samples have come."""
-        return self._count >= self._samples.shape[0]
-
-    def update(self, samples: Vector) -> Vector:
-        """
-        Take in one sample per contact.
-
-        Returns
-        -------
-        Vector
-            Variance over the samples there are, shape (r,).
-
-        """
-        self._samples[self._count % self._samples.shape[0]] = samples
-        self._count += 1
-        variance = np.empty(self._samples.shape[1])
-        windowed_variance(
-            self._samples, min(self._count, self._samples.shape[0]), variance)
-        return variance
 
 
 class WindowedMean:

@@ -2,18 +2,18 @@
 
 import numpy as np
 
-from multicontact_control.force.noise import WindowedMean, WindowedVariance
+from multicontact_control.force.noise import WindowedMean
+from multicontact_control.force.noise.kernels import windowed_variance
 
 
-def test_windowed_variance_is_numpys_over_the_last_samples():
+def test_windowed_variance_is_numpys_over_the_known_samples():
     """Equations 43-44 with 1/N."""
-    samples = np.random.default_rng(4).standard_normal((137, 2)) + [1e3, -5.0]
-    window = WindowedVariance(50, 2)
-    for k, sample in enumerate(samples):
-        variance = window.update(sample)
+    samples = np.random.default_rng(4).standard_normal((50, 2)) + [1e3, -5.0]
+    variance = np.empty(2)
+    for count in range(1, 51):
+        windowed_variance(samples, count, variance)
         np.testing.assert_allclose(
-            variance, samples[max(0, k - 49):k + 1].var(axis=0), rtol=1e-9, atol=1e-12)
-    assert window.full
+            variance, samples[:count].var(axis=0), rtol=1e-9, atol=1e-12)
 
 
 def test_windowed_mean_counts_each_contact_s_own_samples():
