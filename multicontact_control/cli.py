@@ -33,6 +33,10 @@ Duration = Annotated[float | None, typer.Option(
     help="Length of the run [s]; the scenario's own if not given.")]
 Out = Annotated[Path | None, typer.Option(
     help='Folder for the results; runs/<date>-<time>-<scenario> if not given.')]
+Estimator = Annotated[str | None, typer.Option(
+    '--noise-estimator', help='How R is estimated: lead_window (the paper), hf_window, window, '
+    'fixed (0.6 N^2), innovation, sage_husa or variational_bayes; the configured one if not '
+    'given.')]
 Overwrite = Annotated[bool, typer.Option(
     '--overwrite', help='Replace a run that is already in that folder.')]
 
@@ -49,7 +53,8 @@ def _root(
 @app.command()
 def simulate(
     scenario: Scenario = 'paper', plant: Plant = 'puma', seed: Seed = 0,
-    duration: Duration = None, out: Out = None, overwrite: Overwrite = False,
+    duration: Duration = None, noise_estimator: Estimator = None, out: Out = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """
     Run a scenario in one process, without ROS, as fast as it goes.
@@ -61,7 +66,9 @@ def simulate(
     from multicontact_control.experiment.scenario import resolve
 
     with _errors_in_one_line():
-        setup = resolve(scenario, plant=plant, seed=seed, duration=duration)
+        setup = resolve(
+            scenario, plant=plant, seed=seed, duration=duration,
+            noise_estimator={'estimator': noise_estimator} if noise_estimator else None)
         folder = prepare_folder(
             out, setup.scenario.name, overwrite=overwrite, now=datetime.now())
         # Only now: what is heavy is not loaded for the sake of an error.
@@ -74,7 +81,8 @@ def simulate(
 @app.command()
 def run(
     scenario: Scenario = 'paper', plant: Plant = 'puma', seed: Seed = 0,
-    duration: Duration = None, out: Out = None, overwrite: Overwrite = False,
+    duration: Duration = None, noise_estimator: Estimator = None, out: Out = None,
+    overwrite: Overwrite = False,
     lockstep: Annotated[bool, typer.Option(
         '--lockstep', help='Let the nodes wait for each other instead of for the wall clock: '
         'the same torques as `simulate`, bit for bit.')] = False,
@@ -93,7 +101,9 @@ def run(
     from multicontact_control.experiment.scenario import resolve
 
     with _errors_in_one_line():
-        setup = resolve(scenario, plant=plant, seed=seed, duration=duration)
+        setup = resolve(
+            scenario, plant=plant, seed=seed, duration=duration,
+            noise_estimator={'estimator': noise_estimator} if noise_estimator else None)
         folder = prepare_folder(
             out, setup.scenario.name, overwrite=overwrite, now=datetime.now())
         # Only now: what is heavy is not loaded for the sake of an error.

@@ -228,6 +228,9 @@ class ControllerNode(Node):
         outputs[topics.ESTIMATED_FORCES].publish(build(
             stamp, names, effort=output.alpha_est, velocity=output.alpha_rate_est))
         outputs[topics.DESIRED_FORCES].publish(build(stamp, names, effort=output.alpha_des))
+        outputs[topics.INNOVATION].publish(build(
+            stamp, names, position=output.variance_used, velocity=output.prior_variance,
+            effort=output.innovation))
         for topic, pose in ((topics.POSE, output.pose), (topics.POSE_DESIRED, output.pose_des)):
             outputs[topic].publish(messages.pose_message(
                 stamp, pose.position_world, pose.quaternion_xyzw, WORLD_FRAME))

@@ -73,6 +73,8 @@ MEASURED_FORCES = Topic(
     'contact_forces/measured', JointState, CONTROLLER, (ESTIMATOR, RECORDER))
 ESTIMATED_FORCES = Topic('contact_forces/estimated', JointState, CONTROLLER, (RECORDER,))
 DESIRED_FORCES = Topic('contact_forces/desired', JointState, CONTROLLER, (RECORDER,))
+# Only estimators that work on innovations subscribe to it.
+INNOVATION = Topic('contact_forces/innovation', JointState, CONTROLLER, (RECORDER,))
 POSE = Topic('operational_point/pose', PoseStamped, CONTROLLER, (RECORDER,))
 POSE_DESIRED = Topic('operational_point/pose_desired', PoseStamped, CONTROLLER, (RECORDER,))
 NOISE_VARIANCE = Topic(
@@ -84,8 +86,8 @@ MOTION_COMMAND = Topic(
 
 TOPICS: tuple[Topic, ...] = (
     JOINT_STATES, WRENCH, WRENCH_FILTERED, TRUE_FORCES, EFFORT_COMMAND, MEASURED_FORCES,
-    ESTIMATED_FORCES, DESIRED_FORCES, POSE, POSE_DESIRED, NOISE_VARIANCE, FORCE_COMMAND,
-    MOTION_COMMAND)
+    ESTIMATED_FORCES, DESIRED_FORCES, INNOVATION, POSE, POSE_DESIRED, NOISE_VARIANCE,
+    FORCE_COMMAND, MOTION_COMMAND)
 
 
 def published_by(node_name: str) -> tuple[Topic, ...]:
