@@ -39,7 +39,8 @@ def test_identification_without_noise_is_exact():
     assert found.condition < 10.0
 
 
-def test_identified_tool_compensates_every_pose(rng=np.random.default_rng(3)):
+def test_identified_tool_compensates_every_pose():
+    rng = np.random.default_rng(3)
     tool = identify_tool(readings(TILTS), GRAVITY).tool()
     for reading in readings(Rotation.random(10, rng=rng)):
         wrench = contact_wrench(
