@@ -5,7 +5,7 @@ A frozen sensor repeats itself, but so does a live one now and then: its convert
 two readings fall on the same one by chance. A single axis with noise of standard deviation sigma
 and step D repeats with a probability of about D / (2 sqrt(pi) sigma), 4 to 15 % for a 14-bit JR3
 with 0.047 N and 0.004 N m of noise; all six axes together 6e-8, and 5 equal readings in a row
-3e-27 (`repeat_probability` with `samples` 5 gives the exact worst case). A sensor whose noise is
+5e-28 (`repeat_probability` with `samples` 5 gives the exact worst case). A sensor whose noise is
 far below a step repeats for ever while it is at rest: `frozen_ticks` must be 0 for it.
 """
 
@@ -65,7 +65,7 @@ class SensorMonitor:
 
     def reset(self) -> None:
         """Forget the readings so far."""
-        self._last = np.full(6, np.nan)
+        self._last = b''
         self._equal = 0
 
     def update(self, wrench_sensor: Vector) -> SensorHealth:
@@ -84,8 +84,9 @@ class SensorMonitor:
 
         """
         require_shape('wrench_sensor', wrench_sensor, (6,))
-        self._equal = self._equal + 1 if np.array_equal(wrench_sensor, self._last) else 1
-        self._last = wrench_sensor.copy()
+        bits = wrench_sensor.tobytes()  # a tenth of the time of comparing arrays
+        self._equal = self._equal + 1 if bits == self._last else 1
+        self._last = bits
         return SensorHealth(
             saturated=np.abs(wrench_sensor) >= self._limit,
             frozen=0 < self._frozen_ticks <= self._equal)

@@ -40,9 +40,11 @@ def test_monitor_finds_a_frozen_sensor_in_time_and_its_recovery():
     assert [monitor.update(almost).frozen for _ in range(5)] == [False] * 4 + [True]
 
 
-def test_monitor_takes_a_missing_number_for_no_repetition():
-    monitor = SensorMonitor(SensorFrontEndConfig(frozen_ticks=2, full_scale=FULL_SCALE))
-    assert all(monitor.update(np.full(6, np.nan)).ok for _ in range(5))
+def test_monitor_takes_a_missing_number_for_a_reading_like_any_other():
+    monitor = SensorMonitor(SensorFrontEndConfig(frozen_ticks=3, full_scale=FULL_SCALE))
+    found = [monitor.update(np.full(6, np.nan)) for _ in range(3)]
+    assert [health.frozen for health in found] == [False, False, True]
+    assert not any(health.saturated.any() for health in found)
 
 
 def test_monitor_is_off_by_default():
