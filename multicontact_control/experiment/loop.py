@@ -10,6 +10,7 @@ import numpy as np
 
 from multicontact_control.arrays import Vector
 from multicontact_control.control.controller import Controller, ControlOutput, Measurement
+from multicontact_control.control.sensor.front_end import SensorFrontEnd
 from multicontact_control.errors import ContactGeometryError, SingularTaskError
 from multicontact_control.experiment.recording import empty_run_data, RunData
 from multicontact_control.experiment.scenario import Setup
@@ -68,6 +69,7 @@ def run_in_process(
     """
     config = setup.controller
     controller = Controller.from_config(config, setup.reference(), setup.urdf_dir)
+    front_end = SensorFrontEnd(config.sensor, config.rate)
     estimator = make_noise_estimator(setup.noise_estimator)
     plant = PybulletPlant(setup.plant, rate=config.rate, seed=setup.seed)
     delay = ActuatorDelay(setup.plant.actuator_delay_ticks, plant.initial_torque)
@@ -82,10 +84,10 @@ def run_in_process(
         sample = plant.reset()
         for k in range(setup.ticks):
             before = time.perf_counter_ns()
+            wrench = front_end.update(_wrench(setup, sample)).wrench_sensor
             try:
                 output = controller.step(
-                    Measurement(k * config.period, sample.q, sample.qd, _wrench(setup, sample)),
-                    noise_variance)
+                    Measurement(k * config.period, sample.q, sample.qd, wrench), noise_variance)
             except (SingularTaskError, ContactGeometryError, np.linalg.LinAlgError) as error:
                 ended_early, done = f'tick {k}: {error}', k
                 break
