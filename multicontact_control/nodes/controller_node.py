@@ -22,6 +22,7 @@ from multicontact_control.control.reference import (
     ReferenceSource,
     ScenarioReference,
 )
+from multicontact_control.control.sensor.front_end import SensorFrontEnd
 from multicontact_control.errors import MulticontactError
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.graph_node import (
@@ -135,6 +136,7 @@ class ControllerNode(Node):
     def _restart(self) -> None:
         """Forget the past: the next sample is the first."""
         self._controller.reset()
+        self._front_end = SensorFrontEnd(self._config.sensor, self._config.rate)
         self._pairing = SamplePairing()
         self._waiting: PairedSample | None = None
         self._first_stamp = self._last_stamp = -1
@@ -210,9 +212,10 @@ class ControllerNode(Node):
         # Taken note of before the step, so that a sample that cannot be answered is not
         # mistaken for a new start, nor its successor made to wait.
         self._last_stamp, self._last_command = sample.stamp, None
+        reading = self._front_end.update(sample.wrench_sensor)
         output = self._controller.step(
             Measurement(time=tick * self._config.period, q=sample.q, qd=sample.qd,
-                        wrench_sensor=sample.wrench_sensor), self._variance)
+                        wrench_sensor=reading.wrench_sensor), self._variance)
         command = messages.joint_state_message(
             sample.stamp, self._joint_names, effort=output.torque)
         self._step_times.add(time.perf_counter_ns() - start)
