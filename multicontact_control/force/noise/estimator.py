@@ -9,6 +9,7 @@ import numpy as np
 from multicontact_control.arrays import Mask, require_shape, Vector
 from multicontact_control.config import NoiseEstimatorConfig
 from multicontact_control.force.noise.innovation import Innovation
+from multicontact_control.force.noise.kernels import all_below, settle_variance
 
 MAX_MAGNITUDE = 1e100  # sums of squares of samples below it stay finite
 
@@ -40,6 +41,11 @@ class NoiseEstimator(ABC):
         self.config = config
         self.dropped = 0
         self._contacts = len(config.contact_names)
+        self._alpha: Vector = np.zeros(self._contacts)
+        self._limits = config.variance_scale, config.variance_floor, config.variance_ceiling
+        self.reset()
+        zero, one = np.zeros(self._contacts), np.ones(self._contacts)
+        self.update(zero, Innovation(zero, one, one))  # compiles what no tick should wait for
         self.reset()
 
     def reset(self) -> None:
@@ -74,7 +80,8 @@ class NoiseEstimator(ABC):
         """
         shape = (self._contacts,)
         require_shape('alpha', alpha, shape)
-        usable = _usable(alpha)
+        self._alpha[:] = alpha  # whatever its layout: numba would compile anew for another one
+        usable = all_below(self._alpha, MAX_MAGNITUDE)
         if innovation is not None and self.uses_innovation:
             for name in ('innovation', 'prior_variance', 'variance_used'):
                 values = getattr(innovation, name)
@@ -83,9 +90,8 @@ class NoiseEstimator(ABC):
         if not usable:
             self.dropped += 1
         elif innovation is not None or not self.uses_innovation:
-            estimate, known = self._estimate(alpha, innovation)
-            scaled = self._clamp(self.config.variance_scale * estimate)
-            self._variance = np.where(known, scaled, self._variance)
+            estimate, known = self._estimate(self._alpha, innovation)
+            settle_variance(estimate, known, *self._limits, self._variance)
         return self._variance.copy()
 
     def _clamp(self, variance: Vector) -> Vector:

@@ -20,10 +20,12 @@ class Window(NoiseEstimator):
 
     def _forget(self) -> None:
         self._window = WindowedVariance(self.config.window, self._contacts)
+        self._all = np.ones(self._contacts, dtype=bool)
+        self._none = np.zeros(self._contacts, dtype=bool)
 
     def _estimate(self, alpha: Vector, innovation: Innovation | None) -> tuple[Vector, Mask]:
         variance = self._window.update(alpha)
-        return variance, np.full(self._contacts, self._window.full)
+        return variance, self._all if self._window.full else self._none
 
 
 class LeadWindow(Window):

@@ -7,6 +7,7 @@ import math
 from typing import Literal
 
 from multicontact_control.arrays import Vector
+from multicontact_control.force.noise.kernels import advance_filter
 
 Normalisation = Literal['dc', 'hf']
 
@@ -85,6 +86,5 @@ class RunningLeadFilter:
         if self._previous is None:
             self._previous = alpha.copy()
             self._filtered: Vector = f.dc_gain * alpha
-        self._filtered = f.pole * self._filtered + f.gain * (alpha - f.zero * self._previous)
-        self._previous = alpha.copy()
-        return self._filtered
+        advance_filter(f.pole, f.zero, f.gain, self._previous, alpha, self._filtered)
+        return self._filtered.copy()

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from multicontact_control.arrays import Mask, Matrix, Vector
+from multicontact_control.force.noise.kernels import windowed_variance
 
 
 class WindowedVariance:
@@ -46,9 +47,9 @@ class WindowedVariance:
         """
         self._samples[self._count % self._samples.shape[0]] = samples
         self._count += 1
-        known = self._samples[:self._count] if not self.full else self._samples
-        deviation = known - known.sum(axis=0) / known.shape[0]
-        variance: Vector = (deviation * deviation).sum(axis=0) / known.shape[0]
+        variance = np.empty(self._samples.shape[1])
+        windowed_variance(
+            self._samples, min(self._count, self._samples.shape[0]), variance)
         return variance
 
 
