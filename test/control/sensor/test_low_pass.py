@@ -66,9 +66,9 @@ def test_delay_of_the_low_pass_is_in_the_controllers_model():
             controller_config(**changes), CommandedReference(('table', 'board')), config_dir())
         home = np.array([1.847, 0.871, 2.937, 0.0, -0.666, 1.847])
         controller.step(Measurement(0.0, home, np.zeros(6), np.zeros(6)), np.full(2, 0.6))
-        observers.append(controller._observers[0].loop)
-    assert observers[0].plant.delay_steps == 6
-    np.testing.assert_allclose(observers[0].L, observers[1].L, rtol=1e-6)
+        observers.append(controller._observers)
+    assert observers[0].x_est.shape == (2, 2 + 6 + 1)
+    np.testing.assert_allclose(observers[0].feedback, observers[1].feedback, rtol=1e-6)
 
 
 @pytest.mark.parametrize(('sensor', 'message'), [
