@@ -130,7 +130,7 @@ def _variance(name: str, paper: float, factor: float) -> Callable[..., Verdict]:
         holds = all(paper / factor <= value <= paper * factor for value in values)
         return (_each(evidence, name, 2, 'N²'), holds,
                 f'medians {"all" if holds else "not all"} within a factor {factor:g} of it; '
-                'the filter has a gain of 19 at high frequency, so R is 269 times the raw variance')
+                'the filter has a gain of 19 at high frequency: R is 269 times the raw variance')
     return judge
 
 
@@ -259,7 +259,7 @@ def _fixed(evidence: Mapping[str, Any], rows: Sequence[Row]) -> Verdict:
     if in_motion:
         text += f', {min(in_motion):.2f} to {max(in_motion):.2f} s after the motion began'
     if holds and judged[0]['drives'] == 'flexible':
-        why = ("not the noise itself: at R = 0.6 the observer is fast enough to drive a mode of "
+        why = ('not the noise itself: at R = 0.6 the observer is fast enough to drive a mode of '
                'the flexible drives, which friction hides at rest; see the cause cells')
     elif holds:
         why = 'the motion makes the loop unstable'

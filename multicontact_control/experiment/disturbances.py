@@ -23,6 +23,7 @@ BAND_OF_NOISE = 3.0  # ... or this many standard deviations of the error before 
 BAND_HELD = 0.1  # s, for this long
 LOOK_BACK = 1.0  # s, before a push, from which its noise is taken
 LASTING = 0.5  # s; a push this long is to be controlled out while it lasts
+GROWTH = 0.5  # s before instability in which its oscillation is looked for
 SETTLE_AFTER_PUSH = 1.0  # s, left out of `rest` and `moving`
 
 
@@ -130,6 +131,21 @@ def instability_time(data: RunData, setup: Setup, ended_early: bool = False) -> 
     return float(data.time[min(times)]) if times else None
 
 
+def oscillation(data: RunData, unstable_at: float) -> float | None:
+    """Return the strongest frequency of the true forces over the 0.5 s before that [Hz]."""
+    window = _between(data.time, unstable_at - GROWTH, unstable_at)
+    forces = data.alpha_true[window]
+    if forces.shape[0] < GROWTH * data.rate - 1 or not np.isfinite(forces).all():
+        return None
+    ramp = np.linspace(-1.0, 1.0, forces.shape[0])[:, None]
+    forces = forces - forces.mean(axis=0)
+    forces = forces - ramp * (ramp * forces).sum(axis=0) / (ramp * ramp).sum()
+    padded = 8 * forces.shape[0]
+    power = (np.abs(np.fft.rfft(forces * np.hanning(forces.shape[0])[:, None], padded, axis=0))
+             ** 2).sum(axis=1)
+    return float(np.fft.rfftfreq(padded, 1.0 / data.rate)[int(np.argmax(power))])
+
+
 def quiet_windows(data: RunData, setup: Setup) -> tuple[Mask, Mask]:
     """Return the windows `rest` and `moving` without the pushes and 1 s after each."""
     judged = windows(setup.scenario.reference, data.time)
@@ -161,6 +177,7 @@ def disturbance_summary(data: RunData, setup: Setup, ended_early: bool = False) 
             'recoveries': [asdict(answer) for answer in recoveries(data, setup, i)]}
     return {
         'contacts': contacts, 'unstable_at_s': unstable,
+        'oscillation_hz': None if unstable is None else oscillation(data, unstable),
         'unstable_after_motion_s':
             None if unstable is None or motion is None else unstable - motion.start_time}
 

@@ -6,9 +6,9 @@ import math
 from typing import Any
 
 from multicontact_control.errors import MulticontactError
-from multicontact_control.experiment.evidence import evidence_of
 from multicontact_control.experiment.disturbances import disturbance_summary
 from multicontact_control.experiment.engine import Cell, CellResult
+from multicontact_control.experiment.evidence import evidence_of
 from multicontact_control.experiment.loop import run_in_process
 from multicontact_control.experiment.metrics import summarise
 
