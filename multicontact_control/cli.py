@@ -58,13 +58,15 @@ def simulate(
     input.
     """
     from multicontact_control.experiment.results import prepare_folder
-    from multicontact_control.experiment.run import run_simulate
     from multicontact_control.experiment.scenario import resolve
 
     with _errors_in_one_line():
         setup = resolve(scenario, plant=plant, seed=seed, duration=duration)
         folder = prepare_folder(
             out, setup.scenario.name, overwrite=overwrite, now=datetime.now())
+        # Only now: what is heavy is not loaded for the sake of an error.
+        from multicontact_control.experiment.run import run_simulate
+
         summary = run_simulate(setup, folder)
     _end(summary)
 
@@ -88,13 +90,15 @@ def run(
     node died; 2: bad input; 128 + n: ended by signal n.
     """
     from multicontact_control.experiment.results import prepare_folder
-    from multicontact_control.experiment.run import run_real_time
     from multicontact_control.experiment.scenario import resolve
 
     with _errors_in_one_line():
         setup = resolve(scenario, plant=plant, seed=seed, duration=duration)
         folder = prepare_folder(
             out, setup.scenario.name, overwrite=overwrite, now=datetime.now())
+        # Only now: what is heavy is not loaded for the sake of an error.
+        from multicontact_control.experiment.run import run_real_time
+
         summary, interrupted = run_real_time(
             setup, folder, lockstep=lockstep, domain_id=domain_id)
     if interrupted is not None:

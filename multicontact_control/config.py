@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 import math
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, get_args, Literal, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator, ValidationError
 import yaml
@@ -213,14 +213,32 @@ class ControllerConfig(Config):
 class NoiseEstimatorConfig(Config):
     """The on-line estimate of R_k (P04 sec. 4.2)."""
 
-    estimator: Literal['lead_window', 'fixed'] = parameter(
-        'lead_window', 'How R_k is estimated.')
+    estimator: Literal[
+        'lead_window', 'hf_window', 'window', 'fixed', 'innovation', 'sage_husa',
+        'variational_bayes'] = parameter(
+        'lead_window', 'How R_k is estimated: the windowed variance of the force behind a lead '
+        'filter of unit gain at DC (eqs 42-44) or at high frequency, or without a filter; not '
+        'at all; or from the innovations of the observers.')
     contact_names: tuple[str, ...] = parameter(
         ..., 'Contacts in the order of every contact vector.', min_length=1)
     rate: Real = parameter(500.0, 'Rate of the force samples.', unit='Hz', gt=0.0)
-    window: int = parameter(50, 'Samples in the window N of eq. 43.', ge=2, le=10000)
+    window: int = parameter(
+        50, 'Samples in the window N of eq. 43, of forces or of innovations.', ge=2, le=10000)
     zero_frequency: Real = parameter(3.0, 'Zero of G_f, eq. 42.', unit='Hz', gt=0.0)
     pole_frequency: Real = parameter(60.0, 'Pole of G_f, eq. 42.', unit='Hz', gt=0.0)
+    innovation_form: Literal['prior', 'posterior'] = parameter(
+        'prior', 'Form of `innovation`: mean of r r^T - C P_1 C^T or of e e^T + C P C^T.')
+    forgetting_factor: Real = parameter(
+        0.98, 'Forgetting factor b of `sage_husa`; 0.98 remembers about 50 samples.',
+        gt=0.0, lt=1.0)
+    bayes_decay: Real = parameter(
+        0.98, 'Decay rho of `variational_bayes`; 0.98 remembers about 50 samples.',
+        gt=0.0, lt=1.0)
+    bayes_iterations: int = parameter(
+        3, 'Iterations of `variational_bayes` per sample.', ge=1, le=20)
+    variance_scale: Real = parameter(
+        1.0, 'What an estimated R is multiplied by, e.g. to compare two estimators at the same '
+        'value at rest; `fixed_variance` is not.', gt=0.0)
     fixed_variance: Real = parameter(
         0.6, 'R of the estimator `fixed`, and of the others until they know one.',
         unit='N^2', gt=0.0)
@@ -293,11 +311,13 @@ def _known_keys(model: type[Config], location: tuple[int | str, ...]) -> str:
     current: Any = model
     for part in location[:-1]:
         if isinstance(current, type) and issubclass(current, BaseModel):
-            current = current.model_fields[str(part)].annotation if (
-                str(part) in current.model_fields) else None
-        else:
-            arguments = getattr(current, '__args__', ())
+            field = current.model_fields.get(str(part))
+            current = field.annotation if field else None
+        else:  # the values of a mapping or the items of a sequence
+            arguments = [x for x in get_args(current) if x is not Ellipsis]
             current = arguments[-1] if arguments else None
+        if type(None) in get_args(current):
+            current = next(x for x in get_args(current) if x is not type(None))
     if isinstance(current, type) and issubclass(current, BaseModel):
         return ', '.join(current.model_fields)
     return 'see the documentation'

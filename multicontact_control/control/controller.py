@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -69,6 +70,10 @@ class ControlOutput:
     alpha_meas, alpha_est, alpha_rate_est, alpha_des
         Contact forces [N] and rate [N/s], shape (r,); estimates and desired are 0 where no
         force is controlled.
+    innovation, prior_variance, variance_used
+        What each observer found in this sample: alpha_meas minus its prediction [N], the
+        variance C P_1 C^T of that prediction and the R it worked with [N^2], shape (r,). All 0
+        where no force is controlled, and for the sample with which control starts.
     active
         Which contacts are force controlled, shape (r,).
     pose, pose_des
@@ -81,6 +86,9 @@ class ControlOutput:
     alpha_est: Vector
     alpha_rate_est: Vector
     alpha_des: Vector
+    innovation: Vector
+    prior_variance: Vector
+    variance_used: Vector
     active: Mask
     pose: Pose
     pose_des: Pose
@@ -183,16 +191,20 @@ class Controller:
         N = N_all[:, self._active]
         acceleration = self._acceleration(
             state, space, reference, N, self._force_inputs(reference, alpha_meas, noise_variance))
-        alpha_est = self._estimates(0)
+        alpha_est = self._of_active(lambda observer: observer.force_est)
         force = (space.Lambda @ acceleration + space.mu + space.p + N @ alpha_est[self._active])
         torque = joint_torque(
             force, state, space, nullspace_damping=self.config.nullspace_damping)
         torque += self._friction(measurement.qd)
         return ControlOutput(
             torque=np.clip(torque, -self._torque_limit, self._torque_limit),
-            alpha_meas=alpha_meas, alpha_est=alpha_est, alpha_rate_est=self._estimates(1),
-            alpha_des=reference.alpha_des.copy(), active=self._active.copy(), pose=state.pose,
-            pose_des=reference.pose_des)
+            alpha_meas=alpha_meas, alpha_est=alpha_est,
+            alpha_rate_est=self._of_active(lambda observer: observer.force_rate_est),
+            alpha_des=reference.alpha_des.copy(),
+            innovation=self._of_active(lambda observer: observer.innovation),
+            prior_variance=self._of_active(lambda observer: observer.prior_variance),
+            variance_used=self._of_active(lambda observer: observer.variance_used),
+            active=self._active.copy(), pose=state.pose, pose_des=reference.pose_des)
 
     def _friction(self, qd: Vector) -> Vector:
         """Return the torque that the joints' friction is expected to take, shape (n,) [N m]."""
@@ -253,8 +265,8 @@ class Controller:
             return inertia_projections(N, space.Lambda)
         return euclidean_projections(N)
 
-    def _estimates(self, derivative: int) -> Vector:
-        """Return alpha (0) or its rate (1) as the observers of the active contacts see it."""
+    def _of_active(self, value: Callable[[ActiveObserver], float]) -> Vector:
+        """Return a value of every observer, 0 where no force is controlled, shape (r,)."""
         return np.array([
-            observer.x_est[derivative] if active else 0.0
+            value(observer) if active else 0.0
             for observer, active in zip(self._observers, self._active)])

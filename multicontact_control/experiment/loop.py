@@ -13,7 +13,7 @@ from multicontact_control.control.controller import Controller, ControlOutput, M
 from multicontact_control.errors import ContactGeometryError, SingularTaskError
 from multicontact_control.experiment.recording import empty_run_data, RunData
 from multicontact_control.experiment.scenario import Setup
-from multicontact_control.force.noise import make_noise_estimator
+from multicontact_control.force.noise import Innovation, make_noise_estimator
 from sim_bridge.actuator_delay import ActuatorDelay
 from sim_bridge.pybullet_plant import PybulletPlant, Sample
 
@@ -89,7 +89,8 @@ def run_in_process(
             except (SingularTaskError, ContactGeometryError, np.linalg.LinAlgError) as error:
                 ended_early, done = f'tick {k}: {error}', k
                 break
-            noise_variance = estimator.update(output.alpha_meas)
+            noise_variance = estimator.update(output.alpha_meas, Innovation(
+                output.innovation, output.prior_variance, output.variance_used))
             tick_us[k] = (time.perf_counter_ns() - before) * 1e-3
             _record(data, k, sample, output, noise_variance)
             if not np.isfinite(output.torque).all():
@@ -126,6 +127,7 @@ def _record(
     data.alpha_rate_est[k] = output.alpha_rate_est
     data.alpha_des[k] = output.alpha_des
     data.noise_variance[k] = noise_variance
+    data.innovation[k] = output.innovation
     data.position[k] = output.pose.position_world
     data.quaternion[k] = output.pose.quaternion_xyzw
     data.position_des[k] = output.pose_des.position_world

@@ -129,8 +129,8 @@ def graph_timing(
     return {
         'deadline_misses': sim.get('deadline_misses', 0),
         'pace_slips': sim.get('pace_slips', 0),
-        'lost_messages': recorder.get('lost', 0) + sum(content.missing.values()),
-        'missing_by_topic': {topic: n for topic, n in content.missing.items() if n},
+        'lost_messages': recorder.get('lost', 0),
+        'unanswered_samples': content.missing['joint_effort_command'],
         'tick_us': controller.get('tick_us'), 'latency_us': sim.get('latency_us'),
         'plant_us': sim.get('plant_us'),
         'realtime_factor': sim_time / wall if wall else None,

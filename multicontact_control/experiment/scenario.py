@@ -181,8 +181,8 @@ def resolve(
     folder = config_dir()
     controller_config = validate(
         ControllerConfig,
-        merge(merge(read_parameters(folder / 'controller.yaml'), config.controller),
-              controller or {}), 'controller.yaml')
+        merge(merge(_controller_parameters(plant), config.controller), controller or {}),
+        'controller.yaml')
     estimator_config = validate(
         NoiseEstimatorConfig,
         merge(merge(read_parameters(folder / 'noise_estimator.yaml'), config.noise_estimator),
@@ -196,6 +196,15 @@ def resolve(
         plant=plant_config, plant_name=plant, seed=seed, urdf_dir=folder)
     _check_together(setup, path)
     return setup
+
+
+def _controller_parameters(plant: str) -> dict[str, Any]:
+    """Return the controller's parameters, with those that belong to a plant preset over them."""
+    values = read_parameters(config_dir() / 'controller.yaml')
+    special = config_dir() / f'controller_{plant}.yaml'
+    if plant in PLANTS and special.is_file():
+        values = merge(values, read_parameters(special))
+    return values
 
 
 def _check_together(setup: Setup, path: Path) -> None:

@@ -1,0 +1,50 @@
+"""Arms and configurations that several tests use."""
+
+from pathlib import Path
+
+import numpy as np
+
+from multicontact_control.config import (
+    ControllerConfig,
+    merge,
+    read_parameters,
+    RobotConfig,
+    validate,
+)
+from multicontact_control.paths import config_dir
+
+HOME = np.array([1.847117449942421, 0.8705595994175255, 2.9372057614605662, 0.0,
+                 -0.6661727072882984, 1.847117449942421])
+
+
+def controller_config(**changes):
+    """Return the PUMA's configuration with nested changes."""
+    values = read_parameters(config_dir() / 'controller.yaml')
+    return validate(ControllerConfig, merge(values, changes), 'controller.yaml')
+
+
+def seven_joint_urdf(folder: Path) -> Path:
+    """Write an arm of seven alternating joints with a wrist frame, and return its file."""
+    parts = ['<robot name="seven"><link name="base"/>']
+    parent = 'base'
+    for i in range(7):
+        axis = '0 0 1' if i % 2 == 0 else '0 1 0'
+        parts.append(
+            f'<link name="l{i}"><inertial><origin xyz="0.02 0.01 0.1"/><mass value="{3 - 0.3 * i}"'
+            '/><inertia ixx="0.02" iyy="0.02" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>'
+            f'</link><joint name="j{i}" type="revolute"><parent link="{parent}"/>'
+            f'<child link="l{i}"/><origin xyz="0 0 0.2"/><axis xyz="{axis}"/>'
+            '<limit lower="-3" upper="3" effort="100" velocity="3"/></joint>')
+        parent = f'l{i}'
+    parts.append('<link name="wrist"/><joint name="fixed" type="fixed"><parent link="l6"/>'
+                 '<child link="wrist"/><origin xyz="0 0 0.1"/></joint></robot>')
+    path = folder / 'seven.urdf'
+    path.write_text(''.join(parts), encoding='utf-8')
+    return path
+
+
+def seven_joint_config(path: Path) -> RobotConfig:
+    """Return the names of that arm."""
+    return RobotConfig(
+        urdf=path.name, joint_names=tuple(f'j{i}' for i in range(7)), armature=(0.1,) * 7,
+        operational_frame='wrist', sensor_frame='wrist')

@@ -1,0 +1,155 @@
+"""Scenario and commanded references: times, derivatives, refusals."""
+
+import numpy as np
+import pytest
+
+from multicontact_control.control.reference import (
+    ApproachConfig,
+    CommandedReference,
+    ForceStepConfig,
+    ReferenceConfig,
+    ScenarioReference,
+    sine_motion,
+    SineConfig,
+)
+from multicontact_control.dynamics.pose import Pose
+from multicontact_control.errors import ConfigError
+
+RATE = 500.0
+NORMALS = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+POSE = Pose(np.array([0.0, 0.5, 0.6]), np.eye(3))
+
+
+def _reference(**values):
+    reference = ScenarioReference(
+        ReferenceConfig(**values), rate=RATE, contact_names=('table', 'board'))
+    reference.start(POSE, NORMALS)
+    return reference
+
+
+def _run(reference, seconds, alpha):
+    return [reference.update(k / RATE, alpha(k / RATE)) for k in range(int(seconds * RATE))]
+
+
+def test_approach_moves_towards_every_untouched_surface():
+    """0.02 m/s along both normals after the ramp; a touched contact is no longer approached."""
+    reference = _reference(approach=ApproachConfig(start_time=0.0))
+    touched = _run(reference, 3.0, lambda t: np.array([2.0 if t > 1.0 else 0.0, 0.0]))
+    position = np.array([r.pose_des.position_world for r in touched])
+    np.testing.assert_allclose(touched[450].twist_des[:3], [0.0, 0.02, -0.02])
+    np.testing.assert_allclose(touched[-1].twist_des[:3], [0.0, 0.02, 0.0])
+    assert position[-1, 2] == pytest.approx(position[505, 2])
+    assert position[-1, 1] > position[505, 1] + 0.039
+    assert [list(r.active) for r in (touched[400], touched[-1])] == [
+        [False, False], [True, False]]
+
+
+def test_approach_position_is_the_integral_of_its_speed():
+    """Position, speed and acceleration belong together."""
+    reference = _reference(approach=ApproachConfig(start_time=0.1))
+    run = _run(reference, 1.0, lambda t: np.zeros(2))
+    speed = np.array([r.twist_des[1] for r in run])
+    position = np.array([r.pose_des.position_world[1] for r in run])
+    np.testing.assert_allclose(np.diff(position), speed[1:] / RATE, atol=1e-12)
+    acceleration = np.array([r.acceleration_des[1] for r in run])
+    np.testing.assert_allclose(np.diff(speed)[60:200] * RATE, acceleration[60:200], rtol=1e-6)
+
+
+def test_nothing_happens_before_the_approach_starts():
+    """A large force before it is not a contact."""
+    reference = _reference(approach=ApproachConfig(start_time=1.0))
+    for r in _run(reference, 0.9, lambda t: np.full(2, 50.0)):
+        assert not r.active.any()
+        np.testing.assert_array_equal(r.twist_des, 0.0)
+
+
+def test_force_steps_apply_to_active_contacts_from_their_time_on():
+    """Preload from contact on, then the last step that names the contact."""
+    reference = _reference(
+        approach=ApproachConfig(start_time=0.0, preload=2.0),
+        force_steps=(ForceStepConfig(time=0.2, forces={'table': 10.0, 'board': 10.0}),
+                     ForceStepConfig(time=0.4, forces={'board': 15.0})))
+    run = _run(reference, 0.6, lambda t: np.array([3.0, 3.0 if t > 0.3 else 0.0]))
+    np.testing.assert_array_equal(run[50].alpha_des, [2.0, 0.0])
+    np.testing.assert_array_equal(run[100].alpha_des, [10.0, 0.0])
+    np.testing.assert_array_equal(run[160].alpha_des, [10.0, 10.0])
+    np.testing.assert_array_equal(run[200].alpha_des, [10.0, 15.0])
+
+
+def test_sine_motion_derivatives_agree_with_differences():
+    """Speed and acceleration of the blended sinusoid, and its start at rest."""
+    config = SineConfig(start_time=1.0)
+    times = np.linspace(1.0, 6.0, 400)
+    h = 1e-5
+    values = np.array([sine_motion(config, t) for t in times])
+    ahead = np.array([sine_motion(config, t + h) for t in times])
+    behind = np.array([sine_motion(config, t - h) for t in times])
+    np.testing.assert_allclose(values[1:, 1:], ((ahead - behind) / (2 * h))[1:, :2], atol=1e-5)
+    assert sine_motion(config, 1.0) == (0.0, 0.0, 0.0)
+    assert max(abs(v) for v in sine_motion(config, 1.0 + 1e-4)) < 1e-4
+
+
+def test_sine_motion_has_the_papers_size_after_the_blend():
+    """0.15 m of amplitude and 8 s of period."""
+    config = SineConfig(start_time=0.0)
+    s = np.array([sine_motion(config, t)[0] for t in np.linspace(8.0, 16.0, 2001)])
+    assert s.max() == pytest.approx(0.15, rel=1e-5)
+    assert s.min() == pytest.approx(-0.15, rel=1e-5)
+
+
+def test_scenario_refuses_a_step_of_an_unknown_contact():
+    """The message names the step, the known contacts and the unknown one."""
+    config = ReferenceConfig(force_steps=(ForceStepConfig(time=1.0, forces={'wall': 1.0}),))
+    with pytest.raises(ConfigError, match=r"force_steps.0.forces: .*table, board, found 'wall'"):
+        ScenarioReference(config, rate=RATE, contact_names=('table', 'board'))
+
+
+def test_scenario_refuses_steps_out_of_order():
+    """Steps are in rising order of time."""
+    with pytest.raises(ConfigError, match='times in rising order'):
+        ReferenceConfig(force_steps=(ForceStepConfig(time=2.0, forces={}),
+                                     ForceStepConfig(time=1.0, forces={})))
+
+
+def test_commanded_reference_holds_the_start_until_told_otherwise():
+    """No force is controlled and the pose at the start is held."""
+    reference = CommandedReference(('table', 'board'))
+    reference.start(POSE, NORMALS)
+    r = reference.update(0.0, np.zeros(2))
+    assert not r.active.any()
+    assert r.pose_des is POSE
+
+
+def test_commanded_forces_activate_their_contacts():
+    """A force above 0 makes a contact force controlled; others keep their command."""
+    reference = CommandedReference(('table', 'board'))
+    reference.start(POSE, NORMALS)
+    reference.set_forces({'board': 5.0})
+    reference.set_forces({'table': 2.0})
+    r = reference.update(0.0, np.zeros(2))
+    np.testing.assert_array_equal(r.alpha_des, [2.0, 5.0])
+    assert r.active.all()
+
+
+@pytest.mark.parametrize(('forces', 'message'), [
+    ({'wall': 1.0}, "expected contacts among table, board, found 'wall'"),
+    ({'table': 3.0, 'board': float('nan')}, 'contact_forces/command.board: expected a force'),
+    ({'table': 3.0, 'board': -1.0}, 'contact_forces/command.board: expected a force')])
+def test_commanded_reference_refuses_bad_forces_and_changes_nothing(forces, message):
+    """All of a command is taken or none of it."""
+    reference = CommandedReference(('table', 'board'))
+    reference.start(POSE, NORMALS)
+    with pytest.raises(ConfigError, match=message):
+        reference.set_forces(forces)
+    np.testing.assert_array_equal(reference.update(0.0, np.zeros(2)).alpha_des, 0.0)
+
+
+@pytest.mark.parametrize('bad', [
+    (np.full(3, np.inf), np.array([0, 0, 0, 1.0])), (np.zeros(3), np.zeros(4))])
+def test_commanded_reference_refuses_bad_motions_and_changes_nothing(bad):
+    """Numbers that are not finite and quaternions without length."""
+    reference = CommandedReference(('table', 'board'))
+    reference.start(POSE, NORMALS)
+    with pytest.raises(ConfigError, match='motion/command: expected'):
+        reference.set_motion(*bad, np.zeros(6), np.zeros(6))
+    assert reference.update(0.0, np.zeros(2)).pose_des is POSE

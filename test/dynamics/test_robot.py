@@ -1,0 +1,109 @@
+"""The robot model against roboticstoolbox's published values and finite differences."""
+
+import json
+from pathlib import Path
+from xml.etree import ElementTree
+
+from arms import controller_config, seven_joint_config, seven_joint_urdf
+import numpy as np
+import pytest
+
+from multicontact_control.config import RobotConfig
+from multicontact_control.dynamics.robot import RobotModel
+from multicontact_control.errors import ConfigError, ShapeError
+from multicontact_control.paths import config_dir
+from sim_bridge.puma560 import load_robot, urdf_text
+
+REFERENCE = json.loads(
+    (Path(__file__).parents[1] / 'data' / 'puma560_reference.json').read_text())
+
+
+@pytest.fixture
+def puma(tmp_path):
+    """The arm of the reference values: without tool, armature to the last digit."""
+    data = load_robot()
+    urdf = ElementTree.fromstring(urdf_text(data))
+    for link in urdf.findall('link'):
+        if link.get('name') in ('ft_face', 'tool'):
+            link.remove(link.find('inertial'))
+    (tmp_path / 'puma.urdf').write_text(ElementTree.tostring(urdf, encoding='unicode'))
+    config = controller_config().robot.model_copy(update={
+        'urdf': 'puma.urdf',
+        'armature': tuple(m.rotor_inertia * m.gear ** 2 for m in data.motors)})
+    return RobotModel(config, tmp_path)
+
+
+@pytest.mark.parametrize('sample', REFERENCE['samples'][:8])
+def test_dynamics_agree_with_roboticstoolbox(puma, sample):
+    """M qdd + C v + g is rne's torque; M, g and pose one by one."""
+    q, qd, qdd = (np.array(sample[name]) for name in ('q', 'qd', 'qdd'))
+    state = puma.update(q, qd)
+    torque = state.mass_matrix @ qdd + state.coriolis + state.gravity
+    np.testing.assert_allclose(torque, sample['tau'], atol=1e-9)
+    np.testing.assert_allclose(state.mass_matrix, sample['M'], atol=1e-9)
+    np.testing.assert_allclose(state.gravity, sample['g'], atol=1e-9)
+    pose = np.array(sample['T'])
+    np.testing.assert_allclose(state.pose.position_world, pose[:3, 3], atol=1e-9)
+    np.testing.assert_allclose(state.pose.rotation_world, pose[:3, :3], atol=1e-9)
+
+
+def _twist_by_differences(model, q, v, step=1e-6):
+    ahead, behind = model.update(q + step * v, v), model.update(q - step * v, v)
+    linear = (ahead.pose.position_world - behind.pose.position_world) / (2 * step)
+    turn = (ahead.pose.rotation_world - behind.pose.rotation_world) / (2 * step)
+    skew = turn @ model.update(q, v).pose.rotation_world.T
+    return np.concatenate([linear, [skew[2, 1], skew[0, 2], skew[1, 0]]])
+
+
+def test_jacobian_and_drift_agree_with_finite_differences(tmp_path):
+    """J v is the twist, and dJ/dt v its rate at constant v, on another arm than the PUMA."""
+    path = seven_joint_urdf(tmp_path)
+    model = RobotModel(seven_joint_config(path), tmp_path)
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        q, v = rng.standard_normal((2, 7))
+        state = model.update(q, v)
+        np.testing.assert_allclose(state.twist_world, state.jacobian @ v, atol=1e-13)
+        np.testing.assert_allclose(state.twist_world, _twist_by_differences(model, q, v),
+                                   atol=1e-7)
+        h = 1e-6
+        rate = (model.update(q + h * v, v).jacobian - model.update(q - h * v, v).jacobian) @ v
+        np.testing.assert_allclose(state.jacobian_drift, rate / (2 * h), atol=1e-6)
+
+
+def test_update_returns_arrays_of_its_own(puma):
+    """A state is not changed by the next update."""
+    state = puma.update(np.zeros(6), np.ones(6))
+    before = state.mass_matrix.copy(), state.jacobian.copy(), state.pose.position_world.copy()
+    puma.update(np.ones(6), np.zeros(6))
+    np.testing.assert_array_equal(state.mass_matrix, before[0])
+    np.testing.assert_array_equal(state.jacobian, before[1])
+    np.testing.assert_array_equal(state.pose.position_world, before[2])
+
+
+@pytest.mark.parametrize(('change', 'message'), [
+    ({'joint_names': ('a', 'b')}, r"robot.joint_names: expected the robot's joints .*joint1"),
+    ({'operational_frame': 'hand'}, r'robot.operational_frame: expected a link .*wrist_point'),
+    ({'sensor_frame': 'hand'}, r"robot.sensor_frame: expected a link .*, found 'hand'"),
+    ({'urdf': 'nowhere.urdf'}, r'robot.urdf: expected a readable URDF file, found .*nowhere'),
+])
+def test_model_refuses_names_that_do_not_match(change, message):
+    """The message names the field, what was expected and what was found."""
+    config = controller_config().robot.model_copy(update=change)
+    with pytest.raises(ConfigError, match=message):
+        RobotModel(config, config_dir())
+
+
+def test_model_refuses_a_file_that_is_no_urdf(tmp_path):
+    """A broken file is named."""
+    (tmp_path / 'broken.urdf').write_text('<robot', encoding='utf-8')
+    config = RobotConfig(urdf='broken.urdf', joint_names=('a',), operational_frame='a',
+                         sensor_frame='a')
+    with pytest.raises(ConfigError, match=r'robot.urdf: expected a valid URDF, found .*broken'):
+        RobotModel(config, tmp_path)
+
+
+def test_update_refuses_vectors_of_another_length(puma):
+    """Shapes are checked at the boundary."""
+    with pytest.raises(ShapeError, match=r'q: expected shape \(6,\), found \(5,\)'):
+        puma.update(np.zeros(5), np.zeros(6))

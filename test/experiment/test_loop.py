@@ -1,0 +1,78 @@
+"""The loop in process: repeatable, and in contact as commanded on both plants."""
+
+import numpy as np
+import pytest
+
+from multicontact_control.experiment.figures import draw_figures, figure_set
+from multicontact_control.experiment.loop import run_in_process
+from multicontact_control.experiment.metrics import contact_summary, instabilities
+from multicontact_control.experiment.recording import RunData
+from multicontact_control.experiment.scenario import resolve
+
+
+@pytest.fixture(scope='module')
+def runs():
+    """The scenario `quick` up to a second of motion, on both plants."""
+    return {plant: (setup := resolve('quick', plant=plant, duration=9.5), run_in_process(setup))
+            for plant in ('rigid', 'puma')}
+
+
+@pytest.mark.parametrize('plant', ['rigid', 'puma'])
+def test_quick_is_stable_and_holds_its_forces(runs, plant):
+    """The paper's experiment in short."""
+    setup, result = runs[plant]
+    assert instabilities(result.data, setup, result.ended_early) == []
+    for i in range(2):
+        summary = contact_summary(result.data, setup, i)
+        assert summary['rest']['true_error_rms_n'] < 1.0
+        assert summary['moving']['true_error_rms_n'] < 3.0
+        assert summary['moving']['contact_loss_fraction'] == 0.0
+        assert 0.3 < summary['rest']['noise_variance_median_n2'] < 1.2
+        assert 0.03 <= summary['step_rise_63_s'] <= 0.1
+
+
+def test_same_seed_same_run_other_seed_other_run():
+    """Bit for bit (the torques' hash)."""
+    hashes = [run_in_process(resolve('quick', duration=1.5, seed=seed)).data.trajectory_sha256()
+              for seed in (3, 3, 4)]
+    assert hashes[0] == hashes[1]
+    assert hashes[0] != hashes[2]
+
+
+def test_observer_sees_the_variance_of_the_tick_before():
+    """R_k is estimated from samples up to k - 1 (paper notes 14): the first is the initial."""
+    setup = resolve('quick', plant='rigid', duration=0.01,
+                    noise_estimator={'estimator': 'fixed', 'fixed_variance': 7.0})
+    result = run_in_process(setup)
+    np.testing.assert_array_equal(result.data.noise_variance, 7.0)
+
+
+def test_run_that_gets_out_of_hand_ends_with_a_reason():
+    """A run that cannot go on ends early instead of raising."""
+    setup = resolve('quick', plant='rigid', duration=4.0, controller={
+        'contacts': {name: {'stiffness': 50.0} for name in ('table', 'board')}})
+    result = run_in_process(setup)
+    found = instabilities(result.data, setup, result.ended_early)
+    assert found
+
+
+def test_series_survive_saving_and_loading(runs, tmp_path):
+    """What is drawn is what was recorded."""
+    data = runs['rigid'][1].data
+    data.save(tmp_path)
+    again = RunData.load(tmp_path)
+    assert again.trajectory_sha256() == data.trajectory_sha256()
+    assert again.contact_names == data.contact_names
+    np.testing.assert_array_equal(again.noise_variance, data.noise_variance)
+
+
+def test_figures_are_drawn_for_every_contact(runs, tmp_path):
+    """Figures 3-6, as PNG files."""
+    setup, result = runs['puma']
+    paths = draw_figures(result.data, setup, tmp_path)
+    assert [path.stem for path in paths] == [
+        'fig3_force_table', 'fig4_force_board', 'fig5_motion', 'fig6_noise_variance']
+    assert list(figure_set(result.data)) == [path.stem for path in paths]
+    for path in paths:
+        assert path.read_bytes().startswith(b'\x89PNG')
+        assert path.stat().st_size > 20000

@@ -1,0 +1,197 @@
+"""Metrics on series that are made to have known ones."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from multicontact_control.experiment.metrics import (
+    contact_summary,
+    instabilities,
+    longest_run,
+    motion_summary,
+    orientation_error,
+    percentiles,
+    step_responses,
+    summarise,
+    torque_summary,
+    windows,
+)
+from multicontact_control.experiment.recording import empty_run_data
+from multicontact_control.experiment.scenario import resolve
+
+RATE = 500.0
+
+
+@pytest.fixture(scope='module')
+def setup():
+    return resolve('quick', plant='rigid')
+
+
+@pytest.fixture
+def data(setup):
+    """A perfect run of `quick`: every force at its command, 1 N of noise variance."""
+    ticks = setup.ticks
+    data = empty_run_data(ticks, RATE, setup.controller.contact_names,
+                          setup.controller.robot.joint_names)
+    for series, value in ((data.q, 0.0), (data.qd, 0.0), (data.torque, 5.0),
+                          (data.position, 0.1), (data.position_des, 0.1),
+                          (data.noise_variance, 1.0), (data.alpha_rate_est, 0.0)):
+        series[:] = value
+    data.quaternion[:] = data.quaternion_des[:] = [0.0, 0.0, 0.0, 1.0]
+    desired = np.select([data.time < 0.5, data.time < 2.5, data.time < 4.0],
+                        [0.0, 2.0, 10.0], 15.0)
+    for series in (data.alpha_des, data.alpha_true, data.alpha_meas, data.alpha_est):
+        series[:] = desired[:, None]
+    return data
+
+
+def test_windows_are_those_of_the_definition(setup, data):
+    """Rest from 1 s after the last step to the motion, moving from 2 s after its start."""
+    judged = windows(setup.scenario.reference, data.time)
+    rest, moving = data.time[judged.rest], data.time[judged.moving]
+    assert (rest[0], rest[-1]) == pytest.approx((5.0, 6.498))
+    assert (moving[0], moving[-1]) == pytest.approx((8.5, 11.998))
+    assert data.time[judged.loaded][0] == pytest.approx(2.5)
+
+
+def test_perfect_run_is_stable_and_without_error(setup, data):
+    """Nothing is found where there is nothing."""
+    summary = summarise(data, setup, mode='in_process', timing={})
+    assert summary['stable'] and not summary['instabilities']
+    for contact in summary['contacts'].values():
+        for window in ('rest', 'moving'):
+            assert contact[window]['true_error_rms_n'] == 0.0
+            assert contact[window]['contact_loss_fraction'] == 0.0
+    assert summary['torque']['max_fraction_of_limit'] == pytest.approx(5.0 / 20.1)
+
+
+def test_contact_errors_are_root_mean_squares_in_their_window(setup, data):
+    """An error outside the window does not count, one inside does."""
+    judged = windows(setup.scenario.reference, data.time)
+    data.alpha_true[judged.rest, 0] += 0.5 * np.where(np.arange(judged.rest.sum()) % 2, 1, -1)
+    data.alpha_true[~judged.rest & (data.time > 4.5) & (data.time < 5.0), 0] += 3.0
+    rest = contact_summary(data, setup, 0)['rest']
+    assert rest['true_error_rms_n'] == pytest.approx(0.5)
+    assert rest['estimate_error_rms_n'] == pytest.approx(0.5)
+    assert contact_summary(data, setup, 1)['rest']['true_error_rms_n'] == 0.0
+
+
+def test_step_response_of_a_known_lag(setup, data):
+    """A first-order lag of 50 ms with 10 % of overshoot is read off as such."""
+    after = data.time >= 2.5
+    t = data.time[after] - 2.5
+    response = 1.0 - np.exp(-t / 0.05)
+    response[(t > 0.5) & (t < 0.6)] = 1.1
+    data.alpha_true[after, 0] = np.where(t < 1.5, 2.0 + 8.0 * response, 15.0)
+    first = step_responses(data, setup, 0)[0]
+    assert (first.time, first.size) == (2.5, 8.0)
+    assert first.rise_63 == pytest.approx(0.05, abs=0.003)
+    assert first.overshoot_percent == pytest.approx(10.0)
+    assert contact_summary(data, setup, 0)['step_rise_63_s'] == first.rise_63
+
+
+def test_a_step_that_is_never_reached_has_no_rise(setup, data):
+    """None, not a number."""
+    data.alpha_true[data.time >= 2.5, 1] = 2.0
+    assert contact_summary(data, setup, 1)['step_rise_63_s'] is None
+
+
+def _lose_contact(data, seconds):
+    data.alpha_true[3000:3000 + int(seconds * RATE), 1] = 0.0
+
+
+def _saturate(data, seconds):
+    data.torque[3000:3000 + int(seconds * RATE), 4] = -20.1
+
+
+@pytest.mark.parametrize('seconds', [0.08, 0.12])
+@pytest.mark.parametrize(('fault', 'reason'), [
+    (_lose_contact, 'board: contact lost'), (_saturate, 'torque saturated')])
+def test_instability_is_what_lasts_beyond_a_tenth_of_a_second(setup, data, fault, reason, seconds):
+    """Just below passes, just above does not."""
+    fault(data, seconds)
+    found = instabilities(data, setup)
+    assert bool(found) == (seconds > 0.1)
+    assert all(reason in line for line in found)
+
+
+def test_force_beyond_five_times_its_command_is_unstable(setup, data):
+    """One sample is enough."""
+    data.alpha_true[5000, 0] = 76.0
+    assert instabilities(data, setup) == ['table: force 5.1 times its command']
+
+
+def test_contact_that_is_never_made_is_unstable(setup, data):
+    """A run that touches nothing holds no force."""
+    data.alpha_des[:, 0] = 0.0
+    assert 'table: no contact was made' in instabilities(data, setup)
+
+
+def test_numbers_that_are_not_finite_are_unstable_and_few_unanswered_samples_are_not(setup, data):
+    """A sample without an answer is a warning; many make a run that can't be judged."""
+    data.torque[100] = np.nan
+    assert not instabilities(data, setup)
+    data.torque[:900] = np.nan
+    assert instabilities(data, setup) == ['15.0 % of the samples were not answered']
+    data.alpha_meas[7, 0] = np.inf
+    assert 'a number is not finite' in instabilities(data, setup)
+
+
+def test_run_that_ended_early_says_why(setup, data):
+    """The reason is the first line."""
+    summary = summarise(data.truncated(3000), setup, mode='in_process', timing={},
+                        ended_early='tick 3000: singular')
+    assert summary['instabilities'][0] == 'tick 3000: singular'
+    assert not summary['stable']
+    assert summary['contacts']['table']['moving']['true_error_rms_n'] is None
+
+
+def test_motion_error_counts_in_free_directions_only(setup, data):
+    """The depth of the contacts is not a motion error, the way along x is."""
+    data.position[:, 1] += 0.01
+    data.position[:, 2] -= 0.01
+    assert motion_summary(data, setup)['position_rms_m'] == pytest.approx(0.0, abs=1e-12)
+    data.position[:, 0] += 0.002
+    assert motion_summary(data, setup)['position_rms_m'] == pytest.approx(0.002)
+
+
+def test_orientation_error_is_the_angle(data):
+    """Of a rotation by 0.02 rad about x, whatever the quaternion's sign."""
+    turned = np.tile([np.sin(0.01), 0.0, 0.0, np.cos(0.01)], (data.ticks, 1))
+    for sign in (1.0, -1.0):
+        turned_data = replace(data, quaternion=sign * turned)
+        np.testing.assert_allclose(orientation_error(turned_data), 0.02, atol=1e-7)
+
+
+def test_torque_summary_finds_the_joint_nearest_to_its_limit(setup, data):
+    """As a fraction of that joint's limit."""
+    data.torque[17, 2] = -44.7
+    summary = torque_summary(data, setup)
+    assert summary['max_fraction_of_limit'] == pytest.approx(0.5)
+    assert summary['saturated_fraction'] == 0.0
+
+
+@pytest.mark.parametrize(('mask', 'length'), [
+    ([], 0), ([False], 0), ([True], 1), ([True, True, False, True], 2),
+    ([False, True, True, True], 3)])
+def test_longest_run(mask, length):
+    """Also at the ends."""
+    assert longest_run(np.array(mask, dtype=bool)) == length
+
+
+def test_percentiles_of_known_values():
+    """And of none."""
+    assert percentiles(np.arange(1001.0))['p50'] == 500.0
+    assert percentiles(np.zeros(0))['max'] == 0.0
+
+
+def test_trajectory_hash_is_that_of_little_endian_torques(data):
+    """Independent of memory layout, and sensitive to the last bit."""
+    import hashlib
+    expected = hashlib.sha256(data.torque.astype('<f8').tobytes()).hexdigest()
+    assert data.trajectory_sha256() == expected
+    fortran = replace(data, torque=np.asfortranarray(data.torque))
+    assert fortran.trajectory_sha256() == expected
+    data.torque[0, 0] = np.nextafter(data.torque[0, 0], 9.0)
+    assert data.trajectory_sha256() != expected
