@@ -24,6 +24,14 @@ from multicontact_control.experiment.matrix import (
     LABELS,
     QUICK_LABELS,
 )
+from multicontact_control.experiment.robustness import ratios
+from multicontact_control.experiment.robustness_map import (
+    map_table,
+    MapLayout,
+    run_map,
+    write_map,
+)
+from multicontact_control.experiment.scenario import PLANTS
 
 
 @dataclass(frozen=True)
@@ -96,6 +104,67 @@ def compare_and_report(request: ComparisonRequest, console: Console | None = Non
                           highlight=False)
     path = write_comparison_page(content, request.out)
     console.print(f'results in {path}')
+
+
+@dataclass(frozen=True)
+class MapRequest:
+    """
+    The options of `multicontact map`.
+
+    Attributes
+    ----------
+    plants, estimators
+        Names; none for all, or those of the quick map.
+    jobs
+        Runs at once, 0 for every core.
+    quick, overwrite
+        The coarse map; whether finished cells are run again.
+    out
+        Folder.
+
+    """
+
+    plants: tuple[str, ...]
+    estimators: tuple[str, ...]
+    jobs: int
+    quick: bool
+    out: Path
+    overwrite: bool
+
+    def layout(self) -> MapLayout:
+        """Return the map asked for."""
+        if self.jobs < 0:
+            raise ConfigError('jobs', 'a whole number >= 0', self.jobs)
+        plants = self.plants or (('rigid',) if self.quick else PLANTS)
+        labels = self.estimators or (('lead_window', 'fixed') if self.quick else LABELS)
+        return MapLayout(plants, labels, tuple(ratios(8 if self.quick else 13)))
+
+
+def map_and_report(request: MapRequest, console: Console | None = None) -> None:
+    """
+    Run a robustness map, draw it, write its files.
+
+    Parameters
+    ----------
+    request
+        What is asked for.
+    console
+        Where it is shown.
+
+    """
+    console = console or Console()
+    layout = request.layout()
+    prepare_cell_folder(request.out, overwrite=request.overwrite)
+    executor = LocalExecutor(request.jobs)
+    entries = [Entry(label, 'map', cell) for (_, label, _, _), cell in layout.cells().items()]
+    seconds, todo = estimate_time(entries, request.out, executor.jobs)
+    console.print(f'{len(entries)} runs, {len(entries) - todo} of them finished before; the other '
+                  f'{todo} will take about {_duration(seconds)} with {executor.jobs} at once')
+    content = run_map(layout, request.out, executor=executor, console=console)
+    for plant in layout.plants:
+        console.print(map_table(content, plant))
+    for path in write_map(content, request.out):
+        console.print(f'results in {path}', highlight=False)
 
 
 def _duration(seconds: float) -> str:

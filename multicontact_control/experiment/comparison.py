@@ -8,6 +8,7 @@ from statistics import median
 import time
 from typing import Any
 
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
@@ -30,6 +31,8 @@ from multicontact_control.experiment.results import read_json, write_json
 
 COMPARISON_FILE = 'comparison.json'
 START_UP = 6.0  # s, to start the workers and compile in each
+CAPTION = ('fails: after the start of the motion; rest, move: rms error of the true force; lost: '
+           'contact in motion; R [N²]; push: recovery [s]; torq: largest share of the limit')
 PROBE = 1.5  # s of simulated time that a plant's speed is taken from
 
 
@@ -206,11 +209,12 @@ def grouped(rows: Sequence[dict[str, Any]]) -> dict[tuple[str, str, str], list[d
 
 def comparison_table(rows: Sequence[dict[str, Any]], plant: str) -> Table:
     """Return the table of one plant: each estimator's median over the seeds, worse contact."""
-    table = Table(title=f'plant {plant}: worse contact, median over the seeds')
-    for name in ('', 'stable', 'unstable after\nmotion start [s]', 'rest\nrms [N]',
-                 'moving\nrms [N]', 'lost\nmoving [%]', 'R rest\n[N²]', 'R moving\n[N²]',
-                 'push 0.1 s\n[s]', 'push 1 s\n[s]', 'torque\n[% limit]'):
-        table.add_column(name, justify='left' if not name else 'right')
+    table = Table(
+        title=f'plant {plant}: worse contact, median over the seeds', box=SIMPLE_HEAD,
+        padding=(0, 1, 0, 0), caption=CAPTION)
+    for name in ('', 'stable', 'fails\n[s]', 'rest\n[N]', 'move\n[N]', 'lost\n[%]', 'R\nrest',
+                 'R\nmove', 'push\n.1 s', 'push\n1 s', 'torq\n[%]'):
+        table.add_column(name, justify='right' if name else 'left', no_wrap=bool(name))
     last = ''
     for (where, kind, label), group in grouped(rows).items():
         if where != plant:
@@ -232,11 +236,22 @@ def table_row(kind: str, label: str, group: Sequence[dict[str, Any]]) -> list[st
         escape(label if kind in label or kind not in (AOB, 'no active state')
                else f'{label} ({kind})'),
         f'[{colour}]{stable}/{len(group)}[/{colour}]',
-        ', '.join('before' if value < 0.0 else f'{value:.2f}' for value in sorted(unstable)),
+        _range(unstable),
         _middle(group, 'rest_rms_n', 3), _middle(group, 'moving_rms_n', 2),
         _middle(group, 'moving_lost', 2, 100.0), _middle(group, 'rest_variance_n2', 2),
         _middle(group, 'moving_variance_n2', 1), _push(group, False), _push(group, True),
         _middle(group, 'torque_max_fraction', 0, 100.0)]
+
+
+def _range(values: Sequence[float]) -> str:
+    """Return the smallest and the largest of some times after the start of the motion."""
+    if not values:
+        return ''
+    known = [value for value in values if value >= 0.0]
+    texts = ['rest'] if len(known) < len(values) else []
+    texts += list(dict.fromkeys(f'{value:.1f}' for value in (min(known), max(known)))
+                  ) if known else []
+    return '-'.join(texts)
 
 
 def _middle(group: Sequence[dict[str, Any]], name: str, digits: int, factor: float = 1.0) -> str:

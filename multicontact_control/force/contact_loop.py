@@ -84,8 +84,8 @@ def steady_gain(observer: ActiveObserver, noise_variance: float) -> Vector:
 
 
 def closed_loop(
-    surroundings: Surroundings, observer: ActiveObserver, damping_rate: float,
-    noise_variance: float, period: float,
+    surroundings: Surroundings, observer: ActiveObserver, kalman_gain: Vector,
+    damping_rate: float, period: float,
 ) -> Matrix:
     """
     Return the matrix of one period of all force loops together.
@@ -98,11 +98,11 @@ def closed_loop(
     surroundings
         What the loops meet.
     observer
-        Model, feedback and Q, the same for every contact.
+        Model and feedback, the same for every contact.
+    kalman_gain
+        K, held, as from `steady_gain`.
     damping_rate
         K_2 on the measured motion [1/s].
-    noise_variance
-        R, held [N^2].
     period
         h [s].
 
@@ -123,7 +123,7 @@ def closed_loop(
     motion, drive = exponential[:2 * r, :2 * r], exponential[:2 * r, 2 * r:]
     force = np.hstack([stiffness, damping])  # alpha of depth and speed
     speed = np.hstack([np.zeros((r, r)), np.eye(r)])
-    gain = steady_gain(observer, noise_variance)[:, None]
+    gain = kalman_gain[:, None]
     C = np.zeros((1, n))
     C[0, 0] = 1.0
     predict = block_diag(*[(np.eye(n) - gain @ C) @ observer.Phi_c] * r)
