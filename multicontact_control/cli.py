@@ -167,6 +167,26 @@ def robustness_map(
             out=out, overwrite=overwrite))
 
 
+@app.command()
+def report(
+    runs: Annotated[list[Path], typer.Argument(
+        metavar='RUN...', help='Folders of `run` or `simulate`.')],
+    comparison: Annotated[Path | None, typer.Option(
+        help='Folder of `compare`, for the claims that compare estimators.')] = None,
+    out: Annotated[Path | None, typer.Option(
+        help='Folder for report.html and the figures; the first run if not given.')] = None,
+) -> None:
+    """Judge recorded runs by the claims of the paper: report.html, and figures as PNG and PDF."""
+    from multicontact_control.experiment.comparison import read_comparison
+    from multicontact_control.experiment.load import load_run
+    from multicontact_control.experiment.report import write_report
+
+    with _errors_in_one_line():
+        content = read_comparison(comparison) if comparison is not None else None
+        paths = write_report([load_run(folder) for folder in runs], out or runs[0], content)
+    typer.echo(f'report in {paths[0]}, {len(paths) - 1} figures')
+
+
 def _split(text: str) -> tuple[str, ...]:
     return tuple(part.strip() for part in text.split(',') if part.strip())
 

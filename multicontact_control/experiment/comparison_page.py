@@ -136,15 +136,19 @@ def _table(rows: Sequence[dict[str, Any]], plant: str) -> str:
     for (where, kind, label), group in grouped(rows).items():
         if where != plant:
             continue
-        cells = [Text.from_markup(cell).plain for cell in table_row(kind, label, group)]
-        colour = 'yes' if all(row['stable'] for row in group) else 'no'
-        lines.append([escape(cells[0]), f'<b class={colour}>{cells[1]}</b>',
-                      *map(escape, cells[2:])])
+        lines.append(plain_cells(kind, label, group))
         first = '' if attributes else ' first'
         keys = ' '.join(row['key'] for row in group)
         attributes.append(f'class="choice{first}" data-plant="{escape(plant)}" '
                           f'data-keys="{keys}"')
     return table(HEAD, lines, attributes=attributes)
+
+
+def plain_cells(kind: str, label: str, group: Sequence[dict[str, Any]]) -> list[str]:
+    """Return one line of the table as HTML."""
+    cells = [Text.from_markup(cell).plain for cell in table_row(kind, label, group)]
+    colour = 'yes' if all(row['stable'] for row in group) else 'no'
+    return [escape(cells[0]), f'<b class={colour}>{cells[1]}</b>', *map(escape, cells[2:])]
 
 
 def _cell(row: dict[str, Any], store: CellStore) -> dict[str, Any]:

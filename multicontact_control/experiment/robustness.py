@@ -26,11 +26,11 @@ from multicontact_control.experiment.matrix import controller_values, estimator_
 from multicontact_control.experiment.measure import final_error_share
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.force.active_observer import ActiveObserver
-from multicontact_control.force.contact_loop import (
-    closed_loop,
-    spectral_radius,
+from multicontact_control.force.contact_loop import closed_loop, spectral_radius, Surroundings
+from multicontact_control.force.linear_loop import (
+    RealContact,
+    stability_boundary,
     steady_gain,
-    Surroundings,
 )
 from multicontact_control.force.plant_model import design_force_loop
 
@@ -106,6 +106,28 @@ class ArmLoop:
     mobility: Matrix
     tool_inertia: Matrix
 
+    def observer(self) -> ActiveObserver:
+        """Return the observer of the first contact; the others have the same model."""
+        controller = self.setup.controller
+        force = controller.force
+        loop = design_force_loop(
+            controller.contacts[controller.contact_names[0]].stiffness,
+            damping_rate=force.damping_rate, input_delay=force.input_delay,
+            period=controller.period, time_constant=force.time_constant,
+            second_pole_ratio=force.second_pole_ratio)
+        return ActiveObserver(
+            loop, order=force.active_state_order, process_noise=force.process_noise,
+            initial_covariance=force.initial_covariance)
+
+    def paper_boundary(self, noise_variance: float) -> float:
+        """Return the largest stable stiffness ratio of eq. 32 with the actuator's delay."""
+        controller = self.setup.controller
+        contact = RealContact(
+            stiffness=controller.contacts[controller.contact_names[0]].stiffness,
+            damping_rate=controller.force.damping_rate, period=controller.period,
+            input_delay=self.setup.plant.actuator_delay_ticks * controller.period)
+        return stability_boundary(self.observer(), noise_variance, contact).upper
+
     def radius(self, noise_variance: float) -> Callable[[float], float]:
         """
         Return the spectral radius of the closed loops as a function of the stiffness ratio.
@@ -120,13 +142,7 @@ class ArmLoop:
         force, names = controller.force, controller.contact_names
         stiffness = np.array([controller.contacts[name].stiffness for name in names])
         damping = np.array([plant.surfaces[name].damping for name in names])
-        loop = design_force_loop(
-            float(stiffness[0]), damping_rate=force.damping_rate, input_delay=force.input_delay,
-            period=controller.period, time_constant=force.time_constant,
-            second_pole_ratio=force.second_pole_ratio)
-        observer = ActiveObserver(
-            loop, order=force.active_state_order, process_noise=force.process_noise,
-            initial_covariance=force.initial_covariance)
+        observer = self.observer()
         gain = steady_gain(observer, noise_variance)
 
         def of_ratio(ratio: float) -> float:
@@ -206,13 +222,14 @@ class BoundaryCheck:
         K_2 [1/s].
     delay_ticks
         Of the actuator; T_d of the model is the same.
-    linear, simulated
-        Of the linear loop, and by bisection in simulation.
+    paper, linear, simulated
+        Of eq. 32 alone, of the linear loops of the arm, and by bisection in simulation.
 
     """
 
     damping_rate: float
     delay_ticks: int
+    paper: float
     linear: float
     simulated: float
 
@@ -259,14 +276,33 @@ def check_boundary(
         result = run_in_process(cell(ratio).setup())
         return not result.ended_early and final_error_share(result.data) <= SETTLED
 
-    linear = arm_loop(cell(1.0).setup()).boundary(noise_variance)
-    return BoundaryCheck(damping_rate, delay_ticks, linear,
-                         bisect(stable, 0.5 * linear, 2.0 * linear, steps))
+    loop = arm_loop(cell(1.0).setup())
+    linear = loop.boundary(noise_variance)
+    return BoundaryCheck(
+        damping_rate, delay_ticks, loop.paper_boundary(noise_variance), linear,
+        bisect(stable, 0.5 * linear, 2.0 * linear, steps))
 
 
 def linear_boundaries(
     plant: str, delays: Sequence[int], variances: Sequence[float],
-) -> dict[float, list[float]]:
-    """Return the linear boundary for every R [N^2], over the delays."""
-    return {variance: [arm_loop(map_cell(1.0, delay, 'fixed', plant=plant).setup()).boundary(
-        variance) for delay in delays] for variance in variances}
+) -> list[dict[str, Any]]:
+    """
+    Return the boundaries to draw beside the simulation, as JSON values.
+
+    Parameters
+    ----------
+    plant
+        Preset or path.
+    delays
+        Of the actuator [periods].
+    variances
+        R held [N^2]; the first one for eq. 32 alone, too.
+
+    """
+    loops = [arm_loop(map_cell(1.0, delay, 'fixed', plant=plant).setup()) for delay in delays]
+    lines = [{'label': f'linear loop of the arm, R = {variance:g} N²',
+              'largest_ratio': [loop.boundary(variance) for loop in loops]}
+             for variance in variances]
+    lines.append({'label': f'eq. 32 alone, R = {variances[0]:g} N²',
+                  'largest_ratio': [loop.paper_boundary(variances[0]) for loop in loops]})
+    return lines

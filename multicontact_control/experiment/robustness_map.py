@@ -35,7 +35,7 @@ MAP_FILE = 'robustness.json'
 MAP_FIGURE = 'robustness.png'
 MAP_PAGE = 'robustness.html'
 VARIANCES = (0.6, 100.0)  # N^2, of the linear boundaries: at rest and in motion
-COLOURS = ('#1f3b73', '#c26a00')
+COLOURS = ('#1f3b73', '#c26a00', '#777777')
 LARGEST_OVERSHOOT = 300.0  # %, of the colour scale
 EXPLANATION = (
     'Each square is one simulated force step at rest, with the true stiffness of both surfaces '
@@ -95,9 +95,7 @@ def run_map(
     content = finite({
         'schema': 1, 'plants': layout.plants, 'estimators': layout.labels,
         'ratios': layout.ratios, 'delays': layout.delays, 'points': points,
-        'linear': {plant: [{'noise_variance_n2': variance, 'largest_ratio': limits}
-                           for variance, limits in linear_boundaries(
-                               plant, layout.delays, VARIANCES).items()]
+        'linear': {plant: linear_boundaries(plant, layout.delays, VARIANCES)
                    for plant in layout.plants}})
     write_json(folder / MAP_FILE, content)
     return content
@@ -130,7 +128,7 @@ def _cells(content: dict[str, Any], plant: str) -> list[list[str]]:
             row.append('none' if found is None else f'{found[0]:g} - {found[1]:g}')
         rows.append(row)
     for line in content['linear'][plant]:
-        rows.append([f'linear loop, R = {line["noise_variance_n2"]:g} N²', *(
+        rows.append([line['label'], *(
             'up to ' + ('100' if limit is None else f'{limit:.2f}')
             for limit in line['largest_ratio'])])
     return rows
@@ -220,7 +218,7 @@ def _panel(axes: Axes, content: dict[str, Any], plant: str, label: str) -> Any:
     for line, colour in zip(content['linear'][plant], COLOURS):
         limits = [np.nan if limit is None else limit for limit in line['largest_ratio']]
         axes.plot(np.repeat(limits, 2), np.repeat(levels, 2)[1:-1], color=colour, linewidth=1.6,
-                  label=f'linear loop, R = {line["noise_variance_n2"]:g} N²')
+                  label=line['label'])
     axes.set_xscale('log')
     axes.set_yticks(delays)
     return mesh

@@ -1,5 +1,8 @@
 """
-The force loops as they are on an arm: linear, sampled, with what the paper's model leaves out.
+All force loops of an arm together: linear, sampled, with what the paper's model leaves out.
+
+`linear_loop` is about one contact. Here the contacts act on each other through the arm, and the
+sensor weighs the tool, which on the PUMA decides as much as the rest.
 
 P04 eq. 32 takes the contact for k e^(-s T_d) / (s (s + K_2)). On the arm of eqs 23-26 more is
 added to it: the contact force itself accelerates the arm, and only its delayed estimate
@@ -12,7 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.linalg import block_diag, expm, solve_discrete_are
+from scipy.linalg import block_diag, expm
 
 from multicontact_control.arrays import Matrix, require_shape, Vector
 from multicontact_control.errors import ConfigError
@@ -56,33 +59,6 @@ class Surroundings:
         object.__setattr__(self, 'contacts', len(self.stiffness))
 
 
-def steady_gain(observer: ActiveObserver, noise_variance: float) -> Vector:
-    """
-    Return the Kalman gain that an observer settles at.
-
-    Parameters
-    ----------
-    observer
-        Its model and Q.
-    noise_variance
-        R, held [N^2].
-
-    Returns
-    -------
-    Vector
-        K = P_1 C^T / (C P_1 C^T + R) with P_1 from the algebraic Riccati equation (P04 eqs 39-40),
-        shape of the observer's state.
-
-    """
-    size = observer.Gamma.shape[0]
-    C = np.zeros((1, size))
-    C[0, 0] = 1.0
-    P_1 = solve_discrete_are(
-        observer.Phi_n.T, C.T, np.diag(observer.Q), np.array([[noise_variance]]))
-    gain: Vector = P_1[:, 0] / (P_1[0, 0] + noise_variance)
-    return gain
-
-
 def closed_loop(
     surroundings: Surroundings, observer: ActiveObserver, kalman_gain: Vector,
     damping_rate: float, period: float,
@@ -100,7 +76,7 @@ def closed_loop(
     observer
         Model and feedback, the same for every contact.
     kalman_gain
-        K, held, as from `steady_gain`.
+        K, held, as from `linear_loop.steady_gain`.
     damping_rate
         K_2 on the measured motion [1/s].
     period
