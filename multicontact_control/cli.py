@@ -179,6 +179,91 @@ def push_test(
         raise typer.Exit(EXIT_FAILED)
 
 
+@app.command()
+def compare(
+    quick: Annotated[bool, typer.Option(
+        '--quick', help='A reduced matrix: four estimators, one seed, no runs without active '
+        'state.')] = False,
+    plants: Annotated[str, typer.Option(
+        help='Plants, with commas between: presets or paths.')] = 'rigid,puma',
+    estimators: Annotated[str, typer.Option(
+        help='Noise estimators, with commas between; `window rescaled` is `window` with the same '
+        'R at rest as `lead_window`. All if not given.')] = '',
+    seeds: Annotated[int | None, typer.Option(
+        help='Number of seeds, from 0: 3, or 1 with --quick.')] = None,
+    jobs: Annotated[int, typer.Option(help='Runs at once; 0 for every core.')] = 0,
+    out: Annotated[Path, typer.Option(
+        help='Folder for the results. Runs that are finished there are not run again.',
+    )] = Path('runs/compare'),
+    overwrite: Annotated[bool, typer.Option(
+        '--overwrite', help='Run everything again.')] = False,
+) -> None:
+    """
+    Compare the noise estimators on the paper's disturbances, with and without the active state.
+
+    Writes comparison.json and comparison.html. Exit code 0, whatever the verdicts; 2: bad input.
+    """
+    from multicontact_control.experiment.comparing import compare_and_report, ComparisonRequest
+
+    with _errors_in_one_line():
+        compare_and_report(ComparisonRequest(
+            plants=_split(plants), estimators=_split(estimators), seeds=seeds, jobs=jobs,
+            quick=quick, out=out, overwrite=overwrite))
+
+
+@app.command('map')
+def robustness_map(
+    quick: Annotated[bool, typer.Option(
+        '--quick', help='Two estimators on plant `rigid`, a coarse grid.')] = False,
+    plants: Annotated[str, typer.Option(
+        help='Plants, with commas between; rigid,puma, or rigid with --quick.')] = '',
+    estimators: Annotated[str, typer.Option(
+        help='Noise estimators, with commas between. All if not given.')] = '',
+    jobs: Annotated[int, typer.Option(help='Runs at once; 0 for every core.')] = 0,
+    out: Annotated[Path, typer.Option(
+        help='Folder for the results. Runs that are finished there are not run again.',
+    )] = Path('runs/map'),
+    overwrite: Annotated[bool, typer.Option(
+        '--overwrite', help='Run everything again.')] = False,
+) -> None:
+    """
+    Map how wrong stiffness and delay may be, simulated and by the linear loop.
+
+    True stiffness 0.1 to 20 times the model's, actuator delay 0 to 3 periods. Writes
+    robustness.json, robustness.png and robustness.html.
+    """
+    from multicontact_control.experiment.comparing import map_and_report, MapRequest
+
+    with _errors_in_one_line():
+        map_and_report(MapRequest(
+            plants=_split(plants), estimators=_split(estimators), jobs=jobs, quick=quick,
+            out=out, overwrite=overwrite))
+
+
+@app.command()
+def report(
+    runs: Annotated[list[Path], typer.Argument(
+        metavar='RUN...', help='Folders of `run` or `simulate`.')],
+    comparison: Annotated[Path | None, typer.Option(
+        help='Folder of `compare`, for the claims that compare estimators.')] = None,
+    out: Annotated[Path | None, typer.Option(
+        help='Folder for report.html and the figures; the first run if not given.')] = None,
+) -> None:
+    """Judge recorded runs by the claims of the paper: report.html, and figures as PNG and PDF."""
+    from multicontact_control.experiment.comparison import read_comparison
+    from multicontact_control.experiment.load import load_run
+    from multicontact_control.experiment.report import write_report
+
+    with _errors_in_one_line():
+        content = read_comparison(comparison) if comparison is not None else None
+        paths = write_report([load_run(folder) for folder in runs], out or runs[0], content)
+    typer.echo(f'report in {paths[0]}, {len(paths) - 1} figures')
+
+
+def _split(text: str) -> tuple[str, ...]:
+    return tuple(part.strip() for part in text.split(',') if part.strip())
+
+
 @contextmanager
 def _errors_in_one_line() -> Iterator[None]:
     try:

@@ -10,7 +10,9 @@ from rich.console import Console
 
 from multicontact_control.errors import RunError
 from multicontact_control.experiment.bag import BagContent, read_bag
+from multicontact_control.experiment.claims import judge_claims
 from multicontact_control.experiment.display import progress_bar, summary_table, verdict_lines
+from multicontact_control.experiment.evidence import evidence_of
 from multicontact_control.experiment.figures import draw_figures
 from multicontact_control.experiment.loop import run_in_process
 from multicontact_control.experiment.metrics import percentiles, summarise
@@ -141,7 +143,10 @@ def graph_timing(
 def _finish(
     data: RunData, setup: Setup, folder: Path, summary: dict[str, Any], console: Console,
 ) -> dict[str, Any]:
-    """Write figures and summary and show the table."""
+    """Judge the claims, write figures and summary, show the table."""
+    ended = [text for text in summary['instabilities'] if text.startswith('tick ')]
+    evidence = evidence_of(data, setup, ended[0] if ended else '')
+    summary['claims'] = [claim.to_json() for claim in judge_claims(evidence)]
     draw_figures(data, setup, folder / FIGURE_FOLDER)
     write_json(folder / SUMMARY_FILE, summary)
     console.print(summary_table(summary))
