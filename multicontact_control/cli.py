@@ -81,6 +81,8 @@ def run(
     domain_id: Annotated[int | None, typer.Option(
         help='ROS_DOMAIN_ID of the graph; that of the environment, or the first one without '
         'participants on this machine, if not given.')] = None,
+    namespace: Annotated[str, typer.Option(
+        help='Namespace of the graph, e.g. `left`: two graphs can then share one domain.')] = '',
 ) -> None:
     """
     Run a scenario on the ROS 2 graph, record it to MCAP and report it.
@@ -89,10 +91,12 @@ def run(
     them together, then draws the figures from the bag. Exit code 0: stable; 1: not stable or a
     node died; 2: bad input; 128 + n: ended by signal n.
     """
+    from multicontact_control.experiment.domain import check_namespace
     from multicontact_control.experiment.results import prepare_folder
     from multicontact_control.experiment.scenario import resolve
 
     with _errors_in_one_line():
+        namespace = check_namespace(namespace)
         setup = resolve(scenario, plant=plant, seed=seed, duration=duration)
         folder = prepare_folder(
             out, setup.scenario.name, overwrite=overwrite, now=datetime.now())
@@ -100,7 +104,7 @@ def run(
         from multicontact_control.experiment.run import run_real_time
 
         summary, interrupted = run_real_time(
-            setup, folder, lockstep=lockstep, domain_id=domain_id)
+            setup, folder, lockstep=lockstep, domain_id=domain_id, namespace=namespace)
     if interrupted is not None:
         raise typer.Exit(EXIT_SIGNAL + interrupted)
     _end(summary)

@@ -49,7 +49,8 @@ def test_simulate_that_is_not_stable_exits_with_one(tmp_path):
 @pytest.mark.parametrize(('arguments', 'message'), [
     (('simulate', '--scenario', 'papper'), 'scenario: expected one of'),
     (('simulate', '--plant', 'x'), "plant: expected one of rigid, puma, or a path, found 'x'"),
-    (('run', '--seed', '-3'), 'seed: expected a whole number >= 0, found -3')])
+    (('run', '--seed', '-3'), 'seed: expected a whole number >= 0, found -3'),
+    (('run', '--namespace', '1st'), 'namespace: expected names of letters, digits and _')])
 def test_bad_input_exits_with_two_and_one_line(tmp_path, arguments, message):
     """Field, expectation and finding; nothing is left behind."""
     done = _multicontact(*arguments, cwd=tmp_path)
