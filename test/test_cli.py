@@ -60,7 +60,8 @@ def test_bad_input_exits_with_two_and_one_line(tmp_path, arguments, message):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize('command', [(), ('run',), ('simulate',)])
+@pytest.mark.parametrize('command', [
+    (), ('run',), ('simulate',), ('topics',), ('echo',), ('record',)])
 def test_help_teaches(command):
     """Every command explains itself."""
     done = _multicontact(*command, '--help')
