@@ -20,7 +20,6 @@ from multicontact_control.tools.onlooker import (
 
 DEPTH = 1000
 DISCOVERY_PERIOD, FLUSH_PERIOD = 0.1, 0.5
-QUIET_TIME, DRAIN_TIMEOUT = 0.2, 3.0
 
 
 def record(
@@ -75,7 +74,7 @@ def record(
                 writer.flush()
                 next_flush = now + FLUSH_PERIOD
             time.sleep(POLL_PERIOD)
-        recording.drain_until_quiet(QUIET_TIME, DRAIN_TIMEOUT, POLL_PERIOD)
+        recording.drain()  # what came before the interrupt; others may publish for ever
         for stream in recording.streams.values():
             if stream.lost:
                 say(f"{stream.lost} messages of '{stream.name}' were lost")

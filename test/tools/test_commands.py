@@ -90,10 +90,17 @@ def multicontact(chatter, tmp_path):
 
 
 def test_topics_lists_names_and_types_but_nothing_hidden(multicontact):
-    output, errors = multicontact('topics').communicate(timeout=60)
-    assert {'/left/forces [sensor_msgs/msg/JointState]',
-            '/description [std_msgs/msg/String]'} <= set(output.splitlines()), errors
-    assert 'hidden' not in output
+    listed = []
+
+    def complete():
+        output, errors = multicontact('topics').communicate(timeout=60)
+        assert errors == ''
+        listed[:] = output.splitlines()
+        return {'/left/forces [sensor_msgs/msg/JointState]',
+                '/description [std_msgs/msg/String]'} <= set(listed)
+
+    wait_for(complete, 'nodes found')
+    assert not [line for line in listed if 'hidden' in line]
 
 
 def test_echo_finds_the_type_and_prints_until_interrupted(multicontact):
