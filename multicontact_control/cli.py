@@ -5,14 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import datetime
+import os
 from pathlib import Path
+import sys
 from typing import Annotated, Any
 
 from rich.console import Console
 import typer
 
 from multicontact_control import __version__
-from multicontact_control.errors import ConfigError, MulticontactError
+from multicontact_control.errors import ConfigError, MulticontactError, RunError
 
 EXIT_FAILED = 1
 EXIT_USAGE = 2
@@ -90,6 +92,8 @@ def run(
     domain_id: Annotated[int | None, typer.Option(
         help='ROS_DOMAIN_ID of the graph; that of the environment, or the first one without '
         'participants on this machine, if not given.')] = None,
+    namespace: Annotated[str, typer.Option(
+        help='Namespace of the graph, e.g. `left`: two graphs can then share one domain.')] = '',
 ) -> None:
     """
     Run a scenario on the ROS 2 graph, record it to MCAP and report it.
@@ -98,10 +102,12 @@ def run(
     them together, then draws the figures from the bag. Exit code 0: stable; 1: not stable or a
     node died; 2: bad input; 128 + n: ended by signal n.
     """
+    from multicontact_control.experiment.domain import check_namespace
     from multicontact_control.experiment.results import prepare_folder
     from multicontact_control.experiment.scenario import resolve
 
     with _errors_in_one_line():
+        namespace = check_namespace(namespace)
         setup = resolve(
             scenario, plant=plant, seed=seed, duration=duration,
             noise_estimator={'estimator': noise_estimator} if noise_estimator else None)
@@ -111,7 +117,7 @@ def run(
         from multicontact_control.experiment.run import run_real_time
 
         summary, interrupted = run_real_time(
-            setup, folder, lockstep=lockstep, domain_id=domain_id)
+            setup, folder, lockstep=lockstep, domain_id=domain_id, namespace=namespace)
     if interrupted is not None:
         raise typer.Exit(EXIT_SIGNAL + interrupted)
     _end(summary)
@@ -262,6 +268,92 @@ def report(
 
 def _split(text: str) -> tuple[str, ...]:
     return tuple(part.strip() for part in text.split(',') if part.strip())
+
+
+DomainId = Annotated[int | None, typer.Option(
+    help='ROS_DOMAIN_ID to look at; that of the environment, or 0, if not given.')]
+
+
+@app.command()
+def topics(
+    wait: Annotated[float, typer.Option(
+        help='How long to wait for nodes to answer [s].', min=0.0)] = 1.0,
+    domain_id: DomainId = None,
+) -> None:
+    """List the topics of a running graph with their types, like `ros2 topic list -t`."""
+    with _errors_in_one_line():
+        _require_ros()
+        from multicontact_control.tools.echo import list_topics
+
+        for line in list_topics(wait, domain_id):
+            typer.echo(line)
+
+
+@app.command()
+def echo(
+    topic: Annotated[str, typer.Argument(help='Topic, e.g. /contact_forces/measured.')],
+    field: Annotated[str, typer.Option(
+        help='Show only this field, e.g. `effort` or `header.stamp`.')] = '',
+    once: Annotated[bool, typer.Option(
+        '--once', help='End after one message.')] = False,
+    full_length: Annotated[bool, typer.Option(
+        '--full-length', '-f', help='Show lists and strings beyond 128 entries in full.')] = False,
+    timeout: Annotated[float, typer.Option(
+        help='Longest wait for a publisher [s].', min=0.0)] = 5.0,
+    domain_id: DomainId = None,
+) -> None:
+    """
+    Print the messages of a topic, like `ros2 topic echo`.
+
+    The type is found from the graph. YAML documents, `---` after each; Ctrl-C ends it. Exit code
+    1: nobody publishes the topic or its type is not installed; 2: there is no such field.
+    """
+    with _errors_in_one_line():
+        _require_ros()
+        from multicontact_control.tools.echo import echo as run_echo
+
+        try:
+            run_echo(topic, lambda text: print(text, flush=True), field=field, once=once,
+                     full_length=full_length, timeout=timeout, domain_id=domain_id)
+        except BrokenPipeError:
+            # Whoever read it has had enough; nor may the last flush complain.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+@app.command()
+def record(
+    topics: Annotated[list[str] | None, typer.Argument(
+        help='Topics to record, e.g. /joint_states /tf; now or as soon as they appear.')] = None,
+    all_topics: Annotated[bool, typer.Option(
+        '--all', '-a', help='Record every topic that is not hidden.')] = False,
+    output: Annotated[Path | None, typer.Option(
+        '--output', '-o', help='Folder of the bag, to be created; rosbag2_<date>-<time> if not '
+        'given.')] = None,
+    domain_id: DomainId = None,
+) -> None:
+    """
+    Record topics to a rosbag2 folder (MCAP), like `ros2 bag record`.
+
+    Messages of any installed type are stored as they come over the wire. Ctrl-C ends it and
+    closes the bag.
+    """
+    with _errors_in_one_line():
+        if bool(topics) == all_topics:
+            raise ConfigError('topics', 'either names or --all', 'both' if topics else 'neither')
+        _require_ros()
+        from multicontact_control.tools.record import record as run_record
+
+        folder = output or Path(f'rosbag2_{datetime.now():%Y_%m_%d-%H_%M_%S}')
+        run_record(topics or [], folder, lambda line: print(line, flush=True),
+                   domain_id=domain_id)
+
+
+def _require_ros() -> None:
+    try:
+        import rclpy  # noqa: F401
+    except ImportError as error:
+        raise RunError(f'ROS 2 (rclpy) cannot be loaded: {error}; install the extra [ros] or '
+                       'source a ROS 2 Jazzy') from None
 
 
 @contextmanager

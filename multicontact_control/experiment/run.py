@@ -63,7 +63,7 @@ def run_simulate(setup: Setup, folder: Path, console: Console | None = None) -> 
 
 def run_real_time(
     setup: Setup, folder: Path, *, lockstep: bool = False, domain_id: int | None = None,
-    console: Console | None = None,
+    namespace: str = '', console: Console | None = None,
 ) -> tuple[dict[str, Any], int | None]:
     """
     Run a scenario on the ROS 2 graph, record it, and leave its results in a folder.
@@ -78,6 +78,8 @@ def run_real_time(
         Whether the nodes wait for each other instead of for the wall clock.
     domain_id
         ROS_DOMAIN_ID of the graph.
+    namespace
+        Namespace of the graph.
     console
         Where progress and the table are shown.
 
@@ -103,7 +105,7 @@ def run_real_time(
     spec = GraphSpec(
         out=folder, ticks=setup.ticks, rate=setup.controller.rate, lockstep=lockstep,
         seed=setup.seed, reference_file=config / 'reference.yaml', domain_id=domain_id,
-        parameter_files={
+        namespace=namespace, parameter_files={
             'controller_node': config / 'controller.yaml', 'sim_node': config / 'plant.yaml',
             'noise_estimator_node': config / 'noise_estimator.yaml'})
     with progress_bar(f'run {setup.scenario.name}', setup.scenario.duration, console) as show:

@@ -14,7 +14,7 @@ from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 
 from multicontact_control.arrays import Vector
-from multicontact_control.config import ControllerConfig, parameter, read_yaml, validate
+from multicontact_control.config import ControllerConfig, parameter, read_yaml, Real, validate
 from multicontact_control.control.controller import Controller, ControlOutput, Measurement
 from multicontact_control.control.reference import (
     CommandedReference,
@@ -25,6 +25,8 @@ from multicontact_control.control.reference import (
 from multicontact_control.control.sensor.front_end import SensorFrontEnd
 from multicontact_control.errors import MulticontactError
 from multicontact_control.nodes import messages, topics
+from multicontact_control.nodes.contact_markers import ContactMarkers
+from multicontact_control.nodes.effort_output import EffortOutput
 from multicontact_control.nodes.graph_node import (
     create_publisher,
     create_subscription,
@@ -50,6 +52,13 @@ class ControllerNodeConfig(StartupConfig):
         '', 'YAML file of a scenario or its reference; empty to obey the command topics.')
     base_dir: str = parameter(
         '', 'Folder that relative paths start from; empty for that of the parameter file.')
+    effort_output_topic: str = parameter(
+        '', 'Topic for the bare efforts (std_msgs/Float64MultiArray) that the forward '
+        'controllers of ros2_control take; empty for none.')
+    marker_rate: Real = parameter(
+        25.0, 'Contact markers per second; 0 for none.', unit='Hz', ge=0.0)
+    marker_scale: Real = parameter(
+        0.01, 'Length of the arrow of a contact force.', unit='m/N', gt=0.0)
 
 
 class ControllerNode(Node):
@@ -79,6 +88,10 @@ class ControllerNode(Node):
         self._outputs = {
             topic: create_publisher(self, topic)
             for topic in topics.published_by(topics.CONTROLLER)}
+        self._effort_output = EffortOutput(
+            self, self._outputs[topics.EFFORT_COMMAND], node_config.effort_output_topic)
+        self._markers = ContactMarkers(
+            config, rate=node_config.marker_rate, scale=node_config.marker_scale)
         self._gate = StartupGate(self, self._outputs, self._subscribe(), node_config)
 
     def _make_reference(self, base_dir: Path) -> ReferenceSource:
@@ -192,7 +205,7 @@ class ControllerNode(Node):
         if sample.stamp == self._last_stamp:
             self._waiting = None
             if self._last_command is not None:
-                self._outputs[topics.EFFORT_COMMAND].publish(self._last_command)
+                self._effort_output.publish(self._last_command)
             return
         if sample.stamp < self._last_stamp:
             self.get_logger().warning('samples start anew: the controller starts anew')
@@ -220,9 +233,12 @@ class ControllerNode(Node):
             sample.stamp, self._joint_names, effort=output.torque)
         self._step_times.add(time.perf_counter_ns() - start)
         # The command first: everything else can wait, the robot cannot.
-        self._outputs[topics.EFFORT_COMMAND].publish(command)
+        self._effort_output.publish(command)
         self._last_command = command
         self._publish_state(sample.stamp, output)
+        if self._markers.due(tick):
+            self._outputs[topics.CONTACT_MARKERS].publish(self._markers.message(
+                sample.stamp, WORLD_FRAME, output.pose, output.alpha_meas, output.active))
 
     def _publish_state(self, stamp: int, output: ControlOutput) -> None:
         names = self._config.contact_names

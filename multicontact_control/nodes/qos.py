@@ -33,6 +33,12 @@ COMMAND = _profile(10)
 RECORDING = _profile(5000)
 """The recorder: 10 s at 500 Hz, so that a slow disk or a busy machine costs nothing."""
 
+RECORDING_LATCHED = _profile(10, latched=True)
+"""The recorder, of descriptions: also what was said before it came."""
+
+DISPLAY = _profile(25)
+"""For viewers: 1 s at 25 Hz, reliable so that the recording has them all."""
+
 GLANCE = _profile(1, reliable=False)
 """Progress displays: only the newest value counts, and the sender must not wait for it."""
 
