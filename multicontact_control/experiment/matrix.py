@@ -172,7 +172,4 @@ def _cause_variants(config: PlantConfig, quick: bool) -> list[Variant]:
             ('fixed, K_2 = 30 1/s', CAUSE, {'estimator': 'fixed'},
              {'force': {'damping_rate': 30.0}}, {}),
             ('fixed, T_d = 2 ms', CAUSE, {'estimator': 'fixed'},
-             {'force': {'input_delay': 0.002}}, {}),
-            ('fixed, drives 10 x as stiff', CAUSE, {'estimator': 'fixed'}, {},
-             {'drive_stiffness': [10.0 * k for k in config.drive_stiffness],
-              'drive_damping': [10.0 ** 0.5 * d for d in config.drive_damping]})]
+             {'force': {'input_delay': 0.002}}, {})]

@@ -143,7 +143,11 @@ def envelope(time: Vector, values: Vector, buckets: int) -> tuple[list[float], l
 
 
 def corners(time: Vector, values: Vector) -> tuple[list[float], list[float]]:
-    """Return a series of steps by its ends and the two sides of every step."""
+    """Return a series of steps by its ends and the two sides of every step, finite ones only."""
+    known = np.isfinite(values)
+    time, values = time[known], values[known]
+    if not len(values):
+        return [], []
     jumps = np.flatnonzero(np.diff(values) != 0.0)
     kept = sorted({0, len(values) - 1, *jumps.tolist(), *(jumps + 1).tolist()})
     return [round(float(time[k]), 4) for k in kept], [_short(float(values[k])) for k in kept]

@@ -61,7 +61,7 @@ def _forces(run: LoadedRun, i: int) -> list[dict[str, Any]]:
     return [_line(data.time, data.alpha_meas[:, i], 'measured', MEASURED),
             _line(data.time, data.alpha_true[:, i], 'true', TRUE),
             _line(data.time, data.alpha_est[:, i], 'estimated (AOB)', ESTIMATED),
-            _line(data.time, np.nan_to_num(data.alpha_des[:, i]), 'commanded', COMMANDED,
+            _line(data.time, data.alpha_des[:, i], 'commanded', COMMANDED,
                   steps=True, dash='dash')]
 
 
