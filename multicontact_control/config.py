@@ -176,6 +176,12 @@ class ContactStateConfig(Config):
         1.5, 'Measured force that counts as touch.', unit='N', gt=0.0, le=100.0)
     release_threshold: Real = parameter(
         0.5, 'Measured force below which a contact may be lost.', unit='N', ge=0.0, le=100.0)
+    release_fraction: Real = parameter(
+        0.3, 'The same relative to the force it was held with or is to have, whichever is less: '
+        'a tool that falls after its surface reads its own inertia.', ge=0.0, lt=1.0)
+    escape_speed: Real = parameter(
+        0.1, 'Speed of the contact point into its surface that only a lost one reaches.',
+        unit='m/s', gt=0.0, le=5.0)
     preload: Real = parameter(
         2.0, 'Desired force from touch until the contact holds.', unit='N', gt=0.0, le=100.0)
     force_rate: Real = parameter(
@@ -184,12 +190,12 @@ class ContactStateConfig(Config):
     impact_time: Real = parameter(
         0.05, 'Least time in contact from touch to holding.', unit='s', ge=0.0, le=1.0)
     loss_time: Real = parameter(
-        0.02, 'Time below the release threshold until a contact is lost.', unit='s', ge=0.0,
+        0.004, 'Time below the release threshold until a contact is lost.', unit='s', ge=0.0,
         le=1.0)
     lost_time: Real = parameter(
         0.05, 'Least time from loss to a new approach.', unit='s', ge=0.0, le=10.0)
     braking: Real = parameter(
-        2.0, 'Acceleration that brakes a tip that has lost its surface, or pulls it back.',
+        5.0, 'Acceleration that brakes a tip that has lost its surface, or pulls it back.',
         unit='m/s^2', gt=0.0, le=50.0)
     force_ceiling: Real = parameter(
         60.0, 'Measured force at which a contact is left.', unit='N', gt=0.0, le=1000.0)
@@ -198,7 +204,7 @@ class ContactStateConfig(Config):
     retract_speed: Real = parameter(
         0.05, 'Speed on that way.', unit='m/s', gt=0.0, le=0.25)
     blend_time: Real = parameter(
-        0.02, 'Time constant by which a change of active contacts, or of the law, is blended.',
+        0.003, 'Time constant by which a change of active contacts, or of the law, is blended.',
         unit='s', gt=0.0, le=1.0)
     energy_limit: Real = parameter(
         0.5, 'Energy a contact may take up beyond what it stores, within energy_memory.',

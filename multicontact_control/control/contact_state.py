@@ -26,6 +26,8 @@ class ContactState(Enum):
 
 
 ACTIVE = (ContactState.IMPACT, ContactState.HOLDING)
+LEVEL_TIME = 0.1  # s, over which the force a contact is held with is averaged
+TOUCH_SHARE = 0.5  # of the force before a loss, that counts as touch right after it
 POSITION_RATE = 20.0  # 1/s, of the way left: how a displacement settles
 
 
@@ -69,7 +71,7 @@ class ContactMachine:
         self.force_limit = 0.0
         self.losses = 0
         self._in_state = 0.0
-        self._below = 0.0
+        self._below = self._level = 0.0
         self._origin: float | None = None  # where the surface was, if it was ever met
         self._start = 0.0
         self._target = 0.0
@@ -123,14 +125,16 @@ class ContactMachine:
 
         """
         self._in_state += self._period
-        self._switch(wanted, alpha, place, speed)
+        self._switch(wanted, alpha, alpha_des, place, speed)
         if self.active:
             self.acceleration = 0.0
             self._raise_force_limit(alpha_des)
         else:
             self._move()
 
-    def _switch(self, wanted: bool, alpha: float, place: float, speed: float) -> None:
+    def _switch(
+        self, wanted: bool, alpha: float, alpha_des: float, place: float, speed: float,
+    ) -> None:
         config, state = self._config, self.state
         if alpha > config.force_ceiling and state is not ContactState.RETRACTING:
             self._retract(place, speed)
@@ -139,7 +143,7 @@ class ContactMachine:
         elif state is ContactState.FREE:
             self._approach(self.displacement)
         elif self.active:
-            self._watch_hold(alpha, place, speed)
+            self._watch_hold(alpha, alpha_des, place, speed)
         elif state is ContactState.RETRACTING:
             if abs(self._target - self.displacement) < 1e-4:
                 self._enter(ContactState.GIVEN_UP)
@@ -147,11 +151,13 @@ class ContactMachine:
             self._watch_search(alpha)
 
     def _watch_search(self, alpha: float) -> None:
-        config = self._config
-        if alpha > config.contact_threshold:
+        config, threshold = self._config, self._config.contact_threshold
+        if self.state is ContactState.LOST:  # a tool that is being braked reads its own inertia
+            threshold = max(2.0 * threshold, TOUCH_SHARE * self._level)
+        if alpha > threshold:
             again = self._origin is not None
             self.force_limit = max(alpha, config.preload) if again else config.preload
-            self._below = 0.0
+            self._below = self._level = 0.0
             self._enter(ContactState.IMPACT)
         elif self.state is ContactState.LOST:
             if self._in_state >= config.lost_time and (
@@ -162,14 +168,19 @@ class ContactMachine:
             self._target = self._start
             self._enter(ContactState.GIVEN_UP)
 
-    def _watch_hold(self, alpha: float, place: float, speed: float) -> None:
-        config = self._config
-        if alpha >= config.release_threshold:
+    def _watch_hold(
+        self, alpha: float, alpha_des: float, place: float, speed: float,
+    ) -> None:
+        config, h = self._config, self._period
+        threshold = max(config.release_threshold,
+                        config.release_fraction * min(self._level, alpha_des, self.force_limit))
+        if alpha >= threshold:
             self._below = 0.0
             self._origin = place
+            self._level += h / (LEVEL_TIME + h) * (alpha - self._level)
         else:
-            self._below += self._period
-        if self._below > config.loss_time + 1e-9:
+            self._below += h
+        if self._below > config.loss_time + 1e-9 or speed > config.escape_speed:
             self.losses += 1
             self._leave_surface(place, speed)
             self._enter(ContactState.LOST)
