@@ -8,6 +8,7 @@ from multicontact_control.arrays import Matrix, require_shape, Vector
 from multicontact_control.errors import ContactGeometryError
 
 MIN_INDEPENDENCE = 1e-6
+MAX_CONTACTS = 6  # as many as a wrench has components
 
 
 def contact_normals(normals_world: Matrix, levers_world: Matrix) -> Matrix:

@@ -1,37 +1,34 @@
-"""The composed control law: from joint state, wrist wrench and noise variance to torque."""
+"""
+The composed control law: from joint state, wrist wrench and noise variance to torque.
+
+The arithmetic is in `kernels`, compiled; here is what surrounds it.
+"""
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from multicontact_control.arrays import Mask, Matrix, require_shape, Vector
+from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.config import ControllerConfig
-from multicontact_control.contact.geometry import (
-    contact_coordinates,
-    contact_normals,
-    operational_stiffness,
-)
-from multicontact_control.contact.projections import (
-    allocate_force,
-    contact_rates,
-    euclidean_projections,
-    inertia_projections,
-    Projections,
-)
-from multicontact_control.control.motion import motion_acceleration
-from multicontact_control.control.reference import Reference, ReferenceSource
-from multicontact_control.control.wrench import contact_wrench
-from multicontact_control.dynamics.operational_space import (
-    joint_torque,
-    operational_space,
-    OperationalSpace,
-)
+from multicontact_control.contact.geometry import MAX_CONTACTS, operational_stiffness
+from multicontact_control.control.buffers import Buffers, constants_of
+from multicontact_control.control.kernels import control_law, measure_contacts, OK, SINGULAR
+from multicontact_control.control.reference import ReferenceSource
+from multicontact_control.dynamics.operational_space import task_inertia
 from multicontact_control.dynamics.pose import Pose
-from multicontact_control.dynamics.robot import RobotModel, RobotState
+from multicontact_control.dynamics.robot import LiveTerms, RobotModel
+from multicontact_control.errors import (
+    ConfigError,
+    ContactGeometryError,
+    MulticontactError,
+    SingularTaskError,
+)
 from multicontact_control.force.active_observer import ActiveObserver
+from multicontact_control.force.observer_bank import ObserverBank
 from multicontact_control.force.plant_model import design_force_loop
 
 
@@ -71,6 +68,9 @@ class ControlOutput:
         force is controlled.
     active
         Which contacts are force controlled, shape (r,).
+    innovation, prior_variance, variance_used
+        Of each observer: measured minus predicted force [N], the variance that the prediction
+        had, and R [N^2], shape (r,); 0 where not active and for a contact's first sample.
     pose, pose_des
         Present and desired pose of the operational frame.
 
@@ -82,6 +82,9 @@ class ControlOutput:
     alpha_rate_est: Vector
     alpha_des: Vector
     active: Mask
+    innovation: Vector
+    prior_variance: Vector
+    variance_used: Vector
     pose: Pose
     pose_des: Pose
 
@@ -92,6 +95,8 @@ class Controller:
 
     F = Lambda (Omega_m f_t* + Omega_f f_c*) + mu + p + f_c_hat, Gamma = J^T F (eqs 24-26).
 
+    Everything is compiled when a controller is made; no step waits for it.
+
     Parameters
     ----------
     config
@@ -101,24 +106,27 @@ class Controller:
     reference
         What to do.
 
+    Raises
+    ------
+    ConfigError
+        If there are more contacts than one wrist sensor can tell apart.
+
     """
 
     def __init__(
         self, config: ControllerConfig, robot: RobotModel, reference: ReferenceSource,
     ) -> None:
+        if len(config.contact_names) > MAX_CONTACTS:
+            raise ConfigError('contact_names', f'at most {MAX_CONTACTS} contacts, as many as a '
+                              'wrench has components', len(config.contact_names))
         self.config = config
         self.robot = robot
         self._reference = reference
-        contacts = [config.contacts[name] for name in config.contact_names]
-        self._normals_world = np.array([contact.normal_world for contact in contacts])
-        self._points_operational = np.array([contact.point_operational for contact in contacts])
-        self._gravity_world = np.array(config.robot.gravity_world)
-        self._torque_limit = np.array(config.torque_limit) if config.torque_limit else np.full(
-            robot.joint_count, np.inf)
-        none = np.zeros(robot.joint_count)
-        self._coulomb = np.array(config.friction.coulomb) if config.friction.coulomb else none
-        self._viscous = np.array(config.friction.viscous) if config.friction.viscous else none
+        self._joints, self._contacts = robot.joint_count, len(config.contact_names)
+        self._constants = constants_of(config, self._joints)
+        self._buffers = Buffers(self._joints, self._contacts)
         self.reset()
+        self._warm_up()
 
     @classmethod
     def from_config(
@@ -137,8 +145,7 @@ class Controller:
 
     def reset(self) -> None:
         """Forget everything measured; the next sample starts anew."""
-        self._observers: list[ActiveObserver] = []
-        self._active: Mask = np.zeros(len(self.config.contact_names), dtype=bool)
+        self._observers: ObserverBank | None = None
 
     def step(self, measurement: Measurement, noise_variance: Vector) -> ControlOutput:
         """
@@ -166,48 +173,77 @@ class Controller:
             If the contacts' normals are not independent.
 
         """
-        require_shape('noise_variance', noise_variance, self._active.shape)
-        state = self.robot.update(measurement.q, measurement.qd)
-        levers = -self._points_operational @ state.pose.rotation_world.T
-        N_all = contact_normals(self._normals_world, levers)
-        wrench = contact_wrench(
-            measurement.wrench_sensor, state.sensor_pose, state.pose.position_world,
-            self.config.tool, self._gravity_world)
-        alpha_meas = contact_coordinates(N_all, wrench)
-        if not self._observers:
-            self._observers = self._design_observers(levers)
-            self._reference.start(state.pose, self._normals_world)
+        buffers = self._buffers
+        buffers.take_sample(
+            measurement.q, measurement.qd, measurement.wrench_sensor, noise_variance)
+        terms = self.robot.compute(buffers.q, buffers.qd)
+        alpha_meas = self._measure(terms)
+        pose = Pose(terms.position_world.copy(), terms.rotation_world.copy())
+        observers = self._observers
+        if observers is None:
+            observers = self._observers = self._design_observers(pose.rotation_world)
+            self._reference.start(pose, self._constants.normals_world)
         reference = self._reference.update(measurement.time, alpha_meas)
-        self._follow_active_set(reference.active, alpha_meas)
-        space = operational_space(state)
-        N = N_all[:, self._active]
-        acceleration = self._acceleration(
-            state, space, reference, N, self._force_inputs(reference, alpha_meas, noise_variance))
-        alpha_est = self._estimates(0)
-        force = (space.Lambda @ acceleration + space.mu + space.p + N @ alpha_est[self._active])
-        torque = joint_torque(
-            force, state, space, nullspace_damping=self.config.nullspace_damping)
-        torque += self._friction(measurement.qd)
+        buffers.take_reference(reference)
+        torque, report = self._decide(terms, observers, alpha_meas)
+        alpha_est, alpha_rate_est, innovation, prior_variance, variance_used = report
         return ControlOutput(
-            torque=np.clip(torque, -self._torque_limit, self._torque_limit),
-            alpha_meas=alpha_meas, alpha_est=alpha_est, alpha_rate_est=self._estimates(1),
-            alpha_des=reference.alpha_des.copy(), active=self._active.copy(), pose=state.pose,
-            pose_des=reference.pose_des)
+            torque, alpha_meas, alpha_est, alpha_rate_est, buffers.alpha_des.copy(),
+            buffers.active.copy(), innovation, prior_variance, variance_used, pose,
+            reference.pose_des)
 
-    def _friction(self, qd: Vector) -> Vector:
-        """Return the torque that the joints' friction is expected to take, shape (n,) [N m]."""
-        friction: Vector = self._coulomb * np.tanh(qd / self.config.friction.speed)
-        return friction + self._viscous * qd
+    def _measure(self, terms: LiveTerms) -> Vector:
+        """Return the measured contact forces; N is in the buffers then."""
+        constants, buffers = self._constants, self._buffers
+        alpha_meas = np.empty(self._contacts)
+        if not measure_contacts(
+                buffers.wrench_sensor, terms.sensor_rotation_world, terms.sensor_position_world,
+                terms.rotation_world, terms.position_world, constants.tool,
+                constants.normals_world, constants.points_operational, constants.measured,
+                buffers.normal_rows, alpha_meas):
+            raise self._dependent_contacts()
+        return alpha_meas
 
-    def _design_observers(self, levers: Matrix) -> list[ActiveObserver]:
+    def _decide(
+        self, terms: LiveTerms, observers: ObserverBank, alpha_meas: Vector,
+    ) -> tuple[Vector, Matrix]:
+        """Return the joint torque and what the observers report."""
+        constants, buffers = self._constants, self._buffers
+        torque, report = np.empty(self._joints), np.empty((5, self._contacts))
+        status = control_law(
+            terms.mass_matrix, terms.bias_torque, terms.jacobian, terms.jacobian_rate, buffers.qd,
+            terms.position_world, terms.rotation_world, buffers.position_des,
+            buffers.rotation_des, buffers.twist_des, buffers.acceleration_des,
+            buffers.normal_rows, buffers.active, alpha_meas, buffers.alpha_des,
+            buffers.noise_variance, constants.gains, constants.inertia_metric,
+            constants.decoupled, constants.joints, *observers.arrays, report, torque)
+        if status == OK:
+            return torque, report
+        if status == SINGULAR:
+            state = self.robot.update(buffers.q, buffers.qd)
+            task_inertia(state.mass_matrix, state.jacobian)  # says what is wrong
+            raise SingularTaskError('J M^-1 J^T: expected a positive definite matrix')
+        raise self._dependent_contacts()
+
+    def _dependent_contacts(self) -> MulticontactError:
+        if not np.isfinite(self._buffers.q).all():
+            return SingularTaskError(
+                f'joint positions: expected finite numbers, found {self._buffers.q.tolist()}')
+        return ContactGeometryError(
+            'N: expected independent columns, found normals and contact points of '
+            f'{", ".join(self.config.contact_names)} that depend on each other')
+
+    def _design_observers(self, rotation_world: Matrix) -> ObserverBank:
         """Design one AOB per contact for the geometry of the first sample."""
         force = self.config.force
         observers = []
-        for name, normal, lever in zip(self.config.contact_names, self._normals_world, levers):
+        for name, normal, point in zip(
+                self.config.contact_names, self._constants.normals_world,
+                self._constants.points_operational):
             k_env = self.config.contacts[name].stiffness
             # `decoupled` drives the contact point itself, `paper` the coordinate along N_i.
             stiffness = k_env if force.allocation == 'decoupled' else operational_stiffness(
-                k_env, normal, lever)
+                k_env, normal, -rotation_world @ point)
             loop = design_force_loop(
                 stiffness, damping_rate=force.damping_rate, input_delay=force.input_delay,
                 period=self.config.period, time_constant=force.time_constant,
@@ -215,46 +251,17 @@ class Controller:
             observers.append(ActiveObserver(
                 loop, order=force.active_state_order, process_noise=force.process_noise,
                 initial_covariance=force.initial_covariance))
-        return observers
+        return ObserverBank(observers, force.initial_covariance)
 
-    def _follow_active_set(self, active: Mask, alpha_meas: Vector) -> None:
-        """Start the observer of every contact that has just become force controlled."""
-        for i in np.flatnonzero(active & ~self._active):
-            self._observers[i].reset(float(alpha_meas[i]))
-        self._active = active.copy()
-
-    def _force_inputs(
-        self, reference: Reference, alpha_meas: Vector, noise_variance: Vector,
-    ) -> Vector:
-        """Return u of every active contact (P04 eq. 36)."""
-        inputs = []
-        for i in np.flatnonzero(self._active):
-            observer = self._observers[i]
-            observer.update(float(alpha_meas[i]), float(noise_variance[i]))
-            inputs.append(observer.command(float(reference.alpha_des[i])))
-        return np.array(inputs)
-
-    def _acceleration(
-        self, state: RobotState, space: OperationalSpace, reference: Reference, N: Matrix,
-        inputs: Vector,
-    ) -> Vector:
-        """Return Omega_m f_t* + Omega_f f_c* (P04 eq. 27)."""
-        force = self.config.force
-        projections = self._projections(N, space)
-        f_t = motion_acceleration(self.config.motion, reference, state.pose, state.twist_world)
-        rates = contact_rates(N, state.twist_world, force.allocation)
-        alpha_star = inputs - force.damping_rate * rates
-        f_c = allocate_force(N, alpha_star, force.allocation)
-        acceleration: Vector = projections.Omega_m @ f_t + projections.Omega_c @ f_c
-        return acceleration
-
-    def _projections(self, N: Matrix, space: OperationalSpace) -> Projections:
-        if self.config.force.projection == 'inertia':
-            return inertia_projections(N, space.Lambda)
-        return euclidean_projections(N)
-
-    def _estimates(self, derivative: int) -> Vector:
-        """Return alpha (0) or its rate (1) as the observers of the active contacts see it."""
-        return np.array([
-            observer.x_est[derivative] if active else 0.0
-            for observer, active in zip(self._observers, self._active)])
+    def _warm_up(self) -> None:
+        """Call everything compiled once with arrays of the types it will see."""
+        buffers = self._buffers
+        terms = self.robot.compute(buffers.q, buffers.qd)
+        pose = Pose(terms.position_world.copy(), terms.rotation_world.copy())
+        pose.quaternion_xyzw  # noqa: B018 - compiled too
+        alpha_meas = np.zeros(self._contacts)
+        observers = self._design_observers(pose.rotation_world)
+        for warm in (lambda: self._measure(terms),
+                     lambda: self._decide(terms, observers, alpha_meas)):
+            with contextlib.suppress(SingularTaskError, ContactGeometryError):
+                warm()  # nobody has said that all joints at 0 is a good posture

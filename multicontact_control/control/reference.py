@@ -175,6 +175,8 @@ class ScenarioReference:
             forces = np.array([step.forces.get(name, math.nan) for name in contact_names])
             self._steps.append((step.time, forces))
         self._count = len(contact_names)
+        motion = config.motion
+        self._direction = motion.direction_world if motion is not None else (0.0, 0.0, 0.0)
 
     def start(self, pose: Pose, normals_world: Vector) -> None:
         """Begin from a pose at rest; see `ReferenceSource.start`."""
@@ -182,33 +184,47 @@ class ScenarioReference:
         self._normals = normals_world
         self._advance = np.zeros(self._count)
         self._active: Mask = np.zeros(self._count, dtype=bool)
+        self._all_active = False
+        self._steps_done = -1
+        self._held: list[float] = pose.position_world.tolist()
 
     def update(self, time: float, alpha_meas: Vector) -> Reference:
-        """Return the reference of one tick; see `ReferenceSource.update`."""
+        """
+        Return the reference of one tick; see `ReferenceSource.update`.
+
+        Written for speed: once all contacts are there, three small arrays are all that is made.
+        """
+        approach: tuple[list[float], list[float]] = ([0.0] * 3, [0.0] * 3)
+        if not self._all_active:
+            approach = self._approach(time, alpha_meas)
+        s, ds, dds = 0.0, 0.0, 0.0
+        if self._config.motion is not None:
+            s, ds, dds = sine_motion(self._config.motion, time)
+        x, y, z = self._direction
+        (px, py, pz), (vx, vy, vz), (ax, ay, az) = self._held, *approach
+        position = np.array((px + s * x, py + s * y, pz + s * z))
+        return Reference(
+            Pose(position, self._pose.rotation_world),
+            np.array((vx + ds * x, vy + ds * y, vz + ds * z, 0.0, 0.0, 0.0)),
+            np.array((ax + dds * x, ay + dds * y, az + dds * z, 0.0, 0.0, 0.0)),
+            self._active, self._desired_forces(time))
+
+    def _approach(self, time: float, alpha_meas: Vector) -> tuple[list[float], list[float]]:
+        """Move on towards the surfaces not felt yet; return velocity and acceleration."""
         approach = self._config.approach
         since = time - approach.start_time
         if since >= 0.0:
             self._active = self._active | (alpha_meas > approach.contact_threshold)
-        twist = np.zeros(6)
-        acceleration = np.zeros(6)
+            self._all_active = bool(self._active.all())
+            self._steps_done = -1  # the desired forces have changed
         speed, speed_rate = _ramp(since, approach.speed, approach.ramp_time)
         free = ~self._active
-        if speed > 0.0 and free.any():
+        direction = self._normals[free].sum(axis=0)
+        if speed > 0.0 and not self._all_active:
             self._advance[free] += speed * self._period
-            direction = self._normals[free].sum(axis=0)
-            twist[:3] += speed * direction
-            acceleration[:3] += speed_rate * direction
-        position = self._pose.position_world + self._advance @ self._normals
-        if self._config.motion is not None:
-            s, ds, dds = sine_motion(self._config.motion, time)
-            direction = np.asarray(self._config.motion.direction_world)
-            position = position + s * direction
-            twist[:3] += ds * direction
-            acceleration[:3] += dds * direction
-        return Reference(
-            pose_des=Pose(position, self._pose.rotation_world), twist_des=twist,
-            acceleration_des=acceleration, active=self._active,
-            alpha_des=np.where(self._active, self._desired_forces(time), 0.0))
+            self._held = (self._pose.position_world + self._advance @ self._normals).tolist()
+            return (speed * direction).tolist(), (speed_rate * direction).tolist()
+        return [0.0] * 3, [0.0] * 3
 
     def contact_state(self, default: ContactStateConfig) -> ContactStateConfig:
         """Return how contacts are to be made: what the scenario says of its approach goes first."""
@@ -236,11 +252,18 @@ class ScenarioReference:
             np.full(self._count, wanted), desired if wanted else np.zeros(self._count))
 
     def _desired_forces(self, time: float) -> Vector:
-        desired = np.full(self._count, self._config.approach.preload)
-        for start, forces in self._steps:
+        """Return alpha_des; made anew only when a step is due or a contact has been found."""
+        done = 0
+        for start, _ in self._steps:
             if time >= start - 1e-9:
+                done += 1
+        if done != self._steps_done:
+            self._steps_done = done
+            desired = np.full(self._count, self._config.approach.preload)
+            for _, forces in self._steps[:done]:
                 desired = np.where(np.isnan(forces), desired, forces)
-        return desired
+            self._alpha_des: Vector = np.where(self._active, desired, 0.0)
+        return self._alpha_des
 
 
 class CommandedReference:

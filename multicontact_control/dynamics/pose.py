@@ -6,6 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from multicontact_control.arrays import Matrix, Vector
+from multicontact_control.dynamics.kernels import quaternion_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +29,8 @@ class Pose:
     @property
     def quaternion_xyzw(self) -> Vector:
         """Orientation as a unit quaternion, shape (4,), scalar last."""
-        quaternion: Vector = Rotation.from_matrix(self.rotation_world).as_quat()
+        quaternion = np.empty(4)
+        quaternion_of(np.ascontiguousarray(self.rotation_world), quaternion)
         return quaternion
 
     @classmethod

@@ -53,6 +53,36 @@ class RobotState:
     sensor_pose: Pose
 
 
+@dataclass(slots=True)
+class LiveTerms:
+    """
+    What compiled code needs to know of the arm, in arrays that the next `compute` overwrites.
+
+    Attributes
+    ----------
+    mass_matrix
+        M with armature, shape (n, n); only the upper triangle is filled [kg m^2].
+    bias_torque
+        C(q, v) v + g(q), shape (n,) [N m].
+    jacobian, jacobian_rate
+        J of the operational point and dJ/dt, world axes, linear rows first, shape (6, n).
+    position_world, rotation_world
+        Pose of the operational frame, shapes (3,) [m] and (3, 3).
+    sensor_position_world, sensor_rotation_world
+        Pose of the wrist sensor's frame.
+
+    """
+
+    mass_matrix: Matrix
+    bias_torque: Vector
+    jacobian: Matrix
+    jacobian_rate: Matrix
+    position_world: Vector
+    rotation_world: Matrix
+    sensor_position_world: Vector
+    sensor_rotation_world: Matrix
+
+
 class RobotModel:
     """
     A fixed-base arm read from a URDF.
@@ -88,6 +118,7 @@ class RobotModel:
         self._sensor = self._frame_id('robot.sensor_frame', config.sensor_frame)
         self._data = self._model.createData()
         self._zero = np.zeros(self._model.nv)
+        self.terms = self._live_terms()
 
     @property
     def joint_count(self) -> int:
@@ -104,6 +135,40 @@ class RobotModel:
             bodies = [f.name for f in self._model.frames if f.type == pin.FrameType.BODY]
             raise ConfigError(field, f'a link of the robot among {", ".join(bodies)}', f"'{name}'")
         return int(self._model.getFrameId(name))
+
+    def _live_terms(self) -> LiveTerms:
+        """Return arrays that share pinocchio's memory, so that nothing needs to be copied."""
+        data = self._data
+        frame, sensor = data.oMf[self._frame], data.oMf[self._sensor]
+        return LiveTerms(
+            mass_matrix=data.M, bias_torque=data.nle, jacobian=np.zeros((6, self._model.nv)),
+            jacobian_rate=np.zeros((6, self._model.nv)), position_world=frame.translation,
+            rotation_world=frame.rotation, sensor_position_world=sensor.translation,
+            sensor_rotation_world=sensor.rotation)
+
+    def compute(self, q: Vector, v: Vector) -> LiveTerms:
+        """
+        Compute what compiled code needs, without allocating more than pinocchio does.
+
+        Parameters
+        ----------
+        q, v
+            Joint positions [rad] and velocities [rad/s], shape (n,).
+
+        Returns
+        -------
+        LiveTerms
+            `terms`, valid until the next call of `compute` or `update`.
+
+        """
+        model, data, terms = self._model, self._data, self.terms
+        pin.computeAllTerms(model, data, q, v)  # M, C v + g, and what the Jacobians need
+        pin.updateFramePlacements(model, data)
+        terms.jacobian = pin.getFrameJacobian(
+            model, data, self._frame, pin.LOCAL_WORLD_ALIGNED)
+        terms.jacobian_rate = pin.getFrameJacobianTimeVariation(
+            model, data, self._frame, pin.LOCAL_WORLD_ALIGNED)
+        return terms
 
     def update(self, q: Vector, v: Vector) -> RobotState:
         """

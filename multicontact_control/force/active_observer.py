@@ -8,6 +8,7 @@ import numpy as np
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.errors import ConfigError
+from multicontact_control.force.kalman import kalman_update
 from multicontact_control.force.plant_model import ForceLoop
 
 MAX_ORDER = 3
@@ -32,6 +33,14 @@ class ActiveObserver:
         Q = process_noise I over x_r and the newest p; older copies of p are exact.
     initial_covariance
         P_0 = initial_covariance I.
+
+    Attributes
+    ----------
+    x_est, P
+        State estimate, shape (n + order,), and its covariance; each update overwrites them.
+    innovation, prior_variance, variance_used
+        Of the last update: y - C x_1 [N], C P_1 C^T and R [N^2]. All 0 after a reset and for
+        the sample that follows it, from which nothing could be predicted.
 
     Raises
     ------
@@ -70,8 +79,6 @@ class ActiveObserver:
         self.Q = np.zeros(size)  # diagonal of Q
         self.Q[:n + min(order, 1)] = process_noise
         self._P_0 = np.full(size, initial_covariance)
-        self.innovation = 0.0
-        self.innovation_prior_variance = 0.0
         self.reset()
 
     def reset(self, force: float = 0.0) -> None:
@@ -90,7 +97,8 @@ class ActiveObserver:
         self._command = 0.0
         self._fresh = True
         self.innovation = 0.0
-        self.innovation_prior_variance = 0.0
+        self.prior_variance = 0.0
+        self.variance_used = 0.0
 
     def update(self, force: float, noise_variance: float) -> None:
         """
@@ -110,18 +118,10 @@ class ActiveObserver:
         if self._fresh:  # no prediction leads to the first sample
             self._fresh = False
             return
-        x_pred = self.Phi_c @ self.x_est + self.Gamma * self._command
-        P_1 = self.Phi_n @ self.P @ self.Phi_n.T
-        P_1.flat[::P_1.shape[0] + 1] += self.Q
-        prior_variance = P_1[0, 0]
-        innovation_variance = prior_variance + noise_variance
-        column = P_1[:, 0]
-        gain = column / innovation_variance
-        self.innovation = force - x_pred[0]
-        self.innovation_prior_variance = float(prior_variance)
-        self.x_est = x_pred + gain * self.innovation
-        P = P_1 - np.outer(gain, column)
-        self.P = 0.5 * (P + P.T)
+        self.innovation, self.prior_variance = kalman_update(
+            self.x_est, self.P, self.Phi_c, self.Phi_n, self.Gamma, self.Q, self._command,
+            force, noise_variance)
+        self.variance_used = noise_variance
 
     def command(self, force_des: float) -> float:
         """

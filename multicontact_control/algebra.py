@@ -1,0 +1,123 @@
+"""Small dense linear algebra for compiled code: for 6 x 6 plain loops are faster than LAPACK."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from multicontact_control.arrays import Matrix, Vector
+from multicontact_control.compiled import compiled
+
+
+@compiled
+def cholesky(A: Matrix, L: Matrix, smallest_pivot: float) -> bool:
+    """
+    Factorise A = L L^T.
+
+    Parameters
+    ----------
+    A
+        Symmetric, shape (n, n); only its upper triangle is read.
+    L
+        Its lower triangle is filled, shape (n, n).
+    smallest_pivot
+        What may be left of a diagonal element of A, relative to it, once the columns before are
+        taken out; 0 for anything positive.
+
+    Returns
+    -------
+    bool
+        Whether A is positive definite in that sense; if not, L is of no use.
+
+    """
+    n = A.shape[0]
+    for j in range(n):
+        pivot = A[j, j]
+        for k in range(j):
+            pivot -= L[j, k] * L[j, k]
+        if not pivot > smallest_pivot * A[j, j]:  # nor is it if it is not a number
+            return False
+        L[j, j] = np.sqrt(pivot)
+        scale = 1.0 / L[j, j]
+        for i in range(j + 1, n):
+            total = A[j, i]
+            for k in range(j):
+                total -= L[i, k] * L[j, k]
+            L[i, j] = total * scale
+    return True
+
+
+@compiled
+def solve_lower(L: Matrix, x: Vector) -> None:
+    """Replace x, shape (n,), by L^-1 x for a lower triangular L."""
+    for i in range(x.shape[0]):
+        total = x[i]
+        for k in range(i):
+            total -= L[i, k] * x[k]
+        x[i] = total / L[i, i]
+
+
+@compiled
+def solve_lower_columns(L: Matrix, X: Matrix) -> None:
+    """Replace X, shape (n, m), by L^-1 X for a lower triangular L."""
+    n, columns = X.shape
+    for i in range(n):
+        for k in range(i):
+            factor = L[i, k]
+            for j in range(columns):
+                X[i, j] -= factor * X[k, j]
+        scale = 1.0 / L[i, i]
+        for j in range(columns):
+            X[i, j] *= scale
+
+
+@compiled
+def solve_cholesky(L: Matrix, x: Vector) -> None:
+    """Replace x, shape (n,), by (L L^T)^-1 x."""
+    solve_lower(L, x)
+    for i in range(x.shape[0] - 1, -1, -1):
+        total = x[i]
+        for k in range(i + 1, x.shape[0]):
+            total -= L[k, i] * x[k]
+        x[i] = total / L[i, i]
+
+
+@compiled
+def gram(X: Matrix, G: Matrix) -> None:
+    """Fill G, shape (m, m), with X^T X, X of shape (n, m)."""
+    rows, columns = X.shape
+    for i in range(columns):
+        for j in range(columns):
+            G[i, j] = 0.0
+    for k in range(rows):
+        for i in range(columns):
+            factor = X[k, i]
+            for j in range(columns):
+                G[i, j] += factor * X[k, j]
+
+
+@compiled
+def multiply(A: Matrix, x: Vector, y: Vector) -> None:
+    """Fill y, shape (n,), with A x."""
+    for i in range(A.shape[0]):
+        total = 0.0
+        for j in range(A.shape[1]):
+            total += A[i, j] * x[j]
+        y[i] = total
+
+
+@compiled
+def multiply_transposed(A: Matrix, x: Vector, y: Vector) -> None:
+    """Fill y, shape (n,), with A^T x."""
+    for j in range(A.shape[1]):
+        y[j] = 0.0
+    for i in range(A.shape[0]):
+        for j in range(A.shape[1]):
+            y[j] += A[i, j] * x[i]
+
+
+@compiled
+def cross(a: Vector, b: Vector, c: Vector) -> None:
+    """Fill c with a x b, all of shape (3,); c must be neither of them."""
+    c[0] = a[1] * b[2] - a[2] * b[1]
+    c[1] = a[2] * b[0] - a[0] * b[2]
+    c[2] = a[0] * b[1] - a[1] * b[0]

@@ -1,0 +1,157 @@
+"""The control law in plain numpy, as the equations stand: what the compiled one must equal."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from multicontact_control.arrays import Mask, Matrix, Vector
+from multicontact_control.contact.geometry import (
+    contact_coordinates,
+    contact_normals,
+    operational_stiffness,
+)
+from multicontact_control.contact.projections import (
+    allocate_force,
+    contact_rates,
+    euclidean_projections,
+    inertia_projections,
+    Projections,
+)
+from multicontact_control.control.controller import ControlOutput
+from multicontact_control.control.motion import motion_acceleration
+from multicontact_control.control.reference import Reference
+from multicontact_control.control.wrench import contact_wrench
+from multicontact_control.dynamics.operational_space import (
+    joint_torque,
+    operational_space,
+    OperationalSpace,
+)
+from multicontact_control.dynamics.robot import RobotState
+from multicontact_control.force.active_observer import ActiveObserver
+from multicontact_control.force.plant_model import design_force_loop
+
+
+class ReferenceController:
+    """Takes the same arguments as `Controller`."""
+
+    def __init__(self, config, robot, reference):
+        self.config = config
+        self.robot = robot
+        self._reference = reference
+        contacts = [config.contacts[name] for name in config.contact_names]
+        self._normals_world = np.array([contact.normal_world for contact in contacts])
+        self._points_operational = np.array([contact.point_operational for contact in contacts])
+        self._gravity_world = np.array(config.robot.gravity_world)
+        self._torque_limit = np.array(config.torque_limit) if config.torque_limit else np.full(
+            robot.joint_count, np.inf)
+        none = np.zeros(robot.joint_count)
+        self._coulomb = np.array(config.friction.coulomb) if config.friction.coulomb else none
+        self._viscous = np.array(config.friction.viscous) if config.friction.viscous else none
+        self.reset()
+
+    def reset(self):
+        """Forget everything measured; the next sample starts anew."""
+        self._observers = []
+        self._active = np.zeros(len(self.config.contact_names), dtype=bool)
+
+    def step(self, measurement, noise_variance):
+        state = self.robot.update(measurement.q, measurement.qd)
+        levers = -self._points_operational @ state.pose.rotation_world.T
+        N_all = contact_normals(self._normals_world, levers)
+        wrench = contact_wrench(
+            measurement.wrench_sensor, state.sensor_pose, state.pose.position_world,
+            self.config.tool, self._gravity_world)
+        alpha_meas = contact_coordinates(N_all, wrench)
+        if not self._observers:
+            self._observers = self._design_observers(levers)
+            self._reference.start(state.pose, self._normals_world)
+        reference = self._reference.update(measurement.time, alpha_meas)
+        self._follow_active_set(reference.active, alpha_meas)
+        space = operational_space(state)
+        N = N_all[:, self._active]
+        acceleration = self._acceleration(
+            state, space, reference, N, self._force_inputs(reference, alpha_meas, noise_variance))
+        alpha_est = self._estimates(0)
+        force = (space.Lambda @ acceleration + space.mu + space.p + N @ alpha_est[self._active])
+        torque = joint_torque(
+            force, state, space, nullspace_damping=self.config.nullspace_damping)
+        torque += self._friction(measurement.qd)
+        return ControlOutput(
+            torque=np.clip(torque, -self._torque_limit, self._torque_limit),
+            alpha_meas=alpha_meas, alpha_est=alpha_est, alpha_rate_est=self._estimates(1),
+            alpha_des=reference.alpha_des.copy(), active=self._active.copy(),
+            innovation=self._reports('innovation'),
+            prior_variance=self._reports('prior_variance'),
+            variance_used=self._reports('variance_used'), pose=state.pose,
+            pose_des=reference.pose_des)
+
+    def _friction(self, qd: Vector) -> Vector:
+        """Return the torque that the joints' friction is expected to take, shape (n,) [N m]."""
+        friction: Vector = self._coulomb * np.tanh(qd / self.config.friction.speed)
+        return friction + self._viscous * qd
+
+    def _design_observers(self, levers: Matrix) -> list[ActiveObserver]:
+        """Design one AOB per contact for the geometry of the first sample."""
+        force = self.config.force
+        observers = []
+        for name, normal, lever in zip(self.config.contact_names, self._normals_world, levers):
+            k_env = self.config.contacts[name].stiffness
+            # `decoupled` drives the contact point itself, `paper` the coordinate along N_i.
+            stiffness = k_env if force.allocation == 'decoupled' else operational_stiffness(
+                k_env, normal, lever)
+            loop = design_force_loop(
+                stiffness, damping_rate=force.damping_rate, input_delay=force.input_delay,
+                period=self.config.period, time_constant=force.time_constant,
+                second_pole_ratio=force.second_pole_ratio)
+            observers.append(ActiveObserver(
+                loop, order=force.active_state_order, process_noise=force.process_noise,
+                initial_covariance=force.initial_covariance))
+        return observers
+
+    def _follow_active_set(self, active: Mask, alpha_meas: Vector) -> None:
+        """Start the observer of every contact that has just become force controlled."""
+        for i in np.flatnonzero(active & ~self._active):
+            self._observers[i].reset(float(alpha_meas[i]))
+        self._active = active.copy()
+
+    def _force_inputs(
+        self, reference: Reference, alpha_meas: Vector, noise_variance: Vector,
+    ) -> Vector:
+        """Return u of every active contact (P04 eq. 36)."""
+        inputs = []
+        for i in np.flatnonzero(self._active):
+            observer = self._observers[i]
+            observer.update(float(alpha_meas[i]), float(noise_variance[i]))
+            inputs.append(observer.command(float(reference.alpha_des[i])))
+        return np.array(inputs)
+
+    def _acceleration(
+        self, state: RobotState, space: OperationalSpace, reference: Reference, N: Matrix,
+        inputs: Vector,
+    ) -> Vector:
+        """Return Omega_m f_t* + Omega_f f_c* (P04 eq. 27)."""
+        force = self.config.force
+        projections = self._projections(N, space)
+        f_t = motion_acceleration(self.config.motion, reference, state.pose, state.twist_world)
+        rates = contact_rates(N, state.twist_world, force.allocation)
+        alpha_star = inputs - force.damping_rate * rates
+        f_c = allocate_force(N, alpha_star, force.allocation)
+        acceleration: Vector = projections.Omega_m @ f_t + projections.Omega_c @ f_c
+        return acceleration
+
+    def _projections(self, N: Matrix, space: OperationalSpace) -> Projections:
+        if self.config.force.projection == 'inertia':
+            return inertia_projections(N, space.Lambda)
+        return euclidean_projections(N)
+
+    def _estimates(self, derivative: int) -> Vector:
+        """Return alpha (0) or its rate (1) as the observers of the active contacts see it."""
+        return np.array([
+            observer.x_est[derivative] if active else 0.0
+            for observer, active in zip(self._observers, self._active)])
+
+    def _reports(self, name: str) -> Vector:
+        """Return what the observers of the active contacts say about their last update."""
+        return np.array([
+            getattr(observer, name) if active else 0.0
+            for observer, active in zip(self._observers, self._active)])
