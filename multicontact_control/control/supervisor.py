@@ -313,4 +313,5 @@ def _nothing(joints: int, contacts: int) -> ControlOutput:
     zero = np.zeros(contacts)
     return ControlOutput(
         torque=np.zeros(joints), alpha_meas=zero, alpha_est=zero, alpha_rate_est=zero,
-        alpha_des=zero, active=np.zeros(contacts, dtype=bool), pose=pose, pose_des=pose)
+        alpha_des=zero, active=np.zeros(contacts, dtype=bool), innovation=zero,
+        prior_variance=zero, variance_used=zero, pose=pose, pose_des=pose)
