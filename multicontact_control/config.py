@@ -276,6 +276,9 @@ class WatchdogConfig(Config):
         le=10.0)
     variance_growth: Real = parameter(
         1.1, 'Factor per period on an R that is not renewed.', ge=1.0, le=10.0)
+    variance_floor: Real = parameter(
+        0.1, 'Smallest R that is used: a smaller one makes the observer faster than the drives.',
+        unit='N^2', gt=0.0)
     variance_ceiling: Real = parameter(
         1e3, 'Where that growth ends, and the largest R that is believed.', unit='N^2', gt=0.0)
     on_joint_fault: Reaction = parameter(

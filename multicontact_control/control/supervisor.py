@@ -13,6 +13,8 @@ from multicontact_control.control.contact_reference import ContactReference
 from multicontact_control.control.controller import Controller, ControlOutput, Measurement
 from multicontact_control.control.reactions import (
     DAMP,
+    FLOAT,
+    HOLD,
     INFLATE,
     NONE,
     Reactions,
@@ -170,13 +172,15 @@ class Supervisor:
                     self.config.watchdog.recovery_time):
                 return self._react(('recovering',), believed.rejected, self._last_reaction)
             return self._control(believed, causes, reaction)
+        if reaction == HOLD and believed.blind:
+            reaction = FLOAT  # what is not seen cannot be held
         return self._react(causes, believed.rejected, reaction)
 
     def _update_state(self, believed: Believed) -> None:
         """Work out where the arm is, if that has changed."""
         if believed.q is None or believed.qd is None:
             return
-        if 'joints' in ' '.join(believed.causes) and self._state is not None:
+        if self._state is not None and believed.blind:
             return
         state = self._robot.update(believed.q, believed.qd)
         if np.isfinite(state.mass_matrix).all() and np.isfinite(state.gravity).all():

@@ -88,6 +88,8 @@ class Believed:
         What was wrong with readings in this tick, whether it calls for a reaction yet or not.
     repeated
         Whether this is the tick before once more.
+    blind
+        Whether the joint state is not that of this tick or the one before.
 
     """
 
@@ -98,6 +100,7 @@ class Believed:
     causes: tuple[str, ...]
     rejected: tuple[str, ...]
     repeated: bool = False
+    blind: bool = False
 
 
 def finite_vector(values: Any, size: int) -> Vector | None:
@@ -144,7 +147,7 @@ class Watchdog:
         """Forget everything; the next tick is the first."""
         contacts = len(self._config.contact_names)
         self._time: float | None = None
-        self._odd_periods = 0
+        self._odd_periods = self._same_times = self._blind_ticks = 0
         self._q: Vector | None = None
         self._qd: Vector | None = None
         self._wrench: Vector | None = None
@@ -162,6 +165,9 @@ class Watchdog:
         rejected: list[str] = []
         causes: list[str] = []
         time = self._judge_time(inputs.time, causes)
+        if time is None and (self._same_times >= 2 or self._has_new(inputs)):
+            causes.append('clock_frozen')
+            time = self._time
         if time is None:
             return Believed(self._q, self._qd, self._wrench, self._used_variance(), (), (), True)
         h = self._config.period
@@ -179,7 +185,12 @@ class Watchdog:
         if any(cause.startswith('variance') for cause in causes):
             self._inflation *= self._watch.variance_growth
         return Believed(self._q, self._qd, self._wrench, self._used_variance(), tuple(causes),
-                        tuple(rejected))
+                        tuple(rejected), blind=self._blind_ticks > 1)
+
+    def _has_new(self, inputs: TickInputs) -> bool:
+        """Return whether a joint state has another stamp than the one before."""
+        return inputs.joints is not None and (
+            finite_number(inputs.joints.stamp) != self._seen.get('joints'))
 
     def _used_variance(self) -> Vector:
         used: Vector = np.minimum(self._variance * self._inflation, self._watch.variance_ceiling)
@@ -199,6 +210,7 @@ class Watchdog:
         if before is None:
             return time
         step = time - before
+        self._same_times = self._same_times + 1 if step == 0.0 else 0
         if step == 0.0:
             return None
         if step < 0.0:
@@ -228,6 +240,7 @@ class Watchdog:
         return number
 
     def _take_joints(self, reading: JointInput | None, time: float, rejected: list[str]) -> None:
+        self._blind_ticks += 1
         if reading is None:
             return
         stamp = self._fresh('joints', reading.stamp, time, rejected)
@@ -240,6 +253,7 @@ class Watchdog:
                 self._stamps['joints'] = stamp - self._joint_repeats * self._config.period
         else:
             self._stamps['joints'] = stamp
+            self._blind_ticks = 0
 
     def _joint_problem(self, reading: JointInput, stamp: float) -> str:
         """Return what is wrong with a joint state; take it over if nothing is."""
@@ -329,5 +343,6 @@ class Watchdog:
         if variance is None or not (variance > 0.0).all():
             rejected.append('variance_invalid')
         else:
-            self._variance = np.clip(variance, 1e-9, self._watch.variance_ceiling)
+            self._variance = np.clip(
+                variance, self._watch.variance_floor, self._watch.variance_ceiling)
             self._stamps['variance'], self._inflation = stamp, 1.0
