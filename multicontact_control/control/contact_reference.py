@@ -76,7 +76,7 @@ class ContactReference:
             self._pose = pose
 
     def observe(self, pose: Pose, twist_world: Vector) -> None:
-        """Take note of where the arm is, before `update`; without it the reference is not bound."""
+        """Take note of where the arm is, before `update`."""
         self._pose, self._twist = pose, twist_world
 
     def release(self) -> None:

@@ -227,7 +227,7 @@ class ScenarioReference:
         return [0.0] * 3, [0.0] * 3
 
     def contact_state(self, default: ContactStateConfig) -> ContactStateConfig:
-        """Return how contacts are to be made: what the scenario says of its approach goes first."""
+        """Return how contacts are to be made; what the scenario says of it goes first."""
         approach = self._config.approach
         return default.model_copy(update={
             'approach_speed': approach.speed, 'approach_ramp_time': approach.ramp_time,

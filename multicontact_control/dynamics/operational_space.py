@@ -55,7 +55,7 @@ def mobility_damping(smallest: float, singular_mobility: float) -> float:
         e and e_0 [1/kg]; e_0 = 0 for no damping.
 
     """
-    if smallest >= singular_mobility:
+    if singular_mobility <= 0.0 or smallest >= singular_mobility:
         return 0.0
     return 0.5 * singular_mobility * (1.0 - smallest / singular_mobility) ** 2
 
@@ -138,7 +138,8 @@ def joint_torque(
     Return the joint torque that makes a wrench at the operational point.
 
     Gamma = J^T F (P04 sec. 3). With more than six joints the motion that the operational point
-    does not see, or near a singularity hardly, is gravity compensated and damped: Gamma += (1 - J^T J_bar^T)(C v + g - d M v).
+    does not see, or near a singularity hardly, is gravity compensated and damped:
+    Gamma += (1 - J^T J_bar^T)(C v + g - d M v).
 
     Parameters
     ----------

@@ -89,15 +89,16 @@ def run_campaign(
 
 
 def _collect(
-    pipes: list[Connection], total: int, on_progress: Callable[[int, int], None] | None,
+    pipes: list[Any], total: int, on_progress: Callable[[int, int], None] | None,
 ) -> list[FaultRow]:
     rows: list[FaultRow] = []
     while pipes:
-        for pipe in list(wait(pipes)):
+        ready: list[Any] = list(wait(pipes))
+        for pipe in ready:
             try:
-                rows.append(pipe.recv())  # type: ignore[union-attr]
+                rows.append(pipe.recv())
             except EOFError:
-                pipes.remove(pipe)  # type: ignore[arg-type]
+                pipes.remove(pipe)
             if on_progress is not None:
                 on_progress(len(rows), total)
     return rows

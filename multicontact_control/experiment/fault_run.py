@@ -6,9 +6,11 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from multicontact_control.arrays import Vector
 from multicontact_control.control.supervisor import Supervisor, SupervisorOutput
+from multicontact_control.control.watchdog import TickInputs
 from multicontact_control.experiment.faults import Context, FaultKind
 from multicontact_control.experiment.loop import inputs_of
 from multicontact_control.experiment.scenario import Setup
@@ -90,12 +92,13 @@ class World:
         self._sample = self.plant.reset()
         self._variance: Vector = np.full(
             len(config.contact_names), config.initial_noise_variance)
+        self.command: Vector = self.plant.initial_torque
         self.tick = 0
-        self.history: list[Any] = []
+        self.history: list[TickInputs] = []
 
     def advance(self, fault: tuple[FaultKind, Context, int] | None = None) -> SupervisorOutput:
         """Take one tick, with the n-th tick of a fault in it."""
-        inputs = inputs_of(self.setup, self.tick, self._sample, self._variance)
+        inputs = self.inputs()
         self.history = [*self.history[-HISTORY:], inputs]
         if fault is not None and fault[0].corrupt is not None:
             kind, context, n = fault
@@ -105,8 +108,13 @@ class World:
         self._variance = self._estimator.update(result.output.alpha_meas)
         self._delay.command(self.tick, result.output.torque)
         self._sample = self.plant.step(self._delay.torque_for(self.tick))
+        self.command = result.output.torque
         self.tick += 1
         return result
+
+    def inputs(self) -> TickInputs:
+        """Return what is known in this tick if all is well."""
+        return inputs_of(self.setup, self.tick, self._sample, self._variance)
 
     @property
     def true_forces(self) -> Vector:
@@ -129,8 +137,7 @@ def run_fault(world: World, kind: FaultKind, seed: int, phase: str) -> FaultRow:
     random = np.random.default_rng([seed, sum(map(ord, kind.kind + kind.input))])
     for _ in range(int(random.integers(5, 60))):
         world.advance()
-    first = inputs_of(world.setup, world.tick, world._sample, world._variance)
-    context = Context(random, world.setup.controller.period, list(world.history), first,
+    context = Context(random, world.setup.controller.period, list(world.history), world.inputs(),
                       random.random(4))
     length = int(random.integers(5, 150))
     watch = _Watch(world)
@@ -154,7 +161,7 @@ class _Watch:
         self._limit = np.array(config.torque_limit)
         self._step = np.array(limits.torque_rate) * config.period
         self._ceiling = config.contact_state.force_ceiling
-        self._before = world.supervisor._output.torque
+        self._before = world.command
         self._reactions: list[str] = []
         self._forces: list[float] = []
         self._peak_fraction = 0.0
@@ -207,7 +214,7 @@ class _Watch:
         return None
 
     @staticmethod
-    def _longest(ticks: Vector) -> int:
+    def _longest(ticks: NDArray[np.intp]) -> int:
         breaks = np.flatnonzero(np.diff(ticks) > 1)
         edges = np.concatenate([[-1], breaks, [ticks.size - 1]])
         return int(np.diff(edges).max())

@@ -122,12 +122,18 @@ def _turned(values: Any, context: Context) -> Any:
     return np.concatenate([rotation @ vector[:3], rotation @ vector[3:]])
 
 
+def _with(inputs: TickInputs, source: str, reading: Any) -> TickInputs:
+    """Return the inputs with another reading in the place of one."""
+    readings: dict[str, Any] = {source: reading}
+    return replace(inputs, **readings)
+
+
 def change_field(source: str, field: str, change: Callable[[Any, Context], Any]) -> Corrupt:
     """Return a fault that changes one field of one reading."""
     def corrupt(context: Context, inputs: TickInputs, _n: int) -> TickInputs:
         reading: Any = getattr(inputs, source)
         changed = replace(reading, **{field: change(getattr(reading, field), context)})
-        return replace(inputs, **{source: changed})
+        return _with(inputs, source, changed)
     return corrupt
 
 
@@ -136,7 +142,7 @@ def freeze_field(source: str, *names: str) -> Corrupt:
     def corrupt(context: Context, inputs: TickInputs, _n: int) -> TickInputs:
         before: Any = getattr(context.first, source)
         values = {name: getattr(before, name) for name in names}
-        return replace(inputs, **{source: replace(getattr(inputs, source), **values)})
+        return _with(inputs, source, replace(getattr(inputs, source), **values))
     return corrupt
 
 
@@ -145,7 +151,7 @@ def pick(source: str, which: Callable[[Context, int], int | None]) -> Corrupt:
     def corrupt(context: Context, inputs: TickInputs, n: int) -> TickInputs:
         ago = which(context, n)
         reading = None if ago is None else getattr(context.history[-1 - ago], source)
-        return replace(inputs, **{source: reading})
+        return _with(inputs, source, reading)
     return corrupt
 
 

@@ -8,7 +8,6 @@ from multicontact_control.control.motion import motion_acceleration
 from multicontact_control.control.reference import Reference
 from multicontact_control.dynamics.pose import Pose
 
-
 REST = np.zeros(6)
 
 
