@@ -171,6 +171,10 @@ class PybulletPlant:
         self._tick += 1
         return self._sample(applied, bool((applied != torque).any()))
 
+    def scale_torque_limit(self, factor: float) -> None:
+        """Multiply what the drives can do, unknown to whoever commands them."""
+        self._limit = factor * self._limit
+
     def close(self) -> None:
         """Give the simulator's memory back."""
         self.arm.close()

@@ -54,7 +54,8 @@ def constants_of(config: ControllerConfig, joints: int) -> Constants:
                        *np.reshape(config.tool.bias_sensor, (2, 3))]),
         gains=np.array([
             frequency ** 2, 2.0 * motion.damping_ratio * frequency, force.damping_rate,
-            friction.speed, config.nullspace_damping, MAX_CONDITION]),
+            friction.speed, config.nullspace_damping, MAX_CONDITION,
+            config.limits.singular_mobility]),
         joints=np.stack([
             np.array(friction.coulomb or np.zeros(joints), dtype=float),
             np.array(friction.viscous or np.zeros(joints), dtype=float),

@@ -32,8 +32,9 @@ from multicontact_control.force.kernels import observe_and_command
 
 # What `control_law` returns.
 OK, SINGULAR, DEPENDENT = range(3)
-# Entries of `gains`: k_p, k_v, K_2, friction speed, null-space damping, largest condition.
-K_P, K_V, K_2, FRICTION_SPEED, NULLSPACE_DAMPING, MAX_CONDITION = range(6)
+# Entries of `gains`: k_p, k_v, K_2, friction speed, null-space damping, largest condition,
+# eigenvalue up to which Lambda^-1 is damped.
+K_P, K_V, K_2, FRICTION_SPEED, NULLSPACE_DAMPING, MAX_CONDITION, SINGULAR_MOBILITY = range(7)
 # Rows of `joints`.
 COULOMB, VISCOUS, TORQUE_LIMIT = range(3)
 # Rows of `tool`.
@@ -270,8 +271,10 @@ def control_law(
     Y = np.empty((n, 6))
     mobility = np.empty((6, 6))
     Lambda = np.empty((6, 6))
-    if not mobility_and_inertia(
-            mass_matrix, jacobian, gains[MAX_CONDITION], L, Y, mobility, Lambda):
+    damping = mobility_and_inertia(
+        mass_matrix, jacobian, gains[MAX_CONDITION], gains[SINGULAR_MOBILITY], L, Y, mobility,
+        Lambda)
+    if damping < 0.0:
         return SINGULAR
     rows = np.empty((count, 6))
     factor = np.empty((count, count))
@@ -309,7 +312,7 @@ def control_law(
         for k in range(6):
             force[k] += rows[i, k] * report[0, i]
     multiply_transposed(jacobian, force, torque)
-    if n > 6:
+    if n > 6 or damping > 0.0:
         add_nullspace_torque(mass_matrix, jacobian, L, Y, Lambda, bias_torque, velocity,
                              gains[NULLSPACE_DAMPING], torque)
     finish_torque(gains, joints, velocity, torque)
