@@ -322,12 +322,12 @@ class Watchdog:
         self._wrench_repeats = self._wrench_repeats + 1 if same else 0
         self._last_wrench = wrench
         limit = self._watch.frozen_samples
-        if limit and self._wrench_repeats >= limit:
+        if (np.abs(wrench) >= self._full_scale).any():
+            rejected.append('wrench_saturated')
+        elif limit and self._wrench_repeats >= limit:
             rejected.append('wrench_frozen')
             # Its first repetitions were not fresh either: the reading is as old as its value.
             self._stamps['wrench'] = stamp - self._wrench_repeats * self._config.period
-        elif (np.abs(wrench) >= self._full_scale).any():
-            rejected.append('wrench_saturated')
         else:
             self._wrench, self._stamps['wrench'] = wrench, stamp
 
