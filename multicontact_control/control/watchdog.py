@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+import math
 from typing import Any
 
 import numpy as np
 
-from multicontact_control.arrays import Vector
+from multicontact_control.arrays import all_finite, Vector
 from multicontact_control.config import ControllerConfig
 
 STILL = 1e-4  # rad/s; below it a joint reading may repeat itself
@@ -109,15 +110,18 @@ def finite_vector(values: Any, size: int) -> Vector | None:
         vector = np.array(values, dtype=float)
     except (TypeError, ValueError, OverflowError):
         return None
-    if vector.shape != (size,) or not np.isfinite(vector).all():
+    if vector.shape != (size,) or not all_finite(vector):
         return None
     return vector
 
 
 def finite_number(value: Any) -> float | None:
     """Return a finite number, None if it is not one."""
-    vector = finite_vector([value], 1)
-    return None if vector is None else float(vector[0])
+    try:
+        number = float(value)
+    except (TypeError, ValueError, OverflowError):
+        return None
+    return number if math.isfinite(number) else None
 
 
 class Watchdog:
