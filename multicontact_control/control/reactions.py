@@ -8,7 +8,8 @@ import numpy as np
 
 from multicontact_control.arrays import Vector
 from multicontact_control.config import WatchdogConfig
-from multicontact_control.dynamics.robot import RobotState
+from multicontact_control.control.arm_view import ArmView
+from multicontact_control.dynamics.robot import RobotModel
 
 NONE, INFLATE, HOLD, FLOAT, DAMP = 'none', 'inflate', 'hold', 'float', 'damp'
 SEVERITY = (NONE, INFLATE, HOLD, FLOAT, DAMP)
@@ -28,13 +29,15 @@ class Reactions:
     ----------
     config
         Frequencies and rates.
+    robot
+        The arm.
     period
         h [s].
 
     """
 
-    def __init__(self, config: WatchdogConfig, period: float) -> None:
-        self._config, self._period = config, period
+    def __init__(self, config: WatchdogConfig, robot: RobotModel, period: float) -> None:
+        self._config, self._robot, self._period = config, robot, period
         self.end()
 
     def end(self) -> None:
@@ -42,8 +45,7 @@ class Reactions:
         self._posture: Vector | None = None
         self._since = 0
 
-    def torque(self, reaction: str, state: RobotState | None, q: Vector | None,
-               joints: int) -> Vector:
+    def torque(self, reaction: str, arm: ArmView | None) -> Vector:
         """
         Return the torque of a reaction.
 
@@ -51,30 +53,28 @@ class Reactions:
         ----------
         reaction
             `HOLD`, `FLOAT` or `DAMP`.
-        state, q
-            The arm as it was last believed to be; None if it never was.
-        joints
-            Number of joints.
+        arm
+            As it was last believed to be; None if it never was.
 
         """
         self._since += 1
-        if state is None or q is None:
-            return np.zeros(joints)
-        inertia = np.diagonal(state.mass_matrix)
+        if arm is None:
+            return np.zeros(self._robot.joint_count)
         if reaction == DAMP:
-            damped: Vector = -self._config.damping_rate * inertia * state.velocity
+            damped: Vector = -self._config.damping_rate * arm.inertia * arm.velocity
             return damped
         if reaction == FLOAT:
             self._posture = None  # wherever it has gone meanwhile
             fade = math.exp(-self._since * self._period / COAST_TIME)
+            state = self._robot.update(arm.q, arm.velocity)
             braking = state.mass_matrix @ state.velocity * (fade / COAST_TIME)
             floating: Vector = state.gravity - braking
             return floating
         if self._posture is None:
-            self._posture = q.copy()
+            self._posture = arm.q
         w = self._config.hold_frequency
-        held: Vector = state.coriolis + state.gravity + inertia * (
-            w * w * (self._posture - q) - 2.0 * w * state.velocity)
+        held: Vector = arm.bias_torque + arm.inertia * (
+            w * w * (self._posture - arm.q) - 2.0 * w * arm.velocity)
         return held
 
 

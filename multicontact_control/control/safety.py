@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from multicontact_control.arrays import Vector
+from multicontact_control.arrays import all_finite, Vector
 from multicontact_control.config import ControllerConfig
-from multicontact_control.dynamics.robot import RobotState
+from multicontact_control.control.arm_view import ArmView
 
 SPEED_GAIN = 50.0  # 1/s, how fast a joint is brought back to the speed it may have
 
@@ -56,7 +56,7 @@ class TorqueGate:
         self.last: Vector | None = None
 
     def apply(
-        self, torque: Vector, fallback: Vector, state: RobotState | None, q: Vector | None,
+        self, torque: Vector, fallback: Vector, arm: ArmView | None,
     ) -> GateResult:
         """
         Let a torque through as far as the limits allow.
@@ -65,7 +65,7 @@ class TorqueGate:
         ----------
         torque, fallback
             What is wanted, and what to do if that is not finite, shape (n,) [N m].
-        state, q
+        arm
             The arm as it is believed to be; None if that is not known.
 
         Returns
@@ -75,11 +75,11 @@ class TorqueGate:
 
         """
         limits = []
-        if torque.shape != self._limit.shape or not np.isfinite(torque).all():
+        if torque.shape != self._limit.shape or not all_finite(torque):
             limits.append('not_finite')
             torque = np.where(np.isfinite(fallback), fallback, 0.0)
-        if state is not None and q is not None:
-            braked = self._braked(torque, state, q)
+        if arm is not None:
+            braked = self._braked(torque, arm)
             if braked is not torque:
                 limits.append('joint')
                 torque = np.where(np.isfinite(braked), braked, 0.0)
@@ -95,18 +95,16 @@ class TorqueGate:
         self.last = clipped.copy()
         return GateResult(clipped, tuple(limits))
 
-    def _braked(self, torque: Vector, state: RobotState, q: Vector) -> Vector:
+    def _braked(self, torque: Vector, arm: ArmView) -> Vector:
         """Return the torque bounded such that no joint passes a stop or its speed limit."""
-        speed = state.velocity
+        speed, q = arm.velocity, arm.q
         ahead = np.sqrt(2.0 * self._braking * np.maximum(self._upper - q, 0.0))
         behind = np.sqrt(2.0 * self._braking * np.maximum(q - self._lower, 0.0))
         fastest = np.minimum(ahead, self._speed)
         slowest = -np.minimum(behind, self._speed)
         if (speed < 0.7 * fastest).all() and (speed > 0.7 * slowest).all():
             return torque
-        inertia = np.diagonal(state.mass_matrix)
-        bias = state.coriolis + state.gravity
-        highest = bias + SPEED_GAIN * inertia * (fastest - speed)
-        lowest = bias + SPEED_GAIN * inertia * (slowest - speed)
+        highest = arm.bias_torque + SPEED_GAIN * arm.inertia * (fastest - speed)
+        lowest = arm.bias_torque + SPEED_GAIN * arm.inertia * (slowest - speed)
         bounded = np.minimum(np.maximum(torque, lowest), highest)
         return torque if (bounded == torque).all() else bounded

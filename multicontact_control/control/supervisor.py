@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from multicontact_control.arrays import Vector
+from multicontact_control.arrays import all_finite, Vector
 from multicontact_control.config import ControllerConfig
+from multicontact_control.control.arm_view import ArmView, view_arm
 from multicontact_control.control.contact_reference import ContactReference
 from multicontact_control.control.controller import Controller, ControlOutput, Measurement
 from multicontact_control.control.reactions import (
@@ -25,7 +26,7 @@ from multicontact_control.control.reference import TaskSource
 from multicontact_control.control.safety import TorqueGate
 from multicontact_control.control.watchdog import Believed, TickInputs, Watchdog
 from multicontact_control.dynamics.pose import Pose
-from multicontact_control.dynamics.robot import RobotModel, RobotState
+from multicontact_control.dynamics.robot import RobotModel
 
 SPEED_EXCESS = 1.1  # times a speed limit, that the gate and the reference did not prevent
 DOUBTS = 2  # samples in a row that contradict the contacts, for the wrench not to be believed
@@ -95,7 +96,7 @@ class Supervisor:
         self.controller = Controller(config, robot, self.reference)
         self._watchdog = Watchdog(config)
         self._gate = TorqueGate(config, robot.joint_count)
-        self._reactions = Reactions(config.watchdog, config.period)
+        self._reactions = Reactions(config.watchdog, robot, config.period)
         self._blend = TorqueBlend(config.contact_state.blend_time, config.period)
         self._normals = np.array(
             [config.contacts[name].normal_world for name in config.contact_names])
@@ -127,7 +128,7 @@ class Supervisor:
         self._gate.reset()
         self._reactions.end()
         self._blend.reset()
-        self._state: RobotState | None = None
+        self._arm: ArmView | None = None
         self._output = _nothing(self._robot.joint_count, len(self.config.contact_names))
         self._status: SupervisorStatus | None = None
         self._task_ticks = 0
@@ -180,24 +181,24 @@ class Supervisor:
         """Work out where the arm is, if that has changed."""
         if believed.q is None or believed.qd is None:
             return
-        if self._state is not None and believed.blind:
+        if self._arm is not None and believed.blind:
             return
-        state = self._robot.update(believed.q, believed.qd)
-        if np.isfinite(state.mass_matrix).all() and np.isfinite(state.gravity).all():
-            self._state, self._q = state, believed.q
-            self.reference.observe(state.pose, state.twist_world)
+        arm = view_arm(self._robot, believed.q, believed.qd)
+        if arm is not None:
+            self._arm = arm
+            self.reference.observe(arm.pose, arm.twist_world)
 
     def _motion_causes(self) -> tuple[str, ...]:
         """Return which speeds are beyond their limits, and act on the box."""
-        state, limits = self._state, self.config.limits
-        if state is None:
+        arm, limits = self._arm, self.config.limits
+        if arm is None:
             return ()
         causes = []
-        v, w = state.twist_world[:3], state.twist_world[3:]
+        v, w = arm.twist_world[:3], arm.twist_world[3:]
         if v @ v > (SPEED_EXCESS * limits.operational_speed) ** 2 or (
                 w @ w > (SPEED_EXCESS * limits.operational_turn) ** 2):
             causes.append('motion_operational_speed')
-        if (np.abs(state.velocity) > SPEED_EXCESS * self._speed).any():
+        if (np.abs(arm.velocity) > SPEED_EXCESS * self._speed).any():
             causes.append('motion_joint_speed')
         return tuple(causes)
 
@@ -214,8 +215,8 @@ class Supervisor:
         self, believed: Believed, causes: tuple[str, ...], reaction: str,
     ) -> SupervisorOutput:
         """Step the control law."""
-        state = self._state
-        if state is None or believed.q is None or believed.qd is None or believed.wrench is None:
+        arm = self._arm
+        if arm is None or believed.q is None or believed.qd is None or believed.wrench is None:
             return self._react(('joints_stale',), believed.rejected, DAMP)
         resumed = self._paused and self._running
         if resumed:
@@ -229,21 +230,21 @@ class Supervisor:
         if not _finite(output):
             return self._react(('law_not_finite',), believed.rejected,
                                self.config.watchdog.on_law_fault)
-        doubt = self._doubt(output, state, believed.wrench)
+        doubt = self._doubt(output, arm, believed.wrench)
         if doubt:
             return self._react((doubt,), believed.rejected, self.config.watchdog.on_wrench_fault)
         self._running, self._paused = True, False
         self._reactions.end()
         self._task_ticks += 1
-        self._stay_in_box(state)
+        self._stay_in_box(arm)
         limits = ('reference',) if self.reference.limited else ()
         return self._finish(output, (NONE, tuple(output.active.tolist()), resumed), causes,
                             believed.rejected, reaction, limits)
 
-    def _doubt(self, output: ControlOutput, state: RobotState, wrench: Vector) -> str:
+    def _doubt(self, output: ControlOutput, arm: ArmView, wrench: Vector) -> str:
         """Return how the wrench contradicts what contacts can do, once it has done so twice."""
         watch = self.config.watchdog
-        force = state.sensor_pose.rotation_world @ wrench[:3] + self._weight
+        force = arm.sensor_rotation @ wrench[:3] + self._weight
         sideways = force - output.alpha_meas @ self._normals
         bound = watch.friction_offset + watch.friction_bound * np.abs(output.alpha_meas).sum()
         doubt = ''
@@ -254,10 +255,10 @@ class Supervisor:
         self._doubts = self._doubts + 1 if doubt else 0
         return doubt if self._doubts >= DOUBTS or (doubt and self._paused) else ''
 
-    def _stay_in_box(self, state: RobotState) -> None:
+    def _stay_in_box(self, arm: ArmView) -> None:
         """Leave the contacts if they have led out of the box; the reference leads back."""
         lower, upper = self._box
-        position = state.pose.position_world
+        position = arm.pose.position_world
         if lower.size and ((position < lower - 0.01).any() or (position > upper + 0.01).any()):
             self.reference.release()
 
@@ -268,8 +269,7 @@ class Supervisor:
         if 'recovering' not in causes:
             self._good_ticks = 0
         self._paused, self._last_reaction = True, reaction
-        q = None if self._state is None else self._q
-        torque = self._reactions.torque(reaction, self._state, q, self._robot.joint_count)
+        torque = self._reactions.torque(reaction, self._arm)
         output = replace(
             self._output, torque=torque, active=np.zeros_like(self._output.active),
             alpha_des=np.zeros_like(self._output.alpha_des))
@@ -281,9 +281,8 @@ class Supervisor:
     ) -> SupervisorOutput:
         """Blend, pass the gate, report."""
         blended = self._blend.apply(law, output.torque)
-        fallback = np.zeros_like(blended) if self._state is None else self._state.gravity
-        gated = self._gate.apply(
-            blended, fallback, self._state, None if self._state is None else self._q)
+        fallback = np.zeros_like(blended) if self._arm is None else self._arm.bias_torque
+        gated = self._gate.apply(blended, fallback, self._arm)
         self._blend.last = gated.torque
         self._output = replace(output, torque=gated.torque)
         observers = self.reference.observers
@@ -297,7 +296,7 @@ class Supervisor:
 
     def _last_resort(self, cause: str) -> SupervisorOutput:
         """Answer after something failed that should not: forget the arm, let go of it slowly."""
-        self._paused, self._last_reaction, self._state = True, DAMP, None
+        self._paused, self._last_reaction, self._arm = True, DAMP, None
         self._good_ticks = 0
         return self._finish(self._output, DAMP, (cause,), (), DAMP, ())
 
@@ -306,7 +305,7 @@ class Supervisor:
 
 
 def _finite(output: ControlOutput) -> bool:
-    return all(np.isfinite(values).all() for values in (
+    return all(all_finite(values) for values in (
         output.torque, output.alpha_meas, output.alpha_est, output.alpha_rate_est,
         output.alpha_des))
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+import math
 from typing import Any
 
 import numpy as np
 
-from multicontact_control.arrays import Vector
+from multicontact_control.arrays import all_finite, Vector
 from multicontact_control.config import ControllerConfig
 
 STILL = 1e-4  # rad/s; below it a joint reading may repeat itself
@@ -109,15 +110,18 @@ def finite_vector(values: Any, size: int) -> Vector | None:
         vector = np.array(values, dtype=float)
     except (TypeError, ValueError, OverflowError):
         return None
-    if vector.shape != (size,) or not np.isfinite(vector).all():
+    if vector.shape != (size,) or not all_finite(vector):
         return None
     return vector
 
 
 def finite_number(value: Any) -> float | None:
     """Return a finite number, None if it is not one."""
-    vector = finite_vector([value], 1)
-    return None if vector is None else float(vector[0])
+    try:
+        number = float(value)
+    except (TypeError, ValueError, OverflowError):
+        return None
+    return number if math.isfinite(number) else None
 
 
 class Watchdog:
@@ -322,12 +326,12 @@ class Watchdog:
         self._wrench_repeats = self._wrench_repeats + 1 if same else 0
         self._last_wrench = wrench
         limit = self._watch.frozen_samples
-        if limit and self._wrench_repeats >= limit:
+        if (np.abs(wrench) >= self._full_scale).any():
+            rejected.append('wrench_saturated')
+        elif limit and self._wrench_repeats >= limit:
             rejected.append('wrench_frozen')
             # Its first repetitions were not fresh either: the reading is as old as its value.
             self._stamps['wrench'] = stamp - self._wrench_repeats * self._config.period
-        elif (np.abs(wrench) >= self._full_scale).any():
-            rejected.append('wrench_saturated')
         else:
             self._wrench, self._stamps['wrench'] = wrench, stamp
 
