@@ -307,8 +307,8 @@ class LimitsConfig(Config):
         (), 'Lower corner of the box the operational point stays in.', unit='m')
     workspace_upper: Vector = parameter((), 'Upper corner of that box.', unit='m')
     singular_mobility: Real = parameter(
-        0.004, 'Smallest eigenvalue of J M^-1 J^T up to which Lambda is damped.', unit='1/kg',
-        gt=0.0, le=1.0)
+        0.004, 'Smallest eigenvalue of J M^-1 J^T up to which Lambda is damped, 0 for never.',
+        unit='1/kg', ge=0.0, le=1.0)
 
     @model_validator(mode='after')
     def _check_across_fields(self) -> LimitsConfig:
