@@ -20,6 +20,7 @@ from multicontact_control.errors import ConfigError
 
 UNIT_NORM_TOLERANCE = 1e-3
 MAX_DELAY_PERIODS = 10
+WRENCH_SIZE = 6
 
 ModelT = TypeVar('ModelT', bound='Config')
 
@@ -102,6 +103,68 @@ class ToolConfig(Config):
     mass: Real = parameter(0.0, 'Mass beyond the sensor.', unit='kg', ge=0.0)
     com_sensor: Vector3 = parameter(
         (0.0, 0.0, 0.0), 'Centre of mass of that, in the sensor frame.', unit='m')
+    bias_sensor: Vector = parameter(
+        (0.0,) * 6, 'Reading of the sensor under no load, force first, subtracted from every one.',
+        unit='N, N m')
+
+    @model_validator(mode='after')
+    def _check_length(self) -> ToolConfig:
+        if len(self.bias_sensor) != WRENCH_SIZE:
+            raise ConfigError('tool.bias_sensor', '6 values', len(self.bias_sensor))
+        return self
+
+
+class SensorFrontEndConfig(Config):
+    """What is done to the wrist sensor's readings before anything else sees them."""
+
+    filter_order: int = parameter(
+        0, 'Order of the low-pass on the readings: 0 for none, 1, or 2 (Butterworth).', ge=0, le=2)
+    filter_cutoff: Real = parameter(
+        125.0, 'Cut-off of that low-pass; its delay is added to force.input_delay.', unit='Hz',
+        gt=0.0)
+    full_scale: Vector = parameter(
+        (), 'Largest reading of each axis, force first; empty where it is not known, and then '
+        'saturation is not detected.', unit='N, N m')
+    saturation_fraction: Real = parameter(
+        0.99, 'Share of full scale from which a reading counts as saturated.', gt=0.0, le=1.0)
+    frozen_ticks: int = parameter(
+        0, 'Identical readings in a row that mean a frozen sensor; 0 to not look for one.', ge=0)
+    require_push_test: bool = parameter(
+        False, 'Whether force control stays disabled until a push test has proved sign, frame '
+        'and scale of the sensor.')
+
+    @model_validator(mode='after')
+    def _check(self) -> SensorFrontEndConfig:
+        if self.full_scale and len(self.full_scale) != WRENCH_SIZE:
+            raise ConfigError('sensor.full_scale', '6 values or none', len(self.full_scale))
+        if min(self.full_scale, default=1.0) <= 0.0:
+            raise ConfigError('sensor.full_scale', 'values above 0', min(self.full_scale))
+        if self.frozen_ticks == 1:
+            raise ConfigError('sensor.frozen_ticks', '0 or at least 2', 1)
+        return self
+
+    def filter_delay(self, rate: float) -> float:
+        """
+        Return by how much the low-pass delays what changes slowly.
+
+        Its group delay at 0 Hz, exact for the bilinear transform: with K = tan(pi f_c / f_s),
+        1 / (2 K) samples for order 1 and 1 / (sqrt(2) K) for order 2.
+
+        Parameters
+        ----------
+        rate
+            Rate of the readings [Hz].
+
+        Returns
+        -------
+        float
+            The delay [s], 0 without a low-pass.
+
+        """
+        if self.filter_order == 0:
+            return 0.0
+        samples = 1.0 / math.tan(math.pi * self.filter_cutoff / rate)
+        return samples / ((2.0 if self.filter_order == 1 else math.sqrt(2.0)) * rate)
 
 
 class MotionConfig(Config):
@@ -159,18 +222,190 @@ class ContactConfig(Config):
         6000.0, 'Modelled stiffness k_env at the contact point.', unit='N/m', gt=0.0)
 
 
+class ContactStateConfig(Config):
+    """When a contact counts as made, held or lost, and how it is looked for."""
+
+    approach_speed: Real = parameter(
+        0.02, 'Largest speed along a normal towards a surface that is not felt; what a scenario '
+        'says of its approach goes before.', unit='m/s', gt=0.0, le=0.25)
+    approach_ramp_time: Real = parameter(
+        0.5, 'Time to reach that speed.', unit='s', gt=0.0, le=10.0)
+    approach_distance: Real = parameter(
+        0.1, 'A surface not met over this distance is given up.', unit='m', gt=0.0, le=2.0)
+    search_distance: Real = parameter(
+        0.01, 'A lost surface not met this far beyond where it was is given up.', unit='m',
+        gt=0.0, le=0.5)
+    contact_threshold: Real = parameter(
+        1.5, 'Measured force that counts as touch.', unit='N', gt=0.0, le=100.0)
+    release_threshold: Real = parameter(
+        0.5, 'Measured force below which a contact may be lost.', unit='N', ge=0.0, le=100.0)
+    release_fraction: Real = parameter(
+        0.3, 'The same relative to the force it was held with or is to have, whichever is less: '
+        'a tool that falls after its surface reads its own inertia.', ge=0.0, lt=1.0)
+    escape_speed: Real = parameter(
+        0.1, 'Speed of the contact point into its surface that only a lost one reaches.',
+        unit='m/s', gt=0.0, le=5.0)
+    preload: Real = parameter(
+        2.0, 'Desired force from touch until the contact holds.', unit='N', gt=0.0, le=100.0)
+    force_rate: Real = parameter(
+        100.0, 'Rise of the desired force of a contact that was lost, from touch on.',
+        unit='N/s', gt=0.0, le=1e4)
+    impact_time: Real = parameter(
+        0.05, 'Least time in contact from touch to holding.', unit='s', ge=0.0, le=1.0)
+    loss_time: Real = parameter(
+        0.004, 'Time below the release threshold until a contact is lost.', unit='s', ge=0.0,
+        le=1.0)
+    lost_time: Real = parameter(
+        0.05, 'Least time from loss to a new approach.', unit='s', ge=0.0, le=10.0)
+    braking: Real = parameter(
+        5.0, 'Acceleration that brakes a tip that has lost its surface, or pulls it back.',
+        unit='m/s^2', gt=0.0, le=50.0)
+    force_ceiling: Real = parameter(
+        60.0, 'Measured force at which a contact is left.', unit='N', gt=0.0, le=1000.0)
+    retract_distance: Real = parameter(
+        0.01, 'Way back from a surface that is left.', unit='m', gt=0.0, le=0.2)
+    retract_speed: Real = parameter(
+        0.05, 'Speed on that way.', unit='m/s', gt=0.0, le=0.25)
+    blend_time: Real = parameter(
+        0.003, 'Time constant by which a change of active contacts, or of the law, is blended.',
+        unit='s', gt=0.0, le=1.0)
+    energy_limit: Real = parameter(
+        0.5, 'Energy a contact may take up beyond what it stores, within energy_memory.',
+        unit='J', gt=0.0, le=100.0)
+    energy_memory: Real = parameter(
+        1.0, 'Time constant by which that energy is forgotten.', unit='s', gt=0.0, le=100.0)
+    injected_damping: Real = parameter(
+        0.0, 'Force per speed taken from the command while that limit is passed; 0 for none.',
+        unit='N s/m', ge=0.0, le=1e4)
+
+    @model_validator(mode='after')
+    def _check_across_fields(self) -> ContactStateConfig:
+        if not self.release_threshold < self.contact_threshold < self.force_ceiling:
+            raise ConfigError(
+                'contact_state.contact_threshold',
+                f'above release_threshold {self.release_threshold:g} N and below force_ceiling '
+                f'{self.force_ceiling:g} N', f'{self.contact_threshold:g} N')
+        return self
+
+
+class LimitsConfig(Config):
+    """What no command and no motion may exceed; an empty list is no limit."""
+
+    joint_lower: Vector = parameter((), 'Lower stop of each joint.', unit='rad')
+    joint_upper: Vector = parameter((), 'Upper stop of each joint.', unit='rad')
+    joint_margin: Real = parameter(
+        0.02, 'How far before its stop a joint is to stand still.', unit='rad', ge=0.0, le=1.0)
+    joint_speed: Vector = parameter((), 'Largest speed of each joint.', unit='rad/s')
+    joint_braking: Real = parameter(
+        5.0, 'Deceleration counted on before a stop.', unit='rad/s^2', gt=0.0, le=500.0)
+    torque_rate: Vector = parameter((), 'Largest rate of each torque.', unit='N m/s')
+    operational_speed: Real = parameter(
+        0.5, 'Largest speed of the operational point.', unit='m/s', gt=0.0, le=10.0)
+    operational_turn: Real = parameter(
+        2.0, 'Largest angular speed of the operational frame.', unit='rad/s', gt=0.0, le=50.0)
+    workspace_lower: Vector = parameter(
+        (), 'Lower corner of the box the operational point stays in.', unit='m')
+    workspace_upper: Vector = parameter((), 'Upper corner of that box.', unit='m')
+    singular_mobility: Real = parameter(
+        0.004, 'Smallest eigenvalue of J M^-1 J^T up to which Lambda is damped, 0 for never.',
+        unit='1/kg', ge=0.0, le=1.0)
+
+    @model_validator(mode='after')
+    def _check_across_fields(self) -> LimitsConfig:
+        for kind in ('joint', 'workspace'):
+            lower, upper = getattr(self, f'{kind}_lower'), getattr(self, f'{kind}_upper')
+            if len(lower) != len(upper) or any(a >= b for a, b in zip(lower, upper)):
+                raise ConfigError(
+                    f'limits.{kind}_lower', f'one value below each of {kind}_upper', list(lower))
+        if len(self.workspace_lower) not in (0, 3):
+            raise ConfigError('limits.workspace_lower', '3 values', len(self.workspace_lower))
+        for name in ('joint_speed', 'torque_rate'):
+            if min(getattr(self, name), default=1.0) <= 0.0:
+                raise ConfigError(f'limits.{name}', 'values above 0', min(getattr(self, name)))
+        return self
+
+
+Reaction = Literal['hold', 'float', 'damp']
+
+
+class WatchdogConfig(Config):
+    """When an input is no longer believed, and what happens then."""
+
+    joint_max_age: Real = parameter(
+        0.003, 'Largest age of a joint state.', unit='s', gt=0.0, le=1.0)
+    wrench_max_age: Real = parameter(0.003, 'Largest age of a wrench.', unit='s', gt=0.0, le=1.0)
+    variance_max_age: Real = parameter(
+        0.005, 'Largest age of R, which is one period old when all is well.', unit='s', gt=0.0,
+        le=10.0)
+    variance_growth: Real = parameter(
+        1.1, 'Factor per period on an R that is not renewed.', ge=1.0, le=10.0)
+    variance_floor: Real = parameter(
+        0.1, 'Smallest R that is used: a smaller one makes the observer faster than the drives.',
+        unit='N^2', gt=0.0)
+    variance_ceiling: Real = parameter(
+        1e3, 'Where that growth ends, and the largest R that is believed.', unit='N^2', gt=0.0)
+    on_joint_fault: Reaction = parameter(
+        'float', 'Reaction to a joint state that is missing, stale or not believed.')
+    on_wrench_fault: Reaction = parameter(
+        'hold', 'Reaction to a wrench that is missing, stale or not believed.')
+    on_clock_fault: Reaction = parameter(
+        'hold', 'Reaction to time that runs backwards or at a wrong rate.')
+    on_motion_fault: Reaction = parameter(
+        'hold', 'Reaction to a speed beyond its limit.')
+    on_law_fault: Reaction = parameter(
+        'damp', 'Reaction to a control law that raises or gives no finite torque.')
+    rate_band: Real = parameter(
+        2.5, 'Twice in a row a period beyond 1 / rate_band to rate_band times the right one is '
+        'a fault.', gt=1.0, le=100.0)
+    frozen_samples: int = parameter(
+        2, 'Repetitions, bit by bit, that make a reading frozen; 0 for a sensor without noise.',
+        ge=0, le=1000)
+    wrench_full_scale: Vector = parameter(
+        (), 'Reading of each axis at which the sensor saturates; empty if unknown.',
+        unit='N, N m')
+    pull_threshold: Real = parameter(
+        4.0, 'Measured pull of a surface that makes the wrench unbelievable.', unit='N', gt=0.0)
+    friction_bound: Real = parameter(
+        0.8, 'Largest believable ratio of sideways to normal forces.', gt=0.0, le=10.0)
+    friction_offset: Real = parameter(
+        5.0, 'Sideways force that is always believed.', unit='N', gt=0.0)
+    position_jump: Real = parameter(
+        0.01, 'Largest believable difference between a joint angle and the one its speeds lead '
+        'to.', unit='rad', gt=0.0)
+    hold_frequency: Real = parameter(
+        10.0, 'Natural frequency of the joints while the posture is held.', unit='rad/s',
+        gt=0.0, le=100.0)
+    damping_rate: Real = parameter(
+        5.0, 'Damping of the joints over their inertia, of the reaction `damp`.', unit='1/s',
+        gt=0.0, le=100.0)
+    recovery_time: Real = parameter(
+        0.05, 'How long all inputs must be good before control resumes.', unit='s', ge=0.0,
+        le=60.0)
+
+    @model_validator(mode='after')
+    def _check_lengths(self) -> WatchdogConfig:
+        if len(self.wrench_full_scale) not in (0, 6):
+            raise ConfigError(
+                'watchdog.wrench_full_scale', '6 values', len(self.wrench_full_scale))
+        return self
+
+
 class ControllerConfig(Config):
     """Everything the controller needs to know."""
 
     rate: Real = parameter(500.0, 'Control rate 1/h.', unit='Hz', gt=0.0)
     robot: RobotConfig
     tool: ToolConfig = ToolConfig()
+    sensor: SensorFrontEndConfig = SensorFrontEndConfig()
     motion: MotionConfig = MotionConfig()
     force: ForceConfig = ForceConfig()
     friction: FrictionConfig = FrictionConfig()
     contact_names: tuple[str, ...] = parameter(
         ..., 'Contacts in the order of every contact vector.', min_length=1)
     contacts: dict[str, ContactConfig]
+    contact_state: ContactStateConfig = ContactStateConfig()
+    limits: LimitsConfig = LimitsConfig()
+    watchdog: WatchdogConfig = WatchdogConfig()
     wrench_input: Literal['raw', 'filtered'] = parameter(
         'raw', 'Which wrench feeds the loop: ft_sensor/wrench or ft_sensor/wrench_filtered.')
     initial_noise_variance: Real = parameter(
@@ -186,7 +421,10 @@ class ControllerConfig(Config):
         joints = len(self.robot.joint_names)
         per_joint = {
             'robot.armature': self.robot.armature, 'friction.coulomb': self.friction.coulomb,
-            'friction.viscous': self.friction.viscous, 'torque_limit': self.torque_limit}
+            'friction.viscous': self.friction.viscous, 'torque_limit': self.torque_limit,
+            'limits.joint_lower': self.limits.joint_lower,
+            'limits.joint_speed': self.limits.joint_speed,
+            'limits.torque_rate': self.limits.torque_rate}
         for name, values in per_joint.items():
             if values and len(values) != joints:
                 raise ConfigError(name, f'{joints} values, one per joint', f'{len(values)}')
@@ -197,12 +435,29 @@ class ControllerConfig(Config):
                     f"'{name}'")
         if len(set(self.contact_names)) != len(self.contact_names):
             raise ConfigError('contact_names', 'distinct names', list(self.contact_names))
-        periods = self.force.input_delay * self.rate
-        if periods > MAX_DELAY_PERIODS + 1e-9:
-            raise ConfigError(
-                'force.input_delay', f'at most {MAX_DELAY_PERIODS} periods '
-                f'({MAX_DELAY_PERIODS / self.rate:g} s)', f'{self.force.input_delay:g} s')
+        self._check_delay()
         return self
+
+    def _check_delay(self) -> None:
+        sensor, nyquist = self.sensor, 0.5 * self.rate
+        if sensor.filter_order and sensor.filter_cutoff >= nyquist:
+            raise ConfigError(
+                'sensor.filter_cutoff', f'below the Nyquist frequency {nyquist:g} Hz',
+                f'{sensor.filter_cutoff:g} Hz')
+        if self.loop_delay * self.rate <= MAX_DELAY_PERIODS + 1e-9:
+            return
+        field, found = 'force.input_delay', f'{self.force.input_delay:g} s'
+        if sensor.filter_order:
+            field += ' and the delay of sensor.filter_cutoff'
+            found += f' + {sensor.filter_delay(self.rate):.4g} s'
+        raise ConfigError(
+            field, f'at most {MAX_DELAY_PERIODS} periods ({MAX_DELAY_PERIODS / self.rate:g} s)',
+            found)
+
+    @property
+    def loop_delay(self) -> float:
+        """T_d of the force loop: force.input_delay and that of the sensor's low-pass [s]."""
+        return self.force.input_delay + self.sensor.filter_delay(self.rate)
 
     @property
     def period(self) -> float:

@@ -9,7 +9,7 @@ import pinocchio as pin
 from multicontact_control.arrays import Matrix, Vector
 from sim_bridge.config import PlantConfig
 from sim_bridge.kinematics import add_joint_torque, forward_kinematics, point_velocity
-from sim_bridge.surface import build_surfaces, contact_force
+from sim_bridge.surface import build_surfaces, contact_force, FRICTION, STIFFNESS
 
 
 class Contacts:
@@ -34,7 +34,8 @@ class Contacts:
     wrist_world
         Origin of the last link, shape (3,) [m].
     load
-        What the surfaces, and a push at the wrist, do to the joints, shape (n,) [N m].
+        What the surfaces, and pushes at the wrist and the tool, do to the joints, shape (n,)
+        [N m].
 
     """
 
@@ -51,6 +52,26 @@ class Contacts:
         self.alpha = np.zeros(len(names))
         self.forces_world, self.points_world = np.zeros((len(names), 3)), np.zeros((len(names), 3))
         self.wrist_world, self.load = np.zeros(3), np.zeros(model.nv)
+
+    def shift(self, contact: int, distance: float) -> None:
+        """Move a surface along its normal by `distance` [m], away from the robot if positive."""
+        points, normals = self._surfaces[0], self._surfaces[1]
+        points[contact] += distance * normals[contact]
+
+    def scale_stiffness(self, contact: int, factor: float) -> None:
+        """
+        Make a surface stiffer by a factor without a step of the force.
+
+        A surface that is pressed on is moved such that it presses as before.
+        """
+        stiffness = self._surfaces[3][contact, STIFFNESS]
+        depth = self.alpha[contact] / stiffness
+        self._surfaces[3][contact, STIFFNESS] = factor * stiffness
+        self.shift(contact, depth * (1.0 - 1.0 / factor))
+
+    def scale_friction(self, contact: int, factor: float) -> None:
+        """Multiply a surface's coefficient of friction."""
+        self._surfaces[3][contact, FRICTION] *= factor
 
     def update(self, q: Vector, qd: Vector, push_world: Vector) -> None:
         """

@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 from rclpy.node import Node
+from std_msgs.msg import String
 
 from multicontact_control.config import parameter, Real
 from multicontact_control.errors import RunError
@@ -38,6 +39,7 @@ from multicontact_control.nodes.runtime import run_node, Spinner
 from multicontact_control.nodes.timing import DurationLog, write_json
 from sim_bridge.actuator_delay import ActuatorDelay
 from sim_bridge.config import PlantConfig
+from sim_bridge.puma560 import load_robot, urdf_text
 from sim_bridge.pybullet_plant import PybulletPlant, Sample
 
 MAX_LATE_PERIODS = 2
@@ -92,6 +94,8 @@ class SimNode(Node):
         self._published = np.zeros(REMEMBERED, dtype=np.int64)
         self._outputs = {
             topic: create_publisher(self, topic) for topic in topics.published_by(topics.SIM)}
+        # Kept by the publisher for whoever comes late.
+        self._outputs[topics.ROBOT_DESCRIPTION].publish(String(data=urdf_text(load_robot())))
         subscription = create_subscription(self, topics.EFFORT_COMMAND, self._on_command)
         self._gate = StartupGate(
             self, self._outputs, {topics.EFFORT_COMMAND: subscription}, config)

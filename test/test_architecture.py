@@ -10,8 +10,8 @@ from source_imports import find_cycle, imports_of, is_ros
 ROOT = Path(__file__).resolve().parents[1]
 # What is not listed (config, errors, arrays, paths, ...) lies at the bottom.
 LAYERS = {
-    'dynamics': 1, 'contact': 1, 'force': 1, 'control': 2, 'nodes': 3, 'experiment': 4, 'cli': 5,
-    '__main__': 5}
+    'dynamics': 1, 'contact': 1, 'force': 1, 'control': 2, 'nodes': 3, 'experiment': 4,
+    'tools': 4, 'client': 4, 'cli': 5, '__main__': 5}
 PINOCCHIO_HOME = 'multicontact_control.dynamics.robot'
 
 

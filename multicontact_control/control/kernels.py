@@ -32,15 +32,16 @@ from multicontact_control.force.kernels import ESTIMATED, MEASURED, observe_and_
 
 # What `control_law` returns.
 OK, SINGULAR, DEPENDENT = range(3)
-# Entries of `gains`: k_p, k_v, K_2, friction speed, null-space damping, largest condition.
-K_P, K_V, K_2, FRICTION_SPEED, NULLSPACE_DAMPING, MAX_CONDITION = range(6)
+# Entries of `gains`: k_p, k_v, K_2, friction speed, null-space damping, largest condition,
+# eigenvalue up to which Lambda^-1 is damped.
+K_P, K_V, K_2, FRICTION_SPEED, NULLSPACE_DAMPING, MAX_CONDITION, SINGULAR_MOBILITY = range(7)
 # Rows of `joints`.
 COULOMB, VISCOUS, TORQUE_LIMIT = range(3)
 # Row of `pose_des` below the axes, and rows of `motion_des`.
 POSITION = 3
 TWIST, ACCELERATION = range(2)
 # Rows of `tool`.
-COM_SENSOR, WEIGHT = range(2)
+COM_SENSOR, WEIGHT, FORCE_BIAS, TORQUE_BIAS = range(4)
 
 
 @compiled
@@ -51,7 +52,7 @@ def operational_wrench(
     """
     Fill in the wrench the robot exerts on the environment, at the operational point.
 
-    The sensor reads m (a - g) + f_c; see `contact_wrench` for what becomes of it.
+    The sensor reads m (a - g) + f_c + bias; see `contact_wrench` for what becomes of it.
 
     Parameters
     ----------
@@ -60,7 +61,8 @@ def operational_wrench(
     sensor_rotation, sensor_position, position
         Pose of the sensor and the operational point, world axes [m].
     tool
-        Centre of mass in the sensor frame [m] and weight m g in world axes [N], shape (2, 3).
+        Centre of mass in the sensor frame [m], weight m g in world axes [N], and the sensor's
+        bias of force [N] and torque [N m] in its frame, shape (4, 3).
     wrench
         Filled, world axes, shape (6,).
 
@@ -76,8 +78,10 @@ def operational_wrench(
         lever[i] = sensor_position[i] - position[i]
         for j in range(3):
             com[i] += sensor_rotation[i, j] * tool[COM_SENSOR, j]
-            wrench[i] += sensor_rotation[i, j] * wrench_sensor[j]
-            wrench[3 + i] += sensor_rotation[i, j] * wrench_sensor[3 + j]
+            force = wrench_sensor[j] - tool[FORCE_BIAS, j]
+            torque = wrench_sensor[3 + j] - tool[TORQUE_BIAS, j]
+            wrench[i] += sensor_rotation[i, j] * force
+            wrench[3 + i] += sensor_rotation[i, j] * torque
     cross(com, weight, moment)
     for i in range(3):
         wrench[3 + i] += moment[i]
@@ -273,8 +277,10 @@ def control_law(
     Y = np.empty((n, 6))
     mobility = np.empty((6, 6))
     Lambda = np.empty((6, 6))
-    if not mobility_and_inertia(
-            mass_matrix, jacobian, gains[MAX_CONDITION], L, Y, mobility, Lambda):
+    damping = mobility_and_inertia(
+        mass_matrix, jacobian, gains[MAX_CONDITION], gains[SINGULAR_MOBILITY], L, Y, mobility,
+        Lambda)
+    if damping < 0.0:
         return SINGULAR
     rows = np.empty((count, 6))
     factor = np.empty((count, count))
@@ -310,7 +316,7 @@ def control_law(
         for k in range(6):
             force[k] += rows[i, k] * report[ESTIMATED, i]
     multiply_transposed(jacobian, force, torque)
-    if n > 6:
+    if n > 6 or damping > 0.0:
         add_nullspace_torque(mass_matrix, jacobian, L, Y, Lambda, bias_torque, velocity,
                              gains[NULLSPACE_DAMPING], torque)
     finish_torque(gains, joints, velocity, torque)

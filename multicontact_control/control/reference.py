@@ -10,7 +10,13 @@ import numpy as np
 from pydantic import model_validator
 
 from multicontact_control.arrays import Mask, Vector
-from multicontact_control.config import Config, parameter, Real, UnitVector3
+from multicontact_control.config import (
+    Config,
+    ContactStateConfig,
+    parameter,
+    Real,
+    UnitVector3,
+)
 from multicontact_control.dynamics.pose import Pose
 from multicontact_control.errors import ConfigError
 
@@ -71,6 +77,22 @@ class ReferenceSource(Protocol):
         ...
 
 
+class TaskSource(Protocol):
+    """What is to be done, without regard to whether the contacts are there."""
+
+    def start(self, pose: Pose, normals_world: Vector) -> None:
+        """Begin from a pose at rest; see `ReferenceSource.start`."""
+        ...
+
+    def task(self, time: float) -> Reference:
+        """Return the motion, and the contacts that are wanted with the forces they are to have."""
+        ...
+
+    def contact_state(self, default: ContactStateConfig) -> ContactStateConfig:
+        """Return how contacts are to be made for this task."""
+        ...
+
+
 class ApproachConfig(Config):
     """Guarded contact: towards every surface until it is felt."""
 
@@ -117,6 +139,9 @@ class ReferenceConfig(Config):
 class ScenarioReference:
     """
     The paper's experiment as a reference: approach, preload, force steps, sinusoid.
+
+    `task` gives the time tables alone, for a `ContactReference` to find the contacts. `update`
+    is the law without supervision: a contact counts as made for good once it was touched.
 
     Parameters
     ----------
@@ -201,6 +226,31 @@ class ScenarioReference:
             self._held = (self._pose.position_world + self._advance @ self._normals).tolist()
             return (speed * direction).tolist(), (speed_rate * direction).tolist()
         return [0.0] * 3, [0.0] * 3
+
+    def contact_state(self, default: ContactStateConfig) -> ContactStateConfig:
+        """Return how contacts are to be made; what the scenario says of it goes first."""
+        approach = self._config.approach
+        return default.model_copy(update={
+            'approach_speed': approach.speed, 'approach_ramp_time': approach.ramp_time,
+            'contact_threshold': approach.contact_threshold, 'preload': approach.preload})
+
+    def task(self, time: float) -> Reference:
+        """Return the motion, and from the start of the approach on all contacts as wanted."""
+        wanted = time >= self._config.approach.start_time
+        position, twist, acceleration = self._pose.position_world, np.zeros(6), np.zeros(6)
+        if self._config.motion is not None:
+            s, ds, dds = sine_motion(self._config.motion, time)
+            direction = np.asarray(self._config.motion.direction_world)
+            position = position + s * direction
+            twist[:3] = ds * direction
+            acceleration[:3] = dds * direction
+        desired = np.full(self._count, self._config.approach.preload)
+        for start, forces in self._steps:
+            if time >= start - 1e-9:
+                desired = np.where(np.isnan(forces), desired, forces)
+        return Reference(
+            Pose(position, self._pose.rotation_world), twist, acceleration,
+            np.full(self._count, wanted), desired if wanted else np.zeros(self._count))
 
     def _desired_forces(self, time: float) -> Vector:
         """Return alpha_des; made anew only when a step is due or a contact has been found."""
@@ -297,6 +347,14 @@ class CommandedReference:
         self._pose = Pose.from_quaternion(position_world, quaternion_xyzw)
         self._twist = np.array(twist_world, dtype=float)
         self._acceleration = np.array(acceleration_world, dtype=float)
+
+    def contact_state(self, default: ContactStateConfig) -> ContactStateConfig:
+        """Return the default: a command says nothing of how contacts are made."""
+        return default
+
+    def task(self, time: float) -> Reference:
+        """Return what is commanded; see `TaskSource.task`."""
+        return self.update(time, self._alpha_des)
 
     def update(self, time: float, alpha_meas: Vector) -> Reference:
         """Return the reference of one tick; see `ReferenceSource.update`."""

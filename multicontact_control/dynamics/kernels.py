@@ -18,14 +18,15 @@ from multicontact_control.compiled import compiled
 
 @compiled
 def mobility_and_inertia(
-    mass_matrix: Matrix, jacobian: Matrix, max_condition: float, L: Matrix, Y: Matrix,
-    mobility: Matrix, Lambda: Matrix,
-) -> bool:
+    mass_matrix: Matrix, jacobian: Matrix, max_condition: float, singular_mobility: float,
+    L: Matrix, Y: Matrix, mobility: Matrix, Lambda: Matrix,
+) -> float:
     """
     Work out Lambda = (J M^-1 J^T)^-1 (P04 eq. 23) and what leads to it.
 
     M = L L^T, Y = L^-1 J^T, Lambda^-1 = Y^T Y. The condition number of Lambda^-1 is at most the
     product of the Frobenius norms of the two; only when that is too large is it worked out.
+    Near a singularity Lambda^-1 is damped, see `mobility_damping`.
 
     Parameters
     ----------
@@ -35,33 +36,55 @@ def mobility_and_inertia(
         J, shape (6, n).
     max_condition
         Largest accepted condition number of Lambda^-1.
+    singular_mobility
+        Eigenvalue of Lambda^-1 up to which it is damped, 0 for not at all [1/kg].
     L, Y, mobility, Lambda
         Filled, shapes (n, n) (lower triangle), (n, 6), (6, 6), (6, 6).
 
     Returns
     -------
-    bool
-        Whether the arm can accelerate the operational point in every direction.
+    float
+        What was added to the diagonal of Lambda^-1, -1 if the arm cannot accelerate the
+        operational point in every direction.
 
     """
     n = mass_matrix.shape[0]
     if not cholesky(mass_matrix, L, 0.0):
-        return False
+        return -1.0
     for i in range(n):
         for j in range(6):
             Y[i, j] = jacobian[j, i]
     solve_lower_columns(L, Y)
     gram(Y, mobility)
-    factor = np.empty((6, 6))
-    if not cholesky(mobility, factor, 0.0):
-        return False
-    inverse = np.eye(6)
-    solve_lower_columns(factor, inverse)
-    gram(inverse, Lambda)
+    damping = 0.0
+    invertible = _invert(mobility, Lambda)
+    # 1 / |Lambda| is at most the smallest eigenvalue: mostly that alone says enough.
+    if singular_mobility > 0.0 and not (
+            invertible and np.sqrt(_squared_norm(Lambda)) * singular_mobility <= 1.0):
+        smallest = np.linalg.eigvalsh(mobility)[0]
+        if smallest < singular_mobility:
+            damping = 0.5 * singular_mobility * (1.0 - smallest / singular_mobility) ** 2
+            for i in range(6):
+                mobility[i, i] += damping
+            invertible = _invert(mobility, Lambda)
+    if not invertible:
+        return -1.0
     if np.sqrt(_squared_norm(mobility) * _squared_norm(Lambda)) < max_condition:
-        return True
+        return damping
     eigenvalues = np.linalg.eigvalsh(mobility)
-    return bool(eigenvalues[0] * max_condition > eigenvalues[-1])
+    return damping if eigenvalues[0] * max_condition > eigenvalues[-1] else -1.0
+
+
+@compiled
+def _invert(A: Matrix, inverse: Matrix) -> bool:
+    """Fill in the inverse of a symmetric matrix; return whether it is positive definite."""
+    factor = np.empty((6, 6))
+    if not cholesky(A, factor, 0.0):
+        return False
+    root = np.eye(6)
+    solve_lower_columns(factor, root)
+    gram(root, inverse)
+    return True
 
 
 @compiled

@@ -28,6 +28,8 @@ class OperationalSpace:
         Coriolis and centripetal wrench, shape (6,) [N, N m].
     p
         Gravity wrench, shape (6,) [N, N m].
+    damped
+        Whether Lambda is damped, near a singularity: J_bar is not a full inverse of J then.
 
     """
 
@@ -35,10 +37,32 @@ class OperationalSpace:
     J_bar: Matrix
     mu: Vector
     p: Vector
+    damped: bool = False
+
+
+def mobility_damping(smallest: float, singular_mobility: float) -> float:
+    """
+    Return what to add to the eigenvalues of J M^-1 J^T near a singularity.
+
+    d = e_0 / 2 (1 - e / e_0)^2 for a smallest eigenvalue e below e_0, else 0. Lambda then has
+    no eigenvalue above 2 / e_0, changes smoothly, and is exact away from singularities. This is
+    damped least squares in the metric of M: in the direction that the arm is losing it does
+    less than asked, and no torque grows without bound.
+
+    Parameters
+    ----------
+    smallest, singular_mobility
+        e and e_0 [1/kg]; e_0 = 0 for no damping.
+
+    """
+    if singular_mobility <= 0.0 or smallest >= singular_mobility:
+        return 0.0
+    return 0.5 * singular_mobility * (1.0 - smallest / singular_mobility) ** 2
 
 
 def task_inertia(
     mass_matrix: Matrix, jacobian: Matrix, *, max_condition: float = MAX_CONDITION,
+    singular_mobility: float = 0.0,
 ) -> Matrix:
     """
     Return the inertia felt at a task frame.
@@ -53,6 +77,8 @@ def task_inertia(
         Task Jacobian J, shape (m, n), world axes, linear rows first.
     max_condition
         Largest accepted condition number of J M^-1 J^T.
+    singular_mobility
+        See `mobility_damping`.
 
     Returns
     -------
@@ -70,6 +96,7 @@ def task_inertia(
     require_shape('jacobian', jacobian, (jacobian.shape[0], mass_matrix.shape[0]))
     mobility = jacobian @ np.linalg.solve(mass_matrix, jacobian.T)
     eigenvalues, vectors = np.linalg.eigh(0.5 * (mobility + mobility.T))
+    eigenvalues = eigenvalues + mobility_damping(float(eigenvalues[0]), singular_mobility)
     if eigenvalues[0] * max_condition <= eigenvalues[-1]:
         raise SingularTaskError(
             f'J M^-1 J^T: expected a condition number below {max_condition:g}, found '
@@ -78,7 +105,9 @@ def task_inertia(
     return inertia
 
 
-def operational_space(state: RobotState) -> OperationalSpace:
+def operational_space(
+    state: RobotState, *, singular_mobility: float = 0.0,
+) -> OperationalSpace:
     """
     Express the arm's dynamics at the operational point.
 
@@ -90,11 +119,15 @@ def operational_space(state: RobotState) -> OperationalSpace:
         If the arm cannot accelerate the operational point in every direction.
 
     """
-    Lambda = task_inertia(state.mass_matrix, state.jacobian)
+    Lambda = task_inertia(
+        state.mass_matrix, state.jacobian, singular_mobility=singular_mobility)
     J_bar = np.asarray(
         np.linalg.solve(state.mass_matrix, state.jacobian.T @ Lambda), dtype=float)
     mu = J_bar.T @ state.coriolis - Lambda @ state.jacobian_drift
-    return OperationalSpace(Lambda=Lambda, J_bar=J_bar, mu=mu, p=J_bar.T @ state.gravity)
+    damped = singular_mobility > 0.0 and bool(
+        np.abs(state.jacobian @ J_bar - np.eye(6)).max() > 1e-9)
+    return OperationalSpace(
+        Lambda=Lambda, J_bar=J_bar, mu=mu, p=J_bar.T @ state.gravity, damped=damped)
 
 
 def joint_torque(
@@ -105,7 +138,8 @@ def joint_torque(
     Return the joint torque that makes a wrench at the operational point.
 
     Gamma = J^T F (P04 sec. 3). With more than six joints the motion that the operational point
-    does not see is gravity compensated and damped: Gamma += (1 - J^T J_bar^T)(C v + g - d M v).
+    does not see, or near a singularity hardly, is gravity compensated and damped:
+    Gamma += (1 - J^T J_bar^T)(C v + g - d M v).
 
     Parameters
     ----------
@@ -123,7 +157,7 @@ def joint_torque(
 
     """
     torque: Vector = state.jacobian.T @ wrench_world
-    if state.mass_matrix.shape[0] > 6:
+    if state.mass_matrix.shape[0] > 6 or space.damped:
         free = state.coriolis + state.gravity - nullspace_damping * (
             state.mass_matrix @ state.velocity)
         torque += free - state.jacobian.T @ (space.J_bar.T @ free)

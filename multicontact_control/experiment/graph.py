@@ -65,6 +65,8 @@ class GraphSpec:
         Scenario for the controller; none lets it obey the command topics.
     domain_id
         ROS domain; by default that of the environment, else one that is free.
+    namespace
+        Namespace of all nodes, topics and services, without a leading slash; empty for none.
     extra_parameters
         More parameters per node name, over those of its file.
 
@@ -78,6 +80,7 @@ class GraphSpec:
     seed: int = 0
     reference_file: Path | None = None
     domain_id: int | None = None
+    namespace: str = ''
     extra_parameters: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     @property
@@ -144,7 +147,8 @@ def run_graph(
     spec.logs.mkdir(parents=True, exist_ok=True)
     with reserve_domain(spec.domain_id) as domain_id, _signals() as interrupted:
         processes = _Processes(spec, _environment(spec, domain_id))
-        listener = ProgressListener(domain_id) if on_progress is not None else None
+        listener = ProgressListener(domain_id, spec.namespace) if (
+            on_progress is not None) else None
         try:
             processes.start()
             _watch(processes, interrupted, listener, on_progress)
@@ -268,6 +272,8 @@ def node_command(name: str, spec: GraphSpec) -> list[str]:
     command = [str(script)] if os.access(script, os.X_OK) else (
         [sys.executable, '-m', MODULES[name]])
     command.append('--ros-args')
+    if spec.namespace:
+        command += ['-r', f'__ns:=/{spec.namespace}']
     parameter_file = spec.parameter_files.get(name)
     if parameter_file is not None:
         command += ['--params-file', str(parameter_file.resolve())]

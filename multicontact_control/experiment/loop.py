@@ -10,6 +10,14 @@ import numpy as np
 
 from multicontact_control.arrays import Vector
 from multicontact_control.control.controller import Controller, ControlOutput, Measurement
+from multicontact_control.control.sensor.front_end import SensorFrontEnd
+from multicontact_control.control.supervisor import Supervisor, SupervisorStatus
+from multicontact_control.control.watchdog import (
+    JointInput,
+    TickInputs,
+    VarianceInput,
+    WrenchInput,
+)
 from multicontact_control.errors import ContactGeometryError, SingularTaskError
 from multicontact_control.experiment.recording import empty_run_data, RunData
 from multicontact_control.experiment.scenario import Setup
@@ -35,6 +43,8 @@ class LoopResult:
         Of the whole run [s].
     ended_early
         Why the run ended before its time, empty if it did not.
+    events
+        What the supervisor did and when: time [s] and what changed.
 
     """
 
@@ -42,10 +52,12 @@ class LoopResult:
     tick_us: Vector
     wall_time: float
     ended_early: str = ''
+    events: tuple[tuple[float, str], ...] = ()
 
 
 def run_in_process(
-    setup: Setup, on_progress: Callable[[float, Vector], None] | None = None,
+    setup: Setup, on_progress: Callable[[float, Vector], None] | None = None, *,
+    supervised: bool = False,
 ) -> LoopResult:
     """
     Run a scenario as fast as it goes.
@@ -59,6 +71,9 @@ def run_in_process(
         The run.
     on_progress
         Called every 100 ticks with the time [s] and the measured forces [N].
+    supervised
+        Whether contact states, watchdogs and limits are put around the controller, as the fault
+        campaign does. Without, it runs bare, as in the graph.
 
     Returns
     -------
@@ -67,7 +82,8 @@ def run_in_process(
 
     """
     config = setup.controller
-    controller = Controller.from_config(config, setup.reference(), setup.urdf_dir)
+    step, log = _stepper(setup, supervised)
+    front_end = SensorFrontEnd(config.sensor, config.rate)
     estimator = make_noise_estimator(setup.noise_estimator)
     plant = PybulletPlant(setup.plant, rate=config.rate, seed=setup.seed)
     delay = ActuatorDelay(setup.plant.actuator_delay_ticks, plant.initial_torque)
@@ -82,10 +98,9 @@ def run_in_process(
         sample = plant.reset()
         for k in range(setup.ticks):
             before = time.perf_counter_ns()
+            wrench = front_end.update(_wrench(setup, sample)).wrench_sensor
             try:
-                output = controller.step(
-                    Measurement(k * config.period, sample.q, sample.qd, _wrench(setup, sample)),
-                    noise_variance)
+                output = step(k, sample, wrench, noise_variance)
             except (SingularTaskError, ContactGeometryError, np.linalg.LinAlgError) as error:
                 ended_early, done = f'tick {k}: {error}', k
                 break
@@ -106,7 +121,64 @@ def run_in_process(
         plant.close()
     return LoopResult(
         data=data.truncated(done), tick_us=tick_us[:done],
-        wall_time=time.perf_counter() - start, ended_early=ended_early)
+        wall_time=time.perf_counter() - start, ended_early=ended_early, events=tuple(log.events))
+
+
+Step = Callable[[int, Sample, Vector, Vector], ControlOutput]
+
+
+class EventLog:
+    """
+    Notes what changes in what a supervisor reports.
+
+    Attributes
+    ----------
+    events
+        Time [s] and what changed.
+
+    """
+
+    def __init__(self) -> None:
+        self.events: list[tuple[float, str]] = []
+        self._before: tuple[object, ...] = ()
+
+    def note(self, time: float, status: SupervisorStatus) -> None:
+        """Take in the status of one tick."""
+        now = (status.reaction, status.causes, status.limits, status.contact_states)
+        if now != self._before:
+            self._before = now
+            self.events.append((time, ' | '.join([
+                status.reaction, ' '.join(status.causes + status.limits),
+                ', '.join(status.contact_states)])))
+
+
+def _stepper(setup: Setup, supervised: bool) -> tuple[Step, EventLog]:
+    """Return what answers a sample, and the log of what a supervisor does."""
+    config, log = setup.controller, EventLog()
+    h = config.period
+    if not supervised:
+        controller = Controller.from_config(config, setup.reference(), setup.urdf_dir)
+        return lambda k, sample, wrench, variance: controller.step(
+            Measurement(k * h, sample.q, sample.qd, wrench), variance), log
+    supervisor = Supervisor.from_config(config, setup.reference(), setup.urdf_dir)
+
+    def step(k: int, sample: Sample, wrench: Vector, variance: Vector) -> ControlOutput:
+        result = supervisor.step(inputs_of(setup, k, sample, wrench, variance))
+        log.note(k * h, result.status)
+        return result.output
+
+    return step, log
+
+
+def inputs_of(
+    setup: Setup, k: int, sample: Sample, wrench: Vector, variance: Vector,
+) -> TickInputs:
+    """Return what is known at tick k if all is well: its sample, and the R of the tick before."""
+    h = setup.controller.period
+    return TickInputs(
+        time=k * h, joints=JointInput(k * h, sample.q, sample.qd),
+        wrench=WrenchInput(k * h, wrench),
+        variance=VarianceInput((k - 1) * h, variance))
 
 
 def _wrench(setup: Setup, sample: Sample) -> Vector:

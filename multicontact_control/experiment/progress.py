@@ -40,15 +40,17 @@ class ProgressListener:
     ----------
     domain_id
         ROS domain of the graph.
+    namespace
+        Namespace of the graph.
 
     """
 
-    def __init__(self, domain_id: int) -> None:
+    def __init__(self, domain_id: int, namespace: str = '') -> None:
         prepare_environment()
         self._context = Context()
         self._context.init(args=[], domain_id=domain_id)
         self._node = Node(
-            'run_progress', context=self._context, use_global_arguments=False,
+            'run_progress', namespace=namespace, context=self._context, use_global_arguments=False,
             start_parameter_services=False, enable_rosout=False)
         self._subscription = self._node.create_subscription(
             topics.MEASURED_FORCES.message, topics.MEASURED_FORCES.name, self._ignore, qos.GLANCE)

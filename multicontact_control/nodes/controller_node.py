@@ -14,7 +14,7 @@ from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 
 from multicontact_control.arrays import Vector
-from multicontact_control.config import ControllerConfig, parameter, read_yaml, validate
+from multicontact_control.config import ControllerConfig, parameter, read_yaml, Real, validate
 from multicontact_control.control.controller import Controller, ControlOutput, Measurement
 from multicontact_control.control.reference import (
     CommandedReference,
@@ -22,8 +22,11 @@ from multicontact_control.control.reference import (
     ReferenceSource,
     ScenarioReference,
 )
+from multicontact_control.control.sensor.front_end import SensorFrontEnd
 from multicontact_control.errors import MulticontactError
 from multicontact_control.nodes import messages, topics
+from multicontact_control.nodes.contact_markers import ContactMarkers
+from multicontact_control.nodes.effort_output import EffortOutput
 from multicontact_control.nodes.graph_node import (
     create_publisher,
     create_subscription,
@@ -49,6 +52,13 @@ class ControllerNodeConfig(StartupConfig):
         '', 'YAML file of a scenario or its reference; empty to obey the command topics.')
     base_dir: str = parameter(
         '', 'Folder that relative paths start from; empty for that of the parameter file.')
+    effort_output_topic: str = parameter(
+        '', 'Topic for the bare efforts (std_msgs/Float64MultiArray) that the forward '
+        'controllers of ros2_control take; empty for none.')
+    marker_rate: Real = parameter(
+        25.0, 'Contact markers per second; 0 for none.', unit='Hz', ge=0.0)
+    marker_scale: Real = parameter(
+        0.01, 'Length of the arrow of a contact force.', unit='m/N', gt=0.0)
 
 
 class ControllerNode(Node):
@@ -78,6 +88,10 @@ class ControllerNode(Node):
         self._outputs = {
             topic: create_publisher(self, topic)
             for topic in topics.published_by(topics.CONTROLLER)}
+        self._effort_output = EffortOutput(
+            self, self._outputs[topics.EFFORT_COMMAND], node_config.effort_output_topic)
+        self._markers = ContactMarkers(
+            config, rate=node_config.marker_rate, scale=node_config.marker_scale)
         self._gate = StartupGate(self, self._outputs, self._subscribe(), node_config)
 
     def _make_reference(self, base_dir: Path) -> ReferenceSource:
@@ -135,6 +149,7 @@ class ControllerNode(Node):
     def _restart(self) -> None:
         """Forget the past: the next sample is the first."""
         self._controller.reset()
+        self._front_end = SensorFrontEnd(self._config.sensor, self._config.rate)
         self._pairing = SamplePairing()
         self._waiting: PairedSample | None = None
         self._first_stamp = self._last_stamp = -1
@@ -190,7 +205,7 @@ class ControllerNode(Node):
         if sample.stamp == self._last_stamp:
             self._waiting = None
             if self._last_command is not None:
-                self._outputs[topics.EFFORT_COMMAND].publish(self._last_command)
+                self._effort_output.publish(self._last_command)
             return
         if sample.stamp < self._last_stamp:
             self.get_logger().warning('samples start anew: the controller starts anew')
@@ -210,16 +225,20 @@ class ControllerNode(Node):
         # Taken note of before the step, so that a sample that cannot be answered is not
         # mistaken for a new start, nor its successor made to wait.
         self._last_stamp, self._last_command = sample.stamp, None
+        reading = self._front_end.update(sample.wrench_sensor)
         output = self._controller.step(
             Measurement(time=tick * self._config.period, q=sample.q, qd=sample.qd,
-                        wrench_sensor=sample.wrench_sensor), self._variance)
+                        wrench_sensor=reading.wrench_sensor), self._variance)
         command = messages.joint_state_message(
             sample.stamp, self._joint_names, effort=output.torque)
         self._step_times.add(time.perf_counter_ns() - start)
         # The command first: everything else can wait, the robot cannot.
-        self._outputs[topics.EFFORT_COMMAND].publish(command)
+        self._effort_output.publish(command)
         self._last_command = command
         self._publish_state(sample.stamp, output)
+        if self._markers.due(tick):
+            self._outputs[topics.CONTACT_MARKERS].publish(self._markers.message(
+                sample.stamp, WORLD_FRAME, output.pose, output.alpha_meas, output.active))
 
     def _publish_state(self, stamp: int, output: ControlOutput) -> None:
         names = self._config.contact_names
@@ -228,6 +247,9 @@ class ControllerNode(Node):
         outputs[topics.ESTIMATED_FORCES].publish(build(
             stamp, names, effort=output.alpha_est, velocity=output.alpha_rate_est))
         outputs[topics.DESIRED_FORCES].publish(build(stamp, names, effort=output.alpha_des))
+        outputs[topics.INNOVATION].publish(build(
+            stamp, names, position=output.variance_used, velocity=output.prior_variance,
+            effort=output.innovation))
         for topic, pose in ((topics.POSE, output.pose), (topics.POSE_DESIRED, output.pose_des)):
             outputs[topic].publish(messages.pose_message(
                 stamp, pose.position_world, pose.quaternion_xyzw, WORLD_FRAME))

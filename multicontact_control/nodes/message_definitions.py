@@ -10,6 +10,7 @@ from ament_index_python.packages import get_package_share_directory, PackageNotF
 
 from multicontact_control.errors import RunError
 from multicontact_control.nodes.runtime import prepare_environment
+from multicontact_control.nodes.tf_message import TF_HASH, TF_TEXT, TF_TYPE
 
 SEPARATOR = '=' * 80
 PRIMITIVES = frozenset((
@@ -56,13 +57,13 @@ def message_text(type_name: str) -> str:
         If a type is not installed.
 
     """
-    texts = {type_name: message_file(type_name, '.msg').read_text(encoding='utf-8')}
+    texts = {type_name: _text(type_name)}
     waiting = [type_name]
     while waiting:
         current = waiting.pop(0)
         for inner in _inner_types(texts[current], current.split('/')[0]):
             if inner not in texts:
-                texts[inner] = message_file(inner, '.msg').read_text(encoding='utf-8')
+                texts[inner] = _text(inner)
                 waiting.append(inner)
     main = texts.pop(type_name)
     parts = [f'{SEPARATOR}\nMSG: {name.replace("/msg/", "/")}\n{text}'
@@ -70,8 +71,16 @@ def message_text(type_name: str) -> str:
     return '\n'.join([main.rstrip('\n'), *(part.rstrip('\n') for part in parts)]) + '\n'
 
 
+def _text(type_name: str) -> str:
+    if type_name == TF_TYPE:
+        return TF_TEXT  # the one type that is recorded without being installed
+    return message_file(type_name, '.msg').read_text(encoding='utf-8')
+
+
 def message_hash(type_name: str) -> str:
     """Return the RIHS01 hash of a message type, empty if it is not installed with one."""
+    if type_name == TF_TYPE:
+        return TF_HASH
     try:
         description = json.loads(message_file(type_name, '.json').read_text(encoding='utf-8'))
         hashes = description['type_hashes']

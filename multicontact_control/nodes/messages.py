@@ -22,6 +22,7 @@ from trajectory_msgs.msg import MultiDOFJointTrajectoryPoint
 
 from multicontact_control.arrays import Vector
 from multicontact_control.errors import MulticontactError
+from multicontact_control.force.noise import Innovation
 
 NANOSECONDS = 1_000_000_000
 UNIT_QUATERNION_TOLERANCE = 1e-3
@@ -59,6 +60,14 @@ class NamedReading:
 
     stamp: int
     values: Vector
+
+
+@dataclass(frozen=True, slots=True)
+class InnovationReading:
+    """What the observers found at a time, in the order that was asked for."""
+
+    stamp: int
+    innovation: Innovation
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,6 +151,22 @@ def read_effort(message: JointState, names: Sequence[str]) -> NamedReading:
     """
     return NamedReading(
         stamp_to_ns(message.header.stamp), _ordered(message, names, 'effort', message.effort))
+
+
+def read_innovation(message: JointState, names: Sequence[str]) -> InnovationReading:
+    """
+    Read innovations: effort r [N], velocity C P_1 C^T and position R used [N^2] per contact.
+
+    Raises
+    ------
+    MessageError
+        If names are missing, foreign or doubled, or a number is missing or not finite.
+
+    """
+    return InnovationReading(stamp_to_ns(message.header.stamp), Innovation(
+        innovation=_ordered(message, names, 'effort', message.effort),
+        prior_variance=_ordered(message, names, 'velocity', message.velocity),
+        variance_used=_ordered(message, names, 'position', message.position)))
 
 
 def read_some_efforts(message: JointState, names: Sequence[str]) -> dict[str, float]:

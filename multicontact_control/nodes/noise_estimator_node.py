@@ -11,7 +11,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
 from multicontact_control.config import NoiseEstimatorConfig
-from multicontact_control.force.noise import make_noise_estimator
+from multicontact_control.force.noise import Innovation, make_noise_estimator
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.graph_node import (
     create_publisher,
@@ -20,10 +20,12 @@ from multicontact_control.nodes.graph_node import (
     StartupConfig,
     StartupGate,
 )
-from multicontact_control.nodes.messages import NamedReading
+from multicontact_control.nodes.messages import InnovationReading, NamedReading
 from multicontact_control.nodes.parameters import load_parameters
 from multicontact_control.nodes.runtime import run_node, Spinner
 from multicontact_control.nodes.timing import write_json
+
+MAX_INNOVATIONS = 8
 
 
 class NoiseEstimatorNode(Node):
@@ -50,10 +52,15 @@ class NoiseEstimatorNode(Node):
         self._last_answer: JointState | None = None
         self._samples = 0
         self._publisher = create_publisher(self, topics.NOISE_VARIANCE)
-        subscription = create_subscription(self, topics.MEASURED_FORCES, self._on_measured)
+        self._innovations: deque[InnovationReading] = deque(maxlen=MAX_INNOVATIONS)
+        callbacks = {topics.MEASURED_FORCES: self._on_measured}
+        if self._estimator.uses_innovation:
+            callbacks[topics.INNOVATION] = self._on_innovation
+        subscriptions = {
+            topic: create_subscription(self, topic, callback)
+            for topic, callback in callbacks.items()}
         self._gate = StartupGate(
-            self, {topics.NOISE_VARIANCE: self._publisher},
-            {topics.MEASURED_FORCES: subscription}, startup)
+            self, {topics.NOISE_VARIANCE: self._publisher}, subscriptions, startup)
 
     def run(self, spinner: Spinner) -> None:
         """Answer samples until asked to stop."""
@@ -75,22 +82,42 @@ class NoiseEstimatorNode(Node):
             if self._gate.open:
                 self._answer()
 
+    def _on_innovation(self, message: Any) -> None:
+        with self._refusals.guard(topics.INNOVATION):
+            self._innovations.append(messages.read_innovation(message, self._names))
+            if self._gate.open:
+                self._answer()
+
     def _answer(self) -> None:
-        """Answer everything that waits, in order."""
+        """Answer everything that waits and has all it needs, in order."""
         while self._waiting:
+            innovation = None
+            if self._estimator.uses_innovation:
+                stamp = self._waiting[0].stamp
+                if not self._innovations or self._innovations[-1].stamp < stamp:
+                    return
+                innovation = self._innovation_of(stamp)
             sample = self._waiting.popleft()
             with self._refusals.guard(topics.MEASURED_FORCES):
-                self._answer_one(sample)
+                self._answer_one(sample, innovation)
 
-    def _answer_one(self, sample: NamedReading) -> None:
+    def _innovation_of(self, stamp: int) -> Innovation | None:
+        """Return the innovation of a sample, None if it was lost."""
+        for reading in self._innovations:
+            if reading.stamp == stamp:
+                return reading.innovation
+        return None
+
+    def _answer_one(self, sample: NamedReading, innovation: Innovation | None) -> None:
         if sample.stamp != self._last_stamp:
             if sample.stamp < self._last_stamp:
                 self._estimator.reset()
             self._last_stamp = sample.stamp
             self._last_answer = None
             self._samples += 1
+            variance = self._estimator.update(sample.values, innovation)
             self._last_answer = messages.joint_state_message(
-                sample.stamp, self._names, effort=self._estimator.update(sample.values))
+                sample.stamp, self._names, effort=variance)
         if self._last_answer is not None:
             self._publisher.publish(self._last_answer)
 

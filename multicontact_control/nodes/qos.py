@@ -21,8 +21,8 @@ def _profile(
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE)
 
 
-STREAM = _profile(500)
-"""Publishers at the control rate: 1 s at 500 Hz for a reader whose transport is behind."""
+STREAM = _profile(5000)
+"""Publishers at the control rate: 10 s at 500 Hz for a recorder that gets no processor."""
 
 INPUT = _profile(10)
 """Readers at the control rate: 20 ms at 500 Hz; what is older than that is of no use to them."""
@@ -30,8 +30,14 @@ INPUT = _profile(10)
 COMMAND = _profile(10)
 """What a user sends now and then: no command may be lost, nor an old one be replayed."""
 
-RECORDING = _profile(1000)
-"""The recorder: 2 s at 500 Hz, so that a slow disk costs nothing."""
+RECORDING = _profile(5000)
+"""The recorder: 10 s at 500 Hz, so that a slow disk or a busy machine costs nothing."""
+
+RECORDING_LATCHED = _profile(10, latched=True)
+"""The recorder, of descriptions: also what was said before it came."""
+
+DISPLAY = _profile(25)
+"""For viewers: 1 s at 25 Hz, reliable so that the recording has them all."""
 
 GLANCE = _profile(1, reliable=False)
 """Progress displays: only the newest value counts, and the sender must not wait for it."""

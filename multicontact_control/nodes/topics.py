@@ -14,7 +14,9 @@ from typing import Any, Literal
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
+from std_msgs.msg import String
 from trajectory_msgs.msg import MultiDOFJointTrajectoryPoint
+from visualization_msgs.msg import MarkerArray
 
 from multicontact_control.nodes import qos
 
@@ -73,6 +75,8 @@ MEASURED_FORCES = Topic(
     'contact_forces/measured', JointState, CONTROLLER, (ESTIMATOR, RECORDER))
 ESTIMATED_FORCES = Topic('contact_forces/estimated', JointState, CONTROLLER, (RECORDER,))
 DESIRED_FORCES = Topic('contact_forces/desired', JointState, CONTROLLER, (RECORDER,))
+# Only estimators that work on innovations subscribe to it.
+INNOVATION = Topic('contact_forces/innovation', JointState, CONTROLLER, (RECORDER,))
 POSE = Topic('operational_point/pose', PoseStamped, CONTROLLER, (RECORDER,))
 POSE_DESIRED = Topic('operational_point/pose_desired', PoseStamped, CONTROLLER, (RECORDER,))
 NOISE_VARIANCE = Topic(
@@ -81,11 +85,15 @@ FORCE_COMMAND = Topic(
     'contact_forces/command', JointState, USER, (RECORDER,), qos.COMMAND, 'event')
 MOTION_COMMAND = Topic(
     'motion/command', MultiDOFJointTrajectoryPoint, USER, (RECORDER,), qos.COMMAND, 'event')
+ROBOT_DESCRIPTION = Topic(
+    'robot_description', String, SIM, (RECORDER,), qos.LATCHED, 'event')
+CONTACT_MARKERS = Topic(
+    'contact_markers', MarkerArray, CONTROLLER, (RECORDER,), qos.DISPLAY, 'event')
 
 TOPICS: tuple[Topic, ...] = (
     JOINT_STATES, WRENCH, WRENCH_FILTERED, TRUE_FORCES, EFFORT_COMMAND, MEASURED_FORCES,
-    ESTIMATED_FORCES, DESIRED_FORCES, POSE, POSE_DESIRED, NOISE_VARIANCE, FORCE_COMMAND,
-    MOTION_COMMAND)
+    ESTIMATED_FORCES, DESIRED_FORCES, INNOVATION, POSE, POSE_DESIRED, NOISE_VARIANCE,
+    FORCE_COMMAND, MOTION_COMMAND, ROBOT_DESCRIPTION, CONTACT_MARKERS)
 
 
 def published_by(node_name: str) -> tuple[Topic, ...]:

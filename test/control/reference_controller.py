@@ -67,7 +67,8 @@ class ReferenceController:
             self._reference.start(state.pose, self._normals_world)
         reference = self._reference.update(measurement.time, alpha_meas)
         self._follow_active_set(reference.active, alpha_meas)
-        space = operational_space(state)
+        space = operational_space(
+            state, singular_mobility=self.config.limits.singular_mobility)
         N = N_all[:, self._active]
         acceleration = self._acceleration(
             state, space, reference, N, self._force_inputs(reference, alpha_meas, noise_variance))

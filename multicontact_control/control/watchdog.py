@@ -1,0 +1,352 @@
+"""Which inputs can be believed: ages, names, shapes, numbers, repetitions, jumps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import math
+from typing import Any
+
+import numpy as np
+
+from multicontact_control.arrays import all_finite, Vector
+from multicontact_control.config import ControllerConfig
+
+STILL = 1e-4  # rad/s; below it a joint reading may repeat itself
+
+
+@dataclass(frozen=True, slots=True)
+class JointInput:
+    """
+    A joint state as it came in; nothing of it is believed yet.
+
+    Attributes
+    ----------
+    stamp
+        When it was sampled [s].
+    q, qd
+        Joint positions [rad] and velocities [rad/s].
+    names
+        Joint names in that order; None where the order is known.
+
+    """
+
+    stamp: float
+    q: Any
+    qd: Any
+    names: Any = None
+
+
+@dataclass(frozen=True, slots=True)
+class WrenchInput:
+    """A wrench [N, N m] as it came in, sampled at `stamp` [s]."""
+
+    stamp: float
+    wrench: Any
+
+
+@dataclass(frozen=True, slots=True)
+class VarianceInput:
+    """An R per contact [N^2] as it came in; `stamp` is that of the newest sample in it [s]."""
+
+    stamp: float
+    variance: Any
+
+
+@dataclass(frozen=True, slots=True)
+class TickInputs:
+    """
+    What is known at a tick: the newest of each input, however old, None if there is none.
+
+    Attributes
+    ----------
+    time
+        Now, on the clock of the stamps [s].
+    joints, wrench, variance
+        The newest readings.
+
+    """
+
+    time: float
+    joints: JointInput | None = None
+    wrench: WrenchInput | None = None
+    variance: VarianceInput | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Believed:
+    """
+    The inputs of one tick as far as they are believed.
+
+    Attributes
+    ----------
+    q, qd, wrench
+        The newest that were believed, None if there never were any.
+    variance
+        R, inflated if it is not renewed, shape (r,) [N^2].
+    causes
+        What calls for a reaction.
+    rejected
+        What was wrong with readings in this tick, whether it calls for a reaction yet or not.
+    repeated
+        Whether this is the tick before once more.
+    blind
+        Whether the joint state is not that of this tick or the one before.
+
+    """
+
+    q: Vector | None
+    qd: Vector | None
+    wrench: Vector | None
+    variance: Vector
+    causes: tuple[str, ...]
+    rejected: tuple[str, ...]
+    repeated: bool = False
+    blind: bool = False
+
+
+def finite_vector(values: Any, size: int) -> Vector | None:
+    """Return values as a vector of finite numbers, None if they are not that many or not that."""
+    try:
+        vector = np.array(values, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        return None
+    if vector.shape != (size,) or not all_finite(vector):
+        return None
+    return vector
+
+
+def finite_number(value: Any) -> float | None:
+    """Return a finite number, None if it is not one."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError, OverflowError):
+        return None
+    return number if math.isfinite(number) else None
+
+
+class Watchdog:
+    """
+    Judges the inputs of every tick.
+
+    A reading that is not believed counts as not received: the last believed one is used until it
+    is older than its limit. So a sample that is lost or damaged is bridged, and two in a row
+    call for a reaction.
+
+    Parameters
+    ----------
+    config
+        Names, limits, ages.
+
+    """
+
+    def __init__(self, config: ControllerConfig) -> None:
+        self._config, self._watch = config, config.watchdog
+        self._names = config.robot.joint_names
+        self._speed_limit = np.array(config.limits.joint_speed or [np.inf] * len(self._names))
+        full_scale = self._watch.wrench_full_scale
+        self._full_scale = 0.999 * np.array(full_scale) if full_scale else np.full(6, np.inf)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything; the next tick is the first."""
+        contacts = len(self._config.contact_names)
+        self._time: float | None = None
+        self._odd_periods = self._same_times = self._blind_ticks = 0
+        self._q: Vector | None = None
+        self._qd: Vector | None = None
+        self._wrench: Vector | None = None
+        self._variance: Vector = np.full(contacts, self._config.initial_noise_variance)
+        self._inflation = 1.0
+        self._stamps: dict[str, float | None] = {}
+        self._seen: dict[str, float | None] = {}
+        self._last_joints: tuple[Vector, Vector] | None = None
+        self._last_wrench: Vector | None = None
+        self._joint_repeats = self._wrench_repeats = 0
+        self._distrust = 0
+
+    def judge(self, inputs: TickInputs) -> Believed:
+        """Take in what is known at a tick and say what of it is believed."""
+        rejected: list[str] = []
+        causes: list[str] = []
+        time = self._judge_time(inputs.time, causes)
+        if time is None and (self._same_times >= 2 or self._has_new(inputs)):
+            causes.append('clock_frozen')
+            time = self._time
+        if time is None:
+            return Believed(self._q, self._qd, self._wrench, self._used_variance(), (), (), True)
+        h = self._config.period
+        self._take_joints(inputs.joints, time, rejected)
+        self._take_wrench(inputs.wrench, time, rejected)
+        self._take_variance(inputs.variance, time, rejected)
+        for key, limit in (('joints', self._watch.joint_max_age),
+                           ('wrench', self._watch.wrench_max_age),
+                           ('variance', self._watch.variance_max_age)):
+            stamp = self._stamps.get(key)
+            if stamp is None and key != 'variance' or (
+                    stamp is not None and time - stamp > limit + 1e-3 * h):
+                reasons = [reason for reason in rejected if reason.startswith(key)]
+                causes.append(reasons[0] if reasons else f'{key}_stale')
+        if any(cause.startswith('variance') for cause in causes):
+            self._inflation *= self._watch.variance_growth
+        return Believed(self._q, self._qd, self._wrench, self._used_variance(), tuple(causes),
+                        tuple(rejected), blind=self._blind_ticks > 1)
+
+    def _has_new(self, inputs: TickInputs) -> bool:
+        """Return whether a joint state has another stamp than the one before."""
+        return inputs.joints is not None and (
+            finite_number(inputs.joints.stamp) != self._seen.get('joints'))
+
+    def _used_variance(self) -> Vector:
+        used: Vector = np.minimum(self._variance * self._inflation, self._watch.variance_ceiling)
+        self._inflation = min(self._inflation, 1e12)
+        return used
+
+    def _judge_time(self, value: Any, causes: list[str]) -> float | None:
+        """Return the time of this tick; None if it is that of the tick before."""
+        h, before = self._config.period, self._time
+        time = finite_number(value)
+        if time is None or abs(time) > 1e12:
+            causes.append('clock_invalid')
+            time = 0.0 if before is None else before + h
+            self._time = time
+            return time
+        self._time = time
+        if before is None:
+            return time
+        step = time - before
+        self._same_times = self._same_times + 1 if step == 0.0 else 0
+        if step == 0.0:
+            return None
+        if step < 0.0:
+            causes.append('clock_backwards')
+            self._stamps = {key: None for key in self._stamps}
+            self._seen = {}
+            self._odd_periods = 0
+            return time
+        odd = not h / self._watch.rate_band <= step <= h * self._watch.rate_band
+        self._odd_periods = self._odd_periods + 1 if odd else 0
+        if self._odd_periods >= 2:
+            causes.append('clock_rate')
+        return time
+
+    def _fresh(self, key: str, stamp: Any, time: float, rejected: list[str]) -> float | None:
+        """Return the stamp of a reading that is new and in order, None otherwise."""
+        number = finite_number(stamp)
+        if number is None or number > time + 0.5 * self._config.period:
+            rejected.append(f'{key}_stamp')
+            return None
+        before = self._seen.get(key)
+        if before is not None and number <= before:
+            if number < before:
+                rejected.append(f'{key}_order')
+            return None
+        self._seen[key] = number
+        return number
+
+    def _take_joints(self, reading: JointInput | None, time: float, rejected: list[str]) -> None:
+        self._blind_ticks += 1
+        if reading is None:
+            return
+        stamp = self._fresh('joints', reading.stamp, time, rejected)
+        if stamp is None:
+            return
+        problem = self._joint_problem(reading, stamp)
+        if problem:
+            rejected.append(f'joints_{problem}')
+            if problem == 'frozen':  # the reading is as old as its value
+                self._stamps['joints'] = stamp - self._joint_repeats * self._config.period
+        else:
+            self._stamps['joints'] = stamp
+            self._blind_ticks = 0
+
+    def _joint_problem(self, reading: JointInput, stamp: float) -> str:
+        """Return what is wrong with a joint state; take it over if nothing is."""
+        n = len(self._names)
+        q, qd = finite_vector(reading.q, n), finite_vector(reading.qd, n)
+        if reading.names is not None:
+            try:
+                names = [str(name) for name in reading.names]
+            except TypeError:
+                return 'names'
+            if sorted(names) != sorted(self._names):
+                return 'names'
+            if q is not None and qd is not None and names != list(self._names):
+                order = [names.index(name) for name in self._names]
+                q, qd = q[order], qd[order]
+        if q is None or qd is None:
+            return 'invalid'
+        if np.abs(q).max() > 1e3 or (np.abs(qd) > 3.0 * self._speed_limit).any():
+            return 'implausible'
+        before, self._last_joints = self._last_joints, (q, qd)
+        if self._jumped(q, qd, before, stamp):
+            self._distrust = round(self._watch.recovery_time * self._config.rate)
+            return 'jump'
+        if self._distrust > 0:
+            self._distrust -= 1
+            return 'jump'
+        if self._joints_frozen(q, qd, before):
+            return 'frozen'
+        self._q, self._qd = q, qd
+        return ''
+
+    def _jumped(
+        self, q: Vector, qd: Vector, before: tuple[Vector, Vector] | None, stamp: float,
+    ) -> bool:
+        """Return whether a joint has moved as its speeds do not say, on its way here."""
+        origin = before if self._distrust else (
+            None if self._q is None or self._qd is None else (self._q, self._qd))
+        if origin is None:
+            return False
+        believed = self._stamps.get('joints')
+        h = self._config.period
+        elapsed = h if self._distrust or believed is None else stamp - believed
+        change = q - origin[0] - 0.5 * (qd + origin[1]) * min(elapsed, 0.1)
+        return bool(np.abs(change).max() > self._watch.position_jump * max(1.0, elapsed / h / 5.0))
+
+    def _joints_frozen(
+        self, q: Vector, qd: Vector, before: tuple[Vector, Vector] | None,
+    ) -> bool:
+        same = before is not None and np.abs(qd).max() > STILL and bool(
+            (q == before[0]).all() or (qd == before[1]).all())
+        self._joint_repeats = self._joint_repeats + 1 if same else 0
+        limit = self._watch.frozen_samples
+        return bool(limit and self._joint_repeats >= limit)
+
+    def _take_wrench(self, reading: WrenchInput | None, time: float, rejected: list[str]) -> None:
+        if reading is None:
+            return
+        stamp = self._fresh('wrench', reading.stamp, time, rejected)
+        if stamp is None:
+            return
+        wrench = finite_vector(reading.wrench, 6)
+        if wrench is None or np.abs(wrench).max() > 1e6:
+            rejected.append('wrench_invalid')
+            return
+        same = self._last_wrench is not None and bool((wrench == self._last_wrench).all())
+        self._wrench_repeats = self._wrench_repeats + 1 if same else 0
+        self._last_wrench = wrench
+        limit = self._watch.frozen_samples
+        if (np.abs(wrench) >= self._full_scale).any():
+            rejected.append('wrench_saturated')
+        elif limit and self._wrench_repeats >= limit:
+            rejected.append('wrench_frozen')
+            # Its first repetitions were not fresh either: the reading is as old as its value.
+            self._stamps['wrench'] = stamp - self._wrench_repeats * self._config.period
+        else:
+            self._wrench, self._stamps['wrench'] = wrench, stamp
+
+    def _take_variance(
+        self, reading: VarianceInput | None, time: float, rejected: list[str],
+    ) -> None:
+        if reading is None:
+            return
+        stamp = self._fresh('variance', reading.stamp, time, rejected)
+        if stamp is None:
+            return
+        variance = finite_vector(reading.variance, self._variance.size)
+        if variance is None or not (variance > 0.0).all():
+            rejected.append('variance_invalid')
+        else:
+            self._variance = np.clip(
+                variance, self._watch.variance_floor, self._watch.variance_ceiling)
+            self._stamps['variance'], self._inflation = stamp, 1.0

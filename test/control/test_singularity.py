@@ -1,0 +1,83 @@
+"""Passing through the PUMA's singularities: torques without a spike, gravity held throughout."""
+
+from arms import controller_config, HOME
+import numpy as np
+import pytest
+
+from multicontact_control.control.controller import Controller, Measurement
+from multicontact_control.control.reference import Reference
+from multicontact_control.dynamics.operational_space import mobility_damping
+from multicontact_control.dynamics.robot import RobotModel
+from multicontact_control.paths import config_dir
+
+H = 0.002
+
+
+class Follow:
+    """Asks for the pose the arm is in, a little beside it, and for the speed it has."""
+
+    def __init__(self, offset):
+        self.offset = np.array(offset)
+
+    def start(self, pose, normals_world):
+        pass
+
+    def update(self, time, alpha_meas):
+        pose, twist = self.now
+        beside = type(pose)(pose.position_world + self.offset, pose.rotation_world)
+        return Reference(beside, twist, np.zeros(6), np.zeros(2, dtype=bool), np.zeros(2))
+
+
+def torques(joint, start, end, offset, seconds=1.0, **limits):
+    """Return torque over limit along a path of one joint, with its gravity share."""
+    config = controller_config(torque_limit=[], limits={'torque_rate': [], **limits})
+    robot = RobotModel(config.robot, config_dir())
+    follow = Follow(offset)
+    controller = Controller(config, RobotModel(config.robot, config_dir()), follow)
+    speed = np.zeros(6)
+    speed[joint] = (end - start) / seconds
+    limit = np.array(controller_config().torque_limit)
+    found, gravity = [], []
+    for k in range(round(seconds / H) + 1):
+        q = HOME.copy()
+        q[joint] = start + speed[joint] * k * H
+        state = robot.update(q, speed)
+        follow.now = state.pose, state.twist_world
+        found.append(controller.step(
+            Measurement(k * H, q, speed, np.zeros(6)), np.full(2, 0.6)).torque / limit)
+        gravity.append((state.gravity + state.coriolis) / limit)
+    return np.array(found), np.array(gravity)
+
+
+@pytest.mark.parametrize('offset', [(1e-3, 0, 0), (0, 1e-3, 0), (0, 0, 1e-3), (0, 0, 0)])
+@pytest.mark.parametrize(('joint', 'start', 'end'), [(4, -0.5, 0.5), (2, 2.2, 1.0)])
+def test_no_spike_on_the_way_through_wrist_and_elbow_singularity(joint, start, end, offset):
+    """Within 40 % of the limits beside gravity, and no more than 2 % of them from tick to tick."""
+    found, gravity = torques(joint, start, end, offset)
+    assert np.isfinite(found).all()
+    assert np.abs(found - gravity).max() < 0.4
+    assert np.abs(np.diff(found, axis=0)).max() < 0.02
+
+
+def test_damping_is_smooth_bounded_and_absent_away_from_singularities():
+    """Lambda = 1 / (e + d): at most 2 / e_0; d and its slope go to zero at e_0."""
+    e = np.linspace(0.0, 0.02, 2001)
+    damped = e + np.array([mobility_damping(x, 0.01) for x in e])
+    assert (1.0 / damped).max() <= 2.0 / 0.01 + 1e-9
+    np.testing.assert_array_equal(damped[e >= 0.01], e[e >= 0.01])
+    assert np.abs(np.diff(damped, 2)).max() < 2e-8
+
+
+def test_gravity_is_held_exactly_in_the_singularity():
+    """At rest where the pose is right the torque is gravity's, although J has no inverse."""
+    config = controller_config()
+    robot = RobotModel(config.robot, config_dir())
+    follow = Follow((0.0, 0.0, 0.0))
+    controller = Controller(config, RobotModel(config.robot, config_dir()), follow)
+    q = HOME.copy()
+    q[4] = 0.0
+    state = robot.update(q, np.zeros(6))
+    follow.now = state.pose, np.zeros(6)
+    torque = controller.step(
+        Measurement(0.0, q, np.zeros(6), np.zeros(6)), np.full(2, 0.6)).torque
+    np.testing.assert_allclose(torque, state.gravity, atol=1e-9)
