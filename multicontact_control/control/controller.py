@@ -144,8 +144,8 @@ class Controller:
 
     def _start(self, pose: Pose) -> None:
         """Begin with the first sample."""
-        self._law_arguments = self._gather_law_arguments(
-            self._design_observers(pose.rotation_world))
+        self._observers = self._design_observers(pose.rotation_world)
+        self._law_arguments = self._gather_law_arguments(self._observers)
         self._reference.start(pose, self._constants.normals_world)
         self._started = True
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +27,7 @@ from multicontact_control.control.safety import TorqueGate
 from multicontact_control.control.watchdog import Believed, TickInputs, Watchdog
 from multicontact_control.dynamics.pose import Pose
 from multicontact_control.dynamics.robot import RobotModel
+from multicontact_control.force.kernels import DESIRED, REPORT_ROWS
 
 SPEED_EXCESS = 1.1  # times a speed limit, that the gate and the reference did not prevent
 DOUBTS = 2  # samples in a row that contradict the contacts, for the wrench not to be believed
@@ -270,9 +271,10 @@ class Supervisor:
             self._good_ticks = 0
         self._paused, self._last_reaction = True, reaction
         torque = self._reactions.torque(reaction, self._arm)
-        output = replace(
-            self._output, torque=torque, active=np.zeros_like(self._output.active),
-            alpha_des=np.zeros_like(self._output.alpha_des))
+        contacts = self._output.contacts.copy()
+        contacts[DESIRED] = 0.0
+        output = self._output._replace(
+            torque=torque, contacts=contacts, active=np.zeros_like(self._output.active))
         return self._finish(output, reaction, causes, rejected, reaction, ())
 
     def _finish(
@@ -284,7 +286,7 @@ class Supervisor:
         fallback = np.zeros_like(blended) if self._arm is None else self._arm.bias_torque
         gated = self._gate.apply(blended, fallback, self._arm)
         self._blend.last = gated.torque
-        self._output = replace(output, torque=gated.torque)
+        self._output = output._replace(torque=gated.torque)
         observers = self.reference.observers
         self._status = SupervisorStatus(
             reaction=reaction, causes=causes, rejected=rejected, limits=limits + gated.limits,
@@ -305,16 +307,12 @@ class Supervisor:
 
 
 def _finite(output: ControlOutput) -> bool:
-    return all(all_finite(values) for values in (
-        output.torque, output.alpha_meas, output.alpha_est, output.alpha_rate_est,
-        output.alpha_des))
+    return all_finite(output.torque) and all(map(all_finite, output.contacts))
 
 
 def _nothing(joints: int, contacts: int) -> ControlOutput:
     """Return the answer before anything is known."""
     pose = Pose(np.zeros(3), np.eye(3))
-    zero = np.zeros(contacts)
     return ControlOutput(
-        torque=np.zeros(joints), alpha_meas=zero, alpha_est=zero, alpha_rate_est=zero,
-        alpha_des=zero, active=np.zeros(contacts, dtype=bool), innovation=zero,
-        prior_variance=zero, variance_used=zero, pose=pose, pose_des=pose)
+        torque=np.zeros(joints), contacts=np.zeros((len(REPORT_ROWS), contacts)),
+        active=np.zeros(contacts, dtype=bool), pose=pose, pose_des=pose)

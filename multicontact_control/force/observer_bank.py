@@ -9,6 +9,7 @@ import numpy as np
 from multicontact_control.arrays import Matrix
 from multicontact_control.force.active_observer import ActiveObserver
 from multicontact_control.force.kernels import (
+    ESTIMATE,
     FEEDBACK,
     GAMMA,
     MATRICES,
@@ -60,3 +61,13 @@ class ObserverBank:
             self.vectors[GAMMA, i] = observer.Gamma
             self.vectors[FEEDBACK, i] = observer.feedback
             self.vectors[PROCESS_NOISE, i] = observer.Q
+
+    @property
+    def x_est(self) -> Matrix:
+        """State estimates, shape (r, m)."""
+        return self.vectors[ESTIMATE]
+
+    @property
+    def feedback(self) -> Matrix:
+        """[L_r 1] of every observer, shape (r, m)."""
+        return self.vectors[FEEDBACK]
