@@ -29,6 +29,8 @@ install_requires = [
     'typer>=0.15,<1',
     'rich>=13.9,<16',
     'matplotlib>=3.9,<4',
+    'plotly>=6,<8',
+    'joblib>=1.4,<2',
     'mcap>=1.2,<2',
     'mcap-ros2-support>=0.5.5,<0.7',
 ]

@@ -44,6 +44,9 @@ class SurfaceConfig(Config):
 class SensorConfig(Config):
     """The wrist force/torque sensor; force before torque, x y z."""
 
+    mounting: Vector = parameter(
+        (), 'What the mounting makes of true forces and of true torques: a 3 x 3 matrix, row by '
+        'row, e.g. a rotation or -1 on the diagonal for a flipped sign; empty for nothing.')
     noise: bool = parameter(True, 'Whether white noise is added.')
     force_noise_std: Real = parameter(0.047, 'Noise per force axis.', unit='N', ge=0.0)
     torque_noise_std: Real = parameter(0.004, 'Noise per torque axis.', unit='N m', ge=0.0)
@@ -62,6 +65,8 @@ class SensorConfig(Config):
         for name in ('bias', 'full_scale'):
             if len(getattr(self, name)) != 6:
                 raise ConfigError(f'sensor.{name}', '6 values', len(getattr(self, name)))
+        if len(self.mounting) not in (0, 9):
+            raise ConfigError('sensor.mounting', '9 values or none', len(self.mounting))
         if min(self.full_scale) <= 0.0:
             raise ConfigError('sensor.full_scale', 'values above 0', min(self.full_scale))
         return self
@@ -98,6 +103,12 @@ class PlantConfig(Config):
     push_duration: Vector = parameter((), 'How long each push lasts.', unit='s')
     push_force_world: Vector = parameter(
         (), 'Forces of the pushes at the operational point, x y z of each in turn.', unit='N')
+    tool_push_start: Vector = parameter((), 'When each push at the tool begins.', unit='s')
+    tool_push_duration: Vector = parameter((), 'How long each push at the tool lasts.', unit='s')
+    tool_push_force_world: Vector = parameter(
+        (), 'Forces on the tool, beyond the sensor, x y z of each push in turn.', unit='N')
+    tool_push_link: str = parameter(
+        'tip_board', 'URDF link, carried by the last joint, at whose origin the tool is pushed.')
 
     @model_validator(mode='after')
     def _check_across_fields(self) -> PlantConfig:
@@ -112,17 +123,20 @@ class PlantConfig(Config):
         for name in ('drive_stiffness', 'torque_limit'):
             if min(getattr(self, name), default=1.0) <= 0.0:
                 raise ConfigError(name, 'values above 0', min(getattr(self, name)))
-        for name in ('drive_damping', 'push_duration', 'push_start'):
+        for name in ('drive_damping', 'push_duration', 'push_start', 'tool_push_duration',
+                     'tool_push_start'):
             if min(getattr(self, name), default=0.0) < 0.0:
                 raise ConfigError(name, 'no negative value', min(getattr(self, name)))
         return self
 
     def _check_lengths(self) -> None:
         joints, pushes = len(self.home), len(self.push_start)
+        tool_pushes = len(self.tool_push_start)
         flexible = self.drives == 'flexible'
         wanted = {
             'drive_stiffness': joints, 'drive_damping': joints, 'torque_limit': joints,
-            'push_duration': pushes, 'push_force_world': 3 * pushes}
+            'push_duration': pushes, 'push_force_world': 3 * pushes,
+            'tool_push_duration': tool_pushes, 'tool_push_force_world': 3 * tool_pushes}
         for name, count in wanted.items():
             found = len(getattr(self, name))
             optional = name == 'torque_limit' or (name.startswith('drive') and not flexible)

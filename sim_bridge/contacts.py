@@ -34,7 +34,8 @@ class Contacts:
     wrist_world
         Origin of the last link, shape (3,) [m].
     load
-        What the surfaces, and a push at the wrist, do to the joints, shape (n,) [N m].
+        What the surfaces, and pushes at the wrist and the tool, do to the joints, shape (n,)
+        [N m].
 
     """
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import pinocchio as pin
@@ -16,6 +16,8 @@ from sim_bridge.drives import FlexibleDrives
 from sim_bridge.joint_friction import friction_table
 from sim_bridge.puma560 import load_robot, RobotData, SENSOR_FRAME, urdf_text
 from sim_bridge.rigid_drives import RigidDrives
+from sim_bridge.timed_pushes import push_at
+from sim_bridge.tool_push import ToolPush
 from sim_bridge.wrench_sensor import WrenchSensor
 
 
@@ -40,6 +42,9 @@ class Sample:
         belongs to, shape (nc,) [N], >= 0.
     saturated
         Whether a torque was clipped.
+    tool_push_world
+        True force of a hand on the tool over the period that ended, world axes, shape (3,) [N]:
+        like any contact in what the sensor reads (its opposite), but not in `contact_force`.
 
     """
 
@@ -50,6 +55,7 @@ class Sample:
     wrench_filtered: Vector
     contact_force: Vector
     saturated: bool
+    tool_push_world: Vector = field(default_factory=lambda: np.zeros(3))
 
 
 class PybulletPlant:
@@ -117,6 +123,7 @@ class PybulletPlant:
         generators = [np.random.default_rng(source) for source in sources]
         self._sensor = WrenchSensor(config.sensor, config.substep, generators[0])
         self.contacts = Contacts(config, self._model, generators[1:])
+        self._tool_push = ToolPush(config, self._model, self._rate)
         self._tick = 0
         self._q, self._qd = self._home.copy(), np.zeros(self._model.nv)
         if self._flexible is not None:
@@ -154,7 +161,11 @@ class PybulletPlant:
             raise RunError(f'joint torque at tick {self._tick}: expected finite numbers, '
                            f'found {torque.tolist()}')
         applied = np.minimum(np.maximum(torque, -self._limit), self._limit)
-        push = self._push(self._tick)
+        config = self.config
+        push = push_at(
+            self._tick, self._rate, config.push_start, config.push_duration,
+            config.push_force_world)
+        self._tool_push.start_period(self._tick)
         for _ in range(self._substeps):
             self._substep(applied, push)
         self._tick += 1
@@ -181,6 +192,9 @@ class PybulletPlant:
     def _substep(self, torque: Vector, push: Vector) -> None:
         contacts, arm, joint_torque = self.contacts, self.arm, self._joint_torque
         contacts.update(self._q, self._qd, push)
+        if self._tool_push.add_load(self._q, contacts.load):
+            hand = self._tool_push
+            arm.push_tool(hand.force_world.tolist(), hand.point_world.tolist())
         if self._flexible is not None:
             self._flexible.advance(torque, self._q, self._qd, joint_torque)
         elif self._rigid is not None:
@@ -194,16 +208,6 @@ class PybulletPlant:
         arm.step(joint_torque.tolist())
         arm.read(self._q, self._qd, self._wrench)
         self._sensor.read(self._wrench)
-
-    def _push(self, tick: int) -> Vector:
-        """Return the sum of the pushes from `tick` on, world axes, shape (3,) [N]."""
-        config = self.config
-        total = np.zeros(3)
-        for i, (start, duration) in enumerate(
-                zip(config.push_start, config.push_duration, strict=True)):
-            if round(start * self._rate) <= tick < round((start + duration) * self._rate):
-                total += config.push_force_world[3 * i:3 * i + 3]
-        return total
 
     def _static_wrench(self) -> Vector:
         """Return what the sensor reads at rest at home: the weight it carries, held."""
@@ -222,7 +226,8 @@ class PybulletPlant:
         return Sample(
             q=q.copy(), qd=qd.copy(), effort=effort.copy(), wrench=self._sensor.reading.copy(),
             wrench_filtered=self._sensor.filtered.copy(),
-            contact_force=self.contacts.alpha.copy(), saturated=saturated)
+            contact_force=self.contacts.alpha.copy(), saturated=saturated,
+            tool_push_world=self._tool_push.force_world.copy())
 
 
 def require_fit(config: PlantConfig, robot: RobotData) -> None:

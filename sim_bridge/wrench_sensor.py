@@ -21,8 +21,8 @@ class WrenchSensor:
     """
     A sensor that is read once per integration step.
 
-    Reading = quantise(saturate(true + bias + noise)). The low-passes work on the readings, as
-    the instrument's own signal processor does, and start from the first one.
+    Reading = quantise(saturate(mounting true + bias + noise)). The low-passes work on the
+    readings, as the instrument's own signal processor does, and start from the first one.
 
     Parameters
     ----------
@@ -44,6 +44,7 @@ class WrenchSensor:
         self, config: SensorConfig, period: float, generator: np.random.Generator,
     ) -> None:
         self._generator = generator
+        self._mounting = np.array(config.mounting).reshape(3, 3) if config.mounting else None
         self._bias = np.array(config.bias)
         self._scale = np.array(config.full_scale)
         self._limit = self._scale if config.saturate else np.full(AXES, np.inf)
@@ -74,6 +75,8 @@ class WrenchSensor:
         if self._next_noise == NOISE_BLOCK:
             self._noise[:] = self._generator.standard_normal((NOISE_BLOCK, AXES)) * self._std
             self._next_noise = 0
+        if self._mounting is not None:
+            wrench = (wrench.reshape(2, 3) @ self._mounting.T).ravel()
         measure(wrench, self._bias, self._noise[self._next_noise], self._limit, self._quantum,
                 self.reading)
         self._next_noise += 1

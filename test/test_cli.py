@@ -49,7 +49,10 @@ def test_simulate_that_is_not_stable_exits_with_one(tmp_path):
 @pytest.mark.parametrize(('arguments', 'message'), [
     (('simulate', '--scenario', 'papper'), 'scenario: expected one of'),
     (('simulate', '--plant', 'x'), "plant: expected one of rigid, puma, or a path, found 'x'"),
-    (('run', '--seed', '-3'), 'seed: expected a whole number >= 0, found -3')])
+    (('calibrate', '--plant', 'x'), "plant: expected one of rigid, puma, or a path, found 'x'"),
+    (('push-test', '--fault', 'x'), "fault: expected one of none, sign, rotate, scale, found 'x'"),
+    (('run', '--seed', '-3'), 'seed: expected a whole number >= 0, found -3'),
+    (('run', '--namespace', '1st'), 'namespace: expected names of letters, digits and _')])
 def test_bad_input_exits_with_two_and_one_line(tmp_path, arguments, message):
     """Field, expectation and finding; nothing is left behind."""
     done = _multicontact(*arguments, cwd=tmp_path)
@@ -59,7 +62,9 @@ def test_bad_input_exits_with_two_and_one_line(tmp_path, arguments, message):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize('command', [(), ('run',), ('simulate',)])
+@pytest.mark.parametrize('command', [
+    (), ('run',), ('simulate',), ('calibrate',), ('push-test',), ('topics',), ('echo',),
+    ('record',), ('compare',), ('map',), ('report',)])
 def test_help_teaches(command):
     """Every command explains itself."""
     done = _multicontact(*command, '--help')

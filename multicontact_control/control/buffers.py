@@ -50,7 +50,8 @@ def constants_of(config: ControllerConfig, joints: int) -> Constants:
         normals_world=np.array([contact.normal_world for contact in contacts]),
         points_operational=np.array([contact.point_operational for contact in contacts]),
         measured=np.ones(len(contacts), dtype=bool),
-        tool=np.stack([np.array(config.tool.com_sensor), weight]),
+        tool=np.stack([np.array(config.tool.com_sensor), weight,
+                       *np.reshape(config.tool.bias_sensor, (2, 3))]),
         gains=np.array([
             frequency ** 2, 2.0 * motion.damping_ratio * frequency, force.damping_rate,
             friction.speed, config.nullspace_damping, MAX_CONDITION,

@@ -66,11 +66,12 @@ class ControlOutput:
     alpha_meas, alpha_est, alpha_rate_est, alpha_des
         Contact forces [N] and rate [N/s], shape (r,); estimates and desired are 0 where no
         force is controlled.
+    innovation, prior_variance, variance_used
+        What each observer found in this sample: alpha_meas minus its prediction [N], the
+        variance C P_1 C^T of that prediction and the R it worked with [N^2], shape (r,). All 0
+        where no force is controlled, and for the sample with which control starts.
     active
         Which contacts are force controlled, shape (r,).
-    innovation, prior_variance, variance_used
-        Of each observer: measured minus predicted force [N], the variance that the prediction
-        had, and R [N^2], shape (r,); 0 where not active and for a contact's first sample.
     pose, pose_des
         Present and desired pose of the operational frame.
 
@@ -81,10 +82,10 @@ class ControlOutput:
     alpha_est: Vector
     alpha_rate_est: Vector
     alpha_des: Vector
-    active: Mask
     innovation: Vector
     prior_variance: Vector
     variance_used: Vector
+    active: Mask
     pose: Pose
     pose_des: Pose
 
@@ -189,7 +190,7 @@ class Controller:
         alpha_est, alpha_rate_est, innovation, prior_variance, variance_used = report
         return ControlOutput(
             torque, alpha_meas, alpha_est, alpha_rate_est, buffers.alpha_des.copy(),
-            buffers.active.copy(), innovation, prior_variance, variance_used, pose,
+            innovation, prior_variance, variance_used, buffers.active.copy(), pose,
             reference.pose_des)
 
     def _measure(self, terms: LiveTerms) -> Vector:
@@ -245,7 +246,7 @@ class Controller:
             stiffness = k_env if force.allocation == 'decoupled' else operational_stiffness(
                 k_env, normal, -rotation_world @ point)
             loop = design_force_loop(
-                stiffness, damping_rate=force.damping_rate, input_delay=force.input_delay,
+                stiffness, damping_rate=force.damping_rate, input_delay=self.config.loop_delay,
                 period=self.config.period, time_constant=force.time_constant,
                 second_pole_ratio=force.second_pole_ratio)
             observers.append(ActiveObserver(

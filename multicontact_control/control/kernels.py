@@ -38,7 +38,7 @@ K_P, K_V, K_2, FRICTION_SPEED, NULLSPACE_DAMPING, MAX_CONDITION, SINGULAR_MOBILI
 # Rows of `joints`.
 COULOMB, VISCOUS, TORQUE_LIMIT = range(3)
 # Rows of `tool`.
-COM_SENSOR, WEIGHT = range(2)
+COM_SENSOR, WEIGHT, FORCE_BIAS, TORQUE_BIAS = range(4)
 
 
 @compiled
@@ -49,7 +49,7 @@ def operational_wrench(
     """
     Fill in the wrench the robot exerts on the environment, at the operational point.
 
-    The sensor reads m (a - g) + f_c; see `contact_wrench` for what becomes of it.
+    The sensor reads m (a - g) + f_c + bias; see `contact_wrench` for what becomes of it.
 
     Parameters
     ----------
@@ -58,7 +58,8 @@ def operational_wrench(
     sensor_rotation, sensor_position, position
         Pose of the sensor and the operational point, world axes [m].
     tool
-        Centre of mass in the sensor frame [m] and weight m g in world axes [N], shape (2, 3).
+        Centre of mass in the sensor frame [m], weight m g in world axes [N], and the sensor's
+        bias of force [N] and torque [N m] in its frame, shape (4, 3).
     wrench
         Filled, world axes, shape (6,).
 
@@ -74,8 +75,10 @@ def operational_wrench(
         lever[i] = sensor_position[i] - position[i]
         for j in range(3):
             com[i] += sensor_rotation[i, j] * tool[COM_SENSOR, j]
-            wrench[i] += sensor_rotation[i, j] * wrench_sensor[j]
-            wrench[3 + i] += sensor_rotation[i, j] * wrench_sensor[3 + j]
+            force = wrench_sensor[j] - tool[FORCE_BIAS, j]
+            torque = wrench_sensor[3 + j] - tool[TORQUE_BIAS, j]
+            wrench[i] += sensor_rotation[i, j] * force
+            wrench[3 + i] += sensor_rotation[i, j] * torque
     cross(com, weight, moment)
     for i in range(3):
         wrench[3 + i] += moment[i]

@@ -191,6 +191,7 @@ SERIES: dict[str, Callable[[RunData, int, Any], None]] = {
     'contact_forces/measured': _contacts('alpha_meas'),
     'contact_forces/estimated': _estimated,
     'contact_forces/desired': _contacts('alpha_des'),
+    'contact_forces/innovation': _contacts('innovation'),
     'contact_forces/noise_variance': _contacts('noise_variance'),
     'ground_truth/contact_forces': _contacts('alpha_true'),
     'operational_point/pose': _pose('position', 'quaternion'),

@@ -84,9 +84,12 @@ def verdict_lines(summary: Mapping[str, Any], folder: object) -> list[str]:
     else:
         lines.append(f"[red]NOT stable:[/red] {'; '.join(summary['instabilities'])}")
     misses, lost = timing.get('deadline_misses', 0), timing.get('lost_messages', 0)
+    unanswered = timing.get('unanswered_samples', 0)
     if misses:
         lines.append(f"[yellow]warning: {misses} of {summary['ticks']} deadlines missed "
                      f"({100.0 * misses / max(summary['ticks'], 1):.2f} %)[/yellow]")
+    if unanswered:
+        lines.append(f'[yellow]warning: {unanswered} samples were not answered[/yellow]')
     if lost:
         lines.append(f'[yellow]warning: {lost} messages lost[/yellow]')
     lines.append(f'results in {folder}')

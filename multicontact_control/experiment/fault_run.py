@@ -114,7 +114,8 @@ class World:
 
     def inputs(self) -> TickInputs:
         """Return what is known in this tick if all is well."""
-        return inputs_of(self.setup, self.tick, self._sample, self._variance)
+        return inputs_of(
+            self.setup, self.tick, self._sample, self._sample.wrench, self._variance)
 
     @property
     def true_forces(self) -> Vector:

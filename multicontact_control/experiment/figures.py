@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -24,7 +24,9 @@ TRUE = '#e45756'
 WINDOW = '#f2f2f2'
 
 
-def draw_figures(data: RunData, setup: Setup, folder: Path) -> list[Path]:
+def draw_figures(
+    data: RunData, setup: Setup, folder: Path, *, formats: Sequence[str] = ('png',),
+) -> list[Path]:
     """
     Draw the figures of a run.
 
@@ -35,7 +37,9 @@ def draw_figures(data: RunData, setup: Setup, folder: Path) -> list[Path]:
     setup
         The configuration, for names and the judged windows.
     folder
-        Where the PNG files go.
+        Where the files go.
+    formats
+        Endings of the files, one each.
 
     Returns
     -------
@@ -51,8 +55,9 @@ def draw_figures(data: RunData, setup: Setup, folder: Path) -> list[Path]:
         figure = Figure(figsize=(9.0, 6.0), layout='constrained')
         draw(figure, data, setup)
         figure.suptitle(f'{figure.get_suptitle()}\n{title}', fontsize=10)
-        paths.append(folder / f'{name}.png')
-        figure.savefig(paths[-1], dpi=130)
+        for ending in formats:
+            paths.append(folder / f'{name}.{ending}')
+            figure.savefig(paths[-1], dpi=130)
     return paths
 
 

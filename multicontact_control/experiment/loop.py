@@ -10,6 +10,7 @@ import numpy as np
 
 from multicontact_control.arrays import Vector
 from multicontact_control.control.controller import Controller, ControlOutput, Measurement
+from multicontact_control.control.sensor.front_end import SensorFrontEnd
 from multicontact_control.control.supervisor import Supervisor, SupervisorStatus
 from multicontact_control.control.watchdog import (
     JointInput,
@@ -20,7 +21,7 @@ from multicontact_control.control.watchdog import (
 from multicontact_control.errors import ContactGeometryError, SingularTaskError
 from multicontact_control.experiment.recording import empty_run_data, RunData
 from multicontact_control.experiment.scenario import Setup
-from multicontact_control.force.noise import make_noise_estimator
+from multicontact_control.force.noise import Innovation, make_noise_estimator
 from sim_bridge.actuator_delay import ActuatorDelay
 from sim_bridge.pybullet_plant import PybulletPlant, Sample
 
@@ -56,7 +57,7 @@ class LoopResult:
 
 def run_in_process(
     setup: Setup, on_progress: Callable[[float, Vector], None] | None = None, *,
-    supervised: bool = True,
+    supervised: bool = False,
 ) -> LoopResult:
     """
     Run a scenario as fast as it goes.
@@ -71,7 +72,8 @@ def run_in_process(
     on_progress
         Called every 100 ticks with the time [s] and the measured forces [N].
     supervised
-        Whether the controller is kept safe; without, it runs bare, as to see it fail.
+        Whether contact states, watchdogs and limits are put around the controller, as the fault
+        campaign does. Without, it runs bare, as in the graph.
 
     Returns
     -------
@@ -81,6 +83,7 @@ def run_in_process(
     """
     config = setup.controller
     step, log = _stepper(setup, supervised)
+    front_end = SensorFrontEnd(config.sensor, config.rate)
     estimator = make_noise_estimator(setup.noise_estimator)
     plant = PybulletPlant(setup.plant, rate=config.rate, seed=setup.seed)
     delay = ActuatorDelay(setup.plant.actuator_delay_ticks, plant.initial_torque)
@@ -95,12 +98,14 @@ def run_in_process(
         sample = plant.reset()
         for k in range(setup.ticks):
             before = time.perf_counter_ns()
+            wrench = front_end.update(_wrench(setup, sample)).wrench_sensor
             try:
-                output = step(k, sample, noise_variance)
+                output = step(k, sample, wrench, noise_variance)
             except (SingularTaskError, ContactGeometryError, np.linalg.LinAlgError) as error:
                 ended_early, done = f'tick {k}: {error}', k
                 break
-            noise_variance = estimator.update(output.alpha_meas)
+            noise_variance = estimator.update(output.alpha_meas, Innovation(
+                output.innovation, output.prior_variance, output.variance_used))
             tick_us[k] = (time.perf_counter_ns() - before) * 1e-3
             _record(data, k, sample, output, noise_variance)
             if not np.isfinite(output.torque).all():
@@ -118,7 +123,7 @@ def run_in_process(
         wall_time=time.perf_counter() - start, ended_early=ended_early, events=tuple(log.events))
 
 
-Step = Callable[[int, Sample, Vector], ControlOutput]
+Step = Callable[[int, Sample, Vector, Vector], ControlOutput]
 
 
 class EventLog:
@@ -152,24 +157,26 @@ def _stepper(setup: Setup, supervised: bool) -> tuple[Step, EventLog]:
     h = config.period
     if not supervised:
         controller = Controller.from_config(config, setup.reference(), setup.urdf_dir)
-        return lambda k, sample, variance: controller.step(
-            Measurement(k * h, sample.q, sample.qd, _wrench(setup, sample)), variance), log
+        return lambda k, sample, wrench, variance: controller.step(
+            Measurement(k * h, sample.q, sample.qd, wrench), variance), log
     supervisor = Supervisor.from_config(config, setup.reference(), setup.urdf_dir)
 
-    def step(k: int, sample: Sample, variance: Vector) -> ControlOutput:
-        result = supervisor.step(inputs_of(setup, k, sample, variance))
+    def step(k: int, sample: Sample, wrench: Vector, variance: Vector) -> ControlOutput:
+        result = supervisor.step(inputs_of(setup, k, sample, wrench, variance))
         log.note(k * h, result.status)
         return result.output
 
     return step, log
 
 
-def inputs_of(setup: Setup, k: int, sample: Sample, variance: Vector) -> TickInputs:
+def inputs_of(
+    setup: Setup, k: int, sample: Sample, wrench: Vector, variance: Vector,
+) -> TickInputs:
     """Return what is known at tick k if all is well: its sample, and the R of the tick before."""
     h = setup.controller.period
     return TickInputs(
         time=k * h, joints=JointInput(k * h, sample.q, sample.qd),
-        wrench=WrenchInput(k * h, _wrench(setup, sample)),
+        wrench=WrenchInput(k * h, wrench),
         variance=VarianceInput((k - 1) * h, variance))
 
 
@@ -192,6 +199,7 @@ def _record(
     data.alpha_rate_est[k] = output.alpha_rate_est
     data.alpha_des[k] = output.alpha_des
     data.noise_variance[k] = noise_variance
+    data.innovation[k] = output.innovation
     data.position[k] = output.pose.position_world
     data.quaternion[k] = output.pose.quaternion_xyzw
     data.position_des[k] = output.pose_des.position_world

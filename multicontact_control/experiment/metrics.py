@@ -17,7 +17,7 @@ from multicontact_control.experiment.scenario import Setup
 SETTLE_AFTER_STEP = 1.0  # s, the start of the window `rest` after the last force step
 SETTLE_AFTER_START = 2.0  # s, the start of the window `moving` after the motion's start
 LONGEST_LOSS = 0.1  # s, of contact or to saturation, that still counts as stable
-LARGEST_GAP = 0.01  # share of samples without a message, that still lets a run be judged
+LARGEST_GAP = 0.1  # share of samples without an answer, that still lets a run be judged
 LARGEST_FORCE = 5.0  # times the command, that still counts as stable
 
 
@@ -129,7 +129,7 @@ def instabilities(data: RunData, setup: Setup, ended_early: str = '') -> list[st
         found.append('a number is not finite')
     missing = max(float(np.isnan(values).any(axis=1).mean()) for values in series)
     if missing > LARGEST_GAP:
-        found.append(f'{100.0 * missing:.1f} % of the samples are missing')
+        found.append(f'{100.0 * missing:.1f} % of the samples were not answered')
     saturated = saturation(data, setup)
     if longest_run(saturated) > limit:
         found.append(f'torque saturated for {longest_run(saturated) / data.rate:.2f} s')

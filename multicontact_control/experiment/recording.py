@@ -37,6 +37,9 @@ class RunData:
         Contact forces [N] and the estimate's rate [N/s], shape (m, r).
     noise_variance
         R estimated from the samples up to k (the controller uses it at k + 1), shape (m, r).
+    innovation
+        alpha_meas minus what the observers predicted, 0 where no force is controlled, shape
+        (m, r) [N]; NaN throughout where it was not recorded.
     position, quaternion, position_des, quaternion_des
         Operational point, world axes, shapes (m, 3) and (m, 4), scalar last.
 
@@ -58,6 +61,7 @@ class RunData:
     alpha_rate_est: Matrix
     alpha_des: Matrix
     noise_variance: Matrix
+    innovation: Matrix
     position: Matrix
     quaternion: Matrix
     position_des: Matrix
@@ -101,7 +105,9 @@ class RunData:
         try:
             with np.load(path, allow_pickle=False) as data:
                 values = {name: data[name] for name in data.files}
-        except (OSError, ValueError, zipfile.BadZipFile) as error:
+            # Recordings from before innovations were kept are as good otherwise.
+            values.setdefault('innovation', np.full_like(values['alpha_meas'], np.nan))
+        except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
             raise RunError(f'{path}: expected a recording of a run, found {error}') from None
         return cls(**{**values, 'rate': float(values['rate']),
                       'contact_names': tuple(str(name) for name in values['contact_names']),
@@ -122,5 +128,6 @@ def empty_run_data(
         time=np.arange(ticks) / rate, q=series(n), qd=series(n), effort=series(n),
         torque=series(n), wrench=series(6), wrench_filtered=series(6), alpha_true=series(r),
         alpha_meas=series(r), alpha_est=series(r), alpha_rate_est=series(r),
-        alpha_des=series(r), noise_variance=series(r), position=series(3), quaternion=series(4),
-        position_des=series(3), quaternion_des=series(4))
+        alpha_des=series(r), noise_variance=series(r), innovation=series(r),
+        position=series(3), quaternion=series(4), position_des=series(3),
+        quaternion_des=series(4))

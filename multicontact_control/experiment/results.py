@@ -76,3 +76,21 @@ def write_json(path: Path, content: Any) -> None:
     partial = path.with_suffix('.partial')
     partial.write_text(json.dumps(content, indent=2, allow_nan=False) + '\n', encoding='utf-8')
     partial.replace(path)
+
+
+def read_json(path: Path) -> Any:
+    """
+    Read JSON.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read or is not JSON.
+
+    """
+    try:
+        return json.loads(path.read_text(encoding='utf-8'))
+    except OSError as error:
+        raise ConfigError(str(path), 'a readable file', error.strerror or error) from None
+    except ValueError as error:
+        raise ConfigError(str(path), 'valid JSON', error) from None

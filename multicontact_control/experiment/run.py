@@ -10,7 +10,9 @@ from rich.console import Console
 
 from multicontact_control.errors import RunError
 from multicontact_control.experiment.bag import BagContent, read_bag
+from multicontact_control.experiment.claims import judge_claims
 from multicontact_control.experiment.display import progress_bar, summary_table, verdict_lines
+from multicontact_control.experiment.evidence import evidence_of
 from multicontact_control.experiment.figures import draw_figures
 from multicontact_control.experiment.loop import run_in_process
 from multicontact_control.experiment.metrics import percentiles, summarise
@@ -61,7 +63,7 @@ def run_simulate(setup: Setup, folder: Path, console: Console | None = None) -> 
 
 def run_real_time(
     setup: Setup, folder: Path, *, lockstep: bool = False, domain_id: int | None = None,
-    console: Console | None = None,
+    namespace: str = '', console: Console | None = None,
 ) -> tuple[dict[str, Any], int | None]:
     """
     Run a scenario on the ROS 2 graph, record it, and leave its results in a folder.
@@ -76,6 +78,8 @@ def run_real_time(
         Whether the nodes wait for each other instead of for the wall clock.
     domain_id
         ROS_DOMAIN_ID of the graph.
+    namespace
+        Namespace of the graph.
     console
         Where progress and the table are shown.
 
@@ -101,7 +105,7 @@ def run_real_time(
     spec = GraphSpec(
         out=folder, ticks=setup.ticks, rate=setup.controller.rate, lockstep=lockstep,
         seed=setup.seed, reference_file=config / 'reference.yaml', domain_id=domain_id,
-        parameter_files={
+        namespace=namespace, parameter_files={
             'controller_node': config / 'controller.yaml', 'sim_node': config / 'plant.yaml',
             'noise_estimator_node': config / 'noise_estimator.yaml'})
     with progress_bar(f'run {setup.scenario.name}', setup.scenario.duration, console) as show:
@@ -129,8 +133,8 @@ def graph_timing(
     return {
         'deadline_misses': sim.get('deadline_misses', 0),
         'pace_slips': sim.get('pace_slips', 0),
-        'lost_messages': recorder.get('lost', 0) + sum(content.missing.values()),
-        'missing_by_topic': {topic: n for topic, n in content.missing.items() if n},
+        'lost_messages': recorder.get('lost', 0),
+        'unanswered_samples': content.missing['joint_effort_command'],
         'tick_us': controller.get('tick_us'), 'latency_us': sim.get('latency_us'),
         'plant_us': sim.get('plant_us'),
         'realtime_factor': sim_time / wall if wall else None,
@@ -141,7 +145,10 @@ def graph_timing(
 def _finish(
     data: RunData, setup: Setup, folder: Path, summary: dict[str, Any], console: Console,
 ) -> dict[str, Any]:
-    """Write figures and summary and show the table."""
+    """Judge the claims, write figures and summary, show the table."""
+    ended = [text for text in summary['instabilities'] if text.startswith('tick ')]
+    evidence = evidence_of(data, setup, ended[0] if ended else '')
+    summary['claims'] = [claim.to_json() for claim in judge_claims(evidence)]
     draw_figures(data, setup, folder / FIGURE_FOLDER)
     write_json(folder / SUMMARY_FILE, summary)
     console.print(summary_table(summary))

@@ -75,30 +75,57 @@ def delayed_plant(
     if not 0.0 <= input_delay <= MAX_DELAY_PERIODS * period * (1.0 + 1e-9):
         raise ConfigError('input_delay', f'0 to {MAX_DELAY_PERIODS} periods '
                           f'({MAX_DELAY_PERIODS * period:g} s)', f'{input_delay:g} s')
+    A = np.array([[0.0, 1.0], [0.0, -damping_rate]])
+    B = np.array([0.0, stiffness])
+    Phi, Gamma = delayed_hold(A, B, input_delay, period)
+    C = np.zeros(Phi.shape[0])
+    C[0] = 1.0
+    return DelayedPlant(Phi=Phi, Gamma=Gamma, C=C, delay_steps=Phi.shape[0] - 2)
+
+
+def delayed_hold(
+    A: Matrix, B: Vector, input_delay: float, period: float,
+) -> tuple[Matrix, Vector]:
+    """
+    Discretise dx/dt = A x + B u(t - T_d) with a zero-order hold.
+
+    Parameters
+    ----------
+    A, B
+        Continuous system, shapes (n, n) and (n,).
+    input_delay
+        T_d [s].
+    period
+        h [s].
+
+    Returns
+    -------
+    tuple
+        Phi, shape (n + d, n + d), and Gamma, shape (n + d,), of the state
+        [x, u_{k-d}, ..., u_{k-1}].
+
+    """
+    n = B.shape[0]
     # The tolerance keeps 0.006 / 0.002 at three periods in spite of rounding.
     d = math.ceil(input_delay / period - 1e-9)
     late = input_delay - (d - 1) * period if d else 0.0  # tau'
     late = min(max(late, 0.0), period)
-    A = np.array([[0.0, 1.0], [0.0, -damping_rate]])
-    B = np.array([0.0, stiffness])
     Phi_h, _ = _zero_order_hold(A, B, period)
     after, recent = _zero_order_hold(A, B, period - late)
     _, early = _zero_order_hold(A, B, late)
-    Phi = np.zeros((2 + d, 2 + d))
-    Gamma = np.zeros(2 + d)
-    Phi[:2, :2] = Phi_h
-    inputs = np.zeros((2, d + 1))  # columns: u_{k-1-d}, ..., u_{k-1}
+    Phi = np.zeros((n + d, n + d))
+    Gamma = np.zeros(n + d)
+    Phi[:n, :n] = Phi_h
+    inputs = np.zeros((n, d + 1))  # columns: u_{k-1-d}, ..., u_{k-1}
     inputs[:, 0] = after @ early
     inputs[:, min(1, d)] += recent
-    Phi[:2, 2:] = inputs[:, :d]
-    Gamma[:2] = inputs[:, d]
+    Phi[:n, n:] = inputs[:, :d]
+    Gamma[:n] = inputs[:, d]
     for i in range(d - 1):
-        Phi[2 + i, 3 + i] = 1.0
+        Phi[n + i, n + 1 + i] = 1.0
     if d:
         Gamma[-1] = 1.0
-    C = np.zeros(2 + d)
-    C[0] = 1.0
-    return DelayedPlant(Phi=Phi, Gamma=Gamma, C=C, delay_steps=d)
+    return Phi, Gamma
 
 
 def _zero_order_hold(A: Matrix, B: Vector, duration: float) -> tuple[Matrix, Vector]:

@@ -108,6 +108,29 @@ def test_controller_seeds_the_observer_with_the_measured_force():
     np.testing.assert_array_equal(output.active, [True, False])
 
 
+def test_controller_tells_the_innovation_of_every_active_contact():
+    """alpha - C x_1 with its variances; zeros without force control and when it starts."""
+    controller, reference = _controller()
+    table = np.array(controller.config.contacts['table'].point_operational)
+
+    def step(tick, force):
+        return controller.step(
+            _sample(controller, 0.002 * tick, force_world=np.array([0, 0, -force]),
+                    point_operational=table), np.array([0.4, 0.5]))
+
+    free = step(0, 7.0)
+    reference.set_forces({'table': 7.0})
+    first, second = step(1, 7.0), step(2, 7.25)
+    for output in (free, first):
+        for values in (output.innovation, output.prior_variance, output.variance_used):
+            np.testing.assert_array_equal(values, np.zeros(2))
+    np.testing.assert_allclose(second.innovation, [0.25, 0.0], atol=1e-9)
+    np.testing.assert_array_equal(second.variance_used, [0.4, 0.0])
+    share = second.prior_variance[0] / (second.prior_variance[0] + 0.4)
+    assert second.prior_variance[1] == 0.0
+    assert second.alpha_est[0] == pytest.approx(7.0 + share * 0.25, rel=1e-9)
+
+
 def test_controller_clips_torque_at_its_limit():
     """No command beyond the limit, whatever the error."""
     controller, reference = _controller()

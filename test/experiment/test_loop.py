@@ -47,6 +47,30 @@ def test_observer_sees_the_variance_of_the_tick_before():
     np.testing.assert_array_equal(result.data.noise_variance, 7.0)
 
 
+@pytest.mark.parametrize('name', ['innovation', 'sage_husa', 'variational_bayes'])
+def test_estimators_get_the_innovations_of_the_loop(name):
+    """R moves away from its start once there is contact, not before, and stays in its limits."""
+    setup = resolve('quick', plant='rigid', duration=2.5, noise_estimator={'estimator': name})
+    data = run_in_process(setup).data
+    for i in range(2):
+        start = np.flatnonzero(data.innovation[:, i])[0]
+        assert start > 100
+        np.testing.assert_array_equal(data.noise_variance[:start, i], 0.6)
+        assert len(np.unique(data.noise_variance[start + 50:, i])) > 20
+    assert (data.noise_variance >= setup.noise_estimator.variance_floor).all()
+    assert (data.noise_variance <= setup.noise_estimator.variance_ceiling).all()
+
+
+def test_recording_without_innovations_is_read(runs, tmp_path):
+    """One from before they were kept: the series is there, and empty."""
+    runs['rigid'][1].data.save(tmp_path)
+    file = tmp_path / 'samples.npz'
+    with np.load(file) as data:
+        values = {key: data[key] for key in data.files if key != 'innovation'}
+    np.savez(file, **values)
+    assert np.isnan(RunData.load(tmp_path).innovation).all()
+
+
 def test_run_that_gets_out_of_hand_ends_with_a_reason():
     """A run that cannot go on ends early instead of raising."""
     setup = resolve('quick', plant='rigid', duration=4.0, controller={

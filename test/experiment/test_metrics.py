@@ -128,12 +128,12 @@ def test_contact_that_is_never_made_is_unstable(setup, data):
     assert 'table: no contact was made' in instabilities(data, setup)
 
 
-def test_numbers_that_are_not_finite_are_unstable_and_few_missing_messages_are_not(setup, data):
-    """A lost message is a warning; many make a run that can't be judged."""
+def test_numbers_that_are_not_finite_are_unstable_and_few_unanswered_samples_are_not(setup, data):
+    """A sample without an answer is a warning; many make a run that can't be judged."""
     data.torque[100] = np.nan
     assert not instabilities(data, setup)
-    data.torque[:100] = np.nan
-    assert instabilities(data, setup) == ['1.7 % of the samples are missing']
+    data.torque[:900] = np.nan
+    assert instabilities(data, setup) == ['15.0 % of the samples were not answered']
     data.alpha_meas[7, 0] = np.inf
     assert 'a number is not finite' in instabilities(data, setup)
 

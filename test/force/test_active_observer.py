@@ -123,6 +123,20 @@ def test_observer_reset_starts_at_the_measured_force(loop):
     assert observer.command(7.0) == pytest.approx(0.0, abs=1e-9)
 
 
+def test_observer_tells_its_innovation_and_what_it_expected_of_it(loop):
+    """y - C x_1, C P_1 C^T and R of the last update; nothing for the sample after a reset."""
+    observer = ActiveObserver(loop)
+    observer.reset(2.0)
+    observer.update(2.0, 0.6)
+    assert (observer.innovation, observer.prior_variance, observer.variance_used) == (0, 0, 0)
+    x_pred = (observer.Phi_c @ observer.x_est)[0]
+    P_1 = observer.Phi_n @ observer.P @ observer.Phi_n.T + np.diag(observer.Q)
+    observer.update(2.5, 0.6)
+    assert observer.innovation == pytest.approx(2.5 - x_pred, rel=1e-12)
+    assert observer.prior_variance == pytest.approx(P_1[0, 0], rel=1e-12)
+    assert observer.variance_used == 0.6
+
+
 def test_observer_filters_noise_of_the_variance_it_is_told(loop):
     """The estimate is closer to the true force than the measurement is."""
     rng = np.random.default_rng(3)

@@ -91,3 +91,10 @@ def test_low_pass_stages_are_a_jr3s_cascade():
 def test_low_pass_cutoff_beyond_nyquist_is_refused():
     with pytest.raises(ConfigError, match=r'sensor.low_pass_cutoff: expected below .* 500 Hz'):
         low_pass_stages(500.0, 1000.0)
+
+
+def test_mounting_turns_forces_and_torques_before_the_bias():
+    turned = (0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+    instrument = sensor(mounting=turned, bias=(0.5, 0.0, 0.0, 0.0, 0.0, 0.0))
+    raw, _ = readings(instrument, [np.arange(1.0, 7.0)])
+    np.testing.assert_array_equal(raw[0], [-1.5, 1.0, 3.0, -5.0, 4.0, 6.0])

@@ -1,0 +1,208 @@
+"""Weighing the tool in simulation: the arm goes through poses and the truth is known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from pydantic import model_validator
+from rich.table import Table
+import yaml
+
+from multicontact_control.arrays import Vector as Array
+from multicontact_control.config import (
+    Config,
+    parameter,
+    read_yaml,
+    Real,
+    ToolConfig,
+    validate,
+    Vector,
+)
+from multicontact_control.control.sensor.identification import (
+    Identification,
+    IdentificationConfig,
+    identify_tool,
+    PoseReading,
+)
+from multicontact_control.errors import ConfigError
+from multicontact_control.experiment.scenario import resolve, Setup
+from multicontact_control.paths import config_dir
+from sim_bridge.puma560 import load_robot
+
+if TYPE_CHECKING:
+    from multicontact_control.experiment.servoed_plant import ServoedPlant
+
+POSES_FILE = 'calibration.yaml'
+TOOL_FILE = 'tool.yaml'
+# What has to be met in simulation, where the truth is known.
+MASS_TOLERANCE, COM_TOLERANCE, BIAS_TOLERANCE = 0.02, 3e-3, 0.1  # share, m, N
+BIAS_RANGE = np.repeat([5.0, 0.2], 3)  # N, N m
+
+
+class CalibrationConfig(Config):
+    """The poses in which a simulated arm weighs its tool."""
+
+    poses: tuple[Vector, ...] = parameter(
+        ..., 'Joint angles of each pose; the arm starts in the first.', unit='rad', min_length=1)
+    move_time: Real = parameter(1.5, 'Time from pose to pose.', unit='s', gt=0.0)
+    settle_time: Real = parameter(0.5, 'Rest before the readings.', unit='s', ge=0.0)
+    average_time: Real = parameter(0.5, 'Time over which readings are averaged.', unit='s', gt=0.0)
+    identification: IdentificationConfig = IdentificationConfig()
+
+    @model_validator(mode='after')
+    def _check_lengths(self) -> CalibrationConfig:
+        lengths = {len(pose) for pose in self.poses}
+        if len(lengths) > 1:
+            raise ConfigError('poses', 'as many joints in every pose', sorted(lengths))
+        return self
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """
+    What a simulated weighing found, and what there was to find.
+
+    Attributes
+    ----------
+    found
+        The identification.
+    truth
+        The simulation's own values.
+
+    """
+
+    found: Identification
+    truth: ToolConfig
+
+    @property
+    def errors(self) -> tuple[float, float, float]:
+        """Relative error of the mass, distance of the coms [m], largest force bias error [N]."""
+        found, truth = self.found, self.truth
+        bias = found.bias_sensor[:3] - np.array(truth.bias_sensor[:3])
+        return (abs(found.mass / truth.mass - 1.0),
+                float(np.linalg.norm(found.com_sensor - np.array(truth.com_sensor))),
+                float(np.max(np.abs(bias))))
+
+    @property
+    def good(self) -> bool:
+        """Whether mass, centre of mass and force bias are within their tolerances."""
+        return all(error <= limit for error, limit in zip(
+            self.errors, (MASS_TOLERANCE, COM_TOLERANCE, BIAS_TOLERANCE)))
+
+
+def calibration_config() -> CalibrationConfig:
+    """Read the poses that come with the package."""
+    path = config_dir() / POSES_FILE
+    return validate(CalibrationConfig, read_yaml(path), str(path))
+
+
+def sensor_setup(plant: str, seed: int, **plant_overrides: object) -> Setup:
+    """
+    Resolve a run of the sensor's front end: a plant in the first pose, with a bias to be found.
+
+    The bias is drawn from the seed, up to 5 N and 0.2 N m per axis, unless the plant's parameter
+    file has one of its own.
+    """
+    # The scenario only carries the configuration; nothing of it is run.
+    setup = resolve('quick', plant=plant, seed=seed, plant_overrides={
+        'home': calibration_config().poses[0], **plant_overrides})
+    sensor = setup.plant.sensor
+    if not any(sensor.bias):
+        bias = np.random.default_rng(seed).uniform(-1.0, 1.0, 6) * BIAS_RANGE
+        sensor = sensor.model_copy(update={'bias': tuple(bias.tolist())})
+    return Setup(
+        scenario=setup.scenario, controller=setup.controller,
+        noise_estimator=setup.noise_estimator,
+        plant=setup.plant.model_copy(update={'sensor': sensor}), plant_name=plant, seed=seed,
+        urdf_dir=setup.urdf_dir)
+
+
+def calibrate(setup: Setup, config: CalibrationConfig) -> Calibration:
+    """
+    Weigh the tool.
+
+    Parameters
+    ----------
+    setup
+        From `sensor_setup`.
+    config
+        The poses.
+
+    Returns
+    -------
+    Calibration
+        Found and true values.
+
+    Raises
+    ------
+    CalibrationError
+        If the readings do not tell.
+
+    """
+    # Only now: the simulator is not loaded for the sake of an error.
+    from multicontact_control.experiment.servoed_plant import ServoedPlant
+
+    arm = ServoedPlant(setup.controller, setup.plant, setup.seed, setup.urdf_dir)
+    try:
+        readings = [_reading(arm, np.array(pose), config) for pose in config.poses]
+    finally:
+        arm.close()
+    gravity = np.array(setup.controller.robot.gravity_world)
+    return Calibration(
+        identify_tool(readings, gravity, config.identification), true_tool(setup))
+
+
+def _reading(arm: ServoedPlant, pose: Array, config: CalibrationConfig) -> PoseReading:
+    arm.move(pose, config.move_time)
+    arm.hold(config.settle_time)
+    samples = arm.hold(config.average_time)
+    return PoseReading(
+        rotation_world=samples[-1][1].sensor_pose.rotation_world,
+        wrench_sensor=np.mean([sample.wrench for sample, _ in samples], axis=0))
+
+
+def true_tool(setup: Setup) -> ToolConfig:
+    """Return what really hangs on the simulated sensor, the moving half of its face included."""
+    tool = load_robot().tool
+    mass = tool.mass + tool.face_mass
+    x, y, z = (tool.mass / mass * value for value in tool.com)
+    return ToolConfig(mass=mass, com_sensor=(x, y, z), bias_sensor=setup.plant.sensor.bias)
+
+
+def write_tool(folder: Path, calibration: Calibration) -> Path:
+    """Write what was found as a parameter file to lay over the controller's, and return it."""
+    found = calibration.found
+    values = found.tool().model_dump(mode='json')
+    text = yaml.safe_dump({'/**': {'ros__parameters': {'tool': values}}}, sort_keys=False)
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / TOOL_FILE
+    path.write_text(
+        f'# Identified from {found.poses} poses: residual {found.force_residual:.3g} N and '
+        f'{found.torque_residual:.3g} N m rms, condition {found.condition:.3g}.\n'
+        f'# Give it to the controller after its own parameter file.\n{text}', encoding='utf-8')
+    return path
+
+
+def calibration_table(calibration: Calibration, title: str) -> Table:
+    """Return found and true values side by side."""
+    found, truth = calibration.found, calibration.truth
+    table = Table(title=title)
+    for name in ('', 'identified', 'truth', 'error', 'std. error'):
+        table.add_column(name, justify='left' if name == '' else 'right')
+
+    def row(name: str, value: float, true: float, digits: int, std: float | None = None) -> None:
+        table.add_row(name, f'{value:.{digits}f}', f'{true:.{digits}f}',
+                      f'{value - true:+.{digits}f}', '' if std is None else f'{std:.{digits}f}')
+
+    row('mass (kg)', found.mass, truth.mass, 5, found.mass_std)
+    for i, axis in enumerate('xyz'):
+        row(f'centre of mass {axis} (mm)', 1e3 * found.com_sensor[i], 1e3 * truth.com_sensor[i],
+            3, 1e3 * found.com_std[i])
+    for i, axis in enumerate('xyz'):
+        row(f'force bias {axis} (N)', found.bias_sensor[i], truth.bias_sensor[i], 4)
+    for i, axis in enumerate('xyz', start=3):
+        row(f'torque bias {axis} (N m)', found.bias_sensor[i], truth.bias_sensor[i], 5)
+    return table

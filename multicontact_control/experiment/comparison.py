@@ -1,0 +1,268 @@
+"""`multicontact compare`: run the matrix, judge it, and say what came out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from statistics import median
+import time
+from typing import Any
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from multicontact_control.errors import ConfigError, RunError
+from multicontact_control.experiment.claims import Claim, judge_claims, PAPER_ESTIMATOR, Row
+from multicontact_control.experiment.engine import (
+    Cell,
+    cell_of,
+    CellResult,
+    CellStore,
+    Executor,
+    LocalExecutor,
+    run_cells,
+)
+from multicontact_control.experiment.loop import run_in_process
+from multicontact_control.experiment.matrix import AOB, controller_values, Entry
+from multicontact_control.experiment.measure import measure_cell
+from multicontact_control.experiment.results import read_json, write_json
+
+COMPARISON_FILE = 'comparison.json'
+START_UP = 6.0  # s, to start the workers and compile in each
+CAPTION = ('fails: after the start of the motion; rest, move: rms error of the true force; lost: '
+           'contact in motion; R [N²]; push: recovery [s]; torq: largest share of the limit')
+PROBE = 1.5  # s of simulated time that a plant's speed is taken from
+
+
+def estimate_time(entries: Sequence[Entry], folder: Path, jobs: int) -> tuple[float, int]:
+    """
+    Return how long the cells that are not finished will take [s], and how many they are.
+
+    From the finished cells of the same plant, or from a short run of it.
+
+    Parameters
+    ----------
+    entries
+        The matrix.
+    folder
+        Where finished cells are.
+    jobs
+        How many run at once.
+
+    """
+    store = CellStore(folder)
+    walls: dict[str, list[float]] = {}
+    todo: dict[str, Cell] = {}
+    for entry in entries:
+        key = entry.cell.key()
+        result = store.load(key)
+        if result is None:
+            todo[key] = entry.cell
+        else:
+            walls.setdefault(entry.cell.plant, []).append(result.wall_time)
+    total = 0.0
+    for plant in {cell.plant for cell in todo.values()}:
+        cells = [cell for cell in todo.values() if cell.plant == plant]
+        known = walls.get(plant)
+        total += len(cells) * (median(known) if known else _probe(cells[0]))
+    return (total / jobs + START_UP if todo else 0.0), len(todo)
+
+
+def _probe(cell: Cell) -> float:
+    """Return the wall time of a cell, from its first 1.5 s run after a warm-up."""
+    scenario = cell.setup().scenario
+    short = cell_of(cell.scenario, cell.plant, cell.seed, duration=min(PROBE, scenario.duration),
+                    controller=controller_values(cell.plant))
+    run_in_process(short.setup())
+    start = time.perf_counter()
+    run_in_process(short.setup())
+    wall = time.perf_counter() - start
+    return wall * scenario.duration / short.setup().scenario.duration
+
+
+def run_comparison(
+    entries: Sequence[Entry], folder: Path, *, jobs: int = 0, executor: Executor | None = None,
+    console: Console | None = None,
+) -> dict[str, Any]:
+    """
+    Run a matrix and write ``comparison.json``.
+
+    Parameters
+    ----------
+    entries
+        The cells.
+    folder
+        Where ``cells/`` and the results go.
+    jobs
+        How many run at once, 0 for every core.
+    executor
+        Who runs them instead.
+    console
+        Where progress is shown.
+
+    Returns
+    -------
+    dict
+        The content of ``comparison.json``: the same whatever ran the cells.
+
+    """
+    console = console or Console()
+    executor = executor or LocalExecutor(jobs)
+    keys = run_cells([entry.cell for entry in entries], folder, measure_cell, executor=executor,
+                     console=console, title='compare')
+    store = CellStore(folder)
+    rows = []
+    for entry in entries:
+        result = store.load(keys[entry.cell])
+        if result is None:
+            raise RunError(f'{store.folder}/{keys[entry.cell]}: expected a finished cell')
+        rows.append(row_of(entry, keys[entry.cell], result))
+    content = {'schema': 1, 'scenario': entries[0].cell.scenario, 'rows': rows,
+               'claims': {plant: [claim.to_json() for claim in claims]
+                          for plant, claims in comparison_claims(rows).items()}}
+    write_json(folder / COMPARISON_FILE, content)
+    return content
+
+
+def row_of(entry: Entry, key: str, result: CellResult) -> dict[str, Any]:
+    """Return one row of ``comparison.json``."""
+    metrics = result.metrics
+    summary, answers = metrics['summary'], metrics['disturbances']['contacts']
+    return {
+        'label': entry.label, 'kind': entry.kind, 'plant': entry.cell.plant,
+        'seed': entry.cell.seed, 'key': key, 'stable': summary['stable'],
+        'instabilities': summary['instabilities'],
+        'unstable_at_s': metrics['disturbances']['unstable_at_s'],
+        'unstable_after_motion_s': metrics['disturbances']['unstable_after_motion_s'],
+        'oscillation_hz': metrics['disturbances']['oscillation_hz'],
+        'rest_rms_n': _worst(answers, 'rest', 'rms_n'),
+        'moving_rms_n': _worst(answers, 'moving', 'rms_n'),
+        'moving_lost': _worst(answers, 'moving', 'lost'),
+        'rest_variance_n2': _worst(answers, 'rest', 'variance_n2'),
+        'moving_variance_n2': _worst(answers, 'moving', 'variance_n2'),
+        'pushes': _pushes(answers),
+        'torque_max_fraction': summary['torque']['max_fraction_of_limit'],
+        'torque_saturated_fraction': summary['torque']['saturated_fraction'],
+        'trajectory_sha256': summary['trajectory_sha256'],
+        'contacts': answers, 'evidence': metrics['evidence']}
+
+
+def _worst(answers: dict[str, Any], window: str, name: str) -> float | None:
+    values = [contact[window][name] for contact in answers.values()
+              if contact[window][name] is not None]
+    return max(values) if values else None
+
+
+def _pushes(answers: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return for each push the slower contact's recovery, None if one never recovered."""
+    pushes = []
+    for each in zip(*(contact['recoveries'] for contact in answers.values())):
+        times = [answer['recovery'] for answer in each]
+        pushes.append({
+            'start_s': each[0]['start'], 'duration_s': each[0]['duration'],
+            'moving': each[0]['moving'], 'peak_n': max(answer['peak'] for answer in each),
+            'recovery_s': None if None in times else max(times)})
+    return pushes
+
+
+def claim_rows(rows: Sequence[dict[str, Any]]) -> list[Row]:
+    """Return the rows of ``comparison.json`` as what claims are judged from."""
+    return [Row(row['label'], row['evidence'],
+                {name: contact['recoveries'] for name, contact in row['contacts'].items()})
+            for row in rows]
+
+
+def comparison_claims(rows: Sequence[dict[str, Any]]) -> dict[str, list[Claim]]:
+    """Judge the claims on every plant, from its first cell with the paper's estimator."""
+    claims = {}
+    for row in rows:
+        if row['label'] == PAPER_ESTIMATOR and row['kind'] == AOB and row['plant'] not in claims:
+            claims[row['plant']] = judge_claims(row['evidence'], claim_rows(rows))
+    return claims
+
+
+def read_comparison(folder: Path) -> dict[str, Any]:
+    """
+    Read what `run_comparison` wrote.
+
+    Raises
+    ------
+    ConfigError
+        If the folder does not hold it.
+
+    """
+    content = read_json(folder / COMPARISON_FILE)
+    if not isinstance(content, dict) or content.get('schema') != 1:
+        raise ConfigError('comparison', 'a folder of `multicontact compare`', folder)
+    return content
+
+
+def grouped(rows: Sequence[dict[str, Any]]) -> dict[tuple[str, str, str], list[dict[str, Any]]]:
+    """Return the rows of each plant, kind and label, one for each seed."""
+    groups: dict[tuple[str, str, str], list[dict[str, Any]]] = {}
+    for row in rows:
+        groups.setdefault((row['plant'], row['kind'], row['label']), []).append(row)
+    return groups
+
+
+def comparison_table(rows: Sequence[dict[str, Any]], plant: str) -> Table:
+    """Return the table of one plant: each estimator's median over the seeds, worse contact."""
+    table = Table(
+        title=f'plant {plant}: worse contact, median over the seeds', box=SIMPLE_HEAD,
+        padding=(0, 1, 0, 0), caption=CAPTION)
+    for name in ('', 'stable', 'fails\n[s]', 'rest\n[N]', 'move\n[N]', 'lost\n[%]', 'R\nrest',
+                 'R\nmove', 'push\n.1 s', 'push\n1 s', 'torq\n[%]'):
+        table.add_column(name, justify='right' if name else 'left', no_wrap=bool(name))
+    last = ''
+    for (where, kind, label), group in grouped(rows).items():
+        if where != plant:
+            continue
+        if kind != last:
+            table.add_section()
+            last = kind
+        table.add_row(*table_row(kind, label, group))
+    return table
+
+
+def table_row(kind: str, label: str, group: Sequence[dict[str, Any]]) -> list[str]:
+    """Return the cells of one line of the table."""
+    stable = sum(row['stable'] for row in group)
+    unstable = [row['unstable_after_motion_s'] for row in group
+                if row['unstable_after_motion_s'] is not None]
+    colour = 'green' if stable == len(group) else 'red'
+    return [
+        escape(label if kind in label or kind not in (AOB, 'no active state')
+               else f'{label} ({kind})'),
+        f'[{colour}]{stable}/{len(group)}[/{colour}]',
+        _range(unstable),
+        _middle(group, 'rest_rms_n', 3), _middle(group, 'moving_rms_n', 2),
+        _middle(group, 'moving_lost', 2, 100.0), _middle(group, 'rest_variance_n2', 2),
+        _middle(group, 'moving_variance_n2', 1), _push(group, False), _push(group, True),
+        _middle(group, 'torque_max_fraction', 0, 100.0)]
+
+
+def _range(values: Sequence[float]) -> str:
+    """Return the smallest and the largest of some times after the start of the motion."""
+    if not values:
+        return ''
+    known = [value for value in values if value >= 0.0]
+    texts = ['rest'] if len(known) < len(values) else []
+    texts += list(dict.fromkeys(f'{value:.1f}' for value in (min(known), max(known)))
+                  ) if known else []
+    return '-'.join(texts)
+
+
+def _middle(group: Sequence[dict[str, Any]], name: str, digits: int, factor: float = 1.0) -> str:
+    values = [row[name] for row in group if row[name] is not None]
+    return f'{factor * median(values):.{digits}f}' if values else '-'
+
+
+def _push(group: Sequence[dict[str, Any]], lasting: bool) -> str:
+    times = [push['recovery_s'] for row in group for push in row['pushes']
+             if not push['moving'] and (push['duration_s'] >= 0.5) == lasting]
+    if not times:
+        return '-'
+    middle = median(float('inf') if value is None else value for value in times)
+    return 'never' if middle == float('inf') else f'{middle:.3f}'

@@ -1,0 +1,110 @@
+"""Choosing a ROS domain that no other graph on this machine uses, and checking a namespace."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+import contextlib
+import fcntl
+import os
+from pathlib import Path
+import re
+import socket
+import tempfile
+
+from multicontact_control.errors import ConfigError, RunError
+
+LARGEST_DOMAIN = 101
+PORT_BASE, PORTS_PER_DOMAIN, FIRST_PARTICIPANT_OFFSET = 7400, 250, 10
+
+
+@contextlib.contextmanager
+def reserve_domain(wanted: int | None = None) -> Iterator[int]:
+    """
+    Hold a ROS domain for the time of a run.
+
+    Parameters
+    ----------
+    wanted
+        The domain; None for that of ``ROS_DOMAIN_ID``, and if that is not set, the first one
+        without a participant, so that runs side by side don't hear each other.
+
+    Yields
+    ------
+    int
+        The domain.
+
+    Raises
+    ------
+    ConfigError
+        If the domain is not a number from 0 to 101.
+    RunError
+        If no domain is free.
+
+    """
+    if wanted is None and os.environ.get('ROS_DOMAIN_ID'):
+        wanted = _from_environment(os.environ['ROS_DOMAIN_ID'])
+    if wanted is not None:
+        _check(wanted, str(wanted))
+        yield wanted
+        return
+    for domain_id in range(LARGEST_DOMAIN + 1):
+        # Between being chosen and being used a domain looks free: the lock says it is not.
+        with _locked(domain_id) as mine:
+            if mine and not domain_in_use(domain_id):
+                yield domain_id
+                return
+    raise RunError(f'no ROS domain from 0 to {LARGEST_DOMAIN} is free on this machine')
+
+
+def _from_environment(text: str) -> int:
+    try:
+        return int(text)
+    except ValueError:
+        raise ConfigError(
+            'ROS_DOMAIN_ID', f'a number from 0 to {LARGEST_DOMAIN}', f"'{text}'") from None
+
+
+def _check(domain_id: int, found: str) -> None:
+    if not 0 <= domain_id <= LARGEST_DOMAIN:
+        raise ConfigError('ROS_DOMAIN_ID', f'a number from 0 to {LARGEST_DOMAIN}', found)
+
+
+def check_namespace(namespace: str) -> str:
+    """
+    Return a namespace without the slashes around it.
+
+    Raises
+    ------
+    ConfigError
+        If ROS would not have it.
+
+    """
+    bare = namespace.strip('/')
+    if bare and not re.fullmatch(r'[A-Za-z_]\w*(/[A-Za-z_]\w*)*', bare, re.ASCII):
+        raise ConfigError(
+            'namespace', 'names of letters, digits and _, joined by /', f"'{namespace}'")
+    return bare
+
+
+def domain_in_use(domain_id: int) -> bool:
+    """Return whether a participant listens on the port that DDS gives the first one."""
+    port = PORT_BASE + PORTS_PER_DOMAIN * domain_id + FIRST_PARTICIPANT_OFFSET
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.bind(('', port))
+        except OSError:
+            return True
+    return False
+
+
+@contextlib.contextmanager
+def _locked(domain_id: int) -> Iterator[bool]:
+    """Try to hold the lock of a domain; the system frees it when this process ends."""
+    name = f'multicontact_control-{os.getuid()}-domain-{domain_id}.lock'
+    with (Path(tempfile.gettempdir()) / name).open('w') as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            yield False
+        else:
+            yield True

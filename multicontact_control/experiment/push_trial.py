@@ -1,0 +1,128 @@
+"""The push test on the simulated arm, by a scripted hand, with a sensor that may be wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from multicontact_control.arrays import Matrix
+from multicontact_control.control.sensor.push_config import PushTestConfig
+from multicontact_control.control.sensor.push_test import PushTest
+from multicontact_control.control.sensor.push_verdict import PushTestResult
+from multicontact_control.control.sensor.tare import tare_bias
+from multicontact_control.control.wrench import contact_wrench
+from multicontact_control.errors import ConfigError, RunError
+from multicontact_control.experiment.calibration import sensor_setup
+from multicontact_control.experiment.scenario import Setup
+from sim_bridge.puma560 import load_robot
+
+FAULTS = ('none', 'sign', 'rotate', 'scale')
+WRONG_SCALE = 0.5
+TARE_TIME, FIRST_PUSH, GAP, MARGIN = 0.3, 1.0, 0.8, 0.2  # s
+
+
+def fault_mounting(fault: str, seed: int) -> Matrix:
+    """
+    Return what a fault makes of true forces and torques.
+
+    Parameters
+    ----------
+    fault
+        One of `FAULTS`: a flipped sign, a quarter turn, or half the scale.
+    seed
+        Chooses the turn: about x, y, z for 0, 1, 2, and the other way round for 3, 4, 5.
+
+    Returns
+    -------
+    Matrix
+        Sensor axes, shape (3, 3).
+
+    Raises
+    ------
+    ConfigError
+        If there is no such fault.
+
+    """
+    turn = (1.0 if seed // 3 % 2 == 0 else -1.0) * np.pi / 2.0
+    made = {
+        'none': np.eye(3), 'sign': -np.eye(3), 'scale': WRONG_SCALE * np.eye(3),
+        'rotate': np.round(Rotation.from_rotvec(turn * np.eye(3)[seed % 3]).as_matrix())}
+    if fault not in made:
+        raise ConfigError('fault', f'one of {", ".join(FAULTS)}', f"'{fault}'")
+    return made[fault]
+
+
+def push_setup(plant: str, seed: int, config: PushTestConfig, mounting: Matrix) -> Setup:
+    """Resolve a plant whose sensor is mounted like that and which is pushed as the test asks."""
+    length = config.settle_time + config.hold_time + MARGIN
+    count = len(config.directions)
+    if FIRST_PUSH < TARE_TIME + config.rest_time or GAP < config.rest_time:
+        raise ConfigError('push_test.rest_time', f'at most {FIRST_PUSH - TARE_TIME:g} s in '
+                          'simulation', f'{config.rest_time:g} s')
+    return sensor_setup(
+        plant, seed, sensor={'mounting': mounting.ravel().tolist()},
+        tool_push_start=[FIRST_PUSH + i * (length + GAP) for i in range(count)],
+        tool_push_duration=[length] * count,
+        tool_push_force_world=(config.force * config.directions_world).ravel().tolist())
+
+
+def run_push_test(
+    setup: Setup, config: PushTestConfig, on_instruction: Callable[[str], None] | None = None,
+) -> PushTestResult:
+    """
+    Tare, then push and judge.
+
+    The tare hides a wrong sign at rest, as it would on the real arm: only a push shows it.
+
+    Parameters
+    ----------
+    setup
+        From `push_setup`.
+    config
+        The test.
+    on_instruction
+        Called with what the user would be told, whenever it changes.
+
+    Returns
+    -------
+    PushTestResult
+        The verdict.
+
+    Raises
+    ------
+    RunError
+        If the test does not come to its end.
+    CalibrationError
+        If the arm does not keep still enough for a tare.
+
+    """
+    # Only now: the simulator is not loaded for the sake of an error.
+    from multicontact_control.experiment.servoed_plant import ServoedPlant
+
+    controller = setup.controller
+    gravity = np.array(controller.robot.gravity_world)
+    arm = ServoedPlant(controller, setup.plant, setup.seed, setup.urdf_dir)
+    try:
+        quiet = [sample.wrench for sample, _ in arm.hold(TARE_TIME)]
+        pose = arm.state.pose
+        sensor_rotation = arm.state.sensor_pose.rotation_world
+        bias = tare_bias(np.array(quiet), sensor_rotation, controller.tool, gravity)
+        tool = controller.tool.model_copy(update={'bias_sensor': tuple(bias.tolist())})
+        tip = np.array(load_robot().tool.tips[setup.plant.tool_push_link])
+        lever = arm.state.sensor_pose.position_world + sensor_rotation @ tip - pose.position_world
+        test = PushTest(
+            config, controller.rate, sensor_rotation_world=sensor_rotation, lever_world=lever)
+        said = ''
+        for _ in range(round(3.0 * config.timeout * controller.rate)):
+            if on_instruction is not None and test.instruction != said:
+                on_instruction(said := test.instruction)
+            if test.result is not None:
+                return test.result
+            (sample, state), = arm.hold(controller.period)
+            test.update(contact_wrench(
+                sample.wrench, state.sensor_pose, state.pose.position_world, tool, gravity))
+    finally:
+        arm.close()
+    raise RunError(f'push test: expected an end, found it waiting: {test.instruction}')

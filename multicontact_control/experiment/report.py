@@ -1,0 +1,155 @@
+"""`multicontact report`: the paper's figures, claims, configuration and timing of runs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from multicontact_control.experiment.claims import Claim, judge_claims
+from multicontact_control.experiment.comparison import (
+    claim_rows,
+    grouped,
+)
+from multicontact_control.experiment.comparison_page import HEAD, plain_cells
+from multicontact_control.experiment.evidence import evidence_of
+from multicontact_control.experiment.figures import draw_figures
+from multicontact_control.experiment.findings import findings
+from multicontact_control.experiment.load import LoadedRun
+from multicontact_control.experiment.pages import claims_table, table, write_page
+from multicontact_control.experiment.report_figures import interactive_figures
+from multicontact_control.experiment.run import FIGURE_FOLDER
+
+REPORT_FILE = 'report.html'
+FORMATS = ('png', 'pdf')
+BACKGROUND = """
+<p>The paper says that with a fixed R the control works only at rest, since the noise of the motion
+makes it unstable. In simulation that is not the whole story. A linear loop cannot be made
+unstable by additive noise: with <b>rigid drives a fixed R is not unstable</b>, it only lets
+more noise through. With <b>flexible drives it is unstable</b>, and the cause is the observer's
+bandwidth against a mode of the drives (42 to 48 Hz), not the noise itself: it is so without
+roughness and sensor noise too, and a larger R, whether estimated or fixed, cures it by slowing
+the observer down. At rest stiction hides it.</p>
+"""
+
+
+def run_claims(run: LoadedRun, comparison: dict[str, Any] | None = None) -> list[Claim]:
+    """
+    Judge the paper's claims by a run.
+
+    Parameters
+    ----------
+    run
+        What was recorded.
+    comparison
+        Content of ``comparison.json``, for the claims that compare estimators.
+
+    """
+    ended = [text for text in run.summary.get('instabilities', []) if text.startswith('tick ')]
+    evidence = evidence_of(run.data, run.setup, ended[0] if ended else '')
+    return judge_claims(evidence, claim_rows(comparison['rows']) if comparison else ())
+
+
+def write_report(
+    runs: Sequence[LoadedRun], out: Path, comparison: dict[str, Any] | None = None,
+) -> list[Path]:
+    """
+    Write the report and its figures.
+
+    Parameters
+    ----------
+    runs
+        At least one.
+    out
+        Folder of ``report.html`` and ``figures/``.
+    comparison
+        Content of ``comparison.json``.
+
+    Returns
+    -------
+    list of Path
+        The files, the page first.
+
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    paths, parts = [], []
+    if comparison is None:
+        parts.append(BACKGROUND)
+        parts.append('<p class=note>From the trials of this project, not from these runs; '
+                     'give <code>--comparison</code> for the numbers.</p>')
+    else:
+        parts += [BACKGROUND, _comparison_section(comparison)]
+    for number, run in enumerate(runs):
+        folder = out / FIGURE_FOLDER / (run.folder.resolve().name if len(runs) > 1 else '')
+        paths += draw_figures(run.data, run.setup, folder, formats=FORMATS)
+        parts.append(_run_section(run, number, comparison))
+    page = out / REPORT_FILE
+    write_page(page, 'Multi-contact force control: the paper put to the test', '\n'.join(parts))
+    return [page, *paths]
+
+
+def _run_section(run: LoadedRun, number: int, comparison: dict[str, Any] | None) -> str:
+    summary = run.summary
+    verdict = ('<b class=yes>stable</b>' if summary['stable'] else '<b class=no>NOT stable</b>: '
+               + escape('; '.join(summary['instabilities'])))
+    parts = [
+        f'<h2>{escape(summary["scenario"])}, plant {escape(summary["plant"])}, '
+        f'{escape(summary["noise_estimator"])}, seed {summary["seed"]}, '
+        f'{escape(summary["mode"])}</h2><p>{verdict}. '
+        f'Torques sha256 {escape(summary["trajectory_sha256"][:16])}.</p>',
+        '<h3>Claims of the paper</h3>', claims_table(run_claims(run, comparison)),
+        '<h3>Figures 3 to 6 of the paper</h3>', interactive_figures(run, number),
+        '<h3>Numbers</h3>', _numbers(summary), '<h3>Timing</h3>', _timing(summary),
+        '<h3>Configuration</h3>', _configuration(run)]
+    return '\n'.join(parts)
+
+
+def _numbers(summary: dict[str, Any]) -> str:
+    contacts = summary['contacts']
+    rows = [['step rise 63 % [s]', *(_text(c['step_rise_63_s']) for c in contacts.values())],
+            ['overshoot [%]', *(_text(c['step_overshoot_percent']) for c in contacts.values())]]
+    for window in ('rest', 'moving'):
+        for name in next(iter(contacts.values()))[window]:
+            rows.append([f'{window}: {escape(name)}',
+                         *(_text(c[window][name]) for c in contacts.values())])
+    return table(('', *map(escape, contacts)), rows)
+
+
+def _timing(summary: dict[str, Any]) -> str:
+    timing, rows = summary['timing'], []
+    for name, values in timing.items():
+        if isinstance(values, dict):
+            text = ', '.join(f'{key} {_text(value)}' for key, value in values.items())
+        else:
+            text = _text(values)
+        rows.append([escape(name), escape(text)])
+    return table(('', ''), rows, numbers_from=9)
+
+
+def _configuration(run: LoadedRun) -> str:
+    parts = []
+    for name in ('scenario', 'controller', 'noise_estimator', 'plant'):
+        text = yaml.safe_dump(getattr(run.setup, name).model_dump(mode='json'), sort_keys=False)
+        parts.append(f'<details><summary>{name}</summary><pre>{escape(text)}</pre></details>')
+    return '\n'.join(parts)
+
+
+def _comparison_section(comparison: dict[str, Any]) -> str:
+    rows = comparison['rows']
+    parts = ['<h2>Measured by the comparison</h2><ul>',
+             *(f'<li>{escape(text)}</li>' for text in findings(rows)), '</ul>']
+    for plant in dict.fromkeys(row['plant'] for row in rows):
+        lines = [plain_cells(kind, label, group)
+                 for (where, kind, label), group in grouped(rows).items() if where == plant]
+        parts += [f'<h3>Plant {escape(plant)}: worse contact, median over the seeds</h3>',
+                  table(HEAD, lines)]
+    return '\n'.join(parts)
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, float):
+        return f'{value:.4g}'
+    return '-' if value is None else str(value)

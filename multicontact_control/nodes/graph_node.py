@@ -1,0 +1,209 @@
+"""What the nodes share: publishers from the table, the start-up gate, counting what is refused."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+import contextlib
+from pathlib import Path
+import time
+from typing import Any
+
+from rclpy.impl.rcutils_logger import RcutilsLogger
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
+from std_msgs.msg import Empty
+
+from multicontact_control.config import Config, parameter, Real
+from multicontact_control.errors import MulticontactError, RunError
+from multicontact_control.nodes import qos
+from multicontact_control.nodes.topics import Topic
+
+GATE_POLL = 0.02
+REPORT_PERIOD = 5.0
+
+
+class StartupConfig(Config):
+    """What every node of the graph has in common."""
+
+    startup_peers: tuple[str, ...] = parameter(
+        (), 'Nodes to wait for before the first message; empty to start at once.')
+    startup_timeout: Real = parameter(
+        30.0, 'Longest wait for them.', unit='s', gt=0.0)
+    timing_file: str = parameter('', 'JSON file to write counts and times to at the end.')
+
+    @property
+    def timing_path(self) -> Path | None:
+        """Where to write counts and times, if anywhere."""
+        return Path(self.timing_file) if self.timing_file else None
+
+
+def create_publisher(node: Node, topic: Topic) -> Publisher:
+    """Create the publisher of a topic of the table."""
+    return node.create_publisher(topic.message, topic.name, topic.profile)
+
+
+def create_subscription(
+    node: Node, topic: Topic, callback: Callable[[Any], None],
+) -> Subscription:
+    """Subscribe a node to a topic of the table."""
+    profile = qos.COMMAND if topic.rate == 'event' else qos.INPUT
+    return node.create_subscription(topic.message, topic.name, callback, profile)
+
+
+def ready_topic(node_name: str) -> str:
+    """Return the topic whose publisher says that a node is ready."""
+    return f'_ready/{node_name}'
+
+
+class Refusals:
+    """
+    Counts what was refused, and logs it once per cause.
+
+    Parameters
+    ----------
+    logger
+        Logger of the node.
+
+    """
+
+    def __init__(self, logger: RcutilsLogger) -> None:
+        self._logger = logger
+        self.counts: Counter[str] = Counter()
+
+    def refuse(self, topic: Topic, error: Exception) -> None:
+        """Take note of a message of `topic` that cannot be used."""
+        cause = f'{topic.name}: {getattr(error, "cause", error)}'
+        self.counts[cause] += 1
+        if self.counts[cause] == 1:
+            self._logger.error(
+                f'{topic.name}: refused: {error} (further ones are only counted)')
+
+    @contextlib.contextmanager
+    def guard(self, topic: Topic) -> Iterator[None]:
+        """Refuse what raises a named error inside."""
+        try:
+            yield
+        except MulticontactError as error:
+            self.refuse(topic, error)
+
+    @property
+    def total(self) -> int:
+        """How many there were."""
+        return sum(self.counts.values())
+
+
+class StartupGate:
+    """
+    Holds a node back until the graph is connected, so that no message is lost to discovery.
+
+    A writer that sees its reader cannot know that the reader sees it, too, and takes what is
+    sent. So each node looks at both ends of its own, then says that it is ready by creating a
+    (hidden) publisher that is never used, and the gate opens when all peers have said so.
+
+    Parameters
+    ----------
+    node
+        The node.
+    publishers, subscriptions
+        Its ends of the topics.
+    config
+        Whom to wait for, and how long.
+
+    """
+
+    def __init__(
+        self, node: Node, publishers: Mapping[Topic, Publisher],
+        subscriptions: Mapping[Topic, Subscription], config: StartupConfig,
+    ) -> None:
+        self._node = node
+        self._publishers = publishers
+        self._subscriptions = subscriptions
+        self._config = config
+        self._marker: Publisher | None = None
+        self._start = time.monotonic()
+        self._next_poll = self._start
+        self._next_report = self._start + REPORT_PERIOD
+        self.open = not config.startup_peers
+
+    def poll(self) -> bool:
+        """
+        Return whether the gate is open; costs nothing once it is.
+
+        Raises
+        ------
+        RunError
+            Naming the connections that are missing when the time is over.
+
+        """
+        if self.open:
+            return True
+        now = time.monotonic()
+        if now < self._next_poll:
+            return False
+        self._next_poll = now + GATE_POLL
+        missing = self.missing()
+        self.open = not missing
+        if missing and now - self._start > self._config.startup_timeout:
+            raise RunError('not connected after '
+                           f'{self._config.startup_timeout:g} s: {"; ".join(missing)}')
+        if missing and now > self._next_report:
+            self._next_report = now + REPORT_PERIOD
+            self._node.get_logger().info(f'waiting for {"; ".join(missing)}')
+        return self.open
+
+    def missing(self) -> list[str]:
+        """Return what the node still waits for."""
+        missing = self._missing_readers() + self._missing_writers()
+        if missing:
+            return missing
+        if self._marker is None:
+            self._marker = self._node.create_publisher(
+                Empty, ready_topic(self._node.get_name()), qos.LATCHED)
+        return [
+            f'{peer} to be ready' for peer in self._config.startup_peers
+            if self._node.count_publishers(ready_topic(peer)) == 0]
+
+    def _missing_readers(self) -> list[str]:
+        missing = []
+        for topic, publisher in self._publishers.items():
+            wanted = [x for x in topic.subscribers if x in self._config.startup_peers]
+            present, readers = self._readers(publisher)
+            absent = sorted(set(wanted) - present)
+            # Known by name is not yet connected: every reader that can be must be.
+            if absent or publisher.get_subscription_count() < readers:
+                missing.append(f'{topic.name} to {", ".join(absent or wanted)}')
+        return missing
+
+    def _missing_writers(self) -> list[str]:
+        return [
+            f'{topic.name} from {topic.publisher}'
+            for topic, subscription in self._subscriptions.items()
+            if topic.publisher in self._config.startup_peers
+            and subscription.get_publisher_count() == 0]
+
+    def _readers(self, publisher: Publisher) -> tuple[set[str], int]:
+        """Return the names of the nodes that read a topic, and how many readers can connect."""
+        names, count = set(), 0
+        namespace = self._node.get_namespace()
+        for info in self._node.get_subscriptions_info_by_topic(publisher.topic_name):
+            if _can_connect(publisher.qos_profile, info.qos_profile):
+                count += 1
+                if info.node_namespace == namespace:
+                    names.add(info.node_name)
+        return names, count
+
+
+def _can_connect(offered: QoSProfile, requested: QoSProfile) -> bool:
+    """
+    Return whether a publisher gives a reader at least what it requests.
+
+    rclpy's own check takes the endless deadline of a discovered reader for one that is set.
+    """
+    unreliable = offered.reliability == ReliabilityPolicy.BEST_EFFORT
+    unlatched = offered.durability == DurabilityPolicy.VOLATILE
+    return not (
+        (unreliable and requested.reliability == ReliabilityPolicy.RELIABLE)
+        or (unlatched and requested.durability == DurabilityPolicy.TRANSIENT_LOCAL))

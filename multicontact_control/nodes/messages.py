@@ -1,0 +1,308 @@
+"""
+Messages to arrays and back: pure functions, the only place that knows message layouts.
+
+Reading refuses what is not finite, not named as expected or not of the right length; building
+refuses to put a number on a topic that is not finite.
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Sequence
+from dataclasses import dataclass
+import math
+from typing import Any
+
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import PoseStamped, WrenchStamped
+import numpy as np
+from numpy.typing import ArrayLike
+from sensor_msgs.msg import JointState
+from trajectory_msgs.msg import MultiDOFJointTrajectoryPoint
+
+from multicontact_control.arrays import Vector
+from multicontact_control.errors import MulticontactError
+from multicontact_control.force.noise import Innovation
+
+NANOSECONDS = 1_000_000_000
+UNIT_QUATERNION_TOLERANCE = 1e-3
+
+
+class MessageError(MulticontactError):
+    """A message cannot be used, or must not be sent."""
+
+    def __init__(self, field: str, expected: str, found: object) -> None:
+        self.field = field
+        self.cause = f'{field}: expected {expected}'
+        super().__init__(f'{self.cause}, found {found}')
+
+
+@dataclass(frozen=True, slots=True)
+class JointReading:
+    """Joint positions [rad] and velocities [rad/s] at a time, in the order that was asked for."""
+
+    stamp: int
+    q: Vector
+    qd: Vector
+
+
+@dataclass(frozen=True, slots=True)
+class WrenchReading:
+    """What a wrist sensor reads [N, N m] at a time, in its own frame."""
+
+    stamp: int
+    wrench_sensor: Vector
+
+
+@dataclass(frozen=True, slots=True)
+class NamedReading:
+    """One number per name at a time, in the order that was asked for."""
+
+    stamp: int
+    values: Vector
+
+
+@dataclass(frozen=True, slots=True)
+class InnovationReading:
+    """What the observers found at a time, in the order that was asked for."""
+
+    stamp: int
+    innovation: Innovation
+
+
+@dataclass(frozen=True, slots=True)
+class MotionReading:
+    """A commanded pose, twist and acceleration of the operational point, in world axes."""
+
+    position_world: Vector
+    quaternion_xyzw: Vector
+    twist_world: Vector
+    acceleration_world: Vector
+
+
+def stamp_to_ns(stamp: Time) -> int:
+    """Return a time stamp in nanoseconds, exactly."""
+    return int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
+
+
+def ns_to_stamp(nanoseconds: int) -> Time:
+    """Return nanoseconds as a time stamp, exactly."""
+    sec, nanosec = divmod(nanoseconds, NANOSECONDS)
+    return Time(sec=sec, nanosec=nanosec)
+
+
+def _finite_array(values: ArrayLike, length: int, field: str) -> Vector:
+    numbers = np.array(values, dtype=np.float64)
+    if numbers.shape != (length,):
+        raise MessageError(field, f'{length} values', f'{numbers.size}')
+    # The sum is finite unless a term is not (or it overflows, which is no better).
+    if not math.isfinite(sum(numbers.tolist())):
+        raise MessageError(field, 'finite numbers', numbers.tolist())
+    return numbers
+
+
+def _ordered(
+    message: JointState, names: Sequence[str], field: str, values: Any,
+) -> Vector:
+    """Return `values` of a message in the order of `names`."""
+    found = message.name
+    if len(found) != len(names):
+        raise MessageError('name', f'{list(names)}', list(found))
+    numbers = _finite_array(values, len(names), field)
+    if all(a == b for a, b in zip(found, names)):
+        return numbers
+    if sorted(found) != sorted(names):
+        raise MessageError('name', f'{list(names)}', list(found))
+    return numbers[[found.index(name) for name in names]]
+
+
+def read_joint_state(message: JointState, names: Sequence[str]) -> JointReading:
+    """
+    Read positions and velocities.
+
+    Parameters
+    ----------
+    message
+        Joint states in any order.
+    names
+        The joints that must be there, no more and no fewer, in the order to return.
+
+    Raises
+    ------
+    MessageError
+        If joints are missing, foreign or doubled, or a number is missing or not finite.
+
+    """
+    return JointReading(
+        stamp_to_ns(message.header.stamp),
+        _ordered(message, names, 'position', message.position),
+        _ordered(message, names, 'velocity', message.velocity))
+
+
+def read_effort(message: JointState, names: Sequence[str]) -> NamedReading:
+    """
+    Read one effort per name: joint torques [N m], contact forces [N] or their variance [N^2].
+
+    Raises
+    ------
+    MessageError
+        If names are missing, foreign or doubled, or a number is missing or not finite.
+
+    """
+    return NamedReading(
+        stamp_to_ns(message.header.stamp), _ordered(message, names, 'effort', message.effort))
+
+
+def read_innovation(message: JointState, names: Sequence[str]) -> InnovationReading:
+    """
+    Read innovations: effort r [N], velocity C P_1 C^T and position R used [N^2] per contact.
+
+    Raises
+    ------
+    MessageError
+        If names are missing, foreign or doubled, or a number is missing or not finite.
+
+    """
+    return InnovationReading(stamp_to_ns(message.header.stamp), Innovation(
+        innovation=_ordered(message, names, 'effort', message.effort),
+        prior_variance=_ordered(message, names, 'velocity', message.velocity),
+        variance_used=_ordered(message, names, 'position', message.position)))
+
+
+def read_some_efforts(message: JointState, names: Sequence[str]) -> dict[str, float]:
+    """
+    Read efforts for some of the names.
+
+    Raises
+    ------
+    MessageError
+        If a name is not among `names` or doubled, or a number is missing or not finite.
+
+    """
+    found = list(message.name)
+    if not found or len(set(found)) != len(found) or not set(found) <= set(names):
+        raise MessageError('name', f'distinct names among {list(names)}', found)
+    values = _finite_array(message.effort, len(found), 'effort')
+    return {name: float(value) for name, value in zip(found, values)}
+
+
+def read_wrench(message: WrenchStamped) -> WrenchReading:
+    """
+    Read a wrench, force first.
+
+    Raises
+    ------
+    MessageError
+        If a number is not finite.
+
+    """
+    force, torque = message.wrench.force, message.wrench.torque
+    values = (force.x, force.y, force.z, torque.x, torque.y, torque.z)
+    return WrenchReading(
+        stamp_to_ns(message.header.stamp), _finite_array(values, 6, 'wrench'))
+
+
+def read_motion(message: MultiDOFJointTrajectoryPoint) -> MotionReading:
+    """
+    Read a commanded motion of one body; twist and acceleration are zero if they are left out.
+
+    Raises
+    ------
+    MessageError
+        If there is not exactly one pose, a number is not finite, or the quaternion is not of
+        unit length.
+
+    """
+    if len(message.transforms) != 1:
+        raise MessageError('transforms', 'one pose', f'{len(message.transforms)}')
+    pose = message.transforms[0]
+    position = _finite_array(
+        (pose.translation.x, pose.translation.y, pose.translation.z), 3, 'translation')
+    rotation = pose.rotation
+    quaternion = _finite_array(
+        (rotation.x, rotation.y, rotation.z, rotation.w), 4, 'rotation')
+    norm = float(np.linalg.norm(quaternion))
+    if abs(norm - 1.0) > UNIT_QUATERNION_TOLERANCE:
+        raise MessageError('rotation', 'a quaternion of unit length', f'length {norm:.6g}')
+    return MotionReading(
+        position, quaternion / norm, _twist(message.velocities, 'velocities'),
+        _twist(message.accelerations, 'accelerations'))
+
+
+def _twist(twists: Sequence[Any], field: str) -> Vector:
+    if not twists:
+        return np.zeros(6)
+    if len(twists) != 1:
+        raise MessageError(field, 'at most one', f'{len(twists)}')
+    linear, angular = twists[0].linear, twists[0].angular
+    values = (linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
+    return _finite_array(values, 6, field)
+
+
+def joint_state_message(
+    stamp: int, names: Sequence[str], *, position: ArrayLike | None = None,
+    velocity: ArrayLike | None = None, effort: ArrayLike | None = None, frame_id: str = '',
+) -> JointState:
+    """
+    Build a named list of numbers.
+
+    Raises
+    ------
+    MessageError
+        If a number is not finite or there is not one per name.
+
+    """
+    message = JointState()
+    message.header.stamp = ns_to_stamp(stamp)
+    message.header.frame_id = frame_id
+    message.name = list(names)
+    count = len(names)
+    if position is not None:
+        message.position = array('d', _finite_array(position, count, 'position').tobytes())
+    if velocity is not None:
+        message.velocity = array('d', _finite_array(velocity, count, 'velocity').tobytes())
+    if effort is not None:
+        message.effort = array('d', _finite_array(effort, count, 'effort').tobytes())
+    return message
+
+
+def wrench_message(stamp: int, wrench: ArrayLike, frame_id: str) -> WrenchStamped:
+    """
+    Build a wrench, force first.
+
+    Raises
+    ------
+    MessageError
+        If a number is not finite or there are not six.
+
+    """
+    values = _finite_array(wrench, 6, 'wrench').tolist()
+    message = WrenchStamped()
+    message.header.stamp = ns_to_stamp(stamp)
+    message.header.frame_id = frame_id
+    force, torque = message.wrench.force, message.wrench.torque
+    force.x, force.y, force.z, torque.x, torque.y, torque.z = values
+    return message
+
+
+def pose_message(
+    stamp: int, position_world: ArrayLike, quaternion_xyzw: ArrayLike, frame_id: str,
+) -> PoseStamped:
+    """
+    Build a pose.
+
+    Raises
+    ------
+    MessageError
+        If a number is not finite, or there are not three and four.
+
+    """
+    position = _finite_array(position_world, 3, 'position').tolist()
+    quaternion = _finite_array(quaternion_xyzw, 4, 'orientation').tolist()
+    message = PoseStamped()
+    message.header.stamp = ns_to_stamp(stamp)
+    message.header.frame_id = frame_id
+    point, rotation = message.pose.position, message.pose.orientation
+    point.x, point.y, point.z = position
+    rotation.x, rotation.y, rotation.z, rotation.w = quaternion
+    return message

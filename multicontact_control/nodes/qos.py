@@ -1,0 +1,46 @@
+"""
+The quality-of-service profiles of the graph, each with its reason.
+
+Loss in this graph never comes from the wire (all nodes share a machine or a short cable) but from
+overwriting: a queue that is too short for a reader that is late. Everything that is recorded is
+therefore reliable, and the depths say how long a reader may be late.
+"""
+
+from __future__ import annotations
+
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+
+def _profile(
+    depth: int, *, reliable: bool = True, latched: bool = False,
+) -> QoSProfile:
+    return QoSProfile(
+        depth=depth,
+        history=HistoryPolicy.KEEP_LAST,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE)
+
+
+STREAM = _profile(5000)
+"""Publishers at the control rate: 10 s at 500 Hz for a recorder that gets no processor."""
+
+INPUT = _profile(10)
+"""Readers at the control rate: 20 ms at 500 Hz; what is older than that is of no use to them."""
+
+COMMAND = _profile(10)
+"""What a user sends now and then: no command may be lost, nor an old one be replayed."""
+
+RECORDING = _profile(5000)
+"""The recorder: 10 s at 500 Hz, so that a slow disk or a busy machine costs nothing."""
+
+RECORDING_LATCHED = _profile(10, latched=True)
+"""The recorder, of descriptions: also what was said before it came."""
+
+DISPLAY = _profile(25)
+"""For viewers: 1 s at 25 Hz, reliable so that the recording has them all."""
+
+GLANCE = _profile(1, reliable=False)
+"""Progress displays: only the newest value counts, and the sender must not wait for it."""
+
+LATCHED = _profile(1, latched=True)
+"""Descriptions: whoever comes late still gets the last one."""

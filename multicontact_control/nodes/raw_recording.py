@@ -1,0 +1,181 @@
+"""
+Recording topics without decoding them and without an executor.
+
+The subscriptions are emptied by whoever records, many times a second. The middleware stores what
+arrives meanwhile, with the time of its arrival; so a recorder takes next to no time from the nodes
+it shares the machine with, and learns the number of each message in its publisher's stream, which
+tells how many are missing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+import time
+from typing import Any
+
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rclpy.subscription import Subscription
+
+from multicontact_control.nodes.bag_writer import BagWriter
+
+
+@dataclass
+class Stream:
+    """
+    One topic being recorded.
+
+    Attributes
+    ----------
+    name
+        Full name.
+    message
+        Message class.
+    subscription
+        Where its bytes come from.
+    judged
+        Whether missing numbers are counted; not where several may publish, since their numbers
+        cannot be told apart.
+    on_message
+        Called with bytes, log time and publish time [ns] of what has been written.
+
+    """
+
+    name: str
+    message: Any
+    subscription: Subscription
+    judged: bool = True
+    on_message: Callable[[bytes, int, int], None] | None = None
+    last_sequence: int = 0
+    lost: int = 0
+    before_start: int = 0
+
+    def take(self) -> tuple[bytes, dict[str, Any]] | None:
+        """Return the next message and what is known of it."""
+        handle = self.subscription.handle
+        with handle:
+            taken: tuple[bytes, dict[str, Any]] | None = handle.take_message(self.message, True)
+        return taken
+
+    def count(self, sequence: int | None) -> None:
+        """
+        Take note of a message's number in its stream; what is skipped was lost.
+
+        A number that falls back is a new publisher's. What was sent before the first number was
+        not for the recorder, which may have come late.
+        """
+        if sequence is None or not self.judged:
+            return
+        if self.last_sequence == 0:
+            self.before_start = sequence - 1
+        elif sequence > self.last_sequence:
+            self.lost += sequence - self.last_sequence - 1
+        self.last_sequence = sequence
+
+
+@dataclass(order=True)
+class _Message:
+    log_time: int
+    stream: Stream = field(compare=False)
+    data: bytes = field(compare=False)
+    publish_time: int = field(compare=False)
+    sequence: int = field(compare=False)
+
+
+class RawRecording:
+    """
+    Topics on their way into a bag.
+
+    Parameters
+    ----------
+    node
+        The node that subscribes; no executor may have it.
+    writer
+        The bag.
+
+    """
+
+    def __init__(self, node: Node, writer: BagWriter) -> None:
+        self._node = node
+        self._writer = writer
+        self.streams: dict[str, Stream] = {}
+
+    def add(
+        self, name: str, message: Any, type_name: str, *, offered: QoSProfile,
+        requested: QoSProfile, judged: bool = True,
+    ) -> Stream:
+        """
+        Start to record a topic.
+
+        Parameters
+        ----------
+        name
+            Name, relative or full.
+        message, type_name
+            Its class and its type as ROS tools write it.
+        offered, requested
+            Quality of service of its publishers, for the metadata, and of the subscription.
+        judged
+            Whether to count what is missing.
+
+        Raises
+        ------
+        RunError
+            If the type is not installed.
+
+        """
+        full = self._node.resolve_topic_name(name)
+        self._writer.add_topic(full, type_name, offered)
+        # The callback is never called, since no executor has the node.
+        subscription = self._node.create_subscription(
+            message, name, _ignore, requested, raw=True)
+        self.streams[full] = Stream(full, message, subscription, judged)
+        return self.streams[full]
+
+    def drain(self) -> int:
+        """Write what has arrived, in the order of arrival; return how much that was."""
+        messages = []
+        for stream in self.streams.values():
+            while (taken := stream.take()) is not None:
+                data, info = taken
+                sequence = info['publication_sequence_number']
+                stream.count(sequence)
+                received = info['received_timestamp'] or time.time_ns()
+                sent = info['source_timestamp'] or received
+                messages.append(_Message(received, stream, data, sent, sequence or 0))
+        messages.sort()
+        for message in messages:
+            self._writer.write(
+                message.stream.name, message.data, message.log_time, message.publish_time,
+                message.sequence & 0xFFFFFFFF)
+            if message.stream.on_message is not None:
+                message.stream.on_message(message.data, message.log_time, message.publish_time)
+        return len(messages)
+
+    def drain_until_quiet(self, quiet_time: float, timeout: float, period: float) -> None:
+        """
+        Write what still comes.
+
+        Parameters
+        ----------
+        quiet_time
+            Time without a message after which nothing more is expected [s].
+        timeout
+            Longest wait for such a time [s].
+        period
+            Time between two looks [s].
+
+        """
+        give_up = time.monotonic() + timeout
+        quiet_since = time.monotonic()
+        while time.monotonic() < give_up:
+            if self.drain():
+                quiet_since = time.monotonic()
+            if time.monotonic() - quiet_since >= quiet_time:
+                break
+            time.sleep(period)
+
+
+def _ignore(_message: bytes) -> None:
+    pass

@@ -1,0 +1,126 @@
+"""
+The recorder as a ROS 2 node: every message of the graph into a bag, as it came, and /tf.
+
+See `raw_recording` for how it keeps out of the way of the nodes that control.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+import sys
+import time
+
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+
+from multicontact_control.config import parameter, Real
+from multicontact_control.errors import ConfigError
+from multicontact_control.nodes import qos
+from multicontact_control.nodes.bag_writer import BagWriter, CHUNK_SIZE
+from multicontact_control.nodes.graph_node import StartupConfig, StartupGate
+from multicontact_control.nodes.parameters import load_parameters
+from multicontact_control.nodes.raw_recording import RawRecording
+from multicontact_control.nodes.runtime import run_node, Spinner, yield_to_others
+from multicontact_control.nodes.tf_recording import TfRecording
+from multicontact_control.nodes.timing import write_json
+from multicontact_control.nodes.topics import (
+    JOINT_STATES,
+    RECORDER,
+    ROBOT_DESCRIPTION,
+    Topic,
+    TOPICS,
+)
+
+FLUSH_PERIOD = 0.5
+NICENESS = 10  # whoever controls goes first; two seconds of messages can wait
+
+
+class RecorderConfig(StartupConfig):
+    """What to record, and where to."""
+
+    folder: str = parameter(..., 'Folder of the bag, to be created.')
+    topics: tuple[str, ...] = parameter((), 'Topics to record; empty for all of the graph.')
+    chunk_size: int = parameter(
+        CHUNK_SIZE, 'Bytes of messages that are compressed together.', unit='B', ge=1024)
+    poll_period: Real = parameter(
+        0.005, 'Time between two looks for messages.', unit='s', gt=0.0, le=1.0)
+    quiet_time: Real = parameter(
+        0.2, 'Time without a message after which a recorder that is to stop does.', unit='s',
+        ge=0.0)
+    tf_rate: Real = parameter(
+        50.0, 'Link poses per second for /tf, worked out from joint states and robot '
+        'description; 0 for none.', unit='Hz', ge=0.0)
+    drain_timeout: Real = parameter(
+        3.0, 'Longest wait for such a time.', unit='s', ge=0.0)
+
+
+class RecorderNode(Node):
+    """Writes raw messages to a bag until asked to stop, then what still comes, then closes it."""
+
+    def __init__(self) -> None:
+        # Without an executor nobody would answer the parameter services.
+        super().__init__(RECORDER, start_parameter_services=False)
+        config: RecorderConfig
+        config, = load_parameters(self, RecorderConfig)
+        self._config = config
+        chosen = self._chosen_topics()
+        self._writer = BagWriter(Path(config.folder), chunk_size=config.chunk_size)
+        self._recording = RawRecording(self, self._writer)
+        streams = {topic: self._recording.add(
+            topic.name, topic.message, topic.type_name, offered=topic.profile,
+            requested=_recording_profile(topic), judged=topic.rate == 'control')
+            for topic in chosen}
+        if config.tf_rate > 0.0 and {JOINT_STATES, ROBOT_DESCRIPTION} <= set(chosen):
+            tf = TfRecording(self._writer, config.tf_rate, self.get_logger())
+            streams[JOINT_STATES].on_message = tf.on_joint_states
+            streams[ROBOT_DESCRIPTION].on_message = tf.on_description
+        self._gate = StartupGate(
+            self, {}, {topic: x.subscription for topic, x in streams.items()}, config)
+
+    def _chosen_topics(self) -> list[Topic]:
+        names = [topic.name for topic in TOPICS]
+        for name in self._config.topics:
+            if name not in names:
+                raise ConfigError('topics', f'names among {", ".join(names)}', f"'{name}'")
+        return [x for x in TOPICS if not self._config.topics or x.name in self._config.topics]
+
+    def run(self, spinner: Spinner) -> None:
+        """Record until asked to stop and nothing comes any more."""
+        config = self._config
+        yield_to_others(NICENESS)
+        next_flush = time.monotonic()
+        while not spinner.stop:
+            self._gate.poll()
+            self._recording.drain()
+            if time.monotonic() >= next_flush:
+                self._writer.flush()
+                next_flush = time.monotonic() + FLUSH_PERIOD
+            time.sleep(config.poll_period)
+        self._recording.drain_until_quiet(
+            config.quiet_time, config.drain_timeout, config.poll_period)
+
+    def close(self) -> None:
+        """Close the bag, and write the counts of this run, if asked to."""
+        self._writer.close()
+        path = self._config.timing_path
+        if path is not None:
+            streams = self._recording.streams.values()
+            write_json(path, {
+                'messages': self._writer.message_count, 'counts': self._writer.counts(),
+                'lost': sum(stream.lost for stream in streams),
+                'lost_by_topic': {x.name: x.lost for x in streams if x.lost},
+                'before_start': sum(stream.before_start for stream in streams)})
+
+
+def _recording_profile(topic: Topic) -> QoSProfile:
+    latched = topic.profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+    return qos.RECORDING_LATCHED if latched else qos.RECORDING
+
+
+def main() -> int:
+    """Run the recorder node."""
+    return run_node(RecorderNode)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,116 @@
+"""`multicontact record`: any topic of any installed type into a bag, as raw bytes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+import time
+
+from multicontact_control.errors import ConfigError, RunError
+from multicontact_control.nodes.bag_writer import BagWriter
+from multicontact_control.nodes.raw_recording import RawRecording
+from multicontact_control.nodes.runtime import StopFlag
+from multicontact_control.tools.onlooker import (
+    full_name,
+    matching_profile,
+    message_class,
+    Onlooker,
+    POLL_PERIOD,
+)
+
+DEPTH = 1000
+DISCOVERY_PERIOD, FLUSH_PERIOD = 0.1, 0.5
+
+
+def record(
+    topics: Sequence[str], folder: Path, say: Callable[[str], None], *,
+    domain_id: int | None = None,
+) -> int:
+    """
+    Record until interrupted.
+
+    Topics are subscribed to as they appear, with the quality of service of their publishers.
+
+    Parameters
+    ----------
+    topics
+        Names; none for all that are not hidden.
+    folder
+        The bag, to be created.
+    say
+        Called with a line for each thing that happens.
+    domain_id
+        ROS domain; that of the environment by default.
+
+    Returns
+    -------
+    int
+        How many messages the bag holds.
+
+    Raises
+    ------
+    ConfigError
+        If the folder exists.
+    RunError
+        If it cannot be written to.
+
+    """
+    stop = StopFlag()
+    stop.install()
+    if folder.exists():
+        raise ConfigError('--output', 'a folder that does not exist yet', str(folder))
+    with Onlooker(domain_id) as onlooker, BagWriter(folder) as writer:
+        recording = RawRecording(onlooker.node, writer)
+        search = _Search(onlooker, recording, topics, say)
+        say('Recording... Press Ctrl-C to stop.')
+        next_look = next_flush = time.monotonic()
+        while not stop:
+            now = time.monotonic()
+            if now >= next_look:
+                search.look()
+                next_look = now + DISCOVERY_PERIOD
+            recording.drain()
+            if now >= next_flush:
+                writer.flush()
+                next_flush = now + FLUSH_PERIOD
+            time.sleep(POLL_PERIOD)
+        recording.drain()  # what came before the interrupt; others may publish for ever
+        for stream in recording.streams.values():
+            if stream.lost:
+                say(f"{stream.lost} messages of '{stream.name}' were lost")
+    say(f'Recorded {writer.message_count} messages on {len(recording.streams)} topics to '
+        f'{folder}')
+    return writer.message_count
+
+
+class _Search:
+    """Finds topics to record as they appear."""
+
+    def __init__(
+        self, onlooker: Onlooker, recording: RawRecording, topics: Sequence[str],
+        say: Callable[[str], None],
+    ) -> None:
+        self._onlooker = onlooker
+        self._recording = recording
+        self._wanted = {full_name(topic) for topic in topics}
+        self._done: set[str] = set()
+        self._say = say
+
+    def look(self) -> None:
+        for name in self._wanted or self._onlooker.topics():
+            if name in self._done:
+                continue
+            publishers = self._onlooker.publishers(name)
+            if not publishers:
+                continue
+            self._done.add(name)
+            type_name = publishers[0].topic_type
+            try:
+                self._recording.add(
+                    name, message_class(type_name), type_name,
+                    offered=publishers[0].qos_profile,
+                    requested=matching_profile(publishers, DEPTH), judged=len(publishers) == 1)
+            except RunError as error:
+                self._say(f"Not subscribed to topic '{name}': {error}")
+            else:
+                self._say(f"Subscribed to topic '{name}'")

@@ -1,0 +1,279 @@
+"""
+The plant as a ROS 2 node: paced by the wall clock, or in lockstep with the controller.
+
+In real time sample k is published at the absolute deadline k h of the monotonic clock. Then the
+node waits for the command that answers it, advances the plant by one period with the torque that
+was due at the deadline, and waits for the next deadline. A command that is not there one period
+after its sample is a deadline miss; the last torque is held. If the node itself is late by more
+than `MAX_LATE_PERIODS` (the machine was busy elsewhere), the deadlines are moved back instead of
+publishing the samples that are due in a burst that nobody could answer; such a slip is counted,
+and simulated time then lags the wall clock by that much.
+
+In lockstep nothing looks at a clock: the plant advances while the controller computes, and the
+next sample goes out when the command has come.
+"""
+
+from __future__ import annotations
+
+from fractions import Fraction
+import sys
+import time
+from typing import Any
+
+import numpy as np
+from rclpy.node import Node
+from std_msgs.msg import String
+
+from multicontact_control.config import parameter, Real
+from multicontact_control.errors import RunError
+from multicontact_control.nodes import messages, topics
+from multicontact_control.nodes.graph_node import (
+    create_publisher,
+    create_subscription,
+    Refusals,
+    StartupConfig,
+    StartupGate,
+)
+from multicontact_control.nodes.parameters import load_parameters
+from multicontact_control.nodes.runtime import run_node, Spinner
+from multicontact_control.nodes.timing import DurationLog, write_json
+from sim_bridge.actuator_delay import ActuatorDelay
+from sim_bridge.config import PlantConfig
+from sim_bridge.puma560 import load_robot, urdf_text
+from sim_bridge.pybullet_plant import PybulletPlant, Sample
+
+MAX_LATE_PERIODS = 2
+RESEND_PERIOD, RESEND_PERIOD_GATED = 1.0, 10.0
+WAIT_FRACTION = 0.5
+REMEMBERED = 1024  # samples whose time of publication is known
+NANOSECONDS = 1_000_000_000
+
+
+class SimNodeConfig(StartupConfig):
+    """What only the node needs to know, not the plant in it."""
+
+    rate: Real = parameter(500.0, 'Samples per second.', unit='Hz', gt=0.0)
+    seed: int = parameter(0, 'Seed of roughness and sensor noise.', ge=0)
+    ticks: int = parameter(0, 'Samples after which the node ends, 0 for never.', ge=0)
+    lockstep: bool = parameter(
+        False, 'Whether to wait for every command instead of the wall clock.')
+    answer_timeout: Real = parameter(
+        10.0, 'Longest wait for a command in lockstep.', unit='s', gt=0.0)
+    wait_fraction: Real = parameter(
+        WAIT_FRACTION, 'Part of a period to wait for its command before the plant is advanced.',
+        ge=0.0, lt=1.0)
+
+
+def stamp_of(tick: int, rate: float) -> int:
+    """Return tick / rate in whole nanoseconds, without an error that grows."""
+    return int(tick * NANOSECONDS / Fraction(rate))
+
+
+class SimNode(Node):
+    """Publishes what the plant's sensors read and applies the torques that come back."""
+
+    def __init__(self) -> None:
+        super().__init__(topics.SIM)
+        plant_config: PlantConfig
+        config: SimNodeConfig
+        plant_config, config = load_parameters(self, PlantConfig, SimNodeConfig)
+        self._config = config
+        self._plant = PybulletPlant(plant_config, rate=config.rate, seed=config.seed)
+        # The first step ever takes many times as long as all others: not in the run.
+        self._plant.step(self._plant.initial_torque)
+        self._sample: Sample = self._plant.reset()
+        self._delay_ticks = plant_config.actuator_delay_ticks
+        self._delay = ActuatorDelay(self._delay_ticks, self._plant.initial_torque)
+        self._refusals = Refusals(self.get_logger())
+        self._tick = 0
+        self._answered = -1
+        self._saturated = self._misses = self._slips = 0
+        self._latency, self._step_times = DurationLog(), DurationLog()
+        self._start = time.monotonic_ns()
+        self._wall = 0
+        self._published = np.zeros(REMEMBERED, dtype=np.int64)
+        self._outputs = {
+            topic: create_publisher(self, topic) for topic in topics.published_by(topics.SIM)}
+        # Kept by the publisher for whoever comes late.
+        self._outputs[topics.ROBOT_DESCRIPTION].publish(String(data=urdf_text(load_robot())))
+        subscription = create_subscription(self, topics.EFFORT_COMMAND, self._on_command)
+        self._gate = StartupGate(
+            self, self._outputs, {topics.EFFORT_COMMAND: subscription}, config)
+        self._set_origin(0)
+
+    def run(self, spinner: Spinner) -> None:
+        """
+        Run the plant until the last tick or a signal.
+
+        Raises
+        ------
+        RunError
+            In lockstep, if a command does not come.
+
+        """
+        while not (spinner.stop or self._gate.poll()):
+            spinner.spin_once(0.01)
+        self._start_up(spinner)
+        self._start = time.monotonic_ns()
+        if self._config.lockstep:
+            self._run_lockstep(spinner)
+        else:
+            self._run_real_time(spinner)
+        self._wall = time.monotonic_ns() - self._start
+
+    def close(self) -> None:
+        """Write the counts and times of this run, if asked to, and free the plant."""
+        self._plant.close()
+        path = self._config.timing_path
+        if path is not None:
+            samples = max(1, self._tick + 1)
+            write_json(path, {
+                'ticks': self._tick + 1, 'rate_hz': self._config.rate,
+                'lockstep': self._config.lockstep, 'deadline_misses': self._misses,
+                'pace_slips': self._slips, 'wall_s': self._wall * 1e-9,
+                'latency_us': self._latency.percentiles(),
+                'plant_us': self._step_times.percentiles(),
+                'saturated_ticks': self._saturated, 'saturated_fraction':
+                self._saturated / samples, 'refused': dict(self._refusals.counts)})
+
+    def _set_origin(self, stamp: int) -> None:
+        """Set the stamp of sample 0 [ns]."""
+        self._origin = stamp
+
+    def _start_up(self, spinner: Spinner) -> None:
+        """Publish sample 0 until it is answered; nothing moves before that."""
+        period = stamp_of(1, self._config.rate)
+        # Lockstep knows no wall clock; one period on, so that no stamp is the zero of "none".
+        self._set_origin(period if self._config.lockstep else
+                         time.time_ns() // period * period)
+        # Behind the gate it cannot have been lost; a second copy would only be in the bag.
+        resend = RESEND_PERIOD_GATED if self._config.startup_peers else RESEND_PERIOD
+        while not spinner.stop and self._answered < 0:
+            self._publish()
+            give_up = time.monotonic() + resend
+            while self._answered < 0 and time.monotonic() < give_up and not spinner.stop:
+                spinner.spin_once(0.05)
+        self._publish_truth()
+
+    @property
+    def _done(self) -> bool:
+        return 0 < self._config.ticks <= self._tick + 1
+
+    def _run_real_time(self, spinner: Spinner) -> None:
+        period = NANOSECONDS / self._config.rate
+        # Sample 0 was answered just now: the next one follows a period after it, or at once.
+        anchor = max(int(self._published[0]), time.monotonic_ns() - int(period))
+        wait = int(self._config.wait_fraction * period)
+        slipped = 0
+        torque = self._delay.torque_for(0)
+        while not (spinner.stop or self._done):
+            self._advance(torque if self._delay_ticks else self._delay.torque_for(self._tick))
+            deadline = anchor + slipped + int((self._tick + 1) * period)
+            self._spin_until(spinner, deadline)
+            late = time.monotonic_ns() - deadline
+            if late > MAX_LATE_PERIODS * period:
+                slipped += late
+                deadline += late
+                self._slips += 1
+            self._misses += self._answered < self._tick
+            self._tick += 1
+            if self._delay_ticks:
+                torque = self._delay.torque_for(self._tick)
+            self._publish()
+            self._spin_until_answered(spinner, deadline + wait)
+            self._publish_truth()
+        # The last sample deserves its answer, too.
+        self._spin_until_answered(spinner, time.monotonic_ns() + NANOSECONDS // 10)
+
+    def _run_lockstep(self, spinner: Spinner) -> None:
+        if self._delay_ticks == 0:
+            self._wait_for_answer(spinner)
+        while not (spinner.stop or self._done):
+            # Sample k + 1 needs only commands up to k, or k - 1 with a delay: the plant then
+            # moves on while the controller thinks about sample k.
+            self._advance(self._delay.torque_for(self._tick))
+            self._wait_for_answer(spinner)
+            if spinner.stop:
+                return
+            self._tick += 1
+            self._publish()
+            self._publish_truth()
+            if self._delay_ticks == 0:
+                self._wait_for_answer(spinner)
+        self._wait_for_answer(spinner)
+
+    def _advance(self, torque: Any) -> None:
+        start = time.perf_counter_ns()
+        self._sample = self._plant.step(torque)
+        self._saturated += self._sample.saturated
+        self._step_times.add(time.perf_counter_ns() - start)
+
+    def _spin_until(self, spinner: Spinner, deadline: int) -> None:
+        """Run callbacks until an absolute time [ns]."""
+        remaining = deadline - time.monotonic_ns()
+        if remaining <= 0:
+            spinner.spin_once(0.0)  # late, but what has arrived has arrived in time
+        while remaining > 0 and not spinner.stop:
+            spinner.spin_once(remaining * 1e-9)
+            remaining = deadline - time.monotonic_ns()
+
+    def _spin_until_answered(self, spinner: Spinner, deadline: int) -> None:
+        """Run callbacks until the present sample has been answered, or an absolute time [ns]."""
+        remaining = deadline - time.monotonic_ns()
+        while self._answered < self._tick and remaining > 0 and not spinner.stop:
+            spinner.spin_once(remaining * 1e-9)
+            remaining = deadline - time.monotonic_ns()
+
+    def _wait_for_answer(self, spinner: Spinner) -> None:
+        limit = time.monotonic_ns() + int(self._config.answer_timeout * NANOSECONDS)
+        while self._answered < self._tick and not spinner.stop:
+            spinner.spin_once(0.1)
+            if time.monotonic_ns() > limit and self._answered < self._tick:
+                raise RunError(
+                    f'no {topics.EFFORT_COMMAND.name} for sample {self._tick} after '
+                    f'{self._config.answer_timeout:g} s: has the controller stopped?')
+
+    def _publish(self) -> None:
+        """Publish what the controller works with; the clock of the latency starts here."""
+        sample, outputs, stamp = self._sample, self._outputs, self._stamp(self._tick)
+        wrench = messages.wrench_message(stamp, sample.wrench, 'ft_face')
+        filtered = messages.wrench_message(stamp, sample.wrench_filtered, 'ft_face')
+        joints = messages.joint_state_message(
+            stamp, self._plant.joint_names, position=sample.q, velocity=sample.qd,
+            effort=sample.effort)
+        self._published[self._tick % REMEMBERED] = time.monotonic_ns()
+        outputs[topics.WRENCH].publish(wrench)
+        outputs[topics.WRENCH_FILTERED].publish(filtered)
+        outputs[topics.JOINT_STATES].publish(joints)
+
+    def _publish_truth(self) -> None:
+        """Publish what only an observer may know."""
+        self._outputs[topics.TRUE_FORCES].publish(messages.joint_state_message(
+            self._stamp(self._tick), self._plant.contact_names,
+            effort=self._sample.contact_force))
+
+    def _stamp(self, tick: int) -> int:
+        return self._origin + stamp_of(tick, self._config.rate)
+
+    def _on_command(self, message: Any) -> None:
+        received = time.monotonic_ns()
+        with self._refusals.guard(topics.EFFORT_COMMAND):
+            command = messages.read_effort(message, self._plant.joint_names)
+            tick = round((command.stamp - self._origin) * 1e-9 * self._config.rate)
+            if not (0 <= tick <= self._tick and self._stamp(tick) == command.stamp):
+                raise messages.MessageError(
+                    'stamp', 'that of a sample', f'{command.stamp} ns')
+            if tick > self._answered:
+                self._delay.command(tick, command.values)
+                self._answered = tick
+                if tick > 0:  # the answer to the first sample waits for everything to start
+                    self._latency.add(received - int(self._published[tick % REMEMBERED]))
+
+
+def main() -> int:
+    """Run the simulated plant."""
+    return run_node(SimNode)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,85 @@
+"""Pushes at the tool, by a hand that the simulation does not otherwise know."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
+from multicontact_control.arrays import Vector
+from multicontact_control.errors import ConfigError
+from sim_bridge.config import PlantConfig
+from sim_bridge.kinematics import add_joint_torque, forward_kinematics
+from sim_bridge.timed_pushes import push_at
+
+
+class ToolPush:
+    """
+    Forces at one point of the tool, beyond the wrist sensor, which reads their opposite.
+
+    Parameters
+    ----------
+    config
+        The plant, with the pushes.
+    model
+        The arm, for its geometry.
+    rate
+        Control rate [Hz].
+
+    Attributes
+    ----------
+    force_world
+        Force on the tool now, shape (3,) [N].
+    point_world
+        Where, shape (3,) [m]; only up to date while something pushes.
+
+    Raises
+    ------
+    ConfigError
+        If the arm has no such link.
+
+    """
+
+    def __init__(self, config: PlantConfig, model: pin.Model, rate: float) -> None:
+        name = config.tool_push_link
+        if not model.existFrame(name):
+            raise ConfigError('tool_push_link', 'a link of the tool', f"'{name}'")
+        self._local: Vector = np.array(model.frames[model.getFrameId(name)].placement.translation)
+        placements = list(model.jointPlacements)[1:]
+        self._rotations = np.ascontiguousarray([place.rotation for place in placements])
+        self._offsets = np.ascontiguousarray([place.translation for place in placements])
+        self._axes, self._origins = np.zeros((model.nv, 3)), np.zeros((model.nv, 3))
+        self._schedule = (
+            config.tool_push_start, config.tool_push_duration, config.tool_push_force_world)
+        self._rate = rate
+        self.force_world, self.point_world = np.zeros(3), np.zeros(3)
+
+    def start_period(self, tick: int) -> None:
+        """Take the force of the control period that begins."""
+        self.force_world = push_at(tick, self._rate, *self._schedule)
+
+    def add_load(self, q: Vector, load: Vector) -> bool:
+        """
+        Add what the push does to the joints.
+
+        Parameters
+        ----------
+        q
+            Link side of the joints, shape (n,) [rad].
+        load
+            Added to, shape (n,) [N m].
+
+        Returns
+        -------
+        bool
+            Whether anything pushes.
+
+        """
+        if not self.force_world.any():
+            return False
+        rotation = np.empty((3, 3))
+        forward_kinematics(
+            q, self._rotations, self._offsets, self._axes, self._origins, rotation)
+        self.point_world = self._origins[-1] + rotation @ self._local
+        add_joint_torque(
+            self.point_world, self.force_world, 1.0, self._axes, self._origins, load)
+        return True

@@ -1,0 +1,160 @@
+"""Three contacts with overlapping lever arms: what couples them, what a unit of length does."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from multicontact_control.contact.geometry import contact_normals, operational_stiffness
+from multicontact_control.contact.projections import (
+    allocate_force,
+    contact_rates,
+    euclidean_projections,
+    inertia_projections,
+)
+
+STIFFNESS = np.array([6000.0, 4000.0, 9000.0])  # of the three surfaces [N/m]
+INPUTS = np.array([0.7, -0.4, 1.1])  # a_i [m/s^2]
+PERIOD = 1e-5  # s
+
+
+@dataclass(frozen=True)
+class World:
+    """The same contacts and the same body, with lengths in metres or in 1/scale of them."""
+
+    scale: float
+
+    @property
+    def N(self):
+        """A floor and two slopes, all pushed by one tool: N_i^T N_j is nowhere 0."""
+        normals = np.array([[0.0, 0.0, -1.0], [0.0, 0.8, -0.6], [0.6, 0.0, -0.8]])
+        levers = np.array([[0.05, -0.02, 0.24], [0.03, -0.16, 0.19], [-0.1, 0.06, 0.2]])
+        return contact_normals(normals, self.scale * levers)
+
+    @property
+    def similarity(self):
+        """S: twists and accelerations in this unit are S times those in metres and radians."""
+        return np.diag([self.scale] * 3 + [1.0] * 3)
+
+    @property
+    def Lambda(self):
+        """Task inertia, so that a^T Lambda a / scale^2 is the same number in every unit."""
+        root = np.random.default_rng(26).standard_normal((6, 6))
+        metric = np.diag([4.0] * 3 + [0.1] * 3) + 0.02 * root @ root.T
+        inverse = np.linalg.inv(self.similarity)
+        return self.scale ** 2 * inverse @ metric @ inverse
+
+
+METRES, MILLIMETRES = World(1.0), World(1000.0)
+
+
+@pytest.fixture(params=['euclidean', 'inertia'])
+def projections(request):
+    world = METRES
+    if request.param == 'euclidean':
+        return euclidean_projections(world.N)
+    return inertia_projections(world.N, world.Lambda)
+
+
+def _force_acceleration(projections, allocation):
+    """Step a rigid body on springs by a tick or two and difference its contact forces twice."""
+    N = METRES.N
+    acceleration = projections.Omega_c @ allocate_force(N, INPUTS, allocation)
+    twist, displacement = np.zeros(6), np.zeros(6)
+    forces = [np.zeros(3)]
+    for _ in range(2):  # exact for a constant acceleration
+        displacement = displacement + PERIOD * twist + 0.5 * PERIOD ** 2 * acceleration
+        twist = twist + PERIOD * acceleration
+        forces.append(STIFFNESS * (N.T @ displacement))
+    return (forces[2] - 2.0 * forces[1] + forces[0]) / PERIOD ** 2
+
+
+def test_lever_arms_overlap():
+    """N^T N is full: the paper's decoupling has nothing to stand on (paper notes 9)."""
+    product = METRES.N.T @ METRES.N
+    assert np.abs(product - np.diag(np.diag(product))).min(
+        where=~np.eye(3, dtype=bool), initial=np.inf) > 0.01
+
+
+def test_decoupled_allocation_gives_every_force_its_own_acceleration(projections):
+    """alpha_ddot_i = k_i a_i to 1e-9, whatever the geometry and the metric."""
+    np.testing.assert_allclose(
+        _force_acceleration(projections, 'decoupled'), STIFFNESS * INPUTS, rtol=1e-9)
+
+
+def test_paper_allocation_couples_the_forces(projections):
+    """alpha_ddot = K_env N^T N alpha*: not k_s,i alpha*_i of P04 eq. 31, by tens of percent."""
+    found = _force_acceleration(projections, 'paper')
+    N = METRES.N
+    np.testing.assert_allclose(found, STIFFNESS * (N.T @ N @ INPUTS), rtol=1e-9)
+    k_s = STIFFNESS * np.diag(N.T @ N)
+    assert (np.abs(found - k_s * INPUTS) > 0.1 * np.abs(k_s * INPUTS)).all()
+
+
+def test_paper_allocation_decouples_orthogonal_contacts():
+    """With N^T N diagonal eq. 31 holds: the paper's own two contacts, arranged so."""
+    normals = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+    levers = np.array([[0.0, 0.0, 0.24], [0.0, -0.16, 0.19]])
+    N = contact_normals(normals, levers)
+    k_s = [operational_stiffness(6000.0, n, l) for n, l in zip(normals, levers)]
+    np.testing.assert_allclose(
+        6000.0 * N.T @ allocate_force(N, INPUTS[:2], 'paper'), k_s * INPUTS[:2], rtol=1e-12)
+
+
+def test_unit_of_length_changes_the_euclidean_projections():
+    """Omega_f and Omega_m add metres to radians (paper notes 10)."""
+    metres, other = euclidean_projections(METRES.N), euclidean_projections(MILLIMETRES.N)
+    S = MILLIMETRES.similarity
+    inverse = np.linalg.inv(S)
+    for there, here in ((other.Omega_m, S @ metres.Omega_m @ inverse),
+                        (other.Omega_f, inverse @ metres.Omega_f @ S)):
+        assert np.abs(there - here).max() > 0.1 * np.abs(here).max()
+
+
+def test_unit_of_length_only_renames_the_inertia_projections():
+    """The same maps in other coordinates: S Omega_m S^-1, and S^-1 Omega_f S for wrenches."""
+    metres = inertia_projections(METRES.N, METRES.Lambda)
+    other = inertia_projections(MILLIMETRES.N, MILLIMETRES.Lambda)
+    S = MILLIMETRES.similarity
+    inverse = np.linalg.inv(S)
+    np.testing.assert_allclose(
+        inverse @ other.Omega_m @ S, metres.Omega_m, rtol=1e-9, atol=1e-11)
+    np.testing.assert_allclose(
+        S @ other.Omega_f @ inverse, metres.Omega_f, rtol=1e-9, atol=1e-11)
+
+
+def test_unit_of_length_changes_the_stiffness_along_a_normal():
+    """k_s = k_env (1 + |l x n|^2) weighs a moment arm in its unit (P04 eq. 17)."""
+    normal, lever = np.array([0.0, 1.0, 0.0]), np.array([0.03, -0.16, 0.19])
+    metres, millimetres = (
+        operational_stiffness(6000.0, normal, scale * lever) for scale in (1.0, 1000.0))
+    assert metres == pytest.approx(6000.0 * 1.037)
+    assert millimetres == pytest.approx(6000.0 * 37001.0)
+
+
+@pytest.mark.parametrize('metric', ['euclidean', 'inertia'])
+def test_unit_of_length_leaves_decoupled_contact_accelerations(metric):
+    """N^T Omega_c f_c* = a in any unit; with `paper` the contacts move differently."""
+    accelerations = {}
+    for world in (METRES, MILLIMETRES):
+        projections = (euclidean_projections(world.N) if metric == 'euclidean'
+                       else inertia_projections(world.N, world.Lambda))
+        for allocation in ('decoupled', 'paper'):
+            f_c = allocate_force(world.N, world.scale * INPUTS, allocation)
+            accelerations[allocation, world] = (
+                world.N.T @ projections.Omega_c @ f_c / world.scale)  # back in m/s^2
+    for world in (METRES, MILLIMETRES):
+        np.testing.assert_allclose(accelerations['decoupled', world], INPUTS, rtol=1e-9)
+    assert np.abs(
+        accelerations['paper', MILLIMETRES] / accelerations['paper', METRES] - 1.0).min() > 1.0
+
+
+def test_unit_of_length_leaves_decoupled_contact_rates():
+    """N^T theta is a speed; N^+ theta of `paper` is not."""
+    twist = np.random.default_rng(27).standard_normal(6)
+    rates = {
+        (allocation, world): contact_rates(world.N, world.similarity @ twist, allocation)
+        / world.scale for allocation in ('decoupled', 'paper') for world in (METRES, MILLIMETRES)}
+    np.testing.assert_allclose(
+        rates['decoupled', MILLIMETRES], rates['decoupled', METRES], rtol=1e-9)
+    assert np.abs(rates['paper', MILLIMETRES] / rates['paper', METRES] - 1.0).min() > 0.01

@@ -1,0 +1,189 @@
+"""Every claim holds on data made to the paper, and does not on data that break it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from synthetic_run import delayed, disturbance_setup, paper_run, perfect_run
+
+from multicontact_control.experiment.claims import CLAIMS, judge_claims, NOT_MEASURED, Row
+from multicontact_control.experiment.disturbances import disturbance_summary
+from multicontact_control.experiment.evidence import designed_rise, evidence_of
+
+MOTION = 9.0  # s, its start in the scenario
+
+
+def verdict_of(data, setup, words, rows=()):
+    claims = [claim for claim in judge_claims(evidence_of(data, setup), rows)
+              if words in claim.claim]
+    assert len(claims) == 1
+    return claims[0]
+
+
+def row(label, data, setup):
+    contacts = disturbance_summary(data, setup)['contacts']
+    return Row(label, evidence_of(data, setup),
+               {name: contact['recoveries'] for name, contact in contacts.items()})
+
+
+def changed(data, name, window, values):
+    series = getattr(data, name).copy()
+    series[window] = values
+    return replace(data, **{name: series})
+
+
+@pytest.fixture
+def setup():
+    return disturbance_setup()
+
+
+@pytest.fixture
+def data(setup):
+    return paper_run(setup)
+
+
+def unstable(data):
+    """Return the run with the board lost for good 1.7 s after the motion began."""
+    return changed(data, 'alpha_true', (data.time >= MOTION + 1.6, 1), 0.0)
+
+
+SINGLE = ('designed time constant', 'motion is tracked', '0.6 N² at rest', 'about 100 N²',
+          'keeps the control working', 'not too affected', 'disturbs both')
+
+
+@pytest.mark.parametrize('words', SINGLE)
+def test_claim_of_one_run_holds_on_data_made_to_the_paper(data, setup, words):
+    claim = verdict_of(data, setup, words)
+    assert claim.holds is True, claim
+
+
+def break_rise(data):
+    return replace(data, alpha_true=delayed(data, 0.1))
+
+
+def break_tracking(data):
+    return replace(data, position=data.position + [0.01, 0.0, 0.0])
+
+
+def break_orientation(data):
+    angle = 0.03
+    return replace(data, quaternion=np.tile(
+        [np.sin(angle / 2.0), 0.0, 0.0, np.cos(angle / 2.0)], (data.ticks, 1)))
+
+
+def break_rest_variance(data):
+    return changed(data, 'noise_variance', data.time < MOTION, 1.3)
+
+
+def break_moving_variance(data):
+    return changed(data, 'noise_variance', (data.time >= MOTION, 1), 20.0)
+
+
+def break_moving(data):
+    noise = 4.0 * np.random.default_rng(1).standard_normal(data.alpha_true.shape)
+    return replace(data, alpha_true=data.alpha_true + (data.time >= MOTION)[:, None] * noise)
+
+
+def lose_one_sample(data):
+    return changed(data, 'alpha_true', (np.flatnonzero(data.time > 12.0)[:1], 0), 0.0)
+
+
+def break_start(data):
+    window = (data.time >= MOTION) & (data.time < MOTION + 2.0)
+    return changed(data, 'alpha_true', (window, 1), 10.01)
+
+
+BREAKERS = [
+    ('designed time constant', break_rise), ('motion is tracked', break_tracking),
+    ('motion is tracked', break_orientation), ('0.6 N² at rest', break_rest_variance),
+    ('about 100 N²', break_moving_variance), ('keeps the control working', unstable),
+    ('not too affected', break_moving), ('not too affected', lose_one_sample),
+    ('not too affected', unstable), ('disturbs both', break_start)]
+
+
+@pytest.mark.parametrize('words, breaker', BREAKERS)
+def test_claim_of_one_run_does_not_hold_on_data_that_break_it(data, setup, words, breaker):
+    claim = verdict_of(breaker(data), setup, words)
+    assert claim.holds is False, claim
+    assert claim.measured and claim.why
+
+
+def test_claims_that_compare_are_not_judged_from_one_run(data, setup):
+    claims = judge_claims(evidence_of(data, setup))
+    assert len(claims) == len(CLAIMS)
+    single = [claim for claim in claims if any(words in claim.claim for words in SINGLE)]
+    others = [claim for claim in claims if claim not in single]
+    assert len(others) == len(CLAIMS) - len(SINGLE)
+    assert all(claim.holds is None and claim.measured == NOT_MEASURED for claim in others)
+
+
+def test_claims_about_the_filter_are_not_judged_with_another_estimator(data):
+    setup = disturbance_setup(noise_estimator={'estimator': 'fixed'})
+    assert verdict_of(data, setup, '0.6 N² at rest').holds is None
+    assert verdict_of(data, setup, 'keeps the control working').holds is None
+
+
+def test_fixed_claim_follows_the_runs_with_a_fixed_variance(data, setup):
+    fixed = disturbance_setup(noise_estimator={'estimator': 'fixed'})
+    bad, good = row('fixed', unstable(data), fixed), row('fixed', data, fixed)
+    words = 'Without on-line R'
+    assert verdict_of(data, setup, words, [bad, bad]).holds is True
+    broken = verdict_of(data, setup, words, [bad, good])
+    assert broken.holds is False and '1 of 2' in broken.measured
+    assert 'rigid drives' in verdict_of(data, setup, words, [good]).why
+
+
+def test_fixed_claim_does_not_count_a_run_that_fails_at_rest(data, setup):
+    fixed = disturbance_setup(noise_estimator={'estimator': 'fixed'})
+    at_rest = changed(data, 'alpha_true', (data.time >= 4.0, 1), 0.0)
+    assert verdict_of(data, setup, 'Without on-line R', [row('fixed', at_rest, fixed)]
+                      ).holds is False
+
+
+def pushed(setup, duration):
+    """Return a run whose forces are 2 N off for a while after each push at rest."""
+    data = perfect_run(setup)
+    for start, length in ((5.0, 0.1 + duration), (6.5, duration)):
+        window = (data.time >= start) & (data.time < start + length)
+        data = changed(data, 'alpha_true', (window, 0), 17.0)
+    return data
+
+
+@pytest.mark.parametrize('slow, holds', [(0.5, True), (0.3, False)])
+def test_filter_claim_compares_the_recoveries(data, setup, slow, holds):
+    rows = [row('lead_window', pushed(setup, 0.2), setup),
+            row('window rescaled', pushed(setup, slow), setup)]
+    claim = verdict_of(data, setup, 'Without the high-pass filter', rows)
+    assert claim.holds is holds, claim
+    assert '0.200 s' in claim.measured
+
+
+@pytest.mark.parametrize('peak, holds', [(60.0, True), (1.2, False)])
+def test_maybeck_claim_compares_the_reactions_of_the_estimates(data, setup, peak, holds):
+    jumping = changed(data, 'noise_variance', (data.time > 5.0) & (data.time < 5.3), peak)
+    rows = [row('lead_window', data, setup), row('innovation', jumping, setup)]
+    assert verdict_of(data, setup, 'Maybeck', rows).holds is holds
+
+
+def test_stiffness_claim_needs_a_wrong_stiffness_that_is_compensated(setup):
+    stiff = disturbance_setup(plant_overrides={'surfaces': {
+        name: {'stiffness': 12000.0} for name in ('table', 'board')}})
+    data = paper_run(stiff)
+    words = 'stiffness that is not known'
+    assert verdict_of(data, stiff, words).holds is True
+    assert verdict_of(break_rise(data), stiff, words).holds is False
+    offset = replace(data, alpha_true=data.alpha_true + 0.5)
+    assert verdict_of(offset, stiff, words).holds is False
+
+
+def test_rows_of_another_plant_do_not_count(data, setup):
+    fixed = disturbance_setup('puma', noise_estimator={'estimator': 'fixed'})
+    rows = [row('fixed', unstable(data), fixed)]
+    assert verdict_of(data, setup, 'Without on-line R', rows).holds is None
+
+
+def test_designed_rise_of_two_equal_poles_is_2_146_time_constants(setup):
+    force = setup.controller.force
+    assert designed_rise(force) == pytest.approx(0.006 + 2.1462 * 0.02, abs=1e-5)
+    fast = force.model_copy(update={'second_pole_ratio': 1e4})
+    assert designed_rise(fast) == pytest.approx(0.026, abs=1e-4)

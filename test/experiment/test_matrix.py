@@ -1,0 +1,107 @@
+from typing import get_args
+
+import pytest
+
+from multicontact_control.config import NoiseEstimatorConfig
+from multicontact_control.errors import ConfigError
+from multicontact_control.experiment.comparing import ComparisonRequest
+from multicontact_control.experiment.findings import findings
+from multicontact_control.experiment.matrix import (
+    AOB,
+    beside_the_matrix,
+    comparison_matrix,
+    estimator_values,
+    LABELS,
+    PLAIN,
+    RESCALED,
+)
+
+
+def request(tmp_path, **changes):
+    values = {'plants': ('rigid', 'puma'), 'estimators': (), 'seeds': None, 'jobs': 1,
+              'quick': False, 'out': tmp_path, 'overwrite': False}
+    return ComparisonRequest(**{**values, **changes})
+
+
+def test_matrix_covers_every_estimator_plant_observer_and_seed():
+    entries = comparison_matrix()
+    names = get_args(NoiseEstimatorConfig.model_fields['estimator'].annotation)
+    assert set(LABELS) == {*names, RESCALED}
+    found = {(entry.cell.plant, entry.label, entry.kind, entry.cell.seed) for entry in entries}
+    assert found == {(plant, label, kind, seed) for plant in ('rigid', 'puma')
+                     for label in LABELS for kind in (AOB, PLAIN) for seed in range(3)}
+    assert len({entry.cell.key() for entry in entries}) == len(entries)
+
+
+def test_matrix_runs_each_cell_with_what_its_label_says():
+    for entry in comparison_matrix(('puma',), ('fixed', RESCALED), 1):
+        setup = entry.cell.setup()
+        assert setup.controller.force.active_state_order == (1 if entry.kind == AOB else 0)
+        rescaled = entry.label == RESCALED
+        assert setup.noise_estimator.estimator == ('window' if rescaled else 'fixed')
+        assert setup.noise_estimator.variance_scale == pytest.approx(
+            268.65 if rescaled else 1.0, abs=0.01)
+
+
+def test_matrix_compensates_no_friction_where_there_is_none():
+    rigid, puma = (comparison_matrix((plant,), ('fixed',), 1)[0].cell.setup()
+                   for plant in ('rigid', 'puma'))
+    assert rigid.controller.friction.coulomb == ()
+    assert puma.controller.friction.coulomb != ()
+
+
+def test_quick_matrix_covers_both_plants_and_the_estimators_that_decide(tmp_path):
+    entries = request(tmp_path, quick=True).entries()
+    assert {(entry.cell.plant, entry.label) for entry in entries if entry.kind == AOB} == {
+        (plant, label) for plant in ('rigid', 'puma')
+        for label in ('lead_window', 'fixed', RESCALED, 'innovation')}
+    assert len(entries) < 20
+
+
+def test_causes_are_looked_for_only_with_flexible_drives():
+    assert not [entry for entry in beside_the_matrix(('rigid',), 1) if entry.kind == 'cause']
+    smooth = next(entry for entry in beside_the_matrix(('puma',), 1) if 'noise' in entry.label)
+    plant = smooth.cell.setup().plant
+    assert not plant.sensor.noise
+    assert all(surface.roughness_std == 0.0 for surface in plant.surfaces.values())
+
+
+@pytest.mark.parametrize('changes, match', [
+    ({'estimators': ('kalman',)}, "estimators: .*lead_window.*'kalman'"),
+    ({'plants': ('ur5',)}, "plant: .*'ur5'"), ({'seeds': 0}, 'seeds: expected at least 1'),
+    ({'jobs': -1}, 'jobs')])
+def test_bad_request_says_what_is_expected(tmp_path, changes, match):
+    with pytest.raises(ConfigError, match=match):
+        request(tmp_path, **changes).entries()
+
+
+def test_unknown_label_is_refused():
+    with pytest.raises(ConfigError, match='lead_window'):
+        estimator_values('nothing')
+
+
+def row(label, stable, plant='puma', drives='flexible', kind=AOB):
+    return {'label': label, 'kind': kind, 'plant': plant, 'stable': stable,
+            'evidence': {'drives': drives}, 'unstable_after_motion_s': None if stable else 1.6,
+            'oscillation_hz': None if stable else 42.0, 'rest_rms_n': 0.1, 'pushes': []}
+
+
+CLEAN = 'fixed, no roughness, no sensor noise'
+
+
+def test_findings_say_which_plant_breaks_the_claim_and_that_noise_is_not_the_cause():
+    said = ' '.join(findings([
+        row('fixed', True, 'rigid', 'rigid'), row('fixed', False), row('lead_window', True),
+        row(CLEAN, False, kind='cause'), row('fixed at 2 N²', True, kind='cause')]))
+    assert 'rigid drives (plant rigid) R fixed at 0.6 N² is NOT unstable' in said
+    assert 'unstable in 1 of 1 runs, 1.60 to 1.60 s' in said and '42 Hz' in said
+    assert 'The noise is not the cause' in said
+    assert 'fixed at 2 N²: 1 of 1 stable' in said
+
+
+def test_findings_turn_round_with_the_data():
+    said = ' '.join(findings([
+        row('fixed', False, 'rigid', 'rigid'), row(CLEAN, True, kind='cause'),
+        row('fixed', False)]))
+    assert 'NOT unstable' not in said
+    assert 'here the noise is the cause' in said

@@ -1,0 +1,129 @@
+"""The compiled Kalman update: its equations, and its covariance over a million updates."""
+
+from numba import njit
+import numpy as np
+import pytest
+
+from multicontact_control.force.active_observer import ActiveObserver, MAX_ORDER
+from multicontact_control.force.kalman import kalman_update
+from multicontact_control.force.plant_model import design_force_loop
+
+FLOOR, CEILING = 1e-3, 1e6  # the defaults of NoiseEstimatorConfig
+UPDATES = 1_000_000
+
+
+def _observer(order, damping_rate=20.0):
+    return ActiveObserver(design_force_loop(
+        6000.0, damping_rate=damping_rate, input_delay=0.006, period=0.002, time_constant=0.02),
+        order=order)
+
+
+def _arguments(observer):
+    return (observer.x_est, observer.P, observer.Phi_c, observer.Phi_n, observer.Gamma,
+            observer.Q)
+
+
+@njit
+def _smallest_pivot(P):
+    """Return the smallest pivot of P's Cholesky factor, each relative to the diagonal of P."""
+    n = P.shape[0]
+    L = np.zeros((n, n))
+    smallest = np.inf
+    for j in range(n):
+        pivot = P[j, j]
+        for k in range(j):
+            pivot -= L[j, k] ** 2
+        smallest = min(smallest, pivot / P[j, j])
+        if not pivot > 0.0:
+            return min(smallest, 0.0)
+        L[j, j] = np.sqrt(pivot)
+        for i in range(j + 1, n):
+            total = P[i, j]
+            for k in range(j):
+                total -= L[i, k] * L[j, k]
+            L[i, j] = total / L[j, j]
+    return smallest
+
+
+@njit
+def _run(x, P, Phi_c, Phi_n, Gamma, q_diag, feedback, noise, variances):
+    """
+    Close the loop over the plant the filter models, with 10 N as command and noise on top.
+
+    Returns the worst pivot and asymmetry of P after any update, and the largest force.
+    """
+    pivot, asymmetry, largest = np.inf, 0.0, 0.0
+    n = 2 + 3  # states of the plant: the active ones come after
+    plant = np.zeros(n)
+    command = 10.0 * feedback[0]
+    for k in range(noise.shape[0]):
+        kalman_update(
+            x, P, Phi_c, Phi_n, Gamma, q_diag, command, plant[0] + noise[k], variances[k])
+        u = command - np.sum(feedback * x)
+        plant = Phi_n[:n, :n].copy() @ plant + Gamma[:n] * u
+        pivot = min(pivot, _smallest_pivot(P))
+        largest = max(largest, abs(plant[0]))
+        for i in range(P.shape[0]):
+            for j in range(i):
+                asymmetry = max(asymmetry, abs(P[i, j] - P[j, i]))
+    return pivot, asymmetry, largest
+
+
+def _jumping_variance(rng):
+    """R at floor or ceiling: changing every tick, at random times, and every 20 000 ticks."""
+    third = UPDATES // 3 + 1
+    high = np.concatenate([
+        np.arange(third) % 2, np.cumsum(rng.random(third) < 0.01) % 2,
+        np.arange(third) // 20000 % 2])[:UPDATES]
+    return np.where(high, CEILING, FLOOR)
+
+
+@pytest.mark.parametrize('damping_rate', [0.0, 20.0])
+@pytest.mark.parametrize('order', range(MAX_ORDER + 1))
+def test_covariance_stays_symmetric_and_positive_over_a_million_jumps(order, damping_rate):
+    """R between its floor and its ceiling, nine decades apart; looked at after every update."""
+    rng = np.random.default_rng(11)
+    observer = _observer(order, damping_rate)
+    variances = _jumping_variance(rng)
+    noise = rng.standard_normal(UPDATES) * np.minimum(np.sqrt(variances), 1.0)
+    pivot, asymmetry, largest = _run(*_arguments(observer), observer.feedback, noise, variances)
+    assert asymmetry == 0.0
+    # Rounding reaches the pivots at about 1e-16: one far above it is positive for good.
+    assert pivot > 1e-9
+    assert largest < 1e3
+    # And P is not only positive but right: a fresh filter ends where this one does.
+    fresh = _observer(order, damping_rate)
+    for filter_ in (observer, fresh):
+        _run(*_arguments(filter_), filter_.feedback, np.zeros(20000), np.full(20000, 0.6))
+    np.testing.assert_allclose(observer.P, fresh.P, rtol=1e-6, atol=1e-15)
+
+
+@pytest.mark.parametrize('order', range(MAX_ORDER + 1))
+def test_kalman_update_is_joseph_s_form(order):
+    """P = (1 - K C) P_1 (1 - K C)^T + K R K^T, in full matrices."""
+    rng = np.random.default_rng(13)
+    observer = _observer(order)
+    n = observer.Gamma.shape[0]
+    root = rng.standard_normal((n, n))
+    P, x = root @ root.T, rng.standard_normal(n)
+    P_1 = observer.Phi_n @ P @ observer.Phi_n.T + np.diag(observer.Q)
+    x_1 = observer.Phi_c @ x + observer.Gamma * 2.0
+    C = np.eye(n)[:1]
+    K = P_1 @ C.T / (P_1[0, 0] + 0.3)
+    A = np.eye(n) - K @ C
+    innovation, prior_variance = kalman_update(
+        x, P, observer.Phi_c, observer.Phi_n, observer.Gamma, observer.Q, 2.0, 5.0, 0.3)
+    assert innovation == pytest.approx(5.0 - x_1[0], rel=1e-12)
+    assert prior_variance == pytest.approx(P_1[0, 0], rel=1e-12)
+    np.testing.assert_allclose(x, x_1 + K[:, 0] * innovation, rtol=1e-10)
+    np.testing.assert_allclose(
+        P, A @ P_1 @ A.T + 0.3 * K @ K.T, rtol=1e-9, atol=1e-9 * np.abs(P).max())
+
+
+def test_kalman_update_refuses_arrays_it_was_not_compiled_for():
+    """An integer or a strided array is an error, not another compilation on the tick."""
+    observer = _observer(1)
+    arguments = list(_arguments(observer))
+    arguments[1] = np.asfortranarray(np.eye(6))
+    with pytest.raises(TypeError, match='No matching definition'):
+        kalman_update(*arguments, 0.0, 1.0, 0.6)

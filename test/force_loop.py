@@ -1,0 +1,62 @@
+"""One force loop in simulation: the plant, an observer on it, and the estimator that feeds it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from multicontact_control.config import NoiseEstimatorConfig
+from multicontact_control.force.active_observer import ActiveObserver
+from multicontact_control.force.noise import Innovation, make_noise_estimator
+from multicontact_control.force.plant_model import delayed_plant, design_force_loop
+
+H = 0.002
+
+
+@dataclass(frozen=True)
+class LoopRun:
+    force: np.ndarray  # true force [N]
+    noise_variance: np.ndarray  # R after each tick [N^2]
+
+
+def estimator_of(name, contacts=1, **values):
+    names = tuple(f'contact{i}' for i in range(contacts))
+    return make_noise_estimator(
+        NoiseEstimatorConfig(estimator=name, contact_names=names, **values))
+
+
+def observer_of(order=1, damping_rate=20.0, stiffness=6000.0):
+    return ActiveObserver(design_force_loop(
+        stiffness, damping_rate=damping_rate, input_delay=0.006, period=H, time_constant=0.02),
+        order=order)
+
+
+def run_force_loop(estimator, ticks, *, noise=None, disturbance=None, leak=None, command=10.0):
+    """
+    Hold a force with the R of the tick before, as the controller does.
+
+    Starts at rest at the commanded force. `noise` adds to the measurement, `disturbance` to the
+    input [m/s^2], `leak` to the true and the measured force, as that of another contact does.
+    """
+    zeros = np.zeros(ticks)
+    noise, disturbance, leak = (
+        zeros if series is None else series for series in (noise, disturbance, leak))
+    observer = observer_of()
+    plant = delayed_plant(6000.0, 20.0, 0.006, H)
+    x = np.zeros(5)
+    x[0] = command
+    observer.reset(command)
+    variance = np.array([0.6])
+    forces, variances = np.empty(ticks), np.empty(ticks)
+    for k in range(ticks):
+        forces[k] = x[0] + leak[k]
+        measured = forces[k] + noise[k]
+        observer.update(measured, variance[0])
+        u = observer.command(command)
+        variance = estimator.update(np.array([measured]), Innovation(
+            np.array([observer.innovation]), np.array([observer.prior_variance]),
+            np.array([observer.variance_used])))
+        variances[k] = variance[0]
+        x = plant.Phi @ x + plant.Gamma * (u + disturbance[k])
+    return LoopRun(forces, variances)

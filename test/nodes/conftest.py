@@ -1,0 +1,27 @@
+"""Real middleware for the tests of the nodes, in a ROS domain of their own."""
+
+import os
+
+import pytest
+from ros_graph import Middleware
+
+from multicontact_control.experiment.domain import reserve_domain
+
+
+@pytest.fixture(scope='session')
+def domain_id():
+    """Reserve a domain that nothing else on this machine uses."""
+    saved = os.environ.pop('ROS_DOMAIN_ID', None)
+    with reserve_domain() as number:
+        yield number
+    if saved is not None:
+        os.environ['ROS_DOMAIN_ID'] = saved
+
+
+@pytest.fixture
+def middleware(domain_id, tmp_path, monkeypatch):
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain_id))
+    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    monkeypatch.setenv('ROS_LOG_DIR', str(tmp_path / 'ros'))
+    with Middleware(domain_id) as handle:
+        yield handle

@@ -1,0 +1,122 @@
+"""The bag that we write, read by readers that are not ours."""
+
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+import pytest
+from rclpy.serialization import serialize_message
+from rosbags.highlevel import AnyReader
+from rosbags.interfaces import QosDurability, QosReliability
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import get_typestore, Stores
+import yaml
+
+from multicontact_control.errors import RunError
+from multicontact_control.nodes import messages, qos
+from multicontact_control.nodes.bag_writer import BagWriter
+from multicontact_control.nodes.message_definitions import message_hash, message_text
+from multicontact_control.nodes.topics import TOPICS
+
+START = 1_795_000_000_000_000_000
+PERIOD = 2_000_000
+COUNT = 250
+
+
+@pytest.fixture
+def bag(tmp_path):
+    """Write one stream of forces and one of wrenches, and a topic without a message."""
+    folder = tmp_path / 'bag'
+    with BagWriter(folder, chunk_size=4096) as writer:
+        writer.add_topic('/forces', 'sensor_msgs/msg/JointState', qos.STREAM)
+        writer.add_topic('/wrench', 'geometry_msgs/msg/WrenchStamped', qos.STREAM)
+        writer.add_topic(
+            '/silent', 'trajectory_msgs/msg/MultiDOFJointTrajectoryPoint', qos.LATCHED)
+        for k in range(COUNT):
+            time = START + k * PERIOD
+            # No empty list: serialize_message() then returns more bytes than go over the wire.
+            force = messages.joint_state_message(
+                time, ['table'], position=[k], velocity=[k], effort=[0.1 * k])
+            wrench = messages.wrench_message(time, [k, 0, 0, 0, 0, -k], 'ft_face')
+            writer.write('/forces', serialize_message(force), time + 500, time, k + 1)
+            writer.write('/wrench', serialize_message(wrench), time + 400, time, k + 1)
+    return folder
+
+
+def test_bag_writer_counts_and_times_are_those_of_the_messages(bag):
+    text = (bag / 'metadata.yaml').read_text(encoding='utf-8')
+    information = yaml.safe_load(text)['rosbag2_bagfile_information']
+    assert information['version'] == 9
+    assert information['storage_identifier'] == 'mcap'
+    assert information['message_count'] == 2 * COUNT
+    assert information['starting_time']['nanoseconds_since_epoch'] == START + 400
+    assert information['duration']['nanoseconds'] == (COUNT - 1) * PERIOD + 100
+
+
+def test_bag_writer_writes_what_rosbags_reads(bag):
+    store = get_typestore(Stores.ROS2_JAZZY)
+    with Reader(bag) as reader:
+        counts = {x.topic: x.msgcount for x in reader.connections}
+        assert counts == {'/forces': COUNT, '/wrench': COUNT, '/silent': 0}
+        profile = reader.connections[0].ext.offered_qos_profiles[0]
+        assert profile.reliability == QosReliability.RELIABLE
+        assert profile.durability == QosDurability.VOLATILE
+        forces = [
+            (time, store.deserialize_cdr(data, connection.msgtype))
+            for connection, time, data in reader.messages() if connection.topic == '/forces']
+    assert [time for time, _ in forces] == [START + k * PERIOD + 500 for k in range(COUNT)]
+    assert [x.effort[0] for _, x in forces] == [0.1 * k for k in range(COUNT)]
+    assert forces[0][1].name == ['table']
+
+
+def test_bag_writer_schemas_are_enough_to_decode(bag):
+    with AnyReader([bag]) as reader:
+        for connection, _, data in reader.messages():
+            message = reader.deserialize(data, connection.msgtype)
+            assert message.header.stamp.sec == START // 1_000_000_000
+
+
+def test_bag_writer_file_alone_is_read_by_mcap(bag):
+    with (bag / 'bag_0.mcap').open('rb') as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        assert reader.get_header().profile == 'ros2'
+        decoded = list(reader.iter_decoded_messages(topics=['/wrench']))
+    assert [x.message.publish_time for x in decoded] == [
+        START + k * PERIOD for k in range(COUNT)]
+    assert [x.decoded_message.wrench.torque.z for x in decoded] == [-k for k in range(COUNT)]
+    assert [x.message.sequence for x in decoded] == list(range(1, COUNT + 1))
+
+
+def test_bag_writer_with_no_message_is_a_bag(tmp_path):
+    writer = BagWriter(tmp_path / 'empty')
+    writer.add_topic('/forces', 'sensor_msgs/msg/JointState', qos.STREAM)
+    writer.close()
+    writer.close()
+    with Reader(tmp_path / 'empty') as reader:
+        assert reader.message_count == 0
+
+
+def test_bag_writer_never_overwrites(bag):
+    with pytest.raises(RunError, match='bag_0.mcap: already recorded'):
+        BagWriter(bag)
+
+
+def test_bag_writer_names_a_type_that_is_not_installed(tmp_path):
+    with BagWriter(tmp_path / 'bag') as writer, pytest.raises(
+            RunError, match='no_such_msgs/msg/Thing: package no_such_msgs is not installed'):
+        writer.add_topic('/thing', 'no_such_msgs/msg/Thing', qos.STREAM)
+
+
+def test_message_text_carries_every_inner_type_once():
+    text = message_text('trajectory_msgs/msg/MultiDOFJointTrajectoryPoint')
+    inner = [line for line in text.splitlines() if line.startswith('MSG: ')]
+    assert sorted(inner) == sorted(f'MSG: {x}' for x in (
+        'geometry_msgs/Transform', 'geometry_msgs/Twist', 'geometry_msgs/Vector3',
+        'geometry_msgs/Quaternion', 'builtin_interfaces/Duration'))
+
+
+@pytest.mark.parametrize('topic', TOPICS, ids=lambda topic: topic.name)
+def test_message_hash_is_that_of_the_running_types(topic, middleware):
+    """The middleware announces the hash that its compiled types have."""
+    publisher = middleware.node.create_publisher(topic.message, topic.name, topic.profile)
+    info, = middleware.node.get_publishers_info_by_topic(publisher.topic_name)
+    assert str(info.topic_type_hash) == message_hash(topic.type_name)
+    assert info.topic_type == topic.type_name

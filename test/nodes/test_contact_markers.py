@@ -1,0 +1,53 @@
+"""Contact forces as arrows."""
+
+import numpy as np
+import pytest
+from visualization_msgs.msg import Marker
+
+from multicontact_control.config import ControllerConfig, read_parameters, validate
+from multicontact_control.dynamics.pose import Pose
+from multicontact_control.nodes.contact_markers import ContactMarkers
+from multicontact_control.paths import config_dir
+
+STAMP = 1_795_000_000_000_000_000
+QUARTER_TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+
+
+@pytest.fixture
+def config():
+    path = config_dir() / 'controller.yaml'
+    return validate(ControllerConfig, read_parameters(path), str(path))
+
+
+def as_array(point):
+    return np.array([point.x, point.y, point.z])
+
+
+def test_arrows_end_at_the_tips_and_are_as_long_as_their_force(config):
+    pose = Pose(np.array([0.5, 0.1, 0.7]), QUARTER_TURN)
+    alpha = np.array([10.0, 4.0])
+    message = ContactMarkers(config, rate=25.0, scale=0.01).message(
+        STAMP, 'world', pose, alpha, [True, False])
+    assert len(message.markers) == 2
+    for marker, name, force in zip(message.markers, config.contact_names, alpha):
+        contact = config.contacts[name]
+        tail, tip = (as_array(point) for point in marker.points)
+        np.testing.assert_allclose(
+            tip, pose.position_world + QUARTER_TURN @ contact.point_operational)
+        np.testing.assert_allclose(tip - tail, 0.01 * force * np.array(contact.normal_world))
+        assert (marker.header.frame_id, marker.type) == ('world', Marker.ARROW)
+        assert marker.action == Marker.ADD
+    assert message.markers[0].color != message.markers[1].color
+    assert len({(marker.ns, marker.id) for marker in message.markers}) == 2
+
+
+def test_contact_without_force_has_no_arrow(config):
+    message = ContactMarkers(config, rate=25.0, scale=0.01).message(
+        STAMP, 'world', Pose(np.zeros(3), np.eye(3)), np.array([0.0, -3.0]), [False, False])
+    assert [marker.action for marker in message.markers] == [Marker.DELETE] * 2
+
+
+@pytest.mark.parametrize(('rate', 'count'), [(25.0, 25), (0.0, 0), (1000.0, 500)])
+def test_markers_are_due_at_their_rate(config, rate, count):
+    markers = ContactMarkers(config, rate=rate, scale=0.01)
+    assert sum(markers.due(tick) for tick in range(500)) == count

@@ -1,0 +1,139 @@
+"""The recorder as a process over real middleware: asked to stop, and killed."""
+
+from __future__ import annotations
+
+import json
+import signal
+import time
+
+from mcap.exceptions import McapError
+from mcap.reader import NonSeekingReader
+import pytest
+from rclpy.duration import Duration
+from rclpy.serialization import deserialize_message
+from ros_graph import wait_for
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import get_typestore, Stores
+from sensor_msgs.msg import JointState
+
+from multicontact_control.nodes import messages, topics
+from multicontact_control.nodes.graph_node import ready_topic
+
+pytestmark = pytest.mark.ros
+
+RECORDER = 'multicontact_control.nodes.recorder_node'
+RECORDED = (topics.JOINT_STATES, topics.TRUE_FORCES, topics.WRENCH)
+COUNT = 1500
+STORE = get_typestore(Stores.ROS2_JAZZY)
+
+
+@pytest.fixture
+def publishers(middleware):
+    return {
+        topic: middleware.node.create_publisher(topic.message, topic.name, topic.profile)
+        for topic in RECORDED}
+
+
+def start_recorder(middleware, folder, publishers, *parameters):
+    names = json.dumps([topic.name for topic in publishers])
+    process = middleware.start(
+        RECORDER, f'folder:={folder}', f'topics:={names}', 'startup_peers:=[sim_node]',
+        *parameters)
+    ready = ready_topic(topics.RECORDER)
+    wait_for(lambda: process.poll() is not None or middleware.node.count_publishers(ready),
+             'recorder connected')
+    assert process.poll() is None, process.communicate()[1]
+    return process
+
+
+def publish(publishers, first, count):
+    for k in range(first, first + count):
+        stamp = 1 + k * 2_000_000
+        for topic, publisher in publishers.items():
+            if topic is topics.WRENCH:
+                message = messages.wrench_message(stamp, [k] * 6, 'ft_face')
+            else:
+                message = messages.joint_state_message(stamp, ['a'], effort=[k])
+            publisher.publish(message)
+        time.sleep(0.0005)  # a few times faster than the graph, not without a limit
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_recorder_keeps_every_message_and_closes_the_bag(
+        middleware, publishers, tmp_path, number):
+    counts_file = tmp_path / 'counts.json'
+    process = start_recorder(
+        middleware, tmp_path / 'bag', publishers, f'timing_file:={counts_file}')
+    publish(publishers, 0, COUNT)
+    # Reliable is what the writer still repeats: a message that was dropped on a busy machine
+    # comes again with the next heartbeat, which may be after the recorder's quiet time.
+    for publisher in publishers.values():
+        publisher.wait_for_all_acked(Duration(seconds=5.0))
+    process.send_signal(number)
+    process.send_signal(number)  # a Ctrl-C often comes twice
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 0, errors
+    with Reader(tmp_path / 'bag') as reader:
+        assert {x.topic: x.msgcount for x in reader.connections} == {
+            f'/{topic.name}': COUNT for topic in RECORDED}
+        efforts = [
+            STORE.deserialize_cdr(data, connection.msgtype).effort[0]
+            for connection, _, data in reader.messages() if connection.topic == '/joint_states']
+    assert efforts == [float(k) for k in range(COUNT)]
+    counts = json.loads(counts_file.read_text(encoding='utf-8'))
+    assert (counts['messages'], counts['lost'], counts['before_start']) == (
+        COUNT * len(RECORDED), 0, 0)
+
+
+def test_recorder_that_is_killed_leaves_all_whole_chunks(middleware, publishers, tmp_path):
+    folder = tmp_path / 'bag'
+    process = start_recorder(middleware, folder, publishers, 'chunk_size:=4096')
+    path = folder / 'bag_0.mcap'
+    publish(publishers, 0, COUNT)
+    wait_for(lambda: path.stat().st_size > 20_000, 'chunks on disk')
+    process.kill()
+    process.communicate()
+    recovered = recover(path, '/joint_states')
+    assert len(recovered) > COUNT // 4
+    assert recovered == [float(k) for k in range(len(recovered))]
+    assert not (folder / 'metadata.yaml').exists()
+
+
+def recover(path, topic):
+    """Return the efforts of a topic up to the cut."""
+    efforts = []
+    with path.open('rb') as stream:
+        try:
+            for _, channel, message in NonSeekingReader(stream).iter_messages(
+                    log_time_order=False):
+                if channel.topic == topic:
+                    efforts.append(deserialize_message(message.data, JointState).effort[0])
+        except (McapError, EOFError):
+            pass
+    return efforts
+
+
+def test_recorder_refuses_an_unknown_topic(middleware, tmp_path):
+    process = middleware.start(RECORDER, f'folder:={tmp_path}/bag', 'topics:=[joint_stats]')
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 2
+    assert 'topics: expected names among joint_states' in errors
+    assert errors.rstrip().endswith("found 'joint_stats'")
+    assert len(errors.splitlines()) == 1
+
+
+def test_recorder_needs_a_folder(middleware):
+    process = middleware.start(RECORDER)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 2
+    assert 'folder: expected a value, found nothing' in errors
+
+
+def test_recorder_refuses_a_parameter_file_that_is_not_one(middleware, tmp_path):
+    path = tmp_path / 'mixed.yaml'
+    path.write_text('/**:\n  ros__parameters:\n    a: [0, 1.5]\n', encoding='utf-8')
+    process = middleware.start(RECORDER, files=(path,))
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 2
+    assert 'mixed.yaml' in errors.splitlines()[-1]
+    assert 'Traceback' not in errors

@@ -1,0 +1,56 @@
+"""Recordings made by hand, with known answers to what is measured on them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from multicontact_control.experiment.recording import empty_run_data, RunData
+from multicontact_control.experiment.scenario import resolve, Setup
+
+RATE = 500.0
+
+
+def disturbance_setup(plant: str = 'rigid', **changes) -> Setup:
+    return resolve('disturbance', plant=plant, **changes)
+
+
+def perfect_run(setup: Setup) -> RunData:
+    """Return a run of the scenario in which every force is its command, at once."""
+    config = setup.controller
+    data = empty_run_data(
+        setup.ticks, config.rate, config.contact_names, config.robot.joint_names)
+    reference = setup.scenario.reference
+    desired = np.full((data.ticks, len(data.contact_names)), reference.approach.preload)
+    for step in reference.force_steps:
+        for name, force in step.forces.items():
+            desired[data.time >= step.time, data.contact_names.index(name)] = force
+    series = {name: np.zeros_like(getattr(data, name)) for name in (
+        'q', 'qd', 'effort', 'torque', 'wrench', 'wrench_filtered', 'alpha_rate_est', 'position',
+        'position_des')}
+    turn = np.tile([0.0, 0.0, 0.0, 1.0], (data.ticks, 1))
+    variance = np.where(
+        (data.time >= reference.motion.start_time)[:, None], 100.0, 0.6) * np.ones((1, 2))
+    return replace(
+        data, **series, alpha_true=desired.copy(), alpha_meas=desired.copy(),
+        alpha_est=desired.copy(), alpha_des=desired, noise_variance=variance, quaternion=turn,
+        quaternion_des=turn)
+
+
+def paper_run(setup: Setup, seed: int = 0) -> RunData:
+    """Return a run in which all that one run can tell of the claims holds."""
+    data = perfect_run(setup)
+    rng = np.random.default_rng(seed)
+    error = 0.01 * rng.standard_normal(data.alpha_true.shape)
+    moving = data.time >= setup.scenario.reference.motion.start_time
+    error[moving] = 0.5 * rng.standard_normal((int(moving.sum()), error.shape[1]))
+    true = delayed(data, 0.05) + error
+    return replace(data, alpha_true=true, alpha_meas=true)
+
+
+def delayed(data: RunData, delay: float) -> np.ndarray:
+    """Return the commanded forces, later."""
+    shift = round(delay * data.rate)
+    return np.concatenate([np.repeat(data.alpha_des[:1], shift, axis=0),
+                           data.alpha_des[:-shift]])
