@@ -142,6 +142,7 @@ def test_ros_wheels_are_an_extra(described):
     assert not [line for line in keywords['install_requires'] if line.startswith('ros-')]
     assert {Requirement(line).name for line in keywords['extras_require']['ros']} == {
         'ros-jazzy-rclpy', 'ros-jazzy-rmw-fastrtps-cpp', 'ros-jazzy-common-interfaces'}
+    assert not [line for line in keywords['extras_require']['test'] if line.startswith('ros-')]
 
 
 @pytest.mark.skipif(not shutil.which('git') or not (ROOT / '.git').exists(), reason='no git')
