@@ -10,10 +10,9 @@ from pathlib import Path
 import sys
 from typing import Annotated, Any
 
-import typer
-
 from multicontact_control import __version__
 from multicontact_control.errors import ConfigError, MulticontactError, RunError
+import typer
 
 EXIT_FAILED = 1
 EXIT_USAGE = 2

@@ -18,17 +18,16 @@ from types import TracebackType
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped
-import numpy as np
-from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
-from sensor_msgs.msg import JointState
-from std_srvs.srv import SetBool, Trigger
-
 from multicontact_control.arrays import Vector
 from multicontact_control.errors import RunError
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.controller_link import ControllerLink
 from multicontact_control.nodes.motion_command import finite_vector, motion_message
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool, Trigger
 
 OPTIONAL_WAIT = 1.0
 STATE_TOPICS = (

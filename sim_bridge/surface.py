@@ -9,10 +9,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from multicontact_control.arrays import Matrix, Vector
 from numba import njit
 import numpy as np
-
-from multicontact_control.arrays import Matrix, Vector
 from sim_bridge.config import SurfaceConfig
 
 PROFILE_POINTS = 1 << 16

@@ -10,6 +10,11 @@ import threading
 
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
+from multicontact_control.client import MultiContactClient, NotReachedError
+from multicontact_control.errors import RunError
+from multicontact_control.experiment.domain import reserve_domain
+from multicontact_control.nodes import messages
+from multicontact_control.nodes.motion_command import motion_message
 import numpy as np
 import pytest
 from rclpy.context import Context
@@ -17,12 +22,6 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from ros_graph import ROOT
 from std_srvs.srv import SetBool, Trigger
-
-from multicontact_control.client import MultiContactClient, NotReachedError
-from multicontact_control.errors import RunError
-from multicontact_control.experiment.domain import reserve_domain
-from multicontact_control.nodes import messages
-from multicontact_control.nodes.motion_command import motion_message
 
 pytestmark = pytest.mark.ros
 

@@ -12,12 +12,11 @@ import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
 
+import multicontact_control
 from packaging.requirements import Requirement
 import pytest
 import setuptools
 from source_imports import imports_of, is_ros, PACKAGES
-
-import multicontact_control
 
 ROOT = Path(__file__).resolve().parents[1]
 NODES = {'sim_node', 'controller_node', 'noise_estimator_node', 'recorder_node'}

@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from multicontact_control.arrays import Mask, Matrix, require_shape, Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.contact.geometry import (
@@ -33,6 +31,7 @@ from multicontact_control.dynamics.pose import Pose
 from multicontact_control.dynamics.robot import RobotModel, RobotState
 from multicontact_control.force.active_observer import ActiveObserver
 from multicontact_control.force.plant_model import design_force_loop
+import numpy as np
 
 
 @dataclass(frozen=True, slots=True)

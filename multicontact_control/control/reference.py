@@ -6,13 +6,12 @@ from dataclasses import dataclass
 import math
 from typing import Protocol
 
-import numpy as np
-from pydantic import model_validator
-
 from multicontact_control.arrays import Mask, Vector
 from multicontact_control.config import Config, parameter, Real, UnitVector3
 from multicontact_control.dynamics.pose import Pose
 from multicontact_control.errors import ConfigError
+import numpy as np
+from pydantic import model_validator
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,10 +2,9 @@
 
 from dataclasses import dataclass
 
+from multicontact_control.arrays import Matrix, Vector
 import numpy as np
 from scipy.spatial.transform import Rotation
-
-from multicontact_control.arrays import Matrix, Vector
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 import math
 from typing import Protocol
 
-import numpy as np
-
 from multicontact_control.arrays import Matrix, require_shape, Vector
 from multicontact_control.config import NoiseEstimatorConfig
+import numpy as np
 
 
 class NoiseEstimator(Protocol):

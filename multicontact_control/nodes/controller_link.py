@@ -9,17 +9,16 @@ from typing import Any
 
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
-from rclpy.publisher import Publisher
-from rclpy.subscription import Subscription
-
 from multicontact_control.errors import RunError
 from multicontact_control.nodes import qos
 from multicontact_control.nodes.graph_node import create_publisher
 from multicontact_control.nodes.runtime import prepare_environment
 from multicontact_control.nodes.topics import Topic
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.subscription import Subscription
 
 POLL_PERIOD = 0.001
 

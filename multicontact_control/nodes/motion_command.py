@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from geometry_msgs.msg import Transform, Twist
+from multicontact_control.arrays import Vector
+from multicontact_control.nodes.messages import MessageError
 import numpy as np
 from numpy.typing import ArrayLike
 from trajectory_msgs.msg import MultiDOFJointTrajectoryPoint
-
-from multicontact_control.arrays import Vector
-from multicontact_control.nodes.messages import MessageError
 
 
 def finite_vector(values: ArrayLike, length: int, field: str) -> Vector:

@@ -1,8 +1,5 @@
 """Projections against the paper's example (eq. 22) and their defining properties (eqs 13-15)."""
 
-import numpy as np
-import pytest
-
 from multicontact_control.contact.geometry import contact_normals, free_motions
 from multicontact_control.contact.projections import (
     allocate_force,
@@ -11,6 +8,8 @@ from multicontact_control.contact.projections import (
     general_projections,
     inertia_projections,
 )
+import numpy as np
+import pytest
 
 
 @pytest.fixture

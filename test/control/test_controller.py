@@ -1,13 +1,12 @@
 """The composed control law on a simple arm model: decoupling, seeding, limits."""
 
 from arms import controller_config, HOME
-import numpy as np
-import pytest
-
 from multicontact_control.control.controller import Controller, Measurement
 from multicontact_control.control.reference import CommandedReference
 from multicontact_control.errors import ShapeError
 from multicontact_control.paths import config_dir
+import numpy as np
+import pytest
 
 REST = np.zeros(6)
 NOTHING = np.zeros(3)

@@ -1,13 +1,12 @@
 """The loop in process: repeatable, and in contact as commanded on both plants."""
 
-import numpy as np
-import pytest
-
 from multicontact_control.experiment.figures import draw_figures, figure_set
 from multicontact_control.experiment.loop import run_in_process
 from multicontact_control.experiment.metrics import contact_summary, instabilities
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.scenario import resolve
+import numpy as np
+import pytest
 
 
 @pytest.fixture(scope='module')

@@ -2,9 +2,6 @@
 
 from dataclasses import replace
 
-import numpy as np
-import pytest
-
 from multicontact_control.experiment.metrics import (
     contact_summary,
     instabilities,
@@ -19,6 +16,8 @@ from multicontact_control.experiment.metrics import (
 )
 from multicontact_control.experiment.recording import empty_run_data
 from multicontact_control.experiment.scenario import resolve
+import numpy as np
+import pytest
 
 RATE = 500.0
 

@@ -5,6 +5,11 @@ from __future__ import annotations
 import subprocess
 import sys
 
+from multicontact_control.errors import ConfigError
+from multicontact_control.experiment.domain import check_namespace, reserve_domain
+from multicontact_control.experiment.graph import CONTROLLER, node_command
+from multicontact_control.nodes import qos
+from multicontact_control.paths import config_dir
 import numpy as np
 import pytest
 from rclpy.context import Context
@@ -14,12 +19,6 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import get_typestore, Stores
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
-
-from multicontact_control.errors import ConfigError
-from multicontact_control.experiment.domain import check_namespace, reserve_domain
-from multicontact_control.experiment.graph import CONTROLLER, node_command
-from multicontact_control.nodes import qos
-from multicontact_control.paths import config_dir
 
 pytestmark = pytest.mark.ros
 

@@ -1,12 +1,11 @@
 """The lead filter and the windowed variance against theory (P04 eqs 42-44)."""
 
-import numpy as np
-import pytest
-from scipy.signal import dimpulse, freqz
-
 from multicontact_control.config import NoiseEstimatorConfig
 from multicontact_control.errors import ShapeError
 from multicontact_control.force.noise import lead_filter, make_noise_estimator, WindowedVariance
+import numpy as np
+import pytest
+from scipy.signal import dimpulse, freqz
 
 RATE = 500.0
 

@@ -1,12 +1,11 @@
 """The delayed plant against integration of the continuous one, and its pole placement."""
 
+from multicontact_control.errors import ConfigError, MulticontactError, ShapeError
+from multicontact_control.force.plant_model import ackermann, delayed_plant, design_force_loop
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.signal import place_poles
-
-from multicontact_control.errors import ConfigError, MulticontactError, ShapeError
-from multicontact_control.force.plant_model import ackermann, delayed_plant, design_force_loop
 
 H = 0.002
 K = 6000.0

@@ -1,8 +1,7 @@
-import pytest
-
 from multicontact_control.config import merge, read_parameters, validate
 from multicontact_control.errors import ConfigError
 from multicontact_control.paths import config_dir
+import pytest
 from sim_bridge.config import load_preset, PlantConfig, PRESETS
 
 

@@ -1,6 +1,5 @@
 import numpy as np
 import pytest
-
 from sim_bridge.joint_friction import (
     friction_slope,
     friction_table,

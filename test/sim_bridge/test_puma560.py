@@ -1,13 +1,12 @@
 import json
 from pathlib import Path
 
-import numpy as np
-import pinocchio as pin
-import pytest
-
 from multicontact_control.config import merge, read_yaml, validate
 from multicontact_control.errors import ConfigError
 from multicontact_control.paths import config_dir
+import numpy as np
+import pinocchio as pin
+import pytest
 from sim_bridge.puma560 import (
     DATA_FILE,
     load_robot,

@@ -1,8 +1,7 @@
+from multicontact_control.errors import ConfigError, RunError, ShapeError
 import numpy as np
 import pinocchio as pin
 import pytest
-
-from multicontact_control.errors import ConfigError, RunError, ShapeError
 from sim_bridge.config import load_preset
 from sim_bridge.puma560 import SENSOR_FRAME
 from sim_bridge.pybullet_plant import PybulletPlant
