@@ -312,6 +312,7 @@ class MultiContactClient:
                               in zip(self._commanded, off) if value > force_tolerance)
                     or 'too few samples'))
 
+
 def _by_name(message: JointState) -> dict[str, float]:
     return dict(zip(message.name, message.effort))
 

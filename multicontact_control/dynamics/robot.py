@@ -90,7 +90,7 @@ class RobotModel:
 
     @property
     def joint_count(self) -> int:
-        """Number of joints n."""
+        """Return the number of joints n."""
         return int(self._model.nv)
 
     @property

@@ -64,7 +64,7 @@ class RunData:
 
     @property
     def ticks(self) -> int:
-        """Number of samples."""
+        """Return the number of samples."""
         return int(self.time.shape[0])
 
     def trajectory_sha256(self) -> str:

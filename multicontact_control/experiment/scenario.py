@@ -69,7 +69,7 @@ class Setup:
 
     @property
     def ticks(self) -> int:
-        """Number of samples of the run."""
+        """Return the number of samples of the run."""
         return round(self.scenario.duration * self.controller.rate)
 
     def reference(self) -> ScenarioReference:

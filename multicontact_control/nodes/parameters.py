@@ -54,7 +54,7 @@ class ParameterSpec:
     """
 
     name: str
-    type: Parameter.Type
+    type: Parameter.Type  # noqa: A003
     default: Any
     descriptor: ParameterDescriptor
 

@@ -41,7 +41,7 @@ def test_euclidean_projections_of_the_planar_example():
 
 
 def test_planar_example_normal_comes_from_the_contact_geometry():
-    """l = sqrt(2), gamma = 45 deg: N = [0 1 -1]^T in x, y, rotation about z (P04 eq. 18)."""
+    """With l = sqrt(2), gamma = 45 deg: N = [0 1 -1]^T in x, y, rotation about z (P04 eq. 18)."""
     N = contact_normals(np.array([[0.0, 1.0, 0.0]]), np.array([[1.0, 1.0, 0.0]]))[:, 0]
     np.testing.assert_allclose(N[[0, 1, 5]], [0.0, 1.0, -1.0], atol=1e-15)
 

@@ -13,7 +13,7 @@ TOOL = ToolConfig(mass=0.5, com_sensor=(0.01, -0.02, 0.08))
 
 
 def _reading(sensor, force_world, point_world, tool=TOOL):
-    """What a sensor reads at rest: what the arm does to the tool, in the sensor's frame."""
+    """Return what a sensor reads at rest: what the arm does to the tool, in the sensor's frame."""
     com = sensor.position_world + sensor.rotation_world @ np.array(tool.com_sensor)
     weight = tool.mass * GRAVITY
     force = force_world - weight

@@ -19,7 +19,7 @@ REFERENCE = json.loads(
 
 @pytest.fixture
 def puma(tmp_path):
-    """The arm of the reference values: without tool, armature to the last digit."""
+    """Return the arm of the reference values: without tool, armature to the last digit."""
     data = load_robot()
     urdf = ElementTree.fromstring(urdf_text(data))
     for link in urdf.findall('link'):

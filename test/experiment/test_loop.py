@@ -11,7 +11,7 @@ import pytest
 
 @pytest.fixture(scope='module')
 def runs():
-    """The scenario `quick` up to a second of motion, on both plants."""
+    """Run the scenario `quick` up to a second of motion, on both plants."""
     return {plant: (setup := resolve('quick', plant=plant, duration=9.5), run_in_process(setup))
             for plant in ('rigid', 'puma')}
 

@@ -29,7 +29,7 @@ def setup():
 
 @pytest.fixture
 def data(setup):
-    """A perfect run of `quick`: every force at its command, 1 N of noise variance."""
+    """Return a perfect run of `quick`: every force at its command, 1 N of noise variance."""
     ticks = setup.ticks
     data = empty_run_data(ticks, RATE, setup.controller.contact_names,
                           setup.controller.robot.joint_names)

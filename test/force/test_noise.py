@@ -77,7 +77,7 @@ def test_lead_window_lifted_by_a_force_step_as_the_literal_filter_says():
 
 @pytest.mark.parametrize('name', ['lead_window', 'fixed'])
 def test_estimators_drop_and_count_samples_that_are_not_finite(name):
-    """NaN and infinity never reach R."""
+    """Neither NaN nor infinity ever reaches R."""
     estimator = make_noise_estimator(_config(estimator=name))
     rng = np.random.default_rng(6)
     for k in range(200):

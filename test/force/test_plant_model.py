@@ -89,7 +89,7 @@ def test_ackermann_agrees_with_scipy_for_distinct_poles():
 
 
 def test_force_loop_has_unit_gain_from_desired_to_real_force():
-    """r = L_1 f_des settles at f_des (paper notes 4)."""
+    """With r = L_1 f_des the force settles at f_des (paper notes 4)."""
     loop = design_force_loop(
         K, damping_rate=20.0, input_delay=0.006, period=H, time_constant=0.02)
     x = np.zeros(5)

@@ -15,7 +15,7 @@ def robot():
 
 @pytest.fixture
 def model(robot):
-    """The arm with its tool, without armature."""
+    """Return the arm with its tool, without armature."""
     return pin.buildModelFromXML(urdf_text(robot))
 
 

@@ -26,8 +26,8 @@ def test_presets_are_what_they_are_called():
 
 
 @pytest.mark.parametrize(('change', 'message'), [
-    ({'contact_names': ['table', 'wall']}, "contact_names: expected names among board, table, "
-                                           "found 'wall'"),
+    ({'contact_names': ['table', 'wall']},
+     "contact_names: expected names among board, table, found 'wall'"),
     ({'contact_names': ['table', 'table']}, 'contact_names: expected distinct names'),
     ({'drive_stiffness': [1.0, 2.0]}, 'drive_stiffness: expected 6 values, found 2'),
     ({'drive_stiffness': [0.0] * 6}, 'drive_stiffness: expected values above 0'),

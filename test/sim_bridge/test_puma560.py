@@ -25,7 +25,7 @@ HOME = np.array([1.847117449942421, 0.8705595994175255, 2.9372057614605662, 0.0,
 
 @pytest.fixture
 def bare_model(robot, model):
-    """The arm as published: with rotors, without the tool."""
+    """Return the arm as published: with rotors, without the tool."""
     link = robot.links[-1]
     model.inertias[6] = pin.Inertia(link.mass, np.array(link.com), np.diag(link.inertia))
     model.armature = np.array(robot.exact_armature)
