@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.control.contact_state import ContactMachine, ContactState
 from multicontact_control.control.energy import PassivityObserver
 from multicontact_control.control.reference import Reference, TaskSource
 from multicontact_control.dynamics.pose import Pose, rotation_error
+import numpy as np
 
 RETURN_RATE = 2.0  # 1/s, of the way left, at which the task is caught up with after a pause
 

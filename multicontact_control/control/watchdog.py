@@ -6,10 +6,9 @@ from dataclasses import dataclass
 import math
 from typing import Any
 
-import numpy as np
-
 from multicontact_control.arrays import all_finite, Vector
 from multicontact_control.config import ControllerConfig
+import numpy as np
 
 STILL = 1e-4  # rad/s; below it a joint reading may repeat itself
 

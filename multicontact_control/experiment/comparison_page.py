@@ -7,8 +7,6 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from rich.text import Text
-
 from multicontact_control.errors import RunError
 from multicontact_control.experiment.comparison import (
     comparison_claims,
@@ -27,6 +25,7 @@ from multicontact_control.experiment.pages import (
     table,
     write_page,
 )
+from rich.text import Text
 
 PAGE_FILE = 'comparison.html'
 FORCE_BUCKETS = 350

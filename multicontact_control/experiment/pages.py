@@ -10,10 +10,9 @@ import math
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from multicontact_control.arrays import Vector
 from multicontact_control.experiment.claims import Claim
+import numpy as np
 
 STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #222; max-width: 1180px;

@@ -2,9 +2,6 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-import pytest
-
 from multicontact_control.contact.geometry import contact_normals, operational_stiffness
 from multicontact_control.contact.projections import (
     allocate_force,
@@ -12,6 +9,8 @@ from multicontact_control.contact.projections import (
     euclidean_projections,
     inertia_projections,
 )
+import numpy as np
+import pytest
 
 STIFFNESS = np.array([6000.0, 4000.0, 9000.0])  # of the three surfaces [N/m]
 INPUTS = np.array([0.7, -0.4, 1.1])  # a_i [m/s^2]

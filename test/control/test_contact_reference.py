@@ -1,12 +1,11 @@
 """The reference around a task: box, reach, pauses."""
 
 from arms import controller_config
-import numpy as np
-import pytest
-
 from multicontact_control.control.contact_reference import ContactReference, rotation_of
 from multicontact_control.control.reference import CommandedReference
 from multicontact_control.dynamics.pose import Pose, rotation_error
+import numpy as np
+import pytest
 
 NORMALS = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 POSE = Pose(np.array([0.0, 0.55, 0.64]), np.eye(3))

@@ -1,10 +1,9 @@
 """The passivity observer: silent for springs and dampers, awake for what feeds a bounce."""
 
-import numpy as np
-import pytest
-
 from multicontact_control.config import ContactStateConfig
 from multicontact_control.control.energy import PassivityObserver
+import numpy as np
+import pytest
 
 H = 0.0005
 

@@ -2,9 +2,6 @@ from dataclasses import dataclass, field
 import json
 import pickle
 
-import numpy as np
-import pytest
-
 from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.engine import (
     cell_of,
@@ -15,6 +12,8 @@ from multicontact_control.experiment.engine import (
     run_cells,
 )
 from multicontact_control.experiment.measure import finite, measure_cell
+import numpy as np
+import pytest
 
 
 def seed_task(cell):

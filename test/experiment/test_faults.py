@@ -2,9 +2,6 @@
 
 import json
 
-import numpy as np
-import pytest
-
 from multicontact_control.control.watchdog import Believed, Watchdog
 from multicontact_control.experiment.fault_campaign import (
     _in_fork,
@@ -17,6 +14,8 @@ from multicontact_control.experiment.fault_campaign import (
 from multicontact_control.experiment.fault_run import RUN_TICKS, World
 from multicontact_control.experiment.faults import fault_kinds
 from multicontact_control.experiment.scenario import resolve
+import numpy as np
+import pytest
 
 KEYS = ['kind', 'input', 'seed', 'reaction', 'time_to_safe_s', 'peak_force_n',
         'peak_torque_fraction', 'safe']

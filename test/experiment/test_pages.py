@@ -1,8 +1,6 @@
 import json
 import re
 
-import numpy as np
-
 from multicontact_control.experiment.claims import Claim
 from multicontact_control.experiment.pages import (
     claims_table,
@@ -12,6 +10,7 @@ from multicontact_control.experiment.pages import (
     script_json,
     table,
 )
+import numpy as np
 
 
 def test_envelope_keeps_every_peak_and_the_order_in_time():

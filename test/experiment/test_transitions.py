@@ -1,11 +1,10 @@
 """First touch, lost and found surfaces, switches without a jump: in closed loop."""
 
-import numpy as np
-import pytest
-
 from multicontact_control.control.reactions import TorqueBlend
 from multicontact_control.experiment.fault_run import World
 from multicontact_control.experiment.scenario import resolve
+import numpy as np
+import pytest
 
 CONTACTS = ('table', 'board')
 

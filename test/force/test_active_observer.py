@@ -1,12 +1,11 @@
 """The active observer against scipy's Riccati solver and its own promises."""
 
-import numpy as np
-import pytest
-from scipy.linalg import solve_discrete_are
-
 from multicontact_control.errors import ConfigError
 from multicontact_control.force.active_observer import active_state_matrix, ActiveObserver
 from multicontact_control.force.plant_model import delayed_plant, design_force_loop
+import numpy as np
+import pytest
+from scipy.linalg import solve_discrete_are
 
 H = 0.002
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 from typing import Literal
 
-import numpy as np
-from pydantic import model_validator
-
 from multicontact_control.arrays import Matrix
 from multicontact_control.config import Config, parameter, Real
 from multicontact_control.errors import ConfigError
+import numpy as np
+from pydantic import model_validator
 
 Direction = Literal['+x', '-x', '+y', '-y', '+z', '-z']
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from multicontact_control.arrays import Mask, Vector
+import numpy as np
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,15 +2,14 @@
 
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-import numpy as np
-import pytest
-from scipy.spatial.transform import Rotation
-
 from multicontact_control.config import validate
 from multicontact_control.control.sensor.push_config import PushTestConfig
 from multicontact_control.control.sensor.push_test import PushPhase, PushTest
 from multicontact_control.control.sensor.push_verdict import fit_mounting, judge_pushes
 from multicontact_control.errors import ConfigError, ShapeError
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
 
 RATE = 100.0
 LEVER = np.array([0.1, -0.16, -0.19])

@@ -3,12 +3,11 @@
 from force_loop import estimator_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
-import numpy as np
-import pytest
-
 from multicontact_control.config import NoiseEstimatorConfig, validate
 from multicontact_control.errors import ConfigError, ShapeError
 from multicontact_control.force.noise import ESTIMATORS, Innovation
+import numpy as np
+import pytest
 
 NAMES = sorted(ESTIMATORS)
 FLOOR, CEILING = 0.1, 50.0

@@ -1,10 +1,9 @@
 """What follows from an innovation, against the observer's own arrays."""
 
 from force_loop import observer_of
+from multicontact_control.force.noise import Innovation
 import numpy as np
 import pytest
-
-from multicontact_control.force.noise import Innovation
 
 
 def test_innovation_gives_the_residual_and_the_posterior_variance_of_the_observer():

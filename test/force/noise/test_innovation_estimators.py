@@ -1,10 +1,9 @@
 """The estimators that work on innovations: their formulas, and what they find in a force loop."""
 
 from force_loop import estimator_of, run_force_loop
+from multicontact_control.force.noise import Innovation
 import numpy as np
 import pytest
-
-from multicontact_control.force.noise import Innovation
 
 NAMES = ['innovation', 'sage_husa', 'variational_bayes']
 FORCE = np.array([10.0])
