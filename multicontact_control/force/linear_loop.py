@@ -23,9 +23,10 @@ class RealContact:
     What the force loop really acts on.
 
     alpha = k z + c dz/dt, d^2z/dt^2 = u(t - T) - K_2 dz/dt + (alpha_est(t - T) - alpha) / m,
-    where z is the way of the contact point into the surface. With c = 0 and m infinite it is
-    G(s) of P04 eq. 32. The term in m is what the compensation of the contact force by its
-    estimate (P04 eq. 24) leaves over.
+    where z is the way of the contact point into the surface; measured is alpha + m_t d^2z/dt^2.
+    With c = 0, m infinite and m_t = 0 it is G(s) of P04 eq. 32. The term in m is what the
+    compensation of the contact force by its estimate (P04 eq. 24) leaves over; m_t is carried
+    by a wrist sensor, which weighs it away but reads its inertia.
 
     Attributes
     ----------
@@ -45,7 +46,11 @@ class RealContact:
     contact_damping
         c of the surface [N s/m].
     effective_mass
-        m, the inertia felt at the contact along its normal, 1 / (N_i^T Lambda^-1 N_i) [kg].
+        m, the inertia felt at the contact along its normal, 1 / (N_i^T Lambda^-1 N_i) [kg]. Two
+        equal contacts move together: with D = N^T Lambda^-1 N the loop that gives way first is
+        that of D's smallest eigenvalue 1/m.
+    carried_mass
+        m_t, what hangs on the sensor [kg].
 
     """
 
@@ -56,6 +61,7 @@ class RealContact:
     damping: Literal['plant', 'commanded'] = 'plant'
     contact_damping: float = 0.0
     effective_mass: float = math.inf
+    carried_mass: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,9 +120,10 @@ def closed_loop_matrix(observer: ActiveObserver, gain: Vector, contact: RealCont
     Return the transition of [z, dz/dt, inputs under way, x_est] from one tick to the next.
 
     With s the state of the contact, w = -F x_est the acceleration that is commanded at a tick
-    (F the observer's feedback, with the terms of `contact` added) and y = C s:
-    s' = Phi s + Gamma w, x_est' = (1 - K C) Phi_c x_est + K y' (P04 eqs 36-38). References and
-    disturbances only add to it.
+    (F the observer's feedback, with the terms of `contact` added) and y' = C s' + m_t a', a'
+    the acceleration at the end of the period: s' = Phi s + Gamma w,
+    x_est' = (1 - K C) Phi_c x_est + K y' (P04 eqs 36-38). References and disturbances only add
+    to it.
 
     Parameters
     ----------
@@ -133,32 +140,38 @@ def closed_loop_matrix(observer: ActiveObserver, gain: Vector, contact: RealCont
         Shape (2 + d + n, 2 + d + n).
 
     """
-    Phi, Gamma, C = _discrete_contact(contact)
-    real, estimated = Phi.shape[0], gain.shape[0]
-    from_state = np.zeros(real)
-    if contact.damping == 'commanded':
-        from_state[1] = -contact.damping_rate
-    from_estimate = -observer.feedback
-    from_estimate[0] += 1.0 / contact.effective_mass
-    matrix = np.zeros((real + estimated, real + estimated))
-    matrix[:real, :real] = Phi + np.outer(Gamma, from_state)
-    matrix[:real, real:] = np.outer(Gamma, from_estimate)
-    correction = np.eye(estimated)
-    correction[:, 0] -= gain
-    matrix[real:, real:] = correction @ observer.Phi_c
-    matrix[real:] += np.outer(gain, C @ matrix[:real])
-    return matrix
-
-
-def _discrete_contact(contact: RealContact) -> tuple[Matrix, Vector, Vector]:
-    """Return Phi, Gamma and C of [z, dz/dt, delayed inputs]."""
     k, c, m = contact.stiffness, contact.contact_damping, contact.effective_mass
     damping_rate = contact.damping_rate if contact.damping == 'plant' else 0.0
     A = np.array([[0.0, 1.0], [-k / m, -damping_rate - c / m]])
     Phi, Gamma = delayed_hold(A, np.array([0.0, 1.0]), contact.input_delay, contact.period)
-    C = np.zeros(Phi.shape[0])
-    C[:2] = k, c
-    return Phi, Gamma, C
+    real, estimated = Phi.shape[0], gain.shape[0]
+    command = np.zeros(real + estimated)  # w as a row
+    if contact.damping == 'commanded':
+        command[1] = -contact.damping_rate
+    command[real:] = -observer.feedback
+    command[real] += 1.0 / m
+    matrix = np.zeros((real + estimated, real + estimated))
+    matrix[:real, :real] = Phi
+    matrix[:real] += np.outer(Gamma, command)
+    measured = (np.array([k, c]) + contact.carried_mass * A[1]) @ matrix[:2]
+    measured += contact.carried_mass * _acting_input(contact, command, real)
+    correction = np.eye(estimated)
+    correction[:, 0] -= gain
+    matrix[real:, real:] = correction @ observer.Phi_c
+    matrix[real:] += np.outer(gain, measured)
+    return matrix
+
+
+def _acting_input(contact: RealContact, command: Vector, real: int) -> Vector:
+    """Return, as a row, the input that acts at the end of the period."""
+    waiting = contact.input_delay / contact.period
+    first = math.floor(waiting + 1e-9) == math.ceil(waiting - 1e-9)  # still the oldest
+    position = 2 if first else 3
+    if position >= real:
+        return command
+    row = np.zeros_like(command)
+    row[position] = 1.0
+    return row
 
 
 def is_stable(matrix: Matrix) -> bool:

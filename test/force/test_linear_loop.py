@@ -91,33 +91,39 @@ def _growth(observer, variance, contact):
     """
     Run the loop in time and return how its force grows from one half of the run to the other.
 
-    The contact is integrated by Runge-Kutta, the command waits in a queue, and the observer is
-    the one that the controller runs: nothing here is shared with the matrix.
+    The contact is integrated by Runge-Kutta in quarters of a period, and the observer is the one
+    that the controller runs: nothing here is shared with the matrix.
     """
-    k, c, m = contact.stiffness, contact.contact_damping, contact.effective_mass
+    k_s, c, m = contact.stiffness, contact.contact_damping, contact.effective_mass
     rate = contact.damping_rate if contact.damping == 'plant' else 0.0
 
     def derivative(s, acceleration):
-        return np.array([s[1], acceleration - rate * s[1] - (k * s[0] + c * s[1]) / m])
+        return np.array([s[1], acceleration - rate * s[1] - (k_s * s[0] + c * s[1]) / m])
 
     for _ in range(5000):  # settle the gain first
         observer.update(0.0, variance)
     observer.x_est[:] = 0.0
     observer.command(0.0)
-    s = np.array([1.0 / k, 0.0])
-    queue = [0.0] * DELAY_TICKS
-    forces = []
+    s = np.array([1.0 / k_s, 0.0])
+    forces, commands = [], []
     steps, dt = 4, H / 4
-    for _ in range(4000):
-        force = k * s[0] + c * s[1]
+    waiting = round(contact.input_delay / dt)
+
+    def acting(step):
+        index = (step - waiting) // steps
+        return commands[index] if index >= 0 else 0.0
+
+    for k in range(4000):
+        force = (k_s * s[0] + c * s[1]
+                 + contact.carried_mass * derivative(s, acting(steps * k - 1))[1])
         forces.append(force)
         observer.update(force, variance)
         command = observer.command(0.0) + observer.force_est / m
         if contact.damping == 'commanded':
             command -= contact.damping_rate * s[1]
-        queue.append(command)
-        u = queue.pop(0)
-        for _ in range(steps):
+        commands.append(command)
+        for step in range(steps * k, steps * (k + 1)):
+            u = acting(step)
             k1 = derivative(s, u)
             k2 = derivative(s + 0.5 * dt * k1, u)
             k3 = derivative(s + 0.5 * dt * k2, u)
@@ -129,7 +135,10 @@ def _growth(observer, variance, contact):
 
 @pytest.mark.parametrize('values', [
     {}, {'damping': 'commanded'}, {'contact_damping': 30.0}, {'effective_mass': 20.0},
-    {'damping': 'commanded', 'contact_damping': 30.0, 'effective_mass': 20.0}])
+    {'carried_mass': 0.2}, {'input_delay': 2.5 * H, 'carried_mass': 0.2},
+    {'input_delay': 0.5 * H, 'carried_mass': 0.2},
+    {'damping': 'commanded', 'contact_damping': 30.0, 'effective_mass': 20.0,
+     'carried_mass': 0.2}])
 @pytest.mark.parametrize(('damping_rate', 'variance'), [(20.0, 0.6), (60.0, 100.0)])
 def test_boundary_is_where_the_loop_in_time_begins_to_grow(damping_rate, variance, values):
     """Three percent inside it dies away, three percent outside it grows."""
