@@ -355,7 +355,6 @@ def _require_ros() -> None:
                        'source a ROS 2 Jazzy') from None
 
 
-
 @app.command()
 def faults(
     seed: Annotated[int, typer.Option(help='Seed of the first fault of every kind.')] = 0,

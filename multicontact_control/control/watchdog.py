@@ -218,7 +218,7 @@ class Watchdog:
             return None
         if step < 0.0:
             causes.append('clock_backwards')
-            self._stamps = {key: None for key in self._stamps}
+            self._stamps = dict.fromkeys(self._stamps)
             self._seen = {}
             self._odd_periods = 0
             return time

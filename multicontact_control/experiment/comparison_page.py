@@ -140,7 +140,7 @@ def _table(rows: Sequence[dict[str, Any]], plant: str) -> str:
         keys = ' '.join(row['key'] for row in group)
         attributes.append(f'class="choice{first}" data-plant="{escape(plant)}" '
                           f'data-keys="{keys}"')
-    return table(HEAD, lines, attributes=attributes)
+    return table(HEAD, lines, row_attributes=attributes)
 
 
 def plain_cells(kind: str, label: str, group: Sequence[dict[str, Any]]) -> list[str]:

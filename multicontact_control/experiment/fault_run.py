@@ -54,7 +54,7 @@ class FaultRow:
     """
 
     kind: str
-    input: str
+    input: str  # noqa: A003
     seed: int
     reaction: str
     time_to_safe_s: float
@@ -118,7 +118,7 @@ class World:
 
     @property
     def true_forces(self) -> Vector:
-        """True normal forces now, shape (r,) [N]."""
+        """Return the true normal forces now, shape (r,) [N]."""
         return self._sample.contact_force
 
 

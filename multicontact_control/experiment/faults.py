@@ -71,7 +71,7 @@ class FaultKind:
     """
 
     kind: str
-    input: str
+    input: str  # noqa: A003
     corrupt: Corrupt | None = None
     begin: PlantChange | None = None
     end: PlantChange | None = None

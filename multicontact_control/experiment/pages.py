@@ -73,7 +73,7 @@ def script_json(value: Any) -> str:
 
 def table(
     head: Sequence[str], rows: Sequence[Sequence[str]], *, numbers_from: int = 1,
-    attributes: Sequence[str] = (),
+    row_attributes: Sequence[str] = (),
 ) -> str:
     """
     Return a table.
@@ -84,7 +84,7 @@ def table(
         HTML of the cells; what is not HTML has to be escaped before.
     numbers_from
         First column that is set to the right.
-    attributes
+    row_attributes
         Of each row's element.
 
     """
@@ -94,7 +94,7 @@ def table(
             for i, cell in enumerate(cells))
         return f'<tr {attribute}>{inner}</tr>'
 
-    lines = [line(row, 'td', attributes[i] if i < len(attributes) else '')
+    lines = [line(row, 'td', row_attributes[i] if i < len(row_attributes) else '')
              for i, row in enumerate(rows)]
     return f'<table>{line(head, "th")}{"".join(lines)}</table>'
 

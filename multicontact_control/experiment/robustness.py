@@ -234,7 +234,7 @@ class BoundaryCheck:
 
     @property
     def difference(self) -> float:
-        """Simulated over linear, less 1."""
+        """Return simulated over linear, less 1."""
         return self.simulated / self.linear - 1.0
 
 

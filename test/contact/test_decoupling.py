@@ -25,7 +25,7 @@ class World:
 
     @property
     def N(self):
-        """A floor and two slopes, all pushed by one tool: N_i^T N_j is nowhere 0."""
+        """Return N of a floor and two slopes, all pushed by one tool: N_i^T N_j is nowhere 0."""
         normals = np.array([[0.0, 0.0, -1.0], [0.0, 0.8, -0.6], [0.6, 0.0, -0.8]])
         levers = np.array([[0.05, -0.02, 0.24], [0.03, -0.16, 0.19], [-0.1, 0.06, 0.2]])
         return contact_normals(normals, self.scale * levers)

@@ -108,7 +108,7 @@ def test_controller_seeds_the_observer_with_the_measured_force():
 
 
 def test_controller_tells_the_innovation_of_every_active_contact():
-    """alpha - C x_1 with its variances; zeros without force control and when it starts."""
+    """Report alpha - C x_1 with its variances; zeros without force control and when it starts."""
     controller, reference = _controller()
     table = np.array(controller.config.contacts['table'].point_operational)
 

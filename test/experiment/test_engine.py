@@ -80,6 +80,7 @@ def test_cells_run_once_and_again_only_what_is_not_whole(tmp_path):
 
 def test_cells_that_were_finished_before_an_error_are_kept(tmp_path):
     class Failing(CountingExecutor):
+
         def results(self, task, cells):
             yield cells[0], task(cells[0])
             raise KeyboardInterrupt

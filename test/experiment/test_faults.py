@@ -24,7 +24,7 @@ KINDS = {(kind.kind, kind.input): kind for kind in fault_kinds()}
 
 @pytest.fixture(scope='module')
 def world():
-    """A rigid plant at the approach."""
+    """Return a rigid plant at the approach."""
     world = World(resolve('quick', plant='rigid', seed=0))
     while world.tick < 330:
         world.advance()

@@ -54,4 +54,4 @@ def test_claims_table_says_what_does_not_hold_and_escapes():
 
 def test_table_sets_attributes_on_its_rows():
     assert '<tr id=x><td>1</td><td class=number>2</td></tr>' in table(
-        ('a', 'b'), [('1', '2')], attributes=('id=x',))
+        ('a', 'b'), [('1', '2')], row_attributes=('id=x',))

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 @pytest.fixture(scope='module')
 def folder(tmp_path_factory):
-    """A run folder with a recording made to the paper."""
+    """Make a run folder with a recording made to the paper."""
     folder = tmp_path_factory.mktemp('run')
     setup = disturbance_setup('puma')
     data = paper_run(setup)

@@ -23,7 +23,7 @@ def follow(world, ticks, at=None):
 
 
 def touch(stiffness, plant='rigid', seed=0):
-    """The approach of `quick`: 20 mm/s, 2 N of preload, the model as stiff as the surfaces."""
+    """Run the approach of `quick`: 20 mm/s, 2 N of preload, the model as stiff as the surfaces."""
     same = {name: {'stiffness': stiffness} for name in CONTACTS}
     return World(resolve('quick', plant=plant, seed=seed, controller={'contacts': same},
                          plant_overrides={'surfaces': same}))

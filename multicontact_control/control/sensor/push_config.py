@@ -61,7 +61,7 @@ class PushTestConfig(Config):
 
     @property
     def directions_world(self) -> Matrix:
-        """Unit vectors of the pushes, world axes, shape (p, 3)."""
+        """Return the unit vectors of the pushes, world axes, shape (p, 3)."""
         return np.array([
             math.copysign(1.0, float(f'{direction[0]}1')) * np.eye(3)['xyz'.index(direction[1])]
             for direction in self.directions])

@@ -74,7 +74,7 @@ class PushTest:
 
     @property
     def instruction(self) -> str:
-        """What the user should do now."""
+        """Say what the user should do now."""
         if self.result is not None:
             return self.result.message
         if self.phase is PushPhase.PUSH:

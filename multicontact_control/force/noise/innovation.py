@@ -40,7 +40,7 @@ class Innovation:
 
     @property
     def residual(self) -> Vector:
-        """What is left of r after the correction, e = r R / (C P_1 C^T + R), shape (r,) [N]."""
+        """Return what the correction leaves of r, e = r R / (C P_1 C^T + R), shape (r,) [N]."""
         return self.innovation * self._share_of_noise()
 
     @property

@@ -23,13 +23,13 @@ rotations = seeds.map(
 
 
 def read(mounting, sensor_rotation, force_world, torque_world):
-    """What a wrongly mounted sensor makes of a wrench at its own origin, world axes."""
+    """Return what a wrongly mounted sensor makes of a wrench at its own origin, world axes."""
     M = sensor_rotation @ mounting @ sensor_rotation.T
     return np.concatenate((M @ force_world, M @ torque_world))
 
 
 def pushes(mounting, config, *, sensor=None, rng=None, hand=0.0, noise=0.0, torque_sign=1.0):
-    """Readings under pushes by a hand that is off by up to `hand` rad and as much of the force."""
+    """Return readings under pushes by a hand off by up to `hand` rad and as much of the force."""
     rng = rng or np.random.default_rng(0)
     sensor = np.eye(3) if sensor is None else sensor
     rows = []
