@@ -20,6 +20,7 @@ from multicontact_control.errors import ConfigError
 
 UNIT_NORM_TOLERANCE = 1e-3
 MAX_DELAY_PERIODS = 10
+WRENCH_SIZE = 6
 
 ModelT = TypeVar('ModelT', bound='Config')
 
@@ -102,6 +103,68 @@ class ToolConfig(Config):
     mass: Real = parameter(0.0, 'Mass beyond the sensor.', unit='kg', ge=0.0)
     com_sensor: Vector3 = parameter(
         (0.0, 0.0, 0.0), 'Centre of mass of that, in the sensor frame.', unit='m')
+    bias_sensor: Vector = parameter(
+        (0.0,) * 6, 'Reading of the sensor under no load, force first, subtracted from every one.',
+        unit='N, N m')
+
+    @model_validator(mode='after')
+    def _check_length(self) -> ToolConfig:
+        if len(self.bias_sensor) != WRENCH_SIZE:
+            raise ConfigError('tool.bias_sensor', '6 values', len(self.bias_sensor))
+        return self
+
+
+class SensorFrontEndConfig(Config):
+    """What is done to the wrist sensor's readings before anything else sees them."""
+
+    filter_order: int = parameter(
+        0, 'Order of the low-pass on the readings: 0 for none, 1, or 2 (Butterworth).', ge=0, le=2)
+    filter_cutoff: Real = parameter(
+        125.0, 'Cut-off of that low-pass; its delay is added to force.input_delay.', unit='Hz',
+        gt=0.0)
+    full_scale: Vector = parameter(
+        (), 'Largest reading of each axis, force first; empty where it is not known, and then '
+        'saturation is not detected.', unit='N, N m')
+    saturation_fraction: Real = parameter(
+        0.99, 'Share of full scale from which a reading counts as saturated.', gt=0.0, le=1.0)
+    frozen_ticks: int = parameter(
+        0, 'Identical readings in a row that mean a frozen sensor; 0 to not look for one.', ge=0)
+    require_push_test: bool = parameter(
+        False, 'Whether force control stays disabled until a push test has proved sign, frame '
+        'and scale of the sensor.')
+
+    @model_validator(mode='after')
+    def _check(self) -> SensorFrontEndConfig:
+        if self.full_scale and len(self.full_scale) != WRENCH_SIZE:
+            raise ConfigError('sensor.full_scale', '6 values or none', len(self.full_scale))
+        if min(self.full_scale, default=1.0) <= 0.0:
+            raise ConfigError('sensor.full_scale', 'values above 0', min(self.full_scale))
+        if self.frozen_ticks == 1:
+            raise ConfigError('sensor.frozen_ticks', '0 or at least 2', 1)
+        return self
+
+    def filter_delay(self, rate: float) -> float:
+        """
+        Return by how much the low-pass delays what changes slowly.
+
+        Its group delay at 0 Hz, exact for the bilinear transform: with K = tan(pi f_c / f_s),
+        1 / (2 K) samples for order 1 and 1 / (sqrt(2) K) for order 2.
+
+        Parameters
+        ----------
+        rate
+            Rate of the readings [Hz].
+
+        Returns
+        -------
+        float
+            The delay [s], 0 without a low-pass.
+
+        """
+        if self.filter_order == 0:
+            return 0.0
+        samples = 1.0 / math.tan(math.pi * self.filter_cutoff / rate)
+        return samples / ((2.0 if self.filter_order == 1 else math.sqrt(2.0)) * rate)
 
 
 class MotionConfig(Config):
@@ -165,6 +228,7 @@ class ControllerConfig(Config):
     rate: Real = parameter(500.0, 'Control rate 1/h.', unit='Hz', gt=0.0)
     robot: RobotConfig
     tool: ToolConfig = ToolConfig()
+    sensor: SensorFrontEndConfig = SensorFrontEndConfig()
     motion: MotionConfig = MotionConfig()
     force: ForceConfig = ForceConfig()
     friction: FrictionConfig = FrictionConfig()
@@ -197,12 +261,29 @@ class ControllerConfig(Config):
                     f"'{name}'")
         if len(set(self.contact_names)) != len(self.contact_names):
             raise ConfigError('contact_names', 'distinct names', list(self.contact_names))
-        periods = self.force.input_delay * self.rate
-        if periods > MAX_DELAY_PERIODS + 1e-9:
-            raise ConfigError(
-                'force.input_delay', f'at most {MAX_DELAY_PERIODS} periods '
-                f'({MAX_DELAY_PERIODS / self.rate:g} s)', f'{self.force.input_delay:g} s')
+        self._check_delay()
         return self
+
+    def _check_delay(self) -> None:
+        sensor, nyquist = self.sensor, 0.5 * self.rate
+        if sensor.filter_order and sensor.filter_cutoff >= nyquist:
+            raise ConfigError(
+                'sensor.filter_cutoff', f'below the Nyquist frequency {nyquist:g} Hz',
+                f'{sensor.filter_cutoff:g} Hz')
+        if self.loop_delay * self.rate <= MAX_DELAY_PERIODS + 1e-9:
+            return
+        field, found = 'force.input_delay', f'{self.force.input_delay:g} s'
+        if sensor.filter_order:
+            field += ' and the delay of sensor.filter_cutoff'
+            found += f' + {sensor.filter_delay(self.rate):.4g} s'
+        raise ConfigError(
+            field, f'at most {MAX_DELAY_PERIODS} periods ({MAX_DELAY_PERIODS / self.rate:g} s)',
+            found)
+
+    @property
+    def loop_delay(self) -> float:
+        """T_d of the force loop: force.input_delay and that of the sensor's low-pass [s]."""
+        return self.force.input_delay + self.sensor.filter_delay(self.rate)
 
     @property
     def period(self) -> float:

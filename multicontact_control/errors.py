@@ -48,3 +48,7 @@ class ContactGeometryError(MulticontactError):
 
 class RunError(MulticontactError):
     """A run could not start or did not end as it should."""
+
+
+class CalibrationError(MulticontactError):
+    """The readings do not tell what was to be identified from them."""

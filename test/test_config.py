@@ -39,6 +39,8 @@ from multicontact_control.paths import config_dir
     ({'torque_limit': [1.0]}, 'torque_limit: expected 6 values, one per joint, found 1'),
     ({'robot': {'armature': [1.0]}}, 'robot.armature: expected 6 values, one per joint, found 1'),
     ({'rate': 'fast'}, "rate: expected a valid number, .* found 'fast'"),
+    ({'tool': {'bias_sensor': [1.0]}}, 'tool.bias_sensor: expected 6 values, found 1'),
+    ({'sensor': {'filter_order': 3}}, 'sensor.filter_order: expected'),
     ({'robot': {'gravity_world': [0.0, 0.0, float('inf')]}},
      'robot.gravity_world.2: expected a finite number'),
 ])

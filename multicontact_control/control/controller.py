@@ -209,7 +209,7 @@ class Controller:
             stiffness = k_env if force.allocation == 'decoupled' else operational_stiffness(
                 k_env, normal, lever)
             loop = design_force_loop(
-                stiffness, damping_rate=force.damping_rate, input_delay=force.input_delay,
+                stiffness, damping_rate=force.damping_rate, input_delay=self.config.loop_delay,
                 period=self.config.period, time_constant=force.time_constant,
                 second_pole_ratio=force.second_pole_ratio)
             observers.append(ActiveObserver(

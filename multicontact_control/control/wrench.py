@@ -22,9 +22,9 @@ def contact_wrench(
     """
     Return the wrench the robot exerts on the environment, at the operational point.
 
-    The sensor reads m (a - g) + f_c: the tool's weight m g is added back, the result rotated to
-    world axes and moved along the lever from the sensor to the operational point. The inertia
-    m a is left in (0.05 N for the paper's tool and motion).
+    The sensor reads m (a - g) + f_c + bias: the bias is taken off, the tool's weight m g added
+    back, the result rotated to world axes and moved along the lever from the sensor to the
+    operational point. The inertia m a is left in (0.05 N for the paper's tool and motion).
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ def contact_wrench(
     position_world
         Operational point, shape (3,) [m].
     tool
-        Mass beyond the sensor and its centre of mass.
+        Mass beyond the sensor and its centre of mass, and the sensor's bias.
     gravity_world
         g, shape (3,) [m/s^2].
 
@@ -53,8 +53,9 @@ def contact_wrench(
     require_shape('wrench_sensor', wrench_sensor, (6,))
     R = sensor_pose.rotation_world
     weight = tool.mass * gravity_world
-    force = R @ wrench_sensor[:3] + weight
-    moment = R @ wrench_sensor[3:] + _cross(R @ np.asarray(tool.com_sensor), weight)
+    unbiased = wrench_sensor - tool.bias_sensor
+    force = R @ unbiased[:3] + weight
+    moment = R @ unbiased[3:] + _cross(R @ np.asarray(tool.com_sensor), weight)
     wrench = np.empty(6)
     wrench[:3] = force
     wrench[3:] = moment + _cross(sensor_pose.position_world - position_world, force)

@@ -60,3 +60,13 @@ def test_contact_wrench_refuses_a_reading_of_another_length(sensor):
     """The message names the array."""
     with pytest.raises(ShapeError, match=r'wrench_sensor: expected shape \(6,\)'):
         contact_wrench(np.zeros(3), sensor, np.zeros(3), TOOL, GRAVITY)
+
+
+def test_bias_of_the_sensor_is_taken_off(sensor):
+    """A biased sensor with its bias known is as good as one without."""
+    bias = (1.0, -2.0, 3.0, 0.1, -0.2, 0.05)
+    reading = _reading(sensor, np.array([3.0, 10.0, -15.0]), np.ones(3))
+    biased = TOOL.model_copy(update={'bias_sensor': bias})
+    np.testing.assert_allclose(
+        contact_wrench(reading + bias, sensor, np.zeros(3), biased, GRAVITY),
+        contact_wrench(reading, sensor, np.zeros(3), TOOL, GRAVITY), atol=1e-12)
