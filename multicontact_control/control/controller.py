@@ -31,6 +31,7 @@ from multicontact_control.dynamics.operational_space import (
 )
 from multicontact_control.dynamics.pose import Pose
 from multicontact_control.dynamics.robot import RobotModel, RobotState
+from multicontact_control.errors import ConfigError
 from multicontact_control.force.active_observer import ActiveObserver
 from multicontact_control.force.plant_model import design_force_loop
 
@@ -48,6 +49,8 @@ class Measurement:
         Joint positions [rad] and velocities [rad/s], shape (n,).
     wrench_sensor
         Reading of the wrist sensor in its frame, force first, shape (6,) [N, N m].
+    effort
+        Measured joint torque, shape (n,) [N m]; only the first one counts, to start from.
 
     """
 
@@ -55,6 +58,7 @@ class Measurement:
     q: Vector
     qd: Vector
     wrench_sensor: Vector
+    effort: Vector | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,19 +110,23 @@ class Controller:
     def __init__(
         self, config: ControllerConfig, robot: RobotModel, reference: ReferenceSource,
     ) -> None:
-        self.config = config
         self.robot = robot
         self._reference = reference
+        self._adopt(config)
+        self.reset()
+
+    def _adopt(self, config: ControllerConfig) -> None:
+        """Set everything that follows from the configuration alone."""
+        self.config = config
         contacts = [config.contacts[name] for name in config.contact_names]
         self._normals_world = np.array([contact.normal_world for contact in contacts])
         self._points_operational = np.array([contact.point_operational for contact in contacts])
         self._gravity_world = np.array(config.robot.gravity_world)
         self._torque_limit = np.array(config.torque_limit) if config.torque_limit else np.full(
-            robot.joint_count, np.inf)
-        none = np.zeros(robot.joint_count)
+            self.robot.joint_count, np.inf)
+        none = np.zeros(self.robot.joint_count)
         self._coulomb = np.array(config.friction.coulomb) if config.friction.coulomb else none
         self._viscous = np.array(config.friction.viscous) if config.friction.viscous else none
-        self.reset()
 
     @classmethod
     def from_config(
@@ -139,6 +147,33 @@ class Controller:
         """Forget everything measured; the next sample starts anew."""
         self._observers: list[ActiveObserver] = []
         self._active: Mask = np.zeros(len(self.config.contact_names), dtype=bool)
+
+    def reconfigure(self, config: ControllerConfig) -> None:
+        """
+        Go on with other gains from the next sample on.
+
+        The observers keep what they know where the size of their state stays.
+
+        Parameters
+        ----------
+        config
+            Everything tunable, for the same arm, contacts and rate.
+
+        Raises
+        ------
+        ConfigError
+            If that is not so, or there is no such design; everything is as it was then.
+
+        """
+        for name in ('rate', 'robot', 'contact_names'):
+            if getattr(config, name) != getattr(self.config, name):
+                raise ConfigError(name, f'{getattr(self.config, name)} while in use',
+                                  getattr(config, name))
+        observers = self._design_observers(self._levers, config) if self._observers else []
+        for new, old in zip(observers, self._observers):
+            new.continue_from(old)
+        self._observers = observers
+        self._adopt(config)
 
     def step(self, measurement: Measurement, noise_variance: Vector) -> ControlOutput:
         """
@@ -175,7 +210,8 @@ class Controller:
             self.config.tool, self._gravity_world)
         alpha_meas = contact_coordinates(N_all, wrench)
         if not self._observers:
-            self._observers = self._design_observers(levers)
+            self._levers = levers
+            self._observers = self._design_observers(levers, self.config)
             self._reference.start(state.pose, self._normals_world)
         reference = self._reference.update(measurement.time, alpha_meas)
         self._follow_active_set(reference.active, alpha_meas)
@@ -199,18 +235,19 @@ class Controller:
         friction: Vector = self._coulomb * np.tanh(qd / self.config.friction.speed)
         return friction + self._viscous * qd
 
-    def _design_observers(self, levers: Matrix) -> list[ActiveObserver]:
+    @staticmethod
+    def _design_observers(levers: Matrix, config: ControllerConfig) -> list[ActiveObserver]:
         """Design one AOB per contact for the geometry of the first sample."""
-        force = self.config.force
+        force = config.force
         observers = []
-        for name, normal, lever in zip(self.config.contact_names, self._normals_world, levers):
-            k_env = self.config.contacts[name].stiffness
+        for name, lever in zip(config.contact_names, levers):
+            k_env = config.contacts[name].stiffness
             # `decoupled` drives the contact point itself, `paper` the coordinate along N_i.
             stiffness = k_env if force.allocation == 'decoupled' else operational_stiffness(
-                k_env, normal, lever)
+                k_env, np.array(config.contacts[name].normal_world), lever)
             loop = design_force_loop(
-                stiffness, damping_rate=force.damping_rate, input_delay=self.config.loop_delay,
-                period=self.config.period, time_constant=force.time_constant,
+                stiffness, damping_rate=force.damping_rate, input_delay=config.loop_delay,
+                period=config.period, time_constant=force.time_constant,
                 second_pole_ratio=force.second_pole_ratio)
             observers.append(ActiveObserver(
                 loop, order=force.active_state_order, process_noise=force.process_noise,

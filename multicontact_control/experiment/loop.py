@@ -9,7 +9,8 @@ import time
 import numpy as np
 
 from multicontact_control.arrays import Vector
-from multicontact_control.control.controller import Controller, ControlOutput, Measurement
+from multicontact_control.control.bumpless import BumplessController
+from multicontact_control.control.controller import ControlOutput, Measurement
 from multicontact_control.errors import ContactGeometryError, SingularTaskError
 from multicontact_control.experiment.recording import empty_run_data, RunData
 from multicontact_control.experiment.scenario import Setup
@@ -67,7 +68,7 @@ def run_in_process(
 
     """
     config = setup.controller
-    controller = Controller.from_config(config, setup.reference(), setup.urdf_dir)
+    controller = BumplessController.from_config(config, setup.reference(), setup.urdf_dir)
     estimator = make_noise_estimator(setup.noise_estimator)
     plant = PybulletPlant(setup.plant, rate=config.rate, seed=setup.seed)
     delay = ActuatorDelay(setup.plant.actuator_delay_ticks, plant.initial_torque)
@@ -84,8 +85,8 @@ def run_in_process(
             before = time.perf_counter_ns()
             try:
                 output = controller.step(
-                    Measurement(k * config.period, sample.q, sample.qd, _wrench(setup, sample)),
-                    noise_variance)
+                    Measurement(k * config.period, sample.q, sample.qd, _wrench(setup, sample),
+                                sample.effort), noise_variance)
             except (SingularTaskError, ContactGeometryError, np.linalg.LinAlgError) as error:
                 ended_early, done = f'tick {k}: {error}', k
                 break
