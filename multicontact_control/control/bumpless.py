@@ -94,6 +94,8 @@ class BumplessController:
         output = self._controller.step(measurement, noise_variance)
         if self._last is None:
             self._blend.start(self._held(measurement))
+        elif self._safe_running:
+            self._blend.start(self._last)
         torque = self._blend.apply(output.torque)
         if torque is not output.torque:
             torque = np.clip(torque, -self._limit, self._limit)

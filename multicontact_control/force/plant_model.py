@@ -7,11 +7,12 @@ from dataclasses import dataclass
 import math
 
 import numpy as np
-from scipy.linalg import expm
 
 from multicontact_control.arrays import Matrix, require_shape, Vector
 from multicontact_control.config import MAX_DELAY_PERIODS
 from multicontact_control.errors import ConfigError, MulticontactError
+
+SMALL_EXPONENT = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,11 +80,9 @@ def delayed_plant(
     d = math.ceil(input_delay / period - 1e-9)
     late = input_delay - (d - 1) * period if d else 0.0  # tau'
     late = min(max(late, 0.0), period)
-    A = np.array([[0.0, 1.0], [0.0, -damping_rate]])
-    B = np.array([0.0, stiffness])
-    Phi_h, _ = _zero_order_hold(A, B, period)
-    after, recent = _zero_order_hold(A, B, period - late)
-    _, early = _zero_order_hold(A, B, late)
+    Phi_h, _ = _zero_order_hold(stiffness, damping_rate, period)
+    after, recent = _zero_order_hold(stiffness, damping_rate, period - late)
+    _, early = _zero_order_hold(stiffness, damping_rate, late)
     Phi = np.zeros((2 + d, 2 + d))
     Gamma = np.zeros(2 + d)
     Phi[:2, :2] = Phi_h
@@ -101,14 +100,22 @@ def delayed_plant(
     return DelayedPlant(Phi=Phi, Gamma=Gamma, C=C, delay_steps=d)
 
 
-def _zero_order_hold(A: Matrix, B: Vector, duration: float) -> tuple[Matrix, Vector]:
-    """Return exp(A t) and the integral of exp(A s) B over s from 0 to t."""
-    n = A.shape[0]
-    augmented = np.zeros((n + 1, n + 1))
-    augmented[:n, :n] = A
-    augmented[:n, n] = B
-    exponential = expm(augmented * duration)
-    return exponential[:n, :n], exponential[:n, n]
+def _zero_order_hold(
+    stiffness: float, damping_rate: float, duration: float,
+) -> tuple[Matrix, Vector]:
+    """
+    Return exp(A t) and the integral of exp(A s) B over s from 0 to t.
+
+    A = [[0, 1], [0, -K_2]], B = [0, k]. In closed form: a general matrix exponential may keep a
+    control tick waiting for the threads of its BLAS, for tens of milliseconds.
+    """
+    x = damping_rate * duration
+    first = -math.expm1(-x) / x if x else 1.0  # (1 - e^-x) / x
+    # (1 - first) / x, by its series where that would cancel
+    second = (1.0 - first) / x if x > SMALL_EXPONENT else sum(
+        (-x) ** n / math.factorial(n + 2) for n in range(10))
+    Phi = np.array([[1.0, duration * first], [0.0, math.exp(-x)]])
+    return Phi, stiffness * duration * np.array([duration * second, first])
 
 
 def ackermann(Phi: Matrix, Gamma: Vector, poles: Sequence[float]) -> Vector:
