@@ -27,6 +27,7 @@ class ConfigError(MulticontactError):
         self.expected = expected
         self.found = found
         self.source = source
+        self.cause = f'{field}: expected {expected}'  # whatever was found
         where = f'{source}: ' if source else ''
         super().__init__(f'{where}{field}: expected {expected}, found {found}')
 

@@ -65,6 +65,18 @@ class BumplessController:
         self._last: Vector | None = None
         self._safe_running = False
 
+    def check(self, config: ControllerConfig) -> None:
+        """
+        Find out whether `reconfigure` would take a configuration.
+
+        Raises
+        ------
+        ConfigError
+            If not.
+
+        """
+        self._controller.redesign(config)
+
     def reconfigure(self, config: ControllerConfig) -> None:
         """
         Go on with another configuration from the next sample on.

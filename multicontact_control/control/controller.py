@@ -148,11 +148,9 @@ class Controller:
         self._observers: list[ActiveObserver] = []
         self._active: Mask = np.zeros(len(self.config.contact_names), dtype=bool)
 
-    def reconfigure(self, config: ControllerConfig) -> None:
+    def redesign(self, config: ControllerConfig) -> list[ActiveObserver]:
         """
-        Go on with other gains from the next sample on.
-
-        The observers keep what they know where the size of their state stays.
+        Return observers for other gains, which keep what they know where its size stays.
 
         Parameters
         ----------
@@ -162,17 +160,27 @@ class Controller:
         Raises
         ------
         ConfigError
-            If that is not so, or there is no such design; everything is as it was then.
+            If that is not so, or there is no such design.
 
         """
         for name in ('rate', 'robot', 'contact_names'):
             if getattr(config, name) != getattr(self.config, name):
                 raise ConfigError(name, f'{getattr(self.config, name)} while in use',
                                   getattr(config, name))
-        observers = self._design_observers(self._levers, config) if self._observers else []
+        if not self._observers:
+            return []
+        observers = self._design_observers(self._levers, config)
         for new, old in zip(observers, self._observers):
             new.continue_from(old)
-        self._observers = observers
+        return observers
+
+    def reconfigure(self, config: ControllerConfig) -> None:
+        """
+        Go on with other gains from the next sample on; see `redesign`.
+
+        If that raises, everything is as it was.
+        """
+        self._observers = self.redesign(config)
         self._adopt(config)
 
     def step(self, measurement: Measurement, noise_variance: Vector) -> ControlOutput:

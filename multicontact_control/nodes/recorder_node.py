@@ -22,13 +22,16 @@ from multicontact_control.config import parameter, Real
 from multicontact_control.errors import ConfigError
 from multicontact_control.nodes import qos
 from multicontact_control.nodes.bag_writer import BagWriter, CHUNK_SIZE
+from multicontact_control.nodes.diagnostics import Diagnostics, input_status, Status
 from multicontact_control.nodes.graph_node import StartupConfig, StartupGate
+from multicontact_control.nodes.loop_watch import Freshness
 from multicontact_control.nodes.parameters import load_parameters
 from multicontact_control.nodes.runtime import run_node, Spinner, yield_to_others
 from multicontact_control.nodes.timing import write_json
 from multicontact_control.nodes.topics import RECORDER, Topic, TOPICS
 
 FLUSH_PERIOD = 0.5
+STALE_AGE = 1.0  # s
 NICENESS = 10  # whoever controls goes first; two seconds of messages can wait
 
 
@@ -112,6 +115,10 @@ class RecorderNode(Node):
             subscription = self.create_subscription(
                 topic.message, topic.name, self._ignore, qos.RECORDING, raw=True)
             self._streams.append(_Stream(name, topic, subscription))
+        self._fresh = Freshness()
+        self._fresh.expect(*(x.name for x in self._streams if x.topic.rate == 'control'))
+        self._reported = (time.monotonic(), 0)
+        self._diagnostics = Diagnostics(self, self._statuses)
         self._gate = StartupGate(
             self, {}, {x.topic: x.subscription for x in self._streams}, config)
 
@@ -132,6 +139,7 @@ class RecorderNode(Node):
         while not spinner.stop:
             self._gate.poll()
             self._drain()
+            self._diagnostics.poll()
             if time.monotonic() >= next_flush:
                 self._writer.flush()
                 next_flush = time.monotonic() + FLUSH_PERIOD
@@ -167,12 +175,29 @@ class RecorderNode(Node):
                 received = info['received_timestamp'] or time.time_ns()
                 sent = info['source_timestamp'] or received
                 messages.append(_Message(received, stream, data, sent, sequence or 0))
+                if stream.topic.rate == 'control':
+                    self._fresh.note(stream.name)
         messages.sort()
         for message in messages:
             self._writer.write(
                 message.stream.name, message.data, message.log_time, message.publish_time,
                 message.sequence & 0xFFFFFFFF)
         return len(messages)
+
+    def _statuses(self) -> list[Status]:
+        now, count = time.monotonic(), self._writer.message_count
+        then, before = self._reported
+        self._reported = (now, count)
+        lost = {x.name: x.lost for x in self._streams if x.lost}
+        return [
+            Status('loop', {
+                'rate_hz': round((count - before) / max(1e-9, now - then), 1),
+                'messages': count}),
+            Status('messages', {
+                'dropped': sum(lost.values()),
+                **{f'dropped {name}': number for name, number in lost.items()}},
+                warning=f'messages lost on {", ".join(lost)}' if lost else ''),
+            input_status(self._fresh, STALE_AGE, needed=count > 0)]
 
 
 def main() -> int:
