@@ -45,6 +45,8 @@ class Measurement:
         Joint positions [rad] and velocities [rad/s], shape (n,).
     wrench_sensor
         Reading of the wrist sensor in its frame, force first, shape (6,) [N, N m].
+    effort
+        Measured joint torque, shape (n,) [N m]; only the first one counts, to start from.
 
     """
 
@@ -52,6 +54,7 @@ class Measurement:
     q: Vector
     qd: Vector
     wrench_sensor: Vector
+    effort: Vector | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,14 +123,18 @@ class Controller:
         if len(config.contact_names) > MAX_CONTACTS:
             raise ConfigError('contact_names', f'at most {MAX_CONTACTS} contacts, as many as a '
                               'wrench has components', len(config.contact_names))
-        self.config = config
         self.robot = robot
         self._reference = reference
         self._joints, self._contacts = robot.joint_count, len(config.contact_names)
-        self._constants = constants_of(config, self._joints)
+        self._adopt(config)
         self._buffers = Buffers(self._joints, self._contacts)
         self.reset()
         self._warm_up()
+
+    def _adopt(self, config: ControllerConfig) -> None:
+        """Set everything that follows from the configuration alone."""
+        self.config = config
+        self._constants = constants_of(config, self._joints)
 
     @classmethod
     def from_config(
@@ -147,6 +154,45 @@ class Controller:
     def reset(self) -> None:
         """Forget everything measured; the next sample starts anew."""
         self._observers: ObserverBank | None = None
+
+    def redesign(self, config: ControllerConfig) -> ObserverBank | None:
+        """
+        Return observers for other gains, which keep what they know if its size stays.
+
+        Parameters
+        ----------
+        config
+            Everything tunable, for the same arm, contacts and rate.
+
+        Returns
+        -------
+        ObserverBank or None
+            The observers, None before the first sample.
+
+        Raises
+        ------
+        ConfigError
+            If that is not so, or there is no such design.
+
+        """
+        for name in ('rate', 'robot', 'contact_names'):
+            if getattr(config, name) != getattr(self.config, name):
+                raise ConfigError(name, f'{getattr(self.config, name)} while in use',
+                                  getattr(config, name))
+        if self._observers is None:
+            return None
+        observers = self._design_observers(self._rotation_world, config)
+        observers.continue_from(self._observers)
+        return observers
+
+    def reconfigure(self, config: ControllerConfig) -> None:
+        """
+        Go on with other gains from the next sample on; see `redesign`.
+
+        If that raises, everything is as it was.
+        """
+        self._observers = self.redesign(config)
+        self._adopt(config)
 
     def step(self, measurement: Measurement, noise_variance: Vector) -> ControlOutput:
         """
@@ -182,7 +228,9 @@ class Controller:
         pose = Pose(terms.position_world.copy(), terms.rotation_world.copy())
         observers = self._observers
         if observers is None:
-            observers = self._observers = self._design_observers(pose.rotation_world)
+            self._rotation_world = pose.rotation_world
+            observers = self._observers = self._design_observers(
+                pose.rotation_world, self.config)
             self._reference.start(pose, self._constants.normals_world)
         reference = self._reference.update(measurement.time, alpha_meas)
         buffers.take_reference(reference)
@@ -234,20 +282,21 @@ class Controller:
             'N: expected independent columns, found normals and contact points of '
             f'{", ".join(self.config.contact_names)} that depend on each other')
 
-    def _design_observers(self, rotation_world: Matrix) -> ObserverBank:
+    @staticmethod
+    def _design_observers(rotation_world: Matrix, config: ControllerConfig) -> ObserverBank:
         """Design one AOB per contact for the geometry of the first sample."""
-        force = self.config.force
+        force = config.force
         observers = []
-        for name, normal, point in zip(
-                self.config.contact_names, self._constants.normals_world,
-                self._constants.points_operational):
-            k_env = self.config.contacts[name].stiffness
+        for name in config.contact_names:
+            contact = config.contacts[name]
+            k_env = contact.stiffness
             # `decoupled` drives the contact point itself, `paper` the coordinate along N_i.
             stiffness = k_env if force.allocation == 'decoupled' else operational_stiffness(
-                k_env, normal, -rotation_world @ point)
+                k_env, np.array(contact.normal_world),
+                -rotation_world @ np.array(contact.point_operational))
             loop = design_force_loop(
-                stiffness, damping_rate=force.damping_rate, input_delay=self.config.loop_delay,
-                period=self.config.period, time_constant=force.time_constant,
+                stiffness, damping_rate=force.damping_rate, input_delay=config.loop_delay,
+                period=config.period, time_constant=force.time_constant,
                 second_pole_ratio=force.second_pole_ratio)
             observers.append(ActiveObserver(
                 loop, order=force.active_state_order, process_noise=force.process_noise,
@@ -261,7 +310,7 @@ class Controller:
         pose = Pose(terms.position_world.copy(), terms.rotation_world.copy())
         pose.quaternion_xyzw  # noqa: B018 - compiled too
         alpha_meas = np.zeros(self._contacts)
-        observers = self._design_observers(pose.rotation_world)
+        observers = self._design_observers(pose.rotation_world, self.config)
         for warm in (lambda: self._measure(terms),
                      lambda: self._decide(terms, observers, alpha_meas)):
             with contextlib.suppress(SingularTaskError, ContactGeometryError):
