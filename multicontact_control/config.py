@@ -104,7 +104,7 @@ class ToolConfig(Config):
         (0.0, 0.0, 0.0), 'Centre of mass of that, in the sensor frame.', unit='m')
     bias_sensor: Vector = parameter(
         (0.0,) * 6, 'Reading of the sensor under no load, force first, subtracted from every one.',
-        unit='N, N m')
+        unit='N, N m', live=True)
 
     @model_validator(mode='after')
     def _check_length(self) -> ToolConfig:
@@ -389,6 +389,30 @@ class WatchdogConfig(Config):
         return self
 
 
+class TransitionConfig(Config):
+    """How the torque gets from one law to another: at a start, a stop and a live change."""
+
+    blend_time: Real = parameter(
+        0.2, 'Shortest time for the difference between two laws to fade.', unit='s', live=True,
+        ge=0.0, le=10.0)
+    torque_rate: Real = parameter(
+        100.0, 'Largest rate at which it fades, in any joint.', unit='N m/s', live=True, gt=0.0)
+
+
+class SafeBehaviourConfig(Config):
+    """What is commanded after a deactivation."""
+
+    kind: Literal['gravity_compensation', 'zero_torque', 'hold_position'] = parameter(
+        'gravity_compensation', 'Gravity compensation with damping, no torque at all, or the '
+        'posture held.', live=True)
+    damping_rate: Real = parameter(
+        5.0, 'Damping of the joints over their inertia, with gravity compensation.', unit='1/s',
+        live=True, ge=0.0, le=100.0)
+    hold_frequency: Real = parameter(
+        10.0, 'Natural frequency of the critically damped joints, with the posture held.',
+        unit='rad/s', live=True, gt=0.0, le=100.0)
+
+
 class ControllerConfig(Config):
     """Everything the controller needs to know."""
 
@@ -399,6 +423,8 @@ class ControllerConfig(Config):
     motion: MotionConfig = MotionConfig()
     force: ForceConfig = ForceConfig()
     friction: FrictionConfig = FrictionConfig()
+    transition: TransitionConfig = TransitionConfig()
+    safe_behaviour: SafeBehaviourConfig = SafeBehaviourConfig()
     contact_names: tuple[str, ...] = parameter(
         ..., 'Contacts in the order of every contact vector.', min_length=1)
     contacts: dict[str, ContactConfig]

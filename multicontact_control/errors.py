@@ -27,6 +27,7 @@ class ConfigError(MulticontactError):
         self.expected = expected
         self.found = found
         self.source = source
+        self.cause = f'{field}: expected {expected}'  # whatever was found
         where = f'{source}: ' if source else ''
         super().__init__(f'{where}{field}: expected {expected}, found {found}')
 
@@ -52,3 +53,19 @@ class RunError(MulticontactError):
 
 class CalibrationError(MulticontactError):
     """The readings do not tell what was to be identified from them."""
+
+
+class CommandError(MulticontactError):
+    """
+    A command cannot be obeyed.
+
+    Attributes
+    ----------
+    cause
+        The same for all commands that are refused for the same reason.
+
+    """
+
+    def __init__(self, field: str, expected: str, found: object) -> None:
+        self.cause = f'{field}: expected {expected}'
+        super().__init__(f'{self.cause}, found {found}')

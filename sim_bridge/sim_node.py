@@ -23,6 +23,12 @@ from typing import Any
 from multicontact_control.config import parameter, Real
 from multicontact_control.errors import RunError
 from multicontact_control.nodes import messages, topics
+from multicontact_control.nodes.diagnostics import (
+    Diagnostics,
+    input_status,
+    message_status,
+    Status,
+)
 from multicontact_control.nodes.graph_node import (
     create_publisher,
     create_subscription,
@@ -30,11 +36,13 @@ from multicontact_control.nodes.graph_node import (
     StartupConfig,
     StartupGate,
 )
+from multicontact_control.nodes.loop_watch import Freshness, LoopWatch
 from multicontact_control.nodes.parameters import load_parameters
 from multicontact_control.nodes.runtime import run_node, Spinner
 from multicontact_control.nodes.timing import DurationLog, write_json
 import numpy as np
 from rclpy.node import Node
+from rosgraph_msgs.msg import Clock
 from sim_bridge.actuator_delay import ActuatorDelay
 from sim_bridge.config import PlantConfig
 from sim_bridge.puma560 import load_robot, urdf_text
@@ -44,6 +52,7 @@ from std_msgs.msg import String
 MAX_LATE_PERIODS = 2
 RESEND_PERIOD, RESEND_PERIOD_GATED = 1.0, 10.0
 WAIT_FRACTION = 0.5
+STALE_PERIODS = 25
 REMEMBERED = 1024  # samples whose time of publication is known
 NANOSECONDS = 1_000_000_000
 
@@ -93,6 +102,11 @@ class SimNode(Node):
         self._published = np.zeros(REMEMBERED, dtype=np.int64)
         self._outputs = {
             topic: create_publisher(self, topic) for topic in topics.published_by(topics.SIM)}
+        if config.lockstep:
+            self._outputs[topics.CLOCK] = create_publisher(self, topics.CLOCK)
+        self._watch, self._fresh = LoopWatch(config.rate), Freshness()
+        self._fresh.expect(topics.EFFORT_COMMAND.name)
+        self._diagnostics = Diagnostics(self, self._statuses)
         # Kept by the publisher for whoever comes late.
         self._outputs[topics.ROBOT_DESCRIPTION].publish(String(data=urdf_text(load_robot())))
         subscription = create_subscription(self, topics.EFFORT_COMMAND, self._on_command)
@@ -112,6 +126,7 @@ class SimNode(Node):
         """
         while not (spinner.stop or self._gate.poll()):
             spinner.spin_once(0.01)
+            self._diagnostics.poll()
         self._start_up(spinner)
         self._start = time.monotonic_ns()
         if self._config.lockstep:
@@ -152,6 +167,7 @@ class SimNode(Node):
             give_up = time.monotonic() + resend
             while self._answered < 0 and time.monotonic() < give_up and not spinner.stop:
                 spinner.spin_once(0.05)
+                self._diagnostics.poll()
         self._publish_truth()
 
     @property
@@ -174,13 +190,16 @@ class SimNode(Node):
                 slipped += late
                 deadline += late
                 self._slips += 1
-            self._misses += self._answered < self._tick
+            if self._answered < self._tick:
+                self._misses += 1
+                self._watch.missed += 1
             self._tick += 1
             if self._delay_ticks:
                 torque = self._delay.torque_for(self._tick)
             self._publish()
             self._spin_until_answered(spinner, deadline + wait)
             self._publish_truth()
+            self._diagnostics.poll()
         # The last sample deserves its answer, too.
         self._spin_until_answered(spinner, time.monotonic_ns() + NANOSECONDS // 10)
 
@@ -197,6 +216,7 @@ class SimNode(Node):
             self._tick += 1
             self._publish()
             self._publish_truth()
+            self._diagnostics.poll()
             if self._delay_ticks == 0:
                 self._wait_for_answer(spinner)
         self._wait_for_answer(spinner)
@@ -240,7 +260,11 @@ class SimNode(Node):
         joints = messages.joint_state_message(
             stamp, self._plant.joint_names, position=sample.q, velocity=sample.qd,
             effort=sample.effort)
-        self._published[self._tick % REMEMBERED] = time.monotonic_ns()
+        if topics.CLOCK in outputs:
+            outputs[topics.CLOCK].publish(Clock(clock=messages.ns_to_stamp(stamp)))
+        now = time.monotonic_ns()
+        self._published[self._tick % REMEMBERED] = now
+        self._watch.beat(now)
         outputs[topics.WRENCH].publish(wrench)
         outputs[topics.WRENCH_FILTERED].publish(filtered)
         outputs[topics.JOINT_STATES].publish(joints)
@@ -255,7 +279,7 @@ class SimNode(Node):
         return self._origin + stamp_of(tick, self._config.rate)
 
     def _on_command(self, message: Any) -> None:
-        received = time.monotonic_ns()
+        received = self._fresh.note(topics.EFFORT_COMMAND.name)
         with self._refusals.guard(topics.EFFORT_COMMAND):
             command = messages.read_effort(message, self._plant.joint_names)
             tick = round((command.stamp - self._origin) * 1e-9 * self._config.rate)
@@ -266,7 +290,23 @@ class SimNode(Node):
                 self._delay.command(tick, command.values)
                 self._answered = tick
                 if tick > 0:  # the answer to the first sample waits for everything to start
-                    self._latency.add(received - int(self._published[tick % REMEMBERED]))
+                    latency = received - int(self._published[tick % REMEMBERED])
+                    self._latency.add(latency)
+                    self._watch.answered(latency)
+
+    def _statuses(self) -> list[Status]:
+        loop = {**self._watch.report(), 'ticks': self._tick + 1, 'pace_slips': self._slips,
+                'saturated_ticks': self._saturated, 'lockstep': self._config.lockstep}
+        missed = loop['deadline_misses']
+        forces = zip(self._plant.contact_names, self._sample.contact_force.tolist())
+        return [
+            Status('loop', loop, warning=f'{missed} deadlines missed' if missed else ''),
+            input_status(self._fresh, STALE_PERIODS / self._config.rate, needed=self._tick > 0,
+                         consequence=': the last torque is held'),
+            Status('contacts', {
+                name: f'touching with {force:.4g} N' if force > 0.0 else 'free'
+                for name, force in forces}),
+            message_status(self._refusals)]
 
 
 def main() -> int:

@@ -65,16 +65,20 @@ class Controller:
         if len(config.contact_names) > MAX_CONTACTS:
             raise ConfigError('contact_names', f'at most {MAX_CONTACTS} contacts, as many as a '
                               'wrench has components', len(config.contact_names))
-        self.config = config
         self.robot = robot
         self._reference = reference
         self._joints, contacts = robot.joint_count, len(config.contact_names)
         self._report_shape = len(REPORT_ROWS), contacts
-        self._constants = constants_of(config, self._joints)
         self._buffers = Buffers(self._joints, contacts)
-        self._measure_arguments = self._gather_measure_arguments()
+        self._adopt(config)
         self.reset()
         self._warm_up()
+
+    def _adopt(self, config: ControllerConfig) -> None:
+        """Set everything that follows from the configuration alone."""
+        self.config = config
+        self._constants = constants_of(config, self._joints)
+        self._measure_arguments = self._gather_measure_arguments()
 
     @classmethod
     def from_config(
@@ -94,6 +98,48 @@ class Controller:
     def reset(self) -> None:
         """Forget everything measured; the next sample starts anew."""
         self._started = False
+
+    def redesign(self, config: ControllerConfig) -> ObserverBank | None:
+        """
+        Return observers for other gains, which keep what they know if its size stays.
+
+        Parameters
+        ----------
+        config
+            Everything tunable, for the same arm, contacts and rate.
+
+        Returns
+        -------
+        ObserverBank or None
+            The observers, None before the first sample.
+
+        Raises
+        ------
+        ConfigError
+            If that is not so, or there is no such design.
+
+        """
+        for name in ('rate', 'robot', 'contact_names'):
+            if getattr(config, name) != getattr(self.config, name):
+                raise ConfigError(name, f'{getattr(self.config, name)} while in use',
+                                  getattr(config, name))
+        if not self._started:
+            return None
+        observers = self._design_observers(self._rotation_world, config)
+        observers.continue_from(self._observers)
+        return observers
+
+    def reconfigure(self, config: ControllerConfig) -> None:
+        """
+        Go on with other gains from the next sample on; see `redesign`.
+
+        If that raises, everything is as it was.
+        """
+        observers = self.redesign(config)
+        self._adopt(config)
+        if observers is not None:
+            self._observers = observers
+            self._law_arguments = self._gather_law_arguments(observers)
 
     def step(self, measurement: Measurement, noise_variance: Vector) -> ControlOutput:
         """
@@ -143,7 +189,8 @@ class Controller:
 
     def _start(self, pose: Pose) -> None:
         """Begin with the first sample."""
-        self._observers = self._design_observers(pose.rotation_world)
+        self._rotation_world = pose.rotation_world
+        self._observers = self._design_observers(pose.rotation_world, self.config)
         self._law_arguments = self._gather_law_arguments(self._observers)
         self._reference.start(pose, self._constants.normals_world)
         self._started = True
@@ -187,20 +234,21 @@ class Controller:
             'N: expected independent columns, found normals and contact points of '
             f'{", ".join(self.config.contact_names)} that depend on each other')
 
-    def _design_observers(self, rotation_world: Matrix) -> ObserverBank:
+    @staticmethod
+    def _design_observers(rotation_world: Matrix, config: ControllerConfig) -> ObserverBank:
         """Design one AOB per contact for the geometry of the first sample."""
-        force = self.config.force
+        force = config.force
         observers = []
-        for name, normal, point in zip(
-                self.config.contact_names, self._constants.normals_world,
-                self._constants.points_operational):
-            k_env = self.config.contacts[name].stiffness
+        for name in config.contact_names:
+            contact = config.contacts[name]
+            k_env = contact.stiffness
             # `decoupled` drives the contact point itself, `paper` the coordinate along N_i.
             stiffness = k_env if force.allocation == 'decoupled' else operational_stiffness(
-                k_env, normal, -rotation_world @ point)
+                k_env, np.array(contact.normal_world),
+                -rotation_world @ np.array(contact.point_operational))
             loop = design_force_loop(
-                stiffness, damping_rate=force.damping_rate, input_delay=self.config.loop_delay,
-                period=self.config.period, time_constant=force.time_constant,
+                stiffness, damping_rate=force.damping_rate, input_delay=config.loop_delay,
+                period=config.period, time_constant=force.time_constant,
                 second_pole_ratio=force.second_pole_ratio)
             observers.append(ActiveObserver(
                 loop, order=force.active_state_order, process_noise=force.process_noise,
@@ -213,7 +261,7 @@ class Controller:
         pose = Pose(terms.position_world.copy(), terms.rotation_world.copy())
         pose.quaternion_xyzw  # noqa: B018 - compiled too
         self._law_arguments = self._gather_law_arguments(
-            self._design_observers(pose.rotation_world))
+            self._design_observers(pose.rotation_world, self.config))
         report = np.zeros(self._report_shape)
         for warm in (lambda: self._measure(report), lambda: self._decide(terms, report)):
             with contextlib.suppress(SingularTaskError, ContactGeometryError):

@@ -31,6 +31,8 @@ class Measurement:
         Joint positions [rad] and velocities [rad/s], shape (n,).
     wrench_sensor
         Reading of the wrist sensor in its frame, force first, shape (6,) [N, N m].
+    effort
+        Measured joint torque, shape (n,) [N m]; only the first one counts, to start from.
 
     """
 
@@ -38,6 +40,7 @@ class Measurement:
     q: Vector
     qd: Vector
     wrench_sensor: Vector
+    effort: Vector | None = None
 
 
 class ControlOutput(NamedTuple):

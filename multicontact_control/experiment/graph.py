@@ -1,8 +1,9 @@
 """
 Running the ROS 2 graph: plain processes, started in order, watched, and stopped together.
 
-The end of the simulator ends the run. The others are then stopped from the source downwards, the
-recorder last, so that every message that was sent is in the bag when it closes.
+The controller and the estimator are configured and activated from here; the others have nothing
+to configure. The end of the simulator ends the run. The others are then stopped from the source
+downwards, the recorder last, so that every message that was sent is in the bag when it closes.
 """
 
 from __future__ import annotations
@@ -23,12 +24,19 @@ from typing import Any, IO
 
 from multicontact_control.errors import RunError
 from multicontact_control.experiment.domain import reserve_domain
+from multicontact_control.experiment.lifecycle import (
+    ACTIVATE,
+    CONFIGURE,
+    LifecycleDriver,
+    TransitionError,
+)
 from multicontact_control.experiment.progress import GraphProgress, ProgressListener
 from multicontact_control.nodes.runtime import FOLLOW_PARENT
 
 RECORDER, ESTIMATOR = 'recorder_node', 'noise_estimator_node'
 CONTROLLER, SIM = 'controller_node', 'sim_node'
 START_ORDER = (RECORDER, ESTIMATOR, CONTROLLER, SIM)
+MANAGED = (ESTIMATOR, CONTROLLER)  # in the order in which they are activated
 STOP_ORDER = (SIM, CONTROLLER, ESTIMATOR, RECORDER)
 MODULES = {
     RECORDER: 'multicontact_control.nodes.recorder_node',
@@ -151,6 +159,7 @@ def run_graph(
             on_progress is not None) else None
         try:
             processes.start()
+            _bring_up(processes, interrupted, domain_id)
             _watch(processes, interrupted, listener, on_progress)
         finally:
             if listener is not None:
@@ -161,6 +170,29 @@ def run_graph(
         return GraphResult(
             bag=spec.bag, timing=processes.timing(), domain_id=domain_id,
             interrupted=interrupted[0] if interrupted else None)
+
+
+class _InterruptedError(Exception):
+    """A signal came before the graph was up."""
+
+
+def _bring_up(processes: _Processes, interrupted: list[int], domain_id: int) -> None:
+    """Configure and activate the managed nodes."""
+    def keep_waiting() -> None:
+        processes.raise_if_failed()
+        processes.raise_if_gone()
+        if interrupted:
+            raise _InterruptedError
+
+    with contextlib.suppress(_InterruptedError), LifecycleDriver(
+            domain_id, keep_waiting) as driver:
+        for transition in (CONFIGURE, ACTIVATE):
+            for name in MANAGED:
+                try:
+                    driver.change(name, transition)
+                except TransitionError:
+                    raise RunError(
+                        processes.obituary(name, f'cannot {transition}')) from None
 
 
 def _watch(
@@ -214,18 +246,17 @@ class _Processes:
         for name, process in self._running.items():
             code = process.poll()
             if code:
-                raise RunError(self._obituary(name, code))
+                raise RunError(self.obituary(name, _how(code)))
 
     def raise_if_gone(self) -> None:
         """Raise if a node has ended although the simulator has not, and nobody asked it to."""
         for name, process in self._running.items():
             code = process.poll()
             if code is not None and not self.ended(SIM):
-                raise RunError(self._obituary(name, code))
+                raise RunError(self.obituary(name, _how(code)))
 
-    def _obituary(self, name: str, code: int) -> str:
-        how = f'was killed by {signal.Signals(-code).name}' if code < 0 else (
-            f'ended with exit code {code}')
+    def obituary(self, name: str, how: str) -> str:
+        """Return what happened to a node, with the end of its log."""
         path = self._spec.logs / f'{name}.log'
         lines = path.read_text(encoding='utf-8', errors='replace').splitlines()[-LOG_LINES:]
         tail = '\n'.join(f'  {line}' for line in lines) or '  (nothing)'
@@ -261,6 +292,11 @@ class _Processes:
         return result
 
 
+def _how(code: int) -> str:
+    return f'was killed by {signal.Signals(-code).name}' if code < 0 else (
+        f'ended with exit code {code}')
+
+
 def timing_file(spec: GraphSpec, name: str) -> Path:
     """Return where a node writes its counts and times."""
     return spec.logs / f'{name}.json'
@@ -294,6 +330,8 @@ def node_parameters(name: str, spec: GraphSpec) -> dict[str, Any]:
         values['reference_file'] = str(spec.reference_file.resolve())
     if name in (SIM, CONTROLLER):
         values['lockstep'] = spec.lockstep
+    if name in MANAGED:
+        values['use_sim_time'] = spec.lockstep
     return {**values, **spec.extra_parameters.get(name, {})}
 
 

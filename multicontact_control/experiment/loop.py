@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import time
 
 from multicontact_control.arrays import Vector
-from multicontact_control.control.controller import Controller, ControlOutput, Measurement
+from multicontact_control.control.bumpless import BumplessController
+from multicontact_control.control.controller import ControlOutput, Measurement
 from multicontact_control.control.sensor.front_end import SensorFrontEnd
 from multicontact_control.control.supervisor import Supervisor, SupervisorStatus
 from multicontact_control.control.watchdog import (
@@ -72,7 +73,7 @@ def run_in_process(
         Called every 100 ticks with the time [s] and the measured forces [N].
     supervised
         Whether contact states, watchdogs and limits are put around the controller, as the fault
-        campaign does. Without, it runs bare, as in the graph.
+        campaign does. Without, it runs bare but for its start, as in the graph.
 
     Returns
     -------
@@ -156,9 +157,9 @@ def _stepper(setup: Setup, supervised: bool) -> tuple[Step, EventLog]:
     config, log = setup.controller, EventLog()
     h = config.period
     if not supervised:
-        controller = Controller.from_config(config, setup.reference(), setup.urdf_dir)
+        controller = BumplessController.from_config(config, setup.reference(), setup.urdf_dir)
         return lambda k, sample, wrench, variance: controller.step(
-            Measurement(k * h, sample.q, sample.qd, wrench), variance), log
+            Measurement(k * h, sample.q, sample.qd, wrench, sample.effort), variance), log
     supervisor = Supervisor.from_config(config, setup.reference(), setup.urdf_dir)
 
     def step(k: int, sample: Sample, wrench: Vector, variance: Vector) -> ControlOutput:

@@ -99,6 +99,33 @@ class ActiveObserver:
         self.prior_variance = 0.0
         self.variance_used = 0.0
 
+    def continue_from(self, other: ActiveObserver) -> bool:
+        """
+        Take over what an observer of another design knows.
+
+        The input that acts is the one the other has commanded, so the first prediction is that
+        of the plant under the other's feedback.
+
+        Parameters
+        ----------
+        other
+            Observer of the same contact.
+
+        Returns
+        -------
+        bool
+            Whether the sizes of the states agree; nothing is taken over otherwise.
+
+        """
+        if self.x_est.shape != other.x_est.shape or self.order != other.order:
+            return False
+        self.x_est, self.P = other.x_est.copy(), other.P.copy()
+        self._command = other._command + float((self.feedback - other.feedback) @ self.x_est)
+        self._fresh = other._fresh
+        self.innovation = other.innovation
+        self.prior_variance, self.variance_used = other.prior_variance, other.variance_used
+        return True
+
     def update(self, force: float, noise_variance: float) -> None:
         """
         Take in the force of this tick.

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from multicontact_control.arrays import Matrix
 from multicontact_control.force.active_observer import ActiveObserver
 from multicontact_control.force.kernels import (
+    COMMAND,
+    COVARIANCE,
     ESTIMATE,
     FEEDBACK,
     GAMMA,
@@ -45,6 +47,8 @@ class ObserverBank:
         shape (2, r).
     P_0
         Initial variance of every state.
+    order
+        Of the active states.
 
     """
 
@@ -54,6 +58,7 @@ class ObserverBank:
         self.vectors: Matrix = np.zeros((len(VECTORS), count, states))
         self.scalars: Matrix = np.zeros((len(SCALARS), count))
         self.P_0 = float(initial_covariance)
+        self.order = observers[0].order
         for i, observer in enumerate(observers):
             self.matrices[PHI_C, i] = observer.Phi_c
             self.matrices[PHI_N, i] = observer.Phi_n
@@ -70,3 +75,22 @@ class ObserverBank:
     def feedback(self) -> Matrix:
         """[L_r 1] of every observer, shape (r, m)."""
         return self.vectors[FEEDBACK]
+
+    def continue_from(self, other: ObserverBank) -> bool:
+        """
+        Take over what observers of another design know; see `ActiveObserver.continue_from`.
+
+        Returns
+        -------
+        bool
+            Whether the sizes of the states agree; nothing is taken over otherwise.
+
+        """
+        if self.x_est.shape != other.x_est.shape or self.order != other.order:
+            return False
+        self.vectors[ESTIMATE] = other.vectors[ESTIMATE]
+        self.matrices[COVARIANCE] = other.matrices[COVARIANCE]
+        self.scalars[:] = other.scalars
+        self.scalars[COMMAND] += np.einsum(
+            'ij,ij->i', self.feedback - other.feedback, other.x_est)
+        return True

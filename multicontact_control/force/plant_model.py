@@ -12,6 +12,8 @@ from multicontact_control.errors import ConfigError, MulticontactError
 import numpy as np
 from scipy.linalg import expm
 
+SMALL_EXPONENT = 0.1
+
 
 @dataclass(frozen=True, slots=True)
 class DelayedPlant:
@@ -130,11 +132,31 @@ def delayed_hold(
 def _zero_order_hold(A: Matrix, B: Vector, duration: float) -> tuple[Matrix, Vector]:
     """Return exp(A t) and the integral of exp(A s) B over s from 0 to t."""
     n = A.shape[0]
+    if n == 2 and A[0].tolist() == [0.0, 1.0] and A[1, 0] == 0.0 and B[0] == 0.0:
+        return _damped_hold(float(B[1]), -float(A[1, 1]), duration)
     augmented = np.zeros((n + 1, n + 1))
     augmented[:n, :n] = A
     augmented[:n, n] = B
     exponential = expm(augmented * duration)
     return exponential[:n, :n], exponential[:n, n]
+
+
+def _damped_hold(
+    stiffness: float, damping_rate: float, duration: float,
+) -> tuple[Matrix, Vector]:
+    """
+    Return the same for A = [[0, 1], [0, -K_2]], B = [0, k], in closed form.
+
+    A general matrix exponential may keep a control tick waiting for the threads of its BLAS, for
+    tens of milliseconds.
+    """
+    x = damping_rate * duration
+    first = -math.expm1(-x) / x if x else 1.0  # (1 - e^-x) / x
+    # (1 - first) / x, by its series where that would cancel
+    second = (1.0 - first) / x if x > SMALL_EXPONENT else sum(
+        (-x) ** n / math.factorial(n + 2) for n in range(10))
+    Phi = np.array([[1.0, duration * first], [0.0, math.exp(-x)]])
+    return Phi, stiffness * duration * np.array([duration * second, first])
 
 
 def ackermann(Phi: Matrix, Gamma: Vector, poles: Sequence[float]) -> Vector:

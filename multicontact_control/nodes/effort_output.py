@@ -28,10 +28,16 @@ class EffortOutput:
     """
 
     def __init__(self, node: Node, publisher: Publisher, topic: str) -> None:
-        self._publisher = publisher
+        self._node, self._publisher = node, publisher
         self._bare: Publisher | None = None
         if topic:
             self._bare = node.create_publisher(Float64MultiArray, topic, qos.STREAM)
+
+    def close(self) -> None:
+        """Free the topic of the bare efforts; the other publisher is its maker's."""
+        if self._bare is not None:
+            self._node.destroy_publisher(self._bare)
+        self._bare = None
 
     def publish(self, command: JointState) -> None:
         """Publish one command."""

@@ -72,13 +72,12 @@ class Refusals:
         self._logger = logger
         self.counts: Counter[str] = Counter()
 
-    def refuse(self, topic: Topic, error: Exception) -> None:
-        """Take note of a message of `topic` that cannot be used."""
-        cause = f'{topic.name}: {getattr(error, "cause", error)}'
+    def refuse(self, source: str, error: Exception) -> None:
+        """Take note of what came from a topic, service or parameter and cannot be used."""
+        cause = f'{source}: {getattr(error, "cause", error)}'
         self.counts[cause] += 1
         if self.counts[cause] == 1:
-            self._logger.error(
-                f'{topic.name}: refused: {error} (further ones are only counted)')
+            self._logger.error(f'{source}: refused: {error} (further ones are only counted)')
 
     @contextlib.contextmanager
     def guard(self, topic: Topic) -> Iterator[None]:
@@ -86,7 +85,7 @@ class Refusals:
         try:
             yield
         except MulticontactError as error:
-            self.refuse(topic, error)
+            self.refuse(topic.name, error)
 
     @property
     def total(self) -> int:

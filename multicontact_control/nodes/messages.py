@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Sequence
+import contextlib
 from dataclasses import dataclass
 import math
 from typing import Any
@@ -38,11 +39,16 @@ class MessageError(MulticontactError):
 
 @dataclass(frozen=True, slots=True)
 class JointReading:
-    """Joint positions [rad] and velocities [rad/s] at a time, in the order that was asked for."""
+    """
+    Joint positions [rad] and velocities [rad/s] at a time, in the order that was asked for.
+
+    The effort [N m] is None if it was not asked for, or not all there.
+    """
 
     stamp: int
     q: Vector
     qd: Vector
+    effort: Vector | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,9 +121,11 @@ def _ordered(
     return numbers[[found.index(name) for name in names]]
 
 
-def read_joint_state(message: JointState, names: Sequence[str]) -> JointReading:
+def read_joint_state(
+    message: JointState, names: Sequence[str], *, with_effort: bool = False,
+) -> JointReading:
     """
-    Read positions and velocities.
+    Read positions and velocities, and the effort if it is asked for and there.
 
     Parameters
     ----------
@@ -125,6 +133,8 @@ def read_joint_state(message: JointState, names: Sequence[str]) -> JointReading:
         Joint states in any order.
     names
         The joints that must be there, no more and no fewer, in the order to return.
+    with_effort
+        Whether to read the effort; not every robot measures it.
 
     Raises
     ------
@@ -132,10 +142,14 @@ def read_joint_state(message: JointState, names: Sequence[str]) -> JointReading:
         If joints are missing, foreign or doubled, or a number is missing or not finite.
 
     """
+    effort = None
+    if with_effort:
+        with contextlib.suppress(MessageError):
+            effort = _ordered(message, names, 'effort', message.effort)
     return JointReading(
         stamp_to_ns(message.header.stamp),
         _ordered(message, names, 'position', message.position),
-        _ordered(message, names, 'velocity', message.velocity))
+        _ordered(message, names, 'velocity', message.velocity), effort)
 
 
 def read_effort(message: JointState, names: Sequence[str]) -> NamedReading:

@@ -3,101 +3,152 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable, Sequence
 import sys
 from typing import Any
 
 from multicontact_control.config import NoiseEstimatorConfig
-from multicontact_control.force.noise import Innovation, make_noise_estimator
+from multicontact_control.errors import ConfigError
+from multicontact_control.force.noise import Innovation, make_noise_estimator, NoiseEstimator
 from multicontact_control.nodes import messages, topics
+from multicontact_control.nodes.diagnostics import input_status, message_status, Status
 from multicontact_control.nodes.graph_node import (
     create_publisher,
     create_subscription,
-    Refusals,
-    StartupConfig,
     StartupGate,
 )
+from multicontact_control.nodes.loop_watch import Freshness, LoopWatch
+from multicontact_control.nodes.managed_node import ACTIVE, ManagedConfig, ManagedNode
 from multicontact_control.nodes.messages import InnovationReading, NamedReading
-from multicontact_control.nodes.parameters import load_parameters
-from multicontact_control.nodes.runtime import run_node, Spinner
+from multicontact_control.nodes.runtime import run_node
 from multicontact_control.nodes.timing import write_json
 import numpy as np
-from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 
 MAX_INNOVATIONS = 8
+STALE_PERIODS = 25
 
 
-class NoiseEstimatorNode(Node):
+class NoiseEstimatorNode(ManagedNode):
     """
     Publishes R_k for every measured force.
 
     A sample that comes again gets the same answer again; one that is older than the last starts
-    the window anew.
+    the window anew. Inactive it is silent, and whoever needs R holds the last one.
     """
 
     def __init__(self) -> None:
-        super().__init__(topics.ESTIMATOR)
-        config: NoiseEstimatorConfig
-        startup: StartupConfig
-        config, startup = load_parameters(self, NoiseEstimatorConfig, StartupConfig)
-        self._names = config.contact_names
-        self._timing_path = startup.timing_path
-        self._estimator = make_noise_estimator(config)
-        self._estimator.update(np.zeros(len(self._names)))  # the first one takes a while
-        self._estimator.reset()
-        self._refusals = Refusals(self.get_logger())
-        self._waiting: deque[NamedReading] = deque()
-        self._last_stamp = -1
-        self._last_answer: JointState | None = None
+        super().__init__(topics.ESTIMATOR, NoiseEstimatorConfig, ManagedConfig)
+        self._estimator: NoiseEstimator | None = None
+        self._publisher: Publisher | None = None
+        self._inputs: dict[topics.Topic, Subscription] = {}
+        self._node_config = ManagedConfig()
+        self._watch, self._fresh = LoopWatch(), Freshness()
         self._samples = 0
+        self._forget()
+
+    def configure(self, configurations: Sequence[Any]) -> None:
+        """Make the estimator and its ends of the topics."""
+        self._config: NoiseEstimatorConfig
+        self._config, self._node_config = configurations
+        self._names = self._config.contact_names
+        estimator = make_noise_estimator(self._config)
+        estimator.update(np.zeros(len(self._names)))  # the first one takes a while
+        self._estimator, self._watch = estimator, LoopWatch(self._config.rate)
         self._publisher = create_publisher(self, topics.NOISE_VARIANCE)
-        self._innovations: deque[InnovationReading] = deque(maxlen=MAX_INNOVATIONS)
-        callbacks = {topics.MEASURED_FORCES: self._on_measured}
-        if self._estimator.uses_innovation:
+        callbacks: dict[topics.Topic, Callable[[Any], None]] = {
+            topics.MEASURED_FORCES: self._on_measured}
+        if estimator.uses_innovation:
             callbacks[topics.INNOVATION] = self._on_innovation
-        subscriptions = {
+        self._inputs = {
             topic: create_subscription(self, topic, callback)
             for topic, callback in callbacks.items()}
-        self._gate = StartupGate(
-            self, {topics.NOISE_VARIANCE: self._publisher}, subscriptions, startup)
 
-    def run(self, spinner: Spinner) -> None:
-        """Answer samples until asked to stop."""
-        while not spinner.stop:
-            spinner.spin_once(0.1 if self._gate.open else 0.01)
-            if not self._gate.open and self._gate.poll():
-                self._answer()
-        spinner.drain()
+    def activate(self) -> StartupGate:
+        """Start with an empty window."""
+        if self._estimator is None:
+            raise ConfigError('estimator', 'a configured one', 'none')
+        self._estimator.reset()
+        self._forget()
+        return StartupGate(
+            self, {topics.NOISE_VARIANCE: self._publisher}, self._inputs, self._node_config)
+
+    def _forget(self) -> None:
+        self._waiting: deque[NamedReading] = deque()
+        self._innovations: deque[InnovationReading] = deque(maxlen=MAX_INNOVATIONS)
+        self._last_stamp = -1
+        self._last_answer: JointState | None = None
+        self._fresh.expect(*(topic.name for topic in self._inputs))
+
+    def gate_opened(self) -> None:
+        """Answer what waits."""
+        self._answer()
+
+    def deactivate(self) -> None:
+        """Do nothing more than not to answer."""
+
+    def clean_up(self) -> None:
+        """Free the estimator and the topics."""
+        if self._publisher is not None:
+            self.destroy_publisher(self._publisher)
+        for subscription in self._inputs.values():
+            self.destroy_subscription(subscription)
+        self._estimator = self._publisher = None
+        self._inputs = {}
+
+    def check(self, configurations: Sequence[Any]) -> None:
+        """Take every valid configuration."""
+
+    def reconfigure(self, configurations: Sequence[Any]) -> None:
+        """Go on with an empty window, if what the estimator depends on has changed."""
+        config, self._node_config = configurations
+        if config != self._config:
+            self._config = config
+            self._estimator = make_noise_estimator(config)
 
     def close(self) -> None:
         """Write the counts of this run, if asked to."""
-        if self._timing_path is not None:
-            write_json(self._timing_path, {
-                'samples': self._samples, 'refused': dict(self._refusals.counts)})
+        path = self._node_config.timing_path
+        if path is not None:
+            write_json(path, {
+                'samples': self._samples, 'refused': dict(self.refusals.counts)})
 
     def _on_measured(self, message: Any) -> None:
-        with self._refusals.guard(topics.MEASURED_FORCES):
+        if self.state != ACTIVE:
+            return
+        received = self._fresh.note(topics.MEASURED_FORCES.name)
+        self._watch.beat(received)
+        with self.refusals.guard(topics.MEASURED_FORCES):
             self._waiting.append(messages.read_effort(message, self._names))
-            if self._gate.open:
+            if self.working:
                 self._answer()
+                if not self._waiting:
+                    self._watch.answered(self._fresh.elapsed(received))
 
     def _on_innovation(self, message: Any) -> None:
-        with self._refusals.guard(topics.INNOVATION):
+        if self.state != ACTIVE:
+            return
+        received = self._fresh.note(topics.INNOVATION.name)
+        with self.refusals.guard(topics.INNOVATION):
             self._innovations.append(messages.read_innovation(message, self._names))
-            if self._gate.open:
+            if self.working:
                 self._answer()
+                self._watch.answered(self._fresh.elapsed(received))
 
     def _answer(self) -> None:
         """Answer everything that waits and has all it needs, in order."""
+        paired = topics.INNOVATION in self._inputs
         while self._waiting:
             innovation = None
-            if self._estimator.uses_innovation:
+            if paired:
                 stamp = self._waiting[0].stamp
                 if not self._innovations or self._innovations[-1].stamp < stamp:
                     return
                 innovation = self._innovation_of(stamp)
             sample = self._waiting.popleft()
-            with self._refusals.guard(topics.MEASURED_FORCES):
+            with self.refusals.guard(topics.MEASURED_FORCES):
                 self._answer_one(sample, innovation)
 
     def _innovation_of(self, stamp: int) -> Innovation | None:
@@ -108,6 +159,8 @@ class NoiseEstimatorNode(Node):
         return None
 
     def _answer_one(self, sample: NamedReading, innovation: Innovation | None) -> None:
+        if self._estimator is None or self._publisher is None:
+            return
         if sample.stamp != self._last_stamp:
             if sample.stamp < self._last_stamp:
                 self._estimator.reset()
@@ -119,6 +172,15 @@ class NoiseEstimatorNode(Node):
                 sample.stamp, self._names, effort=variance)
         if self._last_answer is not None:
             self._publisher.publish(self._last_answer)
+
+    def statuses(self) -> list[Status]:
+        """Return what diagnostics report."""
+        dropped = self._estimator.dropped if self._estimator is not None else 0
+        return [
+            Status('loop', {**self._watch.report(), 'samples': self._samples}),
+            input_status(self._fresh, STALE_PERIODS / self._config.rate,
+                         needed=self.state == ACTIVE),
+            message_status(self.refusals, dropped=dropped)]
 
 
 def main() -> int:

@@ -10,12 +10,13 @@ from multicontact_control.nodes.messages import JointReading, WrenchReading
 
 @dataclass(frozen=True, slots=True)
 class PairedSample:
-    """Joint state and wrist wrench with one stamp [ns]."""
+    """Joint state and wrist wrench with one stamp [ns]; the effort if it was read."""
 
     stamp: int
     q: Vector
     qd: Vector
     wrench_sensor: Vector
+    effort: Vector | None = None
 
 
 class SamplePairing:
@@ -54,4 +55,4 @@ class SamplePairing:
         if joints is None or wrench is None or joints.stamp != wrench.stamp:
             return None
         self._joints = self._wrench = None
-        return PairedSample(joints.stamp, joints.q, joints.qd, wrench.wrench_sensor)
+        return PairedSample(joints.stamp, joints.q, joints.qd, wrench.wrench_sensor, joints.effort)

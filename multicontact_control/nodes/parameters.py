@@ -8,7 +8,7 @@ every value. Here each becomes a ROS parameter: nested fields get dotted names, 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 import sys
 from types import NoneType
@@ -209,6 +209,23 @@ def parameter_overrides(node: Node) -> dict[str, Any]:
         if name.split('.')[0] not in SET_BY_ROS}
 
 
+def refuse_unknown_keys(values: Mapping[str, Any], models: Sequence[type[Config]]) -> None:
+    """
+    Check that every top-level key belongs to a model.
+
+    Raises
+    ------
+    ConfigError
+        Naming the first one that does not.
+
+    """
+    known = {key for model in models for key in model.model_fields}
+    for key in values:
+        if key not in known:
+            raise ConfigError(
+                key, f'a known parameter ({", ".join(sorted(known))})', f"unknown '{key}'")
+
+
 def load_parameters(node: Node, *models: type[Config]) -> list[Any]:
     """
     Declare the parameters of some models on a node and return their validated configurations.
@@ -232,17 +249,12 @@ def load_parameters(node: Node, *models: type[Config]) -> list[Any]:
 
     """
     overrides = parameter_overrides(node)
-    given = nested(overrides)
-    known = {key for model in models for key in model.model_fields}
-    for key in given:
-        if key not in known:
-            raise ConfigError(
-                key, f'a known parameter ({", ".join(sorted(known))})', f"unknown '{key}'")
+    refuse_unknown_keys(nested(overrides), models)
     configs = []
     for model in models:
         specs = list(parameter_specs(model, overrides))
         values = {
-            spec.name: _value(spec, overrides) for spec in specs
+            spec.name: parameter_value(spec, overrides) for spec in specs
             if spec.name in overrides or spec.default is not None}
         # Names without a declaration are kept, for the model to refuse them by name.
         unknown = {
@@ -254,8 +266,12 @@ def load_parameters(node: Node, *models: type[Config]) -> list[Any]:
     return configs
 
 
-def _value(spec: ParameterSpec, overrides: Mapping[str, Any]) -> Any:
-    """Return the value of a parameter, numbers as the declared kind where nothing is lost."""
+def parameter_value(spec: ParameterSpec, overrides: Mapping[str, Any]) -> Any:
+    """
+    Return the given or default value of a parameter, None if there is neither.
+
+    Numbers are of the declared kind where nothing is lost by it.
+    """
     value = overrides.get(spec.name, spec.default)
     if value is None:
         # ROS has no type for an empty list in a parameter file.

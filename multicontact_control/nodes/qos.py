@@ -30,6 +30,9 @@ INPUT = _profile(10)
 COMMAND = _profile(10)
 """What a user sends now and then: no command may be lost, nor an old one be replayed."""
 
+REPORT = _profile(10)
+"""Diagnostics: one a second and node; a viewer that is late wants the last few of each."""
+
 RECORDING = _profile(5000)
 """The recorder: 10 s at 500 Hz, so that a slow disk or a busy machine costs nothing."""
 

@@ -15,6 +15,7 @@ import time
 from typing import Any
 
 from multicontact_control.nodes.bag_writer import BagWriter
+from multicontact_control.nodes.loop_watch import Freshness
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
@@ -93,12 +94,20 @@ class RawRecording:
     writer
         The bag.
 
+    Attributes
+    ----------
+    streams
+        The topics by full name.
+    fresh
+        When each of those that are judged last came.
+
     """
 
     def __init__(self, node: Node, writer: BagWriter) -> None:
         self._node = node
         self._writer = writer
         self.streams: dict[str, Stream] = {}
+        self.fresh = Freshness()
 
     def add(
         self, name: str, message: Any, type_name: str, *, offered: QoSProfile,
@@ -140,6 +149,8 @@ class RawRecording:
                 data, info = taken
                 sequence = info['publication_sequence_number']
                 stream.count(sequence)
+                if stream.judged:
+                    self.fresh.note(stream.name)
                 received = info['received_timestamp'] or time.time_ns()
                 sent = info['source_timestamp'] or received
                 messages.append(_Message(received, stream, data, sent, sequence or 0))

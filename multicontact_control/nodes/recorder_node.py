@@ -14,6 +14,7 @@ from multicontact_control.config import parameter, Real
 from multicontact_control.errors import ConfigError
 from multicontact_control.nodes import qos
 from multicontact_control.nodes.bag_writer import BagWriter, CHUNK_SIZE
+from multicontact_control.nodes.diagnostics import Diagnostics, input_status, Status
 from multicontact_control.nodes.graph_node import StartupConfig, StartupGate
 from multicontact_control.nodes.parameters import load_parameters
 from multicontact_control.nodes.raw_recording import RawRecording
@@ -31,6 +32,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 FLUSH_PERIOD = 0.5
+STALE_AGE = 1.0  # s
 NICENESS = 10  # whoever controls goes first; two seconds of messages can wait
 
 
@@ -73,6 +75,9 @@ class RecorderNode(Node):
             tf = TfRecording(self._writer, config.tf_rate, self.get_logger())
             streams[JOINT_STATES].on_message = tf.on_joint_states
             streams[ROBOT_DESCRIPTION].on_message = tf.on_description
+        self._recording.fresh.expect(*(x.name for x in streams.values() if x.judged))
+        self._reported = (time.monotonic(), 0)
+        self._diagnostics = Diagnostics(self, self._statuses)
         self._gate = StartupGate(
             self, {}, {topic: x.subscription for topic, x in streams.items()}, config)
 
@@ -91,6 +96,7 @@ class RecorderNode(Node):
         while not spinner.stop:
             self._gate.poll()
             self._recording.drain()
+            self._diagnostics.poll()
             if time.monotonic() >= next_flush:
                 self._writer.flush()
                 next_flush = time.monotonic() + FLUSH_PERIOD
@@ -109,6 +115,21 @@ class RecorderNode(Node):
                 'lost': sum(stream.lost for stream in streams),
                 'lost_by_topic': {x.name: x.lost for x in streams if x.lost},
                 'before_start': sum(stream.before_start for stream in streams)})
+
+    def _statuses(self) -> list[Status]:
+        now, count = time.monotonic(), self._writer.message_count
+        then, before = self._reported
+        self._reported = (now, count)
+        lost = {x.name: x.lost for x in self._recording.streams.values() if x.lost}
+        return [
+            Status('loop', {
+                'rate_hz': round((count - before) / max(1e-9, now - then), 1),
+                'messages': count}),
+            Status('messages', {
+                'dropped': sum(lost.values()),
+                **{f'dropped {name}': number for name, number in lost.items()}},
+                warning=f'messages lost on {", ".join(lost)}' if lost else ''),
+            input_status(self._recording.fresh, STALE_AGE, needed=count > 0)]
 
 
 def _recording_profile(topic: Topic) -> QoSProfile:

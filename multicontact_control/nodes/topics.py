@@ -11,9 +11,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from multicontact_control.nodes import qos
 from rclpy.qos import QoSProfile
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from trajectory_msgs.msg import MultiDOFJointTrajectoryPoint
@@ -24,6 +26,8 @@ CONTROLLER = 'controller_node'
 ESTIMATOR = 'noise_estimator_node'
 RECORDER = 'recorder_node'
 USER = 'user'
+EVERY_NODE = 'every node'
+LOCKSTEP_SIM = 'sim_node in lockstep'
 
 RateClass = Literal['control', 'event']
 
@@ -40,7 +44,8 @@ class Topic:
     message
         Message class.
     publisher
-        Name of the node that publishes it; `USER` for whoever wants to.
+        Name of the node that publishes it; `USER` for whoever wants to. Nobody waits for what
+        is not the name of a node.
     subscribers
         Names of the nodes that always subscribe to it. The controller subscribes to one of the
         two wrenches, so neither lists it.
@@ -88,11 +93,16 @@ ROBOT_DESCRIPTION = Topic(
     'robot_description', String, SIM, (RECORDER,), qos.LATCHED, 'event')
 CONTACT_MARKERS = Topic(
     'contact_markers', MarkerArray, CONTROLLER, (RECORDER,), qos.DISPLAY, 'event')
+DIAGNOSTICS = Topic(
+    'diagnostics', DiagnosticArray, EVERY_NODE, (RECORDER,), qos.REPORT, 'event')
+# Absolute, as everything that uses simulated time expects it.
+CLOCK = Topic('/clock', Clock, LOCKSTEP_SIM, (RECORDER,), qos.STREAM, 'event')
 
 TOPICS: tuple[Topic, ...] = (
     JOINT_STATES, WRENCH, WRENCH_FILTERED, TRUE_FORCES, EFFORT_COMMAND, MEASURED_FORCES,
     ESTIMATED_FORCES, DESIRED_FORCES, INNOVATION, POSE, POSE_DESIRED, NOISE_VARIANCE,
-    FORCE_COMMAND, MOTION_COMMAND, ROBOT_DESCRIPTION, CONTACT_MARKERS)
+    FORCE_COMMAND, MOTION_COMMAND, ROBOT_DESCRIPTION, CONTACT_MARKERS,
+    DIAGNOSTICS, CLOCK)
 
 
 def published_by(node_name: str) -> tuple[Topic, ...]:

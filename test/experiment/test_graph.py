@@ -148,7 +148,7 @@ def test_run_graph_shows_the_log_of_a_node_that_cannot_start(tmp_path, free_doma
     path = spec.parameter_files[CONTROLLER]
     path.write_text(
         path.read_text(encoding='utf-8').replace('joint6', 'joint7'), encoding='utf-8')
-    with pytest.raises(RunError, match='controller_node ended with exit code 2') as caught:
+    with pytest.raises(RunError, match='controller_node cannot configure') as caught:
         run_graph(spec)
     assert 'joint7' in str(caught.value)
     assert node_processes(tmp_path) == {}

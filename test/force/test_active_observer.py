@@ -159,3 +159,29 @@ def test_observer_refuses_options_out_of_range(loop, options, field):
     """The message names the field."""
     with pytest.raises(ConfigError, match=f'^{field}: expected'):
         ActiveObserver(loop, **options)
+
+
+def test_continue_from_predicts_with_the_input_that_acts(loop):
+    """In the tick of a change the prediction is that of the old design, whatever the new one."""
+    faster = design_force_loop(
+        6000.0, damping_rate=20.0, input_delay=0.006, period=H, time_constant=0.01)
+    old, unchanged = ActiveObserver(loop), ActiveObserver(loop)
+    forces = np.random.default_rng(1).normal(5.0, 1.0, 20)
+    for observer in (old, unchanged):
+        for force in forces:
+            observer.update(force, 0.6)
+            observer.command(10.0)
+    new = ActiveObserver(faster)
+    assert new.continue_from(old)
+    for observer in (new, unchanged):
+        observer.update(7.0, 0.6)
+    np.testing.assert_allclose(new.x_est, unchanged.x_est, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(new.P, unchanged.P, rtol=1e-12)
+
+
+def test_continue_from_leaves_a_state_of_another_size(loop):
+    old, new = ActiveObserver(loop), ActiveObserver(loop, order=2)
+    old.update(3.0, 0.6)
+    old.x_est[:] = 4.0
+    assert not new.continue_from(old)
+    assert not new.x_est.any()

@@ -5,6 +5,7 @@ from multicontact_control.force.plant_model import ackermann, delayed_plant, des
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.linalg import expm
 from scipy.signal import place_poles
 
 H = 0.002
@@ -121,3 +122,12 @@ def test_ackermann_refuses_a_wrong_number_of_poles():
     """One pole per state."""
     with pytest.raises(ShapeError, match=r'poles: expected shape \(2,\), found \(1,\)'):
         ackermann(np.eye(2), np.ones(2), [0.5])
+
+
+@pytest.mark.parametrize('damping_rate', [0.0, 1e-9, 0.3, 20.0, 49.9, 50.1, 2000.0])
+def test_delayed_plant_without_delay_is_the_matrix_exponential(damping_rate):
+    plant = delayed_plant(6000.0, damping_rate, 0.0, 0.002)
+    A = np.array([[0.0, 1.0, 0.0], [0.0, -damping_rate, 6000.0], [0.0, 0.0, 0.0]])
+    expected = expm(A * 0.002)
+    np.testing.assert_allclose(plant.Phi, expected[:2, :2], rtol=1e-13)
+    np.testing.assert_allclose(plant.Gamma, expected[:2, 2], rtol=1e-13)

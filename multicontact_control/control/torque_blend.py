@@ -1,0 +1,90 @@
+"""From the torque that acts to that of another law, without a jump."""
+
+from __future__ import annotations
+
+import math
+
+from multicontact_control.arrays import Vector
+from multicontact_control.config import TransitionConfig
+import numpy as np
+
+STEEPEST = 1.875  # largest slope of the quintic from 0 to 1
+
+
+class TorqueBlend:
+    """
+    Adds to a law what it lacked of the torque at its start, and lets that fade.
+
+    The law acts with all its gain from the first tick on; only the difference fades, by the
+    quintic 10 x^3 - 15 x^4 + 6 x^5, in `blend_time` or longer if `torque_rate` demands it.
+
+    Parameters
+    ----------
+    config
+        How fast.
+    period
+        Control period [s].
+
+    """
+
+    def __init__(self, config: TransitionConfig, period: float) -> None:
+        self.config = config
+        self._period = period
+        self._from: Vector | None = None
+        self._difference: Vector | None = None
+        self._tick = self._ticks = 0
+
+    @property
+    def active(self) -> bool:
+        """Whether some difference is left."""
+        return self._from is not None or self._difference is not None
+
+    def start(self, torque: Vector) -> None:
+        """
+        Let the next answer be this torque.
+
+        Parameters
+        ----------
+        torque
+            What acts now, shape (n,) [N m].
+
+        """
+        self._from = np.array(torque, dtype=float)
+
+    def apply(self, torque: Vector) -> Vector:
+        """
+        Return what to command in this tick.
+
+        Parameters
+        ----------
+        torque
+            What the law says, shape (n,) [N m].
+
+        Returns
+        -------
+        Vector
+            The same object once the difference has faded, shape (n,) [N m].
+
+        """
+        if self._from is not None:
+            return self._first(self._from, torque)
+        if self._difference is None:
+            return torque
+        self._tick += 1
+        if self._tick >= self._ticks:
+            self._difference = None
+            return torque
+        x = self._tick / self._ticks
+        faded = x ** 3 * (10.0 + x * (-15.0 + 6.0 * x))
+        blended: Vector = torque + (1.0 - faded) * self._difference
+        return blended
+
+    def _first(self, start: Vector, torque: Vector) -> Vector:
+        difference = start - torque
+        largest = float(np.abs(difference).max())
+        if not math.isfinite(largest):
+            return torque  # for the caller to refuse; the start waits for a law that is one
+        duration = max(self.config.blend_time, STEEPEST * largest / self.config.torque_rate)
+        self._from, self._difference = None, difference
+        self._tick, self._ticks = 0, math.ceil(duration / self._period)
+        return start

@@ -1,0 +1,133 @@
+"""Leading managed nodes through their life cycle, from outside."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import time
+from typing import Any
+
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from multicontact_control.errors import RunError
+from multicontact_control.nodes.runtime import prepare_environment
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+
+CONFIGURE, ACTIVATE = 'configure', 'activate'
+DEACTIVATE, CLEAN_UP = 'deactivate', 'cleanup'
+GOALS = {CONFIGURE: 'inactive', ACTIVATE: 'active', DEACTIVATE: 'inactive',
+         CLEAN_UP: 'unconfigured'}
+NUMBERS = {
+    CONFIGURE: Transition.TRANSITION_CONFIGURE, ACTIVATE: Transition.TRANSITION_ACTIVATE,
+    DEACTIVATE: Transition.TRANSITION_DEACTIVATE, CLEAN_UP: Transition.TRANSITION_CLEANUP}
+SERVICE_TIMEOUT, ANSWER_TIMEOUT = 60.0, 10.0
+
+
+class TransitionError(RunError):
+    """A node refused a transition; its log says why."""
+
+    def __init__(self, node_name: str, transition: str) -> None:
+        self.node_name = node_name
+        super().__init__(f'{node_name} refused to {transition}')
+
+
+class LifecycleDriver:
+    """
+    Changes the state of managed nodes.
+
+    Parameters
+    ----------
+    domain_id
+        ROS domain of the nodes.
+    keep_waiting
+        Called often while a node is waited for; may raise to give up.
+    namespace
+        Of the nodes.
+
+    """
+
+    def __init__(
+        self, domain_id: int, keep_waiting: Callable[[], None] = lambda: None,
+        namespace: str = '',
+    ) -> None:
+        prepare_environment()
+        self._keep_waiting = keep_waiting
+        self._context = Context()
+        self._context.init(args=[], domain_id=domain_id)
+        self._node = Node(
+            'lifecycle_driver', context=self._context, use_global_arguments=False,
+            namespace=namespace, start_parameter_services=False, enable_rosout=False)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        self._clients: dict[tuple[str, Any], Any] = {}
+
+    def __enter__(self) -> LifecycleDriver:
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._executor.shutdown()
+        self._node.destroy_node()
+        self._context.try_shutdown()
+
+    def change(self, node_name: str, transition: str) -> None:
+        """
+        Lead a node through a transition.
+
+        Raises
+        ------
+        TransitionError
+            If the node refuses.
+        RunError
+            If it does not answer.
+
+        """
+        request = ChangeState.Request(transition=Transition(id=NUMBERS[transition]))
+        answer = self._call(node_name, ChangeState, 'change_state', request)
+        if answer is None:  # the answer may be lost although the work is done
+            if self.state(node_name) == GOALS[transition]:
+                return
+            raise RunError(f'{node_name} did not answer when asked to {transition}')
+        if not answer.success:
+            raise TransitionError(node_name, transition)
+
+    def state(self, node_name: str) -> str:
+        """
+        Return the state of a node.
+
+        Raises
+        ------
+        RunError
+            If it does not answer.
+
+        """
+        answer = self._call(node_name, GetState, 'get_state', GetState.Request())
+        if answer is None:
+            raise RunError(f'{node_name} did not tell its state')
+        return str(answer.current_state.label)
+
+    def _call(self, node_name: str, service: Any, name: str, request: Any) -> Any:
+        client = self._clients.get((node_name, service))
+        if client is None:
+            client = self._node.create_client(service, f'{node_name}/{name}')
+            self._clients[node_name, service] = client
+        self._wait(client.service_is_ready, SERVICE_TIMEOUT, f'{node_name} to appear')
+        future = client.call_async(request)
+        try:
+            self._wait(future.done, ANSWER_TIMEOUT, f'{node_name} to answer')
+        except RunError:
+            client.remove_pending_request(future)
+            return None
+        return future.result()
+
+    def _wait(self, condition: Callable[[], Any], timeout: float, what: str) -> None:
+        give_up = time.monotonic() + timeout
+        while not condition():
+            self._keep_waiting()
+            if time.monotonic() > give_up:
+                raise RunError(f'waited {timeout:g} s for {what}')
+            self._executor.spin_once(timeout_sec=0.02)

@@ -1,0 +1,93 @@
+"""The topics and services by which a user commands the controller."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import contextlib
+from typing import Any
+
+from multicontact_control.control.sensor.tare import TareConfig
+from multicontact_control.errors import MulticontactError
+from multicontact_control.nodes import messages, topics
+from multicontact_control.nodes.control_session import ControlSession
+from multicontact_control.nodes.graph_node import create_subscription, Refusals
+from rclpy.node import Node
+from rclpy.subscription import Subscription
+from std_srvs.srv import SetBool, Trigger
+
+
+class CommandInterface:
+    """
+    Hands commands to a session, refuses what it refuses, and counts that.
+
+    Parameters
+    ----------
+    node
+        The controller's node.
+    session
+        What is commanded.
+    refusals
+        Where refusals are counted.
+    set_bias
+        Makes a bias of the wrist sensor the one in force; may raise `MulticontactError`.
+
+    """
+
+    def __init__(
+        self, node: Node, session: ControlSession, refusals: Refusals,
+        set_bias: Callable[[list[float]], None],
+    ) -> None:
+        self._node = node
+        self._session = session
+        self._refusals = refusals
+        self._set_bias = set_bias
+        self.tare_config = TareConfig()
+        self.subscriptions: dict[topics.Topic, Subscription] = {
+            topics.FORCE_COMMAND: create_subscription(
+                node, topics.FORCE_COMMAND, self._on_forces),
+            topics.MOTION_COMMAND: create_subscription(
+                node, topics.MOTION_COMMAND, self._on_motion)}
+        self._services = [
+            node.create_service(Trigger, '~/tare', self._on_tare),
+            node.create_service(SetBool, '~/hold', self._on_hold)]
+
+    def close(self) -> None:
+        """Free the topics and services."""
+        for subscription in self.subscriptions.values():
+            self._node.destroy_subscription(subscription)
+        for service in self._services:
+            self._node.destroy_service(service)
+
+    def _on_forces(self, message: Any) -> None:
+        with self._refusals.guard(topics.FORCE_COMMAND):
+            self._session.set_forces(
+                messages.read_some_efforts(message, self._session.config.contact_names))
+
+    def _on_motion(self, message: Any) -> None:
+        with self._refusals.guard(topics.MOTION_COMMAND):
+            self._session.set_motion(messages.read_motion(message))
+
+    def _on_tare(self, _request: Any, response: Any) -> Any:
+        response.success = False
+        with self._told(response, '~/tare'):
+            bias = self._session.tare(self.tare_config)
+            self._set_bias(bias.tolist())
+            response.success = True
+            response.message = 'bias [N, N m]: ' + ', '.join(f'{x:.4g}' for x in bias)
+        return response
+
+    def _on_hold(self, request: Any, response: Any) -> Any:
+        response.success = False
+        with self._told(response, '~/hold'):
+            self._session.hold(request.data)
+            response.success = True
+            response.message = 'held' if request.data else 'released'
+        return response
+
+    @contextlib.contextmanager
+    def _told(self, response: Any, source: str) -> Any:
+        try:
+            yield
+        except MulticontactError as error:
+            self._refusals.refuse(source, error)
+            response.message = str(error)

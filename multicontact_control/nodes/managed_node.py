@@ -1,0 +1,202 @@
+"""A node with a life cycle, as `rclpy.lifecycle` has it, in the manner of this graph."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable, Sequence
+import sys
+import traceback
+from typing import Any
+
+from lifecycle_msgs.srv import ChangeState
+from multicontact_control.config import Config, parameter
+from multicontact_control.errors import MulticontactError
+from multicontact_control.nodes.diagnostics import Diagnostics, Status
+from multicontact_control.nodes.graph_node import Refusals, StartupConfig, StartupGate
+from multicontact_control.nodes.parameter_set import ParameterSet
+from multicontact_control.nodes.runtime import settle_process, Spinner
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+
+UNCONFIGURED, INACTIVE, ACTIVE, FINALIZED = 'unconfigured', 'inactive', 'active', 'finalized'
+AUTOSTART = '--autostart'
+SPIN_TIMEOUT, GATED_SPIN_TIMEOUT = 0.1, 0.01
+SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
+FATAL = TransitionCallbackReturn.ERROR
+
+
+class ManagedConfig(StartupConfig):
+    """What every managed node has in common."""
+
+    autostart: bool = parameter(
+        False, f'Whether to configure and activate at once, as with {AUTOSTART}.')
+
+
+class ManagedNode(LifecycleNode):
+    """
+    What the managed nodes of the graph share: transitions, parameters, gate, diagnostics.
+
+    A transition that fails says why in one line and leaves the node where it was. Nothing of
+    rclpy depends on the state: whoever has callbacks looks at `state`.
+
+    Parameters
+    ----------
+    name
+        Name of the node.
+    models
+        Configuration classes; that of the node itself, a `ManagedConfig`, is the last.
+
+    """
+
+    def __init__(self, name: str, *models: type[Config]) -> None:
+        super().__init__(name)
+        self.state = UNCONFIGURED
+        self.refusals = Refusals(self.get_logger())
+        self.parameter_set = ParameterSet(self, *models)
+        self.parameter_set.refused = self.refusals.refuse
+        self.diagnostics = Diagnostics(self, self._all_statuses)
+        self.gate: StartupGate | None = None
+        self._gate_passed = False
+        self._failure: MulticontactError | None = None
+        self._survive_impossible_transitions()
+
+    @abstractmethod
+    def configure(self, configurations: Sequence[Any]) -> None:
+        """Load everything; may raise `MulticontactError`."""
+
+    @abstractmethod
+    def activate(self) -> StartupGate:
+        """Forget the past and begin; return what to wait for."""
+
+    @abstractmethod
+    def gate_opened(self) -> None:
+        """Answer what has come meanwhile."""
+
+    @abstractmethod
+    def deactivate(self) -> None:
+        """Stop the node's work."""
+
+    @abstractmethod
+    def clean_up(self) -> None:
+        """Free everything that `configure` made, or as much as there is of it."""
+
+    @abstractmethod
+    def check(self, configurations: Sequence[Any]) -> None:
+        """Raise `MulticontactError` if new configurations cannot be gone on with."""
+
+    @abstractmethod
+    def reconfigure(self, configurations: Sequence[Any]) -> None:
+        """Go on with them."""
+
+    @abstractmethod
+    def statuses(self) -> Sequence[Status]:
+        """Return what diagnostics report."""
+
+    @property
+    def working(self) -> bool:
+        """Whether the node is active and everybody is there."""
+        return self.state == ACTIVE and self.gate is not None and self.gate.open
+
+    def run(self, spinner: Spinner) -> None:
+        """Run callbacks until asked to stop or shut down."""
+        if self.parameter_set.value('autostart') is True or AUTOSTART in sys.argv:
+            self._start_alone()
+        while not (spinner.stop or self.state == FINALIZED):
+            waiting = self.state == ACTIVE and not self.working
+            spinner.spin_once(GATED_SPIN_TIMEOUT if waiting else SPIN_TIMEOUT)
+            if waiting:
+                self._poll_gate()
+            self.diagnostics.poll()
+        spinner.drain()
+
+    def _start_alone(self) -> None:
+        for trigger in (self.trigger_configure, self.trigger_activate):
+            if trigger() != SUCCESS:
+                raise self._failure or MulticontactError('the node cannot be started')
+
+    def _poll_gate(self) -> None:
+        if self.state == ACTIVE and self.gate is not None and self.gate.poll():
+            self._gate_passed = True
+            self.gate_opened()
+
+    def _all_statuses(self) -> list[Status]:
+        state = Status('life cycle', {'state': self.state})
+        return [state, *self.statuses()] if self.state in (ACTIVE, INACTIVE) else [state]
+
+    def on_configure(self, _state: LifecycleState) -> TransitionCallbackReturn:
+        """See `rclpy.lifecycle`."""
+        def work() -> None:
+            self.configure(self.parameter_set.configurations())
+            self.parameter_set.lock(self.check, self.reconfigure)
+            settle_process()
+        result = self._attempt('configure', work, INACTIVE)
+        if result != SUCCESS:
+            self._free()
+        return result
+
+    def on_activate(self, _state: LifecycleState) -> TransitionCallbackReturn:
+        """See `rclpy.lifecycle`."""
+        def work() -> None:
+            self.gate = self.activate()
+            # Peers are waited for once: later they may have gone, and that is no reason.
+            self.gate.open = self.gate.open or self._gate_passed
+        return self._attempt('activate', work, ACTIVE)
+
+    def on_deactivate(self, _state: LifecycleState) -> TransitionCallbackReturn:
+        """See `rclpy.lifecycle`."""
+        return self._attempt('deactivate', self.deactivate, INACTIVE)
+
+    def on_cleanup(self, _state: LifecycleState) -> TransitionCallbackReturn:
+        """See `rclpy.lifecycle`."""
+        return self._attempt('clean up', self._free, UNCONFIGURED)
+
+    def on_shutdown(self, _state: LifecycleState) -> TransitionCallbackReturn:
+        """See `rclpy.lifecycle`."""
+        return self._attempt('shut down', self._free, FINALIZED)
+
+    def on_error(self, _state: LifecycleState) -> TransitionCallbackReturn:
+        """See `rclpy.lifecycle`."""
+        return self._attempt('recover', self._free, UNCONFIGURED)
+
+    def _free(self) -> None:
+        self.parameter_set.unlock()
+        self.gate = None
+        self.clean_up()
+
+    def _attempt(
+        self, what: str, work: Callable[[], None], goal: str,
+    ) -> TransitionCallbackReturn:
+        """Do the work of a transition; rclpy would swallow what it raises."""
+        try:
+            work()
+        except MulticontactError as error:
+            self._failure = error
+            self.get_logger().error(f'cannot {what}: {error}')
+            return FAILURE
+        except Exception:
+            self.get_logger().fatal(f'cannot {what}: {traceback.format_exc()}')
+            return FATAL
+        self.state = goal
+        self.get_logger().info(goal)
+        return SUCCESS
+
+    def _survive_impossible_transitions(self) -> None:
+        """Answer a transition that is not possible now with no, instead of dying of it."""
+        service = self._service_change_state
+        change = service.callback
+
+        def change_if_possible(
+            request: ChangeState.Request, response: ChangeState.Response,
+        ) -> ChangeState.Response:
+            wanted = request.transition
+            possible = [transition[:2] for transition in self._state_machine.available_transitions]
+            if not any(wanted.label == label if wanted.label else wanted.id == number
+                       for number, label in possible):
+                names = ', '.join(label for _, label in possible)
+                self.get_logger().error(
+                    f'change_state: expected one of {names} while {self.state}, found '
+                    f'{wanted.label or wanted.id}')
+                response.success = False
+                return response
+            return change(request, response)
+
+        service.callback = change_if_possible

@@ -1,0 +1,78 @@
+"""A held reference stands still, and then goes on where it was."""
+
+from multicontact_control.control.holdable_reference import HoldableReference
+from multicontact_control.control.reference import (
+    CommandedReference,
+    ReferenceConfig,
+    ScenarioReference,
+    SineConfig,
+)
+from multicontact_control.dynamics.pose import Pose
+import numpy as np
+import pytest
+
+H = 0.002
+START = Pose(np.zeros(3), np.eye(3))
+NORMALS = np.array([[0.0, 0.0, -1.0]])
+NOTHING = np.zeros(1)
+
+
+def moving():
+    config = ReferenceConfig(motion=SineConfig(start_time=0.0))
+    return ScenarioReference(config, rate=1.0 / H, contact_names=('one',))
+
+
+def test_reference_that_is_not_held_is_the_other_one():
+    reference, other = HoldableReference(moving()), moving()
+    for source in (reference, other):
+        source.start(START, NORMALS)
+    for k in range(500):
+        a, b = (x.update(k * H, NOTHING) for x in (reference, other))
+        np.testing.assert_array_equal(a.pose_des.position_world, b.pose_des.position_world)
+        np.testing.assert_array_equal(a.twist_des, b.twist_des)
+
+
+def test_hold_stands_still_and_release_goes_on_where_the_scenario_was():
+    reference, other = HoldableReference(moving()), moving()
+    for source in (reference, other):
+        source.start(START, NORMALS)
+    for k in range(500):
+        reference.update(k * H, NOTHING)
+        expected = other.update(k * H, NOTHING)
+    here = Pose(np.array([0.1, 0.2, 0.3]), np.eye(3))
+    assert reference.hold(here)
+    for k in range(500, 800):
+        held = reference.update(k * H, NOTHING)
+        assert held.pose_des is here
+        assert not held.twist_des.any()
+        assert not held.acceleration_des.any()
+    reference.release()
+    resumed = reference.update(800 * H, NOTHING)
+    expected = other.update(500 * H, NOTHING)
+    np.testing.assert_allclose(
+        resumed.pose_des.position_world, expected.pose_des.position_world, atol=1e-12)
+
+
+def test_hold_keeps_the_desired_forces():
+    commanded = CommandedReference(('one',))
+    reference = HoldableReference(commanded)
+    reference.start(START, NORMALS)
+    commanded.set_forces({'one': 7.0})
+    reference.update(0.0, NOTHING)
+    reference.hold(START)
+    commanded.set_forces({'one': 0.0})
+    held = reference.update(H, NOTHING)
+    assert held.alpha_des == pytest.approx([7.0])
+    assert held.active.all()
+
+
+def test_hold_needs_a_first_tick_and_ends_with_a_new_start():
+    reference = HoldableReference(moving())
+    assert not reference.hold(START)
+    reference.start(START, NORMALS)
+    assert not reference.hold(START)
+    reference.update(0.0, NOTHING)
+    assert reference.hold(START)
+    assert reference.held
+    reference.start(START, NORMALS)
+    assert not reference.held
