@@ -231,7 +231,7 @@ def comparison_table(
         title=f'plant {plant}: worse contact, median over the seeds', box=SIMPLE_HEAD,
         padding=(0, 1, 0, 0), pad_edge=False, caption=escape(CAPTION))
     for i in shown:
-        table.add_column(COLUMNS[i], justify='right' if i else 'left', no_wrap=i > 0)
+        table.add_column(escape(COLUMNS[i]), justify='right' if i else 'left', no_wrap=i > 0)
     last = ''
     for (where, kind, label), group in grouped(rows).items():
         if where != plant:
