@@ -194,7 +194,7 @@ def _online(evidence: Mapping[str, Any], rows: Sequence[Row]) -> Verdict:
 def _unstable_text(evidence: Mapping[str, Any]) -> str:
     after = evidence['unstable_after_motion_s']
     if after is None or after < 0.0:
-        return 'unstable before any motion'
+        return f'before any motion {_reasons(evidence)}'
     return f'unstable {after:.2f} s after the motion began'
 
 
@@ -238,10 +238,10 @@ def _stiffness(evidence: Mapping[str, Any], rows: Sequence[Row]) -> Verdict:
         parts.append(f'{ratio:g} x: ' + (
             f'mean error {100.0 * share:.1f} % of the command, {_rises(entry, ())[0]}'
             if entry['stable'] else _unstable_text(entry)))
-    why = ('the active state takes the constant error away'
-           if static else 'a constant error is left, or the run is not stable')
-    why += ', and the steps rise as designed' if dynamic else (
-        ', but the steps do not all rise as designed: the loop gain goes with the stiffness')
+    why = ('the active state takes the constant error away' if static else
+           f'not every run is stable within {100 * LARGEST_STATIC_SHARE:g} % of its command')
+    why += '; the steps rise as designed' if dynamic else (
+        '; the steps do not all rise as designed: the loop gain goes with the stiffness')
     return '; '.join(parts), static and dynamic, why
 
 

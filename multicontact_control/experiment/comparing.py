@@ -32,6 +32,8 @@ from multicontact_control.experiment.scenario import PLANTS
 from rich.console import Console
 from rich.markup import escape
 
+WIDE = 110  # columns of a terminal that takes the whole table
+
 
 @dataclass(frozen=True)
 class ComparisonRequest:
@@ -93,7 +95,8 @@ def compare_and_report(request: ComparisonRequest, console: Console | None = Non
                   f'take about {_duration(seconds)} with {executor.jobs} at once')
     content = run_comparison(entries, request.out, executor=executor, console=console)
     for plant in request.plants:
-        console.print(comparison_table(content['rows'], plant))
+        console.print(comparison_table(
+            content['rows'], plant, narrow=console.width < WIDE))
     for text in findings(content['rows']):
         console.print(f'- {escape(text)}', highlight=False)
     for plant, claims in content['claims'].items():

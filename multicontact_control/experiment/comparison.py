@@ -20,7 +20,7 @@ from multicontact_control.experiment.engine import (
     run_cells,
 )
 from multicontact_control.experiment.loop import run_in_process
-from multicontact_control.experiment.matrix import AOB, controller_values, Entry
+from multicontact_control.experiment.matrix import AOB, controller_values, Entry, KINDS
 from multicontact_control.experiment.measure import measure_cell
 from multicontact_control.experiment.results import read_json, write_json
 from rich.box import SIMPLE_HEAD
@@ -32,6 +32,9 @@ COMPARISON_FILE = 'comparison.json'
 START_UP = 6.0  # s, to start the workers and compile in each
 CAPTION = ('fails: after the start of the motion; rest, move: rms error of the true force; lost: '
            'contact in motion; R [N²]; push: recovery [s]; torq: largest share of the limit')
+COLUMNS = ('', 'stable', 'fails\n[s]', 'rest\n[N]', 'move\n[N]', 'lost\n[%]', 'R\nrest',
+           'R\nmove', 'push\n.1 s', 'push\n1 s', 'torq\n[%]')
+LEFT_OUT = (5, 6, 10)  # of them, where there is no room
 PROBE = 1.5  # s of simulated time that a plant's speed is taken from
 
 
@@ -199,41 +202,56 @@ def read_comparison(folder: Path) -> dict[str, Any]:
 
 
 def grouped(rows: Sequence[dict[str, Any]]) -> dict[tuple[str, str, str], list[dict[str, Any]]]:
-    """Return the rows of each plant, kind and label, one for each seed."""
+    """Return the rows of each plant, kind and label, one for each seed, kind after kind."""
     groups: dict[tuple[str, str, str], list[dict[str, Any]]] = {}
-    for row in rows:
+    for row in sorted(rows, key=lambda row: KINDS.index(row['kind'])):
         groups.setdefault((row['plant'], row['kind'], row['label']), []).append(row)
     return groups
 
 
-def comparison_table(rows: Sequence[dict[str, Any]], plant: str) -> Table:
-    """Return the table of one plant: each estimator's median over the seeds, worse contact."""
+def comparison_table(
+    rows: Sequence[dict[str, Any]], plant: str, *, narrow: bool = False,
+) -> Table:
+    """
+    Return the table of one plant: each estimator's median over the seeds, worse contact.
+
+    Parameters
+    ----------
+    rows
+        Of ``comparison.json``.
+    plant
+        Which of its plants.
+    narrow
+        Whether to leave some columns out, for terminals of 80 columns.
+
+    """
+    shown = [i for i in range(len(COLUMNS)) if not (narrow and i in LEFT_OUT)]
     table = Table(
         title=f'plant {plant}: worse contact, median over the seeds', box=SIMPLE_HEAD,
-        padding=(0, 1, 0, 0), caption=CAPTION)
-    for name in ('', 'stable', 'fails\n[s]', 'rest\n[N]', 'move\n[N]', 'lost\n[%]', 'R\nrest',
-                 'R\nmove', 'push\n.1 s', 'push\n1 s', 'torq\n[%]'):
-        table.add_column(name, justify='right' if name else 'left', no_wrap=bool(name))
+        padding=(0, 1, 0, 0), pad_edge=False, caption=escape(CAPTION))
+    for i in shown:
+        table.add_column(escape(COLUMNS[i]), justify='right' if i else 'left', no_wrap=i > 0)
     last = ''
     for (where, kind, label), group in grouped(rows).items():
         if where != plant:
             continue
         if kind != last:
             table.add_section()
+            table.add_row(f'[bold]{escape(kind)}[/bold]')
             last = kind
-        table.add_row(*table_row(kind, label, group))
+        cells = table_row(label, group)
+        table.add_row(*(cells[i] for i in shown))
     return table
 
 
-def table_row(kind: str, label: str, group: Sequence[dict[str, Any]]) -> list[str]:
+def table_row(label: str, group: Sequence[dict[str, Any]]) -> list[str]:
     """Return the cells of one line of the table."""
     stable = sum(row['stable'] for row in group)
     unstable = [row['unstable_after_motion_s'] for row in group
                 if row['unstable_after_motion_s'] is not None]
     colour = 'green' if stable == len(group) else 'red'
     return [
-        escape(label if kind in label or kind not in (AOB, 'no active state')
-               else f'{label} ({kind})'),
+        escape(label),
         f'[{colour}]{stable}/{len(group)}[/{colour}]',
         _range(unstable),
         _middle(group, 'rest_rms_n', 3), _middle(group, 'moving_rms_n', 2),

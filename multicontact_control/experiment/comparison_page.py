@@ -15,7 +15,7 @@ from multicontact_control.experiment.comparison import (
 )
 from multicontact_control.experiment.engine import CellResult, CellStore
 from multicontact_control.experiment.findings import findings
-from multicontact_control.experiment.matrix import AOB, PLAIN
+from multicontact_control.experiment.matrix import AOB, CAUSE, PLAIN
 from multicontact_control.experiment.pages import (
     claims_table,
     corners,
@@ -28,8 +28,8 @@ from multicontact_control.experiment.pages import (
 from rich.text import Text
 
 PAGE_FILE = 'comparison.html'
-FORCE_BUCKETS = 350
-VARIANCE_BUCKETS = 120
+FORCE_BUCKETS = 250
+VARIANCE_BUCKETS = 80
 HEAD = ('estimator', 'stable', 'unstable after motion start [s]', 'rest rms [N]',
         'moving rms [N]', 'contact lost moving [%]', 'R rest [N²]', 'R moving [N²]',
         'recovery, push 0.1 s [s]', 'recovery, push 1 s [s]', 'torque [% of limit]')
@@ -145,9 +145,10 @@ def _table(rows: Sequence[dict[str, Any]], plant: str) -> str:
 
 def plain_cells(kind: str, label: str, group: Sequence[dict[str, Any]]) -> list[str]:
     """Return one line of the table as HTML."""
-    cells = [Text.from_markup(cell).plain for cell in table_row(kind, label, group)]
+    cells = [Text.from_markup(cell).plain for cell in table_row(label, group)]
     colour = 'yes' if all(row['stable'] for row in group) else 'no'
-    return [escape(cells[0]), f'<b class={colour}>{cells[1]}</b>', *map(escape, cells[2:])]
+    name = cells[0] if kind in cells[0] or kind in (AOB, CAUSE) else f'{cells[0]}, {kind}'
+    return [escape(name), f'<b class={colour}>{cells[1]}</b>', *map(escape, cells[2:])]
 
 
 def _cell(row: dict[str, Any], store: CellStore) -> dict[str, Any]:

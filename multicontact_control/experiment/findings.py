@@ -62,7 +62,8 @@ def _when(rows: Sequence[dict[str, Any]]) -> str:
              if row['unstable_after_motion_s'] is not None]
     if not times or min(times) < 0.0:
         return 'before any motion in some'
-    return f'{min(times):.2f} to {max(times):.2f} s after the motion began'
+    texts = dict.fromkeys(f'{time:.2f}' for time in (min(times), max(times)))
+    return f"{' to '.join(texts)} s after the motion began"
 
 
 def _tone(rows: Sequence[dict[str, Any]]) -> str:

@@ -25,6 +25,7 @@ LABELS = (*ESTIMATORS, RESCALED)
 QUICK_LABELS = ('lead_window', 'fixed', RESCALED, 'innovation')
 AOB, PLAIN = 'AOB', 'no active state'
 CAUSE, STIFFNESS = 'cause', 'stiffness'
+KINDS = (AOB, PLAIN, STIFFNESS, CAUSE)
 
 
 @dataclass(frozen=True)

@@ -82,9 +82,12 @@ def _ended_early(summary: dict[str, Any]) -> bool:
 
 
 def ratios(count: int) -> list[float]:
-    """Return a logarithmic grid of stiffness ratios from 0.1 to 20."""
-    return [float(f'{ratio:.3g}') for ratio in np.geomspace(
-        SMALLEST_RATIO, LARGEST_RATIO, count)]
+    """Return stiffness ratios from 0.1 to 20, 1 among them, in even steps on either side of it."""
+    span = math.log(LARGEST_RATIO / SMALLEST_RATIO)
+    below = round((count - 1) * -math.log(SMALLEST_RATIO) / span)
+    grid = [*np.geomspace(SMALLEST_RATIO, 1.0, below + 1)[:-1],
+            *np.geomspace(1.0, LARGEST_RATIO, count - below)]
+    return [float(f'{ratio:.3g}') for ratio in grid]
 
 
 @dataclass(frozen=True)
