@@ -19,7 +19,7 @@ CONFIGURE, ACTIVATE = 'configure', 'activate'
 DEACTIVATE, CLEAN_UP, SHUT_DOWN = 'deactivate', 'cleanup', 'shutdown'
 GOALS = {CONFIGURE: 'inactive', ACTIVATE: 'active', DEACTIVATE: 'inactive',
          CLEAN_UP: 'unconfigured', SHUT_DOWN: 'finalized'}
-SERVICE_TIMEOUT, ANSWER_TIMEOUT = 60.0, 10.0
+SERVICE_TIMEOUT, ANSWER_TIMEOUT = 60.0, 30.0
 
 
 class TransitionError(RunError):
