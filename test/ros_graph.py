@@ -10,8 +10,10 @@ import sys
 import time
 
 from multicontact_control.nodes.runtime import prepare_environment
+from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.context import Context
 from rclpy.node import Node
+from rclpy.parameter import Parameter, parameter_value_to_python
 
 ROOT = Path(__file__).resolve().parents[1]
 DEADLINE = 60.0
@@ -53,9 +55,12 @@ class Middleware:
         self.node.destroy_node()
         self._context.try_shutdown()
 
-    def start(self, module: str, *parameters: str, files: tuple[Path, ...] = ()):
+    def start(
+        self, module: str, *parameters: str, files: tuple[Path, ...] = (),
+        flags: tuple[str, ...] = (),
+    ):
         """Start a node of the project in a process of its own."""
-        command = [sys.executable, '-m', module, '--ros-args']
+        command = [sys.executable, '-m', module, *flags, '--ros-args']
         for path in files:
             command += ['--params-file', str(path)]
         for parameter in parameters:
@@ -68,6 +73,10 @@ class Middleware:
         self._processes.append(process)
         return process
 
+    def pause(self, duration: float = 0.002) -> None:
+        """Give the others some time."""
+        time.sleep(duration)
+
     def take(self, subscription, message):
         """Return the newest message of a subscription, None without any."""
         newest = None
@@ -76,3 +85,17 @@ class Middleware:
             while (taken := handle.take_message(message, False)) is not None:
                 newest = taken[0]
         return newest
+
+
+def set_parameter(driver, node_name, name, value):
+    """Set a parameter of a node as `ros2 param set` does; return the result."""
+    request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
+    return driver.call(node_name, SetParameters, 'set_parameters', request).results[0]
+
+
+def get_parameter(driver, node_name, name):
+    """Return the value of a parameter of a node."""
+    answer = driver.call(
+        node_name, GetParameters, 'get_parameters', GetParameters.Request(names=[name]))
+    value = parameter_value_to_python(answer.values[0])
+    return value if value is None or isinstance(value, (bool, int, float, str)) else list(value)

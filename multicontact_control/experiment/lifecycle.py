@@ -15,13 +15,10 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 CONFIGURE, ACTIVATE = 'configure', 'activate'
-DEACTIVATE, CLEAN_UP = 'deactivate', 'cleanup'
+DEACTIVATE, CLEAN_UP, SHUT_DOWN = 'deactivate', 'cleanup', 'shutdown'
 GOALS = {CONFIGURE: 'inactive', ACTIVATE: 'active', DEACTIVATE: 'inactive',
-         CLEAN_UP: 'unconfigured'}
-NUMBERS = {
-    CONFIGURE: Transition.TRANSITION_CONFIGURE, ACTIVATE: Transition.TRANSITION_ACTIVATE,
-    DEACTIVATE: Transition.TRANSITION_DEACTIVATE, CLEAN_UP: Transition.TRANSITION_CLEANUP}
-SERVICE_TIMEOUT, ANSWER_TIMEOUT = 60.0, 10.0
+         CLEAN_UP: 'unconfigured', SHUT_DOWN: 'finalized'}
+SERVICE_TIMEOUT, ANSWER_TIMEOUT = 60.0, 30.0
 
 
 class TransitionError(RunError):
@@ -60,7 +57,7 @@ class LifecycleDriver:
             namespace=namespace, start_parameter_services=False, enable_rosout=False)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
-        self._clients: dict[tuple[str, Any], Any] = {}
+        self._clients: dict[tuple[str, str], Any] = {}
 
     def __enter__(self) -> LifecycleDriver:
         return self
@@ -86,8 +83,8 @@ class LifecycleDriver:
             If it does not answer.
 
         """
-        request = ChangeState.Request(transition=Transition(id=NUMBERS[transition]))
-        answer = self._call(node_name, ChangeState, 'change_state', request)
+        request = ChangeState.Request(transition=Transition(label=transition))
+        answer = self.call(node_name, ChangeState, 'change_state', request)
         if answer is None:  # the answer may be lost although the work is done
             if self.state(node_name) == GOALS[transition]:
                 return
@@ -105,16 +102,30 @@ class LifecycleDriver:
             If it does not answer.
 
         """
-        answer = self._call(node_name, GetState, 'get_state', GetState.Request())
+        answer = self.call(node_name, GetState, 'get_state', GetState.Request())
         if answer is None:
             raise RunError(f'{node_name} did not tell its state')
         return str(answer.current_state.label)
 
-    def _call(self, node_name: str, service: Any, name: str, request: Any) -> Any:
-        client = self._clients.get((node_name, service))
+    def call(self, node_name: str, service: Any, name: str, request: Any) -> Any:
+        """
+        Call a service of a node.
+
+        Returns
+        -------
+        object
+            The response, None without one.
+
+        Raises
+        ------
+        RunError
+            If there is no such service.
+
+        """
+        client = self._clients.get((node_name, name))
         if client is None:
             client = self._node.create_client(service, f'{node_name}/{name}')
-            self._clients[node_name, service] = client
+            self._clients[node_name, name] = client
         self._wait(client.service_is_ready, SERVICE_TIMEOUT, f'{node_name} to appear')
         future = client.call_async(request)
         try:

@@ -14,7 +14,7 @@ from multicontact_control.errors import MulticontactError
 from multicontact_control.nodes.diagnostics import Diagnostics, Status
 from multicontact_control.nodes.graph_node import Refusals, StartupConfig, StartupGate
 from multicontact_control.nodes.parameter_set import ParameterSet
-from multicontact_control.nodes.runtime import settle_process, Spinner
+from multicontact_control.nodes.runtime import release_memory, settle_process, Spinner
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
 UNCONFIGURED, INACTIVE, ACTIVE, FINALIZED = 'unconfigured', 'inactive', 'active', 'finalized'
@@ -161,6 +161,7 @@ class ManagedNode(LifecycleNode):
         self.parameter_set.unlock()
         self.gate = None
         self.clean_up()
+        release_memory()
 
     def _attempt(
         self, what: str, work: Callable[[], None], goal: str,

@@ -23,7 +23,13 @@ from multicontact_control.experiment.graph import (
 )
 from multicontact_control.experiment.loop import run_in_process
 from multicontact_control.experiment.scenario import resolve
-from multicontact_control.nodes.topics import EFFORT_COMMAND, NOISE_VARIANCE, TOPICS
+from multicontact_control.nodes.topics import (
+    CLOCK,
+    DIAGNOSTICS,
+    EFFORT_COMMAND,
+    NOISE_VARIANCE,
+    TOPICS,
+)
 import numpy as np
 import pytest
 from rosbags.rosbag2 import Reader
@@ -56,14 +62,20 @@ def make_spec(folder, *, plant='puma', ticks=TICKS, estimator='lead_window', **o
         reference_file=config / 'reference.yaml', **options)
 
 
+def read_messages(bag, topic):
+    """Return the messages of one topic of a bag."""
+    with Reader(bag) as reader:
+        name = f'/{topic.name.lstrip("/")}'
+        connections = [x for x in reader.connections if x.topic == name]
+        for connection, _, data in reader.messages(connections):
+            yield STORE.deserialize_cdr(data, connection.msgtype)
+
+
 def read(bag, topic):
     """Return (stamp [ns], message) of one topic of a bag."""
-    with Reader(bag) as reader:
-        connections = [x for x in reader.connections if x.topic == f'/{topic.name}']
-        for connection, _, data in reader.messages(connections):
-            message = STORE.deserialize_cdr(data, connection.msgtype)
-            stamp = message.header.stamp
-            yield stamp.sec * 1_000_000_000 + stamp.nanosec, message
+    for message in read_messages(bag, topic):
+        stamp = message.header.stamp
+        yield stamp.sec * 1_000_000_000 + stamp.nanosec, message
 
 
 def counts(bag):
@@ -86,6 +98,10 @@ def test_run_graph_in_lockstep_is_the_run_in_process_bit_for_bit(
     variance = np.array([message.effort for _, message in read(result.bag, NOISE_VARIANCE)])
     assert torque.tobytes() == expected.torque.tobytes()
     assert variance.tobytes() == expected.noise_variance.tobytes()
+    clock = [(m.clock.sec, m.clock.nanosec) for m in read_messages(result.bag, CLOCK)]
+    stamps = [(m.header.stamp.sec, m.header.stamp.nanosec)
+              for _, m in read(result.bag, EFFORT_COMMAND)]
+    assert clock == stamps
 
 
 def test_run_graph_in_real_time_records_every_sample_at_its_rate(tmp_path, free_domain):
@@ -101,6 +117,9 @@ def test_run_graph_in_real_time_records_every_sample_at_its_rate(tmp_path, free_
     # What a busy machine may skip are answers, not samples.
     assert all(recorded[f'/{topic.name}'] >= TICKS for topic in TOPICS
                if topic.publisher == SIM and topic.rate == 'control')
+    reporters = {status.name.split(':')[0] for message in read_messages(result.bag, DIAGNOSTICS)
+                 for status in message.status}
+    assert reporters == {CONTROLLER, ESTIMATOR, RECORDER, SIM}
     assert seen
     assert {'table', 'board'} == set(seen[-1].forces)
     assert [x.time for x in seen] == sorted(x.time for x in seen)

@@ -1,0 +1,143 @@
+"""An arm that stands still, as far as a controller can tell over its topics."""
+
+from __future__ import annotations
+
+from arms import HOME
+from diagnostic_msgs.msg import DiagnosticArray
+from multicontact_control.config import ControllerConfig, read_parameters, validate
+from multicontact_control.control.sensor.weight import weight_reading
+from multicontact_control.dynamics.robot import RobotModel
+from multicontact_control.nodes import messages, topics
+from multicontact_control.paths import config_dir
+import numpy as np
+from rclpy.qos import QoSProfile
+from ros_graph import wait_for
+from sensor_msgs.msg import JointState
+
+PERIOD = 2_000_000
+EFFORT = np.array([1.0, 29.0, 7.0, 0.5, 0.5, 0.1])  # not quite what gravity wants
+DEPTH = QoSProfile(depth=1000)
+
+
+class FakeArm:
+    """
+    Publishes samples of an arm at home, one at a time, and waits for each answer.
+
+    Parameters
+    ----------
+    middleware
+        Its node publishes.
+
+    """
+
+    def __init__(self, middleware):
+        self._middleware = middleware
+        node = middleware.node
+        self.config = validate(
+            ControllerConfig, read_parameters(config_dir() / 'controller.yaml'))
+        robot = RobotModel(self.config.robot, config_dir())
+        self.state = robot.update(HOME, np.zeros(6))
+        self.wrench = weight_reading(
+            self.state.sensor_pose.rotation_world, self.config.tool,
+            np.array(self.config.robot.gravity_world))
+        self.k = 0
+        self._joints = node.create_publisher(JointState, 'joint_states', DEPTH)
+        self._wrench = node.create_publisher(topics.WRENCH.message, 'ft_sensor/wrench', DEPTH)
+        self.force_command = node.create_publisher(
+            JointState, topics.FORCE_COMMAND.name, topics.FORCE_COMMAND.profile)
+        self.motion_command = node.create_publisher(
+            topics.MOTION_COMMAND.message, topics.MOTION_COMMAND.name,
+            topics.MOTION_COMMAND.profile)
+        self._commands = node.create_subscription(
+            JointState, 'joint_effort_command', lambda _: None, DEPTH)
+        self._desired = node.create_subscription(
+            JointState, 'contact_forces/desired', lambda _: None, DEPTH)
+        self._measured = node.create_subscription(
+            JointState, 'contact_forces/measured', lambda _: None, DEPTH)
+        self._diagnostics = node.create_subscription(
+            DiagnosticArray, 'diagnostics', lambda _: None, DEPTH)
+
+    def send(self):
+        """Publish the next sample; return its stamp."""
+        self.k += 1
+        stamp = self.k * PERIOD
+        self._wrench.publish(messages.wrench_message(stamp, self.wrench, 'ft_face'))
+        self._joints.publish(messages.joint_state_message(
+            stamp, self.config.robot.joint_names, position=HOME, velocity=np.zeros(6),
+            effort=EFFORT))
+        return stamp
+
+    def answer(self, stamp):
+        """Return the torque that answers a sample, None if it has not come."""
+        taken = self._middleware.take(self._commands, JointState)
+        if taken is not None and messages.stamp_to_ns(taken.header.stamp) == stamp:
+            return np.array(taken.effort)
+        return None
+
+    def step(self):
+        """Publish a sample and return the torque that answers it."""
+        found = []
+
+        def answered():
+            torque = self.answer(stamp)
+            if torque is not None:
+                found.append(torque)
+            return found
+
+        stamp = self.send()
+        wait_for(answered, f'answer to sample {self.k}')
+        return found[0]
+
+    def connect(self):
+        """Send samples until one is answered; return the first answer."""
+        found = []
+
+        def answered():
+            stamp = self.send()
+            for _ in range(40):
+                torque = self.answer(stamp)
+                if torque is not None:
+                    found.append(torque)
+                    return True
+                self._middleware.pause()
+            return False
+
+        wait_for(answered, 'any answer')
+        return found[0]
+
+    def desired(self):
+        """Return the newest desired forces by name."""
+        return self._newest(self._desired)
+
+    def measured(self):
+        """Return the newest measured forces by name."""
+        return self._newest(self._measured)
+
+    def _newest(self, subscription):
+        found = []
+
+        def come():
+            taken = self._middleware.take(subscription, JointState)
+            if taken is not None:
+                found.append(taken)
+            return bool(found)
+
+        wait_for(come, 'forces')
+        return dict(zip(found[-1].name, found[-1].effort))
+
+    def diagnostics(self, condition, *, node='controller_node'):
+        """Step until diagnostics satisfy a condition on {part: (level, message, values)}."""
+        def satisfied():
+            self.send()
+            self._middleware.pause(0.01)
+            report = self._middleware.take(self._diagnostics, DiagnosticArray)
+            if report is None or not report.status[0].name.startswith(node):
+                return False
+            self.report = {
+                x.name.split(': ')[1]: (
+                    x.level[0], x.message, {value.key: value.value for value in x.values})
+                for x in report.status}
+            return condition(self.report)
+
+        wait_for(satisfied, 'such diagnostics')
+        return self.report

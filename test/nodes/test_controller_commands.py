@@ -1,0 +1,211 @@
+"""What users tell a running controller: parameters, set-points, tare and hold."""
+
+from __future__ import annotations
+
+from fake_arm import FakeArm
+from geometry_msgs.msg import Transform
+from multicontact_control.experiment.lifecycle import LifecycleDriver
+from multicontact_control.nodes import messages
+from multicontact_control.paths import config_dir
+import numpy as np
+import pytest
+from ros_graph import get_parameter, Middleware, set_parameter, wait_for
+from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import MultiDOFJointTrajectoryPoint
+
+pytestmark = pytest.mark.ros
+
+NAME = 'controller_node'
+RATE = 100.0  # transition.torque_rate [N m/s]
+
+
+@pytest.fixture(scope='module')
+def graph(domain_id, tmp_path_factory):
+    """Start one controller for all tests; each leaves it as it was."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv('ROS_DOMAIN_ID', str(domain_id))
+        patch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+        patch.setenv('ROS_LOG_DIR', str(tmp_path_factory.mktemp('ros')))
+        with Middleware(domain_id) as middleware, LifecycleDriver(domain_id) as driver:
+            middleware.start(
+                'multicontact_control.nodes.controller_node', 'autostart:=true',
+                f'transition.torque_rate:={RATE}', 'transition.blend_time:=0.02',
+                files=(config_dir() / 'controller.yaml',))
+            arm = FakeArm(middleware)
+            arm.connect()
+            for publisher in (arm.force_command, arm.motion_command):
+                wait_for(publisher.get_subscription_count, 'commands connected')
+            settle(arm)
+            yield arm, driver
+
+
+def settle(arm):
+    for _ in range(60):
+        torque = arm.step()
+    return torque
+
+
+def send_forces(arm, names, efforts):
+    message = messages.joint_state_message(1, names)
+    message.effort = [float(x) for x in efforts]
+    arm.force_command.publish(message)
+
+
+def send_position(arm, position):
+    pose = Transform()
+    pose.translation.x, pose.translation.y, pose.translation.z = (float(x) for x in position)
+    x, y, z, w = arm.state.pose.quaternion_xyzw.tolist()
+    pose.rotation.x, pose.rotation.y, pose.rotation.z, pose.rotation.w = x, y, z, w
+    arm.motion_command.publish(MultiDOFJointTrajectoryPoint(transforms=[pose]))
+
+
+def wait_for_forces(arm, **forces):
+    def reached():
+        arm.step()
+        return arm.desired() == forces
+    wait_for(reached, f'desired forces {forces}')
+
+
+def refusals(report, source):
+    """Return the counts of refused messages by cause."""
+    return {key: int(value) for key, value in report['messages'][2].items()
+            if key.startswith(f'refused {source}')}
+
+
+def test_gains_change_live_and_without_a_bump(graph):
+    arm, driver = graph
+    send_forces(arm, ['table'], [3.0])
+    wait_for_forces(arm, table=3.0, board=0.0)
+    for name, value in (('force.time_constant', 0.05), ('motion.natural_frequency', 10.0),
+                        ('force.damping_rate', 30.0), ('force.time_constant', 0.02),
+                        ('motion.natural_frequency', 30.0), ('force.damping_rate', 20.0)):
+        before = arm.step()
+        assert set_parameter(driver, NAME, name, value).successful
+        assert get_parameter(driver, NAME, name) == value
+        np.testing.assert_array_equal(arm.step(), before)
+    send_forces(arm, ['table'], [0.0])
+    wait_for_forces(arm, table=0.0, board=0.0)
+
+
+@pytest.mark.parametrize(('name', 'value', 'why'), [
+    ('force.time_constant', -1.0, 'force.time_constant'),
+    ('motion.damping_ratio', 6.0, 'motion.damping_ratio'),
+    ('force.damping_rate', 'high', 'type'),
+    ('force.input_delay', 0.004, 'can be changed only while the node is unconfigured'),
+    ('command.workspace_lower', [2.0, 0.0, 0.0], 'below workspace_upper'),
+    ('tool.bias_sensor', [1.0], '6 values')])
+def test_a_refused_value_says_why_and_changes_nothing(graph, name, value, why):
+    arm, driver = graph
+    before = settle(arm)
+    old = get_parameter(driver, NAME, name)
+    result = set_parameter(driver, NAME, name, value)
+    assert not result.successful
+    assert why in result.reason
+    assert get_parameter(driver, NAME, name) == old
+    np.testing.assert_allclose(arm.step(), before, atol=1e-9)
+
+
+def test_set_points_are_obeyed_and_the_limits_can_be_moved(graph):
+    arm, driver = graph
+    send_forces(arm, ['board'], [4.0])
+    wait_for_forces(arm, table=0.0, board=4.0)
+    send_forces(arm, ['board'], [31.0])  # beyond the ceiling
+    assert set_parameter(driver, NAME, 'command.force_ceiling', 40.0).successful
+    send_forces(arm, ['table', 'board'], [31.0, 0.0])
+    wait_for_forces(arm, table=31.0, board=0.0)
+    send_forces(arm, ['table'], [0.0])
+    wait_for_forces(arm, table=0.0, board=0.0)
+    assert set_parameter(driver, NAME, 'command.force_ceiling', 30.0).successful
+
+
+def test_bad_commands_are_refused_and_counted_by_cause(graph):
+    arm, _ = graph
+    position = arm.state.pose.position_world
+    before = settle(arm)
+    for _ in range(3):
+        send_forces(arm, ['wall'], [1.0])
+        send_forces(arm, ['table'], [float('nan')])
+        send_forces(arm, ['table'], [99.0])
+        send_position(arm, position + 5.0)
+        send_position(arm, position * np.nan)
+    report = arm.diagnostics(
+        lambda x: sum(refusals(x, 'contact_forces/command').values()) >= 9
+        and sum(refusals(x, 'motion/command').values()) >= 6)
+    counts = {**refusals(report, 'contact_forces/command'), **refusals(report, 'motion/command')}
+    for cause in ('name: expected distinct names', 'effort: expected finite',
+                  'position x: expected -1 to 1 m', 'translation: expected finite'):
+        assert [n for key, n in counts.items() if cause in key] == [3], cause
+    np.testing.assert_allclose(settle(arm), before, atol=1e-6)
+    assert arm.desired() == {'table': 0.0, 'board': 0.0}
+
+
+def test_a_commanded_motion_moves_the_torque(graph):
+    arm, _ = graph
+    position = arm.state.pose.position_world
+    before = settle(arm)
+    send_position(arm, position + np.array([0.001, 0.0, 0.0]))
+    wait_for(lambda: np.abs(arm.step() - before).max() > 0.1, 'motion')
+    send_position(arm, position)
+    wait_for(lambda: np.abs(arm.step() - before).max() < 1e-6, 'return')
+
+
+def test_tare_makes_the_compensated_wrench_zero(graph):
+    arm, driver = graph
+    bias = np.array([1.0, -2.0, 3.0, 0.1, 0.0, -0.1])
+    arm.wrench = arm.wrench + bias
+    for _ in range(120):
+        arm.step()
+    assert max(abs(x) for x in arm.measured().values()) > 1.0
+    answer = driver.call(NAME, Trigger, 'tare', Trigger.Request())
+    assert answer.success, answer.message
+    np.testing.assert_allclose(
+        get_parameter(driver, NAME, 'tool.bias_sensor'), bias, atol=1e-9)
+    settle(arm)
+    np.testing.assert_allclose(list(arm.measured().values()), 0.0, atol=1e-9)
+    arm.wrench = arm.wrench - bias
+    assert set_parameter(driver, NAME, 'tool.bias_sensor', [0.0] * 6).successful
+    for _ in range(120):
+        arm.step()
+
+
+def test_tare_is_refused_while_forces_are_controlled(graph):
+    arm, driver = graph
+    send_forces(arm, ['table'], [2.0])
+    wait_for_forces(arm, table=2.0, board=0.0)
+    answer = driver.call(NAME, Trigger, 'tare', Trigger.Request())
+    assert not answer.success
+    assert 'none under force control' in answer.message
+    send_forces(arm, ['table'], [0.0])
+    wait_for_forces(arm, table=0.0, board=0.0)
+
+
+def test_hold_keeps_what_is_until_it_is_released(graph):
+    arm, driver = graph
+    send_forces(arm, ['table'], [2.0])
+    wait_for_forces(arm, table=2.0, board=0.0)
+    before = arm.step()
+    assert driver.call(NAME, SetBool, 'hold', SetBool.Request(data=True)).success
+    np.testing.assert_array_equal(arm.step(), before)
+    send_forces(arm, ['table'], [5.0])
+    report = arm.diagnostics(lambda x: any('~/hold' in key for key in x['messages'][2]))
+    assert report['contacts'][2]['held'] == 'True'
+    arm.step()
+    assert arm.desired() == {'table': 2.0, 'board': 0.0}
+    assert driver.call(NAME, SetBool, 'hold', SetBool.Request(data=False)).success
+    send_forces(arm, ['table'], [0.0])
+    wait_for_forces(arm, table=0.0, board=0.0)
+
+
+def test_diagnostics_tell_of_the_loop_its_inputs_and_contacts(graph):
+    arm, _ = graph
+    report = arm.diagnostics(lambda x: float(x['loop'][2]['rate_hz']) > 1.0)
+    assert report['life cycle'][2]['state'] == 'active'
+    loop = report['loop'][2]
+    assert 0.0 < float(loop['latency_us_p50']) <= float(loop['latency_us_p99'])
+    assert float(loop['jitter_us_p50']) <= float(loop['jitter_us_p99'])
+    assert report['contacts'][2]['table'] == 'motion'
+    level, text, values = report['inputs']
+    # Nobody estimates R here.
+    assert (level, values['age_s contact_forces/noise_variance']) == (1, 'none')
+    assert 'no contact_forces/noise_variance ever: the last R is held' in text
+    assert float(values['age_s joint_states']) < 60.0
