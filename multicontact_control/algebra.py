@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
+import numpy as np
 
 
 @compiled

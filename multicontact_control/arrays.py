@@ -1,9 +1,8 @@
 """Array types and the shape check used across the core."""
 
+from multicontact_control.errors import ShapeError
 import numpy as np
 from numpy.typing import NDArray
-
-from multicontact_control.errors import ShapeError
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]

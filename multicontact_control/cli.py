@@ -11,12 +11,11 @@ from pathlib import Path
 import sys
 from typing import Annotated, Any
 
-from rich.console import Console
-import typer
-
 from multicontact_control import __version__
 from multicontact_control.errors import ConfigError, MulticontactError, RunError
 from multicontact_control.process import limit_threads
+from rich.console import Console
+import typer
 
 EXIT_FAILED = 1
 EXIT_USAGE = 2
@@ -358,7 +357,6 @@ def _require_ros() -> None:
                        'source a ROS 2 Jazzy') from None
 
 
-
 @app.command()
 def faults(
     seed: Annotated[int, typer.Option(help='Seed of the first fault of every kind.')] = 0,
@@ -375,13 +373,12 @@ def faults(
     """
     with _errors_in_one_line():
         # Only now: what is heavy is not loaded for the sake of an error.
-        from rich.console import Console
-
         from multicontact_control.experiment.fault_campaign import (
             print_report,
             run_campaign,
             write_report,
         )
+        from rich.console import Console
 
         if seed < 0:
             raise ConfigError('seed', 'a whole number >= 0', seed)

@@ -13,10 +13,9 @@ import math
 from pathlib import Path
 from typing import Annotated, Any, get_args, Literal, TypeVar
 
+from multicontact_control.errors import ConfigError
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator, ValidationError
 import yaml
-
-from multicontact_control.errors import ConfigError
 
 UNIT_NORM_TOLERANCE = 1e-3
 MAX_DELAY_PERIODS = 10

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from multicontact_control.arrays import require_shape, Vector
 from multicontact_control.errors import ConfigError
+import numpy as np
 
 
 class ActuatorDelay:

@@ -5,9 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import pybullet as bullet
-
 from multicontact_control.arrays import Vector
+import pybullet as bullet
 from sim_bridge.puma560 import link_inertias, RobotData, SENSOR_FRAME, TOOL_LINK, urdf_text
 
 MAX_JOINT_SPEED = 1e4

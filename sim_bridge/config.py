@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from typing import Literal
 
-from pydantic import model_validator
-
 from multicontact_control.config import (
     Config,
     parameter,
@@ -19,6 +17,7 @@ from multicontact_control.config import (
 )
 from multicontact_control.errors import ConfigError
 from multicontact_control.paths import config_dir
+from pydantic import model_validator
 
 PRESETS = ('puma', 'rigid')
 MAX_ACTUATOR_DELAY = 5

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
+from multicontact_control.arrays import Matrix, Vector
 from numba import njit
 import numpy as np
 import pinocchio as pin
-
-from multicontact_control.arrays import Matrix, Vector
 from sim_bridge.config import PlantConfig
 from sim_bridge.kinematics import add_joint_torque, forward_kinematics, point_velocity
 from sim_bridge.surface import build_surfaces, contact_force, FRICTION, STIFFNESS

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
+from multicontact_control.arrays import Matrix, Vector
 from numba import njit
 import numpy as np
-
-from multicontact_control.arrays import Matrix, Vector
 from sim_bridge.joint_friction import implicit_speed
 
 

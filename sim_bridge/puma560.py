@@ -10,8 +10,6 @@ from collections.abc import Sequence
 import math
 from pathlib import Path
 
-from pydantic import model_validator
-
 from multicontact_control.config import (
     Config,
     parameter,
@@ -23,6 +21,7 @@ from multicontact_control.config import (
 )
 from multicontact_control.errors import ConfigError
 from multicontact_control.paths import config_dir
+from pydantic import model_validator
 
 DATA_FILE = 'puma560.yaml'
 URDF_FILE = 'puma560.urdf'

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-import numpy as np
-import pinocchio as pin
-
 from multicontact_control.arrays import require_shape, Vector
 from multicontact_control.errors import ConfigError, RunError
+import numpy as np
+import pinocchio as pin
 from sim_bridge.bullet_arm import BulletArm
 from sim_bridge.config import PlantConfig
 from sim_bridge.contacts import Contacts

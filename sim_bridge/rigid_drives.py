@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
+from multicontact_control.arrays import Matrix, Vector
 from numba import njit
 import numpy as np
 import pinocchio as pin
-
-from multicontact_control.arrays import Matrix, Vector
 from sim_bridge.joint_friction import (
     friction_slope,
     friction_torque,

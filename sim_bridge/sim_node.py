@@ -20,10 +20,6 @@ import sys
 import time
 from typing import Any
 
-import numpy as np
-from rclpy.node import Node
-from std_msgs.msg import String
-
 from multicontact_control.config import parameter, Real
 from multicontact_control.errors import RunError
 from multicontact_control.nodes import messages, topics
@@ -37,10 +33,13 @@ from multicontact_control.nodes.graph_node import (
 from multicontact_control.nodes.parameters import load_parameters
 from multicontact_control.nodes.runtime import run_node, Spinner
 from multicontact_control.nodes.timing import DurationLog, write_json
+import numpy as np
+from rclpy.node import Node
 from sim_bridge.actuator_delay import ActuatorDelay
 from sim_bridge.config import PlantConfig
 from sim_bridge.puma560 import load_robot, urdf_text
 from sim_bridge.pybullet_plant import PybulletPlant, Sample
+from std_msgs.msg import String
 
 MAX_LATE_PERIODS = 2
 RESEND_PERIOD, RESEND_PERIOD_GATED = 1.0, 10.0

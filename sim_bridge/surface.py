@@ -9,10 +9,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from multicontact_control.arrays import Matrix, Vector
 from numba import njit
 import numpy as np
-
-from multicontact_control.arrays import Matrix, Vector
 from sim_bridge.config import SurfaceConfig
 
 PROFILE_POINTS = 1 << 16
@@ -35,14 +34,10 @@ class Surfaces:
         Unit normals INTO the surfaces, shape (nc, 3).
     tracks_world
         Unit directions along which the height profiles run, shape (nc, 3).
-    parameters
+    parameters, heights, slopes
         Stiffness [N/m], damping [N s/m], friction, slip speed [m/s], profile spacing [m],
-        shape (nc, 5).
-    heights
-        Height profiles, positive towards the robot, shape (nc, m) [m]; each repeats after its
-        last point.
-    slopes
-        Their derivatives along the track, shape (nc, m).
+        shape (nc, 5); height profiles, positive towards the robot, shape (nc, m) [m], each of
+        which repeats after its last point; their derivatives along the track, shape (nc, m).
 
     """
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from multicontact_control.arrays import Vector
+import numpy as np
 
 
 def push_at(

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import numpy as np
-import pinocchio as pin
-
 from multicontact_control.arrays import Vector
 from multicontact_control.errors import ConfigError
+import numpy as np
+import pinocchio as pin
 from sim_bridge.config import PlantConfig
 from sim_bridge.kinematics import add_joint_torque, forward_kinematics
 from sim_bridge.timed_pushes import push_at

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
+from multicontact_control.arrays import Matrix, Vector
+from multicontact_control.errors import ConfigError
 from numba import njit
 import numpy as np
 from scipy.signal import butter
-
-from multicontact_control.arrays import Matrix, Vector
-from multicontact_control.errors import ConfigError
 from sim_bridge.config import SensorConfig
 
 # A JR3's outputs are a chain of low-passes, each a quarter of the one before.

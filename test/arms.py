@@ -2,8 +2,6 @@
 
 from pathlib import Path
 
-import numpy as np
-
 from multicontact_control.config import (
     ControllerConfig,
     merge,
@@ -12,6 +10,7 @@ from multicontact_control.config import (
     validate,
 )
 from multicontact_control.paths import config_dir
+import numpy as np
 
 HOME = np.array([1.847117449942421, 0.8705595994175255, 2.9372057614605662, 0.0,
                  -0.6661727072882984, 1.847117449942421])

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from multicontact_control.config import NoiseEstimatorConfig
 from multicontact_control.force.active_observer import ActiveObserver
 from multicontact_control.force.noise import Innovation, make_noise_estimator
 from multicontact_control.force.plant_model import delayed_plant, design_force_loop
+import numpy as np
 
 H = 0.002
 

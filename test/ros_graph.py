@@ -9,10 +9,9 @@ import subprocess
 import sys
 import time
 
+from multicontact_control.nodes.runtime import prepare_environment
 from rclpy.context import Context
 from rclpy.node import Node
-
-from multicontact_control.nodes.runtime import prepare_environment
 
 ROOT = Path(__file__).resolve().parents[1]
 DEADLINE = 60.0

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
 from multicontact_control.experiment.recording import empty_run_data, RunData
 from multicontact_control.experiment.scenario import resolve, Setup
+import numpy as np
 
 RATE = 500.0
 

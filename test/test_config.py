@@ -1,8 +1,6 @@
 """The configuration: one clear line per bad value, and files that read back."""
 
 from arms import controller_config
-import pytest
-
 from multicontact_control.config import (
     ControllerConfig,
     merge,
@@ -14,6 +12,7 @@ from multicontact_control.config import (
 )
 from multicontact_control.errors import ConfigError
 from multicontact_control.paths import config_dir
+import pytest
 
 
 @pytest.mark.parametrize(('changes', 'message'), [

@@ -12,12 +12,11 @@ import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
 
+import multicontact_control
 from packaging.requirements import Requirement
 import pytest
 import setuptools
 from source_imports import imports_of, is_ros, PACKAGES
-
-import multicontact_control
 
 ROOT = Path(__file__).resolve().parents[1]
 NODES = {'sim_node', 'controller_node', 'noise_estimator_node', 'recorder_node'}
@@ -142,6 +141,7 @@ def test_ros_wheels_are_an_extra(described):
     assert not [line for line in keywords['install_requires'] if line.startswith('ros-')]
     assert {Requirement(line).name for line in keywords['extras_require']['ros']} == {
         'ros-jazzy-rclpy', 'ros-jazzy-rmw-fastrtps-cpp', 'ros-jazzy-common-interfaces'}
+    assert not [line for line in keywords['extras_require']['test'] if line.startswith('ros-')]
 
 
 @pytest.mark.skipif(not shutil.which('git') or not (ROOT / '.git').exists(), reason='no git')

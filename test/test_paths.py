@@ -3,10 +3,9 @@
 from pathlib import Path
 import sys
 
-import pytest
-
 from multicontact_control.errors import ConfigError
 from multicontact_control.paths import config_dir, find_config_dir
+import pytest
 
 SHARE = Path('share', 'multicontact_control', 'config')
 

@@ -6,10 +6,9 @@ import shutil
 import subprocess
 import sys
 
-import pytest
-
 from multicontact_control.compiled import sources_stamp
 from multicontact_control.process import claim_processor, limit_threads, THREAD_VARIABLES
+import pytest
 
 ROOT = Path(__file__).parents[1]
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from multicontact_control.arrays import Matrix, require_shape, Vector
 from multicontact_control.errors import ContactGeometryError
+import numpy as np
 
 MIN_INDEPENDENCE = 1e-6
 MAX_CONTACTS = 6  # as many as a wrench has components

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-
 from multicontact_control.arrays import Matrix, Vector
+import numpy as np
 
 Allocation = Literal['decoupled', 'paper']
 

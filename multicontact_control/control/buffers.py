@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from multicontact_control.arrays import Mask, Matrix, require_shape, Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.control.kernels import POSITION
 from multicontact_control.control.reference import Reference
 from multicontact_control.dynamics.operational_space import MAX_CONDITION
+import numpy as np
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from multicontact_control.arrays import Mask, Vector
+from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.control.contact_state import ContactMachine, ContactState
 from multicontact_control.control.energy import PassivityObserver
 from multicontact_control.control.reference import Reference, TaskSource
 from multicontact_control.dynamics.pose import Pose, rotation_error
+import numpy as np
 
 RETURN_RATE = 2.0  # 1/s, of the way left, at which the task is caught up with after a pause
 
@@ -55,7 +54,7 @@ class ContactReference:
         self._pose: Pose | None = None
         self._twist = np.zeros(6)
         self._offset = np.zeros(3)
-        self._held_back = False
+        self._catching_up = self._held_back = False
         self.limited = False
 
     @property
@@ -67,11 +66,13 @@ class ContactReference:
         """Begin from a pose at rest; see `ReferenceSource.start`."""
         self._task.start(pose, normals_world)
         self._normals = normals_world
+        self._normal_lists = normals_world.tolist()
+        self._overlap = (normals_world @ normals_world.T).tolist()
         for machine, observer in zip(self.machines, self.observers):
             machine.reset()
             observer.reset()
         self._offset = np.zeros(3)
-        self._held_back = False
+        self._catching_up = self._held_back = False
         if self._pose is None:
             self._pose = pose
 
@@ -87,32 +88,39 @@ class ContactReference:
     def resume(self) -> None:
         """Go on after a pause, from where the arm is: no contact counts as held any more."""
         self._offset = np.full(3, np.nan)  # set at the next update
-        self._held_back = True
+        self._catching_up = self._held_back = True
 
     def update(self, time: float, alpha_meas: Vector) -> Reference:
-        """Return the reference of one tick; see `ReferenceSource.update`."""
+        """
+        Return the reference of one tick; see `ReferenceSource.update`.
+
+        Written for speed: numbers one by one, as there are few.
+        """
         task = self._task.task(time)
         pose = task.pose_des if self._pose is None else self._pose
         gap = pose.position_world - task.pose_des.position_world
-        self._return(gap)
-        damping = self._follow_contacts(task, gap - self._offset, alpha_meas, pose)
-        active: Mask = np.array([machine.active for machine in self.machines], dtype=bool)
-        if self._held_back:  # one tick without: the observers of what is touched start anew
-            active, self._held_back = np.zeros_like(active), False
-        limits = np.array([machine.force_limit for machine in self.machines])
-        alpha_des = np.where(active, np.minimum(task.alpha_des, limits) - damping, 0.0)
-        moving = np.array([(0.0, 0.0, 0.0) if machine.active else
-                           (machine.displacement, machine.speed, machine.acceleration)
-                           for machine in self.machines])
-        held = np.array([machine.displacement if machine.active else 0.0
-                         for machine in self.machines])
-        shift = (moving[:, 0] + held) @ self._normals + self._offset
-        twist, acceleration = task.twist_des.copy(), task.acceleration_des.copy()
-        twist[:3] += moving[:, 1] @ self._normals
-        acceleration[:3] += moving[:, 2] @ self._normals
+        if self._catching_up:
+            self._return(gap)
+            gap = gap - self._offset
+        damping = self._follow_contacts(task, gap, alpha_meas, pose)
+        shift, velocity, change = self._offset.tolist(), [0.0] * 3, [0.0] * 3
+        alpha_des, active = np.zeros(len(self.machines)), np.zeros(len(self.machines), dtype=bool)
+        for i, machine in enumerate(self.machines):
+            held = machine.active
+            if held and not self._held_back:
+                active[i] = True
+                alpha_des[i] = max(
+                    min(float(task.alpha_des[i]), machine.force_limit) - damping[i], 0.0)
+            for axis, component in enumerate(self._normal_lists[i]):
+                shift[axis] += machine.displacement * component
+                if not held:
+                    velocity[axis] += machine.speed * component
+                    change[axis] += machine.acceleration * component
+        self._held_back = False
         return self._bounded(Reference(
-            Pose(task.pose_des.position_world + shift, task.pose_des.rotation_world), twist,
-            acceleration, active, np.maximum(alpha_des, 0.0)), pose)
+            Pose(task.pose_des.position_world + np.array(shift), task.pose_des.rotation_world),
+            task.twist_des + np.array(velocity + [0.0] * 3),
+            task.acceleration_des + np.array(change + [0.0] * 3), active, alpha_des), pose)
 
     def _return(self, gap: Vector) -> None:
         """Let the offset that a pause has left go to zero."""
@@ -126,28 +134,30 @@ class ContactReference:
         if length > 0.0:
             speed = min(RETURN_RATE * length, 0.2 * self._config.limits.operational_speed)
             self._offset *= max(1.0 - speed * self._config.period / length, 0.0)
-            if length < 1e-6:
-                self._offset = np.zeros(3)
+        if length < 1e-6:
+            self._offset, self._catching_up = np.zeros(3), False
 
     def _follow_contacts(
         self, task: Reference, gap: Vector, alpha_meas: Vector, pose: Pose,
-    ) -> Vector:
+    ) -> list[float]:
         """Advance every machine; return the forces that passivity takes from the command."""
-        displacements = np.array([machine.displacement for machine in self.machines])
-        overlap = self._normals @ self._normals.T
-        places = self._normals @ gap - overlap @ displacements + displacements
-        speeds = self._normals @ (self._twist[:3] - task.twist_des[:3])
-        damping = np.zeros(len(self.machines))
+        displacements = [machine.displacement for machine in self.machines]
+        places = (self._normals @ gap).tolist()
+        speeds = (self._normals @ (self._twist[:3] - task.twist_des[:3])).tolist()
+        levers = (self._points @ pose.rotation_world.T).tolist()
+        vx, vy, vz, wx, wy, wz = self._twist.tolist()
+        wanted, forces, desired = task.active.tolist(), alpha_meas.tolist(), (
+            task.alpha_des.tolist())
+        damping = []
         for i, machine in enumerate(self.machines):
-            lever = pose.rotation_world @ self._points[i]
-            point_speed = self._twist[:3] + np.array([
-                self._twist[4] * lever[2] - self._twist[5] * lever[1],
-                self._twist[5] * lever[0] - self._twist[3] * lever[2],
-                self._twist[3] * lever[1] - self._twist[4] * lever[0]])
-            damping[i] = self.observers[i].update(
-                float(alpha_meas[i]), float(self._normals[i] @ point_speed))
-            machine.update(bool(task.active[i]), float(alpha_meas[i]), float(task.alpha_des[i]),
-                           float(places[i]), float(speeds[i]))
+            nx, ny, nz = self._normal_lists[i]
+            lx, ly, lz = levers[i]
+            speed = (nx * (vx + wy * lz - wz * ly) + ny * (vy + wz * lx - wx * lz)
+                     + nz * (vz + wx * ly - wy * lx))
+            damping.append(self.observers[i].update(forces[i], speed))
+            others = sum(self._overlap[i][j] * other for j, other in enumerate(displacements)
+                         if j != i)
+            machine.update(wanted[i], forces[i], desired[i], places[i] - others, speeds[i])
         return damping
 
     def _bounded(self, reference: Reference, pose: Pose) -> Reference:
@@ -158,8 +168,8 @@ class ContactReference:
         self.limited = False
         if self._box[0].size:
             inside = np.minimum(np.maximum(position, self._box[0]), self._box[1])
-            if (inside != position).any():
-                outward = (inside != position)
+            outward = inside != position
+            if outward.any():
                 twist, acceleration = twist.copy(), acceleration.copy()
                 twist[:3][outward] = acceleration[:3][outward] = 0.0
                 position, self.limited = inside, True

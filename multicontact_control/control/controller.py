@@ -10,8 +10,6 @@ import contextlib
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.contact.geometry import MAX_CONTACTS, operational_stiffness
@@ -32,6 +30,7 @@ from multicontact_control.force.active_observer import ActiveObserver
 from multicontact_control.force.kernels import MEASURED, REPORT_ROWS
 from multicontact_control.force.observer_bank import ObserverBank
 from multicontact_control.force.plant_model import design_force_loop
+import numpy as np
 
 __all__ = ['Controller', 'ControlOutput', 'Measurement']
 

@@ -8,8 +8,6 @@ fixed size with a mask.
 
 from __future__ import annotations
 
-import numpy as np
-
 from multicontact_control.algebra import cross, multiply, multiply_transposed
 from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.compiled import compiled
@@ -29,6 +27,7 @@ from multicontact_control.dynamics.kernels import (
     rotation_vector,
 )
 from multicontact_control.force.kernels import ESTIMATED, MEASURED, observe_and_command
+import numpy as np
 
 # What `control_law` returns.
 OK, SINGULAR, DEPENDENT = range(3)

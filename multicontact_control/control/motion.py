@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from multicontact_control.arrays import Vector
 from multicontact_control.config import MotionConfig
 from multicontact_control.control.reference import Reference
 from multicontact_control.dynamics.pose import Pose, rotation_error
+import numpy as np
 
 
 def motion_acceleration(

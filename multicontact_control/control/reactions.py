@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from multicontact_control.arrays import Vector
 from multicontact_control.config import WatchdogConfig
 from multicontact_control.control.arm_view import ArmView
 from multicontact_control.dynamics.robot import RobotModel
+import numpy as np
 
 NONE, INFLATE, HOLD, FLOAT, DAMP = 'none', 'inflate', 'hold', 'float', 'damp'
 SEVERITY = (NONE, INFLATE, HOLD, FLOAT, DAMP)

@@ -6,9 +6,6 @@ from bisect import bisect_right
 import math
 from typing import NamedTuple, Protocol
 
-import numpy as np
-from pydantic import model_validator
-
 from multicontact_control.arrays import Mask, Vector
 from multicontact_control.config import (
     Config,
@@ -19,6 +16,8 @@ from multicontact_control.config import (
 )
 from multicontact_control.dynamics.pose import Pose
 from multicontact_control.errors import ConfigError
+import numpy as np
+from pydantic import model_validator
 
 
 class Reference(NamedTuple):

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from multicontact_control.arrays import all_finite, Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.control.arm_view import ArmView
+import numpy as np
 
 SPEED_GAIN = 50.0  # 1/s, how fast a joint is brought back to the speed it may have
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from multicontact_control.arrays import all_finite, Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.control.arm_view import ArmView, view_arm
@@ -28,6 +26,7 @@ from multicontact_control.control.watchdog import Believed, TickInputs, Watchdog
 from multicontact_control.dynamics.pose import Pose
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.force.kernels import DESIRED, REPORT_ROWS
+import numpy as np
 
 SPEED_EXCESS = 1.1  # times a speed limit, that the gate and the reference did not prevent
 DOUBTS = 2  # samples in a row that contradict the contacts, for the wrench not to be believed

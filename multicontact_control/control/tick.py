@@ -89,7 +89,7 @@ class ControlOutput(NamedTuple):
     @property
     def innovation(self) -> Vector:
         """
-        What each observer found: alpha_meas minus its prediction, shape (r,) [N].
+        Return what each observer found: alpha_meas minus its prediction, shape (r,) [N].
 
         This, `prior_variance` and `variance_used` are 0 where no force is controlled, and for
         the sample with which control starts.
@@ -98,10 +98,10 @@ class ControlOutput(NamedTuple):
 
     @property
     def prior_variance(self) -> Vector:
-        """The variance C P_1 C^T of that prediction, shape (r,) [N^2]."""
+        """Return the variance C P_1 C^T of that prediction, shape (r,) [N^2]."""
         return self.contacts[PRIOR_VARIANCE]
 
     @property
     def variance_used(self) -> Vector:
-        """The R each observer worked with, shape (r,) [N^2]."""
+        """Return the R each observer worked with, shape (r,) [N^2]."""
         return self.contacts[VARIANCE_USED]

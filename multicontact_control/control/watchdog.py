@@ -6,10 +6,9 @@ from dataclasses import dataclass
 import math
 from typing import Any
 
-import numpy as np
-
 from multicontact_control.arrays import all_finite, Vector
 from multicontact_control.config import ControllerConfig
+import numpy as np
 
 STILL = 1e-4  # rad/s; below it a joint reading may repeat itself
 
@@ -219,7 +218,7 @@ class Watchdog:
             return None
         if step < 0.0:
             causes.append('clock_backwards')
-            self._stamps = {key: None for key in self._stamps}
+            self._stamps = dict.fromkeys(self._stamps)
             self._seen = {}
             self._odd_periods = 0
             return time

@@ -8,11 +8,10 @@ wrench that the arm exerts on the tool, which has the same sign.
 
 from __future__ import annotations
 
-import numpy as np
-
 from multicontact_control.arrays import require_shape, Vector
 from multicontact_control.config import ToolConfig
 from multicontact_control.dynamics.pose import Pose
+import numpy as np
 
 
 def contact_wrench(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from multicontact_control.algebra import (
     cholesky,
     gram,
@@ -14,6 +12,7 @@ from multicontact_control.algebra import (
 )
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
+import numpy as np
 
 
 @compiled

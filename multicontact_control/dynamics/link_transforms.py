@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import math
 import xml.etree.ElementTree as ElementTree
 
+from multicontact_control.errors import ConfigError
 import numpy as np
 from scipy.spatial.transform import Rotation
-
-from multicontact_control.errors import ConfigError
 
 TURNING, SLIDING, FIXED = ('revolute', 'continuous'), ('prismatic',), ('fixed',)
 

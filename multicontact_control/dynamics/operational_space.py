@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from multicontact_control.arrays import Matrix, require_shape, Vector
 from multicontact_control.dynamics.robot import RobotState
 from multicontact_control.errors import SingularTaskError
+import numpy as np
 
 MAX_CONDITION = 1e8
 

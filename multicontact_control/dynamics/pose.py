@@ -2,11 +2,10 @@
 
 from typing import NamedTuple
 
-import numpy as np
-from scipy.spatial.transform import Rotation
-
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.dynamics.kernels import quaternion_of
+import numpy as np
+from scipy.spatial.transform import Rotation
 
 
 class Pose(NamedTuple):

@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-import pinocchio as pin
-
 from multicontact_control.arrays import Matrix, require_shape, Vector
 from multicontact_control.config import RobotConfig
 from multicontact_control.dynamics.pose import Pose
 from multicontact_control.errors import ConfigError
+import numpy as np
+import pinocchio as pin
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +121,7 @@ class RobotModel:
 
     @property
     def joint_count(self) -> int:
-        """Number of joints n."""
+        """Return the number of joints n."""
         return int(self._model.nv)
 
     @property

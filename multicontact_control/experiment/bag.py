@@ -10,11 +10,10 @@ from typing import Any
 from mcap.exceptions import McapError
 from mcap.reader import make_reader, NonSeekingReader
 from mcap_ros2.decoder import DecoderFactory
-import numpy as np
-
 from multicontact_control.arrays import Vector
 from multicontact_control.errors import RunError
 from multicontact_control.experiment.recording import empty_run_data, RunData
+import numpy as np
 
 RATE_WINDOW = 1.0  # s
 

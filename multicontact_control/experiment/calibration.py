@@ -6,11 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-from pydantic import model_validator
-from rich.table import Table
-import yaml
-
 from multicontact_control.arrays import Vector as Array
 from multicontact_control.config import (
     Config,
@@ -30,7 +25,11 @@ from multicontact_control.control.sensor.identification import (
 from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.scenario import resolve, Setup
 from multicontact_control.paths import config_dir
+import numpy as np
+from pydantic import model_validator
+from rich.table import Table
 from sim_bridge.puma560 import load_robot
+import yaml
 
 if TYPE_CHECKING:
     from multicontact_control.experiment.servoed_plant import ServoedPlant

@@ -5,9 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from rich.console import Console
-from rich.markup import escape
-
 from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.comparison import (
     comparison_table,
@@ -32,6 +29,8 @@ from multicontact_control.experiment.robustness_map import (
     write_map,
 )
 from multicontact_control.experiment.scenario import PLANTS
+from rich.console import Console
+from rich.markup import escape
 
 
 @dataclass(frozen=True)

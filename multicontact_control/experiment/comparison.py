@@ -8,11 +8,6 @@ from statistics import median
 import time
 from typing import Any
 
-from rich.box import SIMPLE_HEAD
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
-
 from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.experiment.claims import Claim, judge_claims, PAPER_ESTIMATOR, Row
 from multicontact_control.experiment.engine import (
@@ -28,6 +23,10 @@ from multicontact_control.experiment.loop import run_in_process
 from multicontact_control.experiment.matrix import AOB, controller_values, Entry
 from multicontact_control.experiment.measure import measure_cell
 from multicontact_control.experiment.results import read_json, write_json
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
 
 COMPARISON_FILE = 'comparison.json'
 START_UP = 6.0  # s, to start the workers and compile in each

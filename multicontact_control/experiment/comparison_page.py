@@ -7,8 +7,6 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from rich.text import Text
-
 from multicontact_control.errors import RunError
 from multicontact_control.experiment.comparison import (
     comparison_claims,
@@ -27,6 +25,7 @@ from multicontact_control.experiment.pages import (
     table,
     write_page,
 )
+from rich.text import Text
 
 PAGE_FILE = 'comparison.html'
 FORCE_BUCKETS = 350
@@ -141,7 +140,7 @@ def _table(rows: Sequence[dict[str, Any]], plant: str) -> str:
         keys = ' '.join(row['key'] for row in group)
         attributes.append(f'class="choice{first}" data-plant="{escape(plant)}" '
                           f'data-keys="{keys}"')
-    return table(HEAD, lines, attributes=attributes)
+    return table(HEAD, lines, row_attributes=attributes)
 
 
 def plain_cells(kind: str, label: str, group: Sequence[dict[str, Any]]) -> list[str]:

@@ -67,8 +67,8 @@ def summary_table(summary: Mapping[str, Any]) -> Table:
                 ('estimate_error_rms_n', 'estimate error rms [N]', 2),
                 ('noise_variance_median_n2', 'noise variance [N²]', 2),
                 ('contact_loss_fraction', 'contact lost [share]', 4)):
-            table.add_row(escape(f'{window}: {label}'), *(_number(c[window][key], digits)
-                                                   for c in contacts))
+            values = [_number(contact[window][key], digits) for contact in contacts]
+            table.add_row(escape(f'{window}: {label}'), *values)
     return table
 
 

@@ -6,8 +6,6 @@ from dataclasses import asdict, dataclass
 import math
 from typing import Any
 
-import numpy as np
-
 from multicontact_control.arrays import Mask, Vector
 from multicontact_control.experiment.metrics import (
     LARGEST_FORCE,
@@ -17,6 +15,7 @@ from multicontact_control.experiment.metrics import (
 )
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.scenario import Setup
+import numpy as np
 
 BAND_OF_COMMAND = 0.05  # recovered: the error is within this share of the command ...
 BAND_OF_NOISE = 3.0  # ... or this many standard deviations of the error before the push,

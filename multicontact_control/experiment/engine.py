@@ -17,6 +17,11 @@ from pathlib import Path
 from typing import Any, Protocol
 import zipfile
 
+from multicontact_control import __version__
+from multicontact_control.arrays import Matrix
+from multicontact_control.errors import ConfigError
+from multicontact_control.experiment.results import write_json
+from multicontact_control.experiment.scenario import resolve, Setup
 import numpy as np
 from rich.console import Console
 from rich.progress import (
@@ -27,12 +32,6 @@ from rich.progress import (
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
-
-from multicontact_control import __version__
-from multicontact_control.arrays import Matrix
-from multicontact_control.errors import ConfigError
-from multicontact_control.experiment.results import write_json
-from multicontact_control.experiment.scenario import resolve, Setup
 
 CELL_SCHEMA = 1  # to be raised when a cell's result means something else than before
 CELL_FOLDER = 'cells'

@@ -5,9 +5,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
-from scipy.optimize import brentq
-
 from multicontact_control.arrays import Mask
 from multicontact_control.config import ForceConfig
 from multicontact_control.experiment.disturbances import instability_time, quiet_windows
@@ -20,6 +17,8 @@ from multicontact_control.experiment.metrics import (
 )
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.scenario import Setup
+import numpy as np
+from scipy.optimize import brentq
 
 AFTER_PUSH = 0.5  # s, in which the estimate of R is watched for a reaction
 

@@ -9,9 +9,6 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-from rich.table import Table
-
 from multicontact_control.errors import RunError
 from multicontact_control.experiment.fault_run import FaultRow, run_fault, World
 from multicontact_control.experiment.faults import (
@@ -23,6 +20,8 @@ from multicontact_control.experiment.faults import (
     SLIDING,
 )
 from multicontact_control.experiment.scenario import resolve
+from rich.console import Console
+from rich.table import Table
 
 PLANTS = ('rigid', 'puma')
 PHASE_TIMES = {APPROACH: 0.65, REST: 4.9, SLIDING: 8.2}

@@ -5,9 +5,6 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from multicontact_control.arrays import Vector
 from multicontact_control.control.supervisor import Supervisor, SupervisorOutput
 from multicontact_control.control.watchdog import TickInputs
@@ -15,6 +12,8 @@ from multicontact_control.experiment.faults import Context, FaultKind
 from multicontact_control.experiment.loop import inputs_of
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.force.noise import make_noise_estimator
+import numpy as np
+from numpy.typing import NDArray
 from sim_bridge.actuator_delay import ActuatorDelay
 from sim_bridge.pybullet_plant import PybulletPlant
 
@@ -55,7 +54,7 @@ class FaultRow:
     """
 
     kind: str
-    input: str
+    input: str  # noqa: A003
     seed: int
     reaction: str
     time_to_safe_s: float
@@ -119,7 +118,7 @@ class World:
 
     @property
     def true_forces(self) -> Vector:
-        """True normal forces now, shape (r,) [N]."""
+        """Return the true normal forces now, shape (r,) [N]."""
         return self._sample.contact_force
 
 

@@ -6,11 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-from scipy.spatial.transform import Rotation
-
 from multicontact_control.arrays import Vector
 from multicontact_control.control.watchdog import TickInputs
+import numpy as np
+from scipy.spatial.transform import Rotation
 from sim_bridge.pybullet_plant import PybulletPlant
 
 APPROACH, REST, SLIDING = 'approach', 'rest', 'sliding'
@@ -72,7 +71,7 @@ class FaultKind:
     """
 
     kind: str
-    input: str
+    input: str  # noqa: A003
     corrupt: Corrupt | None = None
     begin: PlantChange | None = None
     end: PlantChange | None = None

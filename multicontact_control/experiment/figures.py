@@ -9,11 +9,10 @@ from pathlib import Path
 import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-import numpy as np
-
 from multicontact_control.experiment.metrics import windows
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.scenario import Setup
+import numpy as np
 
 matplotlib.use('Agg')
 

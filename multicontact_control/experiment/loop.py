@@ -6,8 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 import time
 
-import numpy as np
-
 from multicontact_control.arrays import Vector
 from multicontact_control.control.controller import Controller, ControlOutput, Measurement
 from multicontact_control.control.sensor.front_end import SensorFrontEnd
@@ -22,6 +20,7 @@ from multicontact_control.errors import ContactGeometryError, SingularTaskError
 from multicontact_control.experiment.recording import empty_run_data, RunData
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.force.noise import Innovation, make_noise_estimator
+import numpy as np
 from sim_bridge.actuator_delay import ActuatorDelay
 from sim_bridge.pybullet_plant import PybulletPlant, Sample
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
-
 from multicontact_control.errors import MulticontactError
 from multicontact_control.experiment.disturbances import disturbance_summary
 from multicontact_control.experiment.engine import Cell, CellResult
@@ -14,6 +12,7 @@ from multicontact_control.experiment.evidence import evidence_of
 from multicontact_control.experiment.loop import run_in_process
 from multicontact_control.experiment.metrics import summarise
 from multicontact_control.experiment.recording import RunData
+import numpy as np
 
 LAST = 0.5  # s, the end of a run that tells whether it has settled
 TRACES = {

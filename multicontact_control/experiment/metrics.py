@@ -6,13 +6,12 @@ from dataclasses import dataclass
 import math
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.control.reference import ReferenceConfig
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.scenario import Setup
+import numpy as np
+from numpy.typing import NDArray
 
 SETTLE_AFTER_STEP = 1.0  # s, the start of the window `rest` after the last force step
 SETTLE_AFTER_START = 2.0  # s, the start of the window `moving` after the motion's start

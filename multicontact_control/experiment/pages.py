@@ -10,10 +10,9 @@ import math
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from multicontact_control.arrays import Vector
 from multicontact_control.experiment.claims import Claim
+import numpy as np
 
 STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #222; max-width: 1180px;
@@ -74,7 +73,7 @@ def script_json(value: Any) -> str:
 
 def table(
     head: Sequence[str], rows: Sequence[Sequence[str]], *, numbers_from: int = 1,
-    attributes: Sequence[str] = (),
+    row_attributes: Sequence[str] = (),
 ) -> str:
     """
     Return a table.
@@ -85,7 +84,7 @@ def table(
         HTML of the cells; what is not HTML has to be escaped before.
     numbers_from
         First column that is set to the right.
-    attributes
+    row_attributes
         Of each row's element.
 
     """
@@ -95,7 +94,7 @@ def table(
             for i, cell in enumerate(cells))
         return f'<tr {attribute}>{inner}</tr>'
 
-    lines = [line(row, 'td', attributes[i] if i < len(attributes) else '')
+    lines = [line(row, 'td', row_attributes[i] if i < len(row_attributes) else '')
              for i, row in enumerate(rows)]
     return f'<table>{line(head, "th")}{"".join(lines)}</table>'
 

@@ -7,11 +7,10 @@ from dataclasses import dataclass
 import math
 from typing import Any
 
-from rclpy.context import Context
-from rclpy.node import Node
-
 from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.nodes.runtime import prepare_environment
+from rclpy.context import Context
+from rclpy.node import Node
 
 
 @dataclass(frozen=True)

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import numpy as np
-from scipy.spatial.transform import Rotation
-
 from multicontact_control.arrays import Matrix
 from multicontact_control.control.sensor.push_config import PushTestConfig
 from multicontact_control.control.sensor.push_test import PushTest
@@ -16,6 +13,8 @@ from multicontact_control.control.wrench import contact_wrench
 from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.experiment.calibration import sensor_setup
 from multicontact_control.experiment.scenario import Setup
+import numpy as np
+from scipy.spatial.transform import Rotation
 from sim_bridge.puma560 import load_robot
 
 FAULTS = ('none', 'sign', 'rotate', 'scale')

@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Any
 import zipfile
 
-import numpy as np
-
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.errors import RunError
+import numpy as np
 
 SERIES_FILE = 'samples.npz'
 
@@ -69,7 +68,7 @@ class RunData:
 
     @property
     def ticks(self) -> int:
-        """Number of samples."""
+        """Return the number of samples."""
         return int(self.time.shape[0])
 
     def trajectory_sha256(self) -> str:

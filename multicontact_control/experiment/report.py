@@ -7,8 +7,6 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from multicontact_control.experiment.claims import Claim, judge_claims
 from multicontact_control.experiment.comparison import (
     claim_rows,
@@ -22,6 +20,7 @@ from multicontact_control.experiment.load import LoadedRun
 from multicontact_control.experiment.pages import claims_table, table, write_page
 from multicontact_control.experiment.report_figures import interactive_figures
 from multicontact_control.experiment.run import FIGURE_FOLDER
+import yaml
 
 REPORT_FILE = 'report.html'
 FORMATS = ('png', 'pdf')

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from multicontact_control.arrays import Vector
 from multicontact_control.experiment.figures import COMMANDED, ESTIMATED, MEASURED, TRUE
 from multicontact_control.experiment.load import LoadedRun
 from multicontact_control.experiment.metrics import windows
 from multicontact_control.experiment.pages import corners, envelope, figure
+import numpy as np
 
 BUCKETS = 1500
 TITLE_FONT = {'size': 14}

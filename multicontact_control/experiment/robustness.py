@@ -14,8 +14,6 @@ from dataclasses import dataclass
 import math
 from typing import Any
 
-import numpy as np
-
 from multicontact_control.arrays import Matrix
 from multicontact_control.contact.geometry import contact_normals
 from multicontact_control.control.controller import Controller
@@ -33,6 +31,7 @@ from multicontact_control.force.linear_loop import (
     steady_gain,
 )
 from multicontact_control.force.plant_model import design_force_loop
+import numpy as np
 
 SCENARIO = 'step'
 SETTLED = 0.1  # of the command: a larger error at the end of the run counts as unstable
@@ -235,7 +234,7 @@ class BoundaryCheck:
 
     @property
     def difference(self) -> float:
-        """Simulated over linear, less 1."""
+        """Return simulated over linear, less 1."""
         return self.simulated / self.linear - 1.0
 
 

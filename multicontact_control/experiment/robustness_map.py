@@ -12,11 +12,6 @@ import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
-import numpy as np
-from rich.box import SIMPLE_HEAD
-from rich.console import Console
-from rich.table import Table
-
 from multicontact_control.errors import RunError
 from multicontact_control.experiment.engine import Cell, CellStore, Executor, run_cells
 from multicontact_control.experiment.measure import finite, measure_cell
@@ -28,6 +23,10 @@ from multicontact_control.experiment.robustness import (
     map_cell,
     verdict,
 )
+import numpy as np
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
 
 matplotlib.use('Agg')
 

@@ -6,8 +6,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-
 from multicontact_control.errors import RunError
 from multicontact_control.experiment.bag import BagContent, read_bag
 from multicontact_control.experiment.claims import judge_claims
@@ -19,6 +17,7 @@ from multicontact_control.experiment.metrics import percentiles, summarise
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.results import CONFIG_FOLDER, SUMMARY_FILE, write_json
 from multicontact_control.experiment.scenario import Setup
+from rich.console import Console
 
 FIGURE_FOLDER = 'figures'
 

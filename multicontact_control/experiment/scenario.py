@@ -7,8 +7,6 @@ from pathlib import Path
 import shutil
 from typing import Any
 
-import yaml
-
 from multicontact_control.config import (
     Config,
     ControllerConfig,
@@ -25,6 +23,7 @@ from multicontact_control.control.reference import ReferenceConfig, ScenarioRefe
 from multicontact_control.errors import ConfigError
 from multicontact_control.paths import config_dir
 from sim_bridge.config import PlantConfig
+import yaml
 
 PLANTS = ('rigid', 'puma')
 
@@ -70,7 +69,7 @@ class Setup:
 
     @property
     def ticks(self) -> int:
-        """Number of samples of the run."""
+        """Return the number of samples of the run."""
         return round(self.scenario.duration * self.controller.rate)
 
     def reference(self) -> ScenarioReference:

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.dynamics.robot import RobotModel, RobotState
+import numpy as np
 from sim_bridge.actuator_delay import ActuatorDelay
 from sim_bridge.config import PlantConfig
 from sim_bridge.pybullet_plant import PybulletPlant, Sample

@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig, RobotConfig, validate
 from multicontact_control.dynamics.robot import RobotModel
+import numpy as np
 
 # Six independent contacts: unit normals and points, both in world axes.
 NORMALS = ((0.0, 0.0, -1.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0),

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from math import comb
 
-import numpy as np
-
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.errors import ConfigError
 from multicontact_control.force.kalman import kalman_update
 from multicontact_control.force.plant_model import ForceLoop
+import numpy as np
 
 MAX_ORDER = 3
 

@@ -14,12 +14,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-import numpy as np
-from scipy.linalg import block_diag, expm
-
 from multicontact_control.arrays import Matrix, require_shape, Vector
 from multicontact_control.errors import ConfigError
 from multicontact_control.force.active_observer import ActiveObserver
+import numpy as np
+from scipy.linalg import block_diag, expm
 
 
 @dataclass(frozen=True)

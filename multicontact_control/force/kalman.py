@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
+from multicontact_control.arrays import Matrix, Vector
 from numba import njit
 import numpy as np
-
-from multicontact_control.arrays import Matrix, Vector
 
 # Compiled (or taken from the cache) on import, so that no tick ever waits for the compiler.
 SIGNATURE = ('UniTuple(f8, 2)(f8[::1], f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[::1], f8[::1], '

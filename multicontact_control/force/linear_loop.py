@@ -6,13 +6,12 @@ from dataclasses import dataclass, replace
 import math
 from typing import Literal
 
-import numpy as np
-from scipy.linalg import solve_discrete_are
-
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.errors import ConfigError
 from multicontact_control.force.active_observer import ActiveObserver
 from multicontact_control.force.plant_model import delayed_hold
+import numpy as np
+from scipy.linalg import solve_discrete_are
 
 SEARCH_STEP = 1.05
 

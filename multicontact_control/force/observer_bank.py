@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from multicontact_control.arrays import Matrix
 from multicontact_control.force.active_observer import ActiveObserver
 from multicontact_control.force.kernels import (
@@ -19,6 +17,7 @@ from multicontact_control.force.kernels import (
     SCALARS,
     VECTORS,
 )
+import numpy as np
 
 
 class ObserverBank:

@@ -6,12 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 import math
 
-import numpy as np
-from scipy.linalg import expm
-
 from multicontact_control.arrays import Matrix, require_shape, Vector
 from multicontact_control.config import MAX_DELAY_PERIODS
 from multicontact_control.errors import ConfigError, MulticontactError
+import numpy as np
+from scipy.linalg import expm
 
 
 @dataclass(frozen=True, slots=True)

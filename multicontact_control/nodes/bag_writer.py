@@ -14,12 +14,11 @@ from types import TracebackType
 from typing import Any
 
 from mcap.writer import CompressionType, Writer
+from multicontact_control.errors import RunError
+from multicontact_control.nodes.message_definitions import message_hash, message_text
 from rclpy.duration import Duration
 from rclpy.qos import QoSProfile
 import yaml
-
-from multicontact_control.errors import RunError
-from multicontact_control.nodes.message_definitions import message_hash, message_text
 
 METADATA_VERSION = 9
 CHUNK_SIZE = 128 * 1024

@@ -5,15 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 from geometry_msgs.msg import Point
-import numpy as np
-from rclpy.duration import Duration
-from std_msgs.msg import ColorRGBA
-from visualization_msgs.msg import Marker, MarkerArray
-
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.dynamics.pose import Pose
 from multicontact_control.nodes.messages import ns_to_stamp
+import numpy as np
+from rclpy.duration import Duration
+from std_msgs.msg import ColorRGBA
+from visualization_msgs.msg import Marker, MarkerArray
 
 NAMESPACE = 'contact_forces'
 SHAFT_DIAMETER, HEAD_DIAMETER, HEAD_LENGTH = 0.008, 0.016, 0.02  # m

@@ -8,11 +8,6 @@ import sys
 import time
 from typing import Any
 
-import numpy as np
-from rclpy.node import Node
-from rclpy.subscription import Subscription
-from sensor_msgs.msg import JointState
-
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig, parameter, read_yaml, Real, validate
 from multicontact_control.control.controller import Controller, ControlOutput, Measurement
@@ -39,6 +34,10 @@ from multicontact_control.nodes.parameters import load_parameters
 from multicontact_control.nodes.runtime import run_node, Spinner
 from multicontact_control.nodes.timing import DurationLog, write_json
 from multicontact_control.paths import config_dir
+import numpy as np
+from rclpy.node import Node
+from rclpy.subscription import Subscription
+from sensor_msgs.msg import JointState
 
 WORLD_FRAME = 'world'
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
+from multicontact_control.nodes import qos
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
-
-from multicontact_control.nodes import qos
 
 
 class EffortOutput:

@@ -9,18 +9,17 @@ from pathlib import Path
 import time
 from typing import Any
 
+from multicontact_control.config import Config, parameter, Real
+from multicontact_control.errors import MulticontactError, RunError
+from multicontact_control.nodes import qos
+from multicontact_control.nodes.topics import Topic
+from multicontact_control.process import claim_processor
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from std_msgs.msg import Empty
-
-from multicontact_control.config import Config, parameter, Real
-from multicontact_control.errors import MulticontactError, RunError
-from multicontact_control.nodes import qos
-from multicontact_control.nodes.topics import Topic
-from multicontact_control.process import claim_processor
 
 GATE_POLL = 0.02
 REPORT_PERIOD = 5.0

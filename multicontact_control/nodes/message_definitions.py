@@ -7,7 +7,6 @@ import json
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory, PackageNotFoundError
-
 from multicontact_control.errors import RunError
 from multicontact_control.nodes.runtime import prepare_environment
 from multicontact_control.nodes.tf_message import TF_HASH, TF_TEXT, TF_TYPE

@@ -15,14 +15,13 @@ from typing import Any
 
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped, WrenchStamped
+from multicontact_control.arrays import Vector
+from multicontact_control.errors import MulticontactError
+from multicontact_control.force.noise import Innovation
 import numpy as np
 from numpy.typing import ArrayLike
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import MultiDOFJointTrajectoryPoint
-
-from multicontact_control.arrays import Vector
-from multicontact_control.errors import MulticontactError
-from multicontact_control.force.noise import Innovation
 
 NANOSECONDS = 1_000_000_000
 UNIT_QUATERNION_TOLERANCE = 1e-3

@@ -6,10 +6,6 @@ from collections import deque
 import sys
 from typing import Any
 
-import numpy as np
-from rclpy.node import Node
-from sensor_msgs.msg import JointState
-
 from multicontact_control.config import NoiseEstimatorConfig
 from multicontact_control.force.noise import Innovation, make_noise_estimator
 from multicontact_control.nodes import messages, topics
@@ -24,6 +20,9 @@ from multicontact_control.nodes.messages import InnovationReading, NamedReading
 from multicontact_control.nodes.parameters import load_parameters
 from multicontact_control.nodes.runtime import run_node, Spinner
 from multicontact_control.nodes.timing import write_json
+import numpy as np
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
 
 MAX_INNOVATIONS = 8
 

@@ -15,13 +15,12 @@ from types import NoneType
 import typing
 from typing import Any, Literal, TypeVar
 
+from multicontact_control.config import Config, validate
+from multicontact_control.errors import ConfigError
 from pydantic.fields import FieldInfo
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-
-from multicontact_control.config import Config, validate
-from multicontact_control.errors import ConfigError
 
 Type = Parameter.Type
 ModelT = TypeVar('ModelT', bound=Config)
@@ -55,7 +54,7 @@ class ParameterSpec:
     """
 
     name: str
-    type: Parameter.Type
+    type: Parameter.Type  # noqa: A003
     default: Any
     descriptor: ParameterDescriptor
 

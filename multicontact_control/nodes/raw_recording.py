@@ -14,11 +14,10 @@ from dataclasses import dataclass, field
 import time
 from typing import Any
 
+from multicontact_control.nodes.bag_writer import BagWriter
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
-
-from multicontact_control.nodes.bag_writer import BagWriter
 
 
 @dataclass

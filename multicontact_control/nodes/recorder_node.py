@@ -10,9 +10,6 @@ from pathlib import Path
 import sys
 import time
 
-from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
-
 from multicontact_control.config import parameter, Real
 from multicontact_control.errors import ConfigError
 from multicontact_control.nodes import qos
@@ -30,6 +27,8 @@ from multicontact_control.nodes.topics import (
     Topic,
     TOPICS,
 )
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
 
 FLUSH_PERIOD = 0.5
 NICENESS = 10  # whoever controls goes first; two seconds of messages can wait

@@ -18,14 +18,13 @@ import traceback
 from types import FrameType
 from typing import Any, Protocol, TypeVar
 
+from multicontact_control.errors import ConfigError, MulticontactError
+from multicontact_control.process import settle_process
 import rclpy
 from rclpy.duration import Duration
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
-
-from multicontact_control.errors import ConfigError, MulticontactError
-from multicontact_control.process import settle_process
 
 EXIT_OK, EXIT_ERROR, EXIT_CONFIG = 0, 1, 2
 SPIN_TIMEOUT = 0.1

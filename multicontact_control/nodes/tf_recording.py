@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from rclpy.impl.rcutils_logger import RcutilsLogger
-from rclpy.serialization import deserialize_message
-from sensor_msgs.msg import JointState
-from std_msgs.msg import String
-
 from multicontact_control.dynamics.link_transforms import LinkTransforms
 from multicontact_control.errors import ConfigError
 from multicontact_control.nodes import messages, qos
 from multicontact_control.nodes.bag_writer import BagWriter
 from multicontact_control.nodes.tf_message import tf_bytes, TF_TYPE
+from rclpy.impl.rcutils_logger import RcutilsLogger
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
 
 TF_TOPIC = '/tf'
 WORLD_FRAME = 'world'

@@ -12,13 +12,12 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from geometry_msgs.msg import PoseStamped, WrenchStamped
+from multicontact_control.nodes import qos
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from trajectory_msgs.msg import MultiDOFJointTrajectoryPoint
 from visualization_msgs.msg import MarkerArray
-
-from multicontact_control.nodes import qos
 
 SIM = 'sim_node'
 CONTROLLER = 'controller_node'

@@ -6,10 +6,9 @@ from array import array
 import sys
 from typing import Any
 
+from multicontact_control.errors import ConfigError
 import numpy as np
 import yaml
-
-from multicontact_control.errors import ConfigError
 
 TRUNCATE_LENGTH = 128
 SEPARATOR = '---'

@@ -8,13 +8,12 @@ import time
 from types import TracebackType
 from typing import Any
 
+from multicontact_control.errors import RunError
+from multicontact_control.nodes.runtime import prepare_environment
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
-
-from multicontact_control.errors import RunError
-from multicontact_control.nodes.runtime import prepare_environment
 
 DISCOVERY_POLL = 0.02
 POLL_PERIOD = 0.005

@@ -2,9 +2,6 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-import pytest
-
 from multicontact_control.contact.geometry import contact_normals, operational_stiffness
 from multicontact_control.contact.projections import (
     allocate_force,
@@ -12,6 +9,8 @@ from multicontact_control.contact.projections import (
     euclidean_projections,
     inertia_projections,
 )
+import numpy as np
+import pytest
 
 STIFFNESS = np.array([6000.0, 4000.0, 9000.0])  # of the three surfaces [N/m]
 INPUTS = np.array([0.7, -0.4, 1.1])  # a_i [m/s^2]
@@ -26,7 +25,7 @@ class World:
 
     @property
     def N(self):
-        """A floor and two slopes, all pushed by one tool: N_i^T N_j is nowhere 0."""
+        """Return N of a floor and two slopes, all pushed by one tool: N_i^T N_j is nowhere 0."""
         normals = np.array([[0.0, 0.0, -1.0], [0.0, 0.8, -0.6], [0.6, 0.0, -0.8]])
         levers = np.array([[0.05, -0.02, 0.24], [0.03, -0.16, 0.19], [-0.1, 0.06, 0.2]])
         return contact_normals(normals, self.scale * levers)

@@ -3,9 +3,6 @@
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-import numpy as np
-import pytest
-
 from multicontact_control.contact.geometry import (
     contact_coordinates,
     contact_normals,
@@ -13,6 +10,8 @@ from multicontact_control.contact.geometry import (
     operational_stiffness,
 )
 from multicontact_control.errors import ContactGeometryError, ShapeError
+import numpy as np
+import pytest
 
 vectors = arrays(float, (3,), elements=st.floats(-2.0, 2.0, allow_subnormal=False))
 directions = vectors.filter(lambda v: np.linalg.norm(v) > 0.1).map(

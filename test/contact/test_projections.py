@@ -1,8 +1,5 @@
 """Projections against the paper's example (eq. 22) and their defining properties (eqs 13-15)."""
 
-import numpy as np
-import pytest
-
 from multicontact_control.contact.geometry import contact_normals, free_motions
 from multicontact_control.contact.projections import (
     allocate_force,
@@ -11,6 +8,8 @@ from multicontact_control.contact.projections import (
     general_projections,
     inertia_projections,
 )
+import numpy as np
+import pytest
 
 
 @pytest.fixture
@@ -42,7 +41,7 @@ def test_euclidean_projections_of_the_planar_example():
 
 
 def test_planar_example_normal_comes_from_the_contact_geometry():
-    """l = sqrt(2), gamma = 45 deg: N = [0 1 -1]^T in x, y, rotation about z (P04 eq. 18)."""
+    """With l = sqrt(2), gamma = 45 deg: N = [0 1 -1]^T in x, y, rotation about z (P04 eq. 18)."""
     N = contact_normals(np.array([[0.0, 1.0, 0.0]]), np.array([[1.0, 1.0, 0.0]]))[:, 0]
     np.testing.assert_allclose(N[[0, 1, 5]], [0.0, 1.0, -1.0], atol=1e-15)
 

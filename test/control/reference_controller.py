@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.contact.geometry import (
     contact_coordinates,
@@ -29,6 +27,7 @@ from multicontact_control.dynamics.operational_space import (
 from multicontact_control.dynamics.robot import RobotState
 from multicontact_control.force.active_observer import ActiveObserver
 from multicontact_control.force.plant_model import design_force_loop
+import numpy as np
 
 
 class ReferenceController:

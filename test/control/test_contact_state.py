@@ -1,11 +1,10 @@
 """The state machine of a contact: transitions, bounds, what noise and bounces must not do."""
 
-import numpy as np
-import pytest
-
 from multicontact_control.config import ContactStateConfig
 from multicontact_control.control.contact_state import ContactMachine, ContactState
 from multicontact_control.errors import ConfigError
+import numpy as np
+import pytest
 
 H = 0.002
 

@@ -1,13 +1,12 @@
 """The composed control law on a simple arm model: decoupling, seeding, limits."""
 
 from arms import controller_config, HOME
-import numpy as np
-import pytest
-
 from multicontact_control.control.controller import Controller, Measurement
 from multicontact_control.control.reference import CommandedReference
 from multicontact_control.errors import ShapeError
 from multicontact_control.paths import config_dir
+import numpy as np
+import pytest
 
 REST = np.zeros(6)
 NOTHING = np.zeros(3)
@@ -22,7 +21,7 @@ def _controller(reference=None, **changes):
 
 def _sample(controller, time=0.0, q=HOME, qd=REST, force_world=NOTHING,
             point_operational=NOTHING):
-    """A sample with a force on the environment at a point of the tool."""
+    """Return a sample with a force on the environment at a point of the tool."""
     state = controller.robot.update(q, qd)
     tool = controller.config.tool
     R = state.sensor_pose.rotation_world
@@ -35,7 +34,7 @@ def _sample(controller, time=0.0, q=HOME, qd=REST, force_world=NOTHING,
 
 
 def _acceleration(controller, measurement, torque, contact_wrench):
-    """What the operational point does under a torque and a wrench on the environment."""
+    """Return what the operational point does under a torque and a wrench on the environment."""
     state = controller.robot.update(measurement.q, measurement.qd)
     qdd = np.linalg.solve(
         state.mass_matrix, torque - state.coriolis - state.gravity
@@ -109,7 +108,7 @@ def test_controller_seeds_the_observer_with_the_measured_force():
 
 
 def test_controller_tells_the_innovation_of_every_active_contact():
-    """alpha - C x_1 with its variances; zeros without force control and when it starts."""
+    """Report alpha - C x_1 with its variances; zeros without force control and when it starts."""
     controller, reference = _controller()
     table = np.array(controller.config.contacts['table'].point_operational)
 

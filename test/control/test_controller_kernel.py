@@ -3,10 +3,6 @@
 from pathlib import Path
 
 from arms import controller_config, HOME
-import numpy as np
-import pytest
-from reference_controller import ReferenceController
-
 from multicontact_control.control.controller import Controller, Measurement
 from multicontact_control.control.reference import CommandedReference, Reference
 from multicontact_control.dynamics.pose import Pose
@@ -21,6 +17,9 @@ from multicontact_control.experiment.loop import run_in_process
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.experiment.synthetic import synthetic_setup
 from multicontact_control.paths import config_dir
+import numpy as np
+import pytest
+from reference_controller import ReferenceController
 
 SERIES = ('torque', 'alpha_meas', 'alpha_est', 'alpha_rate_est', 'alpha_des', 'innovation',
           'prior_variance', 'variance_used')

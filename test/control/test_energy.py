@@ -1,10 +1,9 @@
 """The passivity observer: silent for springs and dampers, awake for what feeds a bounce."""
 
-import numpy as np
-import pytest
-
 from multicontact_control.config import ContactStateConfig
 from multicontact_control.control.energy import PassivityObserver
+import numpy as np
+import pytest
 
 H = 0.0005
 
@@ -23,7 +22,7 @@ def test_pressing_on_a_spring_and_letting_go_leaves_no_energy():
 
 
 def test_energy_is_the_heat_in_a_damper():
-    """c v^2 over half a second, against the closed form with forgetting."""
+    """Find c v^2 over half a second, against the closed form with forgetting."""
     c, v = 100.0, 0.05
     observer, _ = observe([c * v] * 1000, [v] * 1000, energy_memory=1.0)
     stored = (c * v) ** 2 / (2 * 6000.0)

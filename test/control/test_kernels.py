@@ -3,9 +3,6 @@
 import inspect
 import time
 
-import numpy as np
-import pytest
-
 from multicontact_control import algebra
 from multicontact_control.contact import kernels as contact_kernels
 from multicontact_control.contact.geometry import contact_normals
@@ -17,6 +14,8 @@ from multicontact_control.force.active_observer import ActiveObserver
 from multicontact_control.force.noise import kernels as noise_kernels
 from multicontact_control.force.observer_bank import ObserverBank
 from multicontact_control.force.plant_model import design_force_loop
+import numpy as np
+import pytest
 
 MODULES = (algebra, contact_kernels, dynamics_kernels, force_kernels, kernels, noise_kernels)
 

@@ -1,12 +1,11 @@
 """The PD motion law (P04 sec. 3.1, 5.2)."""
 
-import numpy as np
-import pytest
-
 from multicontact_control.config import MotionConfig
 from multicontact_control.control.motion import motion_acceleration
 from multicontact_control.control.reference import Reference
 from multicontact_control.dynamics.pose import Pose
+import numpy as np
+import pytest
 
 REST = np.zeros(6)
 

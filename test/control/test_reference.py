@@ -1,8 +1,5 @@
 """Scenario and commanded references: times, derivatives, refusals."""
 
-import numpy as np
-import pytest
-
 from multicontact_control.control.reference import (
     ApproachConfig,
     CommandedReference,
@@ -14,6 +11,8 @@ from multicontact_control.control.reference import (
 )
 from multicontact_control.dynamics.pose import Pose
 from multicontact_control.errors import ConfigError
+import numpy as np
+import pytest
 
 RATE = 500.0
 NORMALS = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])

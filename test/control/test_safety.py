@@ -5,12 +5,11 @@ from dataclasses import replace
 from arms import controller_config, HOME
 from hypothesis import given, settings
 from hypothesis import strategies as st
-import numpy as np
-
 from multicontact_control.control.arm_view import view_arm
 from multicontact_control.control.safety import TorqueGate
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.paths import config_dir
+import numpy as np
 
 CONFIG = controller_config()
 ROBOT = RobotModel(CONFIG.robot, config_dir())

@@ -1,14 +1,13 @@
 """Passing through the PUMA's singularities: torques without a spike, gravity held throughout."""
 
 from arms import controller_config, HOME
-import numpy as np
-import pytest
-
 from multicontact_control.control.controller import Controller, Measurement
 from multicontact_control.control.reference import Reference
 from multicontact_control.dynamics.operational_space import mobility_damping
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.paths import config_dir
+import numpy as np
+import pytest
 
 H = 0.002
 

@@ -5,9 +5,6 @@ from dataclasses import replace
 from arms import controller_config, HOME
 from hypothesis import given, HealthCheck, settings
 from hypothesis import strategies as st
-import numpy as np
-import pytest
-
 from multicontact_control.control.reference import (
     ApproachConfig,
     CommandedReference,
@@ -22,6 +19,8 @@ from multicontact_control.control.watchdog import (
     WrenchInput,
 )
 from multicontact_control.paths import config_dir
+import numpy as np
+import pytest
 
 CONFIG = controller_config()
 H = CONFIG.period

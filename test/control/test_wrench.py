@@ -1,20 +1,19 @@
 """From the sensor's reading to the contact wrench: weight, axes, lever, sign."""
 
-import numpy as np
-import pytest
-from scipy.spatial.transform import Rotation
-
 from multicontact_control.config import ToolConfig
 from multicontact_control.control.wrench import contact_wrench
 from multicontact_control.dynamics.pose import Pose
 from multicontact_control.errors import ShapeError
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
 TOOL = ToolConfig(mass=0.5, com_sensor=(0.01, -0.02, 0.08))
 
 
 def _reading(sensor, force_world, point_world, tool=TOOL):
-    """What a sensor reads at rest: what the arm does to the tool, in the sensor's frame."""
+    """Return what a sensor reads at rest: what the arm does to the tool, in the sensor's frame."""
     com = sensor.position_world + sensor.rotation_world @ np.array(tool.com_sensor)
     weight = tool.mass * GRAVITY
     force = force_world - weight

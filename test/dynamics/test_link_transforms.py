@@ -1,13 +1,12 @@
 """Link poses against pinocchio, and what a URDF must have."""
 
+from multicontact_control.dynamics.link_transforms import LinkTransforms
+from multicontact_control.errors import ConfigError
+from multicontact_control.paths import config_dir
 import numpy as np
 import pinocchio as pin
 import pytest
 from scipy.spatial.transform import Rotation
-
-from multicontact_control.dynamics.link_transforms import LinkTransforms
-from multicontact_control.errors import ConfigError
-from multicontact_control.paths import config_dir
 
 SLIDER = """<robot name="slider"><link name="world"/><link name="cart"/><link name="pole"/>
 <joint name="rail" type="prismatic"><parent link="world"/><child link="cart"/>

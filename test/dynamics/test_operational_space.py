@@ -1,9 +1,6 @@
 """Lambda, mu, p and the torque map against joint-space dynamics (P04 eqs 23-25)."""
 
 from arms import controller_config, HOME, seven_joint_config, seven_joint_urdf
-import numpy as np
-import pytest
-
 from multicontact_control.dynamics.operational_space import (
     joint_torque,
     operational_space,
@@ -12,6 +9,8 @@ from multicontact_control.dynamics.operational_space import (
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import ShapeError, SingularTaskError
 from multicontact_control.paths import config_dir
+import numpy as np
+import pytest
 
 
 @pytest.fixture

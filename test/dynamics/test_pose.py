@@ -3,10 +3,9 @@
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from multicontact_control.dynamics.pose import Pose, rotation_error
 import numpy as np
 from scipy.spatial.transform import Rotation
-
-from multicontact_control.dynamics.pose import Pose, rotation_error
 
 rotation_vectors = arrays(float, (3,), elements=st.floats(-1.8, 1.8, allow_subnormal=False))
 

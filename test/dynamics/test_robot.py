@@ -5,13 +5,12 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from arms import controller_config, seven_joint_config, seven_joint_urdf
-import numpy as np
-import pytest
-
 from multicontact_control.config import RobotConfig
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import ConfigError, ShapeError
 from multicontact_control.paths import config_dir
+import numpy as np
+import pytest
 from sim_bridge.puma560 import load_robot, urdf_text
 
 REFERENCE = json.loads(
@@ -20,7 +19,7 @@ REFERENCE = json.loads(
 
 @pytest.fixture
 def puma(tmp_path):
-    """The arm of the reference values: without tool, armature to the last digit."""
+    """Return the arm of the reference values: without tool, armature to the last digit."""
     data = load_robot()
     urdf = ElementTree.fromstring(urdf_text(data))
     for link in urdf.findall('link'):

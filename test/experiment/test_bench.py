@@ -6,11 +6,10 @@ from pathlib import Path
 import subprocess
 import sys
 
-import numpy as np
-import pytest
-
 from multicontact_control.experiment.bench.scaling import bench_scaling
 from multicontact_control.experiment.bench.statistics import load_notes, noise_notes, spread
+import numpy as np
+import pytest
 
 ROOT = Path(__file__).parents[2]
 MARGIN = 2.0

@@ -1,8 +1,5 @@
 """Weighing the tool and pushing it, on the simulated arm with noise."""
 
-import numpy as np
-import pytest
-
 from multicontact_control.config import (
     ControllerConfig,
     merge,
@@ -26,6 +23,8 @@ from multicontact_control.experiment.push_trial import (
 )
 from multicontact_control.experiment.servoed_plant import ServoedPlant
 from multicontact_control.paths import config_dir
+import numpy as np
+import pytest
 
 SHORT = {'move_time': 0.8, 'settle_time': 0.3, 'average_time': 0.3}
 

@@ -2,13 +2,12 @@
 
 from dataclasses import replace
 
-import numpy as np
-import pytest
-from synthetic_run import delayed, disturbance_setup, paper_run, perfect_run
-
 from multicontact_control.experiment.claims import CLAIMS, judge_claims, NOT_MEASURED, Row
 from multicontact_control.experiment.disturbances import disturbance_summary
 from multicontact_control.experiment.evidence import designed_rise, evidence_of
+import numpy as np
+import pytest
+from synthetic_run import delayed, disturbance_setup, paper_run, perfect_run
 
 MOTION = 9.0  # s, its start in the scenario
 

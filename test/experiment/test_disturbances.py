@@ -1,9 +1,5 @@
 from dataclasses import replace
 
-import numpy as np
-import pytest
-from synthetic_run import disturbance_setup, perfect_run
-
 from multicontact_control.experiment.disturbances import (
     disturbance_summary,
     instability_time,
@@ -11,6 +7,9 @@ from multicontact_control.experiment.disturbances import (
     quiet_windows,
     recoveries,
 )
+import numpy as np
+import pytest
+from synthetic_run import disturbance_setup, perfect_run
 
 PUSH, LASTING, MOVING = 5.0, 6.5, 13.0  # s, the pushes of the scenario
 

@@ -2,9 +2,6 @@ from dataclasses import dataclass, field
 import json
 import pickle
 
-import numpy as np
-import pytest
-
 from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.engine import (
     cell_of,
@@ -15,6 +12,8 @@ from multicontact_control.experiment.engine import (
     run_cells,
 )
 from multicontact_control.experiment.measure import finite, measure_cell
+import numpy as np
+import pytest
 
 
 def seed_task(cell):
@@ -81,6 +80,7 @@ def test_cells_run_once_and_again_only_what_is_not_whole(tmp_path):
 
 def test_cells_that_were_finished_before_an_error_are_kept(tmp_path):
     class Failing(CountingExecutor):
+
         def results(self, task, cells):
             yield cells[0], task(cells[0])
             raise KeyboardInterrupt

@@ -10,11 +10,6 @@ import sys
 import threading
 import time
 
-import numpy as np
-import pytest
-from rosbags.rosbag2 import Reader
-from rosbags.typesys import get_typestore, Stores
-
 from multicontact_control.errors import RunError
 from multicontact_control.experiment.domain import domain_in_use, reserve_domain
 from multicontact_control.experiment.graph import (
@@ -29,6 +24,10 @@ from multicontact_control.experiment.graph import (
 from multicontact_control.experiment.loop import run_in_process
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.nodes.topics import EFFORT_COMMAND, NOISE_VARIANCE, TOPICS
+import numpy as np
+import pytest
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import get_typestore, Stores
 
 pytestmark = pytest.mark.ros
 

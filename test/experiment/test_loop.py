@@ -1,18 +1,17 @@
 """The loop in process: repeatable, and in contact as commanded on both plants."""
 
-import numpy as np
-import pytest
-
 from multicontact_control.experiment.figures import draw_figures, figure_set
 from multicontact_control.experiment.loop import run_in_process
 from multicontact_control.experiment.metrics import contact_summary, instabilities
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.scenario import resolve
+import numpy as np
+import pytest
 
 
 @pytest.fixture(scope='module')
 def runs():
-    """The scenario `quick` up to a second of motion, on both plants."""
+    """Run the scenario `quick` up to a second of motion, on both plants."""
     return {plant: (setup := resolve('quick', plant=plant, duration=9.5), run_in_process(setup))
             for plant in ('rigid', 'puma')}
 

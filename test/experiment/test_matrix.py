@@ -1,7 +1,5 @@
 from typing import get_args
 
-import pytest
-
 from multicontact_control.config import NoiseEstimatorConfig
 from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.comparing import ComparisonRequest
@@ -15,6 +13,7 @@ from multicontact_control.experiment.matrix import (
     PLAIN,
     RESCALED,
 )
+import pytest
 
 
 def request(tmp_path, **changes):

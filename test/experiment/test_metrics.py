@@ -2,9 +2,6 @@
 
 from dataclasses import replace
 
-import numpy as np
-import pytest
-
 from multicontact_control.experiment.metrics import (
     contact_summary,
     instabilities,
@@ -19,6 +16,8 @@ from multicontact_control.experiment.metrics import (
 )
 from multicontact_control.experiment.recording import empty_run_data
 from multicontact_control.experiment.scenario import resolve
+import numpy as np
+import pytest
 
 RATE = 500.0
 
@@ -30,7 +29,7 @@ def setup():
 
 @pytest.fixture
 def data(setup):
-    """A perfect run of `quick`: every force at its command, 1 N of noise variance."""
+    """Return a perfect run of `quick`: every force at its command, 1 N of noise variance."""
     ticks = setup.ticks
     data = empty_run_data(ticks, RATE, setup.controller.contact_names,
                           setup.controller.robot.joint_names)

@@ -5,6 +5,11 @@ from __future__ import annotations
 import subprocess
 import sys
 
+from multicontact_control.errors import ConfigError
+from multicontact_control.experiment.domain import check_namespace, reserve_domain
+from multicontact_control.experiment.graph import CONTROLLER, node_command
+from multicontact_control.nodes import qos
+from multicontact_control.paths import config_dir
 import numpy as np
 import pytest
 from rclpy.context import Context
@@ -14,12 +19,6 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import get_typestore, Stores
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
-
-from multicontact_control.errors import ConfigError
-from multicontact_control.experiment.domain import check_namespace, reserve_domain
-from multicontact_control.experiment.graph import CONTROLLER, node_command
-from multicontact_control.nodes import qos
-from multicontact_control.paths import config_dir
 
 pytestmark = pytest.mark.ros
 
@@ -123,7 +122,7 @@ def test_each_graph_records_its_own_topics_only(two_runs):
     for side in SIDES:
         with Reader(folders[side] / 'bag') as reader:
             counts = {x.topic: x.msgcount for x in reader.connections}
-        assert set(counts) - {'/tf'} == {x for x in counts if x.startswith(f'/{side}/')}
+        assert set(counts) - {'/tf', '/clock'} == {x for x in counts if x.startswith(f'/{side}/')}
         assert counts[f'/{side}/joint_states'] == TICKS
         assert counts[f'/{side}/joint_effort_command'] == TICKS
     positions = [read(folders[side], f'/{side}/ft_sensor/wrench')[-1].wrench.force.z

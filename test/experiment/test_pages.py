@@ -1,8 +1,6 @@
 import json
 import re
 
-import numpy as np
-
 from multicontact_control.experiment.claims import Claim
 from multicontact_control.experiment.pages import (
     claims_table,
@@ -12,6 +10,7 @@ from multicontact_control.experiment.pages import (
     script_json,
     table,
 )
+import numpy as np
 
 
 def test_envelope_keeps_every_peak_and_the_order_in_time():
@@ -55,4 +54,4 @@ def test_claims_table_says_what_does_not_hold_and_escapes():
 
 def test_table_sets_attributes_on_its_rows():
     assert '<tr id=x><td>1</td><td class=number>2</td></tr>' in table(
-        ('a', 'b'), [('1', '2')], attributes=('id=x',))
+        ('a', 'b'), [('1', '2')], row_attributes=('id=x',))

@@ -2,21 +2,20 @@
 
 import json
 
-import pytest
-from synthetic_run import disturbance_setup, paper_run
-from typer.testing import CliRunner
-
 from multicontact_control.cli import app
 from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.experiment.load import load_run, load_setup
 from multicontact_control.experiment.metrics import summarise
 from multicontact_control.experiment.report import run_claims
 from multicontact_control.experiment.results import write_json
+import pytest
+from synthetic_run import disturbance_setup, paper_run
+from typer.testing import CliRunner
 
 
 @pytest.fixture(scope='module')
 def folder(tmp_path_factory):
-    """A run folder with a recording made to the paper."""
+    """Make a run folder with a recording made to the paper."""
     folder = tmp_path_factory.mktemp('run')
     setup = disturbance_setup('puma')
     data = paper_run(setup)

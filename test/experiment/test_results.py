@@ -3,11 +3,10 @@
 from datetime import datetime
 import json
 
-import pytest
-
 from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.results import prepare_folder, write_json
+import pytest
 
 NOW = datetime(2026, 1, 2, 3, 4, 5)
 

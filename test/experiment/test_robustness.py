@@ -1,7 +1,5 @@
 import math
 
-import pytest
-
 from multicontact_control.experiment.disturbances import instability_time, quiet_windows
 from multicontact_control.experiment.engine import CellStore, LocalExecutor
 from multicontact_control.experiment.loop import run_in_process
@@ -21,6 +19,7 @@ from multicontact_control.experiment.robustness_map import (
     stable_range,
     write_map,
 )
+import pytest
 
 
 def test_bisect_finds_the_change_of_a_verdict():

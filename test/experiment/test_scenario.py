@@ -1,12 +1,11 @@
 """Scenarios: the files that are there, and one line for what is wrong with others."""
 
-import pytest
-import yaml
-
 from multicontact_control.config import ControllerConfig, read_parameters, read_yaml, validate
 from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.scenario import resolve, scenario_path
 from multicontact_control.paths import config_dir
+import pytest
+import yaml
 
 
 @pytest.mark.parametrize('path', sorted((config_dir() / 'scenarios').glob('*.yaml')),

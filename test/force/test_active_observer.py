@@ -1,12 +1,11 @@
 """The active observer against scipy's Riccati solver and its own promises."""
 
-import numpy as np
-import pytest
-from scipy.linalg import solve_discrete_are
-
 from multicontact_control.errors import ConfigError
 from multicontact_control.force.active_observer import active_state_matrix, ActiveObserver
 from multicontact_control.force.plant_model import delayed_plant, design_force_loop
+import numpy as np
+import pytest
+from scipy.linalg import solve_discrete_are
 
 H = 0.002
 
@@ -124,7 +123,7 @@ def test_observer_reset_starts_at_the_measured_force(loop):
 
 
 def test_observer_tells_its_innovation_and_what_it_expected_of_it(loop):
-    """y - C x_1, C P_1 C^T and R of the last update; nothing for the sample after a reset."""
+    """Report y - C x_1, C P_1 C^T and R of the last update; nothing right after a reset."""
     observer = ActiveObserver(loop)
     observer.reset(2.0)
     observer.update(2.0, 0.6)

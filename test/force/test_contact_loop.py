@@ -1,6 +1,3 @@
-import numpy as np
-import pytest
-
 from multicontact_control.errors import ConfigError, ShapeError
 from multicontact_control.force.active_observer import ActiveObserver
 from multicontact_control.force.contact_loop import closed_loop, spectral_radius, Surroundings
@@ -10,6 +7,8 @@ from multicontact_control.force.linear_loop import (
     steady_gain,
 )
 from multicontact_control.force.plant_model import design_force_loop
+import numpy as np
+import pytest
 
 H = 0.002
 

@@ -1,12 +1,11 @@
 """The compiled Kalman update: its equations, and its covariance over a million updates."""
 
-from numba import njit
-import numpy as np
-import pytest
-
 from multicontact_control.force.active_observer import ActiveObserver, MAX_ORDER
 from multicontact_control.force.kalman import kalman_update
 from multicontact_control.force.plant_model import design_force_loop
+from numba import njit
+import numpy as np
+import pytest
 
 FLOOR, CEILING = 1e-3, 1e6  # the defaults of NoiseEstimatorConfig
 UPDATES = 1_000_000

@@ -3,9 +3,6 @@
 from dataclasses import replace
 
 from force_loop import H, observer_of
-import numpy as np
-import pytest
-
 from multicontact_control.errors import ConfigError
 from multicontact_control.force.linear_loop import (
     closed_loop_matrix,
@@ -14,6 +11,8 @@ from multicontact_control.force.linear_loop import (
     stability_boundary,
     steady_gain,
 )
+import numpy as np
+import pytest
 
 K = 6000.0
 DELAY_TICKS = 3

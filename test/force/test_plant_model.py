@@ -1,12 +1,11 @@
 """The delayed plant against integration of the continuous one, and its pole placement."""
 
+from multicontact_control.errors import ConfigError, MulticontactError, ShapeError
+from multicontact_control.force.plant_model import ackermann, delayed_plant, design_force_loop
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.signal import place_poles
-
-from multicontact_control.errors import ConfigError, MulticontactError, ShapeError
-from multicontact_control.force.plant_model import ackermann, delayed_plant, design_force_loop
 
 H = 0.002
 K = 6000.0
@@ -90,7 +89,7 @@ def test_ackermann_agrees_with_scipy_for_distinct_poles():
 
 
 def test_force_loop_has_unit_gain_from_desired_to_real_force():
-    """r = L_1 f_des settles at f_des (paper notes 4)."""
+    """With r = L_1 f_des the force settles at f_des (paper notes 4)."""
     loop = design_force_loop(
         K, damping_rate=20.0, input_delay=0.006, period=H, time_constant=0.02)
     x = np.zeros(5)

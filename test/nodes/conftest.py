@@ -2,10 +2,9 @@
 
 import os
 
+from multicontact_control.experiment.domain import reserve_domain
 import pytest
 from ros_graph import Middleware
-
-from multicontact_control.experiment.domain import reserve_domain
 
 
 @pytest.fixture(scope='session')

@@ -2,6 +2,11 @@
 
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
+from multicontact_control.errors import RunError
+from multicontact_control.nodes import messages, qos
+from multicontact_control.nodes.bag_writer import BagWriter
+from multicontact_control.nodes.message_definitions import message_hash, message_text
+from multicontact_control.nodes.topics import TOPICS
 import pytest
 from rclpy.serialization import serialize_message
 from rosbags.highlevel import AnyReader
@@ -9,12 +14,6 @@ from rosbags.interfaces import QosDurability, QosReliability
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import get_typestore, Stores
 import yaml
-
-from multicontact_control.errors import RunError
-from multicontact_control.nodes import messages, qos
-from multicontact_control.nodes.bag_writer import BagWriter
-from multicontact_control.nodes.message_definitions import message_hash, message_text
-from multicontact_control.nodes.topics import TOPICS
 
 START = 1_795_000_000_000_000_000
 PERIOD = 2_000_000

@@ -1,13 +1,12 @@
 """Contact forces as arrows."""
 
-import numpy as np
-import pytest
-from visualization_msgs.msg import Marker
-
 from multicontact_control.config import ControllerConfig, read_parameters, validate
 from multicontact_control.dynamics.pose import Pose
 from multicontact_control.nodes.contact_markers import ContactMarkers
 from multicontact_control.paths import config_dir
+import numpy as np
+import pytest
+from visualization_msgs.msg import Marker
 
 STAMP = 1_795_000_000_000_000_000
 QUARTER_TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])

@@ -1,14 +1,13 @@
 """Converters between messages and arrays, without a node."""
 
 from geometry_msgs.msg import Transform, Twist
+from multicontact_control.nodes import messages
+from multicontact_control.nodes.messages import MessageError
 import numpy as np
 import pytest
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import MultiDOFJointTrajectoryPoint
-
-from multicontact_control.nodes import messages
-from multicontact_control.nodes.messages import MessageError
 
 NAMES = ('a', 'b', 'c')
 STAMP = 1_795_000_000_123_456_789

@@ -1,10 +1,9 @@
 """Pairing joint state and wrench by stamp."""
 
-import numpy as np
-import pytest
-
 from multicontact_control.nodes.messages import JointReading, WrenchReading
 from multicontact_control.nodes.pairing import SamplePairing
+import numpy as np
+import pytest
 
 
 def joints(stamp):

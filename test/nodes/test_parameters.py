@@ -2,11 +2,6 @@
 
 from __future__ import annotations
 
-import pytest
-from rclpy.context import Context
-from rclpy.node import Node
-from rclpy.parameter import Parameter
-
 from multicontact_control.config import (
     Config,
     ControllerConfig,
@@ -22,6 +17,10 @@ from multicontact_control.errors import ConfigError
 from multicontact_control.nodes.parameters import load_parameters, nested, parameter_specs
 from multicontact_control.nodes.runtime import prepare_environment
 from multicontact_control.paths import config_dir
+import pytest
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.parameter import Parameter
 
 CONTROLLER_FILE = config_dir() / 'controller.yaml'
 

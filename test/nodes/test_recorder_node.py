@@ -8,6 +8,8 @@ import time
 
 from mcap.exceptions import McapError
 from mcap.reader import NonSeekingReader
+from multicontact_control.nodes import messages, topics
+from multicontact_control.nodes.graph_node import ready_topic
 import pytest
 from rclpy.duration import Duration
 from rclpy.serialization import deserialize_message
@@ -15,9 +17,6 @@ from ros_graph import wait_for
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import get_typestore, Stores
 from sensor_msgs.msg import JointState
-
-from multicontact_control.nodes import messages, topics
-from multicontact_control.nodes.graph_node import ready_topic
 
 pytestmark = pytest.mark.ros
 

@@ -1,12 +1,5 @@
 """/tf in a bag, read by a reader that is not ours."""
 
-import pytest
-from rclpy.logging import get_logger
-from rclpy.serialization import serialize_message
-from rosbags.rosbag2 import Reader
-from rosbags.typesys import get_typestore, Stores
-from std_msgs.msg import String
-
 from multicontact_control.dynamics.link_transforms import LinkTransform
 from multicontact_control.nodes import messages
 from multicontact_control.nodes.bag_writer import BagWriter
@@ -14,6 +7,12 @@ from multicontact_control.nodes.message_definitions import message_hash, message
 from multicontact_control.nodes.tf_message import tf_bytes, TF_TYPE
 from multicontact_control.nodes.tf_recording import TfRecording
 from multicontact_control.paths import config_dir
+import pytest
+from rclpy.logging import get_logger
+from rclpy.serialization import serialize_message
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import get_typestore, Stores
+from std_msgs.msg import String
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 STAMP = 1_795_000_000_123_456_789

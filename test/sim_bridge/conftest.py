@@ -3,7 +3,6 @@
 import numpy as np
 import pinocchio as pin
 import pytest
-
 from sim_bridge.config import load_preset
 from sim_bridge.puma560 import load_robot, urdf_text
 from sim_bridge.pybullet_plant import PybulletPlant
@@ -16,7 +15,7 @@ def robot():
 
 @pytest.fixture
 def model(robot):
-    """The arm with its tool, without armature."""
+    """Return the arm with its tool, without armature."""
     return pin.buildModelFromXML(urdf_text(robot))
 
 

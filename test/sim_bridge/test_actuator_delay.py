@@ -1,7 +1,6 @@
+from multicontact_control.errors import ConfigError, ShapeError
 import numpy as np
 import pytest
-
-from multicontact_control.errors import ConfigError, ShapeError
 from sim_bridge.actuator_delay import ActuatorDelay
 
 

@@ -2,7 +2,6 @@ import numpy as np
 import pinocchio as pin
 import pybullet as bullet
 import pytest
-
 from sim_bridge.bullet_arm import BulletArm
 
 GRAVITY = (0.0, 0.0, -9.81)

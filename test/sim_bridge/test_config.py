@@ -1,8 +1,7 @@
-import pytest
-
 from multicontact_control.config import merge, read_parameters, validate
 from multicontact_control.errors import ConfigError
 from multicontact_control.paths import config_dir
+import pytest
 from sim_bridge.config import load_preset, PlantConfig, PRESETS
 
 
@@ -27,8 +26,8 @@ def test_presets_are_what_they_are_called():
 
 
 @pytest.mark.parametrize(('change', 'message'), [
-    ({'contact_names': ['table', 'wall']}, "contact_names: expected names among board, table, "
-                                           "found 'wall'"),
+    ({'contact_names': ['table', 'wall']},
+     "contact_names: expected names among board, table, found 'wall'"),
     ({'contact_names': ['table', 'table']}, 'contact_names: expected distinct names'),
     ({'drive_stiffness': [1.0, 2.0]}, 'drive_stiffness: expected 6 values, found 2'),
     ({'drive_stiffness': [0.0] * 6}, 'drive_stiffness: expected values above 0'),

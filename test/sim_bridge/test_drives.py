@@ -1,7 +1,6 @@
 import numpy as np
 import pinocchio as pin
 import pytest
-
 from sim_bridge.config import load_preset
 from sim_bridge.drives import FlexibleDrives
 

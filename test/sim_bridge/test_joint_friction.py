@@ -1,6 +1,5 @@
 import numpy as np
 import pytest
-
 from sim_bridge.joint_friction import (
     friction_slope,
     friction_table,
@@ -13,7 +12,7 @@ STEP, INERTIA = 2.5e-4, 0.784
 
 
 def test_friction_table_refers_friction_to_the_joint(robot):
-    """b G^2 and F |G|: 24.7 and 27.2 N m on joint 1."""
+    """Both b G^2 and F |G|: 24.7 and 27.2 N m on joint 1."""
     table = friction_table(robot, 0.6, 1e-3)
     np.testing.assert_allclose(
         table[0] / 0.6, [1.48e-3 * 62.6111 ** 2, 0.395 * 62.6111, 0.435 * 62.6111, 1e-3 / 0.6])

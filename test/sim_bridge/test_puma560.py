@@ -1,13 +1,12 @@
 import json
 from pathlib import Path
 
-import numpy as np
-import pinocchio as pin
-import pytest
-
 from multicontact_control.config import merge, read_yaml, validate
 from multicontact_control.errors import ConfigError
 from multicontact_control.paths import config_dir
+import numpy as np
+import pinocchio as pin
+import pytest
 from sim_bridge.puma560 import (
     DATA_FILE,
     load_robot,
@@ -26,7 +25,7 @@ HOME = np.array([1.847117449942421, 0.8705595994175255, 2.9372057614605662, 0.0,
 
 @pytest.fixture
 def bare_model(robot, model):
-    """The arm as published: with rotors, without the tool."""
+    """Return the arm as published: with rotors, without the tool."""
     link = robot.links[-1]
     model.inertias[6] = pin.Inertia(link.mass, np.array(link.com), np.diag(link.inertia))
     model.armature = np.array(robot.exact_armature)

@@ -1,8 +1,7 @@
+from multicontact_control.errors import ConfigError, RunError, ShapeError
 import numpy as np
 import pinocchio as pin
 import pytest
-
-from multicontact_control.errors import ConfigError, RunError, ShapeError
 from sim_bridge.config import load_preset
 from sim_bridge.puma560 import SENSOR_FRAME
 from sim_bridge.pybullet_plant import PybulletPlant
@@ -80,7 +79,7 @@ def test_rigid_plant_moves_like_pinocchio_with_armature(robot, model, make_plant
 
 @pytest.mark.parametrize('preset', ['rigid', 'puma'])
 def test_sensor_reads_the_wrench_on_the_tool(robot, model, make_plant, preset):
-    """m (a - g) - F_env about the sensor's origin, by Newton and Euler, pressing and swinging."""
+    """It is m (a - g) - F_env about its origin, by Newton and Euler, pressing and swinging."""
     plant = make_plant(preset, sensor=IDEAL_SENSOR, substep=2.5e-4)
     frame, data, step = model.getFrameId(SENSOR_FRAME), model.createData(), 2.5e-4
     face = model.frames[frame].placement

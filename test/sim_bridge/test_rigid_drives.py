@@ -1,7 +1,6 @@
 import numpy as np
 import pinocchio as pin
 import pytest
-
 from sim_bridge.joint_friction import friction_table, friction_torque
 from sim_bridge.rigid_drives import implicit_joint_speed, RigidDrives
 

@@ -1,6 +1,5 @@
 import numpy as np
 import pytest
-
 from sim_bridge.config import SurfaceConfig
 from sim_bridge.surface import (
     build_surfaces,

@@ -1,10 +1,9 @@
 """A hand that pushes the tool: seen by the sensor, and felt by the arm."""
 
+from multicontact_control.errors import ConfigError
 import numpy as np
 import pinocchio as pin
 import pytest
-
-from multicontact_control.errors import ConfigError
 from sim_bridge.puma560 import SENSOR_FRAME
 
 IDEAL_SENSOR = {'noise': False, 'quantise': False, 'saturate': False}

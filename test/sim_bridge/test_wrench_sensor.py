@@ -1,7 +1,6 @@
+from multicontact_control.errors import ConfigError
 import numpy as np
 import pytest
-
-from multicontact_control.errors import ConfigError
 from sim_bridge.config import SensorConfig
 from sim_bridge.wrench_sensor import low_pass_stages, quantum, WrenchSensor
 

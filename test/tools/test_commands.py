@@ -8,6 +8,8 @@ import subprocess
 import sys
 import threading
 
+from multicontact_control.experiment.domain import reserve_domain
+from multicontact_control.nodes import messages, qos
 import pytest
 from rclpy.context import Context
 from rclpy.node import Node
@@ -18,9 +20,6 @@ from rosbags.typesys import get_typestore, Stores
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 import yaml
-
-from multicontact_control.experiment.domain import reserve_domain
-from multicontact_control.nodes import messages, qos
 
 pytestmark = pytest.mark.ros
 

@@ -1,14 +1,13 @@
 """Messages as text, against what `ros2 topic echo` of ROS 2 Jazzy prints."""
 
 from geometry_msgs.msg import PoseStamped, Wrench
+from multicontact_control.errors import ConfigError
+from multicontact_control.tools.message_text import document
 import numpy as np
 import pytest
 from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import Float64MultiArray, String
 import yaml
-
-from multicontact_control.errors import ConfigError
-from multicontact_control.tools.message_text import document
 
 JOINTS = """header:
   stamp:

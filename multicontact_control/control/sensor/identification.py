@@ -11,11 +11,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from multicontact_control.arrays import Matrix, require_shape, Vector
 from multicontact_control.config import Config, parameter, Real, ToolConfig
 from multicontact_control.errors import CalibrationError
+import numpy as np
 
 UNKNOWNS = 10
 NOTHING_HANGS = 3.0  # standard errors below which a mass is none

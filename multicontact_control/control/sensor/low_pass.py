@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import numpy as np
-from scipy.signal import butter
-
 from multicontact_control.arrays import Vector
 from multicontact_control.config import SensorFrontEndConfig
 from multicontact_control.errors import ConfigError
+import numpy as np
+from scipy.signal import butter
 
 
 class LowPass:

@@ -13,11 +13,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from scipy.special import ndtr
-
 from multicontact_control.arrays import Mask, require_shape, Vector
 from multicontact_control.config import SensorFrontEndConfig
+import numpy as np
+from scipy.special import ndtr
 
 OFFSETS = np.linspace(0.0, 0.5, 26)
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 from typing import Literal
 
-import numpy as np
-from pydantic import model_validator
-
 from multicontact_control.arrays import Matrix
 from multicontact_control.config import Config, parameter, Real
 from multicontact_control.errors import ConfigError
+import numpy as np
+from pydantic import model_validator
 
 Direction = Literal['+x', '-x', '+y', '-y', '+z', '-z']
 
@@ -62,7 +61,7 @@ class PushTestConfig(Config):
 
     @property
     def directions_world(self) -> Matrix:
-        """Unit vectors of the pushes, world axes, shape (p, 3)."""
+        """Return the unit vectors of the pushes, world axes, shape (p, 3)."""
         return np.array([
             math.copysign(1.0, float(f'{direction[0]}1')) * np.eye(3)['xyz'.index(direction[1])]
             for direction in self.directions])

@@ -9,11 +9,10 @@ from __future__ import annotations
 
 from enum import Enum
 
-import numpy as np
-
 from multicontact_control.arrays import Matrix, require_shape, Vector
 from multicontact_control.control.sensor.push_config import PushTestConfig
 from multicontact_control.control.sensor.push_verdict import failed, judge_pushes, PushTestResult
+import numpy as np
 
 
 class PushPhase(Enum):
@@ -75,7 +74,7 @@ class PushTest:
 
     @property
     def instruction(self) -> str:
-        """What the user should do now."""
+        """Say what the user should do now."""
         if self.result is not None:
             return self.result.message
         if self.phase is PushPhase.PUSH:

@@ -14,11 +14,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from scipy.spatial.transform import Rotation
-
 from multicontact_control.arrays import Matrix, require_shape, Vector
 from multicontact_control.control.sensor.push_config import PushTestConfig
+import numpy as np
+from scipy.spatial.transform import Rotation
 
 ALIGNED = 0.95  # cosine from which an axis is called x, y or z
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from multicontact_control.arrays import Matrix, require_shape, Vector
 from multicontact_control.config import Config, parameter, Real, ToolConfig
 from multicontact_control.control.sensor.weight import weight_reading
 from multicontact_control.errors import CalibrationError
+import numpy as np
 
 
 class TareConfig(Config):

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import ToolConfig
+import numpy as np
 
 
 def weight_reading(rotation_world: Matrix, tool: ToolConfig, gravity_world: Vector) -> Vector:

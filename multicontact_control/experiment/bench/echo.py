@@ -8,16 +8,15 @@ import sys
 import time
 from typing import Any
 
-import numpy as np
-import rclpy
-from rclpy.node import Node
-from sensor_msgs.msg import JointState
-
 from multicontact_control.arrays import Vector
 from multicontact_control.errors import RunError
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.graph_node import create_publisher, create_subscription
 from multicontact_control.nodes.runtime import make_executor, start_ros
+import numpy as np
+import rclpy
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
 
 NAMES = tuple(f'joint{i + 1}' for i in range(6))
 START_TIMEOUT, ANSWER_TIMEOUT = 20.0, 1.0

@@ -9,12 +9,11 @@ import sys
 from time import perf_counter, perf_counter_ns
 from typing import Any
 
-import numpy as np
-import pybullet
-
 from multicontact_control.experiment.bench.statistics import median, percentiles, spread
 from multicontact_control.experiment.loop import run_in_process
 from multicontact_control.experiment.scenario import resolve
+import numpy as np
+import pybullet
 from sim_bridge.pybullet_plant import PybulletPlant
 
 RESTART = 250  # periods after which an arm that falls is put back

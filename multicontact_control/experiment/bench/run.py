@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from rich.console import Console
-from rich.table import Table
-
 from multicontact_control.experiment.bench.plant import (
     bench_cold_start,
     bench_in_process,
@@ -16,6 +13,8 @@ from multicontact_control.experiment.bench.scaling import bench_scaling
 from multicontact_control.experiment.bench.statistics import describe_machine, load_notes
 from multicontact_control.experiment.bench.tick import bench_tick
 from multicontact_control.process import settle_process
+from rich.console import Console
+from rich.table import Table
 
 TICKS, QUICK_TICKS = 20_000, 2_000
 REPEATS, QUICK_REPEATS = 5, 3

@@ -7,12 +7,11 @@ from tempfile import TemporaryDirectory
 from time import perf_counter_ns
 from typing import Any
 
-import numpy as np
-
 from multicontact_control.control.controller import Controller, Measurement
 from multicontact_control.control.reference import Reference
 from multicontact_control.dynamics.pose import Pose
 from multicontact_control.experiment.synthetic import synthetic_setup, SyntheticSetup
+import numpy as np
 
 CONTACTS = (1, 2, 3, 4, 5, 6)
 JOINTS = (6, 7, 14)

@@ -7,9 +7,8 @@ import os
 import platform
 from typing import Any
 
-import numpy as np
-
 from multicontact_control.arrays import Vector
+import numpy as np
 
 NOISY_TAIL = 2.0  # p99 of a floor over its p50
 NOISY_SPREAD = 0.15  # of a floor's p50 between repeats

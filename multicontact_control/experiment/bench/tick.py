@@ -6,8 +6,6 @@ from collections.abc import Callable, Sequence
 from time import perf_counter_ns
 from typing import Any
 
-import numpy as np
-
 from multicontact_control.arrays import Vector
 from multicontact_control.control.controller import Controller, Measurement
 from multicontact_control.dynamics.robot import RobotModel
@@ -20,6 +18,7 @@ from multicontact_control.experiment.bench.statistics import (
 from multicontact_control.experiment.loop import run_in_process
 from multicontact_control.experiment.scenario import resolve, Setup
 from multicontact_control.force.noise import make_noise_estimator, NoiseEstimator
+import numpy as np
 
 
 class Replay:

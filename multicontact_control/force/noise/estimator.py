@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 
-import numpy as np
-
 from multicontact_control.arrays import Mask, require_shape, Vector
 from multicontact_control.config import NoiseEstimatorConfig
 from multicontact_control.force.noise.innovation import Innovation
 from multicontact_control.force.noise.kernels import all_below, settle_variance
+import numpy as np
 
 MAX_MAGNITUDE = 1e100  # sums of squares of samples below it stay finite
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from multicontact_control.arrays import Matrix
 from multicontact_control.force.noise.estimator import MAX_MAGNITUDE, NoiseEstimator
 from multicontact_control.force.noise.innovation import Innovation
 from multicontact_control.force.noise.kernels import take_into_window
 from multicontact_control.force.noise.lead_filter import lead_filter, LeadFilter, Normalisation
+import numpy as np
 
 
 class Window(NoiseEstimator):

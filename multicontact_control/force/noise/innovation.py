@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from multicontact_control.arrays import Mask, Vector
+import numpy as np
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +40,7 @@ class Innovation:
 
     @property
     def residual(self) -> Vector:
-        """What is left of r after the correction, e = r R / (C P_1 C^T + R), shape (r,) [N]."""
+        """Return what the correction leaves of r, e = r R / (C P_1 C^T + R), shape (r,) [N]."""
         return self.innovation * self._share_of_noise()
 
     @property

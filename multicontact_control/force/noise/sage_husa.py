@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from multicontact_control.arrays import Mask, Vector
 from multicontact_control.force.noise.estimator import InnovationEstimator
 from multicontact_control.force.noise.innovation import Innovation
+import numpy as np
 
 
 class SageHusa(InnovationEstimator):

@@ -7,9 +7,8 @@ sample for ever.
 
 from __future__ import annotations
 
-import numpy as np
-
 from multicontact_control.arrays import Mask, Matrix, Vector
+import numpy as np
 
 
 class WindowedMean:

@@ -2,16 +2,15 @@
 
 from hypothesis import given
 from hypothesis import strategies as st
-import numpy as np
-import pytest
-from scipy.spatial.transform import Rotation
-
 from multicontact_control.config import ToolConfig
 from multicontact_control.control.sensor.identification import identify_tool, PoseReading
 from multicontact_control.control.sensor.weight import weight_reading
 from multicontact_control.control.wrench import contact_wrench
 from multicontact_control.dynamics.pose import Pose
 from multicontact_control.errors import CalibrationError, ShapeError
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
 BIAS = (1.0, -2.0, 3.0, 0.1, -0.2, 0.05)

@@ -1,10 +1,6 @@
 """The low-pass and the delay it adds to the loop's model."""
 
 from arms import controller_config
-import numpy as np
-import pytest
-from scipy.signal import butter, group_delay, lfilter
-
 from multicontact_control.config import SensorFrontEndConfig
 from multicontact_control.control.controller import Controller, Measurement
 from multicontact_control.control.reference import CommandedReference
@@ -12,6 +8,9 @@ from multicontact_control.control.sensor.front_end import SensorFrontEnd
 from multicontact_control.control.sensor.low_pass import LowPass
 from multicontact_control.errors import ConfigError
 from multicontact_control.paths import config_dir
+import numpy as np
+import pytest
+from scipy.signal import butter, group_delay, lfilter
 
 RATE = 500.0
 

@@ -1,11 +1,10 @@
 """Saturated and frozen readings, and how often a live sensor looks frozen."""
 
-import numpy as np
-import pytest
-
 from multicontact_control.config import SensorFrontEndConfig, validate
 from multicontact_control.control.sensor.monitor import repeat_probability, SensorMonitor
 from multicontact_control.errors import ConfigError, ShapeError
+import numpy as np
+import pytest
 
 FULL_SCALE = (100.0, 100.0, 200.0, 5.0, 5.0, 5.0)
 STD = np.repeat([0.047, 0.004], 3)

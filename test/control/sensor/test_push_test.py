@@ -2,15 +2,14 @@
 
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-import numpy as np
-import pytest
-from scipy.spatial.transform import Rotation
-
 from multicontact_control.config import validate
 from multicontact_control.control.sensor.push_config import PushTestConfig
 from multicontact_control.control.sensor.push_test import PushPhase, PushTest
 from multicontact_control.control.sensor.push_verdict import fit_mounting, judge_pushes
 from multicontact_control.errors import ConfigError, ShapeError
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
 
 RATE = 100.0
 LEVER = np.array([0.1, -0.16, -0.19])
@@ -24,13 +23,13 @@ rotations = seeds.map(
 
 
 def read(mounting, sensor_rotation, force_world, torque_world):
-    """What a wrongly mounted sensor makes of a wrench at its own origin, world axes."""
+    """Return what a wrongly mounted sensor makes of a wrench at its own origin, world axes."""
     M = sensor_rotation @ mounting @ sensor_rotation.T
     return np.concatenate((M @ force_world, M @ torque_world))
 
 
 def pushes(mounting, config, *, sensor=None, rng=None, hand=0.0, noise=0.0, torque_sign=1.0):
-    """Readings under pushes by a hand that is off by up to `hand` rad and as much of the force."""
+    """Return readings under pushes by a hand off by up to `hand` rad and as much of the force."""
     rng = rng or np.random.default_rng(0)
     sensor = np.eye(3) if sensor is None else sensor
     rows = []

@@ -1,15 +1,14 @@
 """Tare: zero where it was done, and everywhere else too."""
 
-import numpy as np
-import pytest
-from scipy.spatial.transform import Rotation
-
 from multicontact_control.config import ToolConfig
 from multicontact_control.control.sensor.tare import tare_bias
 from multicontact_control.control.sensor.weight import weight_reading
 from multicontact_control.control.wrench import contact_wrench
 from multicontact_control.dynamics.pose import Pose
 from multicontact_control.errors import CalibrationError, ShapeError
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
 TOOL = ToolConfig(mass=0.5, com_sensor=(0.01, -0.02, 0.08))

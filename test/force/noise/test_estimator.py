@@ -3,12 +3,11 @@
 from force_loop import estimator_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
-import numpy as np
-import pytest
-
 from multicontact_control.config import NoiseEstimatorConfig, validate
 from multicontact_control.errors import ConfigError, ShapeError
 from multicontact_control.force.noise import ESTIMATORS, Innovation
+import numpy as np
+import pytest
 
 NAMES = sorted(ESTIMATORS)
 FLOOR, CEILING = 0.1, 50.0
@@ -29,7 +28,7 @@ def test_every_estimator_of_the_configuration_can_be_made():
 @pytest.mark.parametrize('place', ['alpha', 'innovation', 'prior_variance', 'variance_used'])
 @pytest.mark.parametrize('name', NAMES)
 def test_estimators_drop_and_count_samples_that_are_not_finite(name, place):
-    """NaN and infinity never reach R, nor anything that R is made of."""
+    """Drop: NaN and infinity never reach R, nor anything that R is made of."""
     estimator, untouched = (estimator_of(name, contacts=2) for _ in range(2))
     rng = np.random.default_rng(6)
     for k in range(200):

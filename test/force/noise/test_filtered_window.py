@@ -1,10 +1,9 @@
 """The windowed variances against theory and the paper's numbers (P04 eqs 42-44)."""
 
 from force_loop import estimator_of
+from multicontact_control.force.noise import lead_filter
 import numpy as np
 import pytest
-
-from multicontact_control.force.noise import lead_filter
 
 
 def test_lead_window_finds_the_paper_s_variance_in_white_noise():

@@ -1,14 +1,13 @@
 """What follows from an innovation, against the observer's own arrays."""
 
 from force_loop import observer_of
+from multicontact_control.force.noise import Innovation
 import numpy as np
 import pytest
 
-from multicontact_control.force.noise import Innovation
-
 
 def test_innovation_gives_the_residual_and_the_posterior_variance_of_the_observer():
-    """e = y - C x and C P C^T, from r, C P_1 C^T and R alone."""
+    """Check e = y - C x and C P C^T, from r, C P_1 C^T and R alone."""
     observer = observer_of()
     rng = np.random.default_rng(17)
     for _ in range(20):

@@ -1,10 +1,9 @@
 """The estimators that work on innovations: their formulas, and what they find in a force loop."""
 
 from force_loop import estimator_of, run_force_loop
+from multicontact_control.force.noise import Innovation
 import numpy as np
 import pytest
-
-from multicontact_control.force.noise import Innovation
 
 NAMES = ['innovation', 'sage_husa', 'variational_bayes']
 FORCE = np.array([10.0])
@@ -52,7 +51,7 @@ def test_sage_husa_is_its_recursion():
 
 @pytest.mark.parametrize('iterations', [1, 3])
 def test_variational_bayes_is_its_fixed_point_iteration(iterations):
-    """alpha + 1/2 and beta + e^2/2 + C P C^T/2, written out for one contact."""
+    """Check alpha + 1/2 and beta + e^2/2 + C P C^T/2, written out for one contact."""
     estimator = estimator_of('variational_bayes', bayes_decay=0.95, bayes_iterations=iterations)
     alpha = 0.5 / 0.05
     beta = alpha * 0.6

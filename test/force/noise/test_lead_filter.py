@@ -1,11 +1,10 @@
 """The lead filter against scipy's filters and the paper's numbers (P04 eq. 42)."""
 
+from multicontact_control.force.noise import lead_filter
+from multicontact_control.force.noise.kernels import advance_filter
 import numpy as np
 import pytest
 from scipy.signal import dimpulse, freqz, lfilter, lfilter_zi
-
-from multicontact_control.force.noise import lead_filter
-from multicontact_control.force.noise.kernels import advance_filter
 
 RATE = 500.0
 

@@ -1,9 +1,8 @@
 """Statistics of the window against numpy's over the same samples (P04 eqs 43-44)."""
 
-import numpy as np
-
 from multicontact_control.force.noise import WindowedMean
 from multicontact_control.force.noise.kernels import windowed_variance
+import numpy as np
 
 
 def test_windowed_variance_is_numpys_over_the_known_samples():

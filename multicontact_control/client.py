@@ -1,0 +1,332 @@
+"""
+The controller from a Python program.
+
+>>> from multicontact_control.client import MultiContactClient
+>>> with MultiContactClient() as arm:  # doctest: +SKIP
+...     arm.set_forces({'table': 10.0, 'board': 5.0})
+...     state = arm.wait_until_reached(force_tolerance=1.0, timeout=20.0)
+...     arm.move(state.position_world + [0.05, 0.0, 0.0], duration=2.0)
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+import time
+from types import TracebackType
+from typing import Any
+
+from geometry_msgs.msg import PoseStamped
+from multicontact_control.arrays import Vector
+from multicontact_control.errors import RunError
+from multicontact_control.nodes import messages, topics
+from multicontact_control.nodes.controller_link import ControllerLink
+from multicontact_control.nodes.motion_command import finite_vector, motion_message
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool, Trigger
+
+OPTIONAL_WAIT = 1.0
+STATE_TOPICS = (
+    topics.MEASURED_FORCES, topics.ESTIMATED_FORCES, topics.DESIRED_FORCES, topics.POSE,
+    topics.POSE_DESIRED)
+
+
+class NotReachedError(RunError):
+    """The contact forces did not come near their commands in time."""
+
+
+@dataclass(frozen=True, slots=True)
+class ArmState:
+    """
+    What the controller says of one sample.
+
+    Attributes
+    ----------
+    time
+        Stamp of the sample [s].
+    forces, forces_estimated, forces_desired
+        Contact forces by contact name [N]; estimated and desired are 0 where none is controlled.
+    noise_variance
+        R by contact name [N^2]; empty if no estimator runs.
+    position_world, quaternion_xyzw
+        Pose of the operational point [m].
+    position_desired, quaternion_desired
+        Where it should be.
+
+    """
+
+    time: float
+    forces: dict[str, float]
+    forces_estimated: dict[str, float]
+    forces_desired: dict[str, float]
+    noise_variance: dict[str, float]
+    position_world: Vector
+    quaternion_xyzw: Vector
+    position_desired: Vector
+    quaternion_desired: Vector
+
+
+class MultiContactClient:
+    """
+    Commands a running controller and reads its state; to be used in a with statement.
+
+    The clock of everything is that of the samples, so a simulation in lockstep or with a pause
+    is no different from a robot. Only timeouts look at the wall clock. Not for use by several
+    threads at once.
+
+    Parameters
+    ----------
+    namespace
+        Namespace of the controller.
+    domain_id
+        ROS domain; that of the environment by default.
+    timeout
+        Longest wait for an answer or a sample [s].
+
+    """
+
+    def __init__(
+        self, namespace: str = '', *, domain_id: int | None = None, timeout: float = 10.0,
+    ) -> None:
+        self._link = ControllerLink(
+            (*STATE_TOPICS, topics.NOISE_VARIANCE), namespace=namespace, domain_id=domain_id,
+            timeout=timeout)
+        self._force_publisher = self._link.publisher(topics.FORCE_COMMAND)
+        self._motion_publisher = self._link.publisher(topics.MOTION_COMMAND)
+        self._commanded: dict[str, float] = {}
+
+    def __enter__(self) -> MultiContactClient:
+        """Return the client itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Leave the graph; the controller goes on with its last commands."""
+        self.close()
+
+    def close(self) -> None:
+        """Leave the graph; the controller goes on with its last commands."""
+        self._link.close()
+
+    def activate(self) -> None:
+        """
+        Configure and activate estimator and controller, as far as they are not.
+
+        Raises
+        ------
+        RunError
+            If the controller has no lifecycle, does not answer or refuses.
+
+        """
+        if self._link.has_lifecycle(topics.ESTIMATOR, OPTIONAL_WAIT):
+            self._link.bring_up(topics.ESTIMATOR)
+        self._link.bring_up(topics.CONTROLLER)
+
+    def deactivate(self) -> None:
+        """
+        Let the controller command its safe behaviour and obey no more.
+
+        Raises
+        ------
+        RunError
+            If the controller has no lifecycle, does not answer or refuses.
+
+        """
+        self._link.take_down(topics.CONTROLLER)
+
+    def hold(self, on: bool = True) -> None:
+        """
+        Hold the arm where it is and obey no motion, or let go of it again.
+
+        Raises
+        ------
+        RunError
+            If the controller does not answer or refuses.
+
+        """
+        self._require_success('hold', self._link.call(
+            SetBool, f'{topics.CONTROLLER}/hold', SetBool.Request(data=on)))
+
+    def tare(self) -> None:
+        """
+        Take what the wrist sensor reads now for its zero; nothing may touch the tool.
+
+        Raises
+        ------
+        RunError
+            If the controller does not answer or refuses.
+
+        """
+        self._require_success('tare', self._link.call(
+            Trigger, f'{topics.CONTROLLER}/tare', Trigger.Request()))
+
+    @staticmethod
+    def _require_success(what: str, answer: Any) -> None:
+        if not answer.success:
+            raise RunError(f'{topics.CONTROLLER}: {what} refused: {answer.message}')
+
+    def set_forces(self, forces: Mapping[str, float]) -> None:
+        """
+        Command contact forces; contacts that are not named keep theirs.
+
+        Parameters
+        ----------
+        forces
+            Desired force by contact name [N]; 0 gives the contact back to motion control.
+
+        Raises
+        ------
+        RunError
+            If no controller runs or listens.
+        MessageError
+            If a force is not finite.
+
+        """
+        # A command from before the first sample would be forgotten by it.
+        self._link.fresh(topics.DESIRED_FORCES)
+        self._link.publish(self._force_publisher, messages.joint_state_message(
+            0, list(forces), effort=list(forces.values())))
+        self._commanded.update(forces)
+
+    def move(
+        self, position_world: ArrayLike, duration: float, *,
+        quaternion_xyzw: ArrayLike | None = None,
+    ) -> None:
+        """
+        Move the operational point, and return when the command has got there.
+
+        From where it should be now to the goal along a straight line, with a quintic in time:
+        at rest and without acceleration at both ends. Controlled contacts keep their force;
+        along their normals the motion has no effect.
+
+        Parameters
+        ----------
+        position_world
+            Goal, shape (3,) [m].
+        duration
+            Time to get there [s].
+        quaternion_xyzw
+            Orientation to turn to; the present one if not given.
+
+        Raises
+        ------
+        RunError
+            If no controller listens, or samples stop coming.
+        MessageError
+            If a number is not finite.
+
+        """
+        goal = finite_vector(position_world, 3, 'position_world')
+        start, = self._link.fresh(topics.POSE_DESIRED)
+        position, turn = _pose_of(start)
+        last = turn if quaternion_xyzw is None else Rotation.from_quat(
+            finite_vector(quaternion_xyzw, 4, 'quaternion_xyzw'))
+        rotation_vector = (last * turn.inv()).as_rotvec()
+        first_stamp, elapsed = messages.stamp_to_ns(start.header.stamp), 0.0
+        while elapsed < duration:
+            sample, = self._link.fresh(topics.POSE_DESIRED)
+            elapsed = (messages.stamp_to_ns(sample.header.stamp) - first_stamp) * 1e-9
+            s, ds, dds = _quintic(min(elapsed, duration), duration)
+            change = np.concatenate([goal - position, rotation_vector])
+            self._link.publish(self._motion_publisher, motion_message(
+                position + s * change[:3],
+                (Rotation.from_rotvec(s * rotation_vector) * turn).as_quat(),
+                ds * change, dds * change))
+
+    def read(self) -> ArmState:
+        """
+        Return the state of a sample that comes from now on.
+
+        Raises
+        ------
+        RunError
+            If none comes.
+
+        """
+        forces, estimated, desired, pose, pose_desired = self._link.fresh(*STATE_TOPICS)
+        variance = self._link.newest(topics.NOISE_VARIANCE)
+        position, rotation = _pose_of(pose)
+        position_desired, rotation_desired = _pose_of(pose_desired)
+        return ArmState(
+            time=messages.stamp_to_ns(forces.header.stamp) * 1e-9, forces=_by_name(forces),
+            forces_estimated=_by_name(estimated),
+            forces_desired=_by_name(desired),
+            noise_variance={} if variance is None else _by_name(variance),
+            position_world=position, quaternion_xyzw=rotation.as_quat(),
+            position_desired=position_desired, quaternion_desired=rotation_desired.as_quat())
+
+    def wait_until_reached(
+        self, force_tolerance: float = 0.5, timeout: float = 20.0, *, settle_time: float = 0.2,
+    ) -> ArmState:
+        """
+        Wait until the measured forces are what this client commanded.
+
+        Parameters
+        ----------
+        force_tolerance
+            Largest difference between a command and the mean measured force [N].
+        timeout
+            Longest wait [s].
+        settle_time
+            Time that mean is taken over, in the time of the samples [s].
+
+        Returns
+        -------
+        ArmState
+            The state then.
+
+        Raises
+        ------
+        NotReachedError
+            Naming the contacts that are still off.
+        RunError
+            If samples stop coming.
+
+        """
+        wanted = np.array(list(self._commanded.values()))
+        seen: deque[tuple[float, Vector]] = deque()
+        give_up = time.monotonic() + timeout
+        while True:
+            message, = self._link.fresh(topics.MEASURED_FORCES)
+            now, forces = messages.stamp_to_ns(message.header.stamp) * 1e-9, _by_name(message)
+            missing = set(self._commanded) - set(forces)
+            if missing:
+                raise RunError(f'contact_forces/measured: expected {", ".join(sorted(missing))}, '
+                               f'found {", ".join(forces)}')
+            seen.append((now, np.array([forces[name] for name in self._commanded])))
+            settled = now - seen[0][0] >= settle_time
+            while len(seen) > 1 and now - seen[1][0] >= settle_time:
+                seen.popleft()
+            off = np.abs(np.mean([values for _, values in seen], axis=0) - wanted)
+            if settled and (off <= force_tolerance).all():
+                return self.read()
+            if time.monotonic() > give_up:
+                raise NotReachedError(f'not within {force_tolerance:g} N after {timeout:g} s: ' + (
+                    ', '.join(f'{name} is off by {value:.3g} N' for name, value
+                              in zip(self._commanded, off) if value > force_tolerance)
+                    or 'too few samples'))
+
+
+def _by_name(message: JointState) -> dict[str, float]:
+    return dict(zip(message.name, message.effort))
+
+
+def _pose_of(message: PoseStamped) -> tuple[Vector, Rotation]:
+    p, q = message.pose.position, message.pose.orientation
+    return np.array([p.x, p.y, p.z]), Rotation.from_quat([q.x, q.y, q.z, q.w])
+
+
+def _quintic(elapsed: float, duration: float) -> tuple[float, float, float]:
+    """Return a path from 0 to 1 at rest at both ends, its speed and its acceleration."""
+    if elapsed >= duration:
+        return 1.0, 0.0, 0.0
+    x = elapsed / duration
+    return (x ** 3 * (10.0 + x * (-15.0 + 6.0 * x)),
+            30.0 * x ** 2 * (1.0 - x) ** 2 / duration,
+            60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / duration ** 2)

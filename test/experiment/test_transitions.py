@@ -1,0 +1,96 @@
+"""First touch, lost and found surfaces, switches without a jump: in closed loop."""
+
+from multicontact_control.control.reactions import TorqueBlend
+from multicontact_control.experiment.fault_run import World
+from multicontact_control.experiment.scenario import resolve
+import numpy as np
+import pytest
+
+CONTACTS = ('table', 'board')
+
+
+def follow(world, ticks, at=None):
+    """Advance; return true forces and torques, and states per tick."""
+    forces, torques, states = [], [], []
+    for _ in range(ticks):
+        if at is not None and world.tick in at:
+            at[world.tick](world.plant.contacts)
+        result = world.advance()
+        forces.append(world.true_forces.copy())
+        torques.append(result.output.torque)
+        states.append(result.status.contact_states)
+    return np.array(forces), np.array(torques), states
+
+
+def touch(stiffness, plant='rigid', seed=0):
+    """Run the approach of `quick`: 20 mm/s, 2 N of preload, the model as stiff as the surfaces."""
+    same = {name: {'stiffness': stiffness} for name in CONTACTS}
+    return World(resolve('quick', plant=plant, seed=seed, controller={'contacts': same},
+                         plant_overrides={'surfaces': same}))
+
+
+@pytest.mark.parametrize('seed', [0, 1])
+def test_first_touch_stays_below_three_times_the_preload(seed):
+    forces, _, _ = follow(touch(6000.0, seed=seed), 700)
+    assert forces.max() < 3 * 2.0
+    np.testing.assert_allclose(forces[-50:].mean(axis=0), 2.0, atol=0.1)
+
+
+@pytest.mark.parametrize('seed', [0, 1])
+def test_first_touch_of_a_stiff_surface_settles_after_two_losses_at_most(seed):
+    forces, _, states = follow(touch(60000.0, seed=seed), 900)
+    for contact in range(2):
+        on = forces[:, contact] > 0.0
+        first = int(np.argmax(on))
+        assert (np.diff(on.astype(int)) == -1).sum() <= 2
+        assert on[first + 250:].all()
+        assert {state[contact] for state in states[first + 250:]} == {'holding'}
+
+
+def sliding():
+    world = World(resolve('quick', plant='rigid', seed=0))
+    follow(world, 4500)
+    return world
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('contact', [0, 1])
+def test_contact_lost_while_sliding_comes_back(contact):
+    """Gone for 0.3 s; within 10 % (25 ms mean) in 0.5 s; the other within 3 N."""
+    world = sliding()
+    forces, _, states = follow(world, 450, {
+        4500: lambda contacts: contacts.shift(contact, 1.0),
+        4650: lambda contacts: contacts.shift(contact, -1.0)})
+    assert np.abs(forces[:, 1 - contact] - 15.0).max() < 3.0
+    mean = np.convolve(forces[:, contact], np.ones(12) / 12, 'valid')
+    off = np.flatnonzero(np.abs(mean[150:] - 15.0) > 1.5)
+    assert (off[-1] if off.size else 0) * 0.002 < 0.5
+    assert states[20][contact] in ('lost', 'approaching')
+    assert states[-1] == ('holding', 'holding')
+
+
+def test_switch_of_the_active_set_does_not_step_the_torque():
+    """At a switch the torque moves by no more than from tick to tick without one."""
+    _, torques, states = follow(touch(6000.0), 600)
+    limit = np.array(resolve('quick').controller.torque_limit)
+    steps = (np.abs(np.diff(torques, axis=0)) / limit).max(axis=1)
+    active = [tuple(state in ('impact', 'holding') for state in now) for now in states]
+    switched = np.array([a != b for a, b in zip(active, active[1:])])
+    assert switched.sum() == 2
+    usual = steps[100:][~switched[100:]].max()
+    assert steps[switched].max() <= max(usual, 1e-9)
+
+
+def test_blend_is_continuous_and_decays_at_its_declared_rate():
+    blend = TorqueBlend(0.01, 0.002)
+    old, new = np.array([5.0, -3.0]), np.array([-1.0, 2.0])
+    for _ in range(3):
+        blend.last = blend.apply('old', old)
+    out = [blend.last]
+    for _ in range(60):
+        blend.last = blend.apply('new', new)
+        out.append(blend.last)
+    out = np.array(out)
+    np.testing.assert_allclose(out[1], old)
+    np.testing.assert_allclose(out[-1], new, atol=1e-4)
+    assert (np.abs(np.diff(out, axis=0)) <= np.abs(old - new) * 0.002 / 0.01 + 1e-12).all()

@@ -1,0 +1,183 @@
+"""The Python client against the real graph, and against a stand-in for what a graph may lack."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+
+from lifecycle_msgs.msg import State, Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from multicontact_control.client import MultiContactClient, NotReachedError
+from multicontact_control.errors import RunError
+from multicontact_control.experiment.domain import reserve_domain
+from multicontact_control.nodes import messages
+from multicontact_control.nodes.motion_command import motion_message
+import numpy as np
+import pytest
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from ros_graph import ROOT
+from std_srvs.srv import SetBool, Trigger
+
+pytestmark = pytest.mark.ros
+
+RUN = """
+import sys
+from pathlib import Path
+from multicontact_control.experiment.graph import GraphSpec, run_graph
+from multicontact_control.experiment.scenario import resolve
+folder = Path(sys.argv[1])
+setup = resolve('quick', plant='rigid', seed=0)
+config = folder / 'config'
+setup.write(config)
+run_graph(GraphSpec(
+    out=folder, ticks=0, rate=500.0, namespace='arm', lockstep=True, domain_id=int(sys.argv[2]),
+    parameter_files={'controller_node': config / 'controller.yaml',
+                     'sim_node': config / 'plant.yaml',
+                     'noise_estimator_node': config / 'noise_estimator.yaml'}))
+"""
+
+
+@pytest.fixture(scope='module')
+def domain_id():
+    saved = os.environ.pop('ROS_DOMAIN_ID', None)
+    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    with reserve_domain() as number:
+        yield number
+    if saved is not None:
+        os.environ['ROS_DOMAIN_ID'] = saved
+
+
+@pytest.fixture(scope='module')
+def arm(domain_id, tmp_path_factory):
+    """Return a client of a graph in lockstep that obeys commands."""
+    folder = tmp_path_factory.mktemp('graph')
+    run = subprocess.Popen(
+        [sys.executable, '-c', RUN, str(folder), str(domain_id)], cwd=ROOT,
+        stderr=subprocess.PIPE, text=True)
+    try:
+        with MultiContactClient('arm', domain_id=domain_id, timeout=60.0) as client:
+            yield client
+    finally:
+        run.send_signal(signal.SIGINT)
+        _, errors = run.communicate(timeout=60)
+    assert run.returncode == 0, errors
+
+
+def test_client_presses_moves_and_keeps_pressing(arm):
+    arm.set_forces({'table': 5.0, 'board': 4.0})
+    arm.wait_until_reached(force_tolerance=0.5, timeout=120.0)
+    arm.set_forces({'table': 10.0})
+    state = arm.wait_until_reached(force_tolerance=0.5, timeout=120.0)
+    assert state.forces_desired == {'table': 10.0, 'board': 4.0}
+    assert set(state.noise_variance) == {'table', 'board'}
+    goal = state.position_desired + [0.03, 0.0, 0.0]
+    arm.move(goal, duration=1.0)
+    after = arm.wait_until_reached(force_tolerance=0.5, timeout=120.0)
+    np.testing.assert_allclose(after.position_desired, goal, atol=1e-12)
+    assert abs(after.position_world[0] - goal[0]) < 0.003
+    assert after.time - state.time >= 1.0
+
+
+def test_client_names_the_contacts_that_are_off(arm):
+    arm.set_forces({'table': 8.0})
+    with pytest.raises(NotReachedError, match=r'not within 1e-09 N after 0.3 s: .*table is off'):
+        arm.wait_until_reached(force_tolerance=1e-9, timeout=0.3)
+
+
+def test_client_says_when_nobody_is_there(domain_id):
+    with MultiContactClient('nobody', domain_id=domain_id, timeout=0.2) as client:
+        for call in (client.read, lambda: client.set_forces({'table': 1.0})):
+            with pytest.raises(RunError, match='expected a message within 0.2 s, found none; is'):
+                call()
+        with pytest.raises(RunError, match='/nobody/controller_node/tare: expected this service'):
+            client.tare()
+
+
+class StandIn:
+    """The services of a controller, and what was asked of it."""
+
+    def __init__(self, domain_id):
+        self.asked = []
+        self.state = State.PRIMARY_STATE_UNCONFIGURED
+        self._context = Context()
+        self._context.init(args=[], domain_id=domain_id)
+        self._node = Node('controller_node', namespace='stand_in', context=self._context,
+                          use_global_arguments=False, start_parameter_services=False)
+        for service, name, callback in (
+                (GetState, 'get_state', self._get_state), (Trigger, 'tare', self._tare),
+                (ChangeState, 'change_state', self._change), (SetBool, 'hold', self._hold)):
+            self._node.create_service(service, f'~/{name}', callback)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        self._thread = threading.Thread(target=self._executor.spin)
+        self._thread.start()
+
+    def _get_state(self, _request, response):
+        response.current_state.id = self.state
+        return response
+
+    def _change(self, request, response):
+        self.asked.append(request.transition.id)
+        self.state = {
+            Transition.TRANSITION_CONFIGURE: State.PRIMARY_STATE_INACTIVE,
+            Transition.TRANSITION_ACTIVATE: State.PRIMARY_STATE_ACTIVE,
+            Transition.TRANSITION_DEACTIVATE: State.PRIMARY_STATE_INACTIVE}[request.transition.id]
+        response.success = True
+        return response
+
+    def _tare(self, _request, response):
+        response.message = 'in contact'
+        return response
+
+    def _hold(self, request, response):
+        self.asked.append(request.data)
+        response.success = True
+        return response
+
+    def close(self):
+        self._executor.shutdown()
+        self._thread.join()
+        self._node.destroy_node()
+        self._context.try_shutdown()
+
+
+def test_client_drives_services_and_lifecycle(domain_id):
+    controller = StandIn(domain_id)
+    try:
+        with MultiContactClient('stand_in', domain_id=domain_id, timeout=30.0) as client:
+            client.activate()
+            client.activate()
+            client.hold()
+            client.hold(False)
+            client.deactivate()
+            client.deactivate()
+            client.activate()
+            with pytest.raises(RunError, match='controller_node: tare refused: in contact'):
+                client.tare()
+    finally:
+        controller.close()
+    assert controller.asked == [
+        Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE, True, False,
+        Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_ACTIVATE]
+
+
+def test_motion_message_is_what_the_controller_reads():
+    numbers = np.random.default_rng(0).standard_normal(15)
+    quaternion = np.array([0.5, -0.5, 0.5, 0.5])
+    motion = messages.read_motion(
+        motion_message(numbers[:3], quaternion, numbers[3:9], numbers[9:]))
+    np.testing.assert_array_equal(motion.position_world, numbers[:3])
+    np.testing.assert_array_equal(motion.quaternion_xyzw, quaternion)
+    np.testing.assert_array_equal(motion.twist_world, numbers[3:9])
+    np.testing.assert_array_equal(motion.acceleration_world, numbers[9:])
+
+
+@pytest.mark.parametrize('position', [[0.0, 1.0], [0.0, 1.0, float('nan')]])
+def test_motion_message_refuses(position):
+    with pytest.raises(messages.MessageError, match='translation: expected 3 finite numbers'):
+        motion_message(position, [0.0, 0.0, 0.0, 1.0], np.zeros(6), np.zeros(6))
