@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import datetime
+import json
 import os
 from pathlib import Path
 import sys
@@ -12,6 +13,7 @@ from typing import Annotated, Any
 
 from multicontact_control import __version__
 from multicontact_control.errors import ConfigError, MulticontactError, RunError
+from multicontact_control.process import limit_threads
 from rich.console import Console
 import typer
 
@@ -388,6 +390,31 @@ def faults(
         raise typer.Exit(EXIT_FAILED)
 
 
+@app.command()
+def bench(
+    as_json: Annotated[bool, typer.Option(
+        '--json', help='Print one JSON object and nothing else.')] = False,
+    quick: Annotated[bool, typer.Option('--quick', help='A tenth of everything.')] = False,
+    ticks: Annotated[int | None, typer.Option(
+        min=100, help='Controller ticks per repeat; 20 000 if not given.')] = None,
+    graph: Annotated[bool, typer.Option(
+        '--graph/--no-graph', help='Whether to measure the ROS 2 graph, too.')] = True,
+) -> None:
+    """
+    Measure how fast everything is, each part against its floor in the same run.
+
+    Ratios are what to compare between machines; a machine that was too noisy is named as such.
+    """
+    from multicontact_control.experiment.bench.run import print_bench, run_bench
+
+    with _errors_in_one_line():
+        result = run_bench(ticks=ticks, quick=quick, graph=graph)
+    if as_json:
+        typer.echo(json.dumps(result))
+    else:
+        print_bench(result, Console())
+
+
 @contextmanager
 def _errors_in_one_line() -> Iterator[None]:
     try:
@@ -407,6 +434,7 @@ def _end(summary: dict[str, Any]) -> None:
 
 def main() -> None:
     """Run the command line."""
+    limit_threads()
     app(prog_name='multicontact')
 
 

@@ -32,6 +32,7 @@ from multicontact_control.experiment.lifecycle import (
 )
 from multicontact_control.experiment.progress import GraphProgress, ProgressListener
 from multicontact_control.nodes.runtime import FOLLOW_PARENT
+from multicontact_control.process import THREAD_VARIABLES
 
 RECORDER, ESTIMATOR = 'recorder_node', 'noise_estimator_node'
 CONTROLLER, SIM = 'controller_node', 'sim_node'
@@ -342,6 +343,8 @@ def _as_argument(value: Any) -> str:
 
 def _environment(spec: GraphSpec, domain_id: int) -> dict[str, str]:
     environment = dict(os.environ)
+    for variable in THREAD_VARIABLES:
+        environment.setdefault(variable, '1')
     environment.setdefault('AMENT_PREFIX_PATH', sys.prefix)
     environment.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     environment['ROS_DOMAIN_ID'] = str(domain_id)

@@ -13,6 +13,7 @@ from multicontact_control.config import Config, parameter, Real
 from multicontact_control.errors import MulticontactError, RunError
 from multicontact_control.nodes import qos
 from multicontact_control.nodes.topics import Topic
+from multicontact_control.process import claim_processor
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -32,6 +33,9 @@ class StartupConfig(Config):
     startup_timeout: Real = parameter(
         30.0, 'Longest wait for them.', unit='s', gt=0.0)
     timing_file: str = parameter('', 'JSON file to write counts and times to at the end.')
+    fifo_priority: int = parameter(
+        0, 'Real-time priority (SCHED_FIFO) of the node, 0 for normal scheduling.', ge=0, le=99)
+    cpus: tuple[int, ...] = parameter((), 'Processors the node may run on; empty for all.')
 
     @property
     def timing_path(self) -> Path | None:
@@ -125,6 +129,9 @@ class StartupGate:
         self._next_poll = self._start
         self._next_report = self._start + REPORT_PERIOD
         self.open = not config.startup_peers
+        # By now all memory is there, and the threads of the middleware keep their own priority.
+        for problem in claim_processor(fifo_priority=config.fifo_priority, cpus=config.cpus):
+            node.get_logger().warning(problem)
 
     def poll(self) -> bool:
         """

@@ -61,6 +61,7 @@ class RecorderNode(Node):
     def __init__(self) -> None:
         # Without an executor nobody would answer the parameter services.
         super().__init__(RECORDER, start_parameter_services=False)
+        self._cpu_at_start = time.process_time()
         config: RecorderConfig
         config, = load_parameters(self, RecorderConfig)
         self._config = config
@@ -92,6 +93,7 @@ class RecorderNode(Node):
         """Record until asked to stop and nothing comes any more."""
         config = self._config
         yield_to_others(NICENESS)
+        self._cpu_at_start = time.process_time()
         next_flush = time.monotonic()
         while not spinner.stop:
             self._gate.poll()
@@ -114,7 +116,8 @@ class RecorderNode(Node):
                 'messages': self._writer.message_count, 'counts': self._writer.counts(),
                 'lost': sum(stream.lost for stream in streams),
                 'lost_by_topic': {x.name: x.lost for x in streams if x.lost},
-                'before_start': sum(stream.before_start for stream in streams)})
+                'before_start': sum(stream.before_start for stream in streams),
+                'cpu_s': time.process_time() - self._cpu_at_start})
 
     def _statuses(self) -> list[Status]:
         now, count = time.monotonic(), self._writer.message_count

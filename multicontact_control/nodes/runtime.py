@@ -20,6 +20,7 @@ from types import FrameType
 from typing import Any, Protocol, TypeVar
 
 from multicontact_control.errors import ConfigError, MulticontactError
+from multicontact_control.process import settle_process
 import rclpy
 from rclpy.duration import Duration
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
@@ -30,7 +31,7 @@ EXIT_OK, EXIT_ERROR, EXIT_CONFIG = 0, 1, 2
 SPIN_TIMEOUT = 0.1
 DRAIN_TIME = 0.1
 ACKNOWLEDGE_TIMEOUT = 0.3
-PR_SET_PDEATHSIG, PR_SET_TIMERSLACK = 1, 29
+PR_SET_PDEATHSIG = 1
 FOLLOW_PARENT = 'MULTICONTACT_FOLLOW_PARENT'
 
 
@@ -136,19 +137,6 @@ def make_executor() -> Executor:
     except ImportError:
         return SingleThreadedExecutor()
     return EventsExecutor()
-
-
-def settle_process() -> None:
-    """
-    Prepare this process for short, regular work; call it when everything is set up.
-
-    A full garbage collection takes several periods, and the default timer slack makes every
-    wait 50 us too long.
-    """
-    gc.collect()
-    gc.freeze()
-    gc.disable()
-    _prctl(PR_SET_TIMERSLACK, 1)
 
 
 def release_memory() -> None:

@@ -1,0 +1,1 @@
+"""How fast it is: every part against its floor, measured in the same run."""

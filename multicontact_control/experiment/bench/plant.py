@@ -1,0 +1,80 @@
+"""The plant against PyBullet's step alone, whole runs in process, and starting from cold."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+import subprocess
+import sys
+from time import perf_counter, perf_counter_ns
+from typing import Any
+
+from multicontact_control.experiment.bench.statistics import median, percentiles, spread
+from multicontact_control.experiment.loop import run_in_process
+from multicontact_control.experiment.scenario import resolve
+import numpy as np
+import pybullet
+from sim_bridge.pybullet_plant import PybulletPlant
+
+RESTART = 250  # periods after which an arm that falls is put back
+READY = (
+    'import time; start = time.perf_counter()\n'
+    'from multicontact_control.experiment.scenario import resolve\n'
+    'from multicontact_control.control.controller import Controller\n'
+    'imported = time.perf_counter()\n'
+    "setup = resolve('quick', plant='rigid', seed=0, duration=None)\n"
+    'Controller.from_config(setup.controller, setup.reference(), setup.urdf_dir)\n'
+    'print(imported - start, time.perf_counter() - imported)')
+
+
+def bench_plant(ticks: int) -> dict[str, Any]:
+    """
+    Return times of the plant and of `stepSimulation`, and their ratio per period.
+
+    The floor is the plain step of an arm in the same world, as often as the plant takes substeps.
+    """
+    config = resolve('quick', plant='rigid', seed=0, duration=None).plant
+    plant, bare = (PybulletPlant(config, rate=500.0, seed=0) for _ in range(2))
+    substeps = config.substeps(500.0)
+    client = bare.arm.client
+    times, floor = np.zeros(ticks), np.zeros(ticks)
+    for k in range(ticks):
+        if k % RESTART == 0:
+            plant.reset()
+            bare.reset()
+        start = perf_counter_ns()
+        plant.step(plant.initial_torque)
+        done = perf_counter_ns()
+        for _ in range(substeps):
+            pybullet.stepSimulation(physicsClientId=client)
+        end = perf_counter_ns()
+        times[k], floor[k] = done - start, end - done
+    plant.close()
+    bare.close()
+    return {
+        'plant_us': percentiles(1e-3 * times), 'pybullet_us': percentiles(1e-3 * floor),
+        'substeps': substeps, 'ratio': median([float(np.median(times) / np.median(floor))])}
+
+
+def bench_in_process(duration: float | None, repeats: int) -> dict[str, Any]:
+    """Return simulated seconds per wall second of whole runs with the plant `rigid`."""
+    setup = resolve('quick', plant='rigid', seed=0, duration=duration)
+    factors = []
+    for _ in range(repeats):
+        result = run_in_process(setup)
+        factors.append(result.data.ticks / result.data.rate / result.wall_time)
+    return {'realtime_factor': median(factors), 'spread': spread(factors)}
+
+
+def bench_cold_start() -> dict[str, float]:
+    """Return how long a new process takes until its controller could answer [s]."""
+    root = Path(__file__).resolve().parents[3]
+    path = os.pathsep.join(filter(None, [str(root), os.environ.get('PYTHONPATH')]))
+    start = perf_counter()
+    done = subprocess.run(
+        [sys.executable, '-c', READY], capture_output=True, text=True, check=True,
+        env={**os.environ, 'PYTHONPATH': path})
+    total = perf_counter() - start
+    imports, construction = map(float, done.stdout.split()[-2:])
+    return {'import_s': round(imports, 3), 'construct_s': round(construction, 3),
+            'process_s': round(total, 3)}

@@ -1,0 +1,106 @@
+"""The whole benchmark, as one object and as a table."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from multicontact_control.experiment.bench.plant import (
+    bench_cold_start,
+    bench_in_process,
+    bench_plant,
+)
+from multicontact_control.experiment.bench.scaling import bench_scaling
+from multicontact_control.experiment.bench.statistics import describe_machine, load_notes
+from multicontact_control.experiment.bench.tick import bench_tick
+from multicontact_control.process import settle_process
+from rich.console import Console
+from rich.table import Table
+
+TICKS, QUICK_TICKS = 20_000, 2_000
+REPEATS, QUICK_REPEATS = 5, 3
+
+
+def run_bench(
+    *, ticks: int | None = None, quick: bool = False, graph: bool = True,
+) -> dict[str, Any]:
+    """
+    Measure everything against its floor.
+
+    Parameters
+    ----------
+    ticks
+        Ticks of the controller per repeat; 20 000, or 2 000 if `quick`, by default.
+    quick
+        Shorter: enough to see a ratio that is wrong by a factor.
+    graph
+        Whether to run the ROS 2 graph, too.
+
+    Returns
+    -------
+    dict
+        See `multicontact bench --json`.
+
+    """
+    machine = describe_machine()  # before this adds to the load itself
+    settle_process()
+    repeats = QUICK_REPEATS if quick else REPEATS
+    count = ticks or (QUICK_TICKS if quick else TICKS)
+    cold = bench_cold_start()
+    tick = bench_tick(count, repeats)
+    plant = bench_plant(min(count, 5_000))
+    in_process = bench_in_process(4.0 if quick else None, repeats)
+    over_ros, graph_note = _graph(5.0 if quick else 20.0) if graph else (None, 'graph: not asked')
+    notes = [*tick.pop('notes'), *load_notes(machine['load_1min'], machine['cores']),
+             *([graph_note] if graph_note else [])]
+    return {
+        'ratios': {
+            'tick_to_dynamics': tick['ratio'], 'plant_to_pybullet': plant['ratio'],
+            'latency_to_echo': over_ros['latency_to_echo'] if over_ros else None},
+        'in_process_realtime_factor': in_process['realtime_factor'],
+        'lockstep_realtime_factor': over_ros['lockstep_realtime_factor'] if over_ros else None,
+        'tick_us': tick['tick_us'],
+        'machine': {**machine, 'trustworthy': not any(
+            note.startswith('too noisy') for note in notes)},
+        'notes': notes, 'tick': tick, 'plant': plant, 'in_process': in_process,
+        'scaling': bench_scaling(max(200, count // 10)), 'cold_start': cold, 'graph': over_ros}
+
+
+def _graph(duration: float) -> tuple[dict[str, Any] | None, str]:
+    """Return what the graph takes, or why it was not measured."""
+    try:
+        from multicontact_control.experiment.bench.graph import bench_graph
+    except ImportError as error:
+        return None, f'graph: skipped, ROS 2 (rclpy) cannot be loaded: {error}'
+    return bench_graph(duration), ''
+
+
+def print_bench(result: dict[str, Any], console: Console) -> None:
+    """Show a result as a table, what is doubtful below it."""
+    table = Table('what', 'value', 'floor', 'ratio', title='multicontact bench')
+    tick, plant, graph = result['tick'], result['plant'], result['graph']
+    for name in ('p50', 'p99', 'p999', 'max'):
+        table.add_row(f'controller tick {name}', _us(tick['tick_us'][name]),
+                      _us(tick['dynamics_us'][name]),
+                      f"{tick['ratio']:.2f} (spread {tick['ratio_spread']:.0%})"
+                      if name == 'p50' else '')
+    table.add_row('plant step p50', _us(plant['plant_us']['p50']),
+                  _us(plant['pybullet_us']['p50']), f"{plant['ratio']:.2f}")
+    table.add_row('in process', f"{result['in_process_realtime_factor']:.1f} x real time", '', '')
+    if graph:
+        table.add_row('graph latency p50', _us(graph['latency_us']['p50']),
+                      _us(graph['echo_us']['p50']), f"{graph['latency_to_echo']:.2f}")
+        table.add_row('lockstep', f"{graph['lockstep_realtime_factor']:.1f} x real time", '', '')
+        table.add_row('recorder', f"{graph['recorder_cpu_share']:.1%} of a core", '', '')
+    table.add_row('cold start', f"{result['cold_start']['process_s']:.2f} s", '', '')
+    console.print(table)
+    console.print('share of a tick: ' + ', '.join(
+        f'{stage} {share:.0%}' for stage, share in tick['shares'].items()))
+    for name, times in result['scaling'].items():
+        console.print(f'{name.removesuffix("_us")}: ' + ', '.join(
+            f'{count}: {_us(time)}' for count, time in times.items()))
+    for note in result['notes']:
+        console.print(note, style='yellow', highlight=False)
+
+
+def _us(value: float) -> str:
+    return f'{value:.1f} us'
