@@ -47,21 +47,28 @@ def test_first_touch_of_a_stiff_surface_settles_after_two_losses_at_most(seed):
         assert {state[contact] for state in states[first + 250:]} == {'holding'}
 
 
-def sliding():
-    world = World(resolve('quick', plant='rigid', seed=0))
+def sliding(seed):
+    world = World(resolve('quick', plant='rigid', seed=seed))
     follow(world, 4500)
     return world
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize('seed', [0, 1])
 @pytest.mark.parametrize('contact', [0, 1])
-def test_contact_lost_while_sliding_comes_back(contact):
-    """Gone for 0.3 s; within 10 % (25 ms mean) in 0.5 s; the other within 3 N."""
-    world = sliding()
+def test_contact_lost_while_sliding_comes_back(contact, seed):
+    """
+    Gone for 0.3 s; within 10 % (24 ms mean) in 0.5 s; the other within 3 N (12 ms mean).
+
+    Single samples of a sliding contact are up to 4 N beside the command with nothing lost: that
+    is the roughness, not the loss.
+    """
+    world = sliding(seed)
     forces, _, states = follow(world, 450, {
         4500: lambda contacts: contacts.shift(contact, 1.0),
         4650: lambda contacts: contacts.shift(contact, -1.0)})
-    assert np.abs(forces[:, 1 - contact] - 15.0).max() < 3.0
+    other = np.convolve(forces[:, 1 - contact] - 15.0, np.ones(6) / 6, 'valid')
+    assert np.abs(other).max() < 3.0
     mean = np.convolve(forces[:, contact], np.ones(12) / 12, 'valid')
     off = np.flatnonzero(np.abs(mean[150:] - 15.0) > 1.5)
     assert (off[-1] if off.size else 0) * 0.002 < 0.5
