@@ -7,7 +7,7 @@ import subprocess
 import sys
 
 from multicontact_control.experiment.bench.scaling import bench_scaling
-from multicontact_control.experiment.bench.statistics import load_notes, noise_notes, spread
+from multicontact_control.experiment.bench.spread import load_notes, noise_notes, spread
 import numpy as np
 import pytest
 
@@ -17,7 +17,7 @@ MARGIN = 2.0
 
 @pytest.fixture(scope='module')
 def result():
-    """What `multicontact bench --json` prints, without the graph."""
+    """Return what `multicontact bench --json` prints, without the graph."""
     path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get('PYTHONPATH')]))
     done = subprocess.run(
         [sys.executable, '-m', 'multicontact_control.cli', 'bench', '--json', '--quick',

@@ -9,7 +9,7 @@ import sys
 from time import perf_counter, perf_counter_ns
 from typing import Any
 
-from multicontact_control.experiment.bench.statistics import median, percentiles, spread
+from multicontact_control.experiment.bench.spread import median, percentiles, spread
 from multicontact_control.experiment.loop import run_in_process
 from multicontact_control.experiment.scenario import resolve
 import numpy as np

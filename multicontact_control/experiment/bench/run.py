@@ -10,7 +10,7 @@ from multicontact_control.experiment.bench.plant import (
     bench_plant,
 )
 from multicontact_control.experiment.bench.scaling import bench_scaling
-from multicontact_control.experiment.bench.statistics import describe_machine, load_notes
+from multicontact_control.experiment.bench.spread import describe_machine, load_notes
 from multicontact_control.experiment.bench.tick import bench_tick
 from multicontact_control.process import settle_process
 from rich.console import Console

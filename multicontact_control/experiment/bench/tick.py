@@ -9,7 +9,7 @@ from typing import Any
 from multicontact_control.arrays import Vector
 from multicontact_control.control.controller import Controller, Measurement
 from multicontact_control.dynamics.robot import RobotModel
-from multicontact_control.experiment.bench.statistics import (
+from multicontact_control.experiment.bench.spread import (
     median,
     noise_notes,
     percentiles,
