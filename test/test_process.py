@@ -94,7 +94,7 @@ def test_change_of_a_called_function_compiles_its_callers_anew(tmp_path):
 
 @pytest.mark.parametrize('variable', ['NUMBA_CACHE_DIR', 'HOME'])
 def test_installation_that_cannot_be_written_is_compiled_once(tmp_path, variable):
-    """Let numba keeps the result in the user's folder, or where it is told to."""
+    """Find that numba keeps the result in the user's folder, or where it is told to."""
     if os.geteuid() == 0:
         # Root may write everywhere: a file where the folder would be has the same effect.
         (package_with_two_kernels(tmp_path, 1.0) / '__pycache__').write_text('')
