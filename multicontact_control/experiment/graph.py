@@ -160,7 +160,7 @@ def run_graph(
             on_progress is not None) else None
         try:
             processes.start()
-            _bring_up(processes, interrupted, domain_id)
+            _bring_up(processes, interrupted, domain_id, spec.namespace)
             _watch(processes, interrupted, listener, on_progress)
         finally:
             if listener is not None:
@@ -177,7 +177,9 @@ class _InterruptedError(Exception):
     """A signal came before the graph was up."""
 
 
-def _bring_up(processes: _Processes, interrupted: list[int], domain_id: int) -> None:
+def _bring_up(
+    processes: _Processes, interrupted: list[int], domain_id: int, namespace: str,
+) -> None:
     """Configure and activate the managed nodes."""
     def keep_waiting() -> None:
         processes.raise_if_failed()
@@ -186,7 +188,7 @@ def _bring_up(processes: _Processes, interrupted: list[int], domain_id: int) -> 
             raise _InterruptedError
 
     with contextlib.suppress(_InterruptedError), LifecycleDriver(
-            domain_id, keep_waiting) as driver:
+            domain_id, keep_waiting, namespace) as driver:
         for transition in (CONFIGURE, ACTIVATE):
             for name in MANAGED:
                 try:
