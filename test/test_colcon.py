@@ -46,7 +46,7 @@ def run_in(install, *command):
     line = f'. "{install}/setup.sh" && exec "$@"'
     return subprocess.run(
         ['sh', '-c', line, 'sh', *map(str, command)], cwd=install, env=environment,
-        capture_output=True, text=True, check=False)
+        capture_output=True, text=True, timeout=120, check=False)
 
 
 def test_colcon_installs_the_nodes_where_ros2_run_looks(install):
@@ -74,7 +74,7 @@ def test_installed_package_finds_its_own_configuration(install):
 @pytest.mark.parametrize('name', sorted(PROGRAMS - {'multicontact'}))
 def test_installed_node_starts_and_reads_its_parameters(install, name):
     done = run_in(install, install / NAME / 'lib' / NAME / name,
-                  '--ros-args', '-p', 'no_such_parameter:=1')
+                  '--autostart', '--ros-args', '-p', 'no_such_parameter:=1')
     assert done.returncode == 2, done.stderr
     assert done.stderr.splitlines()[-1].endswith("found unknown 'no_such_parameter'")
 
