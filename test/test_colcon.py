@@ -7,6 +7,7 @@ from pathlib import Path
 import subprocess
 import sys
 
+from multicontact_control.experiment.domain import reserve_domain
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -40,8 +41,18 @@ def untracked():
     return {path.name for path in ROOT.iterdir()}
 
 
+@pytest.fixture(autouse=True)
+def own_domain(monkeypatch):
+    """Keep what is started here apart: a node that lingers would answer to its name."""
+    monkeypatch.delenv('ROS_DOMAIN_ID', raising=False)
+    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    with reserve_domain() as domain_id:
+        monkeypatch.setenv('ROS_DOMAIN_ID', str(domain_id))
+        yield
+
+
 def run_in(install, *command):
-    """Run a command where the workspace is sourced, away from the checkout."""
+    """Run a command where the workspace is sourced, away from the checkout, not for ever."""
     environment = {key: value for key, value in os.environ.items() if key != 'PYTHONPATH'}
     line = f'. "{install}/setup.sh" && exec "$@"'
     return subprocess.run(

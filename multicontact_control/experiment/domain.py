@@ -15,6 +15,7 @@ from multicontact_control.errors import ConfigError, RunError
 
 LARGEST_DOMAIN = 101
 PORT_BASE, PORTS_PER_DOMAIN, FIRST_PARTICIPANT_OFFSET = 7400, 250, 10
+PARTICIPANTS, PORTS_PER_PARTICIPANT = 32, 2
 
 
 @contextlib.contextmanager
@@ -87,8 +88,17 @@ def check_namespace(namespace: str) -> str:
 
 
 def domain_in_use(domain_id: int) -> bool:
-    """Return whether a participant listens on the port that DDS gives the first one."""
-    port = PORT_BASE + PORTS_PER_DOMAIN * domain_id + FIRST_PARTICIPANT_OFFSET
+    """
+    Return whether a participant listens on a port that DDS gives the first ones.
+
+    Not only the very first: it may have left, and others stayed.
+    """
+    first = PORT_BASE + PORTS_PER_DOMAIN * domain_id + FIRST_PARTICIPANT_OFFSET
+    ports = range(first, first + PORTS_PER_PARTICIPANT * PARTICIPANTS, PORTS_PER_PARTICIPANT)
+    return any(_is_bound(port) for port in ports)
+
+
+def _is_bound(port: int) -> bool:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.bind(('', port))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -226,6 +227,16 @@ def test_reserve_domain_gives_two_runs_two_domains(free_domain):
     with reserve_domain() as first, reserve_domain() as second:
         assert first != second
     assert not domain_in_use(first)
+
+
+@pytest.mark.parametrize('participant', [0, 7])
+def test_domain_is_in_use_while_any_participant_is_there(free_domain, participant):
+    with reserve_domain() as domain_id, socket.socket(
+            socket.AF_INET, socket.SOCK_DGRAM) as listener:
+        assert not domain_in_use(domain_id)
+        listener.bind(('', 7400 + 250 * domain_id + 10 + 2 * participant))
+        assert domain_in_use(domain_id)
+    assert not domain_in_use(domain_id)
 
 
 def test_reserve_domain_obeys_the_environment(monkeypatch):
