@@ -38,7 +38,7 @@ else
     done; echo python3)
   VENV_FLAGS :=
   RUN_PACKAGE := .[ros]
-  TEST_PACKAGE := .[ros,ros_test,test]
+  TEST_PACKAGE := .[ros,rostest,test]
 endif
 
 BIN := $(VENV)/bin

