@@ -1,0 +1,38 @@
+"""
+The configuration of the controller and the estimator: every tunable value, once.
+
+Each field carries its default, unit, description and range here and nowhere else. The ROS
+parameters of the nodes are generated from these models, the YAML files in ``config/`` are ROS 2
+parameter files that these models validate, and both report a bad value in the same one line.
+"""
+
+from multicontact_control.config.base import Config, parameter, Real, UnitVector3, Vector, Vector3
+from multicontact_control.config.contact_state import ContactStateConfig
+from multicontact_control.config.controller import ControllerConfig, MAX_DELAY_PERIODS
+from multicontact_control.config.estimator import NoiseEstimatorConfig
+from multicontact_control.config.files import (
+    merge,
+    read_parameters,
+    read_yaml,
+    validate,
+    write_parameters,
+)
+from multicontact_control.config.law import (
+    ContactConfig,
+    ForceConfig,
+    FrictionConfig,
+    MotionConfig,
+    SafeBehaviourConfig,
+    TransitionConfig,
+)
+from multicontact_control.config.limits import LimitsConfig
+from multicontact_control.config.robot import RobotConfig, ToolConfig
+from multicontact_control.config.sensor import SensorFrontEndConfig
+from multicontact_control.config.watchdog import Reaction, WatchdogConfig
+
+__all__ = [
+    'Config', 'ContactConfig', 'ContactStateConfig', 'ControllerConfig', 'ForceConfig',
+    'FrictionConfig', 'LimitsConfig', 'MAX_DELAY_PERIODS', 'MotionConfig', 'NoiseEstimatorConfig',
+    'Reaction', 'Real', 'RobotConfig', 'SafeBehaviourConfig', 'SensorFrontEndConfig', 'ToolConfig',
+    'TransitionConfig', 'UnitVector3', 'Vector', 'Vector3', 'WatchdogConfig', 'merge', 'parameter',
+    'read_parameters', 'read_yaml', 'validate', 'write_parameters']

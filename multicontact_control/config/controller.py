@@ -1,0 +1,101 @@
+"""Everything the controller needs to know."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from multicontact_control.config.base import Config, parameter, Real, Vector
+from multicontact_control.config.contact_state import ContactStateConfig
+from multicontact_control.config.law import (
+    ContactConfig,
+    ForceConfig,
+    FrictionConfig,
+    MotionConfig,
+    SafeBehaviourConfig,
+    TransitionConfig,
+)
+from multicontact_control.config.limits import LimitsConfig
+from multicontact_control.config.robot import RobotConfig, ToolConfig
+from multicontact_control.config.sensor import SensorFrontEndConfig
+from multicontact_control.config.watchdog import WatchdogConfig
+from multicontact_control.errors import ConfigError
+from pydantic import model_validator
+
+MAX_DELAY_PERIODS = 10
+
+
+class ControllerConfig(Config):
+    """Everything the controller needs to know."""
+
+    rate: Real = parameter(500.0, 'Control rate 1/h.', unit='Hz', gt=0.0)
+    robot: RobotConfig
+    tool: ToolConfig = ToolConfig()
+    sensor: SensorFrontEndConfig = SensorFrontEndConfig()
+    motion: MotionConfig = MotionConfig()
+    force: ForceConfig = ForceConfig()
+    friction: FrictionConfig = FrictionConfig()
+    transition: TransitionConfig = TransitionConfig()
+    safe_behaviour: SafeBehaviourConfig = SafeBehaviourConfig()
+    contact_names: tuple[str, ...] = parameter(
+        ..., 'Contacts in the order of every contact vector.', min_length=1)
+    contacts: dict[str, ContactConfig]
+    contact_state: ContactStateConfig = ContactStateConfig()
+    limits: LimitsConfig = LimitsConfig()
+    watchdog: WatchdogConfig = WatchdogConfig()
+    wrench_input: Literal['raw', 'filtered'] = parameter(
+        'raw', 'Which wrench feeds the loop: ft_sensor/wrench or ft_sensor/wrench_filtered.')
+    initial_noise_variance: Real = parameter(
+        0.6, 'R until an estimate arrives.', unit='N^2', gt=0.0)
+    torque_limit: Vector = parameter(
+        (), 'Largest commanded torque per joint; empty for none.', unit='N m')
+    nullspace_damping: Real = parameter(
+        2.0, 'Joint damping in the null space of arms with more than six joints.',
+        unit='1/s', ge=0.0)
+
+    @model_validator(mode='after')
+    def _check_across_fields(self) -> ControllerConfig:
+        joints = len(self.robot.joint_names)
+        per_joint = {
+            'robot.armature': self.robot.armature, 'friction.coulomb': self.friction.coulomb,
+            'friction.viscous': self.friction.viscous, 'torque_limit': self.torque_limit,
+            'limits.joint_lower': self.limits.joint_lower,
+            'limits.joint_speed': self.limits.joint_speed,
+            'limits.torque_rate': self.limits.torque_rate}
+        for name, values in per_joint.items():
+            if values and len(values) != joints:
+                raise ConfigError(name, f'{joints} values, one per joint', f'{len(values)}')
+        for name in self.contact_names:
+            if name not in self.contacts:
+                raise ConfigError(
+                    'contact_names', f'names among {", ".join(sorted(self.contacts))}',
+                    f"'{name}'")
+        if len(set(self.contact_names)) != len(self.contact_names):
+            raise ConfigError('contact_names', 'distinct names', list(self.contact_names))
+        self._check_delay()
+        return self
+
+    def _check_delay(self) -> None:
+        sensor, nyquist = self.sensor, 0.5 * self.rate
+        if sensor.filter_order and sensor.filter_cutoff >= nyquist:
+            raise ConfigError(
+                'sensor.filter_cutoff', f'below the Nyquist frequency {nyquist:g} Hz',
+                f'{sensor.filter_cutoff:g} Hz')
+        if self.loop_delay * self.rate <= MAX_DELAY_PERIODS + 1e-9:
+            return
+        field, found = 'force.input_delay', f'{self.force.input_delay:g} s'
+        if sensor.filter_order:
+            field += ' and the delay of sensor.filter_cutoff'
+            found += f' + {sensor.filter_delay(self.rate):.4g} s'
+        raise ConfigError(
+            field, f'at most {MAX_DELAY_PERIODS} periods ({MAX_DELAY_PERIODS / self.rate:g} s)',
+            found)
+
+    @property
+    def loop_delay(self) -> float:
+        """T_d of the force loop: force.input_delay and that of the sensor's low-pass [s]."""
+        return self.force.input_delay + self.sensor.filter_delay(self.rate)
+
+    @property
+    def period(self) -> float:
+        """Control period h [s]."""
+        return 1.0 / self.rate

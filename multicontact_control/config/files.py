@@ -1,0 +1,136 @@
+"""From files to configurations and back, with one clear line per bad value."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, get_args, TypeVar
+
+from multicontact_control.config.base import Config
+from multicontact_control.errors import ConfigError
+from pydantic import BaseModel, ValidationError
+import yaml
+
+ModelT = TypeVar('ModelT', bound='Config')
+
+
+def validate(model: type[ModelT], values: Mapping[str, Any], source: str = '') -> ModelT:
+    """
+    Build a configuration from plain values.
+
+    Parameters
+    ----------
+    model
+        The configuration class.
+    values
+        Nested plain values, as a YAML file gives them.
+    source
+        File name for the error message.
+
+    Returns
+    -------
+    Config
+        The frozen configuration.
+
+    Raises
+    ------
+    ConfigError
+        With the first field that is not acceptable.
+
+    """
+    try:
+        return model.model_validate(values)
+    except ConfigError as error:
+        raise ConfigError(error.field, error.expected, error.found, source) from None
+    except ValidationError as error:
+        raise _first_error(error, model, source) from None
+
+
+def _first_error(
+    error: ValidationError, model: type[Config], source: str,
+) -> ConfigError:
+    detail = error.errors(include_url=False)[0]
+    field = '.'.join(str(part) for part in detail['loc']) or model.__name__
+    kind, message = detail['type'], detail['msg']
+    if kind == 'extra_forbidden':
+        return ConfigError(field, f'a known key ({_known_keys(model, detail["loc"])})',
+                           f"unknown key '{detail['loc'][-1]}'", source)
+    if kind == 'missing':
+        return ConfigError(field, 'a value', 'nothing', source)
+    expected = message.removeprefix('Value error, ').removeprefix('Input should be ')
+    return ConfigError(field, expected.removeprefix('expected '), repr(detail['input']), source)
+
+
+def _known_keys(model: type[Config], location: tuple[int | str, ...]) -> str:
+    """Return the keys that are known at the level of the unknown one."""
+    current: Any = model
+    for part in location[:-1]:
+        if isinstance(current, type) and issubclass(current, BaseModel):
+            field = current.model_fields.get(str(part))
+            current = field.annotation if field else None
+        else:  # the values of a mapping or the items of a sequence
+            arguments = [x for x in get_args(current) if x is not Ellipsis]
+            current = arguments[-1] if arguments else None
+        if type(None) in get_args(current):
+            current = next(x for x in get_args(current) if x is not type(None))
+    if isinstance(current, type) and issubclass(current, BaseModel):
+        return ', '.join(current.model_fields)
+    return 'see the documentation'
+
+
+def read_yaml(path: Path) -> dict[str, Any]:
+    """
+    Read a YAML mapping.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read, is not YAML, or does not hold a mapping.
+
+    """
+    try:
+        data = yaml.safe_load(path.read_text(encoding='utf-8'))
+    except OSError as error:
+        raise ConfigError(str(path), 'a readable file', error.strerror or error) from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        line = str(error).replace('\n', ' ')
+        raise ConfigError(str(path), 'valid YAML', line) from None
+    if not isinstance(data, dict):
+        raise ConfigError(str(path), 'a mapping of keys to values', type(data).__name__)
+    return data
+
+
+def read_parameters(path: Path) -> dict[str, Any]:
+    """
+    Read the parameters of a ROS 2 parameter file with one `ros__parameters` section.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read or has no such section.
+
+    """
+    data = read_yaml(path)
+    sections = [value for value in data.values() if isinstance(value, dict)]
+    if len(data) != 1 or not sections or not isinstance(sections[0].get('ros__parameters'), dict):
+        raise ConfigError(str(path), "one node key holding 'ros__parameters'", list(data))
+    parameters: dict[str, Any] = sections[0]['ros__parameters']
+    return parameters
+
+
+def merge(base: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
+    """Return `base` with the nested `overrides` laid over it."""
+    merged = dict(base)
+    for key, value in overrides.items():
+        if isinstance(value, Mapping) and isinstance(merged.get(key), Mapping):
+            merged[key] = merge(merged[key], value)
+        else:
+            merged[key] = value
+    return merged
+
+
+def write_parameters(path: Path, config: Config) -> None:
+    """Write a configuration as a ROS 2 parameter file that reads back to the same values."""
+    values = config.model_dump(mode='json')
+    text = yaml.safe_dump({'/**': {'ros__parameters': values}}, sort_keys=False)
+    path.write_text(text, encoding='utf-8')
