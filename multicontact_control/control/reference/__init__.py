@@ -1,0 +1,16 @@
+"""What the controller is asked to do: by a scenario, or by a user's commands."""
+
+from multicontact_control.control.reference.commanded import CommandedReference
+from multicontact_control.control.reference.scenario import ScenarioReference
+from multicontact_control.control.reference.scenario_config import (
+    ApproachConfig,
+    ForceStepConfig,
+    ReferenceConfig,
+    SineConfig,
+)
+from multicontact_control.control.reference.sine import sine_motion
+from multicontact_control.control.reference.source import Reference, ReferenceSource, TaskSource
+
+__all__ = [
+    'ApproachConfig', 'CommandedReference', 'ForceStepConfig', 'Reference', 'ReferenceConfig',
+    'ReferenceSource', 'ScenarioReference', 'SineConfig', 'TaskSource', 'sine_motion']

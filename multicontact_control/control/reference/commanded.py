@@ -1,0 +1,113 @@
+"""A reference that a user sets."""
+
+from __future__ import annotations
+
+import math
+
+from multicontact_control.arrays import Vector
+from multicontact_control.config import ContactStateConfig
+from multicontact_control.control.reference.source import Reference
+from multicontact_control.dynamics.pose import Pose
+from multicontact_control.errors import ConfigError
+import numpy as np
+
+
+class CommandedReference:
+    """
+    A reference that a user sets, over topics or from a program.
+
+    Until a motion is commanded the pose at the start is held. A contact with a commanded force
+    above 0 is force controlled.
+
+    Parameters
+    ----------
+    contact_names
+        Contacts in the order of every contact vector.
+
+    """
+
+    def __init__(self, contact_names: tuple[str, ...]) -> None:
+        self._names = contact_names
+        self._alpha_des = np.zeros(len(contact_names))
+        self._pose: Pose | None = None
+        self._twist = np.zeros(6)
+        self._acceleration = np.zeros(6)
+
+    def start(self, pose: Pose, normals_world: Vector) -> None:
+        """Begin from a pose at rest; see `ReferenceSource.start`."""
+        self._pose = pose
+        self._twist = np.zeros(6)
+        self._acceleration = np.zeros(6)
+        self._alpha_des = np.zeros(len(self._names))
+
+    def set_forces(self, forces: dict[str, float]) -> None:
+        """
+        Command contact forces; contacts that are not named keep theirs.
+
+        Parameters
+        ----------
+        forces
+            Desired force per contact [N]; 0 gives the contact back to motion control.
+
+        Raises
+        ------
+        ConfigError
+            If a name is unknown or a force is negative or not finite; nothing is changed then.
+
+        """
+        desired = self._alpha_des.copy()
+        for name, force in forces.items():
+            if name not in self._names:
+                raise ConfigError('contact_forces/command',
+                                  f'contacts among {", ".join(self._names)}', f"'{name}'")
+            if not (math.isfinite(force) and force >= 0.0):
+                raise ConfigError(f'contact_forces/command.{name}', 'a force >= 0 N', force)
+            desired[self._names.index(name)] = force
+        self._alpha_des = desired
+
+    def set_motion(
+        self, position_world: Vector, quaternion_xyzw: Vector, twist_world: Vector,
+        acceleration_world: Vector,
+    ) -> None:
+        """
+        Command the motion of the operational point.
+
+        Parameters
+        ----------
+        position_world, quaternion_xyzw
+            Desired pose, shapes (3,) [m] and (4,).
+        twist_world, acceleration_world
+            Shapes (6,), linear first.
+
+        Raises
+        ------
+        ConfigError
+            If a number is not finite or the quaternion has no length; nothing is changed then.
+
+        """
+        numbers = np.concatenate(
+            [position_world, quaternion_xyzw, twist_world, acceleration_world])
+        if not np.isfinite(numbers).all():
+            raise ConfigError('motion/command', 'finite numbers', numbers.tolist())
+        if np.linalg.norm(quaternion_xyzw) < 1e-6:
+            raise ConfigError('motion/command', 'a quaternion of unit length',
+                              quaternion_xyzw.tolist())
+        self._pose = Pose.from_quaternion(position_world, quaternion_xyzw)
+        self._twist = np.array(twist_world, dtype=float)
+        self._acceleration = np.array(acceleration_world, dtype=float)
+
+    def contact_state(self, default: ContactStateConfig) -> ContactStateConfig:
+        """Return the default: a command says nothing of how contacts are made."""
+        return default
+
+    def task(self, time: float) -> Reference:
+        """Return what is commanded; see `TaskSource.task`."""
+        return self.update(time, self._alpha_des)
+
+    def update(self, time: float, alpha_meas: Vector) -> Reference:
+        """Return the reference of one tick; see `ReferenceSource.update`."""
+        if self._pose is None:
+            raise ConfigError('reference', 'start() before update()', 'update()')
+        return Reference(
+            pose_des=self._pose, twist_des=self._twist, acceleration_des=self._acceleration,
+            active=self._alpha_des > 0.0, alpha_des=self._alpha_des)
