@@ -11,7 +11,7 @@ share = f'share/{package_name}'
 here = Path(__file__).resolve().parent
 
 console_scripts = {
-    'multicontact': 'multicontact_control.cli:main',
+    'multicontact': 'multicontact_control.cli.application:main',
     'sim_node': 'sim_bridge.sim_node:main',
     'controller_node': 'multicontact_control.nodes.controller_node:main',
     'noise_estimator_node': 'multicontact_control.nodes.noise_estimator_node:main',

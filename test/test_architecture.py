@@ -74,7 +74,9 @@ GOOD = {
     'multicontact_control/nodes/controller_node.py':
         'import rclpy\nfrom multicontact_control.control.controller import Controller',
     'multicontact_control/experiment/loop.py': 'from sim_bridge.plant import Plant',
-    'multicontact_control/cli.py': 'def main():\n    import multicontact_control.experiment.loop',
+    'multicontact_control/cli/__init__.py': '',
+    'multicontact_control/cli/run.py':
+        'def run():\n    import multicontact_control.experiment.loop',
     'sim_bridge/plant.py': 'import pybullet\nimport pinocchio\nimport multicontact_control.config',
 }
 

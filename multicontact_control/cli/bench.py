@@ -1,0 +1,34 @@
+"""`multicontact bench`."""
+
+from __future__ import annotations
+
+import json
+from typing import Annotated
+
+from multicontact_control.cli.exits import errors_in_one_line
+from rich.console import Console
+import typer
+
+
+def bench(
+    as_json: Annotated[bool, typer.Option(
+        '--json', help='Print one JSON object and nothing else.')] = False,
+    quick: Annotated[bool, typer.Option('--quick', help='A tenth of everything.')] = False,
+    ticks: Annotated[int | None, typer.Option(
+        min=100, help='Controller ticks per repeat; 20 000 if not given.')] = None,
+    graph: Annotated[bool, typer.Option(
+        '--graph/--no-graph', help='Whether to measure the ROS 2 graph, too.')] = True,
+) -> None:
+    """
+    Measure how fast everything is, each part against its floor in the same run.
+
+    Ratios are what to compare between machines; a machine that was too noisy is named as such.
+    """
+    from multicontact_control.experiment.bench.run import print_bench, run_bench
+
+    with errors_in_one_line():
+        result = run_bench(ticks=ticks, quick=quick, graph=graph)
+    if as_json:
+        typer.echo(json.dumps(result))
+    else:
+        print_bench(result, Console())

@@ -1,0 +1,42 @@
+"""How a command ends: its exit code, and one line for an error."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from multicontact_control.errors import ConfigError, MulticontactError, RunError
+import typer
+
+EXIT_FAILED = 1
+EXIT_USAGE = 2
+EXIT_SIGNAL = 128
+
+
+@contextmanager
+def errors_in_one_line() -> Iterator[None]:
+    """Turn an error of the package into its line on stderr and its exit code."""
+    try:
+        yield
+    except ConfigError as error:
+        typer.echo(f'multicontact: {error}', err=True)
+        raise typer.Exit(EXIT_USAGE) from None
+    except MulticontactError as error:
+        typer.echo(f'multicontact: {error}', err=True)
+        raise typer.Exit(EXIT_FAILED) from None
+
+
+def end_by_verdict(summary: dict[str, Any]) -> None:
+    """Exit with 1 unless the run was stable."""
+    if not summary['stable']:
+        raise typer.Exit(EXIT_FAILED)
+
+
+def require_ros() -> None:
+    """Check that ROS 2 can be loaded; RunError if it cannot."""
+    try:
+        import rclpy  # noqa: F401
+    except ImportError as error:
+        raise RunError(f'ROS 2 (rclpy) cannot be loaded: {error}; install the extra [ros] or '
+                       'source a ROS 2 Jazzy') from None

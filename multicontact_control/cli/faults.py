@@ -1,0 +1,42 @@
+"""`multicontact faults`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from multicontact_control.cli.exits import errors_in_one_line, EXIT_FAILED
+from multicontact_control.errors import ConfigError
+from rich.console import Console
+import typer
+
+
+def faults(
+    seed: Annotated[int, typer.Option(help='Seed of the first fault of every kind.')] = 0,
+    out: Annotated[Path, typer.Option(
+        help='Folder for faults.json.')] = Path('runs/faults'),
+    quick: Annotated[bool, typer.Option(
+        '--quick', help='One fault of each kind instead of 14.')] = False,
+    jobs: Annotated[int, typer.Option(min=1, help='Faults at a time.')] = 2,
+) -> None:
+    """
+    Break inputs and plant in many ways, and check that the arm stays safe.
+
+    Exit code 0: every fault was safe; 1: one was not; 2: bad input.
+    """
+    with errors_in_one_line():
+        # Only now: what is heavy is not loaded for the sake of an error.
+        from multicontact_control.experiment.fault_campaign import (
+            print_report,
+            run_campaign,
+            write_report,
+        )
+
+        if seed < 0:
+            raise ConfigError('seed', 'a whole number >= 0', seed)
+        rows = run_campaign(seed, quick=quick, jobs=jobs)
+        path = write_report(out, rows)
+    print_report(rows, Console())
+    typer.echo(f'written to {path}')
+    if not all(row.safe for row in rows):
+        raise typer.Exit(EXIT_FAILED)

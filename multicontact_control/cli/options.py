@@ -1,0 +1,32 @@
+"""Options that several commands have."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+Scenario = Annotated[str, typer.Option(
+    help='Scenario: a name from config/scenarios (paper, quick) or the path of a YAML file.')]
+Plant = Annotated[str, typer.Option(
+    help='Plant: `puma` (flexible drives, joint friction), `rigid` (ideal drives) or the path of '
+         'a parameter file.')]
+Seed = Annotated[int, typer.Option(help='Seed of the sensor noise and the surface roughness.')]
+Duration = Annotated[float | None, typer.Option(
+    help="Length of the run [s]; the scenario's own if not given.")]
+Out = Annotated[Path | None, typer.Option(
+    help='Folder for the results; runs/<date>-<time>-<scenario> if not given.')]
+Estimator = Annotated[str | None, typer.Option(
+    '--noise-estimator', help='How R is estimated: lead_window (the paper), hf_window, window, '
+    'fixed (0.6 N^2), innovation, sage_husa or variational_bayes; the configured one if not '
+    'given.')]
+Overwrite = Annotated[bool, typer.Option(
+    '--overwrite', help='Replace a run that is already in that folder.')]
+DomainId = Annotated[int | None, typer.Option(
+    help='ROS_DOMAIN_ID to look at; that of the environment, or 0, if not given.')]
+
+
+def split_list(text: str) -> tuple[str, ...]:
+    """Return the parts of a list with commas between, without the empty ones."""
+    return tuple(part.strip() for part in text.split(',') if part.strip())

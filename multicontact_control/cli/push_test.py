@@ -1,0 +1,32 @@
+"""`multicontact push-test`."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from multicontact_control.cli.exits import errors_in_one_line, EXIT_FAILED
+from multicontact_control.cli.options import Plant, Seed
+import typer
+
+
+def push_test(
+    plant: Plant = 'puma', seed: Seed = 0,
+    fault: Annotated[str, typer.Option(
+        help='What is wrong with the sensor: none, sign (flipped), rotate (a quarter turn, about '
+        'x, y, z for seeds 0, 1, 2, the other way for 3, 4, 5) or scale (half).')] = 'none',
+) -> None:
+    """
+    Prove sign, frame and scale of the wrist sensor by pushing the tool.
+
+    In simulation a scripted hand pushes as the test asks. Exit code 0: passed; 1: refused, naming
+    what is wrong; 2: bad input.
+    """
+    from multicontact_control.experiment import push_trial
+
+    with errors_in_one_line():
+        config = push_trial.PushTestConfig()
+        setup = push_trial.push_setup(
+            plant, seed, config, push_trial.fault_mounting(fault, seed))
+        result = push_trial.run_push_test(setup, config, on_instruction=typer.echo)
+    if not result.passed:
+        raise typer.Exit(EXIT_FAILED)

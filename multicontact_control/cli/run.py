@@ -1,0 +1,59 @@
+"""`multicontact run`."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import Annotated
+
+from multicontact_control.cli.exits import end_by_verdict, errors_in_one_line, EXIT_SIGNAL
+from multicontact_control.cli.options import (
+    Duration,
+    Estimator,
+    Out,
+    Overwrite,
+    Plant,
+    Scenario,
+    Seed,
+)
+import typer
+
+
+def run(
+    scenario: Scenario = 'paper', plant: Plant = 'puma', seed: Seed = 0,
+    duration: Duration = None, noise_estimator: Estimator = None, out: Out = None,
+    overwrite: Overwrite = False,
+    lockstep: Annotated[bool, typer.Option(
+        '--lockstep', help='Let the nodes wait for each other instead of for the wall clock: '
+        'the same torques as `simulate`, bit for bit.')] = False,
+    domain_id: Annotated[int | None, typer.Option(
+        help='ROS_DOMAIN_ID of the graph; that of the environment, or the first one without '
+        'participants on this machine, if not given.')] = None,
+    namespace: Annotated[str, typer.Option(
+        help='Namespace of the graph, e.g. `left`: two graphs can then share one domain.')] = '',
+) -> None:
+    """
+    Run a scenario on the ROS 2 graph, record it to MCAP and report it.
+
+    Starts simulator, controller, noise estimator and recorder as processes of their own, stops
+    them together, then draws the figures from the bag. Exit code 0: stable; 1: not stable or a
+    node died; 2: bad input; 128 + n: ended by signal n.
+    """
+    from multicontact_control.experiment.domain import check_namespace
+    from multicontact_control.experiment.results import prepare_folder
+    from multicontact_control.experiment.scenario import resolve
+
+    with errors_in_one_line():
+        namespace = check_namespace(namespace)
+        setup = resolve(
+            scenario, plant=plant, seed=seed, duration=duration,
+            noise_estimator={'estimator': noise_estimator} if noise_estimator else None)
+        folder = prepare_folder(
+            out, setup.scenario.name, overwrite=overwrite, now=datetime.now())
+        # Only now: what is heavy is not loaded for the sake of an error.
+        from multicontact_control.experiment.run import run_real_time
+
+        summary, interrupted = run_real_time(
+            setup, folder, lockstep=lockstep, domain_id=domain_id, namespace=namespace)
+    if interrupted is not None:
+        raise typer.Exit(EXIT_SIGNAL + interrupted)
+    end_by_verdict(summary)

@@ -1,0 +1,43 @@
+"""`multicontact simulate`."""
+
+from __future__ import annotations
+
+from datetime import datetime
+
+from multicontact_control.cli.exits import end_by_verdict, errors_in_one_line
+from multicontact_control.cli.options import (
+    Duration,
+    Estimator,
+    Out,
+    Overwrite,
+    Plant,
+    Scenario,
+    Seed,
+)
+
+
+def simulate(
+    scenario: Scenario = 'paper', plant: Plant = 'puma', seed: Seed = 0,
+    duration: Duration = None, noise_estimator: Estimator = None, out: Out = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """
+    Run a scenario in one process, without ROS, as fast as it goes.
+
+    The same seed gives the same run, bit for bit. Exit code 0: stable; 1: not stable; 2: bad
+    input.
+    """
+    from multicontact_control.experiment.results import prepare_folder
+    from multicontact_control.experiment.scenario import resolve
+
+    with errors_in_one_line():
+        setup = resolve(
+            scenario, plant=plant, seed=seed, duration=duration,
+            noise_estimator={'estimator': noise_estimator} if noise_estimator else None)
+        folder = prepare_folder(
+            out, setup.scenario.name, overwrite=overwrite, now=datetime.now())
+        # Only now: what is heavy is not loaded for the sake of an error.
+        from multicontact_control.experiment.run import run_simulate
+
+        summary = run_simulate(setup, folder)
+    end_by_verdict(summary)

@@ -1,0 +1,35 @@
+"""The command line: exit codes, one line per error, help."""
+
+from multicontact_control import __version__
+import pytest
+
+
+@pytest.mark.parametrize(('arguments', 'message'), [
+    (('simulate', '--scenario', 'papper'), 'scenario: expected one of'),
+    (('simulate', '--plant', 'x'), "plant: expected one of rigid, puma, or a path, found 'x'"),
+    (('calibrate', '--plant', 'x'), "plant: expected one of rigid, puma, or a path, found 'x'"),
+    (('push-test', '--fault', 'x'), "fault: expected one of none, sign, rotate, scale, found 'x'"),
+    (('run', '--seed', '-3'), 'seed: expected a whole number >= 0, found -3'),
+    (('run', '--namespace', '1st'), 'namespace: expected names of letters, digits and _')])
+def test_bad_input_exits_with_two_and_one_line(multicontact, tmp_path, arguments, message):
+    """Field, expectation and finding; nothing is left behind."""
+    done = multicontact(*arguments, cwd=tmp_path)
+    assert done.returncode == 2
+    assert message in done.stderr
+    assert done.stderr.count('\n') == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize('command', [
+    (), ('run',), ('simulate',), ('calibrate',), ('push-test',), ('topics',), ('echo',),
+    ('record',), ('compare',), ('map',), ('report',)])
+def test_help_teaches(multicontact, command):
+    """Every command explains itself."""
+    done = multicontact(*command, '--help')
+    assert done.returncode == 0
+    assert 'Usage: multicontact' in done.stdout
+
+
+def test_version_is_the_packages(multicontact):
+    """One version."""
+    assert multicontact('--version').stdout.strip() == f'multicontact {__version__}'
