@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from copy import deepcopy
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, get_args, TypeVar
 
@@ -89,7 +91,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
 
     """
     try:
-        data = yaml.safe_load(path.read_text(encoding='utf-8'))
+        data = deepcopy(_parse(path.read_text(encoding='utf-8')))
     except OSError as error:
         raise ConfigError(str(path), 'a readable file', error.strerror or error) from None
     except (yaml.YAMLError, UnicodeDecodeError) as error:
@@ -98,6 +100,12 @@ def read_yaml(path: Path) -> dict[str, Any]:
     if not isinstance(data, dict):
         raise ConfigError(str(path), 'a mapping of keys to values', type(data).__name__)
     return data
+
+
+@lru_cache(maxsize=32)
+def _parse(text: str) -> Any:
+    # A sweep resolves the same files for each of its runs.
+    return yaml.safe_load(text)
 
 
 def read_parameters(path: Path) -> dict[str, Any]:

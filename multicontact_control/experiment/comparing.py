@@ -8,11 +8,11 @@ from pathlib import Path
 from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.comparison import (
     comparison_table,
-    estimate_time,
     run_comparison,
 )
 from multicontact_control.experiment.comparison_page import write_comparison_page
 from multicontact_control.experiment.engine import LocalExecutor, prepare_cell_folder
+from multicontact_control.experiment.estimate import estimate_time
 from multicontact_control.experiment.findings import findings
 from multicontact_control.experiment.matrix import (
     beside_the_matrix,
@@ -89,10 +89,8 @@ def compare_and_report(request: ComparisonRequest, console: Console | None = Non
     entries = request.entries()
     prepare_cell_folder(request.out, overwrite=request.overwrite)
     executor = LocalExecutor(request.jobs)
-    seconds, todo = estimate_time(entries, request.out, executor.jobs)
-    total = len({entry.cell for entry in entries})
-    console.print(f'{total} runs, {total - todo} of them finished before; the other {todo} will '
-                  f'take about {_duration(seconds)} with {executor.jobs} at once')
+    estimate = estimate_time((entry.cell for entry in entries), request.out, executor.jobs)
+    console.print(estimate.sentence(executor.jobs))
     content = run_comparison(entries, request.out, executor=executor, console=console)
     for plant in request.plants:
         console.print(comparison_table(
@@ -158,18 +156,10 @@ def map_and_report(request: MapRequest, console: Console | None = None) -> None:
     layout = request.layout()
     prepare_cell_folder(request.out, overwrite=request.overwrite)
     executor = LocalExecutor(request.jobs)
-    entries = [Entry(label, 'map', cell) for (_, label, _, _), cell in layout.cells().items()]
-    seconds, todo = estimate_time(entries, request.out, executor.jobs)
-    console.print(f'{len(entries)} runs, {len(entries) - todo} of them finished before; the other '
-                  f'{todo} will take about {_duration(seconds)} with {executor.jobs} at once')
+    estimate = estimate_time(layout.cells().values(), request.out, executor.jobs)
+    console.print(estimate.sentence(executor.jobs))
     content = run_map(layout, request.out, executor=executor, console=console)
     for plant in layout.plants:
         console.print(map_table(content, plant))
     for path in write_map(content, request.out):
         console.print(f'results in {path}', highlight=False)
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 90.0:
-        return f'{seconds:.0f} s'
-    return f'{seconds / 60.0:.1f} min'

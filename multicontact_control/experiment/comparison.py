@@ -5,22 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 from statistics import median
-import time
 from typing import Any
 
-from multicontact_control.errors import ConfigError, RunError
+from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.claims import Claim, judge_claims, PAPER_ESTIMATOR, Row
 from multicontact_control.experiment.engine import (
-    Cell,
-    cell_of,
     CellResult,
-    CellStore,
     Executor,
     LocalExecutor,
     run_cells,
 )
-from multicontact_control.experiment.loop import run_in_process
-from multicontact_control.experiment.matrix import AOB, controller_values, Entry, KINDS
+from multicontact_control.experiment.matrix import AOB, Entry, KINDS
 from multicontact_control.experiment.measure import measure_cell
 from multicontact_control.experiment.results import read_json, write_json
 from rich.box import SIMPLE_HEAD
@@ -29,59 +24,11 @@ from rich.markup import escape
 from rich.table import Table
 
 COMPARISON_FILE = 'comparison.json'
-START_UP = 6.0  # s, to start the workers and compile in each
 CAPTION = ('fails: after the start of the motion; rest, move: rms error of the true force; lost: '
            'contact in motion; R [N²]; push: recovery [s]; torq: largest share of the limit')
 COLUMNS = ('', 'stable', 'fails\n[s]', 'rest\n[N]', 'move\n[N]', 'lost\n[%]', 'R\nrest',
            'R\nmove', 'push\n.1 s', 'push\n1 s', 'torq\n[%]')
 LEFT_OUT = (5, 6, 10)  # of them, where there is no room
-PROBE = 1.5  # s of simulated time that a plant's speed is taken from
-
-
-def estimate_time(entries: Sequence[Entry], folder: Path, jobs: int) -> tuple[float, int]:
-    """
-    Return how long the cells that are not finished will take [s], and how many they are.
-
-    From the finished cells of the same plant, or from a short run of it.
-
-    Parameters
-    ----------
-    entries
-        The matrix.
-    folder
-        Where finished cells are.
-    jobs
-        How many run at once.
-
-    """
-    store = CellStore(folder)
-    walls: dict[str, list[float]] = {}
-    todo: dict[str, Cell] = {}
-    for entry in entries:
-        key = entry.cell.key()
-        result = store.load(key)
-        if result is None:
-            todo[key] = entry.cell
-        else:
-            walls.setdefault(entry.cell.plant, []).append(result.wall_time)
-    total = 0.0
-    for plant in {cell.plant for cell in todo.values()}:
-        cells = [cell for cell in todo.values() if cell.plant == plant]
-        known = walls.get(plant)
-        total += len(cells) * (median(known) if known else _probe(cells[0]))
-    return (total / jobs + START_UP if todo else 0.0), len(todo)
-
-
-def _probe(cell: Cell) -> float:
-    """Return the wall time of a cell, from its first 1.5 s run after a warm-up."""
-    scenario = cell.setup().scenario
-    short = cell_of(cell.scenario, cell.plant, cell.seed, duration=min(PROBE, scenario.duration),
-                    controller=controller_values(cell.plant))
-    run_in_process(short.setup())
-    start = time.perf_counter()
-    run_in_process(short.setup())
-    wall = time.perf_counter() - start
-    return wall * scenario.duration / short.setup().scenario.duration
 
 
 def run_comparison(
@@ -112,15 +59,9 @@ def run_comparison(
     """
     console = console or Console()
     executor = executor or LocalExecutor(jobs)
-    keys = run_cells([entry.cell for entry in entries], folder, measure_cell, executor=executor,
-                     console=console, title='compare')
-    store = CellStore(folder)
-    rows = []
-    for entry in entries:
-        result = store.load(keys[entry.cell])
-        if result is None:
-            raise RunError(f'{store.folder}/{keys[entry.cell]}: expected a finished cell')
-        rows.append(row_of(entry, keys[entry.cell], result))
+    run = run_cells([entry.cell for entry in entries], folder, measure_cell, executor=executor,
+                    console=console, title='compare')
+    rows = [row_of(entry, run.keys[entry.cell], run.result(entry.cell)) for entry in entries]
     content = {'schema': 1, 'scenario': entries[0].cell.scenario, 'rows': rows,
                'claims': {plant: [claim.to_json() for claim in claims]
                           for plant, claims in comparison_claims(rows).items()}}

@@ -12,7 +12,7 @@ from multicontact_control.config import (
     validate,
 )
 from multicontact_control.errors import ConfigError
-from multicontact_control.experiment.engine import Cell, cell_of
+from multicontact_control.experiment.engine import cell_of, RunCell
 from multicontact_control.experiment.scenario import plant_path, PLANTS
 from multicontact_control.force.noise import lead_filter
 from multicontact_control.paths import config_dir
@@ -47,7 +47,7 @@ class Entry:
 
     label: str
     kind: str
-    cell: Cell
+    cell: RunCell
 
 
 def rescaling() -> float:

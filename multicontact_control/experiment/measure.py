@@ -7,7 +7,7 @@ from typing import Any
 
 from multicontact_control.errors import MulticontactError
 from multicontact_control.experiment.disturbances import disturbance_summary
-from multicontact_control.experiment.engine import Cell, CellResult
+from multicontact_control.experiment.engine import CellResult, RunCell
 from multicontact_control.experiment.evidence import evidence_of
 from multicontact_control.experiment.loop import run_in_process
 from multicontact_control.experiment.metrics import summarise
@@ -20,7 +20,7 @@ TRACES = {
     'variance': 'noise_variance'}
 
 
-def measure_cell(cell: Cell) -> CellResult:
+def measure_cell(cell: RunCell) -> CellResult:
     """
     Run a cell in this process and measure it.
 
@@ -41,7 +41,7 @@ def measure_cell(cell: Cell) -> CellResult:
 
     """
     setup = cell.setup()
-    result = run_in_process(setup)
+    result = run_in_process(setup, supervised=cell.supervised)
     data = result.data
     if data.ticks < 2:
         raise MulticontactError(f'{cell}: the run ended at once: {result.ended_early}')

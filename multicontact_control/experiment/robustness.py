@@ -18,7 +18,7 @@ from multicontact_control.arrays import Matrix
 from multicontact_control.contact.geometry import contact_normals
 from multicontact_control.control.controller import Controller
 from multicontact_control.dynamics.operational_space import operational_space
-from multicontact_control.experiment.engine import Cell, cell_of
+from multicontact_control.experiment.engine import cell_of, RunCell
 from multicontact_control.experiment.loop import run_in_process
 from multicontact_control.experiment.matrix import controller_values, estimator_values
 from multicontact_control.experiment.measure import final_error_share
@@ -41,7 +41,7 @@ DELAYS = (0, 1, 2, 3)
 
 def map_cell(
     ratio: float, delay_ticks: int, label: str, *, plant: str = 'rigid', seed: int = 0,
-) -> Cell:
+) -> RunCell:
     """
     Return a cell of the robustness map.
 
@@ -262,7 +262,7 @@ def check_boundary(
         Of the bisection between half and twice the linear boundary; 5 leave it known to 4 %.
 
     """
-    def cell(ratio: float) -> Cell:
+    def cell(ratio: float) -> RunCell:
         surface = {'stiffness': 6000.0 * ratio, 'roughness_std': 0.0, 'friction': 0.0}
         return cell_of(
             SCENARIO, 'rigid', 0, duration=3.5,

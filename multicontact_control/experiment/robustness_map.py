@@ -12,8 +12,7 @@ import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
-from multicontact_control.errors import RunError
-from multicontact_control.experiment.engine import Cell, CellStore, Executor, run_cells
+from multicontact_control.experiment.engine import Executor, run_cells, RunCell
 from multicontact_control.experiment.measure import finite, measure_cell
 from multicontact_control.experiment.pages import image, table, write_page
 from multicontact_control.experiment.results import write_json
@@ -67,7 +66,7 @@ class MapLayout:
     ratios: tuple[float, ...]
     delays: tuple[int, ...] = DELAYS
 
-    def cells(self) -> dict[Key, Cell]:
+    def cells(self) -> dict[Key, RunCell]:
         """Return the runs by plant, estimator, ratio and delay."""
         return {(plant, label, ratio, delay): map_cell(ratio, delay, label, plant=plant)
                 for plant in self.plants for label in self.labels
@@ -80,17 +79,13 @@ def run_map(
 ) -> dict[str, Any]:
     """Run a map and write ``robustness.json``; the arguments are those of `run_cells`."""
     cells = layout.cells()
-    keys = run_cells(list(cells.values()), folder, measure_cell, executor=executor,
-                     console=console, title='map')
-    store = CellStore(folder)
+    run = run_cells(list(cells.values()), folder, measure_cell, executor=executor,
+                    console=console, title='map')
     points = []
     for (plant, label, ratio, delay), cell in cells.items():
-        result = store.load(keys[cell])
-        if result is None:
-            raise RunError(f'{store.folder}/{keys[cell]}: expected a finished cell')
-        stable, overshoot = verdict(result.metrics)
+        stable, overshoot = verdict(run.result(cell).metrics)
         points.append({'plant': plant, 'estimator': label, 'ratio': ratio, 'delay_ticks': delay,
-                       'stable': stable, 'overshoot_percent': overshoot, 'key': keys[cell]})
+                       'stable': stable, 'overshoot_percent': overshoot, 'key': run.keys[cell]})
     content = finite({
         'schema': 1, 'plants': layout.plants, 'estimators': layout.labels,
         'ratios': layout.ratios, 'delays': layout.delays, 'points': points,

@@ -143,6 +143,7 @@ def resolve(
     scenario: str, *, plant: str = 'puma', seed: int = 0, duration: float | None = None,
     noise_estimator: dict[str, Any] | None = None, controller: dict[str, Any] | None = None,
     plant_overrides: dict[str, Any] | None = None,
+    scenario_overrides: dict[str, Any] | None = None,
 ) -> Setup:
     """
     Read and check everything a run needs.
@@ -159,6 +160,8 @@ def resolve(
         Overrides the scenario's [s].
     noise_estimator, controller, plant_overrides
         Values laid over the files' and the scenario's.
+    scenario_overrides
+        Values laid over the scenario's file.
 
     Returns
     -------
@@ -174,7 +177,7 @@ def resolve(
     if seed < 0:
         raise ConfigError('seed', 'a whole number >= 0', seed)
     path = scenario_path(scenario)
-    text = read_yaml(path)
+    text = merge(read_yaml(path), scenario_overrides or {})
     config = validate(
         ScenarioConfig, text if duration is None else {**text, 'duration': duration}, str(path))
     folder = config_dir()

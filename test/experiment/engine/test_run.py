@@ -1,14 +1,13 @@
 from dataclasses import dataclass, field
 import json
-import pickle
 
-from multicontact_control.errors import ConfigError
+from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.experiment.engine import (
     cell_of,
     CellResult,
     CellStore,
     LocalExecutor,
-    prepare_cell_folder,
+    LostCell,
     run_cells,
 )
 from multicontact_control.experiment.measure import finite, measure_cell
@@ -26,7 +25,7 @@ class CountingExecutor:
 
     ran: list = field(default_factory=list)
 
-    def results(self, task, cells):
+    def results(self, task, cells, notify):
         for cell in reversed(cells):
             self.ran.append(cell.seed)
             yield cell, task(cell)
@@ -36,33 +35,9 @@ def cells(count=3):
     return [cell_of('quick', 'rigid', seed) for seed in range(count)]
 
 
-def test_cell_key_does_not_depend_on_the_order_of_overrides():
-    first = cell_of('quick', 'rigid', 0, controller={'force': {
-        'damping_rate': 30.0, 'input_delay': 0.002}})
-    second = cell_of('quick', 'rigid', 0, controller={'force': {
-        'input_delay': 0.002, 'damping_rate': 30.0}})
-    assert first == second and hash(first) == hash(second)
-    assert first.key() == second.key() == pickle.loads(pickle.dumps(first)).key()
-
-
-def test_cell_key_changes_with_all_that_changes_the_outcome():
-    variants = [
-        cell_of('quick', 'rigid', 0), cell_of('quick', 'rigid', 1), cell_of('quick', 'puma', 0),
-        cell_of('disturbance', 'rigid', 0), cell_of('quick', 'rigid', 0, duration=5.0),
-        cell_of('quick', 'rigid', 0, noise_estimator={'estimator': 'fixed'}),
-        cell_of('quick', 'rigid', 0, controller={'force': {'damping_rate': 30.0}}),
-        cell_of('quick', 'rigid', 0, plant_overrides={'actuator_delay_ticks': 2})]
-    assert len({cell.key() for cell in variants}) == len(variants)
-
-
-def test_cell_key_is_that_of_the_values_not_of_how_they_were_given():
-    given = cell_of('quick', 'rigid', 0, controller={'force': {'damping_rate': 20.0}})
-    assert given.key() == cell_of('quick', 'rigid', 0).key()
-
-
 def test_cells_run_once_and_again_only_what_is_not_whole(tmp_path):
     first = CountingExecutor()
-    keys = run_cells(cells(), tmp_path, seed_task, executor=first)
+    keys = run_cells(cells(), tmp_path, seed_task, executor=first).keys
     assert sorted(first.ran) == [0, 1, 2]
     store = CellStore(tmp_path)
     traces = store.folder / f'{keys[cells()[1]]}.npz'
@@ -81,7 +56,7 @@ def test_cells_run_once_and_again_only_what_is_not_whole(tmp_path):
 def test_cells_that_were_finished_before_an_error_are_kept(tmp_path):
     class Failing(CountingExecutor):
 
-        def results(self, task, cells):
+        def results(self, task, cells, notify):
             yield cells[0], task(cells[0])
             raise KeyboardInterrupt
 
@@ -100,17 +75,21 @@ def test_bad_cell_is_refused_before_anything_runs(tmp_path):
     assert executor.ran == []
 
 
-def test_cell_folder_keeps_strangers_and_drops_cells_only_when_told(tmp_path):
-    run_cells(cells(1), tmp_path, seed_task, executor=CountingExecutor())
-    prepare_cell_folder(tmp_path, overwrite=False)
-    assert CellStore(tmp_path).finished(cells()[0].key())
-    prepare_cell_folder(tmp_path, overwrite=True)
-    assert not CellStore(tmp_path).finished(cells()[0].key())
-    other = tmp_path / 'other'
-    other.mkdir()
-    (other / 'notes.txt').write_text('mine')
-    with pytest.raises(ConfigError, match='other files'):
-        prepare_cell_folder(other, overwrite=True)
+def test_lost_cell_is_named_and_run_again_the_next_time(tmp_path):
+    class Losing(CountingExecutor):
+
+        def results(self, task, cells, notify):
+            for cell in cells:
+                yield cell, LostCell('out of memory') if cell.seed == 1 else task(cell)
+
+    run = run_cells(cells(), tmp_path, seed_task, executor=Losing())
+    assert run.result(cells()[2]).metrics == {'seed': 2}
+    assert run.lost == {cells()[1]: 'out of memory'}
+    with pytest.raises(RunError, match='expected a finished cell: out of memory'):
+        run.result(cells()[1])
+    later = CountingExecutor()
+    assert run_cells(cells(), tmp_path, seed_task, executor=later).lost == {}
+    assert later.ran == [1]
 
 
 @pytest.mark.slow

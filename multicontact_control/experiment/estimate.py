@@ -1,0 +1,100 @@
+"""How long a matrix of runs will take."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from statistics import median
+import time
+
+from multicontact_control.experiment.engine import CellStore, RunCell
+from multicontact_control.experiment.loop import run_in_process
+
+START_UP = 3.0  # s, to start a pool of workers
+PROBE = 1.5  # s of simulated time that a plant's speed is taken from
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """
+    What is to be done.
+
+    Attributes
+    ----------
+    runs, finished
+        All runs, and those that are finished already.
+    seconds
+        Wall time that the others will take [s].
+
+    """
+
+    runs: int
+    finished: int
+    seconds: float
+
+    @property
+    def todo(self) -> int:
+        """Return how many runs are not finished."""
+        return self.runs - self.finished
+
+    def sentence(self, jobs: int) -> str:
+        """Return all this in words."""
+        return (f'{self.runs} runs, {self.finished} of them finished before; the other '
+                f'{self.todo} will take about {_words(self.seconds)} with {jobs} at once')
+
+
+def estimate_time(cells: Iterable[RunCell], folder: Path, jobs: int) -> Estimate:
+    """
+    Return how long the cells that are not finished will take.
+
+    From the finished cells of the same plant, or from a short run of it, which also compiles
+    what the workers would otherwise compile all at once.
+
+    Parameters
+    ----------
+    cells
+        The matrix; a cell may come twice.
+    folder
+        Where finished cells are.
+    jobs
+        How many run at once.
+
+    """
+    store = CellStore(folder)
+    known: dict[str, list[float]] = {}  # wall time for a simulated second, by plant
+    todo: dict[str, list[float]] = {}  # simulated seconds
+    examples: dict[str, RunCell] = {}
+    keyed = {cell.key(): cell for cell in cells}
+    for key, cell in keyed.items():
+        result, duration = store.load(key), cell.setup().scenario.duration
+        if result is None:
+            todo.setdefault(cell.plant, []).append(duration)
+            examples.setdefault(cell.plant, cell)
+        else:
+            known.setdefault(cell.plant, []).append(result.wall_time / duration)
+    total = sum(
+        sum(durations) * (median(known[plant]) if plant in known else _probe(examples[plant]))
+        for plant, durations in todo.items())
+    left = sum(map(len, todo.values()))
+    start_up = START_UP if left > 1 and jobs > 1 else 0.0
+    return Estimate(len(keyed), len(keyed) - left, total / min(jobs, max(left, 1)) + start_up)
+
+
+def _probe(cell: RunCell) -> float:
+    """Return the wall time for a simulated second of a cell, from its beginning."""
+    setup = cell.setup()
+    duration = min(PROBE, setup.scenario.duration)
+    short = replace(setup, scenario=setup.scenario.model_copy(update={'duration': duration}))
+    run_in_process(short, supervised=cell.supervised)
+    start = time.perf_counter()
+    run_in_process(short, supervised=cell.supervised)
+    return (time.perf_counter() - start) / duration
+
+
+def _words(seconds: float) -> str:
+    if seconds < 90.0:
+        return f'{seconds:.0f} s'
+    if seconds < 5400.0:
+        return f'{seconds / 60.0:.1f} min'
+    return f'{seconds / 3600.0:.1f} h'
