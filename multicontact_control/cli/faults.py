@@ -14,10 +14,13 @@ import typer
 def faults(
     seed: Annotated[int, typer.Option(help='Seed of the first fault of every kind.')] = 0,
     out: Annotated[Path, typer.Option(
-        help='Folder for faults.json.')] = Path('runs/faults'),
+        help='Folder for faults.json. Faults that are finished there are not run again.',
+    )] = Path('runs/faults'),
     quick: Annotated[bool, typer.Option(
         '--quick', help='One fault of each kind instead of 14.')] = False,
-    jobs: Annotated[int, typer.Option(min=1, help='Faults at a time.')] = 2,
+    jobs: Annotated[int, typer.Option(help='Faults at once; 0 for every core.')] = 0,
+    overwrite: Annotated[bool, typer.Option(
+        '--overwrite', help='Run everything again.')] = False,
 ) -> None:
     """
     Break inputs and plant in many ways, and check that the arm stays safe.
@@ -34,7 +37,7 @@ def faults(
 
         if seed < 0:
             raise ConfigError('seed', 'a whole number >= 0', seed)
-        rows = run_campaign(seed, quick=quick, jobs=jobs)
+        rows = run_campaign(seed, out, quick=quick, jobs=jobs, overwrite=overwrite)
         path = write_report(out, rows)
     print_report(rows, Console())
     typer.echo(f'written to {path}')

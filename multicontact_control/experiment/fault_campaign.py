@@ -1,35 +1,31 @@
-"""The fault campaign: many faults, each in a process forked from a running scenario."""
+"""The fault campaign: many faults in every situation, judged and tabled."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-import json
-import multiprocessing
-from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
 
-from multicontact_control.errors import RunError
-from multicontact_control.experiment.fault_run import FaultRow, run_fault, World
-from multicontact_control.experiment.faults import (
-    APPROACH,
-    fault_kinds,
-    FaultKind,
-    PHASES,
-    REST,
-    SLIDING,
+from multicontact_control.experiment.engine import (
+    LocalExecutor,
+    prepare_cell_folder,
+    run_cells,
 )
-from multicontact_control.experiment.scenario import resolve
+from multicontact_control.experiment.fault_cells import (
+    Fault,
+    FaultCell,
+    PHASE_TIMES,
+    run_fault_cell,
+)
+from multicontact_control.experiment.fault_run import FaultRow
+from multicontact_control.experiment.faults import fault_kinds, PHASES
+from multicontact_control.experiment.results import write_json
+from multicontact_control.experiment.scenario import PLANTS
 from rich.console import Console
 from rich.table import Table
 
-PLANTS = ('rigid', 'puma')
-PHASE_TIMES = {APPROACH: 0.65, REST: 4.9, SLIDING: 8.2}
-SEEDS, QUICK_SEEDS = 14, 1
-FAULT_TIMEOUT = 60.0
+SEEDS = 14
+FAULTS_PER_CELL = 12
 REPORT_FILE = 'faults.json'
-
-Task = tuple[int, int]  # index of the kind, seed
 
 
 def situation(number: int) -> tuple[str, str]:
@@ -37,15 +33,11 @@ def situation(number: int) -> tuple[str, str]:
     return PLANTS[number % 2], PHASES[number // 2 % 3]
 
 
-def run_campaign(
-    seed: int, *, quick: bool = False, jobs: int = 2,
-    on_progress: Callable[[int, int], None] | None = None,
-) -> list[FaultRow]:
+def campaign_cells(seed: int, *, quick: bool = False) -> list[FaultCell]:
     """
-    Run all faults.
+    Return the cells of a campaign, early phases first.
 
-    Every worker runs the scenario `quick` once per plant; where a phase begins, it forks a
-    process per fault, so that none costs the way there.
+    In this order a worker that has got to one phase only has to go on to the next.
 
     Parameters
     ----------
@@ -53,10 +45,41 @@ def run_campaign(
         Seeds of the faults count from here.
     quick
         One fault of each kind instead of 14.
+
+    """
+    places: dict[tuple[str, str], list[Fault]] = {
+        (plant, phase): [] for phase in sorted(PHASE_TIMES, key=PHASE_TIMES.__getitem__)
+        for plant in PLANTS}
+    for index, kind in enumerate(fault_kinds()):
+        # One of each, yet in every situation.
+        for number in (index % 6,) if quick else range(SEEDS):
+            places[situation(number)].append((kind.kind, kind.input, seed + number))
+    return [FaultCell(plant, phase, seed, tuple(faults[i:i + FAULTS_PER_CELL]))
+            for (plant, phase), faults in places.items()
+            for i in range(0, len(faults), FAULTS_PER_CELL)]
+
+
+def run_campaign(
+    seed: int, folder: Path, *, quick: bool = False, jobs: int = 0, overwrite: bool = False,
+    console: Console | None = None,
+) -> list[FaultRow]:
+    """
+    Run all faults that have no result yet.
+
+    Parameters
+    ----------
+    seed
+        Seeds of the faults count from here.
+    folder
+        Where results are kept, and looked for.
+    quick
+        One fault of each kind instead of 14.
     jobs
-        Worker processes.
-    on_progress
-        Called with the faults done and all.
+        Worker processes, 0 for every core.
+    overwrite
+        Whether finished faults are run again.
+    console
+        Where progress is shown.
 
     Returns
     -------
@@ -64,88 +87,14 @@ def run_campaign(
         By kind and seed.
 
     """
-    kinds = fault_kinds()
-    seeds = QUICK_SEEDS if quick else SEEDS
-    tasks = [(kind, seed + number) for kind in range(len(kinds)) for number in range(seeds)]
-    if quick:  # one of each, yet in every situation
-        tasks = [(kind, seed + kind % 6) for kind in range(len(kinds))]
-    context = multiprocessing.get_context('fork')
-    pipes, workers = [], []
-    for part in range(max(jobs, 1)):
-        ours, theirs = context.Pipe(duplex=False)
-        worker = context.Process(target=_work, args=(tasks[part::max(jobs, 1)], seed, theirs))
-        worker.start()
-        theirs.close()
-        pipes.append(ours)
-        workers.append(worker)
-    rows = _collect(pipes, len(tasks), on_progress)
-    for worker in workers:
-        worker.join()
-    if len(rows) != len(tasks):
-        raise RunError(f'fault campaign: expected {len(tasks)} faults, found {len(rows)}')
-    order = {(kind.kind, kind.input): i for i, kind in enumerate(kinds)}
+    executor = LocalExecutor(jobs)
+    prepare_cell_folder(folder, overwrite=overwrite, results=[REPORT_FILE])
+    cells = campaign_cells(seed, quick=quick)
+    run = run_cells(cells, folder, run_fault_cell, executor=executor, console=console,
+                    title='faults')
+    rows = [FaultRow(**row) for cell in cells for row in run.result(cell).metrics['rows']]
+    order = {(kind.kind, kind.input): i for i, kind in enumerate(fault_kinds())}
     return sorted(rows, key=lambda row: (order[row.kind, row.input], row.seed))
-
-
-def _collect(
-    pipes: list[Any], total: int, on_progress: Callable[[int, int], None] | None,
-) -> list[FaultRow]:
-    rows: list[FaultRow] = []
-    while pipes:
-        ready: list[Any] = list(wait(pipes))
-        for pipe in ready:
-            try:
-                rows.append(pipe.recv())
-            except EOFError:
-                pipes.remove(pipe)
-            if on_progress is not None:
-                on_progress(len(rows), total)
-    return rows
-
-
-def _work(tasks: list[Task], first_seed: int, pipe: Connection) -> None:
-    """Run faults, grouped by plant and in the order of the phases."""
-    kinds = fault_kinds()
-    for plant in PLANTS:
-        world: World | None = None
-        for phase, start in sorted(PHASE_TIMES.items(), key=lambda item: item[1]):
-            here = [task for task in tasks if situation(task[1] - first_seed) == (plant, phase)]
-            if not here:
-                continue
-            if world is None:
-                world = World(resolve('quick', plant=plant, seed=first_seed))
-            while world.tick < round(start * world.setup.controller.rate):
-                world.advance()
-            for kind, seed in here:
-                pipe.send(_in_fork(world, kinds[kind], seed, phase))
-    pipe.close()
-
-
-def _in_fork(world: World, kind: FaultKind, seed: int, phase: str) -> FaultRow:
-    """Run one fault in a copy of this process; a copy that hangs or dies is not safe."""
-    context = multiprocessing.get_context('fork')
-    ours, theirs = context.Pipe(duplex=False)
-    child = context.Process(target=_child, args=(world, kind, seed, phase, theirs))
-    child.start()
-    theirs.close()
-    try:
-        if ours.poll(FAULT_TIMEOUT):
-            row: FaultRow = ours.recv()
-            return row
-        problem = 'hang'
-    except EOFError:
-        problem = 'died'
-    finally:
-        child.kill() if child.is_alive() and not ours.poll(0) else None
-        child.join()
-        ours.close()
-    return FaultRow(kind.kind, kind.input, seed, problem, -1.0, -1.0, -1.0, False,
-                    world.setup.plant_name, phase, problem)
-
-
-def _child(world: World, kind: FaultKind, seed: int, phase: str, pipe: Connection) -> None:
-    pipe.send(run_fault(world, kind, seed, phase))
-    pipe.close()
 
 
 def write_report(folder: Path, rows: list[FaultRow]) -> Path:
@@ -153,7 +102,7 @@ def write_report(folder: Path, rows: list[FaultRow]) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / REPORT_FILE
     report: dict[str, Any] = {'faults': [row.as_json() for row in rows]}
-    path.write_text(json.dumps(report, indent=1) + '\n', encoding='utf-8')
+    write_json(path, report)
     return path
 
 
