@@ -31,6 +31,7 @@ install_requires = [
     'matplotlib>=3.9,<4',
     'plotly>=6,<8',
     'joblib>=1.4,<2',
+    'pyarrow>=17,<27',
     'mcap>=1.2,<2',
     'mcap-ros2-support>=0.5.5,<0.7',
 ]
@@ -43,6 +44,10 @@ extras_require = {
         'ros-jazzy-rclpy==7.1.6',
         'ros-jazzy-rmw-fastrtps-cpp==8.4.3',
         'ros-jazzy-common-interfaces==5.3.6',
+    ],
+    # To run sweeps on a cluster.
+    'dask': [
+        'distributed>=2024.8',
     ],
     'test': [
         'pytest>=8,<10',

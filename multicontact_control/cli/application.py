@@ -16,6 +16,7 @@ from multicontact_control.cli.report import report
 from multicontact_control.cli.robustness_map import robustness_map
 from multicontact_control.cli.run import run
 from multicontact_control.cli.simulate import simulate
+from multicontact_control.cli.sweep import sweep
 from multicontact_control.cli.topics import topics
 from multicontact_control.process import limit_threads
 import typer
@@ -42,6 +43,7 @@ app.command()(calibrate)
 app.command()(push_test)
 app.command()(compare)
 app.command('map')(robustness_map)
+app.command()(sweep)
 app.command()(report)
 app.command()(topics)
 app.command()(echo)

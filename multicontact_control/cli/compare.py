@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-from multicontact_control.cli.exits import errors_in_one_line
+from multicontact_control.cli.exits import errors_in_one_line, resumable
 from multicontact_control.cli.options import split_list
 import typer
 
@@ -35,7 +35,7 @@ def compare(
     """
     from multicontact_control.experiment.comparing import compare_and_report, ComparisonRequest
 
-    with errors_in_one_line():
+    with resumable(), errors_in_one_line():
         compare_and_report(ComparisonRequest(
             plants=split_list(plants), estimators=split_list(estimators), seeds=seeds, jobs=jobs,
             quick=quick, out=out, overwrite=overwrite))

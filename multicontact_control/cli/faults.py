@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-from multicontact_control.cli.exits import errors_in_one_line, EXIT_FAILED
+from multicontact_control.cli.exits import errors_in_one_line, EXIT_FAILED, resumable
 from multicontact_control.errors import ConfigError
 from rich.console import Console
 import typer
@@ -27,7 +27,7 @@ def faults(
 
     Exit code 0: every fault was safe; 1: one was not; 2: bad input.
     """
-    with errors_in_one_line():
+    with resumable(), errors_in_one_line():
         # Only now: what is heavy is not loaded for the sake of an error.
         from multicontact_control.experiment.fault_campaign import (
             print_report,

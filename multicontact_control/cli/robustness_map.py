@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-from multicontact_control.cli.exits import errors_in_one_line
+from multicontact_control.cli.exits import errors_in_one_line, resumable
 from multicontact_control.cli.options import split_list
 import typer
 
@@ -32,7 +32,7 @@ def robustness_map(
     """
     from multicontact_control.experiment.comparing import map_and_report, MapRequest
 
-    with errors_in_one_line():
+    with resumable(), errors_in_one_line():
         map_and_report(MapRequest(
             plants=split_list(plants), estimators=split_list(estimators), jobs=jobs, quick=quick,
             out=out, overwrite=overwrite))

@@ -33,7 +33,7 @@ img { max-width: 100%; }
 
 def page(title: str, body: str) -> str:
     """
-    Return a page with plotly.js in it.
+    Return a page, with plotly.js in it if it draws anything.
 
     Parameters
     ----------
@@ -43,11 +43,14 @@ def page(title: str, body: str) -> str:
         HTML.
 
     """
-    from plotly.offline import get_plotlyjs
+    script = ''
+    if 'Plotly.' in body:
+        from plotly.offline import get_plotlyjs
 
+        script = f'<script>{get_plotlyjs()}</script>'
     return (f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
             f'<title>{escape(title)}</title><style>{STYLE}</style>'
-            f'<script>{get_plotlyjs()}</script></head>\n<body><h1>{escape(title)}</h1>\n{body}\n'
+            f'{script}</head>\n<body><h1>{escape(title)}</h1>\n{body}\n'
             '</body></html>\n')
 
 

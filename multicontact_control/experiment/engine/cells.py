@@ -11,6 +11,7 @@ from typing import Any, Protocol, TypeVar
 from multicontact_control.arrays import Matrix
 from multicontact_control.experiment.engine.stamp import code_stamp
 from multicontact_control.experiment.scenario import resolve, Setup
+from sim_bridge.puma560 import load_robot
 
 CELL_SCHEMA = 2  # to be raised when a cell's result means something else than before
 
@@ -119,9 +120,12 @@ def content_key(kind: str, content: Mapping[str, Any]) -> str:
 
 def setup_content(setup: Setup) -> dict[str, Any]:
     """Return what decides the outcome of a run, as JSON values."""
-    return {'seed': setup.seed, **{
+    urdf = (setup.urdf_dir / setup.controller.robot.urdf).read_bytes()
+    configurations = {
         name: getattr(setup, name).model_dump(mode='json')
-        for name in ('scenario', 'controller', 'noise_estimator', 'plant')}}
+        for name in ('scenario', 'controller', 'noise_estimator', 'plant')}
+    return {'seed': setup.seed, 'urdf': hashlib.sha256(urdf).hexdigest(),
+            'arm': load_robot().model_dump(mode='json'), **configurations}
 
 
 @dataclass(frozen=True, slots=True, order=True)

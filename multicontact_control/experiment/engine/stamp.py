@@ -7,8 +7,13 @@ import hashlib
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-# Of multicontact_control: what only shows, talks or listens decides no outcome.
+# Of multicontact_control: what only shows, talks or listens decides no outcome, and of
+# experiment/ only this does.
 WITHOUT = ('cli', 'client.py', 'nodes', 'tools')
+DECISIVE = (
+    'disturbances.py', 'engine/cells.py', 'evidence.py', 'fault_cells.py', 'fault_run.py',
+    'faults.py', 'loop.py', 'measure.py', 'metrics.py', 'recording.py', 'scenario.py',
+    'sweep/measure.py')
 LIBRARIES = ('numba', 'numpy', 'pin', 'pybullet', 'scipy')
 
 
@@ -20,13 +25,19 @@ def code_stamp() -> str:
     for folder in (package, package.parent / 'sim_bridge'):
         for path in sorted(folder.rglob('*.py')):
             name = path.relative_to(folder)
-            if folder == package and name.parts[0] in WITHOUT:
-                continue
-            digest.update(f'{folder.name}/{name.as_posix()}\0'.encode())
-            digest.update(path.read_bytes())
+            if folder != package or _decides(name):
+                digest.update(f'{folder.name}/{name.as_posix()}\0'.encode())
+                digest.update(path.read_bytes())
     for library in LIBRARIES:
         digest.update(f'{library} {_version(library)}\0'.encode())
     return digest.hexdigest()
+
+
+def _decides(name: Path) -> bool:
+    """Return whether a module of multicontact_control decides what a run gives."""
+    if name.parts[0] == 'experiment':
+        return name.relative_to('experiment').as_posix() in DECISIVE
+    return name.parts[0] not in WITHOUT
 
 
 def _version(library: str) -> str:

@@ -1,0 +1,156 @@
+"""What a study says: which parameters take which values, on which plants, with which seeds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+from multicontact_control.config import Config, parameter, read_yaml, Real, validate
+from multicontact_control.errors import ConfigError
+from multicontact_control.paths import config_dir
+import numpy as np
+from pydantic import field_validator, model_validator
+
+DIGITS = 12  # of the values of a range, such that 0.1 is not 0.09999999999999999
+LISTED = 'a list of values, or a range of start, stop and count'
+
+
+class RangeConfig(Config):
+    """Evenly spaced values."""
+
+    start: Real = parameter(..., 'First value.')
+    stop: Real = parameter(..., 'Last value.')
+    count: int = parameter(..., 'How many values.', ge=2)
+    spacing: Literal['linear', 'log'] = parameter(
+        'linear', 'Whether neighbours have the same difference, or the same ratio.')
+
+    @model_validator(mode='after')
+    def _check_sign(self) -> RangeConfig:
+        if self.spacing == 'log' and min(self.start, self.stop) <= 0.0:
+            raise ConfigError('start', 'a value above 0, for spacing: log',
+                              min(self.start, self.stop))
+        return self
+
+    def values(self) -> tuple[float, ...]:
+        """Return the values."""
+        space = np.geomspace if self.spacing == 'log' else np.linspace
+        return tuple(float(f'{value:.{DIGITS}g}')
+                     for value in space(self.start, self.stop, self.count))
+
+
+class StudyConfig(Config):
+    """One sweep."""
+
+    name: str = parameter(..., 'Name, as used in file names.', pattern=r'^[\w.-]+$')
+    description: str = parameter('', 'What it is to show.')
+    scenario: str = parameter(..., 'What is run: a name from config/scenarios, or a path.')
+    plants: tuple[str, ...] = parameter(
+        ('puma',), 'Presets or paths; everything is run on each.', min_length=1)
+    seeds: tuple[int, ...] = parameter(
+        (0,), 'Seeds, or how many of them, from 0; everything is run with each.', min_length=1)
+    duration: Real | None = parameter(
+        None, "Length of every run; the scenario's own if not given.", unit='s', gt=0.0)
+    supervised: bool = parameter(
+        False, 'Whether contact states, watchdogs and limits are put around the controller.')
+    fixed: dict[str, Any] = parameter({}, 'Parameters that differ from the files in every run.')
+    grid: dict[str, tuple[Any, ...]] = parameter(
+        {}, 'Values of each parameter; every combination is run.')
+    points: tuple[dict[str, Any], ...] = parameter(
+        (), 'Single combinations beside the grid; what one does not name is as in the files.')
+    figures: tuple[str, ...] = parameter(
+        (), 'Columns of the table to draw, `*` for the largest over the contacts; a choice if '
+        'not given.')
+
+    @field_validator('seeds', mode='before')
+    @classmethod
+    def _count_seeds(cls, value: Any) -> Any:
+        if isinstance(value, int) and not isinstance(value, bool):
+            if value < 1:
+                raise ConfigError('seeds', 'a number of seeds of at least 1, or a list', value)
+            return tuple(range(value))
+        return value
+
+    @field_validator('grid', mode='before')
+    @classmethod
+    def _spell_out_ranges(cls, value: Any) -> Any:
+        if not isinstance(value, Mapping):
+            return value
+        return {name: _values(f'grid.{name}', given) for name, given in value.items()}
+
+    @model_validator(mode='after')
+    def _check_across_fields(self) -> StudyConfig:
+        for name in ('plants', 'seeds'):
+            given = getattr(self, name)
+            if len(set(given)) < len(given):
+                raise ConfigError(name, 'each of them once', list(given))
+        if min(self.seeds) < 0:
+            raise ConfigError('seeds', 'whole numbers >= 0', min(self.seeds))
+        for i, point in enumerate(self.points):
+            if not point:
+                raise ConfigError(f'points.{i}', 'at least one parameter', 'none')
+        for name in self.fixed:
+            if name in self.grid or any(name in point for point in self.points):
+                raise ConfigError(f'fixed.{name}', 'a parameter that is not swept',
+                                  'one of the grid or the points')
+        return self
+
+
+def _values(field: str, given: Any) -> tuple[Any, ...]:
+    """Return the values of a list or a range."""
+    if isinstance(given, Mapping):
+        try:
+            return validate(RangeConfig, given).values()
+        except ConfigError as error:
+            raise ConfigError(f'{field}.{error.field}', error.expected, error.found) from None
+    if isinstance(given, (list, tuple)) and given:
+        return tuple(given)
+    raise ConfigError(field, LISTED, repr(given))
+
+
+def study_path(name: str) -> Path:
+    """
+    Return the file of a study.
+
+    Parameters
+    ----------
+    name
+        Name of a file in config/studies, or a path.
+
+    Raises
+    ------
+    ConfigError
+        If there is neither.
+
+    """
+    folder = config_dir() / 'studies'
+    named = folder / f'{name}.yaml'
+    if named.is_file():
+        return named
+    path = Path(name)
+    if path.is_file():
+        return path
+    known = ', '.join(sorted(file.stem for file in folder.glob('*.yaml')))
+    raise ConfigError('study', f'one of {known}, or a path', f"'{name}'")
+
+
+def read_study(path: Path, *, seeds: tuple[int, ...] | None = None) -> StudyConfig:
+    """
+    Read and check a study.
+
+    Parameters
+    ----------
+    path
+        The file.
+    seeds
+        Instead of the study's own.
+
+    Raises
+    ------
+    ConfigError
+        With the first field that is not acceptable.
+
+    """
+    values = read_yaml(path)
+    return validate(
+        StudyConfig, values if seeds is None else {**values, 'seeds': seeds}, str(path))

@@ -1,0 +1,69 @@
+"""A Dask cluster of real processes."""
+
+from dataclasses import dataclass
+import json
+import os
+from pathlib import Path
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+DEADLINE = 60.0  # s
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """The address of a scheduler, and its worker processes."""
+
+    address: str
+    workers: tuple
+
+
+@pytest.fixture
+def dask_cluster(tmp_path):
+    """Start a scheduler and two workers with a thread each on this machine, end them after."""
+    pytest.importorskip('distributed')
+    folder = tmp_path / 'dask'
+    folder.mkdir()
+    file = folder / 'scheduler.json'
+    path = os.pathsep.join(filter(None, [
+        str(ROOT), str(ROOT / 'test'), os.environ.get('PYTHONPATH')]))
+    environment = {**os.environ, 'PYTHONPATH': path}
+    processes = []
+
+    def start(role, *arguments):
+        with (folder / f'{role}{len(processes)}.log').open('w') as log:
+            processes.append(subprocess.Popen(
+                [sys.executable, '-m', f'distributed.cli.dask_{role}', '--scheduler-file',
+                 str(file), '--host', '127.0.0.1', *arguments], env=environment, cwd=folder,
+                start_new_session=True, stdout=log, stderr=subprocess.STDOUT))
+
+    start('scheduler', '--port', '0', '--no-dashboard')
+    for _ in range(2):
+        start('worker', '--nthreads', '1', '--no-dashboard', '--local-directory', str(folder))
+    try:
+        yield Cluster(_address(file), tuple(processes[1:]))
+    finally:
+        for process in processes:  # with their groups: a nanny has its worker in a process
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+
+
+def _address(file):
+    """Wait for the scheduler and both workers, return the address."""
+    from distributed import Client
+
+    until = time.monotonic() + DEADLINE
+    while time.monotonic() < until:
+        try:
+            address = json.loads(file.read_text())['address']
+            break
+        except (OSError, ValueError):
+            time.sleep(0.1)
+    with Client(address, set_as_default=False, timeout=DEADLINE) as client:
+        client.wait_for_workers(2, timeout=DEADLINE)
+    return address

@@ -1,0 +1,69 @@
+"""Cells on a real Dask scheduler with two worker processes, which get killed."""
+
+import socket
+import sys
+
+from mortal_cells import kill_task, make_cells, starts
+from multicontact_control.errors import ConfigError, RunError
+from multicontact_control.experiment.engine import run_cells
+from multicontact_control.experiment.engine.cluster import DaskExecutor
+import pytest
+from rich.console import Console
+
+pytest.importorskip('distributed')
+
+
+def run(tmp_path, cells, executor):
+    with (tmp_path / 'terminal.txt').open('w') as file:
+        done = run_cells(cells, tmp_path / 'out', kill_task, executor=executor,
+                         console=Console(file=file, width=200))
+    return done, (tmp_path / 'terminal.txt').read_text()
+
+
+@pytest.mark.slow
+def test_killed_workers_lose_nothing_and_a_deadly_cell_is_given_up(tmp_path, dask_cluster):
+    cells = make_cells(tmp_path, [0] * 6 + [1] + [0] * 6 + [99] + [0] * 2)
+    with DaskExecutor(dask_cluster.address) as executor:
+        assert executor.jobs == 2
+        done, text = run(tmp_path, cells, executor)
+    assert done.lost == {cells[13]: 'the workers that were to run it died'}
+    assert 'run by itself' in text
+    for cell in cells:
+        if cell is not cells[13]:
+            assert done.result(cell).metrics['number'] == cell.number
+    assert len(starts(cells[6])) == 2
+    workers = {path.name.split('-')[1] for cell in cells for path in starts(cell)}
+    assert len(workers) >= 2
+
+
+@pytest.mark.slow
+def test_worker_with_other_code_is_refused(tmp_path, dask_cluster, monkeypatch):
+    """The key stands for code and configuration: a worker must come to the same."""
+    cells = make_cells(tmp_path, [0])
+    monkeypatch.setattr(type(cells[0]), 'key', lambda self: 'of other code')
+    with DaskExecutor(dask_cluster.address) as executor:
+        with pytest.raises(RunError, match='other code, libraries or configuration files'):
+            run(tmp_path, cells, executor)
+    assert starts(cells[0]) == []
+
+
+def test_address_that_does_not_answer_is_refused(monkeypatch):
+    monkeypatch.setattr('multicontact_control.experiment.engine.cluster.CONNECT_TIMEOUT', 1.0)
+    with socket.socket() as unused:  # bound, so that nobody else answers; and not listening
+        unused.bind(('127.0.0.1', 0))
+        address = f'tcp://127.0.0.1:{unused.getsockname()[1]}'
+        with pytest.raises(ConfigError, match=f'dask: expected .* answers.*found {address}'):
+            DaskExecutor(address)
+
+
+@pytest.mark.parametrize('address', ['nonsense://x:1', 'localhost:notaport', ''])
+def test_address_that_is_none_is_refused(address, monkeypatch):
+    monkeypatch.setattr('multicontact_control.experiment.engine.cluster.CONNECT_TIMEOUT', 1.0)
+    with pytest.raises(ConfigError, match='dask: expected the address'):
+        DaskExecutor(address)
+
+
+def test_missing_package_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, 'distributed', None)
+    with pytest.raises(RunError, match=r'needs `distributed`.*multicontact_control\[dask\]'):
+        DaskExecutor('tcp://127.0.0.1:1')
