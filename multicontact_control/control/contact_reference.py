@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
-from multicontact_control.arrays import Vector
+from typing import Any
+
+from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.config import ControllerConfig
-from multicontact_control.control.contact_state import ContactMachine, ContactState
+from multicontact_control.control.contact_kernels import CONTACT
+from multicontact_control.control.contact_state import (
+    contact_settings,
+    ContactMachine,
+    ContactState,
+)
 from multicontact_control.control.energy import PassivityObserver
+from multicontact_control.control.kernels import ACCELERATION, POSITION, TWIST
 from multicontact_control.control.reference import Reference, TaskSource
-from multicontact_control.dynamics.pose import Pose, rotation_error
+from multicontact_control.control.reference_kernels import follow_task, FOLLOWING
+from multicontact_control.dynamics.pose import Pose
 import numpy as np
 
 RETURN_RATE = 2.0  # 1/s, of the way left, at which the task is caught up with after a pause
@@ -39,46 +48,67 @@ class ContactReference:
     def __init__(self, config: ControllerConfig, task: TaskSource) -> None:
         contact_state = task.contact_state(config.contact_state)
         self._config, self._task = config, task
-        self.machines = [
-            ContactMachine(contact_state, config.period) for _ in config.contact_names]
+        self._settings = contact_settings(contact_state, config.period)
+        self._contacts = np.zeros(len(config.contact_names), dtype=CONTACT)
+        rows = [self._contacts[i:i + 1] for i in range(len(self._contacts))]
+        self.machines = [ContactMachine(contact_state, config.period, row) for row in rows]
         self.observers = [
-            PassivityObserver(contact_state, config.contacts[name].stiffness, config.period)
-            for name in config.contact_names]
+            PassivityObserver(contact_state, config.contacts[name].stiffness, config.period, row)
+            for name, row in zip(config.contact_names, rows)]
         self._points = np.array(
             [config.contacts[name].point_operational for name in config.contact_names])
-        motion, limits = config.motion, config.limits
-        lead = 2.0 * motion.damping_ratio / motion.natural_frequency  # k_v / k_p [s]
-        self._reach = lead * limits.operational_speed
-        self._turn = lead * limits.operational_turn
-        self._box = (np.array(limits.workspace_lower), np.array(limits.workspace_upper))
-        self._pose: Pose | None = None
-        self._twist = np.zeros(6)
-        self._offset = np.zeros(3)
-        self._catching_up = self._held_back = False
+        self._normals = np.zeros_like(self._points)
+        self._overlap = self._normals @ self._normals.T
+        self._wanted: Mask = np.zeros(len(rows), dtype=bool)
+        self._desired = np.zeros(len(rows))
+        self._following = Following(config)
+        self._observed = self._catching_up = False
         self.limited = False
+        self._codes = self._contacts['state']
+        self._states: tuple[bytes, tuple[str, ...]] = (b'', ())
 
     @property
     def states(self) -> tuple[ContactState, ...]:
         """State of each contact."""
         return tuple(machine.state for machine in self.machines)
 
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Names of these states; the same object as long as none changes."""
+        codes = self._codes.tobytes()
+        if codes != self._states[0]:
+            self._states = codes, tuple(state.value for state in self.states)
+        return self._states[1]
+
+    @property
+    def energies(self) -> Vector:
+        """Energy of each contact's passivity observer, shape (r,) [J]."""
+        energies: Vector = self._contacts['energy'].copy()
+        return energies
+
+    @property
+    def energy_limits(self) -> Vector:
+        """Bound of that energy, shape (r,) [J]."""
+        return np.array([observer.limit for observer in self.observers])
+
     def start(self, pose: Pose, normals_world: Vector) -> None:
         """Begin from a pose at rest; see `ReferenceSource.start`."""
         self._task.start(pose, normals_world)
-        self._normals = normals_world
-        self._normal_lists = normals_world.tolist()
-        self._overlap = (normals_world @ normals_world.T).tolist()
+        self._normals[:] = normals_world
+        self._overlap[:] = normals_world @ normals_world.T
         for machine, observer in zip(self.machines, self.observers):
             machine.reset()
             observer.reset()
-        self._offset = np.zeros(3)
-        self._catching_up = self._held_back = False
-        if self._pose is None:
-            self._pose = pose
+        self._following.offset[:] = 0.0
+        self._catching_up = False
+        self._following.hold_back(False)
+        if not self._observed:
+            self._following.observe(pose.position_world, pose.rotation_world, np.zeros(6))
 
     def observe(self, pose: Pose, twist_world: Vector) -> None:
         """Take note of where the arm is, before `update`."""
-        self._pose, self._twist = pose, twist_world
+        self._following.observe(pose.position_world, pose.rotation_world, twist_world)
+        self._observed = True
 
     def release(self) -> None:
         """Leave all contacts to the motion law; those still touched are taken up again."""
@@ -87,115 +117,104 @@ class ContactReference:
 
     def resume(self) -> None:
         """Go on after a pause, from where the arm is: no contact counts as held any more."""
-        self._offset = np.full(3, np.nan)  # set at the next update
-        self._catching_up = self._held_back = True
+        self._following.offset[:] = np.nan  # set at the next update
+        self._catching_up = True
+        self._following.hold_back(True)
 
     def update(self, time: float, alpha_meas: Vector) -> Reference:
-        """
-        Return the reference of one tick; see `ReferenceSource.update`.
-
-        Written for speed: numbers one by one, as there are few.
-        """
+        """Return the reference of one tick; see `ReferenceSource.update`."""
         task = self._task.task(time)
-        pose = task.pose_des if self._pose is None else self._pose
-        gap = pose.position_world - task.pose_des.position_world
+        self._following.ask(task)
+        self._wanted[:] = task.active
+        self._desired[:] = task.alpha_des
         if self._catching_up:
-            self._return(gap)
-            gap = gap - self._offset
-        damping = self._follow_contacts(task, gap, alpha_meas, pose)
-        shift, velocity, change = self._offset.tolist(), [0.0] * 3, [0.0] * 3
-        alpha_des, active = np.zeros(len(self.machines)), np.zeros(len(self.machines), dtype=bool)
-        for i, machine in enumerate(self.machines):
-            held = machine.active
-            if held and not self._held_back:
-                active[i] = True
-                alpha_des[i] = max(
-                    min(float(task.alpha_des[i]), machine.force_limit) - damping[i], 0.0)
-            for axis, component in enumerate(self._normal_lists[i]):
-                shift[axis] += machine.displacement * component
-                if not held:
-                    velocity[axis] += machine.speed * component
-                    change[axis] += machine.acceleration * component
-        self._held_back = False
-        return self._bounded(Reference(
-            Pose(task.pose_des.position_world + np.array(shift), task.pose_des.rotation_world),
-            task.twist_des + np.array(velocity + [0.0] * 3),
-            task.acceleration_des + np.array(change + [0.0] * 3), active, alpha_des), pose)
+            self._return()
+        return self._follow(alpha_meas)
 
-    def _return(self, gap: Vector) -> None:
+    def _follow(self, alpha_meas: Vector) -> Reference:
+        """Advance the contacts and return the task with what comes of them."""
+        count = len(self.machines)
+        pose_des, motion_des = np.empty((4, 3)), np.empty((2, 6))
+        active: Mask = np.empty(count, dtype=bool)
+        alpha_des = np.empty(count)
+        self.limited = follow_task(
+            self._following.record, self._contacts, self._settings, self._normals, self._points,
+            self._overlap, self._wanted, self._desired, alpha_meas, pose_des, motion_des, active,
+            alpha_des)
+        return Reference(Pose(pose_des[POSITION], pose_des[:POSITION]), motion_des[TWIST],
+                         motion_des[ACCELERATION], active, alpha_des)
+
+    def _return(self) -> None:
         """Let the offset that a pause has left go to zero."""
-        if np.isnan(self._offset[0]):
+        offset = self._following.offset
+        if np.isnan(offset[0]):
             # What lies along the normals belongs to the contacts, only the rest is caught up.
+            gap = self._following.gap
             along = np.linalg.lstsq(self._normals.T, gap, rcond=None)[0]
             for machine, place in zip(self.machines, along):
                 machine.let_go(float(place))
-            self._offset = gap - along @ self._normals
-        length = float(np.sqrt(self._offset @ self._offset))
+            offset[:] = gap - along @ self._normals
+        length = float(np.sqrt(offset @ offset))
         if length > 0.0:
             speed = min(RETURN_RATE * length, 0.2 * self._config.limits.operational_speed)
-            self._offset *= max(1.0 - speed * self._config.period / length, 0.0)
+            offset *= max(1.0 - speed * self._config.period / length, 0.0)
         if length < 1e-6:
-            self._offset, self._catching_up = np.zeros(3), False
-
-    def _follow_contacts(
-        self, task: Reference, gap: Vector, alpha_meas: Vector, pose: Pose,
-    ) -> list[float]:
-        """Advance every machine; return the forces that passivity takes from the command."""
-        displacements = [machine.displacement for machine in self.machines]
-        places = (self._normals @ gap).tolist()
-        speeds = (self._normals @ (self._twist[:3] - task.twist_des[:3])).tolist()
-        levers = (self._points @ pose.rotation_world.T).tolist()
-        vx, vy, vz, wx, wy, wz = self._twist.tolist()
-        wanted, forces, desired = task.active.tolist(), alpha_meas.tolist(), (
-            task.alpha_des.tolist())
-        damping = []
-        for i, machine in enumerate(self.machines):
-            nx, ny, nz = self._normal_lists[i]
-            lx, ly, lz = levers[i]
-            speed = (nx * (vx + wy * lz - wz * ly) + ny * (vy + wz * lx - wx * lz)
-                     + nz * (vz + wx * ly - wy * lx))
-            damping.append(self.observers[i].update(forces[i], speed))
-            others = sum(self._overlap[i][j] * other for j, other in enumerate(displacements)
-                         if j != i)
-            machine.update(wanted[i], forces[i], desired[i], places[i] - others, speeds[i])
-        return damping
-
-    def _bounded(self, reference: Reference, pose: Pose) -> Reference:
-        """Return the reference within reach of the speed limits and within the box."""
-        position = reference.pose_des.position_world
-        rotation = reference.pose_des.rotation_world
-        twist, acceleration = reference.twist_des, reference.acceleration_des
-        self.limited = False
-        if self._box[0].size:
-            inside = np.minimum(np.maximum(position, self._box[0]), self._box[1])
-            outward = inside != position
-            if outward.any():
-                twist, acceleration = twist.copy(), acceleration.copy()
-                twist[:3][outward] = acceleration[:3][outward] = 0.0
-                position, self.limited = inside, True
-        error = position - pose.position_world
-        length = float(np.sqrt(error @ error))
-        if length > self._reach:
-            position = pose.position_world + error * (self._reach / length)
-            twist, acceleration = np.zeros(6), np.zeros(6)
-            self.limited = True
-        turn = rotation_error(rotation, pose.rotation_world)
-        angle = float(np.sqrt(turn @ turn))
-        if angle > self._turn:
-            rotation = rotation_of(turn * (self._turn / angle)) @ pose.rotation_world
-            self.limited = True
-        if not self.limited:
-            return reference
-        return Reference(Pose(position, rotation), twist, acceleration, reference.active,
-                         reference.alpha_des)
+            offset[:] = 0.0
+            self._catching_up = False
 
 
-def rotation_of(vector: Vector) -> Vector:
-    """Return the rotation matrix of a rotation vector [rad] (Rodrigues)."""
-    angle = float(np.sqrt(vector @ vector))
-    if angle < 1e-12:
-        return np.eye(3)
-    x, y, z = vector / angle
-    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    rotation: Vector = np.eye(3) + np.sin(angle) * K + (1.0 - np.cos(angle)) * (K @ K)
-    return rotation
+class Following:
+    """
+    The record of `FOLLOWING`: bounds, where the arm is, what the task asks for.
+
+    Parameters
+    ----------
+    config
+        Motion law and limits.
+
+    Attributes
+    ----------
+    record
+        For compiled code, shape (1,).
+    offset
+        What a pause has left of the way to the task, in the record, shape (3,) [m].
+
+    """
+
+    def __init__(self, config: ControllerConfig) -> None:
+        motion, limits = config.motion, config.limits
+        lead = 2.0 * motion.damping_ratio / motion.natural_frequency  # k_v / k_p [s]
+        self.record: Any = np.zeros(1, dtype=FOLLOWING)
+        self.record['reach'] = lead * limits.operational_speed
+        self.record['turn'] = lead * limits.operational_turn
+        self.record['box'] = [limits.workspace_lower or [-np.inf] * 3,
+                              limits.workspace_upper or [np.inf] * 3]
+        record = self.record[0]
+        self._position, self._rotation = record['position'], record['rotation']
+        self._twist, self.offset = record['twist'], record['offset']
+        self._pose_task, self._motion_task = record['pose_task'], record['motion_task']
+        self._rotation_task = self._pose_task[:POSITION]
+        self._position_task = self._pose_task[POSITION]
+        self._twist_task, self._acceleration_task = self._motion_task
+
+    def observe(self, position: Vector, rotation: Matrix, twist: Vector) -> None:
+        """Take note of where the arm is."""
+        self._position[:] = position
+        self._rotation[:] = rotation
+        self._twist[:] = twist
+
+    def ask(self, task: Reference) -> None:
+        """Take note of the motion that is asked for."""
+        self._position_task[:] = task.pose_des.position_world
+        self._rotation_task[:] = task.pose_des.rotation_world
+        self._twist_task[:] = task.twist_des
+        self._acceleration_task[:] = task.acceleration_des
+
+    def hold_back(self, held_back: bool) -> None:
+        """Let no contact be force controlled in the next tick, or let it."""
+        self.record['held_back'] = held_back
+
+    @property
+    def gap(self) -> Vector:
+        """From the task to where the arm is, shape (3,) [m]."""
+        return self._position - self._position_task

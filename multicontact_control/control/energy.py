@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-import math
+from typing import Any
 
 from multicontact_control.config import ContactStateConfig
+from multicontact_control.control.contact_kernels import CONTACT, watch_energy_of_one
+from multicontact_control.control.contact_state import contact_settings, Records
+import numpy as np
 
 
 class PassivityObserver:
@@ -14,7 +17,8 @@ class PassivityObserver:
     The robot does the work W = sum alpha v h on a surface, of which alpha^2 / (2 k) is stored in
     it. What remains is turned into heat there, and a controller that keeps on delivering it feeds
     a bouncing or an oscillation. The remainder is forgotten with a time constant; above a limit
-    the contact counts as active, and a damping force b v is to be taken from its command.
+    the contact counts as active, and a damping force b v is to be taken from its command. The
+    arithmetic is in `contact_kernels`, compiled.
 
     Parameters
     ----------
@@ -24,27 +28,34 @@ class PassivityObserver:
         Modelled stiffness k of the contact [N/m].
     period
         h [s].
+    memory
+        One record of `CONTACT` to keep everything in; its own if there is none.
 
     Attributes
     ----------
-    energy
-        Work not stored and not yet forgotten [J].
     limit
-        Its bound [J].
+        Bound of the energy [J].
 
     """
 
-    def __init__(self, config: ContactStateConfig, stiffness: float, period: float) -> None:
-        self._stiffness, self._period = stiffness, period
-        self._keep = math.exp(-period / config.energy_memory)
-        self._damping = config.injected_damping
+    def __init__(
+        self, config: ContactStateConfig, stiffness: float, period: float,
+        memory: Records | None = None,
+    ) -> None:
+        self._settings = contact_settings(config, period)
+        self._memory: Any = np.zeros(1, dtype=CONTACT) if memory is None else memory
+        self._memory['stiffness'] = stiffness
         self.limit = config.energy_limit
         self.reset()
 
     def reset(self) -> None:
         """Forget everything."""
-        self.energy = 0.0
-        self._stored = 0.0
+        self._memory['energy'] = self._memory['stored'] = 0.0
+
+    @property
+    def energy(self) -> float:
+        """Work not stored and not yet forgotten [J]."""
+        return float(self._memory['energy'][0])
 
     @property
     def passive(self) -> bool:
@@ -68,8 +79,4 @@ class PassivityObserver:
             Force to take from the command [N], 0 while the bound is kept.
 
         """
-        stored = max(alpha, 0.0) ** 2 / (2.0 * self._stiffness)
-        work = alpha * speed * self._period
-        self.energy = self._keep * self.energy + work - (stored - self._stored)
-        self._stored = stored
-        return 0.0 if self.passive else self._damping * speed
+        return float(watch_energy_of_one(self._memory, self._settings, alpha, speed))
