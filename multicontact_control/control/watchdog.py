@@ -4,13 +4,32 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
-from multicontact_control.arrays import all_finite, Vector
+from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
+from multicontact_control.control.watchdog_kernels import (
+    BELIEVED,
+    FINE,
+    FROZEN,
+    IMPLAUSIBLE,
+    INVALID,
+    judge_readings,
+    JUMP,
+    NEW,
+    READINGS,
+    SATURATED,
+    VERDICTS,
+    WATCH_MEMORY,
+    WATCH_SETTINGS,
+)
 import numpy as np
+from numpy.typing import NDArray
 
-STILL = 1e-4  # rad/s; below it a joint reading may repeat itself
+FLOAT = np.dtype(float)
+PROBLEMS = {INVALID: 'invalid', IMPLAUSIBLE: 'implausible', JUMP: 'jump', FROZEN: 'frozen',
+            SATURATED: 'saturated'}
+INPUTS = ('joints', 'wrench', 'variance')
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,15 +90,15 @@ class TickInputs:
     variance: VarianceInput | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Believed:
+class Believed(NamedTuple):
     """
     The inputs of one tick as far as they are believed.
 
     Attributes
     ----------
     q, qd, wrench
-        The newest that were believed, None if there never were any.
+        The newest that were believed, None if there never were any. These arrays and R may be
+        overwritten by the next tick.
     variance
         R, inflated if it is not renewed, shape (r,) [N^2].
     causes
@@ -103,15 +122,19 @@ class Believed:
     blind: bool = False
 
 
-def finite_vector(values: Any, size: int) -> Vector | None:
-    """Return values as a vector of finite numbers, None if they are not that many or not that."""
+def copy_numbers(values: Any, buffer: Vector) -> bool:
+    """Copy values, whatever they are; return whether they are as many numbers as the buffer."""
+    if type(values) is np.ndarray and values.dtype is FLOAT and values.shape == buffer.shape:
+        buffer[:] = values
+        return True
     try:
         vector = np.array(values, dtype=float)
     except (TypeError, ValueError, OverflowError):
-        return None
-    if vector.shape != (size,) or not all_finite(vector):
-        return None
-    return vector
+        return False
+    if vector.shape != buffer.shape:
+        return False
+    buffer[:] = vector
+    return True
 
 
 def finite_number(value: Any) -> float | None:
@@ -129,7 +152,8 @@ class Watchdog:
 
     A reading that is not believed counts as not received: the last believed one is used until it
     is older than its limit. So a sample that is lost or damaged is bridged, and two in a row
-    call for a reaction.
+    call for a reaction. Stamps, names and sizes are looked at here, the numbers in
+    `watchdog_kernels`, compiled.
 
     Parameters
     ----------
@@ -140,32 +164,47 @@ class Watchdog:
 
     def __init__(self, config: ControllerConfig) -> None:
         self._config, self._watch = config, config.watchdog
-        self._names = config.robot.joint_names
-        self._speed_limit = np.array(config.limits.joint_speed or [np.inf] * len(self._names))
-        full_scale = self._watch.wrench_full_scale
-        self._full_scale = 0.999 * np.array(full_scale) if full_scale else np.full(6, np.inf)
+        self._period = config.period
+        self._names = list(config.robot.joint_names)
+        watch, n, r = config.watchdog, len(self._names), len(config.contact_names)
+        self._settings = watch_settings(config)
+        self._speed_limit = np.array(config.limits.joint_speed or [np.inf] * n)
+        self._full_scale = (0.999 * np.array(watch.wrench_full_scale)
+                            if watch.wrench_full_scale else np.full(6, np.inf))
+        slack = 1e-3 * config.period
+        self._limits = (
+            ('joints', watch.joint_max_age + slack), ('wrench', watch.wrench_max_age + slack),
+            ('variance', watch.variance_max_age + slack))
+        self._memory: Any = np.zeros(1, dtype=WATCH_MEMORY)
+        self._joints = np.zeros((len(READINGS), 2, n))
+        self._wrenches = np.zeros((len(READINGS), 6))
+        self._variances = np.zeros((len(READINGS), r))
+        self._in_order = list(range(n))
+        self._new_q, self._new_qd = self._joints[NEW]
+        self._believed_q, self._believed_qd = self._joints[BELIEVED]
+        self._believed_wrench = self._wrenches[BELIEVED]
+        self._new_wrench, self._new_variance = self._wrenches[NEW], self._variances[NEW]
+        self._numbers = (self._joints, self._wrenches, self._variances, self._speed_limit,
+                         self._full_scale, self._memory, self._settings)
+        judge_readings(True, True, True, 0.0, *self._numbers)  # no tick is to wait for numba
         self.reset()
 
     def reset(self) -> None:
         """Forget everything; the next tick is the first."""
-        contacts = len(self._config.contact_names)
         self._time: float | None = None
         self._odd_periods = self._same_times = self._blind_ticks = 0
         self._q: Vector | None = None
         self._qd: Vector | None = None
         self._wrench: Vector | None = None
-        self._variance: Vector = np.full(contacts, self._config.initial_noise_variance)
+        self._variances[BELIEVED] = min(
+            self._config.initial_noise_variance, self._watch.variance_ceiling)
         self._inflation = 1.0
-        self._stamps: dict[str, float | None] = {}
-        self._seen: dict[str, float | None] = {}
-        self._last_joints: tuple[Vector, Vector] | None = None
-        self._last_wrench: Vector | None = None
-        self._joint_repeats = self._wrench_repeats = 0
-        self._distrust = 0
+        self._stamps: dict[str, float | None] = {'joints': None, 'wrench': None, 'variance': None}
+        self._seen: dict[str, float | None] = dict(self._stamps)
+        self._memory[:] = np.zeros(1, dtype=WATCH_MEMORY)
 
     def judge(self, inputs: TickInputs) -> Believed:
         """Take in what is known at a tick and say what of it is believed."""
-        rejected: list[str] = []
         causes: list[str] = []
         time = self._judge_time(inputs.time, causes)
         if time is None and (self._same_times >= 2 or self._has_new(inputs)):
@@ -173,36 +212,36 @@ class Watchdog:
             time = self._time
         if time is None:
             return Believed(self._q, self._qd, self._wrench, self._used_variance(), (), (), True)
-        h = self._config.period
-        self._take_joints(inputs.joints, time, rejected)
-        self._take_wrench(inputs.wrench, time, rejected)
-        self._take_variance(inputs.variance, time, rejected)
-        for key, limit in (('joints', self._watch.joint_max_age),
-                           ('wrench', self._watch.wrench_max_age),
-                           ('variance', self._watch.variance_max_age)):
-            stamp = self._stamps.get(key)
-            if stamp is None and key != 'variance' or (
-                    stamp is not None and time - stamp > limit + 1e-3 * h):
-                reasons = [reason for reason in rejected if reason.startswith(key)]
-                causes.append(reasons[0] if reasons else f'{key}_stale')
-        if any(cause.startswith('variance') for cause in causes):
-            self._inflation *= self._watch.variance_growth
+        problems = self._judge_readings(inputs, time)
+        stamps = self._stamps
+        for key, limit in self._limits:
+            stamp = stamps[key]
+            if (stamp is None and key != 'variance') or (
+                    stamp is not None and time - stamp > limit):
+                causes.append(f"{key}_{problems.get(key, 'stale')}")
+                if key == 'variance':
+                    self._inflation *= self._watch.variance_growth
+        rejected = tuple(f'{key}_{problems[key]}' for key in INPUTS if key in problems) if (
+            problems) else ()
         return Believed(self._q, self._qd, self._wrench, self._used_variance(), tuple(causes),
-                        tuple(rejected), blind=self._blind_ticks > 1)
+                        rejected, False, self._blind_ticks > 1)
 
     def _has_new(self, inputs: TickInputs) -> bool:
         """Return whether a joint state has another stamp than the one before."""
         return inputs.joints is not None and (
-            finite_number(inputs.joints.stamp) != self._seen.get('joints'))
+            finite_number(inputs.joints.stamp) != self._seen['joints'])
 
     def _used_variance(self) -> Vector:
-        used: Vector = np.minimum(self._variance * self._inflation, self._watch.variance_ceiling)
+        if self._inflation == 1.0:
+            return self._variances[BELIEVED]
+        used: Vector = np.minimum(
+            self._variances[BELIEVED] * self._inflation, self._watch.variance_ceiling)
         self._inflation = min(self._inflation, 1e12)
         return used
 
     def _judge_time(self, value: Any, causes: list[str]) -> float | None:
         """Return the time of this tick; None if it is that of the tick before."""
-        h, before = self._config.period, self._time
+        h, before = self._period, self._time
         time = finite_number(value)
         if time is None or abs(time) > 1e12:
             causes.append('clock_invalid')
@@ -219,7 +258,7 @@ class Watchdog:
         if step < 0.0:
             causes.append('clock_backwards')
             self._stamps = dict.fromkeys(self._stamps)
-            self._seen = {}
+            self._seen = dict.fromkeys(self._seen)
             self._odd_periods = 0
             return time
         odd = not h / self._watch.rate_band <= step <= h * self._watch.rate_band
@@ -228,124 +267,122 @@ class Watchdog:
             causes.append('clock_rate')
         return time
 
-    def _fresh(self, key: str, stamp: Any, time: float, rejected: list[str]) -> float | None:
+    def _fresh(self, key: str, stamp: Any, time: float, problems: dict[str, str]) -> float | None:
         """Return the stamp of a reading that is new and in order, None otherwise."""
         number = finite_number(stamp)
-        if number is None or number > time + 0.5 * self._config.period:
-            rejected.append(f'{key}_stamp')
+        if number is None or number > time + 0.5 * self._period:
+            problems[key] = 'stamp'
             return None
-        before = self._seen.get(key)
+        before = self._seen[key]
         if before is not None and number <= before:
             if number < before:
-                rejected.append(f'{key}_order')
+                problems[key] = 'order'
             return None
         self._seen[key] = number
         return number
 
-    def _take_joints(self, reading: JointInput | None, time: float, rejected: list[str]) -> None:
-        self._blind_ticks += 1
+    def _take_joints(
+        self, reading: JointInput | None, time: float, problems: dict[str, str],
+    ) -> float | None:
+        """Return the stamp of a joint state whose numbers are in place now, None otherwise."""
         if reading is None:
-            return
-        stamp = self._fresh('joints', reading.stamp, time, rejected)
+            return None
+        stamp = self._fresh('joints', reading.stamp, time, problems)
         if stamp is None:
-            return
-        problem = self._joint_problem(reading, stamp)
-        if problem:
-            rejected.append(f'joints_{problem}')
-            if problem == 'frozen':  # the reading is as old as its value
-                self._stamps['joints'] = stamp - self._joint_repeats * self._config.period
-        else:
-            self._stamps['joints'] = stamp
-            self._blind_ticks = 0
-
-    def _joint_problem(self, reading: JointInput, stamp: float) -> str:
-        """Return what is wrong with a joint state; take it over if nothing is."""
-        n = len(self._names)
-        q, qd = finite_vector(reading.q, n), finite_vector(reading.qd, n)
+            return None
+        q, qd = self._new_q, self._new_qd
+        complete = copy_numbers(reading.q, q) and copy_numbers(reading.qd, qd)
         if reading.names is not None:
-            try:
-                names = [str(name) for name in reading.names]
-            except TypeError:
-                return 'names'
-            if sorted(names) != sorted(self._names):
-                return 'names'
-            if q is not None and qd is not None and names != list(self._names):
-                order = [names.index(name) for name in self._names]
-                q, qd = q[order], qd[order]
-        if q is None or qd is None:
-            return 'invalid'
-        if np.abs(q).max() > 1e3 or (np.abs(qd) > 3.0 * self._speed_limit).any():
-            return 'implausible'
-        before, self._last_joints = self._last_joints, (q, qd)
-        if self._jumped(q, qd, before, stamp):
-            self._distrust = round(self._watch.recovery_time * self._config.rate)
-            return 'jump'
-        if self._distrust > 0:
-            self._distrust -= 1
-            return 'jump'
-        if self._joints_frozen(q, qd, before):
-            return 'frozen'
-        self._q, self._qd = q, qd
-        return ''
+            order = self._order_of(reading.names)
+            if order is None:
+                problems['joints'] = 'names'
+                return None
+            if complete and order != self._in_order:
+                q[:], qd[:] = q[order], qd[order]
+        if not complete:
+            problems['joints'] = 'invalid'
+            return None
+        return stamp
 
-    def _jumped(
-        self, q: Vector, qd: Vector, before: tuple[Vector, Vector] | None, stamp: float,
-    ) -> bool:
-        """Return whether a joint has moved as its speeds do not say, on its way here."""
-        origin = before if self._distrust else (
-            None if self._q is None or self._qd is None else (self._q, self._qd))
-        if origin is None:
-            return False
-        believed = self._stamps.get('joints')
-        h = self._config.period
-        elapsed = h if self._distrust or believed is None else stamp - believed
-        change = q - origin[0] - 0.5 * (qd + origin[1]) * min(elapsed, 0.1)
-        return bool(np.abs(change).max() > self._watch.position_jump * max(1.0, elapsed / h / 5.0))
+    def _order_of(self, names: Any) -> list[int] | None:
+        """Return where each joint is among names, None if these are not the joints' names."""
+        try:
+            found = [str(name) for name in names]
+        except TypeError:
+            return None
+        if found == self._names:
+            return self._in_order
+        if sorted(found) != sorted(self._names):
+            return None
+        return [found.index(name) for name in self._names]
 
-    def _joints_frozen(
-        self, q: Vector, qd: Vector, before: tuple[Vector, Vector] | None,
-    ) -> bool:
-        same = before is not None and np.abs(qd).max() > STILL and bool(
-            (q == before[0]).all() or (qd == before[1]).all())
-        self._joint_repeats = self._joint_repeats + 1 if same else 0
-        limit = self._watch.frozen_samples
-        return bool(limit and self._joint_repeats >= limit)
-
-    def _take_wrench(self, reading: WrenchInput | None, time: float, rejected: list[str]) -> None:
+    def _take_wrench(
+        self, reading: WrenchInput | None, time: float, problems: dict[str, str],
+    ) -> float | None:
+        """Return the stamp of a wrench whose numbers are in place now, None otherwise."""
         if reading is None:
-            return
-        stamp = self._fresh('wrench', reading.stamp, time, rejected)
-        if stamp is None:
-            return
-        wrench = finite_vector(reading.wrench, 6)
-        if wrench is None or np.abs(wrench).max() > 1e6:
-            rejected.append('wrench_invalid')
-            return
-        same = self._last_wrench is not None and bool((wrench == self._last_wrench).all())
-        self._wrench_repeats = self._wrench_repeats + 1 if same else 0
-        self._last_wrench = wrench
-        limit = self._watch.frozen_samples
-        if (np.abs(wrench) >= self._full_scale).any():
-            rejected.append('wrench_saturated')
-        elif limit and self._wrench_repeats >= limit:
-            rejected.append('wrench_frozen')
-            # Its first repetitions were not fresh either: the reading is as old as its value.
-            self._stamps['wrench'] = stamp - self._wrench_repeats * self._config.period
-        else:
-            self._wrench, self._stamps['wrench'] = wrench, stamp
+            return None
+        stamp = self._fresh('wrench', reading.stamp, time, problems)
+        if stamp is not None and not copy_numbers(reading.wrench, self._new_wrench):
+            problems['wrench'] = 'invalid'
+            return None
+        return stamp
 
     def _take_variance(
-        self, reading: VarianceInput | None, time: float, rejected: list[str],
-    ) -> None:
+        self, reading: VarianceInput | None, time: float, problems: dict[str, str],
+    ) -> float | None:
+        """Return the stamp of an R whose numbers are in place now, None otherwise."""
         if reading is None:
-            return
-        stamp = self._fresh('variance', reading.stamp, time, rejected)
-        if stamp is None:
-            return
-        variance = finite_vector(reading.variance, self._variance.size)
-        if variance is None or not (variance > 0.0).all():
-            rejected.append('variance_invalid')
-        else:
-            self._variance = np.clip(
-                variance, self._watch.variance_floor, self._watch.variance_ceiling)
-            self._stamps['variance'], self._inflation = stamp, 1.0
+            return None
+        stamp = self._fresh('variance', reading.stamp, time, problems)
+        if stamp is not None and not copy_numbers(reading.variance, self._new_variance):
+            problems['variance'] = 'invalid'
+            return None
+        return stamp
+
+    def _judge_readings(self, inputs: TickInputs, time: float) -> dict[str, str]:
+        """Take in what is new and believe what is right; return what is wrong with the rest."""
+        problems: dict[str, str] = {}
+        h, before = self._period, self._stamps['joints']
+        joints = self._take_joints(inputs.joints, time, problems)
+        wrench = self._take_wrench(inputs.wrench, time, problems)
+        variance = self._take_variance(inputs.variance, time, problems)
+        elapsed = h if joints is None or before is None else joints - before
+        verdicts = judge_readings(
+            joints is not None, wrench is not None, variance is not None, elapsed,
+            *self._numbers)
+        on_variance, others = divmod(verdicts, VERDICTS ** 2)
+        on_wrench, on_joints = divmod(others, VERDICTS)
+        self._blind_ticks += 1
+        if joints is not None:
+            if on_joints == FINE:
+                self._stamps['joints'], self._blind_ticks = joints, 0
+                self._q, self._qd = self._believed_q, self._believed_qd
+            elif on_joints == FROZEN:  # the reading is as old as its value
+                self._stamps['joints'] = joints - h * self._repeats('joint_repeats')
+        if wrench is not None:
+            if on_wrench == FINE:
+                self._stamps['wrench'], self._wrench = wrench, self._believed_wrench
+            elif on_wrench == FROZEN:
+                self._stamps['wrench'] = wrench - h * self._repeats('wrench_repeats')
+        if variance is not None and on_variance == FINE:
+            self._stamps['variance'], self._inflation = variance, 1.0
+        if verdicts:
+            for key, verdict in zip(INPUTS, (on_joints, on_wrench, on_variance)):
+                if verdict != FINE:
+                    problems[key] = PROBLEMS[verdict]
+        return problems
+
+    def _repeats(self, name: str) -> int:
+        return int(self._memory[name][0])
+
+
+def watch_settings(config: ControllerConfig) -> NDArray[np.void]:
+    """Return what compiled code needs of a configuration: one record of `WATCH_SETTINGS`."""
+    watch = config.watchdog
+    settings = np.zeros(1, dtype=WATCH_SETTINGS)
+    for name in ('position_jump', 'frozen_samples', 'variance_floor', 'variance_ceiling'):
+        settings[name] = getattr(watch, name)
+    settings['period'] = config.period
+    settings['recovery_samples'] = round(watch.recovery_time * config.rate)
+    return settings
