@@ -85,28 +85,38 @@ class Buffers:
         self.pose_des, self.motion_des = np.eye(4, 3), np.zeros((2, 6))
         self._rotation_des, self._position_des = self.pose_des[:3], self.pose_des[POSITION]
         self._twist_des, self._acceleration_des = self.motion_des
-        self._shapes = (joints,), (joints,), (6,), (contacts,)
+        self._joints, self._contacts = (joints,), (contacts,)
         self.normal_rows = np.zeros((contacts, 6))
 
-    def take_sample(
-        self, q: Vector, qd: Vector, wrench_sensor: Vector, noise_variance: Vector,
-    ) -> None:
+    def take_joints(self, q: Vector, qd: Vector) -> None:
         """
-        Copy one sample.
+        Copy where the arm is.
 
         Raises
         ------
         ShapeError
-            If an array is not of the robot's or the contacts' size.
+            If an array is not of the robot's size.
 
         """
-        if (q.shape, qd.shape, wrench_sensor.shape, noise_variance.shape) != self._shapes:
-            names = ('q', 'qd', 'wrench_sensor', 'noise_variance')
-            for name, array, shape in zip(
-                    names, (q, qd, wrench_sensor, noise_variance), self._shapes):
-                require_shape(name, array, shape)
+        if q.shape != self._joints or qd.shape != self._joints:
+            require_shape('q', q, self._joints)
+            require_shape('qd', qd, self._joints)
         self.q[:] = q
         self.qd[:] = qd
+
+    def take_wrench(self, wrench_sensor: Vector, noise_variance: Vector) -> None:
+        """
+        Copy the rest of a sample.
+
+        Raises
+        ------
+        ShapeError
+            If an array is not of its size.
+
+        """
+        if wrench_sensor.shape != (6,) or noise_variance.shape != self._contacts:
+            require_shape('wrench_sensor', wrench_sensor, (6,))
+            require_shape('noise_variance', noise_variance, self._contacts)
         self.wrench_sensor[:] = wrench_sensor
         self.noise_variance[:] = noise_variance
 

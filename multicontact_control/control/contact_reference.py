@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from multicontact_control.arrays import Mask, Matrix, Vector
+from multicontact_control.arrays import Mask, Vector
 from multicontact_control.config import ControllerConfig
+from multicontact_control.control.arm_view import ArmView
 from multicontact_control.control.contact_kernels import CONTACT
 from multicontact_control.control.contact_state import (
     contact_settings,
@@ -13,6 +14,7 @@ from multicontact_control.control.contact_state import (
     ContactState,
 )
 from multicontact_control.control.energy import PassivityObserver
+from multicontact_control.control.gate_kernels import POSTURE
 from multicontact_control.control.kernels import ACCELERATION, POSITION, TWIST
 from multicontact_control.control.reference import Reference, TaskSource
 from multicontact_control.control.reference_kernels import follow_task, FOLLOWING
@@ -62,10 +64,15 @@ class ContactReference:
         self._wanted: Mask = np.zeros(len(rows), dtype=bool)
         self._desired = np.zeros(len(rows))
         self._following = Following(config)
+        self._posture: Any = np.zeros(1, dtype=POSTURE)
         self._observed = self._catching_up = False
         self.limited = False
         self._codes = self._contacts['state']
         self._states: tuple[bytes, tuple[str, ...]] = (b'', ())
+        self._follow(self._desired)  # no tick is to wait for numba
+        for machine, observer in zip(self.machines, self.observers):
+            machine.reset()
+            observer.reset()
 
     @property
     def states(self) -> tuple[ContactState, ...]:
@@ -103,12 +110,22 @@ class ContactReference:
         self._catching_up = False
         self._following.hold_back(False)
         if not self._observed:
-            self._following.observe(pose.position_world, pose.rotation_world, np.zeros(6))
+            self._note(pose, np.zeros(6))
 
     def observe(self, pose: Pose, twist_world: Vector) -> None:
         """Take note of where the arm is, before `update`."""
-        self._following.observe(pose.position_world, pose.rotation_world, twist_world)
+        self._note(pose, twist_world)
         self._observed = True
+
+    def look_at(self, arm: ArmView) -> None:
+        """Use what is seen of the arm, from now on, instead of `observe`."""
+        self._posture = arm.posture
+        self._observed = True
+
+    def _note(self, pose: Pose, twist_world: Vector) -> None:
+        seen = self._posture[0]
+        seen['position'], seen['rotation'] = pose
+        seen['twist'] = twist_world
 
     def release(self) -> None:
         """Leave all contacts to the motion law; those still touched are taken up again."""
@@ -138,9 +155,9 @@ class ContactReference:
         active: Mask = np.empty(count, dtype=bool)
         alpha_des = np.empty(count)
         self.limited = follow_task(
-            self._following.record, self._contacts, self._settings, self._normals, self._points,
-            self._overlap, self._wanted, self._desired, alpha_meas, pose_des, motion_des, active,
-            alpha_des)
+            self._following.record, self._posture, self._contacts, self._settings, self._normals,
+            self._points, self._overlap, self._wanted, self._desired, alpha_meas, pose_des,
+            motion_des, active, alpha_des)
         return Reference(Pose(pose_des[POSITION], pose_des[:POSITION]), motion_des[TWIST],
                          motion_des[ACCELERATION], active, alpha_des)
 
@@ -149,7 +166,7 @@ class ContactReference:
         offset = self._following.offset
         if np.isnan(offset[0]):
             # What lies along the normals belongs to the contacts, only the rest is caught up.
-            gap = self._following.gap
+            gap = self._posture['position'][0] - self._following.position_task
             along = np.linalg.lstsq(self._normals.T, gap, rcond=None)[0]
             for machine, place in zip(self.machines, along):
                 machine.let_go(float(place))
@@ -165,7 +182,7 @@ class ContactReference:
 
 class Following:
     """
-    The record of `FOLLOWING`: bounds, where the arm is, what the task asks for.
+    The record of `FOLLOWING`: bounds, and what the task asks for.
 
     Parameters
     ----------
@@ -178,6 +195,8 @@ class Following:
         For compiled code, shape (1,).
     offset
         What a pause has left of the way to the task, in the record, shape (3,) [m].
+    position_task
+        Where the task is, in the record, shape (3,) [m].
 
     """
 
@@ -190,22 +209,14 @@ class Following:
         self.record['box'] = [limits.workspace_lower or [-np.inf] * 3,
                               limits.workspace_upper or [np.inf] * 3]
         record = self.record[0]
-        self._position, self._rotation = record['position'], record['rotation']
-        self._twist, self.offset = record['twist'], record['offset']
-        self._pose_task, self._motion_task = record['pose_task'], record['motion_task']
-        self._rotation_task = self._pose_task[:POSITION]
-        self._position_task = self._pose_task[POSITION]
-        self._twist_task, self._acceleration_task = self._motion_task
-
-    def observe(self, position: Vector, rotation: Matrix, twist: Vector) -> None:
-        """Take note of where the arm is."""
-        self._position[:] = position
-        self._rotation[:] = rotation
-        self._twist[:] = twist
+        self.offset = record['offset']
+        self.position_task = record['pose_task'][POSITION]
+        self._rotation_task = record['pose_task'][:POSITION]
+        self._twist_task, self._acceleration_task = record['motion_task']
 
     def ask(self, task: Reference) -> None:
         """Take note of the motion that is asked for."""
-        self._position_task[:] = task.pose_des.position_world
+        self.position_task[:] = task.pose_des.position_world
         self._rotation_task[:] = task.pose_des.rotation_world
         self._twist_task[:] = task.twist_des
         self._acceleration_task[:] = task.acceleration_des
@@ -213,8 +224,3 @@ class Following:
     def hold_back(self, held_back: bool) -> None:
         """Let no contact be force controlled in the next tick, or let it."""
         self.record['held_back'] = held_back
-
-    @property
-    def gap(self) -> Vector:
-        """From the task to where the arm is, shape (3,) [m]."""
-        return self._position - self._position_task

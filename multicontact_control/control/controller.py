@@ -167,16 +167,55 @@ class Controller:
             If the contacts' normals are not independent.
 
         """
+        self.sense(measurement.q, measurement.qd)
+        return self.answer(measurement.time, measurement.wrench_sensor, noise_variance)
+
+    def sense(self, q: Vector, qd: Vector) -> LiveTerms:
+        """
+        Take in where the arm is: the first half of `step`.
+
+        Parameters
+        ----------
+        q, qd
+            Joint positions [rad] and velocities [rad/s], shape (n,).
+
+        Returns
+        -------
+        LiveTerms
+            The arm's terms there, for who needs them too.
+
+        Raises
+        ------
+        ShapeError
+            If an array is not of the robot's size.
+
+        """
         buffers = self._buffers
-        buffers.take_sample(
-            measurement.q, measurement.qd, measurement.wrench_sensor, noise_variance)
-        terms = self.robot.compute(buffers.q, buffers.qd)
+        buffers.take_joints(q, qd)
+        return self.robot.compute(buffers.q, buffers.qd)
+
+    def answer(
+        self, time: float, wrench_sensor: Vector, noise_variance: Vector,
+    ) -> ControlOutput:
+        """
+        Answer the sample whose joints have been sensed: the second half of `step`.
+
+        Parameters
+        ----------
+        time, wrench_sensor
+            See `Measurement`.
+        noise_variance
+            As for `step`, which also says what is raised.
+
+        """
+        buffers, terms = self._buffers, self.robot.terms
+        buffers.take_wrench(wrench_sensor, noise_variance)
         report = np.empty(self._report_shape)
         self._measure(report)
         pose = Pose(terms.position_world.copy(), terms.rotation_world.copy())
         if not self._started:
             self._start(pose)
-        reference = self._reference.update(measurement.time, report[MEASURED])
+        reference = self._reference.update(time, report[MEASURED])
         buffers.take_reference(reference)
         torque = self._decide(terms, report)
         return ControlOutput(

@@ -70,7 +70,7 @@ class Reactions:
             floating: Vector = state.gravity - braking
             return floating
         if self._posture is None:
-            self._posture = arm.q
+            self._posture = arm.q.copy()
         w = self._config.hold_frequency
         held: Vector = arm.bias_torque + arm.inertia * (
             w * w * (self._posture - arm.q) - 2.0 * w * arm.velocity)

@@ -21,11 +21,10 @@ from multicontact_control.control.kernels import ACCELERATION, POSITION, TWIST
 from multicontact_control.dynamics.kernels import rotation_vector
 import numpy as np
 
-# Where the arm is; what the task asks for; what a pause has left of the way to the task, and
+# What the task asks for; what a pause has left of the way to the task, and
 # whether contacts must not be force controlled in this tick; how far from the arm the reference
 # may be [m, rad]; corners of the box.
 FOLLOWING = np.dtype([
-    ('position', np.float64, 3), ('rotation', np.float64, (3, 3)), ('twist', np.float64, 6),
     ('pose_task', np.float64, (4, 3)), ('motion_task', np.float64, (2, 6)),
     ('offset', np.float64, 3), ('held_back', np.bool_), ('reach', np.float64),
     ('turn', np.float64), ('box', np.float64, (2, 3))])
@@ -33,7 +32,7 @@ FOLLOWING = np.dtype([
 
 @compiled
 def follow_contacts(
-    following: Any, contacts: Any, settings: Any, normals: Matrix, points: Matrix,
+    following: Any, posture: Any, contacts: Any, settings: Any, normals: Matrix, points: Matrix,
     overlap: Matrix, wanted: Mask, desired: Vector, alpha: Vector, damping: Vector,
 ) -> None:
     """
@@ -41,8 +40,8 @@ def follow_contacts(
 
     Parameters
     ----------
-    following, contacts, settings
-        Record of `FOLLOWING`, records of `CONTACT`, changed, and a record of `CONTACT_SETTINGS`.
+    following, posture, contacts, settings
+        Records of `FOLLOWING`, `POSTURE`, `CONTACT` (changed) and `CONTACT_SETTINGS`.
     normals, points
         Contact normals in world axes and points in the operational frame, shape (r, 3).
     overlap
@@ -54,7 +53,7 @@ def follow_contacts(
 
     """
     count = contacts.shape[0]
-    twist = following.twist
+    twist = posture.twist
     moved = np.empty(count)
     for i in range(count):
         moved[i] = contacts[i].displacement
@@ -62,7 +61,7 @@ def follow_contacts(
     for i in range(count):
         place, speed = 0.0, 0.0
         for k in range(3):
-            gap = (following.position[k] - following.pose_task[POSITION, k]
+            gap = (posture.position[k] - following.pose_task[POSITION, k]
                    - following.offset[k])
             place += normals[i, k] * gap
             speed += normals[i, k] * (twist[k] - following.motion_task[TWIST, k])
@@ -70,7 +69,7 @@ def follow_contacts(
         for j in range(count):
             if j != i:
                 others += overlap[i, j] * moved[j]
-        multiply(following.rotation, points[i], lever)
+        multiply(posture.rotation, points[i], lever)
         # v + w x l, along the normal
         point_speed = (
             normals[i, 0] * (twist[0] + twist[4] * lever[2] - twist[5] * lever[1])
@@ -131,14 +130,14 @@ def rotate_by(vector: Vector, rotation: Matrix, turned: Matrix) -> None:
 
 
 @compiled
-def bound_reference(following: Any, pose_des: Matrix, motion_des: Matrix) -> bool:
+def bound_reference(following: Any, posture: Any, pose_des: Matrix, motion_des: Matrix) -> bool:
     """
     Bring a reference within the box and within reach of the arm.
 
     Parameters
     ----------
-    following
-        Record of `FOLLOWING`.
+    following, posture
+        Records of `FOLLOWING` and `POSTURE`.
     pose_des, motion_des
         As for `motion_law`, changed if need be.
 
@@ -159,29 +158,29 @@ def bound_reference(following: Any, pose_des: Matrix, motion_des: Matrix) -> boo
             limited = True
     length = 0.0
     for k in range(3):
-        length += (position[k] - following.position[k]) ** 2
+        length += (position[k] - posture.position[k]) ** 2
     length = np.sqrt(length)
     if length > following.reach:
         for k in range(3):
-            position[k] = following.position[k] + (position[k] - following.position[k]) * (
+            position[k] = posture.position[k] + (position[k] - posture.position[k]) * (
                 following.reach / length)
         motion_des[:] = 0.0
         limited = True
     turn = np.empty(3)
-    rotation_vector(pose_des, following.rotation, turn)
+    rotation_vector(pose_des, posture.rotation, turn)
     angle = np.sqrt(turn[0] * turn[0] + turn[1] * turn[1] + turn[2] * turn[2])
     if angle > following.turn:
         for k in range(3):
             turn[k] *= following.turn / angle
-        rotate_by(turn, following.rotation, pose_des[:POSITION])
+        rotate_by(turn, posture.rotation, pose_des[:POSITION])
         limited = True
     return limited
 
 
 @compiled
 def follow_task(
-    following_array: Any, contacts: Any, settings_array: Any, normals: Matrix, points: Matrix,
-    overlap: Matrix, wanted: Mask, desired: Vector, alpha: Vector, pose_des: Matrix,
+    followings: Any, postures: Any, contacts: Any, all_settings: Any, normals: Matrix,
+    points: Matrix, overlap: Matrix, wanted: Mask, desired: Vector, alpha: Vector, pose_des: Matrix,
     motion_des: Matrix, active: Mask, alpha_des: Vector,
 ) -> bool:
     """
@@ -189,8 +188,8 @@ def follow_task(
 
     Parameters
     ----------
-    following_array, settings_array
-        One record each of `FOLLOWING` and `CONTACT_SETTINGS`.
+    followings, postures, all_settings
+        One record each of `FOLLOWING`, `POSTURE` and `CONTACT_SETTINGS`.
     contacts, normals, points, overlap, wanted, desired, alpha
         As for `follow_contacts`.
     pose_des, motion_des, active, alpha_des
@@ -202,10 +201,10 @@ def follow_task(
         Whether a limit of the motion was enforced.
 
     """
-    following, settings = following_array[0], settings_array[0]
+    following, posture, settings = followings[0], postures[0], all_settings[0]
     damping = np.empty(contacts.shape[0])
-    follow_contacts(following, contacts, settings, normals, points, overlap, wanted, desired,
-                    alpha, damping)
+    follow_contacts(following, posture, contacts, settings, normals, points, overlap, wanted,
+                    desired, alpha, damping)
     for i in range(contacts.shape[0]):
         active[i] = is_active(contacts[i]) and not following.held_back
         alpha_des[i] = 0.0
@@ -213,4 +212,4 @@ def follow_task(
             alpha_des[i] = max(min(desired[i], contacts[i].force_limit) - damping[i], 0.0)
     following.held_back = False
     add_displacements(following, contacts, normals, pose_des, motion_des)
-    return bound_reference(following, pose_des, motion_des)
+    return bound_reference(following, posture, pose_des, motion_des)

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, NamedTuple
 
-from multicontact_control.arrays import all_finite, Vector
+from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
-from multicontact_control.control.arm_view import ArmView, view_arm
+from multicontact_control.control.arm_view import ArmView
 from multicontact_control.control.contact_reference import ContactReference
-from multicontact_control.control.controller import Controller, ControlOutput, Measurement
+from multicontact_control.control.controller import Controller, ControlOutput
+from multicontact_control.control.gate_kernels import (
+    doubt_answer,
+    NOT_FINITE,
+    OUTSIDE,
+    PULL,
+    SIDEWAYS,
+    SUSPICION,
+)
 from multicontact_control.control.reactions import (
     DAMP,
     FLOAT,
@@ -28,12 +36,11 @@ from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.force.kernels import DESIRED, REPORT_ROWS
 import numpy as np
 
-SPEED_EXCESS = 1.1  # times a speed limit, that the gate and the reference did not prevent
+BOX_EXCESS = 0.01  # m beyond the box, that the reference did not prevent
 DOUBTS = 2  # samples in a row that contradict the contacts, for the wrench not to be believed
 
 
-@dataclass(frozen=True, slots=True)
-class SupervisorStatus:
+class SupervisorStatus(NamedTuple):
     """
     What the supervisor did in a tick, and why.
 
@@ -66,8 +73,7 @@ class SupervisorStatus:
     task_time: float
 
 
-@dataclass(frozen=True, slots=True)
-class SupervisorOutput:
+class SupervisorOutput(NamedTuple):
     """The answer to one tick: `output.torque` is finite and within limits, always."""
 
     output: ControlOutput
@@ -100,10 +106,11 @@ class Supervisor:
         self._blend = TorqueBlend(config.contact_state.blend_time, config.period)
         self._normals = np.array(
             [config.contacts[name].normal_world for name in config.contact_names])
-        self._weight = config.tool.mass * np.array(config.robot.gravity_world)
-        limits = config.limits
-        self._speed = np.array(limits.joint_speed or [np.inf] * robot.joint_count)
-        self._box = (np.array(limits.workspace_lower), np.array(limits.workspace_upper))
+        self._suspicion = _suspicion(config)
+        self._view = ArmView(config.limits, robot.joint_count)
+        self.reference.look_at(self._view)
+        self._energy_limits = self.reference.energy_limits
+        self._warm_up()
         self.reset()
 
     @classmethod
@@ -138,6 +145,15 @@ class Supervisor:
         self._last_reaction = DAMP
         self._doubts = 0
 
+    def _warm_up(self) -> None:
+        """Call everything compiled once: no tick is to wait for numba."""
+        n, r = self._robot.joint_count, len(self.config.contact_names)
+        nothing = np.zeros(n)
+        self._view.see(self.controller.sense(nothing, nothing), nothing, nothing)
+        output = _nothing(n, r)
+        doubt_answer(output.torque, output.contacts, output.alpha_meas, np.zeros(6),
+                     self._view.posture, self._normals, self._suspicion)
+
     def step(self, inputs: TickInputs) -> SupervisorOutput:
         """
         Answer one tick, whatever came in.
@@ -165,7 +181,9 @@ class Supervisor:
         if believed.repeated and self._status is not None:
             return SupervisorOutput(self._output, self._status)
         self._update_state(believed)
-        causes = believed.causes + self._motion_causes()
+        causes = believed.causes
+        if self._arm is not None and self._arm.too_fast:
+            causes += self._arm.too_fast
         reaction = self._reaction_to(causes)
         if SEVERITY.index(reaction) <= SEVERITY.index(INFLATE):
             self._good_ticks += 1
@@ -178,31 +196,16 @@ class Supervisor:
         return self._react(causes, believed.rejected, reaction)
 
     def _update_state(self, believed: Believed) -> None:
-        """Work out where the arm is, if that has changed."""
+        """Work out where the arm is."""
         if believed.q is None or believed.qd is None:
             return
-        if self._arm is not None and believed.blind:
-            return
-        arm = view_arm(self._robot, believed.q, believed.qd)
-        if arm is not None:
-            self._arm = arm
-            self.reference.observe(arm.pose, arm.twist_world)
-
-    def _motion_causes(self) -> tuple[str, ...]:
-        """Return which speeds are beyond their limits, and act on the box."""
-        arm, limits = self._arm, self.config.limits
-        if arm is None:
-            return ()
-        causes = []
-        v, w = arm.twist_world[:3], arm.twist_world[3:]
-        if v @ v > (SPEED_EXCESS * limits.operational_speed) ** 2 or (
-                w @ w > (SPEED_EXCESS * limits.operational_turn) ** 2):
-            causes.append('motion_operational_speed')
-        if (np.abs(arm.velocity) > SPEED_EXCESS * self._speed).any():
-            causes.append('motion_joint_speed')
-        return tuple(causes)
+        terms = self.controller.sense(believed.q, believed.qd)
+        if self._view.see(terms, believed.q, believed.qd):
+            self._arm = self._view
 
     def _reaction_to(self, causes: tuple[str, ...]) -> str:
+        if not causes:
+            return NONE
         watch = self.config.watchdog
         reactions = {
             'joints': watch.on_joint_fault, 'wrench': watch.on_wrench_fault, 'variance': INFLATE,
@@ -215,52 +218,43 @@ class Supervisor:
         self, believed: Believed, causes: tuple[str, ...], reaction: str,
     ) -> SupervisorOutput:
         """Step the control law."""
-        arm = self._arm
-        if arm is None or believed.q is None or believed.qd is None or believed.wrench is None:
+        if self._arm is None or believed.wrench is None:
             return self._react(('joints_stale',), believed.rejected, DAMP)
         resumed = self._paused and self._running
         if resumed:
             self.reference.resume()
-        measurement = Measurement(self._task_time(), believed.q, believed.qd, believed.wrench)
         try:
-            output = self.controller.step(measurement, believed.variance)
+            output = self.controller.answer(
+                self._task_time(), believed.wrench, believed.variance)
         except Exception as error:  # whatever it is, the arm needs an answer
             return self._react((f'law_{type(error).__name__}',), believed.rejected,
                                self.config.watchdog.on_law_fault)
-        if not _finite(output):
+        doubts = doubt_answer(
+            output.torque, output.contacts, output.alpha_meas, believed.wrench,
+            self._arm.posture, self._normals, self._suspicion)
+        if doubts & NOT_FINITE:
             return self._react(('law_not_finite',), believed.rejected,
                                self.config.watchdog.on_law_fault)
-        doubt = self._doubt(output, arm, believed.wrench)
+        doubt = self._doubt(doubts)
         if doubt:
             return self._react((doubt,), believed.rejected, self.config.watchdog.on_wrench_fault)
         self._running, self._paused = True, False
         self._reactions.end()
         self._task_ticks += 1
-        self._stay_in_box(arm)
+        if doubts & OUTSIDE:  # the contacts have led there; the reference leads back
+            self.reference.release()
         limits = ('reference',) if self.reference.limited else ()
-        return self._finish(output, (NONE, tuple(output.active.tolist()), resumed), causes,
+        return self._finish(output, (NONE, output.active.tobytes(), resumed), causes,
                             believed.rejected, reaction, limits)
 
-    def _doubt(self, output: ControlOutput, arm: ArmView, wrench: Vector) -> str:
+    def _doubt(self, doubts: int) -> str:
         """Return how the wrench contradicts what contacts can do, once it has done so twice."""
-        watch = self.config.watchdog
-        force = arm.sensor_rotation @ wrench[:3] + self._weight
-        sideways = force - output.alpha_meas @ self._normals
-        bound = watch.friction_offset + watch.friction_bound * np.abs(output.alpha_meas).sum()
-        doubt = ''
-        if (output.alpha_meas < -watch.pull_threshold).any():
-            doubt = 'wrench_pull'
-        elif sideways @ sideways > bound * bound:
-            doubt = 'wrench_sideways'
-        self._doubts = self._doubts + 1 if doubt else 0
-        return doubt if self._doubts >= DOUBTS or (doubt and self._paused) else ''
-
-    def _stay_in_box(self, arm: ArmView) -> None:
-        """Leave the contacts if they have led out of the box; the reference leads back."""
-        lower, upper = self._box
-        position = arm.pose.position_world
-        if lower.size and ((position < lower - 0.01).any() or (position > upper + 0.01).any()):
-            self.reference.release()
+        if not doubts & (PULL | SIDEWAYS):
+            self._doubts = 0
+            return ''
+        self._doubts += 1
+        doubt = 'wrench_pull' if doubts & PULL else 'wrench_sideways'
+        return doubt if self._doubts >= DOUBTS or self._paused else ''
 
     def _react(
         self, causes: tuple[str, ...], rejected: tuple[str, ...], reaction: str,
@@ -286,13 +280,10 @@ class Supervisor:
         gated = self._gate.apply(blended, fallback, self._arm)
         self._blend.last = gated.torque
         self._output = output._replace(torque=gated.torque)
-        observers = self.reference.observers
         self._status = SupervisorStatus(
             reaction=reaction, causes=causes, rejected=rejected, limits=limits + gated.limits,
-            contact_states=tuple(state.value for state in self.reference.states),
-            energy=np.array([observer.energy for observer in observers]),
-            energy_limit=np.array([observer.limit for observer in observers]),
-            task_time=self._task_time())
+            contact_states=self.reference.state_names, energy=self.reference.energies,
+            energy_limit=self._energy_limits, task_time=self._task_time())
         return SupervisorOutput(self._output, self._status)
 
     def _last_resort(self, cause: str) -> SupervisorOutput:
@@ -305,8 +296,17 @@ class Supervisor:
         return self._task_ticks * self.config.period
 
 
-def _finite(output: ControlOutput) -> bool:
-    return all_finite(output.torque) and all(map(all_finite, output.contacts))
+def _suspicion(config: ControllerConfig) -> Any:
+    """Return what speaks against an answer: one record of `SUSPICION`."""
+    suspicion = np.zeros(1, dtype=SUSPICION)
+    for name in ('pull_threshold', 'friction_bound', 'friction_offset'):
+        suspicion[name] = getattr(config.watchdog, name)
+    suspicion['weight'] = config.tool.mass * np.array(config.robot.gravity_world)
+    limits, everywhere = config.limits, np.full(3, np.inf)
+    suspicion['box'] = (
+        np.array(limits.workspace_lower or -everywhere) - BOX_EXCESS,
+        np.array(limits.workspace_upper or everywhere) + BOX_EXCESS)
+    return suspicion
 
 
 def _nothing(joints: int, contacts: int) -> ControlOutput:
