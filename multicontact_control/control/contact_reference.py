@@ -7,6 +7,7 @@ from typing import Any
 from multicontact_control.arrays import Mask, Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.control.arm_view import ArmView
+from multicontact_control.control.buffers import Buffers
 from multicontact_control.control.contact_kernels import CONTACT
 from multicontact_control.control.contact_state import (
     contact_settings,
@@ -64,10 +65,11 @@ class ContactReference:
         self._wanted: Mask = np.zeros(len(rows), dtype=bool)
         self._desired = np.zeros(len(rows))
         self._following = Following(config)
+        self._buffers: Buffers | None = None
         self._posture: Any = np.zeros(1, dtype=POSTURE)
         self._observed = self._catching_up = False
         self.limited = False
-        self._codes = self._contacts['state']
+        self._codes, self._energies = self._contacts['state'], self._contacts['energy']
         self._states: tuple[bytes, tuple[str, ...]] = (b'', ())
         self._follow(self._desired)  # no tick is to wait for numba
         for machine, observer in zip(self.machines, self.observers):
@@ -90,8 +92,7 @@ class ContactReference:
     @property
     def energies(self) -> Vector:
         """Energy of each contact's passivity observer, shape (r,) [J]."""
-        energies: Vector = self._contacts['energy'].copy()
-        return energies
+        return self._energies.copy()
 
     @property
     def energy_limits(self) -> Vector:
@@ -122,6 +123,10 @@ class ContactReference:
         self._posture = arm.posture
         self._observed = True
 
+    def make_in(self, buffers: Buffers) -> None:
+        """Make references in a controller's arrays: the next overwrites all but its pose."""
+        self._buffers = buffers
+
     def _note(self, pose: Pose, twist_world: Vector) -> None:
         seen = self._posture[0]
         seen['position'], seen['rotation'] = pose
@@ -150,16 +155,15 @@ class ContactReference:
 
     def _follow(self, alpha_meas: Vector) -> Reference:
         """Advance the contacts and return the task with what comes of them."""
-        count = len(self.machines)
-        pose_des, motion_des = np.empty((4, 3)), np.empty((2, 6))
-        active: Mask = np.empty(count, dtype=bool)
-        alpha_des = np.empty(count)
+        buffers = self._buffers or Buffers(0, len(self.machines))
+        pose_des, motion_des = buffers.pose_des, buffers.motion_des
         self.limited = follow_task(
             self._following.record, self._posture, self._contacts, self._settings, self._normals,
             self._points, self._overlap, self._wanted, self._desired, alpha_meas, pose_des,
-            motion_des, active, alpha_des)
+            motion_des, buffers.active, buffers.alpha_des)
+        pose_des = pose_des.copy()
         return Reference(Pose(pose_des[POSITION], pose_des[:POSITION]), motion_des[TWIST],
-                         motion_des[ACCELERATION], active, alpha_des)
+                         motion_des[ACCELERATION], buffers.active, buffers.alpha_des)
 
     def _return(self) -> None:
         """Let the offset that a pause has left go to zero."""

@@ -52,6 +52,11 @@ class Controller:
     reference
         What to do.
 
+    Attributes
+    ----------
+    buffers
+        What compiled code works on.
+
     Raises
     ------
     ConfigError
@@ -69,7 +74,7 @@ class Controller:
         self._reference = reference
         self._joints, contacts = robot.joint_count, len(config.contact_names)
         self._report_shape = len(REPORT_ROWS), contacts
-        self._buffers = Buffers(self._joints, contacts)
+        self.buffers = Buffers(self._joints, contacts)
         self._adopt(config)
         self.reset()
         self._warm_up()
@@ -190,7 +195,7 @@ class Controller:
             If an array is not of the robot's size.
 
         """
-        buffers = self._buffers
+        buffers = self.buffers
         buffers.take_joints(q, qd)
         return self.robot.compute(buffers.q, buffers.qd)
 
@@ -208,7 +213,7 @@ class Controller:
             As for `step`, which also says what is raised.
 
         """
-        buffers, terms = self._buffers, self.robot.terms
+        buffers, terms = self.buffers, self.robot.terms
         buffers.take_wrench(wrench_sensor, noise_variance)
         report = np.empty(self._report_shape)
         self._measure(report)
@@ -242,14 +247,14 @@ class Controller:
         if status == OK:
             return torque
         if status == SINGULAR:
-            state = self.robot.update(self._buffers.q, self._buffers.qd)
+            state = self.robot.update(self.buffers.q, self.buffers.qd)
             task_inertia(state.mass_matrix, state.jacobian)  # says what is wrong
             raise SingularTaskError('J M^-1 J^T: expected a positive definite matrix')
         raise self._dependent_contacts()
 
     def _gather_measure_arguments(self) -> tuple[Any, ...]:
         """Return what `measure_contacts` takes that stays where it is from tick to tick."""
-        terms, constants, buffers = self.robot.terms, self._constants, self._buffers
+        terms, constants, buffers = self.robot.terms, self._constants, self.buffers
         return (
             buffers.wrench_sensor, terms.sensor_rotation_world, terms.sensor_position_world,
             terms.rotation_world, terms.position_world, constants.tool, constants.normals_world,
@@ -257,7 +262,7 @@ class Controller:
 
     def _gather_law_arguments(self, observers: ObserverBank) -> tuple[Any, ...]:
         """Return what `control_law` takes that stays where it is from tick to tick."""
-        terms, constants, buffers = self.robot.terms, self._constants, self._buffers
+        terms, constants, buffers = self.robot.terms, self._constants, self.buffers
         return (
             terms.mass_matrix, terms.bias_torque, buffers.qd, terms.position_world,
             terms.rotation_world, buffers.pose_des, buffers.motion_des, buffers.normal_rows,
@@ -266,9 +271,9 @@ class Controller:
             observers.matrices, observers.vectors, observers.scalars, observers.P_0)
 
     def _dependent_contacts(self) -> MulticontactError:
-        if not np.isfinite(self._buffers.q).all():
+        if not np.isfinite(self.buffers.q).all():
             return SingularTaskError(
-                f'joint positions: expected finite numbers, found {self._buffers.q.tolist()}')
+                f'joint positions: expected finite numbers, found {self.buffers.q.tolist()}')
         return ContactGeometryError(
             'N: expected independent columns, found normals and contact points of '
             f'{", ".join(self.config.contact_names)} that depend on each other')
@@ -296,7 +301,7 @@ class Controller:
 
     def _warm_up(self) -> None:
         """Call everything compiled once with arrays of the types it will see."""
-        terms = self.robot.compute(self._buffers.q, self._buffers.qd)
+        terms = self.robot.compute(self.buffers.q, self.buffers.qd)
         pose = Pose(terms.position_world.copy(), terms.rotation_world.copy())
         pose.quaternion_xyzw  # noqa: B018 - compiled too
         self._law_arguments = self._gather_law_arguments(

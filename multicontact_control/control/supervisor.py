@@ -109,6 +109,7 @@ class Supervisor:
         self._suspicion = _suspicion(config)
         self._view = ArmView(config.limits, robot.joint_count)
         self.reference.look_at(self._view)
+        self.reference.make_in(self.controller.buffers)
         self._energy_limits = self.reference.energy_limits
         self._warm_up()
         self.reset()
@@ -170,11 +171,10 @@ class Supervisor:
             one before gets the same answer again.
 
         """
-        with np.errstate(all='ignore'):
-            try:
-                return self._step(inputs)
-            except Exception as error:  # whatever it is, it must not stop the callback
-                return self._last_resort(f'internal_{type(error).__name__}')
+        try:
+            return self._step(inputs)
+        except Exception as error:  # whatever it is, it must not stop the callback
+            return self._last_resort(f'internal_{type(error).__name__}')
 
     def _step(self, inputs: TickInputs) -> SupervisorOutput:
         believed = self._watchdog.judge(inputs)
@@ -263,12 +263,13 @@ class Supervisor:
         if 'recovering' not in causes:
             self._good_ticks = 0
         self._paused, self._last_reaction = True, reaction
-        torque = self._reactions.torque(reaction, self._arm)
-        contacts = self._output.contacts.copy()
-        contacts[DESIRED] = 0.0
-        output = self._output._replace(
-            torque=torque, contacts=contacts, active=np.zeros_like(self._output.active))
-        return self._finish(output, reaction, causes, rejected, reaction, ())
+        with np.errstate(all='ignore'):  # numbers that are none are for the gate to find
+            torque = self._reactions.torque(reaction, self._arm)
+            contacts = self._output.contacts.copy()
+            contacts[DESIRED] = 0.0
+            output = self._output._replace(
+                torque=torque, contacts=contacts, active=np.zeros_like(self._output.active))
+            return self._finish(output, reaction, causes, rejected, reaction, ())
 
     def _finish(
         self, output: ControlOutput, law: object, causes: tuple[str, ...],
@@ -279,11 +280,10 @@ class Supervisor:
         fallback = np.zeros_like(blended) if self._arm is None else self._arm.bias_torque
         gated = self._gate.apply(blended, fallback, self._arm)
         self._blend.last = gated.torque
-        self._output = output._replace(torque=gated.torque)
+        self._output = ControlOutput(gated.torque, *output[1:])
         self._status = SupervisorStatus(
-            reaction=reaction, causes=causes, rejected=rejected, limits=limits + gated.limits,
-            contact_states=self.reference.state_names, energy=self.reference.energies,
-            energy_limit=self._energy_limits, task_time=self._task_time())
+            reaction, causes, rejected, limits + gated.limits, self.reference.state_names,
+            self.reference.energies, self._energy_limits, self._task_time())
         return SupervisorOutput(self._output, self._status)
 
     def _last_resort(self, cause: str) -> SupervisorOutput:

@@ -269,8 +269,8 @@ class Watchdog:
 
     def _fresh(self, key: str, stamp: Any, time: float, problems: dict[str, str]) -> float | None:
         """Return the stamp of a reading that is new and in order, None otherwise."""
-        number = finite_number(stamp)
-        if number is None or number > time + 0.5 * self._period:
+        number = stamp if type(stamp) is float else finite_number(stamp)
+        if number is None or not -math.inf < number <= time + 0.5 * self._period:
             problems[key] = 'stamp'
             return None
         before = self._seen[key]
@@ -351,8 +351,10 @@ class Watchdog:
         verdicts = judge_readings(
             joints is not None, wrench is not None, variance is not None, elapsed,
             *self._numbers)
-        on_variance, others = divmod(verdicts, VERDICTS ** 2)
-        on_wrench, on_joints = divmod(others, VERDICTS)
+        on_joints = on_wrench = on_variance = FINE
+        if verdicts:
+            on_variance, others = divmod(verdicts, VERDICTS ** 2)
+            on_wrench, on_joints = divmod(others, VERDICTS)
         self._blind_ticks += 1
         if joints is not None:
             if on_joints == FINE:
