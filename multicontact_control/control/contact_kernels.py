@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 import numpy as np
 

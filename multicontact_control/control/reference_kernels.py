@@ -180,8 +180,8 @@ def bound_reference(following: Any, posture: Any, pose_des: Matrix, motion_des: 
 @compiled
 def follow_task(
     followings: Any, postures: Any, contacts: Any, all_settings: Any, normals: Matrix,
-    points: Matrix, overlap: Matrix, wanted: Mask, desired: Vector, alpha: Vector, pose_des: Matrix,
-    motion_des: Matrix, active: Mask, alpha_des: Vector,
+    points: Matrix, overlap: Matrix, wanted: Mask, desired: Vector, alpha: Vector,
+    pose_des: Matrix, motion_des: Matrix, active: Mask, alpha_des: Vector,
 ) -> bool:
     """
     Work out the reference of one tick; see `ContactReference.update`.

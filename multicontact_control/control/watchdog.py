@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 import math
 from typing import Any, NamedTuple
 
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
+from multicontact_control.control.tick_inputs import (
+    JointInput,
+    TickInputs,
+    VarianceInput,
+    WrenchInput,
+)
 from multicontact_control.control.watchdog_kernels import (
     BELIEVED,
     FINE,
@@ -26,68 +31,13 @@ from multicontact_control.control.watchdog_kernels import (
 import numpy as np
 from numpy.typing import NDArray
 
+__all__ = ['Believed', 'JointInput', 'TickInputs', 'VarianceInput', 'Watchdog', 'WrenchInput']
+
 FLOAT = np.dtype(float)
 PROBLEMS = {INVALID: 'invalid', IMPLAUSIBLE: 'implausible', JUMP: 'jump', FROZEN: 'frozen',
             SATURATED: 'saturated'}
+LATEST = 1e12  # s, of a time that makes sense
 INPUTS = ('joints', 'wrench', 'variance')
-
-
-@dataclass(frozen=True, slots=True)
-class JointInput:
-    """
-    A joint state as it came in; nothing of it is believed yet.
-
-    Attributes
-    ----------
-    stamp
-        When it was sampled [s].
-    q, qd
-        Joint positions [rad] and velocities [rad/s].
-    names
-        Joint names in that order; None where the order is known.
-
-    """
-
-    stamp: float
-    q: Any
-    qd: Any
-    names: Any = None
-
-
-@dataclass(frozen=True, slots=True)
-class WrenchInput:
-    """A wrench [N, N m] as it came in, sampled at `stamp` [s]."""
-
-    stamp: float
-    wrench: Any
-
-
-@dataclass(frozen=True, slots=True)
-class VarianceInput:
-    """An R per contact [N^2] as it came in; `stamp` is that of the newest sample in it [s]."""
-
-    stamp: float
-    variance: Any
-
-
-@dataclass(frozen=True, slots=True)
-class TickInputs:
-    """
-    What is known at a tick: the newest of each input, however old, None if there is none.
-
-    Attributes
-    ----------
-    time
-        Now, on the clock of the stamps [s].
-    joints, wrench, variance
-        The newest readings.
-
-    """
-
-    time: float
-    joints: JointInput | None = None
-    wrench: WrenchInput | None = None
-    variance: VarianceInput | None = None
 
 
 class Believed(NamedTuple):
@@ -171,6 +121,7 @@ class Watchdog:
         self._speed_limit = np.array(config.limits.joint_speed or [np.inf] * n)
         self._full_scale = (0.999 * np.array(watch.wrench_full_scale)
                             if watch.wrench_full_scale else np.full(6, np.inf))
+        self._band = config.period / watch.rate_band, config.period * watch.rate_band
         slack = 1e-3 * config.period
         self._limits = (
             ('joints', watch.joint_max_age + slack), ('wrench', watch.wrench_max_age + slack),
@@ -242,8 +193,8 @@ class Watchdog:
     def _judge_time(self, value: Any, causes: list[str]) -> float | None:
         """Return the time of this tick; None if it is that of the tick before."""
         h, before = self._period, self._time
-        time = finite_number(value)
-        if time is None or abs(time) > 1e12:
+        time = value if type(value) is float else finite_number(value)
+        if time is None or not abs(time) <= LATEST:
             causes.append('clock_invalid')
             time = 0.0 if before is None else before + h
             self._time = time
@@ -261,7 +212,7 @@ class Watchdog:
             self._seen = dict.fromkeys(self._seen)
             self._odd_periods = 0
             return time
-        odd = not h / self._watch.rate_band <= step <= h * self._watch.rate_band
+        odd = not self._band[0] <= step <= self._band[1]
         self._odd_periods = self._odd_periods + 1 if odd else 0
         if self._odd_periods >= 2:
             causes.append('clock_rate')
@@ -304,6 +255,17 @@ class Watchdog:
             return None
         return stamp
 
+    def _take_numbers(
+        self, key: str, stamp: Any, values: Any, buffer: Vector, time: float,
+        problems: dict[str, str],
+    ) -> float | None:
+        """Return the stamp of a reading whose numbers are in place now, None otherwise."""
+        fresh = self._fresh(key, stamp, time, problems)
+        if fresh is not None and not copy_numbers(values, buffer):
+            problems[key] = 'invalid'
+            return None
+        return fresh
+
     def _order_of(self, names: Any) -> list[int] | None:
         """Return where each joint is among names, None if these are not the joints' names."""
         try:
@@ -316,37 +278,15 @@ class Watchdog:
             return None
         return [found.index(name) for name in self._names]
 
-    def _take_wrench(
-        self, reading: WrenchInput | None, time: float, problems: dict[str, str],
-    ) -> float | None:
-        """Return the stamp of a wrench whose numbers are in place now, None otherwise."""
-        if reading is None:
-            return None
-        stamp = self._fresh('wrench', reading.stamp, time, problems)
-        if stamp is not None and not copy_numbers(reading.wrench, self._new_wrench):
-            problems['wrench'] = 'invalid'
-            return None
-        return stamp
-
-    def _take_variance(
-        self, reading: VarianceInput | None, time: float, problems: dict[str, str],
-    ) -> float | None:
-        """Return the stamp of an R whose numbers are in place now, None otherwise."""
-        if reading is None:
-            return None
-        stamp = self._fresh('variance', reading.stamp, time, problems)
-        if stamp is not None and not copy_numbers(reading.variance, self._new_variance):
-            problems['variance'] = 'invalid'
-            return None
-        return stamp
-
     def _judge_readings(self, inputs: TickInputs, time: float) -> dict[str, str]:
         """Take in what is new and believe what is right; return what is wrong with the rest."""
         problems: dict[str, str] = {}
         h, before = self._period, self._stamps['joints']
         joints = self._take_joints(inputs.joints, time, problems)
-        wrench = self._take_wrench(inputs.wrench, time, problems)
-        variance = self._take_variance(inputs.variance, time, problems)
+        wrench = None if inputs.wrench is None else self._take_numbers(
+            'wrench', *inputs.wrench, self._new_wrench, time, problems)
+        variance = None if inputs.variance is None else self._take_numbers(
+            'variance', *inputs.variance, self._new_variance, time, problems)
         elapsed = h if joints is None or before is None else joints - before
         verdicts = judge_readings(
             joints is not None, wrench is not None, variance is not None, elapsed,

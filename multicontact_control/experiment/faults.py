@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 from multicontact_control.arrays import Vector
@@ -124,14 +124,14 @@ def _turned(values: Any, context: Context) -> Any:
 def _with(inputs: TickInputs, source: str, reading: Any) -> TickInputs:
     """Return the inputs with another reading in the place of one."""
     readings: dict[str, Any] = {source: reading}
-    return replace(inputs, **readings)
+    return inputs._replace(**readings)
 
 
 def change_field(source: str, field: str, change: Callable[[Any, Context], Any]) -> Corrupt:
     """Return a fault that changes one field of one reading."""
     def corrupt(context: Context, inputs: TickInputs, _n: int) -> TickInputs:
         reading: Any = getattr(inputs, source)
-        changed = replace(reading, **{field: change(getattr(reading, field), context)})
+        changed = reading._replace(**{field: change(getattr(reading, field), context)})
         return _with(inputs, source, changed)
     return corrupt
 
@@ -141,7 +141,7 @@ def freeze_field(source: str, *names: str) -> Corrupt:
     def corrupt(context: Context, inputs: TickInputs, _n: int) -> TickInputs:
         before: Any = getattr(context.first, source)
         values = {name: getattr(before, name) for name in names}
-        return _with(inputs, source, replace(getattr(inputs, source), **values))
+        return _with(inputs, source, getattr(inputs, source)._replace(**values))
     return corrupt
 
 
@@ -164,12 +164,12 @@ def warp_clock(warp: Callable[[Context, int, float], float], *, stamps: bool) ->
         time = warp(context, n, inputs.time)
         if not stamps or inputs.joints is None or inputs.wrench is None or (
                 inputs.variance is None):
-            return replace(inputs, time=time)
+            return inputs._replace(time=time)
         shift = time - inputs.time
         return TickInputs(
-            time, replace(inputs.joints, stamp=inputs.joints.stamp + shift),
-            replace(inputs.wrench, stamp=inputs.wrench.stamp + shift),
-            replace(inputs.variance, stamp=inputs.variance.stamp + shift))
+            time, inputs.joints._replace(stamp=inputs.joints.stamp + shift),
+            inputs.wrench._replace(stamp=inputs.wrench.stamp + shift),
+            inputs.variance._replace(stamp=inputs.variance.stamp + shift))
     return corrupt
 
 

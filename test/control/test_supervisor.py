@@ -1,7 +1,5 @@
 """The supervisor: whatever comes in, finite torques within limits; reactions; recovery."""
 
-from dataclasses import replace
-
 from arms import controller_config, HOME
 from hypothesis import given, HealthCheck, settings
 from hypothesis import strategies as st
@@ -87,10 +85,10 @@ def inputs_from(case, k):
         if name in fields:
             source = fields[name]
             field = name.removesuffix('_values')
-            inputs = replace(inputs, **{
-                source: replace(getattr(inputs, source), **{field: value})})
+            inputs = inputs._replace(**{
+                source: getattr(inputs, source)._replace(**{field: value})})
         else:
-            inputs = replace(inputs, **{name: value})
+            inputs = inputs._replace(**{name: value})
     return inputs
 
 
@@ -130,18 +128,18 @@ def test_any_posture_and_motion_gets_a_torque_within_limits(q, qd, wrench):
 
 
 BREAKS = {
-    'joints': (lambda i: replace(i, joints=None), 'float', 'joints_stale'),
-    'joint numbers': (lambda i: replace(i, joints=replace(i.joints, q=[np.nan] * 6)), 'float',
+    'joints': (lambda i: i._replace(joints=None), 'float', 'joints_stale'),
+    'joint numbers': (lambda i: i._replace(joints=i.joints._replace(q=[np.nan] * 6)), 'float',
                       'joints_invalid'),
-    'joint names': (lambda i: replace(i, joints=replace(i.joints, names=['x'] * 6)), 'float',
+    'joint names': (lambda i: i._replace(joints=i.joints._replace(names=['x'] * 6)), 'float',
                     'joints_names'),
-    'wrench': (lambda i: replace(i, wrench=None), 'hold', 'wrench_stale'),
-    'wrench numbers': (lambda i: replace(i, wrench=replace(i.wrench, wrench=[np.inf] * 6)),
+    'wrench': (lambda i: i._replace(wrench=None), 'hold', 'wrench_stale'),
+    'wrench numbers': (lambda i: i._replace(wrench=i.wrench._replace(wrench=[np.inf] * 6)),
                        'hold', 'wrench_invalid'),
-    'full scale': (lambda i: replace(i, wrench=replace(i.wrench, wrench=[100.0] + [0.0] * 5)),
+    'full scale': (lambda i: i._replace(wrench=i.wrench._replace(wrench=[100.0] + [0.0] * 5)),
                    'hold', 'wrench_saturated'),
-    'variance': (lambda i: replace(i, variance=None), 'inflate', 'variance_stale'),
-    'clock': (lambda i: replace(i, time=float('nan')), 'hold', 'clock_invalid')}
+    'variance': (lambda i: i._replace(variance=None), 'inflate', 'variance_stale'),
+    'clock': (lambda i: i._replace(time=float('nan')), 'hold', 'clock_invalid')}
 
 
 @pytest.mark.parametrize('name', BREAKS)
@@ -169,9 +167,9 @@ def test_single_bad_sample_is_bridged():
     for k in range(60):
         inputs = good(k)
         if k % 10 == 5:
-            inputs = replace(inputs, wrench=None)
+            inputs = inputs._replace(wrench=None)
         if k % 10 == 8:
-            inputs = replace(inputs, joints=replace(inputs.joints, qd=[np.inf] * 6))
+            inputs = inputs._replace(joints=inputs.joints._replace(qd=[np.inf] * 6))
         assert supervisor.step(inputs).status.reaction == 'none'
 
 
@@ -192,7 +190,7 @@ def test_names_in_another_order_are_put_in_order():
                             [NAMES[i] for i in order])
         np.testing.assert_array_equal(
             plain.step(inputs).output.torque,
-            named.step(replace(inputs, joints=joints)).output.torque)
+            named.step(inputs._replace(joints=joints)).output.torque)
 
 
 def test_frozen_wrench_is_noticed_at_its_second_repetition():
@@ -200,7 +198,7 @@ def test_frozen_wrench_is_noticed_at_its_second_repetition():
     for k in range(20):
         supervisor.step(good(k))
     frozen = good(19).wrench.wrench
-    reactions = [supervisor.step(replace(good(k), wrench=WrenchInput(k * H, frozen)))
+    reactions = [supervisor.step(good(k)._replace(wrench=WrenchInput(k * H, frozen)))
                  .status.reaction for k in range(20, 24)]
     assert reactions == ['none', 'hold', 'hold', 'hold']
 
@@ -215,7 +213,7 @@ def test_pulling_surface_is_not_believed():
         inputs = good(k)
         wrench = inputs.wrench.wrench + np.array([0.0, 0.0, -12.0, 0.0, 0.0, 0.0])
         reactions.append(supervisor.step(
-            replace(inputs, wrench=WrenchInput(k * H, wrench))).status.reaction)
+            inputs._replace(wrench=WrenchInput(k * H, wrench))).status.reaction)
     assert 'hold' in reactions[:3]
 
 
