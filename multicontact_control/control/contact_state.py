@@ -85,6 +85,7 @@ class ContactMachine:
     ) -> None:
         self._settings = contact_settings(config, period)
         self._memory: Any = np.zeros(1, dtype=CONTACT) if memory is None else memory
+        let_one_go(self._memory, 0.0, 0.0)  # no tick is to wait for numba
         self.reset()
 
     def reset(self) -> None:

@@ -6,7 +6,13 @@ import time
 from multicontact_control import algebra
 from multicontact_control.contact import kernels as contact_kernels
 from multicontact_control.contact.geometry import contact_normals
-from multicontact_control.control import kernels
+from multicontact_control.control import (
+    contact_kernels as state_kernels,
+    gate_kernels,
+    kernels,
+    reference_kernels,
+    watchdog_kernels,
+)
 from multicontact_control.dynamics import kernels as dynamics_kernels
 from multicontact_control.dynamics.pose import Pose, rotation_error
 from multicontact_control.force import kernels as force_kernels
@@ -17,7 +23,9 @@ from multicontact_control.force.plant_model import design_force_loop
 import numpy as np
 import pytest
 
-MODULES = (algebra, contact_kernels, dynamics_kernels, force_kernels, kernels, noise_kernels)
+MODULES = (
+    algebra, contact_kernels, dynamics_kernels, force_kernels, gate_kernels, kernels,
+    noise_kernels, reference_kernels, state_kernels, watchdog_kernels)
 
 
 @pytest.mark.parametrize('module', MODULES, ids=lambda module: module.__name__)

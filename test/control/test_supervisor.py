@@ -3,6 +3,12 @@
 from arms import controller_config, HOME
 from hypothesis import given, HealthCheck, settings
 from hypothesis import strategies as st
+from multicontact_control.control import (
+    contact_kernels,
+    gate_kernels,
+    reference_kernels,
+    watchdog_kernels,
+)
 from multicontact_control.control.reference import (
     ApproachConfig,
     CommandedReference,
@@ -215,6 +221,31 @@ def test_pulling_surface_is_not_believed():
         reactions.append(supervisor.step(
             inputs._replace(wrench=WrenchInput(k * H, wrench))).status.reaction)
     assert 'hold' in reactions[:3]
+
+
+def test_no_tick_compiles_anything():
+    """Whatever the arrays of a message are like: numba would take seconds for another type."""
+    kernels = (contact_kernels.let_one_go, reference_kernels.follow_task,
+               watchdog_kernels.judge_readings, gate_kernels.see_arm, gate_kernels.doubt_answer,
+               gate_kernels.gate_torque)
+
+    def compiled():
+        return [len(kernel.signatures) for kernel in kernels]
+
+    supervisor, other = make(), make(CommandedReference(CONFIG.contact_names))
+    before = compiled()
+    assert min(before) > 0
+    for k in range(5):
+        inputs = good(k)
+        strided = np.repeat(inputs.joints.q, 2)[::2]
+        frozen = inputs.wrench.wrench.astype(np.float32)
+        frozen.flags.writeable = False
+        odd = inputs._replace(joints=JointInput(k * H, strided, [0] * 6), wrench=WrenchInput(
+            k * H, frozen), variance=VarianceInput((k - 1) * H, (1, 2.0)))
+        for each in (supervisor, other):
+            assert_sound(each.step(odd if k < 4 else inputs._replace(joints=None)))
+            each.reference.release()
+    assert compiled() == before
 
 
 def test_far_command_is_followed_within_the_speed_limit():
