@@ -13,13 +13,13 @@ import time
 
 from multicontact_control.errors import RunError
 from multicontact_control.experiment.domain import domain_in_use, reserve_domain
-from multicontact_control.experiment.graph import (
+from multicontact_control.experiment.graph import run_graph
+from multicontact_control.experiment.graph_spec import (
     CONTROLLER,
     ESTIMATOR,
     GraphSpec,
     node_command,
     RECORDER,
-    run_graph,
     SIM,
 )
 from multicontact_control.experiment.loop import run_in_process
@@ -195,7 +195,7 @@ def test_nodes_end_when_the_process_that_started_them_is_killed(tmp_path, free_d
     make_spec(tmp_path, ticks=50_000)
     program = (
         'import sys; from pathlib import Path\n'
-        'from multicontact_control.experiment.graph import *\n'
+        'from multicontact_control.experiment.graph import GraphSpec, run_graph\n'
         'f = Path(sys.argv[1]); c = f / "config"\n'
         'run_graph(GraphSpec(out=f, ticks=50000, rate=500.0, reference_file=c/"reference.yaml",\n'
         '  parameter_files={"controller_node": c/"controller.yaml", "sim_node": c/"plant.yaml",\n'

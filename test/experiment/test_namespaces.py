@@ -7,7 +7,7 @@ import sys
 
 from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.domain import check_namespace, reserve_domain
-from multicontact_control.experiment.graph import CONTROLLER, node_command
+from multicontact_control.experiment.graph_spec import CONTROLLER, GraphSpec, node_command
 from multicontact_control.nodes import qos
 from multicontact_control.paths import config_dir
 import numpy as np
@@ -189,7 +189,6 @@ def test_bare_efforts_are_those_of_the_command(two_runs):
 
 
 def test_node_command_leaves_the_names_alone_without_a_namespace(tmp_path):
-    from multicontact_control.experiment.graph import GraphSpec
     spec = GraphSpec(out=tmp_path, parameter_files={}, ticks=1, rate=500.0)
     assert '-r' not in node_command(CONTROLLER, spec)
 
