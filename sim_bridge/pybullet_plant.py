@@ -170,6 +170,11 @@ class PybulletPlant:
         self._tick += 1
         return self._sample(applied, bool((applied != torque).any()))
 
+    @property
+    def model(self) -> pin.Model:
+        """The arm's rigid-body model, as it is simulated."""
+        return self._model
+
     def scale_torque_limit(self, factor: float) -> None:
         """Multiply what the drives can do, unknown to whoever commands them."""
         self._limit = factor * self._limit

@@ -4,9 +4,10 @@ The plant as a ROS 2 node: paced by the wall clock, or in lockstep with the cont
 In real time sample k is published at the absolute deadline k h of the monotonic clock. Then the
 node waits for the command that answers it, advances the plant by one period with the torque that
 was due at the deadline, and waits for the next deadline. A command that is not there one period
-after its sample is a deadline miss; the last torque is held. If the node itself is late by more
-than `MAX_LATE_PERIODS` (the machine was busy elsewhere), the deadlines are moved back instead of
-publishing the samples that are due in a burst that nobody could answer; such a slip is counted,
+after its sample is a deadline miss; the last torque is held, for `command_timeout` at most: then
+the drives hold their position by themselves, until the next command. If the node itself is late by
+more than `MAX_LATE_PERIODS` (the machine was busy elsewhere), the deadlines are moved back instead
+of publishing the samples that are due in a burst that nobody could answer; such a slip is counted,
 and simulated time then lags the wall clock by that much.
 
 In lockstep nothing looks at a clock: the plant advances while the controller computes, and the
@@ -20,6 +21,7 @@ import sys
 import time
 from typing import Any
 
+from multicontact_control.arrays import Vector
 from multicontact_control.config import parameter, Real
 from multicontact_control.errors import RunError
 from multicontact_control.nodes import messages, topics
@@ -45,6 +47,7 @@ from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from sim_bridge.actuator_delay import ActuatorDelay
 from sim_bridge.config import PlantConfig
+from sim_bridge.position_hold import PositionHold
 from sim_bridge.puma560 import load_robot, urdf_text
 from sim_bridge.pybullet_plant import PybulletPlant, Sample
 from std_msgs.msg import String
@@ -67,6 +70,11 @@ class SimNodeConfig(StartupConfig):
         False, 'Whether to wait for every command instead of the wall clock.')
     answer_timeout: Real = parameter(
         10.0, 'Longest wait for a command in lockstep.', unit='s', gt=0.0)
+    command_timeout: Real = parameter(
+        0.05, 'Time without a command, in real time, after which the drives hold their position; '
+        '0 to hold the last torque for ever.', unit='s', ge=0.0)
+    hold_frequency: Real = parameter(
+        20.0, 'Natural frequency of the joints in that position.', unit='rad/s', gt=0.0, le=100.0)
     wait_fraction: Real = parameter(
         WAIT_FRACTION, 'Part of a period to wait for its command before the plant is advanced.',
         ge=0.0, lt=1.0)
@@ -95,7 +103,8 @@ class SimNode(Node):
         self._refusals = Refusals(self.get_logger())
         self._tick = 0
         self._answered = -1
-        self._saturated = self._misses = self._slips = 0
+        self._hold = PositionHold(self._plant.model, config.hold_frequency)
+        self._saturated = self._misses = self._slips = self._timeouts = 0
         self._latency, self._step_times = DurationLog(), DurationLog()
         self._start = time.monotonic_ns()
         self._wall = 0
@@ -144,7 +153,8 @@ class SimNode(Node):
             write_json(path, {
                 'ticks': self._tick + 1, 'rate_hz': self._config.rate,
                 'lockstep': self._config.lockstep, 'deadline_misses': self._misses,
-                'pace_slips': self._slips, 'wall_s': self._wall * 1e-9,
+                'pace_slips': self._slips, 'command_timeouts': self._timeouts,
+                'wall_s': self._wall * 1e-9,
                 'latency_us': self._latency.percentiles(),
                 'plant_us': self._step_times.percentiles(),
                 'saturated_ticks': self._saturated, 'saturated_fraction':
@@ -182,7 +192,8 @@ class SimNode(Node):
         slipped = 0
         torque = self._delay.torque_for(0)
         while not (spinner.stop or self._done):
-            self._advance(torque if self._delay_ticks else self._delay.torque_for(self._tick))
+            self._advance(self._watched(
+                torque if self._delay_ticks else self._delay.torque_for(self._tick)))
             deadline = anchor + slipped + int((self._tick + 1) * period)
             self._spin_until(spinner, deadline)
             late = time.monotonic_ns() - deadline
@@ -202,6 +213,15 @@ class SimNode(Node):
             self._diagnostics.poll()
         # The last sample deserves its answer, too.
         self._spin_until_answered(spinner, time.monotonic_ns() + NANOSECONDS // 10)
+
+    def _watched(self, torque: Vector) -> Vector:
+        """Return the torque that acts: the commanded one, or what the drives do without."""
+        timeout = self._config.command_timeout * self._config.rate
+        if timeout == 0.0 or self._tick - self._answered <= timeout:
+            self._hold.end()
+            return torque
+        self._timeouts += not self._hold.holding
+        return self._hold.torque(self._sample.q, self._sample.qd)
 
     def _run_lockstep(self, spinner: Spinner) -> None:
         if self._delay_ticks == 0:
@@ -296,13 +316,15 @@ class SimNode(Node):
 
     def _statuses(self) -> list[Status]:
         loop = {**self._watch.report(), 'ticks': self._tick + 1, 'pace_slips': self._slips,
-                'saturated_ticks': self._saturated, 'lockstep': self._config.lockstep}
+                'command_timeouts': self._timeouts, 'saturated_ticks': self._saturated,
+                'lockstep': self._config.lockstep}
         missed = loop['deadline_misses']
         forces = zip(self._plant.contact_names, self._sample.contact_force.tolist())
         return [
             Status('loop', loop, warning=f'{missed} deadlines missed' if missed else ''),
             input_status(self._fresh, STALE_PERIODS / self._config.rate, needed=self._tick > 0,
-                         consequence=': the last torque is held'),
+                         consequence=': the drives hold their position' if self._hold.holding
+                         else ': the last torque is held'),
             Status('contacts', {
                 name: f'touching with {force:.4g} N' if force > 0.0 else 'free'
                 for name, force in forces}),

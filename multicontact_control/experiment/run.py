@@ -132,6 +132,7 @@ def graph_timing(
     return {
         'deadline_misses': sim.get('deadline_misses', 0),
         'pace_slips': sim.get('pace_slips', 0),
+        'command_timeouts': sim.get('command_timeouts', 0),
         'lost_messages': recorder.get('lost', 0),
         'unanswered_samples': content.missing['joint_effort_command'],
         'tick_us': controller.get('tick_us'), 'latency_us': sim.get('latency_us'),

@@ -102,7 +102,7 @@ def test_controller_can_be_killed_and_started_again_mid_run(middleware, start):
         controller.wait()
         wait_for_status(
             reports, 'sim_node', 'inputs',
-            lambda x: x.level == b'\1' and 'the last torque is held' in x.message)
+            lambda x: x.level == b'\1' and 'the drives hold their position' in x.message)
 
 
 def test_estimator_goes_through_every_transition_again_and_again(domain_id, middleware, start):

@@ -1,0 +1,61 @@
+"""What the drives do by themselves when nobody commands them any more: hold their position."""
+
+from __future__ import annotations
+
+from multicontact_control.arrays import Vector
+import numpy as np
+import pinocchio as pin
+
+
+class PositionHold:
+    """
+    A gravity-compensated joint servo: tau = M (w^2 (q_0 - q) - 2 w qd) + g.
+
+    Parameters
+    ----------
+    model
+        The arm, tool and rotors included.
+    frequency
+        w [rad/s]; the servo is critically damped.
+
+    """
+
+    def __init__(self, model: pin.Model, frequency: float) -> None:
+        self._model, self._data, self._frequency = model, model.createData(), frequency
+        self._posture: Vector | None = None
+
+    @property
+    def holding(self) -> bool:
+        """Whether it is at work."""
+        return self._posture is not None
+
+    def end(self) -> None:
+        """Let go: the next torque begins anew."""
+        self._posture = None
+
+    def torque(self, q: Vector, qd: Vector) -> Vector:
+        """
+        Return the torque that holds the posture in which it was first asked for.
+
+        Parameters
+        ----------
+        q, qd
+            Joint positions [rad] and velocities [rad/s], shape (n,).
+
+        Returns
+        -------
+        Vector
+            Shape (n,) [N m].
+
+        """
+        if self._posture is None:
+            self._posture = q.copy()
+        w = self._frequency
+        acceleration = w * w * (self._posture - q) - 2.0 * w * qd
+        still = np.zeros_like(q)
+        gravity = pin.rnea(self._model, self._data, q, still, still)
+        # crba fills the upper triangle only.
+        upper = np.triu(pin.crba(self._model, self._data, q))
+        mass_matrix = upper + np.triu(upper, 1).T
+        torque: Vector = mass_matrix @ acceleration + gravity
+        return torque
