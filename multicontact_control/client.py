@@ -22,7 +22,7 @@ from multicontact_control.arrays import Vector
 from multicontact_control.errors import RunError
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.controller_link import ControllerLink
-from multicontact_control.nodes.motion_command import finite_vector, motion_message
+from multicontact_control.nodes.motion_command import finite_vector, motion_message, quintic
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
@@ -232,7 +232,7 @@ class MultiContactClient:
         while elapsed < duration:
             sample, = self._link.fresh(topics.POSE_DESIRED)
             elapsed = (messages.stamp_to_ns(sample.header.stamp) - first_stamp) * 1e-9
-            s, ds, dds = _quintic(min(elapsed, duration), duration)
+            s, ds, dds = quintic(min(elapsed, duration), duration)
             change = np.concatenate([goal - position, rotation_vector])
             self._link.publish(self._motion_publisher, motion_message(
                 position + s * change[:3],
@@ -320,13 +320,3 @@ def _by_name(message: JointState) -> dict[str, float]:
 def _pose_of(message: PoseStamped) -> tuple[Vector, Rotation]:
     p, q = message.pose.position, message.pose.orientation
     return np.array([p.x, p.y, p.z]), Rotation.from_quat([q.x, q.y, q.z, q.w])
-
-
-def _quintic(elapsed: float, duration: float) -> tuple[float, float, float]:
-    """Return a path from 0 to 1 at rest at both ends, its speed and its acceleration."""
-    if elapsed >= duration:
-        return 1.0, 0.0, 0.0
-    x = elapsed / duration
-    return (x ** 3 * (10.0 + x * (-15.0 + 6.0 * x)),
-            30.0 * x ** 2 * (1.0 - x) ** 2 / duration,
-            60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / duration ** 2)

@@ -109,20 +109,20 @@ def write_report(folder: Path, rows: list[FaultRow]) -> Path:
 def fault_table(rows: list[FaultRow]) -> Table:
     """Return one line per kind."""
     table = Table(title='faults', title_justify='left', box=None)
-    for name, justify in (('input', 'left'), ('kind', 'left'), ('n', 'right'),
+    for name, justify in (('where', 'left'), ('input', 'left'), ('kind', 'left'), ('n', 'right'),
                           ('reaction', 'left'), ('to safe [ms]', 'right'),
                           ('force [N]', 'right'), ('torque', 'right'), ('safe', 'left')):
         table.add_column(name, justify=justify)  # type: ignore[arg-type]
-    groups: dict[tuple[str, str], list[FaultRow]] = {}
+    groups: dict[tuple[str, str, str], list[FaultRow]] = {}
     for row in rows:
-        groups.setdefault((row.input, row.kind), []).append(row)
-    for (source, kind), group in groups.items():
+        groups.setdefault((row.where, row.input, row.kind), []).append(row)
+    for (where, source, kind), group in groups.items():
         reactions = sorted({row.reaction for row in group})
         slowest = max(row.time_to_safe_s for row in group)
         unsafe = sum(not row.safe for row in group)
         problems = sorted({row.problems for row in group if not row.safe})
         table.add_row(
-            source, kind, str(len(group)), ', '.join(reactions), f'{1e3 * slowest:.0f}',
+            where, source, kind, str(len(group)), ', '.join(reactions), f'{1e3 * slowest:.0f}',
             f'{max(row.peak_force_n for row in group):.1f}',
             f'{max(row.peak_torque_fraction for row in group):.2f}',
             '[green]yes[/]' if not unsafe else f'[red]{unsafe} not: {"; ".join(problems)}[/]')
@@ -133,5 +133,5 @@ def print_report(rows: list[FaultRow], console: Console) -> None:
     """Print the table and one line of verdict."""
     console.print(fault_table(rows))
     unsafe = sum(not row.safe for row in rows)
-    console.print(f'{len(rows)} faults of {len({(r.input, r.kind) for r in rows})} kinds, '
-                  f'{unsafe} unsafe', highlight=False)
+    kinds = {(row.where, row.input, row.kind) for row in rows}
+    console.print(f'{len(rows)} faults of {len(kinds)} kinds, {unsafe} unsafe', highlight=False)

@@ -50,6 +50,8 @@ class FaultRow:
         0.1 s; no exception, no hang.
     plant, phase, problems
         Where it happened, and why it was not safe.
+    where
+        ``process`` or ``graph``.
 
     """
 
@@ -64,6 +66,7 @@ class FaultRow:
     plant: str
     phase: str
     problems: str = ''
+    where: str = 'process'
 
     def as_json(self) -> dict[str, Any]:
         """Return the row as plain values."""

@@ -92,29 +92,32 @@ class LifecycleDriver:
         if not answer.success:
             raise TransitionError(node_name, transition)
 
-    def state(self, node_name: str) -> str:
+    def state(self, node_name: str, timeout: float = ANSWER_TIMEOUT) -> str:
         """
         Return the state of a node.
 
         Raises
         ------
         RunError
-            If it does not answer.
+            If it does not answer within `timeout` [s].
 
         """
-        answer = self.call(node_name, GetState, 'get_state', GetState.Request())
+        answer = self.call(node_name, GetState, 'get_state', GetState.Request(), timeout)
         if answer is None:
             raise RunError(f'{node_name} did not tell its state')
         return str(answer.current_state.label)
 
-    def call(self, node_name: str, service: Any, name: str, request: Any) -> Any:
+    def call(
+        self, node_name: str, service: Any, name: str, request: Any,
+        timeout: float = ANSWER_TIMEOUT,
+    ) -> Any:
         """
         Call a service of a node.
 
         Returns
         -------
         object
-            The response, None without one.
+            The response, None without one within `timeout` [s].
 
         Raises
         ------
@@ -129,7 +132,7 @@ class LifecycleDriver:
         self._wait(client.service_is_ready, SERVICE_TIMEOUT, f'{node_name} to appear')
         future = client.call_async(request)
         try:
-            self._wait(future.done, ANSWER_TIMEOUT, f'{node_name} to answer')
+            self._wait(future.done, timeout, f'{node_name} to answer')
         except RunError:
             client.remove_pending_request(future)
             return None

@@ -62,3 +62,13 @@ def _twist(values: ArrayLike, field: str) -> Twist:
     twist.linear.x, twist.linear.y, twist.linear.z = numbers[:3]
     twist.angular.x, twist.angular.y, twist.angular.z = numbers[3:]
     return twist
+
+
+def quintic(elapsed: float, duration: float) -> tuple[float, float, float]:
+    """Return a path from 0 to 1 at rest at both ends, its speed and its acceleration."""
+    if elapsed >= duration:
+        return 1.0, 0.0, 0.0
+    x = max(0.0, elapsed / duration)
+    return (x ** 3 * (10.0 + x * (-15.0 + 6.0 * x)),
+            30.0 * x ** 2 * (1.0 - x) ** 2 / duration,
+            60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / duration ** 2)

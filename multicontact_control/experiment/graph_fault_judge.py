@@ -1,0 +1,174 @@
+"""What became of a fault of a running graph, judged by what was on its topics."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from multicontact_control.arrays import Vector
+from multicontact_control.experiment.fault_run import FaultRow, FORCE_MARGIN, SEVERITY
+from multicontact_control.experiment.graph_fault_kinds import GraphFault
+from multicontact_control.experiment.graph_fault_watch import CHECKED, finite, GraphWatch, Said
+from multicontact_control.experiment.graph_spec import CONTROLLER
+from multicontact_control.experiment.scenario import Setup
+from multicontact_control.nodes import topics
+import numpy as np
+
+GRAPH = 'graph'
+SILENT, PAUSED, NONE = 'silent', 'paused', 'none'
+SILENCE = 0.1  # s without a command while samples come that counts as silence
+STOPPED = 0.3  # s of silence that a controller which should go on may not be guilty of
+RETRACT_TIME = 0.1  # s, in which a contact beyond the ceiling must have been left
+REPORT_DELAY = 1.2  # s, in which diagnostics tell of what has been
+
+
+@dataclass(frozen=True)
+class Window:
+    """
+    The time of one fault.
+
+    Attributes
+    ----------
+    begin, end, recovered
+        When it began and ended, and when all was well again [s]; -1 if it never was.
+
+    """
+
+    begin: float
+    end: float
+    recovered: float
+
+
+class Judge:
+    """
+    Judges the faults of one graph.
+
+    Parameters
+    ----------
+    setup
+        Limits, plant.
+    watch
+        What was said.
+    wanted
+        The commanded force per contact [N].
+
+    """
+
+    def __init__(self, setup: Setup, watch: GraphWatch, wanted: dict[str, float]) -> None:
+        config = setup.controller
+        self._watch, self._wanted, self._plant = watch, wanted, setup.plant_name
+        self._joints = config.robot.joint_names
+        self._limit = np.array(config.torque_limit)
+        self._step = np.array(config.limits.torque_rate) * config.period
+        self._ceiling = config.contact_state.force_ceiling
+        self._rate = config.rate
+
+    def row(
+        self, fault: GraphFault, seed: int, window: Window, problems: Sequence[str] = (),
+    ) -> FaultRow:
+        """
+        Return the row of a fault.
+
+        Parameters
+        ----------
+        fault, seed, window
+            Which, and when.
+        problems
+            What is known to have gone wrong already.
+
+        """
+        found = set(problems)
+        said = {topic: self._watch.since(topic, window.begin) for topic in CHECKED}
+        for topic, messages in said.items():
+            if not all(map(finite, messages)):
+                found.add(f'{topic.name} not finite')
+        peak_torque = self._judge_torques(said[topics.EFFORT_COMMAND], fault, found)
+        force_time, forces = self._forces(said[topics.TRUE_FORCES])
+        calm = self._judge_forces(force_time, forces, window, found)
+        silences = self._silences(said, window)
+        if fault.goes_on and any(end - begin > STOPPED for begin, end in silences):
+            found.add('commands stopped')
+        self._judge_desired(said[topics.DESIRED_FORCES], found)
+        back = max([calm, *(end for _, end in silences if end > window.begin)])
+        never = window.recovered < 0.0
+        return FaultRow(
+            kind=fault.kind, input=fault.input, seed=seed,
+            reaction=self._reaction(said[topics.DESIRED_FORCES], bool(silences), window),
+            time_to_safe_s=-1.0 if never else round(max(0.0, back - window.begin), 3),
+            peak_force_n=round(float(forces.max(initial=0.0)), 3),
+            peak_torque_fraction=round(peak_torque, 5), safe=not found, plant=self._plant,
+            phase='', problems=', '.join(sorted(found)), where=GRAPH)
+
+    def _judge_torques(
+        self, commands: list[Said], fault: GraphFault, found: set[str],
+    ) -> float:
+        """Return the largest torque over its limit."""
+        if not commands:
+            return 0.0
+        torques = np.array([[x.values[name] for name in self._joints] for x in commands])
+        fraction = float((np.abs(torques) / self._limit).max())
+        if not fraction <= 1.0 + 1e-9:
+            found.add('torque beyond its limit')
+        # The first command of a new process or activation starts from what the drives do.
+        if fault.input != CONTROLLER and (
+                np.abs(np.diff(torques, axis=0)) > self._step * (1.0 + 1e-9)).any():
+            found.add('torque rate beyond its limit')
+        return fraction
+
+    def _forces(self, said: list[Said]) -> tuple[Vector, Vector]:
+        """Return when, and the largest true force then [N]."""
+        return (np.array([x.time for x in said]),
+                np.array([max(x.values.values()) for x in said]))
+
+    def _judge_forces(
+        self, time: Vector, forces: Vector, window: Window, found: set[str],
+    ) -> float:
+        """Return when every force was, and stayed, within the ceiling."""
+        longest = begin = 0.0
+        for now, force in zip(time.tolist(), forces.tolist()):
+            beyond = force > FORCE_MARGIN * self._ceiling
+            begin = (begin or now) if beyond else 0.0
+            longest = max(longest, now - begin if begin else 0.0)
+        if longest > RETRACT_TIME:
+            found.add('force beyond the ceiling for too long')
+        over = time[forces > self._ceiling]
+        return float(over[-1]) if over.size else window.begin
+
+    def _silences(
+        self, said: dict[topics.Topic, list[Said]], window: Window,
+    ) -> list[tuple[float, float]]:
+        """Return from when to when samples came, but no commands."""
+        samples = np.array([x.time for x in said[topics.TRUE_FORCES]])
+        edges = [window.begin, *(x.time for x in said[topics.EFFORT_COMMAND])]
+        if samples.size:
+            edges.append(float(samples[-1]))
+        found = []
+        for begin, end in zip(edges, edges[1:]):
+            if end - begin > SILENCE and (
+                    np.count_nonzero((samples > begin) & (samples < end))
+                    > 0.5 * (end - begin) * self._rate):
+                found.append((begin, end))
+        return found
+
+    def _judge_desired(self, desired: list[Said], found: set[str]) -> None:
+        """Note if the controller wants more than the rightful user."""
+        if any(x.values.get(name, 0.0) > force + 1e-6
+               for x in desired for name, force in self._wanted.items()):
+            found.add('obeyed a command it should have refused')
+
+    def _reaction(self, desired: list[Said], silent: bool, window: Window) -> str:
+        """Return the strongest reaction that was told of, or else seen."""
+        told = [
+            values['reaction'] for report in self._watch.reports_since(window.begin)
+            if report.node == CONTROLLER and report.time < window.end + REPORT_DELAY
+            for _, _, values in report.parts.values() if values.get('reaction') in SEVERITY]
+        strongest = max(told, key=SEVERITY.index, default=NONE)
+        if strongest != NONE:
+            return strongest
+        if silent:
+            return SILENT
+        # A law that is not at work wants no force, or says nothing of it.
+        times = [window.begin, *(x.time for x in desired if x.time < window.end), window.end]
+        paused = any(not any(x.values.values()) for x in desired if x.time < window.end) or (
+            max(np.diff(times)) > SILENCE)
+        return PAUSED if paused else NONE
