@@ -60,6 +60,7 @@ class GraphResult:
 
 def run_graph(
     spec: GraphSpec, on_progress: Callable[[GraphProgress], None] | None = None,
+    on_domain: Callable[[int], None] = lambda domain_id: None,
 ) -> GraphResult:
     """
     Run the graph to its end.
@@ -72,6 +73,8 @@ def run_graph(
         What to run.
     on_progress
         Called about 5 times a second once samples flow.
+    on_domain
+        Called with the ROS domain that was chosen, before anything runs in it.
 
     Returns
     -------
@@ -86,6 +89,7 @@ def run_graph(
     """
     spec.logs.mkdir(parents=True, exist_ok=True)
     with reserve_domain(spec.domain_id) as domain_id, collected_signals() as interrupted:
+        on_domain(domain_id)
         processes = NodeProcesses(spec, domain_id)
         listener = ProgressListener(domain_id, spec.namespace) if (
             on_progress is not None) else None

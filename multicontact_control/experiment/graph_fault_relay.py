@@ -15,11 +15,11 @@ from typing import Any
 from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.graph_fault_streams import (
     CLOCK,
-    Context,
     HISTORY,
     INPUTS,
     Pass,
     stream_faults,
+    StreamContext,
 )
 from multicontact_control.nodes import messages, qos
 from multicontact_control.nodes.graph_node import StartupConfig
@@ -48,7 +48,7 @@ class FaultRelay(Node):
         super().__init__(RELAY)
         load_parameters(self, StartupConfig)
         self._faults = stream_faults()
-        self._active: dict[str, tuple[Pass, Context]] = {}
+        self._active: dict[str, tuple[Pass, StreamContext]] = {}
         self._passed: dict[str, int] = {}
         self._history: dict[str, deque[bytes]] = {
             source: deque(maxlen=HISTORY) for source in INPUTS}
@@ -120,7 +120,7 @@ class FaultRelay(Node):
         begin = max(self._newest_stamp(x) for x in sources)
         choice = random.random(4).tolist()
         self._passed = dict.fromkeys(INPUTS, 0)
-        self._active = {x: (what, Context(
+        self._active = {x: (what, StreamContext(
             random, INPUTS[x].message, self._history[x], begin, choice, [])) for x in sources}
 
     def _newest_stamp(self, source: str) -> int:

@@ -24,7 +24,7 @@ CLOCK = 'clock'  # the stamps of joints and wrench together
 
 
 @dataclass
-class Context:
+class StreamContext:
     """
     What one fault of one stream is made of.
 
@@ -56,22 +56,22 @@ class Context:
     first: bytes | None = None
 
 
-Change = Callable[[Context, Any], None]
-Pass = Callable[[Context, int, bytes], list[bytes]]
+Change = Callable[[StreamContext, Any], None]
+Pass = Callable[[StreamContext, int, bytes], list[bytes]]
 
 
-def _ago(context: Context, count: int) -> bytes:
+def _ago(context: StreamContext, count: int) -> bytes:
     return context.history[max(-len(context.history), -1 - count)]
 
 
-def _reordered(context: Context, n: int, data: bytes) -> list[bytes]:
+def _reordered(context: StreamContext, n: int, data: bytes) -> list[bytes]:
     if n % 2 == 0:
         context.kept.append(data)
         return []
     return [data, context.kept.pop()]
 
 
-def _burst(context: Context, _n: int, data: bytes) -> list[bytes]:
+def _burst(context: StreamContext, _n: int, data: bytes) -> list[bytes]:
     context.kept.append(data)
     if len(context.kept) < BURST:
         return []
@@ -93,22 +93,22 @@ DELIVERY: Mapping[str, Pass] = {
 
 def edited(change: Change) -> Pass:
     """Return a fault that changes every message."""
-    def passed(context: Context, _n: int, data: bytes) -> list[bytes]:
+    def passed(context: StreamContext, _n: int, data: bytes) -> list[bytes]:
         message = deserialize_message(data, context.message)
         change(context, message)
         return [serialize_message(message)]
     return passed
 
 
-def _field(name: str, change: Callable[[Context, Any], Any]) -> Change:
+def _field(name: str, change: Callable[[StreamContext, Any], Any]) -> Change:
     """Return a change of one list of numbers of a JointState."""
-    def apply(context: Context, message: Any) -> None:
+    def apply(context: StreamContext, message: Any) -> None:
         setattr(message, name, change(context, np.array(getattr(message, name))).tolist())
     return apply
 
 
-def _wrench(change: Callable[[Context, Any], Any]) -> Change:
-    def apply(context: Context, message: Any) -> None:
+def _wrench(change: Callable[[StreamContext, Any], Any]) -> Change:
+    def apply(context: StreamContext, message: Any) -> None:
         force, torque = message.wrench.force, message.wrench.torque
         values = change(context, np.array(
             [force.x, force.y, force.z, torque.x, torque.y, torque.z]))
@@ -116,22 +116,22 @@ def _wrench(change: Callable[[Context, Any], Any]) -> Change:
     return apply
 
 
-def _put(number: float) -> Callable[[Context, Any], Any]:
-    def change(context: Context, values: Any) -> Any:
+def _put(number: float) -> Callable[[StreamContext, Any], Any]:
+    def change(context: StreamContext, values: Any) -> Any:
         values[int(context.choice[0] * values.size)] = number
         return values
     return change
 
 
-def _add(size: float) -> Callable[[Context, Any], Any]:
-    def change(context: Context, values: Any) -> Any:
+def _add(size: float) -> Callable[[StreamContext, Any], Any]:
+    def change(context: StreamContext, values: Any) -> Any:
         values[int(context.choice[0] * values.size)] += (
             size if context.choice[1] < 0.5 else -size)
         return values
     return change
 
 
-def _frozen(context: Context, message: Any) -> None:
+def _frozen(context: StreamContext, message: Any) -> None:
     """Keep the values of the first message under the stamps of all."""
     if context.first is not None:
         first = deserialize_message(context.first, context.message)
@@ -140,21 +140,21 @@ def _frozen(context: Context, message: Any) -> None:
                 setattr(message, name, getattr(first, name))
 
 
-def _turned(context: Context, values: Any) -> Any:
+def _turned(context: StreamContext, values: Any) -> Any:
     axis = np.eye(3)[int(3 * context.choice[0])] * (1.0 if context.choice[1] < 0.5 else -1.0)
     rotation = Rotation.from_rotvec(0.5 * np.pi * axis).as_matrix()
     return np.concatenate([rotation @ values[:3], rotation @ values[3:]])
 
 
 def _named(names: Callable[[list[str]], list[str]]) -> Change:
-    def apply(_context: Context, message: Any) -> None:
+    def apply(_context: StreamContext, message: Any) -> None:
         message.name = names(list(message.name))
     return apply
 
 
 def _stamped(warp: Callable[[int, int], int]) -> Change:
     """Return a change of the stamp, from the true one and that when it began [ns]."""
-    def apply(context: Context, message: Any) -> None:
+    def apply(context: StreamContext, message: Any) -> None:
         stamp = messages.stamp_to_ns(message.header.stamp)
         message.header.stamp = messages.ns_to_stamp(max(0, warp(stamp, context.begin)))
     return apply

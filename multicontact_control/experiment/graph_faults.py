@@ -131,7 +131,7 @@ class GraphCampaign:
     def _run_plant(
         self, plant: str, tasks: list[tuple[GraphFault, int]], domain_id: int,
     ) -> None:
-        """Run the faults of a plant, in a new graph whenever one is not good any more."""
+        """Run the faults of a plant, in a new graph after everything that was not safe."""
         setup = resolve(SCENARIO, plant=plant, seed=self._seed)
         while True:
             folder = self._new_folder(plant)
@@ -140,7 +140,7 @@ class GraphCampaign:
                 while tasks:
                     row = self._one(session, judge, *tasks.pop(0))
                     self._add(row)
-                    if row.time_to_safe_s < 0.0:
+                    if not row.safe:
                         break
                 else:
                     self._add(_ended(session.end_all(), plant, self._seed))

@@ -22,6 +22,7 @@ MODULES = {
     ESTIMATOR: 'multicontact_control.nodes.noise_estimator_node',
     CONTROLLER: 'multicontact_control.nodes.controller_node',
     SIM: 'sim_bridge.sim_node'}
+BARE_EFFORTS = 'std_msgs/msg/Float64MultiArray'
 
 
 @dataclass(frozen=True)
@@ -128,6 +129,9 @@ def node_parameters(name: str, spec: GraphSpec) -> dict[str, Any]:
         'timing_file': str(timing_file(spec, name).resolve()), 'startup_peers': list(START_ORDER)}
     if name == RECORDER:
         values['folder'] = str(spec.bag.resolve())
+        bare = spec.extra_parameters.get(CONTROLLER, {}).get('effort_output_topic')
+        if bare:
+            values['extra_topics'] = [f'{bare} {BARE_EFFORTS}']
     if name == SIM:
         values |= {'ticks': spec.ticks, 'rate': float(spec.rate), 'seed': spec.seed}
     if name == CONTROLLER and spec.reference_file is not None:

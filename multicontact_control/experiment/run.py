@@ -108,7 +108,11 @@ def run_real_time(
             'controller_node': config / 'controller.yaml', 'sim_node': config / 'plant.yaml',
             'noise_estimator_node': config / 'noise_estimator.yaml'})
     with progress_bar(f'run {setup.scenario.name}', setup.scenario.duration, console) as show:
-        result = run_graph(spec, lambda progress: show(progress.time, progress.forces))
+        result = run_graph(
+            spec, lambda progress: show(progress.time, progress.forces),
+            on_domain=lambda number: console.print(
+                f'ROS domain {number}: ROS_DOMAIN_ID={number} multicontact topics',
+                highlight=False))
         if result.interrupted is None:
             show(setup.scenario.duration, {})
     content = read_bag(
@@ -118,6 +122,7 @@ def run_real_time(
         content.data, setup, mode='lockstep' if lockstep else 'real_time',
         timing=graph_timing(result.timing, content),
         ended_early='' if result.interrupted is None else 'interrupted by a signal')
+    summary['ros_domain_id'] = result.domain_id
     return _finish(content.data, setup, folder, summary, console), result.interrupted
 
 

@@ -1,10 +1,12 @@
-"""The text of installed message types, as recordings carry it along."""
+"""Installed message types: their classes, and their text as recordings carry it along."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from importlib import import_module
 import json
 from pathlib import Path
+from typing import Any
 
 from ament_index_python.packages import get_package_share_directory, PackageNotFoundError
 from multicontact_control.errors import RunError
@@ -44,6 +46,23 @@ def message_file(type_name: str, suffix: str) -> Path:
     if not path.is_file():
         raise RunError(f'{type_name}: {path} does not exist')
     return path
+
+
+def message_class(type_name: str) -> Any:
+    """
+    Return the class of a message type, e.g. that of ``sensor_msgs/msg/JointState``.
+
+    Raises
+    ------
+    RunError
+        If it is not installed.
+
+    """
+    package, _, name = type_name.partition('/msg/')
+    try:
+        return getattr(import_module(f'{package}.msg'), name)
+    except (ImportError, AttributeError):
+        raise RunError(f'{type_name}: this message type is not installed') from None
 
 
 def message_text(type_name: str) -> str:

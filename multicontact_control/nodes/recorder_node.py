@@ -11,11 +11,12 @@ import sys
 import time
 
 from multicontact_control.config import parameter, Real
-from multicontact_control.errors import ConfigError
+from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.nodes import qos
 from multicontact_control.nodes.bag_writer import BagWriter, CHUNK_SIZE
 from multicontact_control.nodes.diagnostics import Diagnostics, input_status, Status
 from multicontact_control.nodes.graph_node import StartupConfig, StartupGate
+from multicontact_control.nodes.message_definitions import message_class
 from multicontact_control.nodes.parameters import load_parameters
 from multicontact_control.nodes.raw_recording import RawRecording
 from multicontact_control.nodes.runtime import run_node, Spinner, yield_to_others
@@ -27,6 +28,7 @@ from multicontact_control.nodes.topics import (
     ROBOT_DESCRIPTION,
     Topic,
     TOPICS,
+    USER,
 )
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -41,6 +43,9 @@ class RecorderConfig(StartupConfig):
 
     folder: str = parameter(..., 'Folder of the bag, to be created.')
     topics: tuple[str, ...] = parameter((), 'Topics to record; empty for all of the graph.')
+    extra_topics: tuple[str, ...] = parameter(
+        (), 'Topics of others to record as well, each as `NAME TYPE`, e.g. '
+        '`/effort_controller/commands std_msgs/msg/Float64MultiArray`.')
     chunk_size: int = parameter(
         CHUNK_SIZE, 'Bytes of messages that are compressed together.', unit='B', ge=1024)
     poll_period: Real = parameter(
@@ -87,7 +92,8 @@ class RecorderNode(Node):
         for name in self._config.topics:
             if name not in names:
                 raise ConfigError('topics', f'names among {", ".join(names)}', f"'{name}'")
-        return [x for x in TOPICS if not self._config.topics or x.name in self._config.topics]
+        chosen = [x for x in TOPICS if not self._config.topics or x.name in self._config.topics]
+        return chosen + [_extra_topic(text) for text in self._config.extra_topics]
 
     def run(self, spinner: Spinner) -> None:
         """Record until asked to stop and nothing comes any more."""
@@ -138,6 +144,27 @@ class RecorderNode(Node):
 def _recording_profile(topic: Topic) -> QoSProfile:
     latched = topic.profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
     return qos.RECORDING_LATCHED if latched else qos.RECORDING
+
+
+def _extra_topic(text: str) -> Topic:
+    """
+    Return a topic of others; nobody waits for it.
+
+    Raises
+    ------
+    ConfigError
+        If it is not a name of its own and an installed type.
+
+    """
+    name, _, type_name = text.strip().partition(' ')
+    if not type_name or name in [topic.name for topic in TOPICS]:
+        raise ConfigError('extra_topics', 'NAME TYPE of topics beside those of the graph',
+                          f"'{text}'")
+    try:
+        message = message_class(type_name.strip())
+    except RunError as error:
+        raise ConfigError('extra_topics', 'types that are installed', str(error)) from None
+    return Topic(name, message, USER, (RECORDER,), qos.STREAM, 'event')
 
 
 def main() -> int:

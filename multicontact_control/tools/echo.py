@@ -6,13 +6,13 @@ from collections.abc import Callable
 import time
 
 from multicontact_control.errors import RunError
+from multicontact_control.nodes.message_definitions import message_class
 from multicontact_control.nodes.runtime import StopFlag
 from multicontact_control.tools.message_text import document, TRUNCATE_LENGTH
 from multicontact_control.tools.onlooker import (
     DISCOVERY_POLL,
     full_name,
     matching_profile,
-    message_class,
     Onlooker,
     POLL_PERIOD,
 )

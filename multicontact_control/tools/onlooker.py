@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from importlib import import_module
 import os
 import time
 from types import TracebackType
-from typing import Any
 
 from multicontact_control.errors import RunError
 from multicontact_control.nodes.runtime import prepare_environment
@@ -82,23 +80,6 @@ class Onlooker:
 def full_name(topic: str) -> str:
     """Return the name of a topic with its leading slash."""
     return '/' + topic.strip('/')
-
-
-def message_class(type_name: str) -> Any:
-    """
-    Return the class of a message type, e.g. that of ``sensor_msgs/msg/JointState``.
-
-    Raises
-    ------
-    RunError
-        If it is not installed.
-
-    """
-    package, _, name = type_name.partition('/msg/')
-    try:
-        return getattr(import_module(f'{package}.msg'), name)
-    except (ImportError, AttributeError):
-        raise RunError(f'{type_name}: this message type is not installed') from None
 
 
 def matching_profile(publishers: list[TopicEndpointInfo], depth: int) -> QoSProfile:

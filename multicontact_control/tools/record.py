@@ -8,12 +8,12 @@ import time
 
 from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.nodes.bag_writer import BagWriter
+from multicontact_control.nodes.message_definitions import message_class
 from multicontact_control.nodes.raw_recording import RawRecording
 from multicontact_control.nodes.runtime import StopFlag
 from multicontact_control.tools.onlooker import (
     full_name,
     matching_profile,
-    message_class,
     Onlooker,
     POLL_PERIOD,
 )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import json
 import os
 from pathlib import Path
 import signal
@@ -23,6 +25,7 @@ from multicontact_control.experiment.graph_spec import (
     SIM,
 )
 from multicontact_control.experiment.loop import run_in_process
+from multicontact_control.experiment.run import run_real_time
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.nodes.topics import (
     CLOCK,
@@ -33,6 +36,7 @@ from multicontact_control.nodes.topics import (
 )
 import numpy as np
 import pytest
+from rich.console import Console
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import get_typestore, Stores
 
@@ -252,3 +256,16 @@ def test_run_graph_works_in_a_thread_without_signals(tmp_path, free_domain):
     thread.start()
     thread.join(120.0)
     assert results
+
+
+def test_run_says_in_which_domain_it_is(tmp_path, free_domain):
+    setup = resolve('quick', plant='rigid', seed=0, duration=3.0)
+    text = io.StringIO()
+    summary, interrupted = run_real_time(
+        setup, tmp_path, lockstep=True, console=Console(file=text, width=200))
+    domain_id = summary['ros_domain_id']
+    assert interrupted is None
+    assert 0 <= domain_id <= 101
+    assert f'ROS_DOMAIN_ID={domain_id} multicontact topics' in text.getvalue()
+    written = json.loads((tmp_path / 'summary.json').read_text(encoding='utf-8'))
+    assert written['ros_domain_id'] == domain_id

@@ -12,10 +12,10 @@ import time
 from multicontact_control.experiment.graph_fault_judge import Judge, Window
 from multicontact_control.experiment.graph_fault_kinds import graph_faults, quick_faults
 from multicontact_control.experiment.graph_fault_streams import (
-    Context as FaultContext,
     DELIVERY,
     INPUTS,
     stream_faults,
+    StreamContext,
 )
 from multicontact_control.experiment.graph_fault_watch import GraphWatch, Report, Said
 from multicontact_control.experiment.graph_faults import graph_tasks, GraphCampaign
@@ -66,7 +66,7 @@ def passed_on(source, kind, count=60, seed=3):
             continue
         if context is None:
             random = np.random.default_rng(seed)
-            context = FaultContext(random, INPUTS[stream].message, history,
+            context = StreamContext(random, INPUTS[stream].message, history,
                                    (40 + 1000) * 2_000_000, random.random(4).tolist(), [])
         context.first = context.first or data
         sent.append(data)

@@ -188,6 +188,18 @@ def test_bare_efforts_are_those_of_the_command(two_runs):
         assert len(efforts - commands) <= 1
 
 
+def test_bare_efforts_are_in_the_bag(two_runs):
+    folders, _ = two_runs
+    for side in SIDES:
+        efforts = [tuple(x.data) for x in read(
+            folders[side], f'/{side}/effort_controller/commands')]
+        commands = [tuple(x.effort) for x in read(
+            folders[side], f'/{side}/joint_effort_command')]
+        # Nobody waits for who listens to it: the first few may be missing.
+        assert 0.9 * TICKS < len(efforts) <= TICKS
+        assert efforts == commands[-len(efforts):]
+
+
 def test_node_command_leaves_the_names_alone_without_a_namespace(tmp_path):
     spec = GraphSpec(out=tmp_path, parameter_files={}, ticks=1, rate=500.0)
     assert '-r' not in node_command(CONTROLLER, spec)

@@ -121,6 +121,19 @@ def test_recorder_refuses_an_unknown_topic(middleware, tmp_path):
     assert len(errors.splitlines()) == 1
 
 
+@pytest.mark.parametrize(('text', 'expected'), [
+    ('/commands', 'NAME TYPE of topics beside those of the graph'),
+    ('joint_states sensor_msgs/msg/JointState', 'NAME TYPE of topics beside those of the graph'),
+    ('/commands nowhere_msgs/msg/Nothing', 'types that are installed')])
+def test_recorder_refuses_extra_topics_that_cannot_be(middleware, tmp_path, text, expected):
+    process = middleware.start(
+        RECORDER, f'folder:={tmp_path}/bag', f'extra_topics:=["{text}"]')
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 2
+    assert f'extra_topics: expected {expected}, found ' in errors
+    assert len(errors.splitlines()) == 1
+
+
 def test_recorder_needs_a_folder(middleware):
     process = middleware.start(RECORDER)
     _, errors = process.communicate(timeout=60)
