@@ -11,6 +11,7 @@ import numpy as np
 
 
 class PlainMachine:
+
     def __init__(self, config, period):
         self._config = config
         self._period = period
@@ -164,6 +165,7 @@ class PlainMachine:
 
 
 class PlainObserver:
+
     def __init__(self, config, stiffness, period):
         self._stiffness, self._period = stiffness, period
         self._keep = math.exp(-period / config.energy_memory)
@@ -188,6 +190,7 @@ class PlainObserver:
 
 
 class PlainReference:
+
     def __init__(self, config, task):
         contact_state = task.contact_state(config.contact_state)
         self._config, self._task = config, task

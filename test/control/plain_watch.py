@@ -11,6 +11,7 @@ import numpy as np
 
 
 class PlainGate:
+
     def __init__(self, config, joints):
         limits, unlimited = config.limits, np.full(joints, np.inf)
         self._limit = np.array(config.torque_limit) if config.torque_limit else unlimited
@@ -83,6 +84,7 @@ def finite_number(value):
 
 
 class PlainWatchdog:
+
     def __init__(self, config):
         self._config, self._watch = config, config.watchdog
         self._names = config.robot.joint_names

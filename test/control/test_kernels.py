@@ -8,6 +8,8 @@ from multicontact_control.contact import kernels as contact_kernels
 from multicontact_control.contact.geometry import contact_normals
 from multicontact_control.control import (
     contact_kernels as state_kernels,
+)
+from multicontact_control.control import (
     gate_kernels,
     kernels,
     reference_kernels,

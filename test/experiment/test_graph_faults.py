@@ -66,8 +66,9 @@ def passed_on(source, kind, count=60, seed=3):
             continue
         if context is None:
             random = np.random.default_rng(seed)
-            context = StreamContext(random, INPUTS[stream].message, history,
-                                   (40 + 1000) * 2_000_000, random.random(4).tolist(), [])
+            context = StreamContext(
+                random, INPUTS[stream].message, history, (40 + 1000) * 2_000_000,
+                random.random(4).tolist(), [])
         context.first = context.first or data
         sent.append(data)
         out.append([deserialize_message(x, INPUTS[stream].message)
