@@ -172,7 +172,7 @@ class PybulletPlant:
 
     @property
     def model(self) -> pin.Model:
-        """The arm's rigid-body model, as it is simulated."""
+        """Return the arm's rigid-body model, as it is simulated."""
         return self._model
 
     def scale_torque_limit(self, factor: float) -> None:

@@ -62,7 +62,7 @@ class TorqueGate:
 
     @property
     def last(self) -> Vector | None:
-        """The last command, shape (n,) [N m]; None if there was none."""
+        """Return the last command, shape (n,) [N m]; None if there was none."""
         return self._last.copy() if self._started else None
 
     def apply(

@@ -94,7 +94,7 @@ def timing_file(spec: GraphSpec, name: str) -> Path:
 
 
 def node_command(
-    name: str, spec: GraphSpec, parameters: Mapping[str, Any] | None = None,
+    name: str, spec: GraphSpec, overrides: Mapping[str, Any] | None = None,
 ) -> list[str]:
     """
     Return the command line of a node: its installed script, or its module.
@@ -103,7 +103,7 @@ def node_command(
     ----------
     name, spec
         The node, and the graph it is of.
-    parameters
+    overrides
         Parameters over those of the graph.
 
     """
@@ -118,7 +118,7 @@ def node_command(
     parameter_file = spec.parameter_files.get(name)
     if parameter_file is not None:
         command += ['--params-file', str(parameter_file.resolve())]
-    for key, value in {**node_parameters(name, spec), **(parameters or {})}.items():
+    for key, value in {**node_parameters(name, spec), **(overrides or {})}.items():
         command += ['-p', f'{key}:={_as_argument(value)}']
     return command
 
