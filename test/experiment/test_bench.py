@@ -29,17 +29,30 @@ def result():
 
 
 def test_bench_says_what_it_promises(result):
-    assert set(result['ratios']) == {'tick_to_dynamics', 'plant_to_pybullet', 'latency_to_echo'}
-    assert set(result['tick_us']) == {'p50', 'p99', 'p999', 'max'}
+    assert set(result['ratios']) == {
+        'tick_to_dynamics', 'supervised_tick_to_dynamics', 'plant_to_pybullet',
+        'latency_to_echo'}
+    for name in ('tick_us', 'supervised_tick_us'):
+        assert set(result[name]) == {'p50', 'p99', 'p999', 'max'}
+    assert result['in_process_realtime_factor'] > 0.0
+    assert result['supervised_in_process_realtime_factor'] > 0.0
     assert {'processor', 'cores', 'trustworthy'} <= set(result['machine'])
     assert result['lockstep_realtime_factor'] is None
     assert any(note.startswith('graph:') for note in result['notes'])
-    assert sum(result['tick']['shares'].values()) == pytest.approx(1.0, abs=0.3)
+    for name in ('tick', 'supervised_tick'):
+        assert sum(result[name]['shares'].values()) == pytest.approx(1.0, abs=0.3)
     assert set(result['cold_start']) == {'import_s', 'construct_s', 'process_s'}
 
 
 def test_tick_is_near_its_floor(result):
     assert result['ratios']['tick_to_dynamics'] < 5.0 * MARGIN
+
+
+def test_supervised_tick_is_near_its_floor(result):
+    """Nine times the floor and twice the control law by itself, when it was measured."""
+    assert result['ratios']['supervised_tick_to_dynamics'] < 9.0 * MARGIN
+    law, supervised = (result[name]['ratio'] for name in ('tick', 'supervised_tick'))
+    assert supervised < 2.0 * law * MARGIN
 
 
 def test_plant_is_near_its_floor(result):

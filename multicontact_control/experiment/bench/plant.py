@@ -56,12 +56,14 @@ def bench_plant(ticks: int) -> dict[str, Any]:
         'substeps': substeps, 'ratio': median([float(np.median(times) / np.median(floor))])}
 
 
-def bench_in_process(duration: float | None, repeats: int) -> dict[str, Any]:
+def bench_in_process(
+    duration: float | None, repeats: int, *, supervised: bool,
+) -> dict[str, Any]:
     """Return simulated seconds per wall second of whole runs with the plant `rigid`."""
     setup = resolve('quick', plant='rigid', seed=0, duration=duration)
     factors = []
     for _ in range(repeats):
-        result = run_in_process(setup)
+        result = run_in_process(setup, supervised=supervised)
         factors.append(result.data.ticks / result.data.rate / result.wall_time)
     return {'realtime_factor': median(factors), 'spread': spread(factors)}
 

@@ -46,22 +46,28 @@ def run_bench(
     repeats = QUICK_REPEATS if quick else REPEATS
     count = ticks or (QUICK_TICKS if quick else TICKS)
     cold = bench_cold_start()
-    tick = bench_tick(count, repeats)
+    tick = bench_tick(count, repeats, supervised=False)
+    supervised_tick = bench_tick(count, repeats, supervised=True)
     plant = bench_plant(min(count, 5_000))
-    in_process = bench_in_process(4.0 if quick else None, repeats)
+    duration = 4.0 if quick else None
+    in_process = bench_in_process(duration, repeats, supervised=False)
+    supervised_run = bench_in_process(duration, repeats, supervised=True)
     over_ros, graph_note = _graph(5.0 if quick else 20.0) if graph else (None, 'graph: not asked')
-    notes = [*tick.pop('notes'), *load_notes(machine['load_1min'], machine['cores']),
+    notes = [*tick.pop('notes'), *supervised_tick.pop('notes'), *load_notes(machine['load_1min'], machine['cores']),
              *([graph_note] if graph_note else [])]
     return {
         'ratios': {
-            'tick_to_dynamics': tick['ratio'], 'plant_to_pybullet': plant['ratio'],
+            'tick_to_dynamics': tick['ratio'],
+            'supervised_tick_to_dynamics': supervised_tick['ratio'], 'plant_to_pybullet': plant['ratio'],
             'latency_to_echo': over_ros['latency_to_echo'] if over_ros else None},
         'in_process_realtime_factor': in_process['realtime_factor'],
+        'supervised_in_process_realtime_factor': supervised_run['realtime_factor'],
         'lockstep_realtime_factor': over_ros['lockstep_realtime_factor'] if over_ros else None,
-        'tick_us': tick['tick_us'],
+        'tick_us': tick['tick_us'], 'supervised_tick_us': supervised_tick['tick_us'],
         'machine': {**machine, 'trustworthy': not any(
             note.startswith('too noisy') for note in notes)},
-        'notes': notes, 'tick': tick, 'plant': plant, 'in_process': in_process,
+        'notes': notes, 'tick': tick, 'supervised_tick': supervised_tick, 'plant': plant,
+        'in_process': in_process, 'supervised_in_process': supervised_run,
         'scaling': bench_scaling(max(200, count // 10)), 'cold_start': cold, 'graph': over_ros}
 
 
@@ -78,14 +84,17 @@ def print_bench(result: dict[str, Any], console: Console) -> None:
     """Show a result as a table, what is doubtful below it."""
     table = Table('what', 'value', 'floor', 'ratio', title='multicontact bench')
     tick, plant, graph = result['tick'], result['plant'], result['graph']
-    for name in ('p50', 'p99', 'p999', 'max'):
-        table.add_row(f'controller tick {name}', _us(tick['tick_us'][name]),
-                      _us(tick['dynamics_us'][name]),
-                      f"{tick['ratio']:.2f} (spread {tick['ratio_spread']:.0%})"
-                      if name == 'p50' else '')
+    supervised = result['supervised_tick']
+    for title, part in (('control law', tick), ('supervised tick', supervised)):
+        for name in ('p50', 'p99', 'p999', 'max'):
+            table.add_row(f'{title} {name}', _us(part['tick_us'][name]),
+                          _us(part['dynamics_us'][name]),
+                          f"{part['ratio']:.2f} (spread {part['ratio_spread']:.0%})"
+                          if name == 'p50' else '')
     table.add_row('plant step p50', _us(plant['plant_us']['p50']),
                   _us(plant['pybullet_us']['p50']), f"{plant['ratio']:.2f}")
-    table.add_row('in process', f"{result['in_process_realtime_factor']:.1f} x real time", '', '')
+    for title, key in (('in process', 'in_process'), ('supervised', 'supervised_in_process')):
+        table.add_row(title, f"{result[f'{key}_realtime_factor']:.1f} x real time", '', '')
     if graph:
         table.add_row('graph latency p50', _us(graph['latency_us']['p50']),
                       _us(graph['echo_us']['p50']), f"{graph['latency_to_echo']:.2f}")
@@ -93,8 +102,9 @@ def print_bench(result: dict[str, Any], console: Console) -> None:
         table.add_row('recorder', f"{graph['recorder_cpu_share']:.1%} of a core", '', '')
     table.add_row('cold start', f"{result['cold_start']['process_s']:.2f} s", '', '')
     console.print(table)
-    console.print('share of a tick: ' + ', '.join(
-        f'{stage} {share:.0%}' for stage, share in tick['shares'].items()))
+    for title, part in (('control law', tick), ('supervised tick', supervised)):
+        console.print(f'share of the {title}: ' + ', '.join(
+            f'{stage} {share:.0%}' for stage, share in part['shares'].items()))
     for name, times in result['scaling'].items():
         console.print(f'{name.removesuffix("_us")}: ' + ', '.join(
             f'{count}: {_us(time)}' for count, time in times.items()))

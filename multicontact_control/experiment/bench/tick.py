@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from time import perf_counter_ns
 from typing import Any
 
 from multicontact_control.arrays import Vector
-from multicontact_control.control.controller import Controller, Measurement
+from multicontact_control.control.controller import Controller, ControlOutput, Measurement
+from multicontact_control.control.supervisor import Supervisor, SupervisorOutput
+from multicontact_control.control.watchdog import (
+    JointInput,
+    TickInputs,
+    VarianceInput,
+    WrenchInput,
+)
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.experiment.bench.spread import (
     median,
@@ -29,34 +36,56 @@ class Replay:
     ----------
     setup
         The run.
+    supervised
+        Whether the control law runs within its supervision, or by itself.
 
     Attributes
     ----------
-    controller, estimator
-        Warmed up.
+    control
+        The supervisor or the controller, warmed up.
+    controller
+        The control law, in the supervisor or by itself.
+    estimator, robot
+        Warmed up, too; the floor has an arm of its own.
     samples
         What the sensors read in that run.
 
     """
 
-    def __init__(self, setup: Setup) -> None:
-        data = run_in_process(setup).data
+    def __init__(self, setup: Setup, *, supervised: bool = False) -> None:
+        data = run_in_process(setup, supervised=supervised).data
         h = setup.controller.period
         self.samples = [
             Measurement(k * h, data.q[k].copy(), data.qd[k].copy(), data.wrench[k].copy())
             for k in range(data.ticks)]
-        self._setup = setup
-        self.controller = Controller.from_config(
+        self._readings = {
+            sample.time: (JointInput(sample.time, sample.q, sample.qd),
+                          WrenchInput(sample.time, sample.wrench_sensor))
+            for sample in self.samples}
+        self._setup, self.supervised = setup, supervised
+        self.control: Any = (Supervisor if supervised else Controller).from_config(
             setup.controller, setup.reference(), setup.urdf_dir)
+        self.controller: Any = self.control.controller if supervised else self.control
         self.estimator: NoiseEstimator = make_noise_estimator(setup.noise_estimator)
         self.robot = RobotModel(setup.controller.robot, setup.urdf_dir)
 
     def restart(self) -> Vector:
         """Begin anew and return the first R."""
-        self.controller.reset()
+        self.control.reset()
         self.estimator.reset()
         config = self._setup.controller
         return np.full(len(config.contact_names), config.initial_noise_variance)
+
+    def step(self, sample: Measurement, variance: Vector) -> ControlOutput:
+        """Answer a sample."""
+        if not self.supervised:
+            output: ControlOutput = self.control.step(sample, variance)
+            return output
+        time = sample.time
+        supervised: SupervisorOutput = self.control.step(TickInputs(
+            time, *self._readings[time],
+            VarianceInput(time - self._setup.controller.period, variance)))
+        return supervised.output
 
 
 def time_ticks(replay: Replay, ticks: int) -> tuple[Vector, Vector]:
@@ -71,7 +100,9 @@ def time_ticks(replay: Replay, ticks: int) -> tuple[Vector, Vector]:
     """
     tick, floor = np.zeros(ticks), np.zeros(ticks)
     samples, robot = replay.samples, replay.robot
-    step, estimate = replay.controller.step, replay.estimator.update
+    step, estimate = replay.step, replay.estimator.update
+    if not replay.supervised:
+        step = replay.control.step
     variance = replay.restart()
     for k in range(ticks):
         sample = samples[k % len(samples)]
@@ -104,11 +135,12 @@ class _Stopwatch:
 
 def stage_shares(replay: Replay, ticks: int) -> dict[str, float]:
     """Return which part of a tick goes where; the stopwatch's own time counts with each."""
-    controller, watch = replay.controller, _Stopwatch()
-    reference: Any = controller._reference
-    places: Sequence[tuple[Any, str, str]] = (
+    control, controller, watch = replay.control, replay.controller, _Stopwatch()
+    places: list[tuple[Any, str, str]] = [
         (controller.robot, 'compute', 'dynamics'), (controller, '_measure', 'contacts'),
-        (reference, 'update', 'reference'), (controller, '_decide', 'law'))
+        (controller._reference, 'update', 'reference'), (controller, '_decide', 'law')]
+    if replay.supervised:
+        places += [(control._watchdog, 'judge', 'watchdog'), (control, '_finish', 'gate')]
     for owner, method, stage in places:
         setattr(owner, method, watch.around(stage, getattr(owner, method)))
     try:
@@ -132,9 +164,21 @@ def _estimator_time(replay: Replay, ticks: int) -> float:
     return 1e-3 * float(np.median(watch.spent['estimators']))
 
 
-def bench_tick(ticks: int, repeats: int) -> dict[str, Any]:
-    """Return times, ratio to the floor with its spread, shares, and doubts."""
-    replay = Replay(resolve('quick', plant='rigid', seed=0, duration=None))
+def bench_tick(ticks: int, repeats: int, *, supervised: bool) -> dict[str, Any]:
+    """
+    Return times, ratio to the floor with its spread, shares, and doubts.
+
+    Parameters
+    ----------
+    ticks, repeats
+        How many, and how often.
+    supervised
+        Whether watchdog, contact states, limits and gate count, or the control law with its
+        torque limits alone; the noise estimators of all contacts always do.
+
+    """
+    replay = Replay(
+        resolve('quick', plant='rigid', seed=0, duration=None), supervised=supervised)
     time_ticks(replay, min(ticks, 2000))
     runs = [time_ticks(replay, ticks) for _ in range(repeats)]
     ratios = [float(np.median(tick) / np.median(floor)) for tick, floor in runs]
