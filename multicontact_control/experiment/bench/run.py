@@ -53,12 +53,14 @@ def run_bench(
     in_process = bench_in_process(duration, repeats, supervised=False)
     supervised_run = bench_in_process(duration, repeats, supervised=True)
     over_ros, graph_note = _graph(5.0 if quick else 20.0) if graph else (None, 'graph: not asked')
-    notes = [*tick.pop('notes'), *supervised_tick.pop('notes'), *load_notes(machine['load_1min'], machine['cores']),
+    notes = [*tick.pop('notes'), *supervised_tick.pop('notes'),
+             *load_notes(machine['load_1min'], machine['cores']),
              *([graph_note] if graph_note else [])]
     return {
         'ratios': {
             'tick_to_dynamics': tick['ratio'],
-            'supervised_tick_to_dynamics': supervised_tick['ratio'], 'plant_to_pybullet': plant['ratio'],
+            'supervised_tick_to_dynamics': supervised_tick['ratio'],
+            'plant_to_pybullet': plant['ratio'],
             'latency_to_echo': over_ros['latency_to_echo'] if over_ros else None},
         'in_process_realtime_factor': in_process['realtime_factor'],
         'supervised_in_process_realtime_factor': supervised_run['realtime_factor'],

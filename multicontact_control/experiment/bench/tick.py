@@ -63,8 +63,8 @@ class Replay:
                           WrenchInput(sample.time, sample.wrench_sensor))
             for sample in self.samples}
         self._setup, self.supervised = setup, supervised
-        self.control: Any = (Supervisor if supervised else Controller).from_config(
-            setup.controller, setup.reference(), setup.urdf_dir)
+        kind: Any = Supervisor if supervised else Controller
+        self.control = kind.from_config(setup.controller, setup.reference(), setup.urdf_dir)
         self.controller: Any = self.control.controller if supervised else self.control
         self.estimator: NoiseEstimator = make_noise_estimator(setup.noise_estimator)
         self.robot = RobotModel(setup.controller.robot, setup.urdf_dir)
