@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Codes = NDArray[np.int64]
 
 
 _ZEROS = {size: np.zeros(size) for size in range(33)}

@@ -48,6 +48,9 @@ class WatchdogConfig(Config):
         unit='N, N m')
     pull_threshold: Real = parameter(
         4.0, 'Measured pull of a surface that makes the wrench unbelievable.', unit='N', gt=0.0)
+    loss_acceleration: Real = parameter(
+        20.0, 'Acceleration of the tool, braked after a contact is lost, whose inertia may be '
+        'read as a pull of that contact beyond pull_threshold.', unit='m/s^2', ge=0.0, le=200.0)
     friction_bound: Real = parameter(
         0.8, 'Largest believable ratio of sideways to normal forces.', gt=0.0, le=10.0)
     friction_offset: Real = parameter(

@@ -87,7 +87,7 @@ def watch_hold(
         contact.level, alpha_des, contact.force_limit))
     if alpha >= threshold:
         contact.below = 0.0
-        contact.origin = place
+        contact.origin = place - alpha / contact.stiffness  # where it would not press any more
         contact.level += h / (LEVEL_TIME + h) * (alpha - contact.level)
     else:
         contact.below += h

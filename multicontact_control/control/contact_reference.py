@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from multicontact_control.arrays import Mask, Vector
+from multicontact_control.arrays import Codes, Mask, Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.control.arm_view import ArmView
 from multicontact_control.control.buffers import Buffers
@@ -54,10 +54,11 @@ class ContactReference:
         self._settings = contact_settings(contact_state, config.period)
         self._contacts = np.zeros(len(config.contact_names), dtype=CONTACT)
         rows = [self._contacts[i:i + 1] for i in range(len(self._contacts))]
-        self.machines = [ContactMachine(contact_state, config.period, row) for row in rows]
-        self.observers = [
-            PassivityObserver(contact_state, config.contacts[name].stiffness, config.period, row)
-            for name, row in zip(config.contact_names, rows)]
+        stiffness = [config.contacts[name].stiffness for name in config.contact_names]
+        self.machines = [ContactMachine(contact_state, config.period, row, k)
+                         for row, k in zip(rows, stiffness)]
+        self.observers = [PassivityObserver(contact_state, k, config.period, row)
+                          for row, k in zip(rows, stiffness)]
         self._points = np.array(
             [config.contacts[name].point_operational for name in config.contact_names])
         self._normals = np.zeros_like(self._points)
@@ -69,7 +70,8 @@ class ContactReference:
         self._posture: Any = np.zeros(1, dtype=POSTURE)
         self._observed = self._catching_up = False
         self.limited = False
-        self._codes, self._energies = self._contacts['state'], self._contacts['energy']
+        self._codes: Codes = self._contacts['state']
+        self._energies: Vector = self._contacts['energy']
         self._states: tuple[bytes, tuple[str, ...]] = (b'', ())
         self._follow(self._desired)  # no tick is to wait for numba
         for machine, observer in zip(self.machines, self.observers):
@@ -88,6 +90,11 @@ class ContactReference:
         if codes != self._states[0]:
             self._states = codes, tuple(state.value for state in self.states)
         return self._states[1]
+
+    @property
+    def state_codes(self) -> Codes:
+        """States as `contact_kernels` counts them, which the next tick overwrites, shape (r,)."""
+        return self._codes
 
     @property
     def energies(self) -> Vector:

@@ -77,14 +77,18 @@ class ContactMachine:
         h [s].
     memory
         One record of `CONTACT` to keep everything in; its own if there is none.
+    stiffness
+        Modelled stiffness of the surface, by which a tip is in it while it presses [N/m].
 
     """
 
     def __init__(
         self, config: ContactStateConfig, period: float, memory: Records | None = None,
+        stiffness: float = math.inf,
     ) -> None:
         self._settings = contact_settings(config, period)
         self._memory: Any = np.zeros(1, dtype=CONTACT) if memory is None else memory
+        self._memory['stiffness'] = stiffness
         let_one_go(self._memory, 0.0, 0.0)  # no tick is to wait for numba
         self.reset()
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from multicontact_control.algebra import multiply
-from multicontact_control.arrays import Matrix, Vector
+from multicontact_control.arrays import Codes, Matrix, Vector
 from multicontact_control.compiled import compiled
+from multicontact_control.control.contact_kernels import LOST
 import numpy as np
 
 # Rows of an arm's joints: position, velocity, diagonal of M, C v + g.
@@ -18,9 +19,10 @@ POSTURE = np.dtype([
 # What `see_arm` returns, added up.
 NO_NUMBERS, OPERATIONAL_SPEED, JOINT_SPEED = 1, 2, 4
 
-# Fields of `WatchdogConfig`; weight of the tool [N]; corners of the box, and what is allowed.
+# Fields of `WatchdogConfig`; pull that a lost contact may read as well, the tool's inertia [N];
+# weight of the tool [N]; corners of the box, and what is allowed.
 SUSPICION = np.dtype([
-    ('pull_threshold', np.float64), ('friction_bound', np.float64),
+    ('pull_threshold', np.float64), ('inertia', np.float64), ('friction_bound', np.float64),
     ('friction_offset', np.float64), ('weight', np.float64, 3), ('box', np.float64, (2, 3))])
 # What `doubt_answer` returns, added up.
 NOT_FINITE, PULL, SIDEWAYS, OUTSIDE = 1, 2, 4, 8
@@ -95,8 +97,8 @@ def see_arm(
 
 @compiled
 def doubt_answer(
-    torque: Vector, contacts: Matrix, alpha: Vector, wrench: Vector, posture: Any,
-    normals: Matrix, suspicion: Any,
+    torque: Vector, contacts: Matrix, alpha: Vector, states: Codes, wrench: Vector,
+    posture: Any, normals: Matrix, suspicion: Any,
 ) -> int:
     """
     Find out what speaks against an answer of the control law.
@@ -105,6 +107,9 @@ def doubt_answer(
     ----------
     torque, contacts, alpha
         The answer: Gamma, its report, and the measured forces, shapes (n,), (7, r), (r,).
+    states
+        Of the contacts, shape (r,). A tool that is braked after its surface has gone reads its
+        own inertia, as a pull: for a lost contact there is an allowance.
     wrench
         Reading of the wrist sensor, shape (6,) [N, N m].
     posture, suspicion
@@ -129,7 +134,10 @@ def doubt_answer(
     pressed = 0.0
     for i in range(alpha.shape[0]):
         pressed += abs(alpha[i])
-        if alpha[i] < -bounds.pull_threshold:
+        allowed = bounds.pull_threshold
+        if states[i] == LOST:
+            allowed += bounds.inertia
+        if alpha[i] < -allowed:
             doubts |= PULL
     sideways = 0.0
     for k in range(3):

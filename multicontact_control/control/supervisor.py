@@ -152,8 +152,9 @@ class Supervisor:
         nothing = np.zeros(n)
         self._view.see(self.controller.sense(nothing, nothing), nothing, nothing)
         output = _nothing(n, r)
-        doubt_answer(output.torque, output.contacts, output.alpha_meas, np.zeros(6),
-                     self._view.posture, self._normals, self._suspicion)
+        doubt_answer(
+            output.torque, output.contacts, output.alpha_meas, self.reference.state_codes,
+            np.zeros(6), self._view.posture, self._normals, self._suspicion)
 
     def step(self, inputs: TickInputs) -> SupervisorOutput:
         """
@@ -230,8 +231,8 @@ class Supervisor:
             return self._react((f'law_{type(error).__name__}',), believed.rejected,
                                self.config.watchdog.on_law_fault)
         doubts = doubt_answer(
-            output.torque, output.contacts, output.alpha_meas, believed.wrench,
-            self._arm.posture, self._normals, self._suspicion)
+            output.torque, output.contacts, output.alpha_meas, self.reference.state_codes,
+            believed.wrench, self._arm.posture, self._normals, self._suspicion)
         if doubts & NOT_FINITE:
             return self._react(('law_not_finite',), believed.rejected,
                                self.config.watchdog.on_law_fault)
@@ -301,6 +302,7 @@ def _suspicion(config: ControllerConfig) -> Any:
     suspicion = np.zeros(1, dtype=SUSPICION)
     for name in ('pull_threshold', 'friction_bound', 'friction_offset'):
         suspicion[name] = getattr(config.watchdog, name)
+    suspicion['inertia'] = config.tool.mass * config.watchdog.loss_acceleration
     suspicion['weight'] = config.tool.mass * np.array(config.robot.gravity_world)
     limits, everywhere = config.limits, np.full(3, np.inf)
     suspicion['box'] = (
