@@ -37,6 +37,8 @@ class ContactStateConfig(Config):
         unit='N/s', gt=0.0, le=1e4)
     impact_time: Real = parameter(
         0.05, 'Least time in contact from touch to holding.', unit='s', ge=0.0, le=1.0)
+    bounce_time: Real = parameter(
+        0.01, 'The same as loss_time, between touch and holding.', unit='s', ge=0.0, le=1.0)
     loss_time: Real = parameter(
         0.004, 'Time below the release threshold until a contact is lost.', unit='s', ge=0.0,
         le=1.0)

@@ -28,8 +28,9 @@ CONTACT = np.dtype([('state', np.int64), ('losses', np.int64), *((name, np.float
 CONTACT_SETTINGS = np.dtype([(name, np.float64) for name in (
     'period', 'approach_speed', 'approach_ramp_time', 'approach_distance', 'search_distance',
     'contact_threshold', 'release_threshold', 'release_fraction', 'escape_speed', 'preload',
-    'force_rate', 'impact_time', 'loss_time', 'lost_time', 'braking', 'force_ceiling',
-    'retract_distance', 'retract_speed', 'energy_limit', 'injected_damping', 'energy_keep')])
+    'force_rate', 'impact_time', 'bounce_time', 'loss_time', 'lost_time', 'braking',
+    'force_ceiling', 'retract_distance', 'retract_speed', 'energy_limit', 'injected_damping',
+    'energy_keep')])
 
 
 @compiled
@@ -91,7 +92,10 @@ def watch_hold(
         contact.level += h / (LEVEL_TIME + h) * (alpha - contact.level)
     else:
         contact.below += h
-    if contact.below > settings.loss_time + 1e-9 or speed > settings.escape_speed:
+    patience = settings.loss_time
+    if contact.state == IMPACT:  # a bounce is no loss
+        patience = max(patience, settings.bounce_time)
+    if contact.below > patience + 1e-9 or speed > settings.escape_speed:
         contact.losses += 1
         leave_surface(contact, place, speed)
         enter(contact, LOST)

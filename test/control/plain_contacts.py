@@ -12,9 +12,9 @@ import numpy as np
 
 class PlainMachine:
 
-    def __init__(self, config, period):
+    def __init__(self, config, period, stiffness=math.inf):
         self._config = config
-        self._period = period
+        self._period, self._stiffness = period, stiffness
         self.reset()
 
     def reset(self):
@@ -103,11 +103,13 @@ class PlainMachine:
                         config.release_fraction * min(self._level, alpha_des, self.force_limit))
         if alpha >= threshold:
             self._below = 0.0
-            self._origin = place
+            self._origin = place - alpha / self._stiffness
             self._level += h / (LEVEL_TIME + h) * (alpha - self._level)
         else:
             self._below += h
-        if self._below > config.loss_time + 1e-9 or speed > config.escape_speed:
+        patience = config.loss_time if self.state is ContactState.HOLDING else max(
+            config.loss_time, config.bounce_time)
+        if self._below > patience + 1e-9 or speed > config.escape_speed:
             self.losses += 1
             self._leave_surface(place, speed)
             self._enter(ContactState.LOST)
@@ -195,7 +197,8 @@ class PlainReference:
         contact_state = task.contact_state(config.contact_state)
         self._config, self._task = config, task
         self.machines = [
-            PlainMachine(contact_state, config.period) for _ in config.contact_names]
+            PlainMachine(contact_state, config.period, config.contacts[name].stiffness)
+            for name in config.contact_names]
         self.observers = [
             PlainObserver(contact_state, config.contacts[name].stiffness, config.period)
             for name in config.contact_names]

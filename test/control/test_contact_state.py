@@ -111,6 +111,29 @@ def test_first_approach_gives_up_after_its_distance():
     assert trace[:, 0].max() < 0.0305
 
 
+def test_bounce_after_touch_is_no_loss():
+    surface = Surface()
+    surface.run(1.0)
+    surface.machine.reset()
+    surface.run(2.0, alpha=0.0)
+    surface.run(0.01, alpha=3.0)
+    surface.run(0.01, alpha=0.0)
+    assert surface.machine.state is ContactState.IMPACT
+    surface.run(H, alpha=0.0)
+    assert surface.machine.state is ContactState.LOST
+
+
+def test_lost_contact_waits_where_it_would_touch_and_not_where_it_pressed():
+    machine = ContactMachine(ContactStateConfig(search_distance=0.001), H, stiffness=6000.0)
+    for alpha, ticks in ((0.0, 300), (15.0, 100), (0.0, 10)):
+        for _ in range(ticks):
+            machine.update(True, alpha, 15.0, 0.005, 0.0)
+    assert machine.state is ContactState.LOST
+    while machine.state is ContactState.LOST:
+        machine.update(True, 0.0, 15.0, 0.005, 0.0)
+    assert machine.displacement == pytest.approx(0.005 - 15.0 / 6000.0, abs=3e-4)
+
+
 def test_given_up_contact_stays_so_until_asked_for_anew():
     surface = Surface(depth=1.0, approach_distance=0.01)
     surface.run(3.0)

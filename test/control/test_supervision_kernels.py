@@ -5,8 +5,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from multicontact_control.config import ContactStateConfig
 from multicontact_control.control.arm_view import ArmView
+from multicontact_control.control.contact_kernels import LOST
 from multicontact_control.control.contact_reference import ContactReference
-from multicontact_control.control.contact_state import ContactMachine
+from multicontact_control.control.contact_state import ContactMachine, ContactState
 from multicontact_control.control.energy import PassivityObserver
 from multicontact_control.control.gate_kernels import (
     doubt_answer,
@@ -52,7 +53,7 @@ TICKS = st.lists(st.tuples(
 @given(ticks=TICKS)
 def test_machine_equals_plain_python(ticks):
     config = ContactStateConfig(approach_distance=0.02, lost_time=0.02)
-    machine, plain = ContactMachine(config, H), PlainMachine(config, H)
+    machine, plain = ContactMachine(config, H, stiffness=6e3), PlainMachine(config, H, 6e3)
     for length, wanted, alpha, alpha_des, place, speed, event in ticks:
         for each in (machine, plain):
             if event == 'let_go':
@@ -229,6 +230,9 @@ def test_view_and_doubts_equal_numpy(seed, scale):
     torque = random.normal(size=6)
     torque[3] = np.nan if scale == 3.0 else 0.0
     watch, alpha = CONFIG.watchdog, contacts[MEASURED]
+    states = random.integers(len(ContactState), size=CONTACTS)
+    pull = watch.pull_threshold + np.where(
+        states == LOST, CONFIG.tool.mass * watch.loss_acceleration, 0.0)
     weight = CONFIG.tool.mass * np.array(CONFIG.robot.gravity_world)
     normals = np.array([CONFIG.contacts[name].normal_world for name in CONFIG.contact_names])
     sideways = state.sensor_pose.rotation_world @ wrench[:3] + weight - alpha @ normals
@@ -237,8 +241,9 @@ def test_view_and_doubts_equal_numpy(seed, scale):
     outside = (place < np.array(CONFIG.limits.workspace_lower) - 0.01).any() or (
         place > np.array(CONFIG.limits.workspace_upper) + 0.01).any()
     assert doubt_answer(
-        torque, contacts, alpha, wrench, arm.posture, normals, supervisor._suspicion) == (
-        NOT_FINITE * (scale == 3.0) + PULL * bool((alpha < -watch.pull_threshold).any())
+        torque, contacts, alpha, states, wrench, arm.posture, normals,
+        supervisor._suspicion) == (
+        NOT_FINITE * (scale == 3.0) + PULL * bool((alpha < -pull).any())
         + SIDEWAYS * bool(np.linalg.norm(sideways) > bound) + OUTSIDE * bool(outside))
 
 
