@@ -47,8 +47,8 @@ def test_first_touch_of_a_stiff_surface_settles_after_two_losses_at_most(seed):
         assert {state[contact] for state in states[first + 250:]} == {'holding'}
 
 
-def sliding(seed):
-    world = World(resolve('quick', plant='rigid', seed=seed))
+def sliding(seed, plant='rigid'):
+    world = World(resolve('quick', plant=plant, seed=seed))
     follow(world, 4500)
     return world
 
@@ -74,6 +74,25 @@ def test_contact_lost_while_sliding_comes_back(contact, seed):
     assert (off[-1] if off.size else 0) * 0.002 < 0.5
     assert states[20][contact] in ('lost', 'approaching')
     assert states[-1] == ('holding', 'holding')
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('seed', [0, 1])
+def test_contact_lost_on_flexible_drives_alarms_nobody(seed):
+    """
+    The tool, braked, reads its own inertia: no reason to let the other contact go.
+
+    It was within 3.4 N (12 ms mean) of its command in six seeds, and within 7.1 N when it was
+    let go.
+    """
+    world = sliding(seed, 'puma')
+    forces, _, states = follow(world, 300, {
+        4500: lambda contacts: contacts.shift(1, 1.0),
+        4650: lambda contacts: contacts.shift(1, -1.0)})
+    other = np.convolve(forces[:, 0] - 15.0, np.ones(6) / 6, 'valid')
+    assert np.abs(other).max() < 4.0
+    assert {state[0] for state in states} == {'holding'}
+    assert states[20][1] == 'lost'
 
 
 def test_switch_of_the_active_set_does_not_step_the_torque():
