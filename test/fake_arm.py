@@ -15,6 +15,8 @@ from ros_graph import wait_for
 from sensor_msgs.msg import JointState
 
 PERIOD = 2_000_000
+# An arm that is late because a test is, and whose readings have no noise.
+PARAMETERS = ('patience:=0.0', 'watchdog.frozen_samples:=0', 'sensor.frozen_ticks:=0')
 EFFORT = np.array([1.0, 29.0, 7.0, 0.5, 0.5, 0.1])  # not quite what gravity wants
 DEPTH = QoSProfile(depth=1000)
 
@@ -37,9 +39,10 @@ class FakeArm:
             ControllerConfig, read_parameters(config_dir() / 'controller.yaml'))
         robot = RobotModel(self.config.robot, config_dir())
         self.state = robot.update(HOME, np.zeros(6))
-        self.wrench = weight_reading(
+        self.weight = weight_reading(
             self.state.sensor_pose.rotation_world, self.config.tool,
             np.array(self.config.robot.gravity_world))
+        self.wrench = self.weight
         self.k = 0
         self._joints = node.create_publisher(JointState, 'joint_states', DEPTH)
         self._wrench = node.create_publisher(topics.WRENCH.message, 'ft_sensor/wrench', DEPTH)
@@ -56,6 +59,19 @@ class FakeArm:
             JointState, 'contact_forces/measured', lambda _: None, DEPTH)
         self._diagnostics = node.create_subscription(
             DiagnosticArray, 'diagnostics', lambda _: None, DEPTH)
+
+    def press(self, **forces):
+        """Let the sensor read these contact forces [N], and nothing else but the tool."""
+        sensor, pose = self.state.sensor_pose, self.state.pose
+        force, moment = np.zeros(3), np.zeros(3)
+        for name, alpha in forces.items():
+            contact = self.config.contacts[name]
+            point = pose.position_world + pose.rotation_world @ contact.point_operational
+            pressed = alpha * np.array(contact.normal_world)
+            force += pressed
+            moment += np.cross(point - sensor.position_world, pressed)
+        R = sensor.rotation_world
+        self.wrench = self.weight + np.concatenate([force @ R, moment @ R])
 
     def send(self):
         """Publish the next sample; return its stamp."""
