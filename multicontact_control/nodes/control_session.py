@@ -285,7 +285,7 @@ class ControlSession:
         reference = self._commandable()
         check_position(motion.position_world, self.config.limits)
         normals = np.zeros((0, 3)) if self.supervisor is None else (
-            self.supervisor.sought_normals())
+            self.supervisor.reference.sought_normals())
         reference.set_motion(motion.position_world, motion.quaternion_xyzw, motion.twist_world,
                              motion.acceleration_world, normals)
 

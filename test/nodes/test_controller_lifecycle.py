@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 
-from fake_arm import EFFORT, FakeArm, PARAMETERS as STILL
+from fake_arm import EFFORT, FakeArm
+from fake_arm import PARAMETERS as STILL
 from multicontact_control.experiment.lifecycle import (
     ACTIVATE,
     CLEAN_UP,
