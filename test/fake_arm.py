@@ -77,11 +77,30 @@ class FakeArm:
         """Publish the next sample; return its stamp."""
         self.k += 1
         stamp = self.k * PERIOD
-        self._wrench.publish(messages.wrench_message(stamp, self.wrench, 'ft_face'))
-        self._joints.publish(messages.joint_state_message(
-            stamp, self.config.robot.joint_names, position=HOME, velocity=np.zeros(6),
-            effort=EFFORT))
+        self.send_parts(stamp, {'joints', 'wrench'})
         return stamp
+
+    def send_parts(self, stamp, parts):
+        """Publish the joints, the wrench, both or none of a sample."""
+        if 'wrench' in parts:
+            self._wrench.publish(messages.wrench_message(stamp, self.wrench, 'ft_face'))
+        if 'joints' in parts:
+            self._joints.publish(messages.joint_state_message(
+                stamp, self.config.robot.joint_names, position=HOME, velocity=np.zeros(6),
+                effort=EFFORT))
+
+    def newest_command(self):
+        """Return the newest command that has come since, None without any."""
+        return self._middleware.take(self._commands, JointState)
+
+    def commands(self):
+        """Return the stamps of all commands that have come since."""
+        stamps = []
+        handle = self._commands.handle
+        with handle:
+            while (taken := handle.take_message(JointState, False)) is not None:
+                stamps.append(messages.stamp_to_ns(taken[0].header.stamp))
+        return stamps
 
     def answer(self, stamp):
         """Return the torque that answers a sample, None if it has not come."""
@@ -146,14 +165,18 @@ class FakeArm:
         def satisfied():
             self.send()
             self._middleware.pause(0.01)
-            report = self._middleware.take(self._diagnostics, DiagnosticArray)
-            if report is None or not report.status[0].name.startswith(node):
-                return False
-            self.report = {
-                x.name.split(': ')[1]: (
-                    x.level[0], x.message, {value.key: value.value for value in x.values})
-                for x in report.status}
-            return condition(self.report)
+            self.report = self.newest_report(node)
+            return self.report is not None and condition(self.report)
 
         wait_for(satisfied, 'such diagnostics')
         return self.report
+
+    def newest_report(self, node='controller_node'):
+        """Return the newest diagnostics as {part: (level, message, values)}, None without any."""
+        report = self._middleware.take(self._diagnostics, DiagnosticArray)
+        if report is None or not report.status[0].name.startswith(node):
+            return None
+        return {
+            x.name.split(': ')[1]: (
+                x.level[0], x.message, {value.key: value.value for value in x.values})
+            for x in report.status}

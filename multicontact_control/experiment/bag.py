@@ -94,8 +94,7 @@ def read_bag(
         for known, stamped in rows.items():
             if topic == known or topic.endswith('/' + known):
                 stamp = message.header.stamp
-                # What has a stamp again is a repetition, or commanded while no sample came.
-                stamped.setdefault(stamp.sec * 1_000_000_000 + stamp.nanosec, message)
+                stamped[stamp.sec * 1_000_000_000 + stamp.nanosec] = message
     if not rows['joint_states']:
         raise RunError(f'{folder}: expected samples on joint_states, found none')
     data, missing = _series(rows, rate, contact_names, joint_names)

@@ -133,6 +133,7 @@ class ControlSession:
         self._wrench: WrenchInput | None = None
         self._variance: VarianceInput | None = None
         self.sensor_fault = ''
+        self._missed = 0
 
     def take_variance(self, stamp: int, variance: Vector) -> None:
         """Use an R [N^2] from the next sample on; its stamp is that of a sample [ns]."""
@@ -178,13 +179,20 @@ class ControlSession:
 
     def step_without(self, periods: int) -> Vector:
         """Command something although nothing came for some periods; only with a supervisor."""
+        self._missed += periods
         return self._supervise(self._required_supervisor(), self._clock.count_on(periods))
+
+    @property
+    def expected_stamp(self) -> int:
+        """Stamp of the newest sample, or of the one that should have come by now [ns]."""
+        return self.last_stamp + round(self._missed * self.config.period * 1e9)
 
     def _begin_tick(self, stamp: int) -> float:
         if self.first_stamp < 0:
             self.first_stamp = stamp
         tick = round((stamp - self.first_stamp) * 1e-9 * self.config.rate)
         self.skipped += max(0, tick - self.tick - 1)
+        self._missed = 0
         self.tick, self.last_stamp = tick, stamp
         return self._clock.take(stamp)
 

@@ -243,7 +243,7 @@ class ControllerNode(ManagedNode):
             return
         self._waiting = self._older_stamp = None
         self._patience.start(self._received)
-        self._command(session, sample.stamp, lambda: session.step(sample))
+        self._command(session, lambda: session.step(sample))
         self._guide(session)
 
     def _start_anew(self, session: ControlSession, stamp: int) -> bool:
@@ -279,27 +279,25 @@ class ControllerNode(ManagedNode):
         half = self._pairing.take_half(session.last_stamp)
         if half is not None:
             self._patience.half_used(now)
-            self._command(session, half.stamp, lambda: session.step_half(half))
+            self._command(session, lambda: session.step_half(half))
             return
         periods = self._patience.missed(now)
         if periods:
-            # There is no sample that this answers: the last one gets another answer.
-            self._command(session, session.last_stamp, lambda: session.step_without(periods),
-                          sampled=False)
+            self._command(session, lambda: session.step_without(periods), sampled=False)
 
     def _command(
-        self, session: ControlSession, stamp: int, step: Callable[[], Vector], *,
-        sampled: bool = True,
+        self, session: ControlSession, step: Callable[[], Vector], *, sampled: bool = True,
     ) -> None:
         with self.refusals.guard(topics.JOINT_STATES):
-            self._command_guarded(session, stamp, step, sampled)
+            self._command_guarded(session, step, sampled)
 
     def _command_guarded(
-        self, session: ControlSession, stamp: int, step: Callable[[], Vector], sampled: bool,
+        self, session: ControlSession, step: Callable[[], Vector], sampled: bool,
     ) -> None:
         start = time.perf_counter_ns()
         self._last_command = None
         torque = step()
+        stamp = session.expected_stamp
         command = messages.joint_state_message(
             stamp, session.config.robot.joint_names, effort=torque)
         self._step_times.add(time.perf_counter_ns() - start)

@@ -51,7 +51,7 @@ class Patience:
         None at first: what is only late is waited for one more period.
         """
         late = int((now - self._since - self._wait) // self._period)
-        passed = late + 1 if late else 0
+        passed = int((now - self._since) // self._period) if late else 0
         ticks, self._counted = passed - self._counted, passed
         self.due = int(self._since + self._wait + (late + 1) * self._period)
         return ticks
