@@ -15,6 +15,8 @@ from ros_graph import wait_for
 from sensor_msgs.msg import JointState
 
 PERIOD = 2_000_000
+# An arm that is late because a test is, and whose readings have no noise.
+PARAMETERS = ('patience:=0.0', 'watchdog.frozen_samples:=0', 'sensor.frozen_ticks:=0')
 EFFORT = np.array([1.0, 29.0, 7.0, 0.5, 0.5, 0.1])  # not quite what gravity wants
 DEPTH = QoSProfile(depth=1000)
 
@@ -37,9 +39,10 @@ class FakeArm:
             ControllerConfig, read_parameters(config_dir() / 'controller.yaml'))
         robot = RobotModel(self.config.robot, config_dir())
         self.state = robot.update(HOME, np.zeros(6))
-        self.wrench = weight_reading(
+        self.weight = weight_reading(
             self.state.sensor_pose.rotation_world, self.config.tool,
             np.array(self.config.robot.gravity_world))
+        self.wrench = self.weight
         self.k = 0
         self._joints = node.create_publisher(JointState, 'joint_states', DEPTH)
         self._wrench = node.create_publisher(topics.WRENCH.message, 'ft_sensor/wrench', DEPTH)
@@ -57,15 +60,47 @@ class FakeArm:
         self._diagnostics = node.create_subscription(
             DiagnosticArray, 'diagnostics', lambda _: None, DEPTH)
 
+    def press(self, **forces):
+        """Let the sensor read these contact forces [N], and nothing else but the tool."""
+        sensor, pose = self.state.sensor_pose, self.state.pose
+        force, moment = np.zeros(3), np.zeros(3)
+        for name, alpha in forces.items():
+            contact = self.config.contacts[name]
+            point = pose.position_world + pose.rotation_world @ contact.point_operational
+            pressed = alpha * np.array(contact.normal_world)
+            force += pressed
+            moment += np.cross(point - sensor.position_world, pressed)
+        R = sensor.rotation_world
+        self.wrench = self.weight + np.concatenate([force @ R, moment @ R])
+
     def send(self):
         """Publish the next sample; return its stamp."""
         self.k += 1
         stamp = self.k * PERIOD
-        self._wrench.publish(messages.wrench_message(stamp, self.wrench, 'ft_face'))
-        self._joints.publish(messages.joint_state_message(
-            stamp, self.config.robot.joint_names, position=HOME, velocity=np.zeros(6),
-            effort=EFFORT))
+        self.send_parts(stamp, {'joints', 'wrench'})
         return stamp
+
+    def send_parts(self, stamp, parts):
+        """Publish the joints, the wrench, both or none of a sample."""
+        if 'wrench' in parts:
+            self._wrench.publish(messages.wrench_message(stamp, self.wrench, 'ft_face'))
+        if 'joints' in parts:
+            self._joints.publish(messages.joint_state_message(
+                stamp, self.config.robot.joint_names, position=HOME, velocity=np.zeros(6),
+                effort=EFFORT))
+
+    def newest_command(self):
+        """Return the newest command that has come since, None without any."""
+        return self._middleware.take(self._commands, JointState)
+
+    def commands(self):
+        """Return the stamps of all commands that have come since."""
+        stamps = []
+        handle = self._commands.handle
+        with handle:
+            while (taken := handle.take_message(JointState, False)) is not None:
+                stamps.append(messages.stamp_to_ns(taken[0].header.stamp))
+        return stamps
 
     def answer(self, stamp):
         """Return the torque that answers a sample, None if it has not come."""
@@ -130,14 +165,18 @@ class FakeArm:
         def satisfied():
             self.send()
             self._middleware.pause(0.01)
-            report = self._middleware.take(self._diagnostics, DiagnosticArray)
-            if report is None or not report.status[0].name.startswith(node):
-                return False
-            self.report = {
-                x.name.split(': ')[1]: (
-                    x.level[0], x.message, {value.key: value.value for value in x.values})
-                for x in report.status}
-            return condition(self.report)
+            self.report = self.newest_report(node)
+            return self.report is not None and condition(self.report)
 
         wait_for(satisfied, 'such diagnostics')
         return self.report
+
+    def newest_report(self, node='controller_node'):
+        """Return the newest diagnostics as {part: (level, message, values)}, None without any."""
+        report = self._middleware.take(self._diagnostics, DiagnosticArray)
+        if report is None or not report.status[0].name.startswith(node):
+            return None
+        return {
+            x.name.split(': ')[1]: (
+                x.level[0], x.message, {value.key: value.value for value in x.values})
+            for x in report.status}

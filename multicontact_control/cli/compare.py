@@ -31,6 +31,8 @@ def compare(
     """
     Compare the noise estimators on the paper's disturbances, with and without the active state.
 
+    Everything runs bare, the control law without its supervisor: its own limits are the point.
+
     Writes comparison.json and comparison.html. Exit code 0, whatever the verdicts; 2: bad input.
     """
     from multicontact_control.experiment.comparing import compare_and_report, ComparisonRequest

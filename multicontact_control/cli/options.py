@@ -23,6 +23,9 @@ Estimator = Annotated[str | None, typer.Option(
     'given.')]
 Overwrite = Annotated[bool, typer.Option(
     '--overwrite', help='Replace a run that is already in that folder.')]
+Bare = Annotated[bool, typer.Option(
+    '--bare', help='The control law alone, as the claims are measured, without the contact '
+    'states, watchdogs, limits and gate of the supervisor.')]
 DomainId = Annotated[int | None, typer.Option(
     help='ROS_DOMAIN_ID to look at; that of the environment, or 0, if not given.')]
 

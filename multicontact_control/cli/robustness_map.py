@@ -27,7 +27,8 @@ def robustness_map(
     """
     Map how wrong stiffness and delay may be, simulated and by the linear loop.
 
-    True stiffness 0.1 to 20 times the model's, actuator delay 0 to 3 periods. Writes
+    True stiffness 0.1 to 20 times the model's, actuator delay 0 to 3 periods. Everything runs
+    bare, the control law without its supervisor: its own limits are the point. Writes
     robustness.json, robustness.png and robustness.html.
     """
     from multicontact_control.experiment.comparing import map_and_report, MapRequest

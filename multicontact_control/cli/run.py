@@ -7,6 +7,7 @@ from typing import Annotated
 
 from multicontact_control.cli.exits import end_by_verdict, errors_in_one_line, EXIT_SIGNAL
 from multicontact_control.cli.options import (
+    Bare,
     Duration,
     Estimator,
     Out,
@@ -21,7 +22,7 @@ import typer
 def run(
     scenario: Scenario = 'paper', plant: Plant = 'puma', seed: Seed = 0,
     duration: Duration = None, noise_estimator: Estimator = None, out: Out = None,
-    overwrite: Overwrite = False,
+    overwrite: Overwrite = False, bare: Bare = False,
     lockstep: Annotated[bool, typer.Option(
         '--lockstep', help='Let the nodes wait for each other instead of for the wall clock: '
         'the same torques as `simulate`, bit for bit.')] = False,
@@ -53,7 +54,8 @@ def run(
         from multicontact_control.experiment.run import run_real_time
 
         summary, interrupted = run_real_time(
-            setup, folder, lockstep=lockstep, domain_id=domain_id, namespace=namespace)
+            setup, folder, lockstep=lockstep, domain_id=domain_id, namespace=namespace,
+            supervised=not bare)
     if interrupted is not None:
         raise typer.Exit(EXIT_SIGNAL + interrupted)
     end_by_verdict(summary)

@@ -6,6 +6,7 @@ from datetime import datetime
 
 from multicontact_control.cli.exits import end_by_verdict, errors_in_one_line
 from multicontact_control.cli.options import (
+    Bare,
     Duration,
     Estimator,
     Out,
@@ -19,7 +20,7 @@ from multicontact_control.cli.options import (
 def simulate(
     scenario: Scenario = 'paper', plant: Plant = 'puma', seed: Seed = 0,
     duration: Duration = None, noise_estimator: Estimator = None, out: Out = None,
-    overwrite: Overwrite = False,
+    overwrite: Overwrite = False, bare: Bare = False,
 ) -> None:
     """
     Run a scenario in one process, without ROS, as fast as it goes.
@@ -39,5 +40,5 @@ def simulate(
         # Only now: what is heavy is not loaded for the sake of an error.
         from multicontact_control.experiment.run import run_simulate
 
-        summary = run_simulate(setup, folder)
+        summary = run_simulate(setup, folder, supervised=not bare)
     end_by_verdict(summary)

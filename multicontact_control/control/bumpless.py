@@ -10,6 +10,7 @@ from multicontact_control.control.controller import Controller, ControlOutput, M
 from multicontact_control.control.reference import ReferenceSource
 from multicontact_control.control.safe_behaviour import SafeBehaviour
 from multicontact_control.control.torque_blend import TorqueBlend
+from multicontact_control.dynamics.pose import Pose
 import numpy as np
 
 
@@ -94,6 +95,15 @@ class BumplessController:
         """Let the next command be the last one again: what is asked for is about to jump."""
         if self._last is not None:
             self._blend.start(self._last)
+
+    def stand_still(self, pose: Pose) -> Pose:
+        """Return the pose of a reference that leaves the arm at a pose: the same."""
+        self.smooth()
+        return pose
+
+    def go_on(self) -> None:
+        """Go on with the reference after `stand_still`."""
+        self.smooth()
 
     def step(self, measurement: Measurement, noise_variance: Vector) -> ControlOutput:
         """

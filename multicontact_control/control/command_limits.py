@@ -5,29 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from multicontact_control.arrays import Vector
-from multicontact_control.config import Config, parameter, Real, Vector3
-from multicontact_control.errors import CommandError, ConfigError
-from pydantic import model_validator
+from multicontact_control.config import Config, LimitsConfig, parameter, Real
+from multicontact_control.errors import CommandError
 
 
 class CommandLimits(Config):
-    """Largest force and the box of commanded positions."""
+    """Largest force that may be commanded; the box for positions is that of `limits`."""
 
     force_ceiling: Real = parameter(
-        30.0, 'Largest force that may be commanded at a contact.', unit='N', live=True, gt=0.0)
-    workspace_lower: Vector3 = parameter(
-        (-1.0, -1.0, -1.0), 'Lower corner of the box for commanded positions of the operational '
-        'point, world axes.', unit='m', live=True)
-    workspace_upper: Vector3 = parameter(
-        (1.0, 1.0, 1.5), 'Upper corner of that box.', unit='m', live=True)
-
-    @model_validator(mode='after')
-    def _check_corners(self) -> CommandLimits:
-        if any(a >= b for a, b in zip(self.workspace_lower, self.workspace_upper)):
-            raise ConfigError(
-                'command.workspace_lower', f'below workspace_upper {list(self.workspace_upper)}',
-                list(self.workspace_lower))
-        return self
+        30.0, 'Largest force that may be commanded at a contact; below '
+        'contact_state.force_ceiling, at which a contact is left.', unit='N', live=True, gt=0.0)
 
     def check_forces(self, forces: Mapping[str, float]) -> None:
         """
@@ -44,17 +31,18 @@ class CommandLimits(Config):
                 raise CommandError(
                     f'force on {name}', f'0 to {self.force_ceiling:g} N', f'{force:g} N')
 
-    def check_position(self, position_world: Vector) -> None:
-        """
-        Refuse a position outside the box.
 
-        Raises
-        ------
-        CommandError
-            Naming the axis.
+def check_position(position_world: Vector, limits: LimitsConfig) -> None:
+    """
+    Refuse a position outside the workspace box, if there is one.
 
-        """
-        for axis, x, lower, upper in zip(
-                'xyz', position_world, self.workspace_lower, self.workspace_upper):
-            if not lower <= x <= upper:
-                raise CommandError(f'position {axis}', f'{lower:g} to {upper:g} m', f'{x:g} m')
+    Raises
+    ------
+    CommandError
+        Naming the axis.
+
+    """
+    for axis, x, lower, upper in zip(
+            'xyz', position_world, limits.workspace_lower, limits.workspace_upper):
+        if not lower <= x <= upper:
+            raise CommandError(f'position {axis}', f'{lower:g} to {upper:g} m', f'{x:g} m')

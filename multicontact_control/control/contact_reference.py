@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from multicontact_control.arrays import Codes, Mask, Vector
+from multicontact_control.arrays import Codes, Mask, Matrix, Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.control.arm_view import ArmView
 from multicontact_control.control.buffers import Buffers
@@ -144,6 +144,36 @@ class ContactReference:
         for machine in self.machines:
             machine.let_go(machine.displacement)
 
+    def sought_normals(self) -> Matrix:
+        """Return the normals of the contacts that are sought or held, shape (k, 3)."""
+        sought = [state is not ContactState.FREE for state in self.states]
+        normals: Matrix = self._normals[sought]
+        return normals
+
+    def retune(self, config: ControllerConfig) -> None:
+        """Keep to the speed limits with the gains of another configuration."""
+        self._following.retune(config)
+
+    def stand_still(self, pose: Pose) -> Pose:
+        """
+        Stop looking for contacts, and keep those that are held.
+
+        Returns
+        -------
+        Pose
+            Where the task has to be for the arm to stay at `pose`.
+
+        """
+        position = pose.position_world.copy()
+        for machine, normal in zip(self.machines, self._normals):
+            if machine.active:
+                position -= machine.displacement * normal
+            else:
+                machine.reset()
+        self._following.offset[:] = 0.0
+        self._catching_up = False
+        return Pose(position, pose.rotation_world)
+
     def resume(self) -> None:
         """Go on after a pause, from where the arm is: no contact counts as held any more."""
         self._following.offset[:] = np.nan  # set at the next update
@@ -212,11 +242,9 @@ class Following:
     """
 
     def __init__(self, config: ControllerConfig) -> None:
-        motion, limits = config.motion, config.limits
-        lead = 2.0 * motion.damping_ratio / motion.natural_frequency  # k_v / k_p [s]
+        limits = config.limits
         self.record: Any = np.zeros(1, dtype=FOLLOWING)
-        self.record['reach'] = lead * limits.operational_speed
-        self.record['turn'] = lead * limits.operational_turn
+        self.retune(config)
         self.record['box'] = [limits.workspace_lower or [-np.inf] * 3,
                               limits.workspace_upper or [np.inf] * 3]
         record = self.record[0]
@@ -224,6 +252,13 @@ class Following:
         self.position_task = record['pose_task'][POSITION]
         self._rotation_task = record['pose_task'][:POSITION]
         self._twist_task, self._acceleration_task = record['motion_task']
+
+    def retune(self, config: ControllerConfig) -> None:
+        """Set how far ahead the reference may be, so that the motion law keeps to its speeds."""
+        motion, limits = config.motion, config.limits
+        lead = 2.0 * motion.damping_ratio / motion.natural_frequency  # k_v / k_p [s]
+        self.record['reach'] = lead * limits.operational_speed
+        self.record['turn'] = lead * limits.operational_turn
 
     def ask(self, task: Reference) -> None:
         """Take note of the motion that is asked for."""

@@ -2,60 +2,93 @@
 
 from __future__ import annotations
 
-from multicontact_control.arrays import Vector
-from multicontact_control.control.reference import Reference, ReferenceSource
+from collections.abc import Callable
+from typing import Protocol
+
+from multicontact_control.arrays import Mask, Vector
+from multicontact_control.config import ContactStateConfig
+from multicontact_control.control.reference import Reference, ReferenceSource, TaskSource
 from multicontact_control.dynamics.pose import Pose
 import numpy as np
 
 
+class HeldSource(ReferenceSource, TaskSource, Protocol):
+    """A source that serves the control law alone and a supervisor."""
+
+
 class HoldableReference:
     """
-    Hands on another reference, unless it is held.
+    Hands on another reference, unless it is held or locked.
 
     The time of the other one stands still meanwhile, so that a scenario goes on where it was.
+    While it is locked the arm stays where it started, and no contact is asked for.
 
     Parameters
     ----------
     source
         The other one.
+    locked
+        Whether it is locked from the start.
+
+    Attributes
+    ----------
+    locked
+        Whether it is locked.
 
     """
 
-    def __init__(self, source: ReferenceSource) -> None:
+    def __init__(self, source: HeldSource, *, locked: bool = False) -> None:
         self._source = source
+        self.locked = locked
+        self._count = 0
         self._held: Reference | None = None
         self._last: Reference | None = None
         self._last_time = self._lost_time = 0.0
 
     @property
     def held(self) -> bool:
-        """Whether it is held."""
-        return self._held is not None
+        """Whether it is held, by whoever wanted that."""
+        return self._held is not None and not self.locked
 
     def start(self, pose: Pose, normals_world: Vector) -> None:
-        """Begin from a pose at rest; see `ReferenceSource.start`. Ends a hold."""
-        self._held = self._last = None
+        """Begin from a pose at rest; see `ReferenceSource.start`. Ends a hold, but no lock."""
+        self._count = len(normals_world)
+        self._held = self._standing(pose) if self.locked else None
+        self._last = None
         self._last_time = self._lost_time = 0.0
         self._source.start(pose, normals_world)
 
     def update(self, time: float, alpha_meas: Vector) -> Reference:
         """Return the reference of one tick; see `ReferenceSource.update`."""
+        return self._ask(time, lambda own: self._source.update(own, alpha_meas))
+
+    def task(self, time: float) -> Reference:
+        """Return the task of one tick; see `TaskSource.task`."""
+        return self._ask(time, self._source.task)
+
+    def contact_state(self, default: ContactStateConfig) -> ContactStateConfig:
+        """Return how contacts are to be made; see `TaskSource.contact_state`."""
+        return self._source.contact_state(default)
+
+    def _ask(self, time: float, source: Callable[[float], Reference]) -> Reference:
         if self._held is not None:
             self._lost_time += time - self._last_time
             self._last_time = time
             return self._held
         self._last_time = time
-        self._last = self._source.update(time - self._lost_time, alpha_meas)
+        self._last = source(time - self._lost_time)
         return self._last
 
-    def hold(self, pose: Pose) -> bool:
+    def hold(self, pose: Pose, active: Mask) -> bool:
         """
         Hold a pose, and the desired forces.
 
         Parameters
         ----------
         pose
-            Where the operational frame is.
+            Where the operational frame is to stay.
+        active
+            Which contacts are force controlled, shape (r,); their forces are held.
 
         Returns
         -------
@@ -68,9 +101,25 @@ class HoldableReference:
             return False
         self._held = last._replace(
             pose_des=pose, twist_des=np.zeros(6), acceleration_des=np.zeros(6),
-            active=last.active.copy(), alpha_des=last.alpha_des.copy())
+            active=active.copy(), alpha_des=np.where(active, last.alpha_des, 0.0))
         return True
 
     def release(self) -> None:
-        """Go on with the other reference."""
+        """Go on with the other reference, unless this one is locked."""
+        if not self.locked:
+            self._held = None
+
+    def lock(self, pose: Pose | None = None) -> None:
+        """Ask for a pose and no contact until `unlock`; for that of the next start if None."""
+        self.locked = True
+        if pose is not None:
+            self._held = self._standing(pose)
+
+    def _standing(self, pose: Pose) -> Reference:
+        none: Mask = np.zeros(self._count, dtype=bool)
+        return Reference(pose, np.zeros(6), np.zeros(6), none, np.zeros(self._count))
+
+    def unlock(self) -> None:
+        """Begin with the other reference, where its time has stood still."""
+        self.locked = False
         self._held = None

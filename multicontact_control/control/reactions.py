@@ -104,6 +104,10 @@ class TorqueBlend:
         self._offset: Vector | None = None
         self.last: Vector | None = None
 
+    def settle(self) -> None:
+        """Let the offset go at once; somebody else sees to the jump."""
+        self._offset = None
+
     def apply(self, law: object, torque: Vector) -> Vector:
         """
         Return the torque to command.

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
 
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
@@ -16,8 +16,8 @@ from multicontact_control.control.gate_kernels import (
     OUTSIDE,
     PULL,
     SIDEWAYS,
-    SUSPICION,
 )
+from multicontact_control.control.handover import Handover
 from multicontact_control.control.reactions import (
     DAMP,
     FLOAT,
@@ -26,63 +26,37 @@ from multicontact_control.control.reactions import (
     NONE,
     Reactions,
     SEVERITY,
-    TorqueBlend,
 )
 from multicontact_control.control.reference import TaskSource
+from multicontact_control.control.safe_behaviour import SafeBehaviour
 from multicontact_control.control.safety import TorqueGate
-from multicontact_control.control.watchdog import Believed, TickInputs, Watchdog
+from multicontact_control.control.supervisor_status import (
+    no_answer,
+    SupervisorOutput,
+    SupervisorStatus,
+)
+from multicontact_control.control.suspicion import suspicion_of
+from multicontact_control.control.tick_inputs import TickInputs
+from multicontact_control.control.watchdog import Believed, copy_numbers, finite_number, Watchdog
 from multicontact_control.dynamics.pose import Pose
 from multicontact_control.dynamics.robot import RobotModel
-from multicontact_control.force.kernels import DESIRED, REPORT_ROWS
+from multicontact_control.errors import ConfigError
+from multicontact_control.force.kernels import DESIRED
 import numpy as np
 
-BOX_EXCESS = 0.01  # m beyond the box, that the reference did not prevent
+__all__ = ['Supervisor', 'SupervisorOutput', 'SupervisorStatus']
+
 DOUBTS = 2  # samples in a row that contradict the contacts, for the wrench not to be believed
-
-
-class SupervisorStatus(NamedTuple):
-    """
-    What the supervisor did in a tick, and why.
-
-    Attributes
-    ----------
-    reaction
-        ``none``, ``inflate`` (R), or instead of the control law ``hold``, ``float``, ``damp``.
-    causes
-        What called for it.
-    rejected
-        What was wrong with readings, whether it called for a reaction or not.
-    limits
-        Limits that were enforced.
-    contact_states
-        State of each contact.
-    energy, energy_limit
-        Of each contact's passivity observer, shape (r,) [J].
-    task_time
-        Time of the task, which stands still during a reaction [s].
-
-    """
-
-    reaction: str
-    causes: tuple[str, ...]
-    rejected: tuple[str, ...]
-    limits: tuple[str, ...]
-    contact_states: tuple[str, ...]
-    energy: Vector
-    energy_limit: Vector
-    task_time: float
-
-
-class SupervisorOutput(NamedTuple):
-    """The answer to one tick: `output.torque` is finite and within limits, always."""
-
-    output: ControlOutput
-    status: SupervisorStatus
+LONGEST_SKIP = 0.1  # s; the task's time does not follow a clock that has been set
+FIXED = ('torque_limit', 'sensor', 'contacts', 'contact_state', 'limits', 'watchdog')
 
 
 class Supervisor:
     """
     Controller, contact states, watchdog, reactions and gate in one step that never raises.
+
+    The first command is the measured effort, or gravity compensation where there is none; from
+    there, and from one configuration to the next, the torque goes over as `transition` says.
 
     Parameters
     ----------
@@ -93,20 +67,31 @@ class Supervisor:
     task
         What to do.
 
+    Attributes
+    ----------
+    config
+        The configuration in force.
+    controller, reference
+        The control law, and what it is asked for.
+    expects_pushes
+        Whether somebody is about to push the tool, whose force no contact can explain.
+
     """
 
     def __init__(self, config: ControllerConfig, robot: RobotModel, task: TaskSource) -> None:
-        self.config = config
         self._robot = robot
         self.reference = ContactReference(config, task)
         self.controller = Controller(config, robot, self.reference)
         self._watchdog = Watchdog(config)
         self._gate = TorqueGate(config, robot.joint_count)
         self._reactions = Reactions(config.watchdog, robot, config.period)
-        self._blend = TorqueBlend(config.contact_state.blend_time, config.period)
+        self._handover = Handover(config)
+        self._safe = SafeBehaviour(config.safe_behaviour, robot)
+        self._adopt(config)
+        self.expects_pushes = False
         self._normals = np.array(
             [config.contacts[name].normal_world for name in config.contact_names])
-        self._suspicion = _suspicion(config)
+        self._suspicion = suspicion_of(config)
         self._view = ArmView(config.limits, robot.joint_count)
         self.reference.look_at(self._view)
         self.reference.make_in(self.controller.buffers)
@@ -129,29 +114,84 @@ class Supervisor:
         """
         return cls(config, RobotModel(config.robot, base_dir), task)
 
+    def _adopt(self, config: ControllerConfig) -> None:
+        """Set what follows from the values that may change while the arm is controlled."""
+        self.config = config
+        self._bias = np.array(config.tool.bias_sensor)
+        self._handover.adopt(config)
+        self._safe.config = config.safe_behaviour
+
+    def check(self, config: ControllerConfig) -> None:
+        """
+        Find out whether `reconfigure` would take a configuration.
+
+        Raises
+        ------
+        ConfigError
+            If not.
+
+        """
+        for name in FIXED:
+            if getattr(config, name) != getattr(self.config, name):
+                raise ConfigError(name, 'what it is while in use', 'another value')
+        self.controller.redesign(config)
+
+    def reconfigure(self, config: ControllerConfig) -> None:
+        """
+        Go on with another configuration from the next tick on.
+
+        Raises
+        ------
+        ConfigError
+            If that cannot be done; everything is as it was then.
+
+        """
+        self.check(config)
+        self.controller.reconfigure(config)
+        self.reference.retune(config)
+        self._adopt(config)
+        self.smooth()
+
+    def smooth(self) -> None:
+        """Let the next command be the last one again: what is asked for is about to jump."""
+        self._handover.smooth()
+
+    def stand_still(self, pose: Pose) -> Pose:
+        """Keep the contacts that are held; return the pose of a task that leaves the arm there."""
+        self.smooth()
+        return self.reference.stand_still(pose)
+
+    def go_on(self) -> None:
+        """Go on with the task after `stand_still`, from where the arm is."""
+        self.smooth()
+        self.reference.resume()
+
     def reset(self) -> None:
         """Forget everything measured; the next tick starts anew."""
-        self.controller.reset()
+        self._restart_law()
         self._watchdog.reset()
         self._gate.reset()
         self._reactions.end()
-        self._blend.reset()
+        self._handover.reset()
         self._arm: ArmView | None = None
-        self._output = _nothing(self._robot.joint_count, len(self.config.contact_names))
+        self._output = no_answer(self._robot.joint_count, len(self.config.contact_names))
         self._status: SupervisorStatus | None = None
-        self._task_ticks = 0
-        self._good_ticks = 0
-        self._paused = False
-        self._running = False
+        self._effort: Vector | None = None
+        self._time: float | None = None
+        self._is_safe = False
+
+    def _restart_law(self) -> None:
+        self.controller.reset()
+        self._task_ticks = self._good_ticks = self._doubts = 0
+        self._paused = self._running = False
         self._last_reaction = DAMP
-        self._doubts = 0
 
     def _warm_up(self) -> None:
         """Call everything compiled once: no tick is to wait for numba."""
         n, r = self._robot.joint_count, len(self.config.contact_names)
         nothing = np.zeros(n)
         self._view.see(self.controller.sense(nothing, nothing), nothing, nothing)
-        output = _nothing(n, r)
+        output = no_answer(n, r)
         doubt_answer(
             output.torque, output.contacts, output.alpha_meas, self.reference.state_codes,
             np.zeros(6), self._view.posture, self._normals, self._suspicion)
@@ -172,16 +212,79 @@ class Supervisor:
             one before gets the same answer again.
 
         """
+        return self._survive(self._step, inputs)
+
+    def safe_step(self, inputs: TickInputs) -> SupervisorOutput:
+        """
+        Answer one tick by the declared safe behaviour, reached without a jump.
+
+        The control law is forgotten: a later `step` starts it anew, from the torque that acts
+        then.
+        """
+        return self._survive(self._safe_step, inputs)
+
+    def _survive(
+        self, answer: Callable[[Believed], SupervisorOutput], inputs: TickInputs,
+    ) -> SupervisorOutput:
         try:
-            return self._step(inputs)
+            believed = self._judge(inputs)
+            if believed.repeated and self._status is not None:
+                return SupervisorOutput(self._output, self._status)
+            self._update_state(believed)
+            return answer(believed)
         except Exception as error:  # whatever it is, it must not stop the callback
             return self._last_resort(f'internal_{type(error).__name__}')
 
-    def _step(self, inputs: TickInputs) -> SupervisorOutput:
-        believed = self._watchdog.judge(inputs)
-        if believed.repeated and self._status is not None:
-            return SupervisorOutput(self._output, self._status)
-        self._update_state(believed)
+    def _judge(self, inputs: TickInputs) -> Believed:
+        """Return what is believed; take note of the time, and of the effort to start from."""
+        now, before = finite_number(inputs.time), self._time
+        skipped = 0.0 if now is None or before is None else now - before - self.config.period
+        if self._running and not self._paused and 0.0 < skipped <= LONGEST_SKIP:
+            self._task_ticks += round(skipped / self.config.period)
+        self._time = now
+        if not self._handover.begun and inputs.joints is not None:
+            self._effort = np.zeros(self._robot.joint_count)
+            if not copy_numbers(inputs.joints.effort, self._effort) or not (
+                    np.isfinite(self._effort).all()):
+                self._effort = None
+        if not inputs.sensor_fault:
+            return self._watchdog.judge(inputs)
+        believed = self._watchdog.judge(inputs._replace(wrench=None))
+        fault = f'wrench_{inputs.sensor_fault}'
+        return believed._replace(rejected=(*believed.rejected, fault), causes=tuple(
+            fault if cause == 'wrench_stale' else cause for cause in believed.causes))
+
+    def _safe_step(self, believed: Believed) -> SupervisorOutput:
+        arm = self._arm
+        if not self._is_safe:
+            self._restart_law()
+            self._safe.start()
+            self._handover.begin(self._held)
+        self._is_safe = True
+        if arm is None or believed.blind:
+            return self._react(believed.causes or ('joints_stale',), believed.rejected,
+                               DAMP if arm is None else FLOAT)
+        torque = self._safe.torque(arm.q, arm.velocity)
+        return self._finish(self._idle_output(torque), 'safe', believed.causes,
+                            believed.rejected, NONE, ())
+
+    def _held(self) -> Vector:
+        """Return the torque that acts before any command, shape (n,) [N m]."""
+        if self._effort is not None:
+            return self._effort
+        arm = self._arm
+        if arm is None:
+            return np.zeros(self._robot.joint_count)
+        return self._robot.update(arm.q, np.zeros_like(arm.velocity)).gravity
+
+    def _idle_output(self, torque: Vector) -> ControlOutput:
+        """Return an answer of something else than the control law."""
+        contacts = self._output.contacts.copy()
+        contacts[DESIRED] = 0.0
+        return self._output._replace(
+            torque=torque, contacts=contacts, active=np.zeros_like(self._output.active))
+
+    def _step(self, believed: Believed) -> SupervisorOutput:
         causes = believed.causes
         if self._arm is not None and self._arm.too_fast:
             causes += self._arm.too_fast
@@ -232,14 +335,16 @@ class Supervisor:
                                self.config.watchdog.on_law_fault)
         doubts = doubt_answer(
             output.torque, output.contacts, output.alpha_meas, self.reference.state_codes,
-            believed.wrench, self._arm.posture, self._normals, self._suspicion)
+            believed.wrench - self._bias, self._arm.posture, self._normals, self._suspicion)
         if doubts & NOT_FINITE:
             return self._react(('law_not_finite',), believed.rejected,
                                self.config.watchdog.on_law_fault)
-        doubt = self._doubt(doubts)
+        doubt = '' if self.expects_pushes else self._doubt(doubts)
         if doubt:
             return self._react((doubt,), believed.rejected, self.config.watchdog.on_wrench_fault)
-        self._running, self._paused = True, False
+        if self._is_safe or not self._handover.begun:
+            self._handover.begin(self._held)
+        self._running, self._paused, self._is_safe = True, False, False
         self._reactions.end()
         self._task_ticks += 1
         if doubts & OUTSIDE:  # the contacts have led there; the reference leads back
@@ -265,11 +370,8 @@ class Supervisor:
             self._good_ticks = 0
         self._paused, self._last_reaction = True, reaction
         with np.errstate(all='ignore'):  # numbers that are none are for the gate to find
-            torque = self._reactions.torque(reaction, self._arm)
-            contacts = self._output.contacts.copy()
-            contacts[DESIRED] = 0.0
-            output = self._output._replace(
-                torque=torque, contacts=contacts, active=np.zeros_like(self._output.active))
+            output = self._idle_output(self._reactions.torque(reaction, self._arm))
+            self._handover.hurry(self._held)
             return self._finish(output, reaction, causes, rejected, reaction, ())
 
     def _finish(
@@ -277,10 +379,10 @@ class Supervisor:
         rejected: tuple[str, ...], reaction: str, limits: tuple[str, ...],
     ) -> SupervisorOutput:
         """Blend, pass the gate, report."""
-        blended = self._blend.apply(law, output.torque)
+        blended = self._handover.apply(law, output.torque)
         fallback = np.zeros_like(blended) if self._arm is None else self._arm.bias_torque
         gated = self._gate.apply(blended, fallback, self._arm)
-        self._blend.last = gated.torque
+        self._handover.commanded(gated.torque)
         self._output = ControlOutput(gated.torque, *output[1:])
         self._status = SupervisorStatus(
             reaction, causes, rejected, limits + gated.limits, self.reference.state_names,
@@ -295,25 +397,3 @@ class Supervisor:
 
     def _task_time(self) -> float:
         return self._task_ticks * self.config.period
-
-
-def _suspicion(config: ControllerConfig) -> Any:
-    """Return what speaks against an answer: one record of `SUSPICION`."""
-    suspicion = np.zeros(1, dtype=SUSPICION)
-    for name in ('pull_threshold', 'friction_bound', 'friction_offset'):
-        suspicion[name] = getattr(config.watchdog, name)
-    suspicion['inertia'] = config.tool.mass * config.watchdog.loss_acceleration
-    suspicion['weight'] = config.tool.mass * np.array(config.robot.gravity_world)
-    limits, everywhere = config.limits, np.full(3, np.inf)
-    suspicion['box'] = (
-        np.array(limits.workspace_lower or -everywhere) - BOX_EXCESS,
-        np.array(limits.workspace_upper or everywhere) + BOX_EXCESS)
-    return suspicion
-
-
-def _nothing(joints: int, contacts: int) -> ControlOutput:
-    """Return the answer before anything is known."""
-    pose = Pose(np.zeros(3), np.eye(3))
-    return ControlOutput(
-        torque=np.zeros(joints), contacts=np.zeros((len(REPORT_ROWS), contacts)),
-        active=np.zeros(contacts, dtype=bool), pose=pose, pose_des=pose)

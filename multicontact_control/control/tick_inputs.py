@@ -17,6 +17,8 @@ class JointInput(NamedTuple):
         Joint positions [rad] and velocities [rad/s].
     names
         Joint names in that order; None where the order is known.
+    effort
+        Measured joint torques [N m]; only the first ones count, to start from.
 
     """
 
@@ -24,6 +26,7 @@ class JointInput(NamedTuple):
     q: Any
     qd: Any
     names: Any = None
+    effort: Any = None
 
 
 class WrenchInput(NamedTuple):
@@ -50,6 +53,9 @@ class TickInputs(NamedTuple):
         Now, on the clock of the stamps [s].
     joints, wrench, variance
         The newest readings.
+    sensor_fault
+        What the wrist sensor's own monitor says is wrong, e.g. ``saturated``; then the wrench
+        counts as not received.
 
     """
 
@@ -57,3 +63,4 @@ class TickInputs(NamedTuple):
     joints: JointInput | None = None
     wrench: WrenchInput | None = None
     variance: VarianceInput | None = None
+    sensor_fault: str = ''

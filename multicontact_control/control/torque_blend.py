@@ -51,6 +51,10 @@ class TorqueBlend:
         """
         self._from = np.array(torque, dtype=float)
 
+    def cancel(self) -> None:
+        """Let whatever difference is left go at once; somebody else sees to the jump."""
+        self._from = self._difference = None
+
     def apply(self, torque: Vector) -> Vector:
         """
         Return what to command in this tick.

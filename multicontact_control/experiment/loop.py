@@ -9,8 +9,9 @@ import time
 from multicontact_control.arrays import Vector
 from multicontact_control.control.bumpless import BumplessController
 from multicontact_control.control.controller import ControlOutput, Measurement
-from multicontact_control.control.sensor.front_end import SensorFrontEnd
-from multicontact_control.control.supervisor import Supervisor, SupervisorStatus
+from multicontact_control.control.event_log import EventLog
+from multicontact_control.control.sensor.front_end import SensorFrontEnd, SensorReading
+from multicontact_control.control.supervisor import Supervisor
 from multicontact_control.control.watchdog import (
     JointInput,
     TickInputs,
@@ -72,8 +73,8 @@ def run_in_process(
     on_progress
         Called every 100 ticks with the time [s] and the measured forces [N].
     supervised
-        Whether contact states, watchdogs and limits are put around the controller, as the fault
-        campaign does. Without, it runs bare but for its start, as in the graph.
+        Whether contact states, watchdogs and limits are put around the control law. Without, it
+        runs bare but for its start.
 
     Returns
     -------
@@ -98,9 +99,9 @@ def run_in_process(
         sample = plant.reset()
         for k in range(setup.ticks):
             before = time.perf_counter_ns()
-            wrench = front_end.update(_wrench(setup, sample)).wrench_sensor
+            reading = front_end.update(_wrench(setup, sample))
             try:
-                output = step(k, sample, wrench, noise_variance)
+                output = step(k, sample, reading, noise_variance)
             except (SingularTaskError, ContactGeometryError, np.linalg.LinAlgError) as error:
                 ended_early, done = f'tick {k}: {error}', k
                 break
@@ -124,32 +125,7 @@ def run_in_process(
         wall_time=time.perf_counter() - start, ended_early=ended_early, events=tuple(log.events))
 
 
-Step = Callable[[int, Sample, Vector, Vector], ControlOutput]
-
-
-class EventLog:
-    """
-    Notes what changes in what a supervisor reports.
-
-    Attributes
-    ----------
-    events
-        Time [s] and what changed.
-
-    """
-
-    def __init__(self) -> None:
-        self.events: list[tuple[float, str]] = []
-        self._before: tuple[object, ...] = ()
-
-    def note(self, time: float, status: SupervisorStatus) -> None:
-        """Take in the status of one tick."""
-        now = (status.reaction, status.causes, status.limits, status.contact_states)
-        if now != self._before:
-            self._before = now
-            self.events.append((time, ' | '.join([
-                status.reaction, ' '.join(status.causes + status.limits),
-                ', '.join(status.contact_states)])))
+Step = Callable[[int, Sample, SensorReading, Vector], ControlOutput]
 
 
 def _stepper(setup: Setup, supervised: bool) -> tuple[Step, EventLog]:
@@ -158,12 +134,16 @@ def _stepper(setup: Setup, supervised: bool) -> tuple[Step, EventLog]:
     h = config.period
     if not supervised:
         controller = BumplessController.from_config(config, setup.reference(), setup.urdf_dir)
-        return lambda k, sample, wrench, variance: controller.step(
-            Measurement(k * h, sample.q, sample.qd, wrench, sample.effort), variance), log
+        return lambda k, sample, reading, variance: controller.step(
+            Measurement(k * h, sample.q, sample.qd, reading.wrench_sensor, sample.effort),
+            variance), log
     supervisor = Supervisor.from_config(config, setup.reference(), setup.urdf_dir)
 
-    def step(k: int, sample: Sample, wrench: Vector, variance: Vector) -> ControlOutput:
-        result = supervisor.step(inputs_of(setup, k, sample, wrench, variance))
+    def step(
+        k: int, sample: Sample, reading: SensorReading, variance: Vector,
+    ) -> ControlOutput:
+        result = supervisor.step(inputs_of(
+            setup, k, sample, reading.wrench_sensor, variance, reading.health.fault))
         log.note(k * h, result.status)
         return result.output
 
@@ -172,13 +152,14 @@ def _stepper(setup: Setup, supervised: bool) -> tuple[Step, EventLog]:
 
 def inputs_of(
     setup: Setup, k: int, sample: Sample, wrench: Vector, variance: Vector,
+    sensor_fault: str = '',
 ) -> TickInputs:
     """Return what is known at tick k if all is well: its sample, and the R of the tick before."""
     h = setup.controller.period
     return TickInputs(
-        time=k * h, joints=JointInput(k * h, sample.q, sample.qd),
+        time=k * h, joints=JointInput(k * h, sample.q, sample.qd, effort=sample.effort),
         wrench=WrenchInput(k * h, wrench),
-        variance=VarianceInput((k - 1) * h, variance))
+        variance=VarianceInput((k - 1) * h, variance) if k else None, sensor_fault=sensor_fault)
 
 
 def _wrench(setup: Setup, sample: Sample) -> Vector:

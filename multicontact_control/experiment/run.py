@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +20,14 @@ from multicontact_control.experiment.scenario import Setup
 from rich.console import Console
 
 FIGURE_FOLDER = 'figures'
+# Periods: a robot moves on while its samples are late, the simulated one has stood still, and a
+# busy machine is no fault of its sensors.
+SIMULATION_PATIENCE = 25.0
 
 
-def run_simulate(setup: Setup, folder: Path, console: Console | None = None) -> dict[str, Any]:
+def run_simulate(
+    setup: Setup, folder: Path, *, supervised: bool = True, console: Console | None = None,
+) -> dict[str, Any]:
     """
     Run a scenario in this process and leave its results in a folder.
 
@@ -32,6 +37,8 @@ def run_simulate(setup: Setup, folder: Path, console: Console | None = None) -> 
         The run.
     folder
         Where the series, ``summary.json``, the figures and the configuration go.
+    supervised
+        Whether contact states, watchdogs and limits are around the control law.
     console
         Where progress and the table are shown.
 
@@ -46,7 +53,7 @@ def run_simulate(setup: Setup, folder: Path, console: Console | None = None) -> 
     with progress_bar(f'simulate {setup.scenario.name}', setup.scenario.duration,
                       console) as show:
         result = run_in_process(setup, lambda time, alpha: show(
-            time, dict(zip(setup.controller.contact_names, alpha))))
+            time, dict(zip(setup.controller.contact_names, alpha))), supervised=supervised)
         show(setup.scenario.duration, {})
     if not result.data.ticks:
         raise RunError(f'the run ended at once: {result.ended_early}')
@@ -56,13 +63,14 @@ def run_simulate(setup: Setup, folder: Path, console: Console | None = None) -> 
         'latency_us': None,
         'realtime_factor': result.data.ticks / result.data.rate / result.wall_time}
     summary = summarise(result.data, setup, mode='in_process', timing=timing,
-                        ended_early=result.ended_early)
+                        ended_early=result.ended_early) | supervision(
+                            supervised, result.events, result.data)
     return _finish(result.data, setup, folder, summary, console)
 
 
 def run_real_time(
     setup: Setup, folder: Path, *, lockstep: bool = False, domain_id: int | None = None,
-    namespace: str = '', console: Console | None = None,
+    namespace: str = '', supervised: bool = True, console: Console | None = None,
 ) -> tuple[dict[str, Any], int | None]:
     """
     Run a scenario on the ROS 2 graph, record it, and leave its results in a folder.
@@ -79,6 +87,8 @@ def run_real_time(
         ROS_DOMAIN_ID of the graph.
     namespace
         Namespace of the graph.
+    supervised
+        Whether contact states, watchdogs and limits are around the control law.
     console
         Where progress and the table are shown.
 
@@ -104,7 +114,8 @@ def run_real_time(
     spec = GraphSpec(
         out=folder, ticks=setup.ticks, rate=setup.controller.rate, lockstep=lockstep,
         seed=setup.seed, reference_file=config / 'reference.yaml', domain_id=domain_id,
-        namespace=namespace, parameter_files={
+        namespace=namespace, extra_parameters={'controller_node': {
+            'supervised': supervised, 'patience': SIMULATION_PATIENCE}}, parameter_files={
             'controller_node': config / 'controller.yaml', 'sim_node': config / 'plant.yaml',
             'noise_estimator_node': config / 'noise_estimator.yaml'})
     with progress_bar(f'run {setup.scenario.name}', setup.scenario.duration, console) as show:
@@ -123,7 +134,20 @@ def run_real_time(
         timing=graph_timing(result.timing, content),
         ended_early='' if result.interrupted is None else 'interrupted by a signal')
     summary['ros_domain_id'] = result.domain_id
+    events = result.timing.get('controller_node', {}).get('events', [])
+    summary |= supervision(supervised, events, content.data)
     return _finish(content.data, setup, folder, summary, console), result.interrupted
+
+
+def supervision(
+    supervised: bool, events: Sequence[tuple[float, str]], data: RunData,
+) -> dict[str, Any]:
+    """Return what ``summary.json`` says of the supervisor: what it did in the run, not after."""
+    if not supervised:
+        return {'supervised': False}
+    return {'supervised': True, 'events': [
+        {'time_s': round(time, 6), 'what': what} for time, what in events
+        if time < data.ticks / data.rate]}
 
 
 def graph_timing(

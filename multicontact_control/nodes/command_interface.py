@@ -6,10 +6,10 @@ from collections.abc import Callable
 import contextlib
 from typing import Any
 
-from multicontact_control.control.sensor.tare import TareConfig
 from multicontact_control.errors import MulticontactError
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.control_session import ControlSession
+from multicontact_control.nodes.controller_config import ControllerNodeConfig
 from multicontact_control.nodes.graph_node import create_subscription, Refusals
 from rclpy.node import Node
 from rclpy.subscription import Subscription
@@ -41,7 +41,7 @@ class CommandInterface:
         self._session = session
         self._refusals = refusals
         self._set_bias = set_bias
-        self.tare_config = TareConfig()
+        self._config = ControllerNodeConfig()
         self.subscriptions: dict[topics.Topic, Subscription] = {
             topics.FORCE_COMMAND: create_subscription(
                 node, topics.FORCE_COMMAND, self._on_forces),
@@ -49,7 +49,12 @@ class CommandInterface:
                 node, topics.MOTION_COMMAND, self._on_motion)}
         self._services = [
             node.create_service(Trigger, '~/tare', self._on_tare),
-            node.create_service(SetBool, '~/hold', self._on_hold)]
+            node.create_service(SetBool, '~/hold', self._on_hold),
+            node.create_service(Trigger, '~/push_test', self._on_push_test)]
+
+    def adopt(self, config: ControllerNodeConfig) -> None:
+        """Tare and test as a configuration says."""
+        self._config = config
 
     def close(self) -> None:
         """Free the topics and services."""
@@ -70,7 +75,7 @@ class CommandInterface:
     def _on_tare(self, _request: Any, response: Any) -> Any:
         response.success = False
         with self._told(response, '~/tare'):
-            bias = self._session.tare(self.tare_config)
+            bias = self._session.tare(self._config.tare)
             self._set_bias(bias.tolist())
             response.success = True
             response.message = 'bias [N, N m]: ' + ', '.join(f'{x:.4g}' for x in bias)
@@ -82,6 +87,14 @@ class CommandInterface:
             self._session.hold(request.data)
             response.success = True
             response.message = 'held' if request.data else 'released'
+        return response
+
+    def _on_push_test(self, _request: Any, response: Any) -> Any:
+        response.success = False
+        with self._told(response, '~/push_test'):
+            response.message = self._session.push_test(
+                self._config.push_test, self._config.push_point_sensor)
+            response.success = True
         return response
 
     @contextlib.contextmanager

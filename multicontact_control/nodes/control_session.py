@@ -2,21 +2,32 @@
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from pathlib import Path
 
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.control.bumpless import BumplessController
-from multicontact_control.control.command_limits import CommandLimits
+from multicontact_control.control.command_limits import check_position, CommandLimits
 from multicontact_control.control.controller import ControlOutput, Measurement
-from multicontact_control.control.holdable_reference import HoldableReference
-from multicontact_control.control.reference import CommandedReference, ReferenceSource
+from multicontact_control.control.event_log import EventLog
+from multicontact_control.control.holdable_reference import HeldSource, HoldableReference
+from multicontact_control.control.reference import CommandedReference
 from multicontact_control.control.sensor.front_end import SensorFrontEnd
+from multicontact_control.control.sensor.push_config import PushTestConfig
+from multicontact_control.control.sensor.push_gate import PushGate
 from multicontact_control.control.sensor.tare import tare_bias, TareConfig
+from multicontact_control.control.supervisor import Supervisor, SupervisorStatus
+from multicontact_control.control.watchdog import (
+    JointInput,
+    TickInputs,
+    VarianceInput,
+    WrenchInput,
+)
 from multicontact_control.errors import CommandError
-from multicontact_control.nodes.messages import MotionReading
+from multicontact_control.nodes.messages import JointReading, MotionReading, WrenchReading
 from multicontact_control.nodes.pairing import PairedSample
+from multicontact_control.nodes.sample_clock import SampleClock
 import numpy as np
 
 TARE_READINGS = 100
@@ -36,13 +47,25 @@ class ControlSession:
         Of those commands.
     base_dir
         Folder that relative paths start from.
+    supervised
+        Whether contact states, watchdogs and limits are around the control law.
 
     Attributes
     ----------
     output
-        The answer to the newest sample, None before the first.
+        The answer to the newest sample, None before the first and in the safe behaviour.
+    status
+        What the supervisor says of that, None without one.
+    events, reactions, rejected, limited
+        What the supervisor did since the last restart, and in how many ticks.
+    safe
+        Whether samples are answered by the declared safe behaviour.
+    push_gate
+        What allows force control.
     first_stamp, last_stamp
         Of the first and the newest sample [ns], -1 before the first.
+    sensor_fault
+        What is wrong with the newest wrench, empty if nothing is.
     variance, variance_stamp
         R [N^2] and its stamp [ns], -1 before the first.
     tick
@@ -53,14 +76,26 @@ class ControlSession:
     """
 
     def __init__(
-        self, config: ControllerConfig, scenario: ReferenceSource | None,
-        limits: CommandLimits, base_dir: Path,
+        self, config: ControllerConfig, scenario: HeldSource | None, limits: CommandLimits,
+        base_dir: Path, *, supervised: bool = True,
     ) -> None:
         self.limits = limits
         self._commanded = CommandedReference(config.contact_names) if scenario is None else None
-        self._reference = HoldableReference(scenario or self._commanded)  # type: ignore[arg-type]
-        self.controller = BumplessController.from_config(config, self._reference, base_dir)
+        self._reference = HoldableReference(
+            scenario or self._commanded,  # type: ignore[arg-type]
+            locked=config.sensor.require_push_test)
+        self.supervisor: Supervisor | None = None
+        self.controller: BumplessController | Supervisor
+        if supervised:
+            self.controller = self.supervisor = Supervisor.from_config(
+                config, self._reference, base_dir)
+        else:
+            self.controller = BumplessController.from_config(config, self._reference, base_dir)
         self._front_end = SensorFrontEnd(config.sensor, config.rate)
+        self.push_gate = PushGate(
+            required=config.sensor.require_push_test, robot=self.controller.controller.robot,
+            gravity_world=np.array(config.robot.gravity_world), rate=config.rate)
+        self._clock = SampleClock(config.period)
         self.restart()
 
     @property
@@ -77,7 +112,16 @@ class ControlSession:
         """Forget the past: the next sample is the first."""
         self.controller.reset()
         self._front_end.reset()
+        self._clock.reset()
+        self.push_gate.restart()
+        self._trust()
         self.output: ControlOutput | None = None
+        self.status: SupervisorStatus | None = None
+        self.events = EventLog()
+        self.reactions: Counter[str] = Counter()
+        self.rejected: Counter[str] = Counter()
+        self.limited: Counter[str] = Counter()
+        self.safe = False
         self.first_stamp = self.last_stamp = self.variance_stamp = -1
         self.skipped = 0
         self.tick = 0
@@ -85,37 +129,142 @@ class ControlSession:
         self._readings: deque[Vector] = deque(maxlen=TARE_READINGS)
         self.variance: Vector = np.full(
             len(self.config.contact_names), self.config.initial_noise_variance)
+        self._joints: JointInput | None = None
+        self._wrench: WrenchInput | None = None
+        self._variance: VarianceInput | None = None
+        self.sensor_fault = ''
+        self._missed = 0
 
-    def step(self, sample: PairedSample) -> ControlOutput:
+    def take_variance(self, stamp: int, variance: Vector) -> None:
+        """Use an R [N^2] from the next sample on; its stamp is that of a sample [ns]."""
+        self.variance_stamp, self.variance = stamp, variance
+        self._variance = VarianceInput(self._clock.time_of(stamp), variance)
+
+    def step(self, sample: PairedSample) -> Vector:
         """
         Answer a sample.
+
+        Returns
+        -------
+        Vector
+            The torque to command [N m].
 
         Raises
         ------
         MulticontactError
-            If that is not possible in this posture; the sample counts as seen.
+            Without supervisor, if that is not possible in this posture; the sample counts as
+            seen.
 
         """
-        measurement = self._take(sample)
-        self.output = self.controller.step(measurement, self.variance)
-        return self.output
-
-    def safe_step(self, sample: PairedSample) -> Vector:
-        """Answer a sample by the declared safe behaviour; return the torque [N m]."""
-        self.output = None
-        return self.controller.safe_step(self._take(sample))
-
-    def _take(self, sample: PairedSample) -> Measurement:
-        if self.first_stamp < 0:
-            self.first_stamp = sample.stamp
-        tick = round((sample.stamp - self.first_stamp) * 1e-9 * self.config.rate)
-        self.skipped += max(0, tick - self.tick - 1)
-        self.tick, self.last_stamp = tick, sample.stamp
-        self._readings.append(sample.wrench_sensor)
-        wrench = self._front_end.update(sample.wrench_sensor).wrench_sensor
+        time = self._begin_tick(sample.stamp)
+        self._take_wrench(time, sample.wrench_sensor)
+        self._joints = JointInput(time, sample.q, sample.qd, effort=sample.effort)
         self._newest = Measurement(
-            tick * self.config.period, sample.q, sample.qd, wrench, sample.effort)
-        return self._newest
+            self.tick * self.config.period, sample.q, sample.qd, self._filtered, sample.effort)
+        if self.supervisor is not None:
+            torque = self._supervise(self.supervisor, time)
+        else:
+            torque = self._control(self.controller, self._newest)  # type: ignore[arg-type]
+        self._push(sample)
+        return torque
+
+    def step_half(self, reading: JointReading | WrenchReading) -> Vector:
+        """Answer a sample of which one half did not come; only with a supervisor."""
+        time = self._begin_tick(reading.stamp)
+        if isinstance(reading, JointReading):
+            self._joints = JointInput(time, reading.q, reading.qd)
+        else:
+            self._take_wrench(time, reading.wrench_sensor)
+        return self._supervise(self._required_supervisor(), time)
+
+    def step_without(self, periods: int) -> Vector:
+        """Command something although nothing came for some periods; only with a supervisor."""
+        self._missed += periods
+        return self._supervise(self._required_supervisor(), self._clock.count_on(periods))
+
+    @property
+    def expected_stamp(self) -> int:
+        """Stamp of the newest sample, or of the one that should have come by now [ns]."""
+        return self.last_stamp + round(self._missed * self.config.period * 1e9)
+
+    def _begin_tick(self, stamp: int) -> float:
+        if self.first_stamp < 0:
+            self.first_stamp = stamp
+        tick = round((stamp - self.first_stamp) * 1e-9 * self.config.rate)
+        self.skipped += max(0, tick - self.tick - 1)
+        self._missed = 0
+        self.tick, self.last_stamp = tick, stamp
+        return self._clock.take(stamp)
+
+    def _take_wrench(self, time: float, wrench: Vector) -> None:
+        self._readings.append(wrench)
+        reading = self._front_end.update(wrench)
+        self._filtered = reading.wrench_sensor
+        self.sensor_fault = reading.health.fault
+        self._wrench = WrenchInput(time, self._filtered)
+
+    def _required_supervisor(self) -> Supervisor:
+        if self.supervisor is None:
+            raise CommandError('supervised', 'true, to go on without a sample', 'false')
+        return self.supervisor
+
+    def _supervise(self, supervisor: Supervisor, time: float) -> Vector:
+        inputs = TickInputs(
+            time, self._joints, self._wrench, self._variance, self.sensor_fault)
+        result = supervisor.safe_step(inputs) if self.safe else supervisor.step(inputs)
+        status = result.status
+        self.output, self.status = None if self.safe else result.output, status
+        self.events.note(self._clock.now, status)
+        self.reactions[status.reaction] += 1
+        if status.rejected:
+            self.rejected.update(status.rejected)
+        if status.limits:
+            self.limited.update(status.limits)
+        return result.output.torque
+
+    def _control(self, controller: BumplessController, measurement: Measurement) -> Vector:
+        if self.safe:
+            self.output = None
+            return controller.safe_step(measurement)
+        self.output = controller.step(measurement, self.variance)
+        return self.output.torque
+
+    def _push(self, sample: PairedSample) -> None:
+        """Lead on with a push test, if there is one, and obey its verdict."""
+        if self.push_gate.running and not self.safe and self.push_gate.update(
+                sample.q, sample.qd, sample.wrench_sensor, self.config.tool):
+            if self.push_gate.open:
+                self._reference.unlock()
+                self.controller.go_on()
+            self._trust()
+
+    def _trust(self) -> None:
+        """Let the wrench be doubted again, or not, as the reference has come to be."""
+        if self.supervisor is not None:
+            self.supervisor.expects_pushes = self._reference.locked
+
+    def push_test(self, config: PushTestConfig, point_sensor: tuple[float, ...]) -> str:
+        """
+        Begin a push test; the arm stays where it is meanwhile.
+
+        Returns
+        -------
+        str
+            What the user should do now.
+
+        Raises
+        ------
+        CommandError
+            If forces are being controlled.
+
+        """
+        if self.output is not None and self.output.active.any():
+            raise CommandError('contacts', 'none under force control for a push test', 'some')
+        self.push_gate.start(config, point_sensor)
+        pose = self.output.pose if self.output is not None else None
+        self._reference.lock(None if pose is None else self.controller.stand_still(pose))
+        self._trust()
+        return self.push_gate.instruction
 
     def set_forces(self, forces: dict[str, float]) -> None:
         """
@@ -133,7 +282,7 @@ class ControlSession:
 
     def set_motion(self, motion: MotionReading) -> None:
         """
-        Obey a commanded motion.
+        Obey a commanded motion, as far as it is not along a contact that is sought or held.
 
         Raises
         ------
@@ -142,9 +291,11 @@ class ControlSession:
 
         """
         reference = self._commandable()
-        self.limits.check_position(motion.position_world)
+        check_position(motion.position_world, self.config.limits)
+        normals = np.zeros((0, 3)) if self.supervisor is None else (
+            self.supervisor.reference.sought_normals())
         reference.set_motion(motion.position_world, motion.quaternion_xyzw, motion.twist_world,
-                             motion.acceleration_world)
+                             motion.acceleration_world, normals)
 
     def _commandable(self) -> CommandedReference:
         if self._commanded is None:
@@ -157,6 +308,9 @@ class ControlSession:
     def _running(self) -> ControlOutput:
         if self.output is None:
             raise CommandError('controller', 'active, with samples coming', 'not so')
+        if self._reference.locked:
+            raise CommandError('~/push_test', 'passed, to obey commands',
+                               f"'{self.push_gate.instruction}'")
         return self.output
 
     def hold(self, wanted: bool) -> None:
@@ -171,10 +325,10 @@ class ControlSession:
         """
         output = self._running()
         if wanted:
-            self._reference.hold(output.pose)
-        else:
+            self._reference.hold(self.controller.stand_still(output.pose), output.active)
+        elif self.held:
             self._reference.release()
-        self.controller.smooth()
+            self.controller.go_on()
 
     def tare(self, config: TareConfig) -> Vector:
         """

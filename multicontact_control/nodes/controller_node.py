@@ -4,21 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 import contextlib
-from pathlib import Path
 import sys
 import time
 from typing import Any
 
-from multicontact_control.config import ControllerConfig, parameter, read_yaml, Real, validate
-from multicontact_control.control.command_limits import CommandLimits
-from multicontact_control.control.controller import ControlOutput
-from multicontact_control.control.reference import ReferenceConfig, ScenarioReference
-from multicontact_control.control.sensor.tare import TareConfig
+from multicontact_control.arrays import Vector
+from multicontact_control.config import ControllerConfig
 from multicontact_control.errors import MulticontactError
-from multicontact_control.nodes import messages, topics
+from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.nodes.command_interface import CommandInterface
 from multicontact_control.nodes.contact_markers import ContactMarkers
 from multicontact_control.nodes.control_session import ControlSession
+from multicontact_control.nodes.controller_config import ControllerNodeConfig
+from multicontact_control.nodes.controller_status import (
+    contact_status,
+    sensor_status,
+    SupervisorReport,
+)
 from multicontact_control.nodes.diagnostics import input_status, message_status, Status
 from multicontact_control.nodes.effort_output import EffortOutput
 from multicontact_control.nodes.graph_node import (
@@ -26,39 +28,19 @@ from multicontact_control.nodes.graph_node import (
     create_subscription,
     StartupGate,
 )
-from multicontact_control.nodes.loop_watch import Freshness, LoopWatch
-from multicontact_control.nodes.managed_node import ACTIVE, ManagedConfig, ManagedNode
+from multicontact_control.nodes.loop_watch import Freshness, LoopWatch, NANOSECONDS
+from multicontact_control.nodes.managed_node import ACTIVE, ManagedNode
 from multicontact_control.nodes.pairing import PairedSample, SamplePairing
-from multicontact_control.nodes.runtime import run_node
+from multicontact_control.nodes.patience import Patience
+from multicontact_control.nodes.runtime import run_node, Spinner
+from multicontact_control.nodes.state_output import StateOutput, WORLD_FRAME
 from multicontact_control.nodes.timing import DurationLog, write_json
-from multicontact_control.paths import config_dir
 import numpy as np
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 
-WORLD_FRAME = 'world'
 STALE_PERIODS = 25
-
-
-class ControllerNodeConfig(ManagedConfig):
-    """What only the node needs to know, not the controller in it."""
-
-    lockstep: bool = parameter(
-        False, 'Whether to wait for the noise variance of one sample before answering the next.')
-    reference_file: str = parameter(
-        '', 'YAML file of a scenario or its reference; empty to obey the command topics.')
-    base_dir: str = parameter(
-        '', 'Folder that relative paths start from; empty for that of the parameter file.')
-    effort_output_topic: str = parameter(
-        '', 'Topic for the bare efforts (std_msgs/Float64MultiArray) that the forward '
-        'controllers of ros2_control take; empty for none.')
-    marker_rate: Real = parameter(
-        25.0, 'Contact markers per second; 0 for none.', unit='Hz', ge=0.0)
-    marker_scale: Real = parameter(
-        0.01, 'Length of the arrow of a contact force.', unit='m/N', gt=0.0)
-    command: CommandLimits = CommandLimits()
-    tare: TareConfig = TareConfig()
 
 
 class ControllerNode(ManagedNode):
@@ -66,9 +48,14 @@ class ControllerNode(ManagedNode):
     Pairs samples, steps the controller, publishes what it answers.
 
     Without lockstep the newest noise variance is used, however old: if the estimator has died,
-    its last word is held, and diagnostics say so. A sample that comes again gets the same
-    command again; one that is older than the last starts everything anew. After a deactivation
-    samples are answered by the declared safe behaviour.
+    its last word is held, by a supervisor inflated, and diagnostics say so. A sample that comes
+    again gets the same command again. After a deactivation samples are answered by the declared
+    safe behaviour.
+
+    With a supervisor, commands go on when samples do not come: see `Patience` and `SampleClock`.
+    A single sample that is older than the last is refused then; two in a row say that their clock
+    has been set back, which the supervisor reacts to. Without one, and in lockstep, an older
+    sample starts everything anew.
     """
 
     def __init__(self) -> None:
@@ -76,7 +63,8 @@ class ControllerNode(ManagedNode):
         self._session: ControlSession | None = None
         self._commands: CommandInterface | None = None
         self._effort_output: EffortOutput | None = None
-        self._markers: ContactMarkers | None = None
+        self._state_output: StateOutput | None = None
+        self._report: SupervisorReport | None = None
         self._outputs: dict[topics.Topic, Publisher] = {}
         self._inputs: dict[topics.Topic, Subscription] = {}
         self._node_config = ControllerNodeConfig()
@@ -85,48 +73,49 @@ class ControllerNode(ManagedNode):
         self._step_times = DurationLog()
         self._restarts = 0
         self._waiting: PairedSample | None = None
-        self._received = 0
+        self._older_stamp: int | None = None
+        self._patience = Patience(0.0, 1.0)
+        self._heard = self._received = 0
+        self._instruction = ''
         self._last_command: JointState | None = None
-        self._is_safe = False
 
     def configure(self, configurations: Sequence[Any]) -> None:
         """Build the controller and its ends of the topics."""
         config: ControllerConfig
         config, self._node_config = configurations
-        base_dir = parameter_folder(self._node_config.base_dir)
+        node_config = self._node_config
         session = ControlSession(
-            config, self._scenario(config, base_dir), self._node_config.command, base_dir)
+            config, node_config.scenario(config), node_config.command, node_config.folder,
+            supervised=node_config.supervised)
         warm_up(session)
         self._session, self._watch = session, LoopWatch(config.rate)
+        self._report = SupervisorReport(session)
+        self._set_patience(config)
         self._outputs = {
             topic: create_publisher(self, topic)
             for topic in topics.published_by(topics.CONTROLLER)}
         self._effort_output = EffortOutput(
-            self, self._outputs[topics.EFFORT_COMMAND], self._node_config.effort_output_topic)
-        self._markers = ContactMarkers(
-            config, rate=self._node_config.marker_rate, scale=self._node_config.marker_scale)
+            self, self._outputs[topics.EFFORT_COMMAND], node_config.effort_output_topic)
+        self._state_output = StateOutput(config, self._outputs, ContactMarkers(
+            config, rate=node_config.marker_rate, scale=node_config.marker_scale))
         self._wrench = topics.WRENCH if config.wrench_input == 'raw' else topics.WRENCH_FILTERED
         callbacks: dict[topics.Topic, Callable[[Any], None]] = {
             topics.NOISE_VARIANCE: self._on_noise_variance, self._wrench: self._on_wrench,
             topics.JOINT_STATES: self._on_joint_states}
+        profile = qos.INPUT if node_config.lockstep else qos.NEWEST
         self._inputs = {
-            topic: create_subscription(self, topic, callback)
+            topic: create_subscription(self, topic, callback, profile)
             for topic, callback in callbacks.items()}
         self._commands = CommandInterface(
             self, session, self.refusals,
             lambda bias: self.parameter_set.assign('tool.bias_sensor', bias))
-        self._commands.tare_config = self._node_config.tare
+        self._commands.adopt(node_config)
         self._forget()
 
-    def _scenario(self, config: ControllerConfig, base_dir: Path) -> ScenarioReference | None:
-        if not self._node_config.reference_file:
-            return None
-        path = base_dir / self._node_config.reference_file
-        values = read_yaml(path)
-        # A scenario file holds more than its reference.
-        reference = validate(ReferenceConfig, values.get('reference', values), str(path))
-        return ScenarioReference(
-            reference, rate=config.rate, contact_names=config.contact_names)
+    def _set_patience(self, config: ControllerConfig) -> None:
+        waits = self._node_config.supervised and not self._node_config.lockstep
+        self._patience = Patience(
+            self._node_config.patience if waits else 0.0, config.period * NANOSECONDS)
 
     def activate(self) -> StartupGate:
         """Start with the next sample, as if there had been none."""
@@ -141,7 +130,7 @@ class ControllerNode(ManagedNode):
 
     def deactivate(self) -> None:
         """Go over to the safe behaviour."""
-        self._is_safe, self._last_command = True, None
+        self._configured.safe, self._last_command = True, None
         kind = self._configured.config.safe_behaviour.kind.replace('_', ' ')
         self.get_logger().info(f'deactivated: commanding {kind} from the next sample on')
 
@@ -155,9 +144,10 @@ class ControllerNode(ManagedNode):
             self.destroy_publisher(publisher)
         for subscription in self._inputs.values():
             self.destroy_subscription(subscription)
-        self._session = self._commands = self._effort_output = self._markers = None
+        self._session = self._commands = self._effort_output = None
+        self._state_output = self._report = None
+        self._patience.stop()
         self._outputs, self._inputs = {}, {}
-        self._is_safe = False
 
     def check(self, configurations: Sequence[Any]) -> None:
         """Raise if the controller cannot go on with new configurations."""
@@ -168,6 +158,8 @@ class ControllerNode(ManagedNode):
         session = self._configured
         config, self._node_config = configurations
         session.limits = self._node_config.command
+        if self._commands is not None:
+            self._commands.adopt(self._node_config)
         if config != session.config:
             session.controller.reconfigure(config)
 
@@ -181,29 +173,34 @@ class ControllerNode(ManagedNode):
         """Write the counts of this run, if asked to."""
         path = self._node_config.timing_path
         if path is not None:
+            events = self._session.events.events if self._session is not None else []
             write_json(path, {
                 'steps': self._step_times.count, 'tick_us': self._step_times.percentiles(),
                 'refused': dict(self.refusals.counts), 'unpaired': self._pairing.unpaired,
-                'restarts': self._restarts})
+                'restarts': self._restarts, 'events': events})
 
     def _forget(self) -> None:
-        self._last_command = None
-        self._is_safe = False
+        self._last_command = self._older_stamp = None
+        self._patience.stop()
         if not self._node_config.lockstep:
             self._waiting = None  # it may be old; in lockstep nothing is
         self._fresh.expect(*(topic.name for topic in self._inputs))
+
+    def _hear(self, topic: topics.Topic) -> int:
+        self._heard += 1
+        return self._fresh.note(topic.name)
 
     def _on_joint_states(self, message: Any) -> None:
         session = self._session
         if session is None:
             return
-        self._received = self._fresh.note(topics.JOINT_STATES.name)
+        self._received = self._hear(topics.JOINT_STATES)
         with self.refusals.guard(topics.JOINT_STATES):
             self._take(self._pairing.add_joints(messages.read_joint_state(
                 message, session.config.robot.joint_names, with_effort=session.first_stamp < 0)))
 
     def _on_wrench(self, message: Any) -> None:
-        self._received = self._fresh.note(self._wrench.name)
+        self._received = self._hear(self._wrench)
         with self.refusals.guard(self._wrench):
             self._take(self._pairing.add_wrench(messages.read_wrench(message)))
 
@@ -219,7 +216,7 @@ class ControllerNode(ManagedNode):
                     'effort', 'variances above 0', reading.values.tolist())
             if reading.stamp > session.last_stamp:
                 return  # left over from before a restart
-            session.variance_stamp, session.variance = reading.stamp, reading.values
+            session.take_variance(reading.stamp, reading.values)
             self._answer()
 
     def _take(self, sample: PairedSample | None) -> None:
@@ -231,78 +228,117 @@ class ControllerNode(ManagedNode):
     def _answer(self) -> None:
         """Answer the sample that waits, unless something it needs is not there yet."""
         sample, session = self._waiting, self._session
-        if sample is None or session is None or not (self.working or self._is_safe):
+        if sample is None or session is None or not (self.working or session.safe):
             return
         if sample.stamp == session.last_stamp:
             self._waiting = None
             if self._last_command is not None:
                 self._send(self._last_command)
             return
-        if sample.stamp < session.last_stamp:
+        if sample.stamp < session.last_stamp and not self._start_anew(session, sample.stamp):
+            self._waiting = None
+            return
+        if self._node_config.lockstep and not session.safe and (
+                session.variance_stamp != session.last_stamp):
+            return
+        self._waiting = self._older_stamp = None
+        self._patience.start(self._received)
+        self._command(session, lambda: session.step(sample))
+        self._guide(session)
+
+    def _start_anew(self, session: ControlSession, stamp: int) -> bool:
+        """Return whether to go on with a sample that is older than the last."""
+        if session.supervisor is None or self._node_config.lockstep:
             self.get_logger().warning('samples start anew: the controller starts anew')
             session.restart()
             self._restarts += 1
-        elif self._node_config.lockstep and not self._is_safe and (
-                session.variance_stamp != session.last_stamp):
-            return
-        self._waiting = None
-        with self.refusals.guard(topics.JOINT_STATES):
-            self._step(session, sample)
+            return True
+        before, self._older_stamp = self._older_stamp, stamp
+        if before is not None and stamp > before:
+            return True
+        self.refusals.refuse(topics.JOINT_STATES.name, messages.MessageError(
+            'stamp', 'one after that of the last sample', f'{stamp} ns'))
+        return False
 
-    def _step(self, session: ControlSession, sample: PairedSample) -> None:
+    def patience(self) -> float:
+        """Return how long to wait for the next callback at most [s]."""
+        longest, due = super().patience(), self._patience.due
+        return min(longest, max(0.0, (due - time.monotonic_ns()) * 1e-9)) if due else longest
+
+    def look(self, spinner: Spinner) -> None:
+        """Go on with half a sample, or without any, if it is time."""
+        session, due, heard = self._session, self._patience.due, -1
+        if session is None or not due or time.monotonic_ns() < due:
+            return
+        while heard != self._heard and not spinner.stop:
+            heard = self._heard  # what waits in a queue has come: it goes first
+            spinner.spin_once(0.0)
+        now = time.monotonic_ns()
+        if not 0 < self._patience.due <= now or not (self.working or session.safe):
+            return
+        half = self._pairing.take_half(session.last_stamp)
+        if half is not None:
+            self._patience.half_used(now)
+            self._command(session, lambda: session.step_half(half))
+            return
+        periods = self._patience.missed(now)
+        if periods:
+            self._command(session, lambda: session.step_without(periods), sampled=False)
+
+    def _command(
+        self, session: ControlSession, step: Callable[[], Vector], *, sampled: bool = True,
+    ) -> None:
+        with self.refusals.guard(topics.JOINT_STATES):
+            self._command_guarded(session, step, sampled)
+
+    def _command_guarded(
+        self, session: ControlSession, step: Callable[[], Vector], sampled: bool,
+    ) -> None:
         start = time.perf_counter_ns()
         self._last_command = None
-        output = None if self._is_safe else session.step(sample)
-        torque = session.safe_step(sample) if output is None else output.torque
+        torque = step()
+        stamp = session.expected_stamp
         command = messages.joint_state_message(
-            sample.stamp, session.config.robot.joint_names, effort=torque)
+            stamp, session.config.robot.joint_names, effort=torque)
         self._step_times.add(time.perf_counter_ns() - start)
         # The command first: everything else can wait, the robot cannot.
         self._send(command)
-        self._watch.answered(time.monotonic_ns() - self._received)
         self._last_command = command
-        if output is not None:
-            self._publish_state(sample.stamp, session.config.contact_names, output)
-            self._publish_markers(sample.stamp, session.tick, output)
+        if sampled:
+            self._watch.answered(time.monotonic_ns() - self._received)
+            if session.output is not None and self._state_output is not None:
+                self._state_output.publish(stamp, session.tick, session.output)
 
     def _send(self, command: JointState) -> None:
         if self._effort_output is not None:
             self._effort_output.publish(command)
 
-    def _publish_state(
-        self, stamp: int, names: tuple[str, ...], output: ControlOutput,
-    ) -> None:
-        build, outputs = messages.joint_state_message, self._outputs
-        outputs[topics.MEASURED_FORCES].publish(build(stamp, names, effort=output.alpha_meas))
-        outputs[topics.ESTIMATED_FORCES].publish(build(
-            stamp, names, effort=output.alpha_est, velocity=output.alpha_rate_est))
-        outputs[topics.DESIRED_FORCES].publish(build(stamp, names, effort=output.alpha_des))
-        outputs[topics.INNOVATION].publish(build(
-            stamp, names, position=output.variance_used, velocity=output.prior_variance,
-            effort=output.innovation))
-        for topic, pose in ((topics.POSE, output.pose), (topics.POSE_DESIRED, output.pose_des)):
-            outputs[topic].publish(messages.pose_message(
-                stamp, pose.position_world, pose.quaternion_xyzw, WORLD_FRAME))
-
-    def _publish_markers(self, stamp: int, tick: int, output: ControlOutput) -> None:
-        if self._markers is not None and self._markers.due(tick):
-            self._outputs[topics.CONTACT_MARKERS].publish(self._markers.message(
-                stamp, WORLD_FRAME, output.pose, output.alpha_meas, output.active))
+    def _guide(self, session: ControlSession) -> None:
+        """Say what a push test waits for, whenever that changes."""
+        instruction = session.push_gate.instruction
+        if instruction != self._instruction:
+            self._instruction = instruction
+            if instruction:
+                self.get_logger().info(f'push test: {instruction}')
 
     def statuses(self) -> list[Status]:
         """Return what diagnostics report."""
         session = self._configured
         self._watch.missed, session.skipped = session.skipped, 0
         loop = {**self._watch.report(), 'steps': self._step_times.count,
-                'restarts': self._restarts, 'safe_behaviour': self._is_safe}
+                'restarts': self._restarts, 'safe_behaviour': session.safe,
+                'supervised': session.supervisor is not None}
         missed = loop['deadline_misses']
-        return [
+        statuses = [
             Status('loop', loop, warning=f'{missed} samples without a command' if missed else ''),
             input_status(self._fresh, STALE_PERIODS * session.config.period,
                          needed=self.state == ACTIVE,
                          consequence=': the last R is held' if self._is_variance_stale else ''),
-            Status('contacts', _contact_values(session)),
+            contact_status(session), sensor_status(session),
             message_status(self.refusals, unpaired=self._pairing.unpaired)]
+        if session.supervisor is not None and self._report is not None:
+            statuses.append(self._report.status())
+        return statuses
 
     @property
     def _is_variance_stale(self) -> bool:
@@ -310,46 +346,15 @@ class ControllerNode(ManagedNode):
         return age is None or age > STALE_PERIODS * self._configured.config.period
 
 
-def _contact_values(session: ControlSession) -> dict[str, Any]:
-    output = session.output
-    values: dict[str, Any] = {'held': session.held}
-    if output is None:
-        return values
-    for i, name in enumerate(session.config.contact_names):
-        values[name] = 'force' if output.active[i] else 'motion'
-        values[f'{name} measured_n'] = float(output.alpha_meas[i])
-        values[f'{name} estimated_n'] = float(output.alpha_est[i])
-        values[f'{name} desired_n'] = float(output.alpha_des[i])
-        values[f'{name} noise_variance_n2'] = float(session.variance[i])
-    return values
-
-
 def warm_up(session: ControlSession) -> None:
     """Take a step that nobody sees: the first one takes a hundred times as long."""
     joints = np.linspace(0.4, 1.0, len(session.config.robot.joint_names))
     with contextlib.suppress(MulticontactError):
-        output = session.step(PairedSample(0, joints, 0.0 * joints, np.zeros(6)))
-        pose = output.pose
-        messages.pose_message(0, pose.position_world, pose.quaternion_xyzw, WORLD_FRAME)
+        session.step(PairedSample(0, joints, 0.0 * joints, np.zeros(6)))
+        if session.output is not None:
+            pose = session.output.pose
+            messages.pose_message(0, pose.position_world, pose.quaternion_xyzw, WORLD_FRAME)
     session.restart()
-
-
-def parameter_folder(base_dir: str) -> Path:
-    """
-    Return the folder that relative paths in the parameters start from.
-
-    Parameters
-    ----------
-    base_dir
-        The parameter that says it; if empty, the folder of the last parameter file on the
-        command line, and without one that of the package's configuration.
-
-    """
-    if base_dir:
-        return Path(base_dir)
-    files = [
-        value for option, value in zip(sys.argv, sys.argv[1:]) if option == '--params-file']
-    return Path(files[-1]).resolve().parent if files else config_dir()
 
 
 def main() -> int:

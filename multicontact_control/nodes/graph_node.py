@@ -50,9 +50,11 @@ def create_publisher(node: Node, topic: Topic) -> Publisher:
 
 def create_subscription(
     node: Node, topic: Topic, callback: Callable[[Any], None],
+    profile: QoSProfile | None = None,
 ) -> Subscription:
-    """Subscribe a node to a topic of the table."""
-    profile = qos.COMMAND if topic.rate == 'event' else qos.INPUT
+    """Subscribe a node to a topic of the table, with the profile of its rate if none is given."""
+    if profile is None:
+        profile = qos.COMMAND if topic.rate == 'event' else qos.INPUT
     return node.create_subscription(topic.message, topic.name, callback, profile)
 
 

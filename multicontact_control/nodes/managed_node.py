@@ -91,6 +91,13 @@ class ManagedNode(LifecycleNode):
     def statuses(self) -> Sequence[Status]:
         """Return what diagnostics report."""
 
+    def patience(self) -> float:
+        """Return how long to wait for the next callback at most [s]."""
+        return SPIN_TIMEOUT
+
+    def look(self, spinner: Spinner) -> None:
+        """Look what has not come; called after each callback, and when the patience is over."""
+
     @property
     def working(self) -> bool:
         """Whether the node is active and everybody is there."""
@@ -102,9 +109,11 @@ class ManagedNode(LifecycleNode):
             self._start_alone()
         while not (spinner.stop or self.state == FINALIZED):
             waiting = self.state == ACTIVE and not self.working
-            spinner.spin_once(GATED_SPIN_TIMEOUT if waiting else SPIN_TIMEOUT)
+            spinner.spin_once(GATED_SPIN_TIMEOUT if waiting else self.patience())
             if waiting:
                 self._poll_gate()
+            else:
+                self.look(spinner)
             self.diagnostics.poll()
         spinner.drain()
 

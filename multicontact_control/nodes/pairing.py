@@ -50,6 +50,19 @@ class SamplePairing:
         self._wrench = reading
         return self._pair()
 
+    def take_half(self, after: int) -> JointReading | WrenchReading | None:
+        """Return the newest half that waits, if it is newer than a stamp [ns]."""
+        halves = [reading for reading in (self._joints, self._wrench) if reading is not None]
+        newest = max(halves, key=lambda reading: reading.stamp, default=None)
+        if newest is None or newest.stamp <= after:
+            return None
+        self.unpaired += 1
+        if newest is self._joints:
+            self._joints = None
+        else:
+            self._wrench = None
+        return newest
+
     def _pair(self) -> PairedSample | None:
         joints, wrench = self._joints, self._wrench
         if joints is None or wrench is None or joints.stamp != wrench.stamp:

@@ -40,7 +40,7 @@ def test_hold_stands_still_and_release_goes_on_where_the_scenario_was():
         reference.update(k * H, NOTHING)
         expected = other.update(k * H, NOTHING)
     here = Pose(np.array([0.1, 0.2, 0.3]), np.eye(3))
-    assert reference.hold(here)
+    assert reference.hold(here, np.ones(1, dtype=bool))
     for k in range(500, 800):
         held = reference.update(k * H, NOTHING)
         assert held.pose_des is here
@@ -59,7 +59,7 @@ def test_hold_keeps_the_desired_forces():
     reference.start(START, NORMALS)
     commanded.set_forces({'one': 7.0})
     reference.update(0.0, NOTHING)
-    reference.hold(START)
+    reference.hold(START, np.ones(1, dtype=bool))
     commanded.set_forces({'one': 0.0})
     held = reference.update(H, NOTHING)
     assert held.alpha_des == pytest.approx([7.0])
@@ -68,11 +68,26 @@ def test_hold_keeps_the_desired_forces():
 
 def test_hold_needs_a_first_tick_and_ends_with_a_new_start():
     reference = HoldableReference(moving())
-    assert not reference.hold(START)
+    assert not reference.hold(START, np.ones(1, dtype=bool))
     reference.start(START, NORMALS)
-    assert not reference.hold(START)
+    assert not reference.hold(START, np.ones(1, dtype=bool))
     reference.update(0.0, NOTHING)
-    assert reference.hold(START)
+    assert reference.hold(START, np.ones(1, dtype=bool))
     assert reference.held
     reference.start(START, NORMALS)
     assert not reference.held
+
+
+def test_a_locked_reference_stands_still_until_it_is_unlocked_and_then_begins():
+    reference, other = HoldableReference(moving(), locked=True), moving()
+    for source in (reference, other):
+        source.start(START, NORMALS)
+    for k in range(300):
+        task = reference.task(k * H)
+        assert task.pose_des is START
+        assert not task.active.any() and not task.alpha_des.any()
+    reference.release()  # only a hold is released
+    assert reference.task(300 * H).pose_des is START
+    reference.unlock()
+    np.testing.assert_allclose(reference.task(800 * H).pose_des.position_world,
+                               other.task(500 * H).pose_des.position_world, atol=1e-12)

@@ -71,12 +71,13 @@ WEIRD = st.one_of(
 STAMP = st.one_of(NUMBER, st.none(), st.text(max_size=2))
 NAME_LIST = st.one_of(st.none(), st.permutations(NAMES), st.lists(st.text(max_size=3)), WEIRD)
 READINGS = {
-    'joints': st.one_of(st.none(), st.builds(JointInput, STAMP, WEIRD, WEIRD, NAME_LIST)),
+    'joints': st.one_of(st.none(), st.builds(JointInput, STAMP, WEIRD, WEIRD, NAME_LIST, WEIRD)),
     'wrench': st.one_of(st.none(), st.builds(WrenchInput, STAMP, WEIRD)),
     'variance': st.one_of(st.none(), st.builds(VarianceInput, STAMP, WEIRD))}
 # Either everything of a tick is arbitrary, or one thing of a good one.
 TICK = st.one_of(
-    st.builds(TickInputs, STAMP, READINGS['joints'], READINGS['wrench'], READINGS['variance']),
+    st.builds(TickInputs, STAMP, READINGS['joints'], READINGS['wrench'], READINGS['variance'],
+              st.sampled_from(['', '', 'saturated'])),
     st.fixed_dictionaries({}, optional=READINGS), st.fixed_dictionaries(
         {}, optional={'q': WEIRD, 'qd': WEIRD, 'wrench_values': WEIRD, 'variance_values': WEIRD}))
 

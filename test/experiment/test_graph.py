@@ -89,16 +89,21 @@ def counts(bag):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(('plant', 'seed', 'estimator'), [
-    ('puma', 0, 'lead_window'), ('rigid', 3, 'innovation')])
+@pytest.mark.parametrize(('plant', 'seed', 'estimator', 'supervised'), [
+    ('puma', 0, 'lead_window', True), ('rigid', 1, 'lead_window', True),
+    ('puma', 2, 'sage_husa', False), ('rigid', 3, 'innovation', False)])
 def test_run_graph_in_lockstep_is_the_run_in_process_bit_for_bit(
-        tmp_path, free_domain, plant, seed, estimator):
+        tmp_path, free_domain, plant, seed, estimator, supervised):
     setup, spec = make_spec(
-        tmp_path, plant=plant, seed=seed, estimator=estimator, lockstep=True)
+        tmp_path, plant=plant, seed=seed, estimator=estimator, lockstep=True,
+        extra_parameters={CONTROLLER: {'supervised': supervised}})
     result = run_graph(spec)
     assert result.interrupted is None
     assert counts(result.bag) == dict.fromkeys(CONTROL_TOPICS, TICKS)
-    expected = run_in_process(setup).data
+    run = run_in_process(setup, supervised=supervised)
+    expected = run.data
+    events = [(pytest.approx(time), what) for time, what in run.events]
+    assert [tuple(event) for event in result.timing[CONTROLLER]['events']] == events
     torque = np.array([message.effort for _, message in read(result.bag, EFFORT_COMMAND)])
     variance = np.array([message.effort for _, message in read(result.bag, NOISE_VARIANCE)])
     assert torque.tobytes() == expected.torque.tobytes()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fake_arm import FakeArm
+from fake_arm import FakeArm, PARAMETERS
 from geometry_msgs.msg import Transform
 from multicontact_control.experiment.lifecycle import LifecycleDriver
 from multicontact_control.nodes import messages
@@ -29,7 +29,7 @@ def graph(domain_id, tmp_path_factory):
         with Middleware(domain_id) as middleware, LifecycleDriver(domain_id) as driver:
             middleware.start(
                 'multicontact_control.nodes.controller_node', 'autostart:=true',
-                f'transition.torque_rate:={RATE}', 'transition.blend_time:=0.02',
+                *PARAMETERS, f'transition.torque_rate:={RATE}', 'transition.blend_time:=0.02',
                 files=(config_dir() / 'controller.yaml',))
             arm = FakeArm(middleware)
             arm.connect()
@@ -60,6 +60,8 @@ def send_position(arm, position):
 
 
 def wait_for_forces(arm, **forces):
+    arm.press(**forces)
+
     def reached():
         arm.step()
         return arm.desired() == forces
@@ -92,7 +94,7 @@ def test_gains_change_live_and_without_a_bump(graph):
     ('motion.damping_ratio', 6.0, 'motion.damping_ratio'),
     ('force.damping_rate', 'high', 'type'),
     ('force.input_delay', 0.004, 'can be changed only while the node is unconfigured'),
-    ('command.workspace_lower', [2.0, 0.0, 0.0], 'below workspace_upper'),
+    ('limits.workspace_lower', [-1.0] * 3, 'can be changed only while'),
     ('tool.bias_sensor', [1.0], '6 values')])
 def test_a_refused_value_says_why_and_changes_nothing(graph, name, value, why):
     arm, driver = graph
@@ -133,7 +135,7 @@ def test_bad_commands_are_refused_and_counted_by_cause(graph):
         and sum(refusals(x, 'motion/command').values()) >= 6)
     counts = {**refusals(report, 'contact_forces/command'), **refusals(report, 'motion/command')}
     for cause in ('name: expected distinct names', 'effort: expected finite',
-                  'position x: expected -1 to 1 m', 'translation: expected finite'):
+                  'position x: expected -0.6 to 0.6 m', 'translation: expected finite'):
         assert [n for key, n in counts.items() if cause in key] == [3], cause
     np.testing.assert_allclose(settle(arm), before, atol=1e-6)
     assert arm.desired() == {'table': 0.0, 'board': 0.0}
@@ -203,7 +205,7 @@ def test_diagnostics_tell_of_the_loop_its_inputs_and_contacts(graph):
     loop = report['loop'][2]
     assert 0.0 < float(loop['latency_us_p50']) <= float(loop['latency_us_p99'])
     assert float(loop['jitter_us_p50']) <= float(loop['jitter_us_p99'])
-    assert report['contacts'][2]['table'] == 'motion'
+    assert report['contacts'][2]['table'] == 'free'
     level, text, values = report['inputs']
     # Nobody estimates R here.
     assert (level, values['age_s contact_forces/noise_variance']) == (1, 'none')

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 
 from fake_arm import EFFORT, FakeArm
+from fake_arm import PARAMETERS as STILL
 from multicontact_control.experiment.lifecycle import (
     ACTIVATE,
     CLEAN_UP,
@@ -25,7 +26,7 @@ MODULE = 'multicontact_control.nodes.controller_node'
 NAME = 'controller_node'
 FILE = config_dir() / 'controller.yaml'
 RATE, BLEND = 100.0, 0.02  # transition.torque_rate [N m/s], transition.blend_time [s]
-PARAMETERS = (f'transition.torque_rate:={RATE}', f'transition.blend_time:={BLEND}')
+PARAMETERS = (*STILL, f'transition.torque_rate:={RATE}', f'transition.blend_time:={BLEND}')
 LARGEST_STEP = RATE * 0.002 * (1.0 + 1e-9)
 
 

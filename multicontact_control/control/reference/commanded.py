@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from multicontact_control.arrays import Vector
+from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import ContactStateConfig
 from multicontact_control.control.reference.source import Reference
 from multicontact_control.dynamics.pose import Pose
@@ -67,10 +67,13 @@ class CommandedReference:
 
     def set_motion(
         self, position_world: Vector, quaternion_xyzw: Vector, twist_world: Vector,
-        acceleration_world: Vector,
+        acceleration_world: Vector, taken_normals: Matrix | None = None,
     ) -> None:
         """
         Command the motion of the operational point.
+
+        Along the normal of a contact that is sought or held it is the contact that decides where
+        the tip is: what is commanded along it has no effect, now or when it is given back.
 
         Parameters
         ----------
@@ -78,6 +81,8 @@ class CommandedReference:
             Desired pose, shapes (3,) [m] and (4,).
         twist_world, acceleration_world
             Shapes (6,), linear first.
+        taken_normals
+            Normals of such contacts, shape (k, 3); none if not given.
 
         Raises
         ------
@@ -92,9 +97,16 @@ class CommandedReference:
         if np.linalg.norm(quaternion_xyzw) < 1e-6:
             raise ConfigError('motion/command', 'a quaternion of unit length',
                               quaternion_xyzw.tolist())
-        self._pose = Pose.from_quaternion(position_world, quaternion_xyzw)
-        self._twist = np.array(twist_world, dtype=float)
-        self._acceleration = np.array(acceleration_world, dtype=float)
+        position, twist, acceleration = (
+            np.array(x, dtype=float) for x in (position_world, twist_world, acceleration_world))
+        if taken_normals is not None and len(taken_normals) and self._pose is not None:
+            N = taken_normals.T
+            across = np.eye(3) - N @ np.linalg.pinv(N)
+            start = self._pose.position_world
+            position = start + across @ (position - start)
+            twist[:3], acceleration[:3] = across @ twist[:3], across @ acceleration[:3]
+        self._pose = Pose.from_quaternion(position, quaternion_xyzw)
+        self._twist, self._acceleration = twist, acceleration
 
     def contact_state(self, default: ContactStateConfig) -> ContactStateConfig:
         """Return the default: a command says nothing of how contacts are made."""

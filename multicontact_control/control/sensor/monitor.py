@@ -41,7 +41,14 @@ class SensorHealth:
     @property
     def ok(self) -> bool:
         """Whether the reading can be relied on."""
-        return not self.frozen and not self.saturated.any()
+        return not self.fault
+
+    @property
+    def fault(self) -> str:
+        """What is wrong, ``frozen`` or ``saturated``; empty if nothing is."""
+        if self.frozen:
+            return 'frozen'
+        return 'saturated' if self.saturated.any() else ''
 
 
 class SensorMonitor:

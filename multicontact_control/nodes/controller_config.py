@@ -1,0 +1,95 @@
+"""What only the controller's node needs to know, not the controller in it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+import sys
+
+from multicontact_control.config import (
+    ControllerConfig,
+    parameter,
+    read_yaml,
+    Real,
+    validate,
+    Vector,
+)
+from multicontact_control.control.command_limits import CommandLimits
+from multicontact_control.control.reference import ReferenceConfig, ScenarioReference
+from multicontact_control.control.sensor.push_config import PushTestConfig
+from multicontact_control.control.sensor.tare import TareConfig
+from multicontact_control.errors import ConfigError
+from multicontact_control.nodes.managed_node import ManagedConfig
+from multicontact_control.paths import config_dir
+from pydantic import model_validator
+
+
+class ControllerNodeConfig(ManagedConfig):
+    """Parameters of the node."""
+
+    supervised: bool = parameter(
+        True, 'Whether contact states, watchdogs, limits and the last gate are around the control '
+        'law; without them it is the law alone, as its claims are measured.')
+    lockstep: bool = parameter(
+        False, 'Whether to wait for the noise variance of one sample before answering the next.')
+    patience: Real = parameter(
+        1.5, 'Periods after a sample from which the next is waited for no longer: what has come '
+        'of it is used, and one period later the tick is taken without it. 0 to wait for ever; '
+        'only with supervision, and not in lockstep.', ge=0.0, le=100.0)
+    reference_file: str = parameter(
+        '', 'YAML file of a scenario or its reference; empty to obey the command topics.')
+    base_dir: str = parameter(
+        '', 'Folder that relative paths start from; empty for that of the parameter file.')
+    effort_output_topic: str = parameter(
+        '', 'Topic for the bare efforts (std_msgs/Float64MultiArray) that the forward '
+        'controllers of ros2_control take; empty for none.')
+    marker_rate: Real = parameter(
+        25.0, 'Contact markers per second; 0 for none.', unit='Hz', ge=0.0)
+    marker_scale: Real = parameter(
+        0.01, 'Length of the arrow of a contact force.', unit='m/N', gt=0.0)
+    command: CommandLimits = CommandLimits()
+    tare: TareConfig = TareConfig()
+    push_test: PushTestConfig = PushTestConfig()
+    push_point_sensor: Vector = parameter(
+        (), 'Where the tool is pushed in the push test, sensor frame, so that the torque channels '
+        'are checked too; empty not to.', unit='m')
+
+    @model_validator(mode='after')
+    def _check(self) -> ControllerNodeConfig:
+        if self.patience and self.patience < 1.0:
+            raise ConfigError('patience', '0, or at least 1 period', self.patience)
+        if len(self.push_point_sensor) not in (0, 3):
+            raise ConfigError('push_point_sensor', '3 values or none', len(self.push_point_sensor))
+        return self
+
+    @property
+    def folder(self) -> Path:
+        """
+        Return the folder that relative paths in the parameters start from.
+
+        That of `base_dir`; without it the folder of the last parameter file on the command line,
+        and without one that of the package's configuration.
+        """
+        if self.base_dir:
+            return Path(self.base_dir)
+        files = [
+            value for option, value in zip(sys.argv, sys.argv[1:]) if option == '--params-file']
+        return Path(files[-1]).resolve().parent if files else config_dir()
+
+    def scenario(self, config: ControllerConfig) -> ScenarioReference | None:
+        """
+        Return the scenario to follow, None to obey commands.
+
+        Raises
+        ------
+        ConfigError
+            If its file cannot be read or does not fit the controller.
+
+        """
+        if not self.reference_file:
+            return None
+        path = self.folder / self.reference_file
+        values = read_yaml(path)
+        # A scenario file holds more than its reference.
+        reference = validate(ReferenceConfig, values.get('reference', values), str(path))
+        return ScenarioReference(
+            reference, rate=config.rate, contact_names=config.contact_names)

@@ -1,0 +1,99 @@
+"""What the diagnostics of the controller say of its supervisor, contacts and sensor."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any
+
+from multicontact_control.control.contact_state import ContactState
+from multicontact_control.control.reactions import INFLATE, NONE, SEVERITY
+from multicontact_control.nodes.control_session import ControlSession
+from multicontact_control.nodes.diagnostics import Status
+
+TROUBLED = (ContactState.LOST.value, ContactState.RETRACTING.value, ContactState.GIVEN_UP.value)
+
+
+class SupervisorReport:
+    """
+    Reports what the supervisor does, and what it did since the last report.
+
+    Parameters
+    ----------
+    session
+        Whose supervisor.
+
+    """
+
+    def __init__(self, session: ControlSession) -> None:
+        self._session = session
+        self._before: tuple[Counter[str], ...] = (Counter(), Counter(), Counter())
+
+    def status(self) -> Status:
+        """Return the status, and begin the next report."""
+        session, status = self._session, self._session.status
+        counts = (session.reactions, session.rejected, session.limited)
+        since = [_since(now, before) for now, before in zip(counts, self._before)]
+        self._before = tuple(Counter(count) for count in counts)
+        values: dict[str, Any] = {'reaction': status.reaction if status else 'none'}
+        if status is None:
+            return Status('supervisor', values)
+        values |= {'causes': ' '.join(status.causes) or 'none',
+                   'task_time_s': status.task_time, 'events': len(session.events.events)}
+        values |= {f'ticks with {name}': n for name, n in counts[0].items() if name != NONE}
+        values |= {f'rejected {name}': n for name, n in counts[1].items()}
+        values |= {f'limited {name}': n for name, n in counts[2].items()}
+        causes = ', '.join(status.causes)
+        if SEVERITY.index(status.reaction) > SEVERITY.index(INFLATE):
+            return Status('supervisor', values,
+                          error=f'{status.reaction} instead of control: {causes}')
+        return Status('supervisor', values, warning='; '.join(filter(None, [
+            f'R is inflated: {causes}' if status.reaction == INFLATE else '',
+            _told('reacted', {k: n for k, n in since[0].items() if k not in (NONE, INFLATE)}),
+            _told('rejected', since[1]), _told('limited', since[2])])))
+
+
+def _since(now: Counter[str], before: Counter[str]) -> dict[str, int]:
+    """Return what has been counted since; all of it if the counting has begun anew."""
+    return {name: n - before[name] if n >= before[name] else n
+            for name, n in now.items() if n != before[name]}
+
+
+def _told(what: str, counts: dict[str, int]) -> str:
+    return f'{what}: ' + ', '.join(
+        f'{name} in {n} ticks' for name, n in counts.items()) if counts else ''
+
+
+def contact_status(session: ControlSession) -> Status:
+    """Return the states and forces of the contacts, and the energy they have taken up."""
+    output, status = session.output, session.status
+    values: dict[str, Any] = {'held': session.held}
+    if output is None:
+        return Status('contacts', values)
+    trouble = []
+    for i, name in enumerate(session.config.contact_names):
+        values[name] = status.contact_states[i] if status else (
+            'force' if output.active[i] else 'motion')
+        values[f'{name} measured_n'] = float(output.alpha_meas[i])
+        values[f'{name} estimated_n'] = float(output.alpha_est[i])
+        values[f'{name} desired_n'] = float(output.alpha_des[i])
+        values[f'{name} noise_variance_n2'] = float(session.variance[i])
+        if status is None:
+            continue
+        energy, limit = float(status.energy[i]), float(status.energy_limit[i])
+        values[f'{name} energy_j'], values[f'{name} energy_limit_j'] = energy, limit
+        if status.contact_states[i] in TROUBLED:
+            trouble.append(f'{name} is {status.contact_states[i]}')
+        if energy > limit:
+            trouble.append(f'{name} has taken up {energy:.3g} J, more than {limit:g} J')
+    return Status('contacts', values, warning='; '.join(trouble))
+
+
+def sensor_status(session: ControlSession) -> Status:
+    """Return the health of the wrist sensor, and what is still to be proved of it."""
+    gate, fault = session.push_gate, session.sensor_fault
+    values = {'fault': fault or 'none', 'force_control': 'allowed' if gate.open else 'disabled',
+              'push_test': gate.instruction or 'none'}
+    failed = gate.result is not None and not gate.result.passed and not gate.running
+    error = f'the readings are {fault}' if fault else gate.instruction if failed else ''
+    return Status('sensor', values, error=error,
+                  warning=gate.instruction if gate.running or not gate.open else '')

@@ -1,0 +1,160 @@
+"""Samples that do not come, or all at once, over the middleware and in real time."""
+
+from __future__ import annotations
+
+import signal
+import threading
+import time
+
+from arms import HOME
+from fake_arm import FakeArm, PERIOD
+from multicontact_control.nodes import messages
+from multicontact_control.paths import config_dir
+import numpy as np
+import pytest
+from ros_graph import wait_for
+from sensor_msgs.msg import JointState
+
+pytestmark = pytest.mark.ros
+
+MODULE = 'multicontact_control.nodes.controller_node'
+FILE = config_dir() / 'controller.yaml'
+STILL = ('autostart:=true', 'watchdog.frozen_samples:=0', 'sensor.frozen_ticks:=0')
+# Far longer than the pauses of a busy machine, so that only what is left out is missed.
+PATIENT = (*STILL, 'patience:=50.0')
+
+
+class Source(threading.Thread):
+    """Sends samples at their rate, each with the time it was sent; parts can be left out."""
+
+    def __init__(self, arm, origin):
+        super().__init__(daemon=True)
+        self._arm, self._origin = arm, origin
+        self.parts = {'joints', 'wrench'}
+        self.running = True
+
+    def run(self):
+        start, k = time.monotonic(), 0
+        while self.running:
+            k += 1
+            self._arm.send_parts(self._origin + k * PERIOD, self.parts)
+            time.sleep(max(0.0, start + 0.002 * k - time.monotonic()))
+
+
+@pytest.fixture
+def source(middleware):
+    made = []
+
+    def make(origin, *parameters):
+        middleware.start(MODULE, *parameters, files=(FILE,))
+        arm = FakeArm(middleware)
+        made.append(Source(arm, origin))
+        made[0].start()
+        return arm, made[0]
+
+    yield make
+    for thread in made:
+        thread.running = False
+        thread.join()
+
+
+def report_with(arm, middleware, condition):
+    """Wait for diagnostics of the supervisor that satisfy a condition."""
+    found = []
+
+    def told():
+        report = arm.newest_report()
+        if report is not None and 'supervisor' in report and condition(*report['supervisor']):
+            found.append(report)
+        return found
+
+    wait_for(told, 'such a report of the supervisor')
+    return found[-1]
+
+
+@pytest.mark.parametrize('origin', [0, 1_700_000_000 * 10 ** 9])
+def test_what_is_left_out_gets_its_reaction_and_commands_go_on(middleware, source, origin):
+    """The stamps' clock is its own: it began at 0, or is off from ours by years."""
+    arm, samples = source(origin, *PATIENT)
+    healthy = report_with(arm, middleware, lambda level, text, values: values['causes'] == 'none')
+    assert healthy['contacts'][2]['table energy_limit_j'] == '0.5'
+    for parts, reaction, cause in (({'joints'}, 'hold', 'wrench_stale'),
+                                   ({'wrench'}, 'float', 'joints_stale'),
+                                   (set(), 'float', 'joints_stale')):
+        samples.parts = parts
+        report = report_with(arm, middleware, lambda level, text, values: (
+            values['reaction'] == reaction and cause in values['causes']))
+        level, text, values = report['supervisor']
+        assert level == 2
+        assert f'{reaction} instead of control: ' in text
+        assert int(values[f'ticks with {reaction}']) > 0
+        arm.newest_command()
+        wait_for(arm.newest_command, f'commands while there is {parts or "nothing"}')
+        samples.parts = {'joints', 'wrench'}
+        report_with(arm, middleware, lambda level, text, values: values['reaction'] == 'none')
+
+
+def test_a_burst_is_not_worked_through_but_its_newest_sample_is_answered(middleware):
+    process = middleware.start(MODULE, *STILL, 'patience:=0.0', files=(FILE,))
+    arm = FakeArm(middleware)
+    arm.connect()
+    arm.step()
+    before = arm.k
+    process.send_signal(signal.SIGSTOP)
+    for _ in range(60):
+        arm.send()
+    process.send_signal(signal.SIGCONT)
+    answered = []
+
+    def newest_answered():
+        answered.extend(arm.commands())
+        return answered and answered[-1] == arm.k * PERIOD
+
+    wait_for(newest_answered, 'an answer to the newest sample')
+    assert answered == sorted(answered)
+    assert answered[0] > before * PERIOD
+    assert len(answered) < 30
+    skipped = []
+
+    def counted():
+        report = arm.newest_report()
+        if report is not None:
+            skipped.append(int(report['loop'][2]['deadline_misses_in_all']))
+        return skipped and skipped[-1] >= 60 - len(answered)
+
+    wait_for(counted, 'a count of what was overtaken')
+
+
+def test_an_older_sample_is_refused_and_a_clock_that_was_set_back_is_not(middleware):
+    middleware.start(MODULE, *STILL, 'patience:=0.0', files=(FILE,))
+    arm = FakeArm(middleware)
+    arm.connect()
+    for _ in range(30):
+        torque = arm.step()
+    stamp = arm.k * PERIOD
+    arm.send_parts(stamp - 10 * PERIOD, {'joints', 'wrench'})
+    np.testing.assert_allclose(arm.step(), torque, atol=0.2)  # the blend at the start goes on
+    report = arm.diagnostics(lambda x: any('stamp' in key for key in x['messages'][2]))
+    refused = [n for key, n in report['messages'][2].items() if 'stamp: expected one after' in key]
+    assert refused == ['1']
+    arm.k -= 1000
+    arm.connect()
+    report = arm.diagnostics(lambda x: 'ticks with hold' in x['supervisor'][2])
+    assert report['loop'][2]['restarts'] == '0'
+    arm.diagnostics(lambda x: x['supervisor'][2]['reaction'] == 'none')
+
+
+def test_fake_arm_sends_what_it_is_asked_to(middleware):
+    arm = FakeArm(middleware)
+    seen = middleware.node.create_subscription(JointState, 'joint_states', lambda _: None, 10)
+    wait_for(lambda: seen.get_publisher_count(), 'connection')
+    newest = []
+
+    def come():
+        arm.send_parts(7, {'joints'})
+        newest.append(middleware.take(seen, JointState))
+        return newest[-1]
+
+    wait_for(come, 'a joint state')
+    assert messages.stamp_to_ns(newest[-1].header.stamp) == 7
+    np.testing.assert_array_equal(newest[-1].position, HOME)
