@@ -86,9 +86,12 @@ def _probe(cell: RunCell) -> float:
     setup = cell.setup()
     duration = min(PROBE, setup.scenario.duration)
     short = replace(setup, scenario=setup.scenario.model_copy(update={'duration': duration}))
-    run_in_process(short, supervised=cell.supervised)
-    start = time.perf_counter()
-    run_in_process(short, supervised=cell.supervised)
+    try:
+        run_in_process(short, supervised=cell.supervised)
+        start = time.perf_counter()
+        run_in_process(short, supervised=cell.supervised)
+    except Exception:  # whatever ails this cell comes out when it is run
+        return 0.0
     return (time.perf_counter() - start) / duration
 
 
