@@ -30,7 +30,7 @@ def robustness_map(
     True stiffness 0.1 to 20 times the model's, actuator delay 0 to 3 periods. Writes
     robustness.json, robustness.png and robustness.html.
     """
-    from multicontact_control.experiment.comparing import map_and_report, MapRequest
+    from multicontact_control.experiment.robustness.run import map_and_report, MapRequest
 
     with resumable(), errors_in_one_line():
         map_and_report(MapRequest(

@@ -8,8 +8,14 @@ from pathlib import Path
 from statistics import median
 import time
 
-from multicontact_control.experiment.engine import CellStore, RunCell
+from multicontact_control.experiment.engine import (
+    CellStore,
+    LocalExecutor,
+    prepare_cell_folder,
+    RunCell,
+)
 from multicontact_control.experiment.loop import run_in_process
+from rich.console import Console
 
 START_UP = 3.0  # s, to start a pool of workers
 PROBE = 1.5  # s of simulated time that a plant's speed is taken from
@@ -42,6 +48,36 @@ class Estimate:
         """Return all this in words."""
         return (f'{self.runs} runs, {self.finished} of them finished before; the other '
                 f'{self.todo} will take about {_words(self.seconds)} with {jobs} at once')
+
+
+def begin_matrix(
+    cells: Iterable[RunCell], folder: Path, *, jobs: int, overwrite: bool, console: Console,
+) -> LocalExecutor:
+    """
+    Make the folder of a matrix, say how long it will take, and return who runs it.
+
+    Parameters
+    ----------
+    cells
+        The matrix.
+    folder, overwrite
+        As for `prepare_cell_folder`.
+    jobs
+        As for `LocalExecutor`.
+    console
+        Where it is said.
+
+    Raises
+    ------
+    ConfigError
+        If one of them is not acceptable.
+
+    """
+    executor = LocalExecutor(jobs)
+    prepare_cell_folder(folder, overwrite=overwrite)
+    estimate = estimate_time(cells, folder, executor.jobs)
+    console.print(estimate.sentence(executor.jobs), highlight=False)
+    return executor
 
 
 def estimate_time(cells: Iterable[RunCell], folder: Path, jobs: int) -> Estimate:
