@@ -16,7 +16,9 @@ from multicontact_control.experiment.engine import (
     RunCell,
 )
 from multicontact_control.experiment.engine.cluster import DaskExecutor
+from multicontact_control.experiment.estimate import estimate_time
 from multicontact_control.experiment.sweep.groups import chosen_metrics, groups_of
+from multicontact_control.experiment.sweep.measure import summarise_cell
 from multicontact_control.experiment.sweep.page import group_table, write_sweep_page
 from multicontact_control.experiment.sweep.plan import plan_sweep, SweepPlan
 from multicontact_control.experiment.sweep.study import read_study, study_path
@@ -91,15 +93,12 @@ def sweep_and_report(request: SweepRequest, console: Console | None = None) -> N
     plan = plan_sweep(read_study(path, seeds=request.seeds), str(path))
     out = request.out or Path('runs') / f'sweep-{plan.study.name}'
     with _executor(request) as executor:
-        # Only now: what is heavy is not loaded for the sake of an error.
-        from multicontact_control.experiment.estimate import estimate_time
-        from multicontact_control.experiment.sweep.measure import summarise_cell
-
         if not request.dry_run:
             prepare_cell_folder(out, overwrite=request.overwrite)
         cells = [run.cell for run in plan.runs]
         jobs = max(executor.jobs, 1)
-        estimate = estimate_time(cells, out, jobs)
+        # A probe takes longer than starting the workers; their progress bar tells the time left.
+        estimate = estimate_time(cells, out, jobs, probe=request.dry_run)
         console.print(f'study {plan.study.name}: {len(groups_of(plan))} combinations with '
                       f'{len(plan.study.seeds)} seeds', highlight=False)
         console.print(estimate.sentence(jobs), highlight=False)
