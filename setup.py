@@ -47,7 +47,7 @@ extras_require = {
     ],
     # To run sweeps on a cluster.
     'dask': [
-        'distributed>=2024.8',
+        'distributed>=2024.8,<2028',
     ],
     'test': [
         'pytest>=8,<10',

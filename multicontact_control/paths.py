@@ -49,3 +49,33 @@ def find_config_dir(package_dir: Path) -> Path:
     looked_in = ', '.join(dict.fromkeys(str(candidate) for candidate in candidates))
     raise ConfigError(
         'config', 'the configuration folder of the package', f'none of {looked_in}')
+
+
+def named_file(kind: str, folder: str, name: str) -> Path:
+    """
+    Return a file that is given by its name in a folder of the configuration, or by a path.
+
+    Parameters
+    ----------
+    kind
+        What it holds, for an error.
+    folder
+        Folder in config/.
+    name
+        Name of a YAML file there, without its suffix, or a path.
+
+    Raises
+    ------
+    ConfigError
+        If there is neither.
+
+    """
+    there = config_dir() / folder
+    named = there / f'{name}.yaml'
+    if named.is_file():
+        return named
+    path = Path(name)
+    if path.is_file():
+        return path
+    known = ', '.join(sorted(file.stem for file in there.glob('*.yaml')))
+    raise ConfigError(kind, f'one of {known}, or a path', f"'{name}'")

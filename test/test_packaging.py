@@ -123,7 +123,9 @@ def test_installed_versions_are_inside_the_stated_ranges(described):
 
 
 def test_every_imported_distribution_is_declared(described):
-    required = [Requirement(line).name.lower() for line in described()['install_requires']]
+    keywords = described()
+    required = [Requirement(line).name.lower()
+                for line in keywords['install_requires'] + keywords['extras_require']['dask']]
     declared = {IMPORT_NAMES.get(name, name) for name in required}
     used = {target.split('.')[0] for targets in imports_of(ROOT).values() for target in targets}
     outside = {name for name in used - set(PACKAGES) - sys.stdlib_module_names if not is_ros(name)}

@@ -35,7 +35,10 @@ def compare(
 
     Writes comparison.json and comparison.html. Exit code 0, whatever the verdicts; 2: bad input.
     """
-    from multicontact_control.experiment.comparing import compare_and_report, ComparisonRequest
+    from multicontact_control.experiment.comparison.run import (
+        compare_and_report,
+        ComparisonRequest,
+    )
 
     with resumable(), errors_in_one_line():
         compare_and_report(ComparisonRequest(

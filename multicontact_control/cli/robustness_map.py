@@ -31,7 +31,7 @@ def robustness_map(
     bare, the control law without its supervisor: its own limits are the point. Writes
     robustness.json, robustness.png and robustness.html.
     """
-    from multicontact_control.experiment.comparing import map_and_report, MapRequest
+    from multicontact_control.experiment.robustness.run import map_and_report, MapRequest
 
     with resumable(), errors_in_one_line():
         map_and_report(MapRequest(

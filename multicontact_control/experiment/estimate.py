@@ -8,8 +8,13 @@ from pathlib import Path
 from statistics import median
 import time
 
-from multicontact_control.experiment.engine import CellStore, RunCell
-from multicontact_control.experiment.loop import run_in_process
+from multicontact_control.experiment.engine import (
+    CellStore,
+    LocalExecutor,
+    prepare_cell_folder,
+    RunCell,
+)
+from rich.console import Console
 
 START_UP = 3.0  # s, to start a pool of workers
 PROBE = 1.5  # s of simulated time that a plant's speed is taken from
@@ -25,13 +30,13 @@ class Estimate:
     runs, finished
         All runs, and those that are finished already.
     seconds
-        Wall time that the others will take [s].
+        Wall time that the others will take [s]; None if that is not known.
 
     """
 
     runs: int
     finished: int
-    seconds: float
+    seconds: float | None
 
     @property
     def todo(self) -> int:
@@ -40,11 +45,46 @@ class Estimate:
 
     def sentence(self, jobs: int) -> str:
         """Return all this in words."""
-        return (f'{self.runs} runs, {self.finished} of them finished before; the other '
-                f'{self.todo} will take about {_words(self.seconds)} with {jobs} at once')
+        known = f'{self.runs} runs, {self.finished} of them finished before'
+        if self.seconds is None or not self.todo:
+            return f'{known}; {jobs} at once'
+        return (f'{known}; the other {self.todo} will take about {_words(self.seconds)} with '
+                f'{jobs} at once')
 
 
-def estimate_time(cells: Iterable[RunCell], folder: Path, jobs: int) -> Estimate:
+def begin_matrix(
+    cells: Iterable[RunCell], folder: Path, *, jobs: int, overwrite: bool, console: Console,
+) -> LocalExecutor:
+    """
+    Make the folder of a matrix, say how long it will take, and return who runs it.
+
+    Parameters
+    ----------
+    cells
+        The matrix.
+    folder, overwrite
+        As for `prepare_cell_folder`.
+    jobs
+        As for `LocalExecutor`.
+    console
+        Where it is said.
+
+    Raises
+    ------
+    ConfigError
+        If one of them is not acceptable.
+
+    """
+    executor = LocalExecutor(jobs)
+    prepare_cell_folder(folder, overwrite=overwrite)
+    estimate = estimate_time(cells, folder, executor.jobs)
+    console.print(estimate.sentence(executor.jobs), highlight=False)
+    return executor
+
+
+def estimate_time(
+    cells: Iterable[RunCell], folder: Path, jobs: int, *, probe: bool = True,
+) -> Estimate:
     """
     Return how long the cells that are not finished will take.
 
@@ -59,6 +99,8 @@ def estimate_time(cells: Iterable[RunCell], folder: Path, jobs: int) -> Estimate
         Where finished cells are.
     jobs
         How many run at once.
+    probe
+        Whether to make short runs where nothing is finished.
 
     """
     store = CellStore(folder)
@@ -73,22 +115,30 @@ def estimate_time(cells: Iterable[RunCell], folder: Path, jobs: int) -> Estimate
             examples.setdefault(cell.plant, cell)
         else:
             known.setdefault(cell.plant, []).append(result.wall_time / duration)
+    left = sum(map(len, todo.values()))
+    if not probe and not todo.keys() <= known.keys():
+        return Estimate(len(keyed), len(keyed) - left, None)
     total = sum(
         sum(durations) * (median(known[plant]) if plant in known else _probe(examples[plant]))
         for plant, durations in todo.items())
-    left = sum(map(len, todo.values()))
     start_up = START_UP if left > 1 and jobs > 1 else 0.0
     return Estimate(len(keyed), len(keyed) - left, total / min(jobs, max(left, 1)) + start_up)
 
 
 def _probe(cell: RunCell) -> float:
     """Return the wall time for a simulated second of a cell, from its beginning."""
+    # Only here: who needs no probe needs neither kernels nor simulator.
+    from multicontact_control.experiment.loop import run_in_process
+
     setup = cell.setup()
     duration = min(PROBE, setup.scenario.duration)
     short = replace(setup, scenario=setup.scenario.model_copy(update={'duration': duration}))
-    run_in_process(short, supervised=cell.supervised)
-    start = time.perf_counter()
-    run_in_process(short, supervised=cell.supervised)
+    try:
+        run_in_process(short, supervised=cell.supervised)
+        start = time.perf_counter()
+        run_in_process(short, supervised=cell.supervised)
+    except Exception:  # whatever ails this cell comes out when it is run
+        return 0.0
     return (time.perf_counter() - start) / duration
 
 

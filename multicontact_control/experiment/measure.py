@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 from multicontact_control.errors import MulticontactError
 from multicontact_control.experiment.disturbances import disturbance_summary
@@ -12,6 +11,7 @@ from multicontact_control.experiment.evidence import evidence_of
 from multicontact_control.experiment.loop import run_in_process
 from multicontact_control.experiment.metrics import summarise
 from multicontact_control.experiment.recording import RunData
+from multicontact_control.experiment.results import finite
 import numpy as np
 
 LAST = 0.5  # s, the end of a run that tells whether it has settled
@@ -63,14 +63,3 @@ def final_error_share(data: RunData) -> float:
     if not (desired > 0.0).all():
         return math.inf
     return float(np.max(np.abs(data.alpha_true[last] - desired) / desired))
-
-
-def finite(value: Any) -> Any:
-    """Return JSON values with None for every number that is not finite."""
-    if isinstance(value, dict):
-        return {name: finite(entry) for name, entry in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [finite(entry) for entry in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

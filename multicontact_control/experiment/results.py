@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from datetime import datetime
 import json
+import math
 import os
 from pathlib import Path
 import shutil
@@ -94,3 +95,14 @@ def read_json(path: Path) -> Any:
         raise ConfigError(str(path), 'a readable file', error.strerror or error) from None
     except ValueError as error:
         raise ConfigError(str(path), 'valid JSON', error) from None
+
+
+def finite(value: Any) -> Any:
+    """Return JSON values with None for every number that is not finite."""
+    if isinstance(value, dict):
+        return {name: finite(entry) for name, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [finite(entry) for entry in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

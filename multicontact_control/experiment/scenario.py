@@ -21,7 +21,7 @@ from multicontact_control.config import (
 )
 from multicontact_control.control.reference import ReferenceConfig, ScenarioReference
 from multicontact_control.errors import ConfigError
-from multicontact_control.paths import config_dir
+from multicontact_control.paths import config_dir, named_file
 from sim_bridge.config import PlantConfig
 import yaml
 
@@ -110,15 +110,7 @@ def scenario_path(name: str) -> Path:
         If there is neither.
 
     """
-    folder = config_dir() / 'scenarios'
-    named = folder / f'{name}.yaml'
-    if named.is_file():
-        return named
-    path = Path(name)
-    if path.is_file():
-        return path
-    known = ', '.join(sorted(file.stem for file in folder.glob('*.yaml')))
-    raise ConfigError('scenario', f'one of {known}, or a path', f"'{name}'")
+    return named_file('scenario', 'scenarios', name)
 
 
 def plant_path(name: str) -> Path:

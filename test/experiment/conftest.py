@@ -24,11 +24,10 @@ class Cluster:
 
 
 @pytest.fixture
-def dask_cluster(tmp_path):
+def dask_cluster(tmp_path_factory):
     """Start a scheduler and two workers with a thread each on this machine, end them after."""
     pytest.importorskip('distributed')
-    folder = tmp_path / 'dask'
-    folder.mkdir()
+    folder = tmp_path_factory.mktemp('dask')
     file = folder / 'scheduler.json'
     path = os.pathsep.join(filter(None, [
         str(ROOT), str(ROOT / 'test'), os.environ.get('PYTHONPATH')]))

@@ -6,6 +6,7 @@ from multicontact_control.experiment.pages import (
     claims_table,
     corners,
     envelope,
+    figure,
     page,
     script_json,
     table,
@@ -37,8 +38,8 @@ def test_corners_keep_both_sides_of_every_step():
 
 
 def test_page_needs_no_other_file():
-    text = page('Title <1>', '<p>body</p>')
-    assert 'Title &lt;1&gt;' in text and 'Plotly' in text
+    text = page('Title <1>', figure('forces', [{'y': [1, 2]}], {}))
+    assert 'Title &lt;1&gt;' in text and 'plotly.js v' in text
     assert not re.search(r'<script[^>]+src=|<link|<img[^>]+src="http', text)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Sequence
+import socket
 import threading
 from types import TracebackType
 from typing import Any
@@ -51,9 +52,10 @@ class DaskExecutor:
             raise RunError('a Dask cluster needs `distributed`, which is not installed here: '
                            "pip install 'multicontact_control[dask]'") from None
         try:
+            _knock(address)
             self._client: Any = distributed.Client(
                 address, timeout=CONNECT_TIMEOUT, set_as_default=False)
-        except (OSError, ValueError, TypeError) as error:
+        except (OSError, ValueError) as error:
             reason = ' '.join(str(error).split()) or type(error).__name__
             raise ConfigError('dask', 'the address of a Dask scheduler that answers, e.g. '
                               'tcp://127.0.0.1:8786', f'{address} ({reason})') from None
@@ -108,6 +110,16 @@ class DaskExecutor:
                 future.release()
         finally:
             self._client.cancel(futures)
+
+
+def _knock(address: str) -> None:
+    """Connect to an address for a moment; OSError or ValueError if that cannot be done."""
+    from distributed.comm import get_address_host_port, parse_address
+
+    # A client that is refused leaves threads that complain at the end of the program.
+    protocol, _ = parse_address(address)
+    if protocol in ('tcp', 'tls'):
+        socket.create_connection(get_address_host_port(address), CONNECT_TIMEOUT).close()
 
 
 def _run_checked(task: Callable[[CellT], CellResult], cell: CellT, key: str) -> CellResult:

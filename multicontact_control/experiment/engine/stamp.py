@@ -12,8 +12,8 @@ from pathlib import Path
 WITHOUT = ('cli', 'client.py', 'nodes', 'tools')
 DECISIVE = (
     'disturbances.py', 'engine/cells.py', 'evidence.py', 'fault_cells.py', 'fault_run.py',
-    'faults.py', 'loop.py', 'measure.py', 'metrics.py', 'recording.py', 'scenario.py',
-    'sweep/measure.py')
+    'faults.py', 'loop.py', 'measure.py', 'metrics.py', 'recording.py', 'results.py',
+    'scenario.py', 'sweep/measure.py')
 LIBRARIES = ('numba', 'numpy', 'pin', 'pybullet', 'scipy')
 
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 import time
 
 from multicontact_control.experiment.engine import CellResult, RunCell
-from multicontact_control.experiment.loop import run_in_process
-from multicontact_control.experiment.measure import finite
 from multicontact_control.experiment.metrics import summarise
+from multicontact_control.experiment.results import finite
 
 SHORTEST = 2  # samples that a summary can be made of
 
@@ -28,6 +27,9 @@ def summarise_cell(cell: RunCell) -> CellResult:
         why the run ended before its time under `error`, None if it did not.
 
     """
+    # Only here: who gives out the work to others needs neither kernels nor simulator.
+    from multicontact_control.experiment.loop import run_in_process
+
     start = time.perf_counter()
     try:
         setup = cell.setup()

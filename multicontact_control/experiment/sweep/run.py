@@ -97,7 +97,8 @@ def sweep_and_report(request: SweepRequest, console: Console | None = None) -> N
             prepare_cell_folder(out, overwrite=request.overwrite)
         cells = [run.cell for run in plan.runs]
         jobs = max(executor.jobs, 1)
-        estimate = estimate_time(cells, out, jobs)
+        # A probe takes longer than starting the workers; their progress bar tells the time left.
+        estimate = estimate_time(cells, out, jobs, probe=request.dry_run)
         console.print(f'study {plan.study.name}: {len(groups_of(plan))} combinations with '
                       f'{len(plan.study.seeds)} seeds', highlight=False)
         console.print(estimate.sentence(jobs), highlight=False)

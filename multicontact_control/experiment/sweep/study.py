@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from multicontact_control.config import Config, parameter, read_yaml, Real, validate
 from multicontact_control.errors import ConfigError
-from multicontact_control.paths import config_dir
+from multicontact_control.paths import named_file
 import numpy as np
 from pydantic import field_validator, model_validator
 
@@ -123,15 +123,7 @@ def study_path(name: str) -> Path:
         If there is neither.
 
     """
-    folder = config_dir() / 'studies'
-    named = folder / f'{name}.yaml'
-    if named.is_file():
-        return named
-    path = Path(name)
-    if path.is_file():
-        return path
-    known = ', '.join(sorted(file.stem for file in folder.glob('*.yaml')))
-    raise ConfigError('study', f'one of {known}, or a path', f"'{name}'")
+    return named_file('study', 'studies', name)
 
 
 def read_study(path: Path, *, seeds: tuple[int, ...] | None = None) -> StudyConfig:

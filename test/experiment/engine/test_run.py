@@ -10,7 +10,8 @@ from multicontact_control.experiment.engine import (
     LostCell,
     run_cells,
 )
-from multicontact_control.experiment.measure import finite, measure_cell
+from multicontact_control.experiment.measure import measure_cell
+from multicontact_control.experiment.results import finite
 import numpy as np
 import pytest
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from statistics import median
 from typing import Any
 
-from multicontact_control.experiment.matrix import AOB, CAUSE, PLAIN
+from multicontact_control.experiment.comparison.matrix import AOB, CAUSE, PLAIN
 
 CLEAN = 'fixed, no roughness, no sensor noise'
 

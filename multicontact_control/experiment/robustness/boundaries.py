@@ -18,9 +18,9 @@ from multicontact_control.arrays import Matrix
 from multicontact_control.contact.geometry import contact_normals
 from multicontact_control.control.controller import Controller
 from multicontact_control.dynamics.operational_space import operational_space
+from multicontact_control.experiment.comparison.matrix import controller_values, estimator_values
 from multicontact_control.experiment.engine import cell_of, RunCell
 from multicontact_control.experiment.loop import run_in_process
-from multicontact_control.experiment.matrix import controller_values, estimator_values
 from multicontact_control.experiment.measure import final_error_share
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.force.active_observer import ActiveObserver

@@ -2,9 +2,7 @@ from typing import get_args
 
 from multicontact_control.config import NoiseEstimatorConfig
 from multicontact_control.errors import ConfigError
-from multicontact_control.experiment.comparing import ComparisonRequest
-from multicontact_control.experiment.findings import findings
-from multicontact_control.experiment.matrix import (
+from multicontact_control.experiment.comparison.matrix import (
     AOB,
     beside_the_matrix,
     comparison_matrix,
@@ -13,6 +11,7 @@ from multicontact_control.experiment.matrix import (
     PLAIN,
     RESCALED,
 )
+from multicontact_control.experiment.comparison.run import ComparisonRequest
 import pytest
 
 
@@ -67,8 +66,7 @@ def test_causes_are_looked_for_only_with_flexible_drives():
 
 @pytest.mark.parametrize('changes, match', [
     ({'estimators': ('kalman',)}, "estimators: .*lead_window.*'kalman'"),
-    ({'plants': ('ur5',)}, "plant: .*'ur5'"), ({'seeds': 0}, 'seeds: expected at least 1'),
-    ({'jobs': -1}, 'jobs')])
+    ({'plants': ('ur5',)}, "plant: .*'ur5'"), ({'seeds': 0}, 'seeds: expected at least 1')])
 def test_bad_request_says_what_is_expected(tmp_path, changes, match):
     with pytest.raises(ConfigError, match=match):
         request(tmp_path, **changes).entries()
@@ -77,30 +75,3 @@ def test_bad_request_says_what_is_expected(tmp_path, changes, match):
 def test_unknown_label_is_refused():
     with pytest.raises(ConfigError, match='lead_window'):
         estimator_values('nothing')
-
-
-def row(label, stable, plant='puma', drives='flexible', kind=AOB):
-    return {'label': label, 'kind': kind, 'plant': plant, 'stable': stable,
-            'evidence': {'drives': drives}, 'unstable_after_motion_s': None if stable else 1.6,
-            'oscillation_hz': None if stable else 42.0, 'rest_rms_n': 0.1, 'pushes': []}
-
-
-CLEAN = 'fixed, no roughness, no sensor noise'
-
-
-def test_findings_say_which_plant_breaks_the_claim_and_that_noise_is_not_the_cause():
-    said = ' '.join(findings([
-        row('fixed', True, 'rigid', 'rigid'), row('fixed', False), row('lead_window', True),
-        row(CLEAN, False, kind='cause'), row('fixed at 2 N²', True, kind='cause')]))
-    assert 'rigid drives (plant rigid) R fixed at 0.6 N² is NOT unstable' in said
-    assert 'unstable in 1 of 1 runs, 1.60 s' in said and '42 Hz' in said
-    assert 'The noise is not the cause' in said
-    assert 'fixed at 2 N²: 1 of 1 stable' in said
-
-
-def test_findings_turn_round_with_the_data():
-    said = ' '.join(findings([
-        row('fixed', False, 'rigid', 'rigid'), row(CLEAN, True, kind='cause'),
-        row('fixed', False)]))
-    assert 'NOT unstable' not in said
-    assert 'here the noise is the cause' in said

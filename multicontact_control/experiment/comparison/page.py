@@ -8,14 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from multicontact_control.errors import RunError
-from multicontact_control.experiment.comparison import (
-    comparison_claims,
-    grouped,
-    table_row,
-)
+from multicontact_control.experiment.comparison.findings import findings
+from multicontact_control.experiment.comparison.matrix import AOB, CAUSE, PLAIN
+from multicontact_control.experiment.comparison.rows import comparison_claims, grouped
+from multicontact_control.experiment.comparison.table import table_row
 from multicontact_control.experiment.engine import CellResult, CellStore
-from multicontact_control.experiment.findings import findings
-from multicontact_control.experiment.matrix import AOB, CAUSE, PLAIN
 from multicontact_control.experiment.pages import (
     claims_table,
     corners,

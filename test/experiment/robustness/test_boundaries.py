@@ -1,11 +1,11 @@
 import math
 
+from multicontact_control.experiment.comparison.matrix import comparison_matrix
 from multicontact_control.experiment.disturbances import instability_time, quiet_windows
 from multicontact_control.experiment.engine import CellStore, LocalExecutor
 from multicontact_control.experiment.loop import run_in_process
-from multicontact_control.experiment.matrix import comparison_matrix
 from multicontact_control.experiment.metrics import instabilities
-from multicontact_control.experiment.robustness import (
+from multicontact_control.experiment.robustness.boundaries import (
     arm_loop,
     bisect,
     check_boundary,
@@ -13,7 +13,7 @@ from multicontact_control.experiment.robustness import (
     ratios,
     verdict,
 )
-from multicontact_control.experiment.robustness_map import (
+from multicontact_control.experiment.robustness.mapping import (
     MapLayout,
     run_map,
     stable_range,

@@ -1,0 +1,1 @@
+"""`multicontact compare`: every noise estimator on the disturbances of the paper."""

@@ -1,0 +1,1 @@
+"""`multicontact map`: how wrong stiffness and delay may be."""

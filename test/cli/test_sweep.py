@@ -1,0 +1,118 @@
+"""`multicontact sweep` as users start it: Ctrl-C, a killed worker, bad input."""
+
+import os
+from pathlib import Path
+import signal
+import subprocess
+import sys
+import time
+
+import pyarrow.parquet as pq
+import pytest
+
+ROOT = Path(__file__).parents[2]
+STUDY = """
+name: small
+scenario: step
+plants: [rigid]
+duration: 2.0
+seeds: 6
+grid: {noise_estimator.estimator: [fixed, lead_window]}
+"""
+
+
+@pytest.fixture(name='study')
+def fixture_study(tmp_path):
+    path = tmp_path / 'small.yaml'
+    path.write_text(STUDY)
+    return path
+
+
+def start(study, out):
+    """Start a sweep of twelve runs on two workers in a group of its own, as a terminal does."""
+    return subprocess.Popen(
+        [sys.executable, '-m', 'multicontact_control.cli', 'sweep', str(study), '--jobs', '2',
+         '--out', str(out)], cwd=ROOT, start_new_session=True, stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE, text=True)
+
+
+def wait_for_cells(out, count, process):
+    until = time.monotonic() + 120.0
+    while len(list(out.glob('cells/*.json'))) < count:
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < until
+        time.sleep(0.02)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(('number', 'code'), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_interrupted_sweep_goes_on_where_it_was(multicontact, study, tmp_path, number, code):
+    out = tmp_path / 'out'
+    process = start(study, out)
+    wait_for_cells(out, 2, process)
+    if number == signal.SIGINT:
+        os.killpg(process.pid, number)  # Ctrl-C reaches the workers, too
+    else:
+        process.send_signal(number)
+    _, errors = process.communicate(timeout=60.0)
+    assert process.returncode == code, errors
+    assert 'the same command goes on from there' in errors
+    assert 'Traceback' not in errors
+    finished = {path: path.stat().st_mtime_ns for path in out.glob('cells/*.json')}
+    assert 2 <= len(finished) < 12
+    assert not (out / 'sweep.parquet').exists()
+    again = multicontact('sweep', str(study), '--out', str(out))
+    assert again.returncode == 0, again.stderr
+    assert f'12 runs, {len(finished)} of them' in ' '.join(again.stdout.split())
+    assert all(path.stat().st_mtime_ns == age for path, age in finished.items())
+    assert pq.read_table(out / 'sweep.parquet').num_rows == 12
+
+
+@pytest.mark.slow
+def test_killed_worker_loses_nothing(multicontact, study, tmp_path):
+    """A real SIGKILL, as the kernel sends when memory runs out."""
+    out = tmp_path / 'out'
+    process = start(study, out)
+    wait_for_cells(out, 1, process)
+    os.kill(_worker_of(process.pid), signal.SIGKILL)
+    shown, errors = process.communicate(timeout=120.0)
+    assert process.returncode == 0, errors
+    assert 'a worker died' in shown
+    reference = tmp_path / 'reference'
+    assert multicontact('sweep', str(study), '--jobs', '1', '--out',
+                        str(reference)).returncode == 0
+    assert (out / 'sweep.parquet').read_bytes() == (reference / 'sweep.parquet').read_bytes()
+
+
+def _worker_of(pid):
+    """Return a child process that runs cells."""
+    children = Path(f'/proc/{pid}/task/{pid}/children').read_text().split()
+    return next(int(child) for child in children if b'popen_loky' in Path(
+        f'/proc/{child}/cmdline').read_bytes())
+
+
+@pytest.mark.parametrize(('arguments', 'message'), [
+    (('nothing',), "study: expected one of delay, stiffness, or a path, found 'nothing'"),
+    (('stiffness', '--seeds', 'x'), 'seeds: expected a number of seeds, or seeds with commas'),
+    (('stiffness', '--seeds', '0'), 'seeds: expected a number of seeds, or seeds with commas'),
+    (('stiffness', '--jobs', '-1'), 'jobs: expected a whole number >= 0, found -1'),
+    (('stiffness', '--dask', 'nowhere'), 'dask: expected the address of a Dask scheduler')])
+def test_bad_input_exits_with_two_and_one_line(multicontact, tmp_path, arguments, message):
+    done = multicontact('sweep', *arguments, cwd=tmp_path)
+    assert done.returncode == 2
+    assert message in done.stderr
+    assert done.stderr.count('\n') == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_seeds_are_a_number_or_a_list(multicontact, tmp_path):
+    for given, runs in (('3', 30), ('4,9', 20)):
+        done = multicontact('sweep', 'stiffness', '--seeds', given, '--dry-run', cwd=tmp_path)
+        assert f'{runs} runs, 0 of them' in done.stdout
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_help_teaches(multicontact):
+    shown = multicontact('sweep', '--help').stdout
+    for text in ('plants: [rigid, puma]', 'sweep.parquet', '--dask', '130: interrupted'):
+        assert text in shown
