@@ -20,10 +20,12 @@ POSTURE = np.dtype([
 NO_NUMBERS, OPERATIONAL_SPEED, JOINT_SPEED = 1, 2, 4
 
 # Fields of `WatchdogConfig`; pull that a lost contact may read as well, the tool's inertia [N];
-# weight of the tool [N]; corners of the box, and what is allowed.
+# weight of the tool and what the sensor reads under no load [N]; corners of the box, and what is
+# allowed.
 SUSPICION = np.dtype([
     ('pull_threshold', np.float64), ('inertia', np.float64), ('friction_bound', np.float64),
-    ('friction_offset', np.float64), ('weight', np.float64, 3), ('box', np.float64, (2, 3))])
+    ('friction_offset', np.float64), ('weight', np.float64, 3), ('bias', np.float64, 3),
+    ('box', np.float64, (2, 3))])
 # What `doubt_answer` returns, added up.
 NOT_FINITE, PULL, SIDEWAYS, OUTSIDE = 1, 2, 4, 8
 
@@ -143,7 +145,7 @@ def doubt_answer(
     for k in range(3):
         force = bounds.weight[k]
         for j in range(3):
-            force += seen.sensor_rotation[k, j] * wrench[j]
+            force += seen.sensor_rotation[k, j] * (wrench[j] - bounds.bias[j])
         for i in range(alpha.shape[0]):
             force -= alpha[i] * normals[i, k]
         sideways += force * force
