@@ -182,7 +182,8 @@ def inputs_at(random, k, now, kind):
     values[0] = stamp
     if kind in ('nan', 'jump', 'huge'):
         values[1] = values[1].copy()
-        values[1][random.integers(CONTACTS)] += {'nan': np.nan, 'jump': 0.5, 'huge': 1e9}[kind]
+        values[1][random.integers(CONTACTS)] += {
+            'nan': np.nan, 'jump': random.choice([0.5, 0.012, 0.03]), 'huge': 1e9}[kind]
     return now._replace(time=k * H, **{what: type(reading)(*values)})
 
 
