@@ -8,6 +8,7 @@ from multicontact_control.algebra import multiply
 from multicontact_control.arrays import Codes, Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.control.contact_kernels import LOST
+from multicontact_control.force.kernels import MEASURED
 import numpy as np
 
 # Rows of an arm's joints: position, velocity, diagonal of M, C v + g.
@@ -99,16 +100,16 @@ def see_arm(
 
 @compiled
 def doubt_answer(
-    torque: Vector, contacts: Matrix, alpha: Vector, states: Codes, wrench: Vector,
-    posture: Any, normals: Matrix, suspicion: Any,
+    torque: Vector, contacts: Matrix, states: Codes, wrench: Vector, posture: Any,
+    normals: Matrix, suspicion: Any,
 ) -> int:
     """
     Find out what speaks against an answer of the control law.
 
     Parameters
     ----------
-    torque, contacts, alpha
-        The answer: Gamma, its report, and the measured forces, shapes (n,), (7, r), (r,).
+    torque, contacts
+        The answer: Gamma and its report, shapes (n,) and (7, r).
     states
         Of the contacts, shape (r,). A tool that is braked after its surface has gone reads its
         own inertia, as a pull: for a lost contact there is an allowance.
@@ -133,6 +134,7 @@ def doubt_answer(
         if not all_numbers(contacts[row]):
             doubts = NOT_FINITE
     seen, bounds = posture[0], suspicion[0]
+    alpha = contacts[MEASURED]
     pressed = 0.0
     for i in range(alpha.shape[0]):
         pressed += abs(alpha[i])

@@ -192,8 +192,8 @@ class Supervisor:
         self._view.see(self.controller.sense(nothing, nothing), nothing, nothing)
         output = no_answer(n, r)
         doubt_answer(
-            output.torque, output.contacts, output.alpha_meas, self.reference.state_codes,
-            np.zeros(6), self._view.posture, self._normals, self._suspicion)
+            output.torque, output.contacts, self.reference.state_codes, np.zeros(6),
+            self._view.posture, self._normals, self._suspicion)
 
     def step(self, inputs: TickInputs) -> SupervisorOutput:
         """
@@ -333,8 +333,8 @@ class Supervisor:
             return self._react((f'law_{type(error).__name__}',), believed.rejected,
                                self.config.watchdog.on_law_fault)
         doubts = doubt_answer(
-            output.torque, output.contacts, output.alpha_meas, self.reference.state_codes,
-            believed.wrench, self._arm.posture, self._normals, self._suspicion)
+            output.torque, output.contacts, self.reference.state_codes, believed.wrench,
+            self._arm.posture, self._normals, self._suspicion)
         if doubts & NOT_FINITE:
             return self._react(('law_not_finite',), believed.rejected,
                                self.config.watchdog.on_law_fault)

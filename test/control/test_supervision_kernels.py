@@ -244,7 +244,7 @@ def test_view_and_doubts_equal_numpy(seed, scale):
     outside = (place < np.array(CONFIG.limits.workspace_lower) - 0.01).any() or (
         place > np.array(CONFIG.limits.workspace_upper) + 0.01).any()
     assert doubt_answer(
-        torque, contacts, alpha, states, wrench, arm.posture, normals,
+        torque, contacts, states, wrench, arm.posture, normals,
         supervisor._suspicion) == (
         NOT_FINITE * (scale == 3.0) + PULL * bool((alpha < -pull).any())
         + SIDEWAYS * bool(np.linalg.norm(sideways) > bound) + OUTSIDE * bool(outside))
