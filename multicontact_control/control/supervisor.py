@@ -237,9 +237,9 @@ class Supervisor:
     def _judge(self, inputs: TickInputs) -> Believed:
         """Return what is believed; take note of the time, and of the effort to start from."""
         now, before = finite_number(inputs.time), self._time
-        skipped = 0.0 if now is None or before is None else now - before - self.config.period
+        skipped = 0.0 if now is None or before is None else now - before - self._period
         if self._running and not self._paused and 0.0 < skipped <= LONGEST_SKIP:
-            self._task_ticks += round(skipped / self.config.period)
+            self._task_ticks += round(skipped / self._period)
         self._time = now
         if not self._handover.begun and inputs.joints is not None:
             self._effort = np.zeros(self._robot.joint_count)
