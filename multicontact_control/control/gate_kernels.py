@@ -8,6 +8,7 @@ from multicontact_control.algebra import multiply
 from multicontact_control.arrays import Codes, Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.control.contact_kernels import LOST
+from multicontact_control.force.kernels import MEASURED
 import numpy as np
 
 # Rows of an arm's joints: position, velocity, diagonal of M, C v + g.
@@ -20,10 +21,12 @@ POSTURE = np.dtype([
 NO_NUMBERS, OPERATIONAL_SPEED, JOINT_SPEED = 1, 2, 4
 
 # Fields of `WatchdogConfig`; pull that a lost contact may read as well, the tool's inertia [N];
-# weight of the tool [N]; corners of the box, and what is allowed.
+# weight of the tool and what the sensor reads under no load [N]; corners of the box, and what is
+# allowed.
 SUSPICION = np.dtype([
     ('pull_threshold', np.float64), ('inertia', np.float64), ('friction_bound', np.float64),
-    ('friction_offset', np.float64), ('weight', np.float64, 3), ('box', np.float64, (2, 3))])
+    ('friction_offset', np.float64), ('weight', np.float64, 3), ('bias', np.float64, 3),
+    ('box', np.float64, (2, 3))])
 # What `doubt_answer` returns, added up.
 NOT_FINITE, PULL, SIDEWAYS, OUTSIDE = 1, 2, 4, 8
 
@@ -97,16 +100,16 @@ def see_arm(
 
 @compiled
 def doubt_answer(
-    torque: Vector, contacts: Matrix, alpha: Vector, states: Codes, wrench: Vector,
-    posture: Any, normals: Matrix, suspicion: Any,
+    torque: Vector, contacts: Matrix, states: Codes, wrench: Vector, posture: Any,
+    normals: Matrix, suspicion: Any,
 ) -> int:
     """
     Find out what speaks against an answer of the control law.
 
     Parameters
     ----------
-    torque, contacts, alpha
-        The answer: Gamma, its report, and the measured forces, shapes (n,), (7, r), (r,).
+    torque, contacts
+        The answer: Gamma and its report, shapes (n,) and (7, r).
     states
         Of the contacts, shape (r,). A tool that is braked after its surface has gone reads its
         own inertia, as a pull: for a lost contact there is an allowance.
@@ -131,6 +134,7 @@ def doubt_answer(
         if not all_numbers(contacts[row]):
             doubts = NOT_FINITE
     seen, bounds = posture[0], suspicion[0]
+    alpha = contacts[MEASURED]
     pressed = 0.0
     for i in range(alpha.shape[0]):
         pressed += abs(alpha[i])
@@ -143,7 +147,7 @@ def doubt_answer(
     for k in range(3):
         force = bounds.weight[k]
         for j in range(3):
-            force += seen.sensor_rotation[k, j] * wrench[j]
+            force += seen.sensor_rotation[k, j] * (wrench[j] - bounds.bias[j])
         for i in range(alpha.shape[0]):
             force -= alpha[i] * normals[i, k]
         sideways += force * force

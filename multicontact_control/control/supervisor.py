@@ -79,7 +79,7 @@ class Supervisor:
     """
 
     def __init__(self, config: ControllerConfig, robot: RobotModel, task: TaskSource) -> None:
-        self._robot = robot
+        self._robot, self._period = robot, config.period
         self.reference = ContactReference(config, task)
         self.controller = Controller(config, robot, self.reference)
         self._watchdog = Watchdog(config)
@@ -91,7 +91,6 @@ class Supervisor:
         self.expects_pushes = False
         self._normals = np.array(
             [config.contacts[name].normal_world for name in config.contact_names])
-        self._suspicion = suspicion_of(config)
         self._view = ArmView(config.limits, robot.joint_count)
         self.reference.look_at(self._view)
         self.reference.make_in(self.controller.buffers)
@@ -117,7 +116,7 @@ class Supervisor:
     def _adopt(self, config: ControllerConfig) -> None:
         """Set what follows from the values that may change while the arm is controlled."""
         self.config = config
-        self._bias = np.array(config.tool.bias_sensor)
+        self._suspicion = suspicion_of(config)
         self._handover.adopt(config)
         self._safe.config = config.safe_behaviour
 
@@ -193,8 +192,8 @@ class Supervisor:
         self._view.see(self.controller.sense(nothing, nothing), nothing, nothing)
         output = no_answer(n, r)
         doubt_answer(
-            output.torque, output.contacts, output.alpha_meas, self.reference.state_codes,
-            np.zeros(6), self._view.posture, self._normals, self._suspicion)
+            output.torque, output.contacts, self.reference.state_codes, np.zeros(6),
+            self._view.posture, self._normals, self._suspicion)
 
     def step(self, inputs: TickInputs) -> SupervisorOutput:
         """
@@ -238,9 +237,9 @@ class Supervisor:
     def _judge(self, inputs: TickInputs) -> Believed:
         """Return what is believed; take note of the time, and of the effort to start from."""
         now, before = finite_number(inputs.time), self._time
-        skipped = 0.0 if now is None or before is None else now - before - self.config.period
+        skipped = 0.0 if now is None or before is None else now - before - self._period
         if self._running and not self._paused and 0.0 < skipped <= LONGEST_SKIP:
-            self._task_ticks += round(skipped / self.config.period)
+            self._task_ticks += round(skipped / self._period)
         self._time = now
         if not self._handover.begun and inputs.joints is not None:
             self._effort = np.zeros(self._robot.joint_count)
@@ -289,9 +288,9 @@ class Supervisor:
         if self._arm is not None and self._arm.too_fast:
             causes += self._arm.too_fast
         reaction = self._reaction_to(causes)
-        if SEVERITY.index(reaction) <= SEVERITY.index(INFLATE):
+        if reaction in (NONE, INFLATE):
             self._good_ticks += 1
-            if self._paused and self._good_ticks * self.config.period < (
+            if self._paused and self._good_ticks * self._period < (
                     self.config.watchdog.recovery_time):
                 return self._react(('recovering',), believed.rejected, self._last_reaction)
             return self._control(believed, causes, reaction)
@@ -334,8 +333,8 @@ class Supervisor:
             return self._react((f'law_{type(error).__name__}',), believed.rejected,
                                self.config.watchdog.on_law_fault)
         doubts = doubt_answer(
-            output.torque, output.contacts, output.alpha_meas, self.reference.state_codes,
-            believed.wrench - self._bias, self._arm.posture, self._normals, self._suspicion)
+            output.torque, output.contacts, self.reference.state_codes, believed.wrench,
+            self._arm.posture, self._normals, self._suspicion)
         if doubts & NOT_FINITE:
             return self._react(('law_not_finite',), believed.rejected,
                                self.config.watchdog.on_law_fault)
@@ -396,4 +395,4 @@ class Supervisor:
         return self._finish(self._output, DAMP, (cause,), (), DAMP, ())
 
     def _task_time(self) -> float:
-        return self._task_ticks * self.config.period
+        return self._task_ticks * self._period

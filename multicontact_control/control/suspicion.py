@@ -17,6 +17,7 @@ def suspicion_of(config: ControllerConfig) -> Any:
     for name in ('pull_threshold', 'friction_bound', 'friction_offset'):
         suspicion[name] = getattr(config.watchdog, name)
     suspicion['inertia'] = config.tool.mass * config.watchdog.loss_acceleration
+    suspicion['bias'] = config.tool.bias_sensor[:3]
     suspicion['weight'] = config.tool.mass * np.array(config.robot.gravity_world)
     limits, everywhere = config.limits, np.full(3, np.inf)
     suspicion['box'] = (

@@ -182,7 +182,8 @@ def inputs_at(random, k, now, kind):
     values[0] = stamp
     if kind in ('nan', 'jump', 'huge'):
         values[1] = values[1].copy()
-        values[1][random.integers(CONTACTS)] += {'nan': np.nan, 'jump': 0.5, 'huge': 1e9}[kind]
+        values[1][random.integers(CONTACTS)] += {
+            'nan': np.nan, 'jump': random.choice([0.5, 0.012, 0.03]), 'huge': 1e9}[kind]
     return now._replace(time=k * H, **{what: type(reading)(*values)})
 
 
@@ -225,7 +226,8 @@ def test_view_and_doubts_equal_numpy(seed, scale):
         too_fast.append('motion_joint_speed')
     assert list(arm.too_fast) == too_fast
 
-    supervisor = Supervisor(CONFIG, ROBOT, CommandedReference(CONFIG.contact_names))
+    config = controller_config(tool={'bias_sensor': [0.0, 0.0, 3.0, 0.0, 0.0, 0.0]})
+    supervisor = Supervisor(config, ROBOT, CommandedReference(CONFIG.contact_names))
     contacts, wrench = random.normal(size=(7, CONTACTS)) * 5.0, random.normal(size=6) * 10.0
     torque = random.normal(size=6)
     torque[3] = np.nan if scale == 3.0 else 0.0
@@ -235,13 +237,14 @@ def test_view_and_doubts_equal_numpy(seed, scale):
         states == LOST, CONFIG.tool.mass * watch.loss_acceleration, 0.0)
     weight = CONFIG.tool.mass * np.array(CONFIG.robot.gravity_world)
     normals = np.array([CONFIG.contacts[name].normal_world for name in CONFIG.contact_names])
-    sideways = state.sensor_pose.rotation_world @ wrench[:3] + weight - alpha @ normals
+    bias = np.array([0.0, 0.0, 3.0])
+    sideways = state.sensor_pose.rotation_world @ (wrench[:3] - bias) + weight - alpha @ normals
     bound = watch.friction_offset + watch.friction_bound * np.abs(alpha).sum()
     place = state.pose.position_world
     outside = (place < np.array(CONFIG.limits.workspace_lower) - 0.01).any() or (
         place > np.array(CONFIG.limits.workspace_upper) + 0.01).any()
     assert doubt_answer(
-        torque, contacts, alpha, states, wrench, arm.posture, normals,
+        torque, contacts, states, wrench, arm.posture, normals,
         supervisor._suspicion) == (
         NOT_FINITE * (scale == 3.0) + PULL * bool((alpha < -pull).any())
         + SIDEWAYS * bool(np.linalg.norm(sideways) > bound) + OUTSIDE * bool(outside))

@@ -48,7 +48,7 @@ class SensorHealth:
         """What is wrong, ``frozen`` or ``saturated``; empty if nothing is."""
         if self.frozen:
             return 'frozen'
-        return 'saturated' if self.saturated.any() else ''
+        return 'saturated' if any(self.saturated.tolist()) else ''  # a quarter of numpy's time
 
 
 class SensorMonitor:
