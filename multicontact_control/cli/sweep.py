@@ -49,8 +49,9 @@ def sweep(
       points:    # single combinations beside the grid
         - {controller.force.damping_rate: 10.0}
 
-    Optional: description, duration (in s), supervised, fixed (parameters that
-    are the same in every run), figures (columns to draw).
+    Optional: description, duration (in s), supervised (false for `--bare` of
+    simulate), fixed (parameters that are the same in every run), figures
+    (columns to draw).
 
     Writes sweep.parquet (a row for each run, also for those that failed; units
     in the fields), sweep.png, sweep.html and timings.csv. The table is the same

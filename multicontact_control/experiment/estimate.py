@@ -8,13 +8,7 @@ from pathlib import Path
 from statistics import median
 import time
 
-from multicontact_control.experiment.engine import (
-    CellStore,
-    LocalExecutor,
-    prepare_cell_folder,
-    RunCell,
-)
-from rich.console import Console
+from multicontact_control.experiment.engine import CellStore, RunCell
 
 START_UP = 3.0  # s, to start a pool of workers
 PROBE = 1.5  # s of simulated time that a plant's speed is taken from
@@ -50,36 +44,6 @@ class Estimate:
             return f'{known}; {jobs} at once'
         return (f'{known}; the other {self.todo} will take about {_words(self.seconds)} with '
                 f'{jobs} at once')
-
-
-def begin_matrix(
-    cells: Iterable[RunCell], folder: Path, *, jobs: int, overwrite: bool, console: Console,
-) -> LocalExecutor:
-    """
-    Make the folder of a matrix, say how long it will take, and return who runs it.
-
-    Parameters
-    ----------
-    cells
-        The matrix.
-    folder, overwrite
-        As for `prepare_cell_folder`.
-    jobs
-        As for `LocalExecutor`.
-    console
-        Where it is said.
-
-    Raises
-    ------
-    ConfigError
-        If one of them is not acceptable.
-
-    """
-    executor = LocalExecutor(jobs)
-    prepare_cell_folder(folder, overwrite=overwrite)
-    estimate = estimate_time(cells, folder, executor.jobs)
-    console.print(estimate.sentence(executor.jobs), highlight=False)
-    return executor
 
 
 def estimate_time(

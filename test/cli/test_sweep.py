@@ -1,5 +1,6 @@
 """`multicontact sweep` as users start it: Ctrl-C, a killed worker, bad input."""
 
+import json
 import os
 from pathlib import Path
 import signal
@@ -89,6 +90,21 @@ def _worker_of(pid):
     children = Path(f'/proc/{pid}/task/{pid}/children').read_text().split()
     return next(int(child) for child in children if b'popen_loky' in Path(
         f'/proc/{child}/cmdline').read_bytes())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('bare', [False, True])
+def test_row_is_the_run_that_simulate_gives(multicontact, tmp_path, bare):
+    study = tmp_path / 'one.yaml'
+    study.write_text('{name: one, scenario: step, plants: [rigid], duration: 1.7, seeds: [3]'
+                     f'{", supervised: false" if bare else ""}}}')
+    assert multicontact('sweep', str(study), '--out', str(tmp_path / 'sweep')).returncode == 0
+    multicontact('simulate', '--scenario', 'step', '--plant', 'rigid', '--duration', '1.7',
+                 '--seed', '3', '--out', str(tmp_path / 'run'), *(['--bare'] if bare else []))
+    summary = json.loads((tmp_path / 'run' / 'summary.json').read_text())
+    row, = pq.read_table(tmp_path / 'sweep' / 'sweep.parquet').to_pylist()
+    assert row['trajectory_sha256'] == summary['trajectory_sha256']
+    assert row['torque.max_fraction_of_limit'] == summary['torque']['max_fraction_of_limit']
 
 
 @pytest.mark.parametrize(('arguments', 'message'), [

@@ -1,5 +1,6 @@
 """A Dask cluster of real processes."""
 
+from contextlib import suppress
 from dataclasses import dataclass
 import json
 import os
@@ -17,9 +18,10 @@ DEADLINE = 60.0  # s
 
 @dataclass(frozen=True)
 class Cluster:
-    """The address of a scheduler, and its worker processes."""
+    """The address of a scheduler, its process and those of its workers."""
 
     address: str
+    scheduler: subprocess.Popen
     workers: tuple
 
 
@@ -45,10 +47,11 @@ def dask_cluster(tmp_path_factory):
     for _ in range(2):
         start('worker', '--nthreads', '1', '--no-dashboard', '--local-directory', str(folder))
     try:
-        yield Cluster(_address(file), tuple(processes[1:]))
+        yield Cluster(_address(file), processes[0], tuple(processes[1:]))
     finally:
         for process in processes:  # with their groups: a nanny has its worker in a process
-            os.killpg(process.pid, signal.SIGKILL)
+            with suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
             process.wait()
 
 

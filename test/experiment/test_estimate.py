@@ -1,10 +1,8 @@
 """How long a matrix is said to take."""
 
-from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.engine import cell_of, CellResult, CellStore
-from multicontact_control.experiment.estimate import begin_matrix, Estimate, estimate_time
+from multicontact_control.experiment.estimate import Estimate, estimate_time
 import pytest
-from rich.console import Console
 
 CELLS = [cell_of('step', 'rigid', seed, duration=duration)
          for seed, duration in enumerate((2.0, 4.0, 10.0))]
@@ -41,10 +39,3 @@ def test_probe_tells_the_time_of_a_new_plant(tmp_path):
 def test_estimate_is_told_in_fitting_units(seconds, words):
     assert Estimate(5, 1, seconds).sentence(2) == (
         f'5 runs, 1 of them finished before; the other 4 will take about {words} with 2 at once')
-
-
-def test_matrix_with_bad_options_is_refused_before_its_folder_is_made(tmp_path):
-    out = tmp_path / 'out'
-    with pytest.raises(ConfigError, match='jobs: expected a whole number >= 0, found -2'):
-        begin_matrix(CELLS, out, jobs=-2, overwrite=False, console=Console(quiet=True))
-    assert not out.exists()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 from multicontact_control.experiment.comparison.findings import findings
 from multicontact_control.experiment.comparison.matrix import (
@@ -16,7 +15,7 @@ from multicontact_control.experiment.comparison.matrix import (
 from multicontact_control.experiment.comparison.page import write_comparison_page
 from multicontact_control.experiment.comparison.rows import run_comparison
 from multicontact_control.experiment.comparison.table import comparison_table
-from multicontact_control.experiment.estimate import begin_matrix
+from multicontact_control.experiment.matrix_request import MatrixRequest
 from rich.console import Console
 from rich.markup import escape
 
@@ -24,32 +23,18 @@ WIDE = 110  # columns of a terminal that takes the whole table
 
 
 @dataclass(frozen=True)
-class ComparisonRequest:
+class ComparisonRequest(MatrixRequest):
     """
     The options of `multicontact compare`.
 
     Attributes
     ----------
-    plants, estimators
-        Names; no estimators for all, or those of the quick matrix.
     seeds
         How many; None for 3, or 1 of the quick matrix.
-    jobs
-        Runs at once, 0 for every core.
-    quick, overwrite
-        The reduced matrix; whether finished cells are run again.
-    out
-        Folder.
 
     """
 
-    plants: tuple[str, ...]
-    estimators: tuple[str, ...]
     seeds: int | None
-    jobs: int
-    quick: bool
-    out: Path
-    overwrite: bool
 
     def entries(self) -> list[Entry]:
         """Return the cells asked for."""
@@ -73,8 +58,7 @@ def compare_and_report(request: ComparisonRequest, console: Console | None = Non
     """
     console = console or Console()
     entries = request.entries()
-    executor = begin_matrix([entry.cell for entry in entries], request.out, jobs=request.jobs,
-                            overwrite=request.overwrite, console=console)
+    executor = request.begin([entry.cell for entry in entries], console)
     content = run_comparison(entries, request.out, executor=executor, console=console)
     for plant in request.plants:
         console.print(comparison_table(

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable, Generator, Sequence
+import concurrent.futures
+from contextlib import suppress
 import socket
 import threading
 from types import TracebackType
@@ -19,6 +22,9 @@ from multicontact_control.experiment.engine.cells import (
 
 CONNECT_TIMEOUT = 10.0  # s, until an address counts as one that does not answer
 AT_A_TIME = 500  # cells handed to the scheduler in one message
+
+LOST_CONNECTION = (
+    asyncio.CancelledError, concurrent.futures.CancelledError, OSError, TimeoutError)
 
 # The simulator and the compiled kernels are not for several threads of one process.
 _ONE_AT_A_TIME = threading.Lock()
@@ -109,7 +115,8 @@ class DaskExecutor:
                 yield cell_of[future.key], _outcome(future)
                 future.release()
         finally:
-            self._client.cancel(futures)
+            with suppress(*LOST_CONNECTION):
+                self._client.cancel(futures)
 
 
 def _knock(address: str) -> None:
@@ -134,12 +141,16 @@ def _outcome(future: Any) -> Outcome:
     """Return what became of a cell on the cluster."""
     from distributed import KilledWorker
 
-    if future.status == 'finished':
-        result: CellResult = future.result()
-        return result
-    if future.status == 'cancelled':
-        raise RunError('the Dask scheduler is gone or has dropped the work')
-    error = future.exception()
+    gone = RunError('the Dask scheduler is gone or has dropped the work')
+    try:
+        if future.status == 'finished':
+            result: CellResult = future.result()
+            return result
+        if future.status != 'error':
+            raise gone
+        error = future.exception()
+    except LOST_CONNECTION:
+        raise gone from None
     if isinstance(error, KilledWorker):
         return LostCell('the workers that were to run it died')
     reason = ' '.join(str(error).split()) or type(error).__name__

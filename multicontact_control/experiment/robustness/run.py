@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 from multicontact_control.experiment.comparison.matrix import LABELS
-from multicontact_control.experiment.estimate import begin_matrix
+from multicontact_control.experiment.matrix_request import MatrixRequest
 from multicontact_control.experiment.robustness.boundaries import ratios
 from multicontact_control.experiment.robustness.mapping import (
     map_table,
@@ -19,29 +18,8 @@ from rich.console import Console
 
 
 @dataclass(frozen=True)
-class MapRequest:
-    """
-    The options of `multicontact map`.
-
-    Attributes
-    ----------
-    plants, estimators
-        Names; none for all, or those of the quick map.
-    jobs
-        Runs at once, 0 for every core.
-    quick, overwrite
-        The coarse map; whether finished cells are run again.
-    out
-        Folder.
-
-    """
-
-    plants: tuple[str, ...]
-    estimators: tuple[str, ...]
-    jobs: int
-    quick: bool
-    out: Path
-    overwrite: bool
+class MapRequest(MatrixRequest):
+    """The options of `multicontact map`."""
 
     def layout(self) -> MapLayout:
         """Return the map asked for."""
@@ -64,8 +42,7 @@ def map_and_report(request: MapRequest, console: Console | None = None) -> None:
     """
     console = console or Console()
     layout = request.layout()
-    executor = begin_matrix(layout.cells().values(), request.out, jobs=request.jobs,
-                            overwrite=request.overwrite, console=console)
+    executor = request.begin(layout.cells().values(), console)
     content = run_map(layout, request.out, executor=executor, console=console)
     for plant in layout.plants:
         console.print(map_table(content, plant))

@@ -52,7 +52,8 @@ class StudyConfig(Config):
     duration: Real | None = parameter(
         None, "Length of every run; the scenario's own if not given.", unit='s', gt=0.0)
     supervised: bool = parameter(
-        False, 'Whether contact states, watchdogs and limits are put around the controller.')
+        True, 'Whether contact states, watchdogs and limits are put around the controller, as '
+        'in `simulate`; false is its `--bare`.')
     fixed: dict[str, Any] = parameter({}, 'Parameters that differ from the files in every run.')
     grid: dict[str, tuple[Any, ...]] = parameter(
         {}, 'Values of each parameter; every combination is run.')

@@ -47,6 +47,20 @@ def test_worker_with_other_code_is_refused(tmp_path, dask_cluster, monkeypatch):
     assert starts(cells[0]) == []
 
 
+@pytest.mark.slow
+def test_scheduler_that_dies_ends_the_run_with_one_line(tmp_path, dask_cluster):
+    """What came before is kept."""
+    cells = make_cells(tmp_path, [0] * 200)
+    seen = []
+    with pytest.raises(RunError, match='the Dask scheduler is gone'):
+        with DaskExecutor(dask_cluster.address) as executor:
+            for cell, _ in executor.results(kill_task, cells, print):
+                if not seen:
+                    dask_cluster.scheduler.kill()
+                seen.append(cell)
+    assert 1 <= len(seen) < 200
+
+
 def test_address_that_does_not_answer_is_refused(monkeypatch):
     monkeypatch.setattr('multicontact_control.experiment.engine.cluster.CONNECT_TIMEOUT', 1.0)
     with socket.socket() as unused:  # bound, so that nobody else answers; and not listening

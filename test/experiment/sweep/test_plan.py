@@ -46,9 +46,10 @@ def test_point_that_the_grid_has_is_run_once():
 
 
 def test_study_without_parameters_is_its_seeds():
-    plan = plan_of(grid={}, fixed={'scenario.duration': 2.0}, supervised=True)
+    plan = plan_of(grid={}, fixed={'scenario.duration': 2.0})
     assert [(run.seed, dict(run.values)) for run in plan.runs] == [(0, {}), (1, {})]
     assert plan.runs[0].cell.supervised
+    assert not plan_of(supervised=False).runs[0].cell.supervised
     assert plan.runs[0].cell.setup().scenario.duration == 2.0
 
 

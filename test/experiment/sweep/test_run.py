@@ -97,8 +97,8 @@ def test_run_that_cannot_go_on_is_a_row(sweep, tmp_path):
     """Two contacts at the same point cannot be told apart."""
     point = {'controller.contacts.board.normal_world': [0.0, 0.0, -1.0],
              'controller.contacts.board.point_operational': [0.0, 0.0, 0.24]}
-    shown = sweep('out', {'grid': {}, 'points': [point, {'controller.force.damping_rate': 20.0}],
-                          'seeds': [4]}, jobs=1)
+    points = [point, {'controller.force.damping_rate': 20.0}]
+    shown = sweep('out', {'supervised': False, 'grid': {}, 'points': points, 'seeds': [4]}, jobs=1)
     assert '2 runs: ' in shown and 'of which 1 ended early' in shown
     rows = pq.read_table(tmp_path / 'out' / 'sweep.parquet').to_pylist()
     assert 'expected independent columns' in rows[0]['error']
