@@ -12,11 +12,13 @@ from hypothesis import strategies as st
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.controller_node import ControllerNode
 from multicontact_control.nodes.managed_node import SUCCESS
+from multicontact_control.nodes.parameter_set import LOCKED
 from multicontact_control.nodes.runtime import Spinner, StopFlag
 from multicontact_control.paths import config_dir
 import numpy as np
 import pytest
 import rclpy
+from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from ros_graph import wait_for
 from sensor_msgs.msg import JointState
@@ -204,3 +206,31 @@ def test_after_all_that_good_samples_are_answered(live):
     wait_for(answered, 'answers')
     if live.supervised:
         wait_for(lambda: live.good() or live.node._configured.status.reaction == 'none', 'control')
+
+
+INTEGER = st.integers(-2 ** 63, 2 ** 63 - 1)
+TEXT = st.text(st.characters(codec='utf-8', exclude_characters='\0'), max_size=5)
+VALUE = st.one_of(NUMBER, INTEGER, st.booleans(), TEXT, SIX, st.lists(NUMBER, min_size=1),
+                  st.lists(INTEGER, min_size=1, max_size=3),
+                  st.lists(TEXT, min_size=1, max_size=3),
+                  st.sampled_from(['zero_torque', 'hold_position']))
+
+
+@settings(max_examples=300, deadline=None, suppress_health_check=list(HealthCheck))
+@given(data=st.data(), value=VALUE)
+def test_no_value_of_a_parameter_raises_or_brings_out_what_is_not_finite(live, data, value):
+    known = [name for name in sorted(live.node._parameters)
+             if not name.startswith(('use_sim_time', 'start_type', 'qos_'))]
+    live_ones = [name for name in known if not live.node.describe_parameter(name)
+                 .additional_constraints.endswith(LOCKED)]
+    name = data.draw(st.sampled_from(live_ones) | st.sampled_from(known))
+    before, config = live.node.get_parameter(name).value, live.node._configured.config
+    result = live.node.set_parameters([Parameter(name, value=value)])[0]
+    if not result.successful:
+        assert result.reason
+        assert str(live.node.get_parameter(name).value) == str(before)
+        assert live.node._configured.config is config
+    live.good()
+    live.take()
+    if result.successful:
+        assert live.node.set_parameters([Parameter(name, value=before)])[0].successful
