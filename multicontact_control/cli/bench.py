@@ -22,8 +22,8 @@ def bench(
     """
     Measure how fast everything is, each part against its floor in the same run.
 
-    The tick is that of the control law and the estimator, without the supervisor. Ratios are what
-    to compare between machines; a machine that was too noisy is named as such.
+    The tick is measured bare, the control law and the estimator alone, and within the supervisor.
+    Ratios are what to compare between machines; a machine that was too noisy is named as such.
     """
     from multicontact_control.experiment.bench.run import print_bench, run_bench
 

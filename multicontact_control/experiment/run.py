@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from multicontact_control.errors import RunError
+from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.experiment.bag import BagContent, read_bag
 from multicontact_control.experiment.claims import judge_claims
 from multicontact_control.experiment.display import progress_bar, summary_table, verdict_lines
@@ -49,6 +49,7 @@ def run_simulate(
 
     """
     console = console or Console()
+    refuse_push_test(setup)
     setup.write(folder / CONFIG_FOLDER)
     with progress_bar(f'simulate {setup.scenario.name}', setup.scenario.duration,
                       console) as show:
@@ -110,6 +111,7 @@ def run_real_time(
         raise RunError(f'ROS 2 (rclpy) cannot be loaded: {error}; install the extra [ros], '
                        'source a ROS 2 Jazzy, or use `multicontact simulate`') from None
     config = folder / CONFIG_FOLDER
+    refuse_push_test(setup)
     setup.write(config)
     spec = GraphSpec(
         out=folder, ticks=setup.ticks, rate=setup.controller.rate, lockstep=lockstep,
@@ -137,6 +139,21 @@ def run_real_time(
     events = result.timing.get('controller_node', {}).get('events', [])
     summary |= supervision(supervised, events, content.data)
     return _finish(content.data, setup, folder, summary, console), result.interrupted
+
+
+def refuse_push_test(setup: Setup) -> None:
+    """
+    Check that the scenario can begin by itself.
+
+    Raises
+    ------
+    ConfigError
+        If a push test comes first, for which nobody is there.
+
+    """
+    if setup.controller.sensor.require_push_test:
+        raise ConfigError('sensor.require_push_test', 'false in a scenario: nobody is there to '
+                          'push the tool', True)
 
 
 def supervision(

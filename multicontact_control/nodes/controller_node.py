@@ -333,17 +333,20 @@ class ControllerNode(ManagedNode):
             Status('loop', loop, warning=f'{missed} samples without a command' if missed else ''),
             input_status(self._fresh, STALE_PERIODS * session.config.period,
                          needed=self.state == ACTIVE,
-                         consequence=': the last R is held' if self._is_variance_stale else ''),
+                         consequence=self._without_variance(session)),
             contact_status(session), sensor_status(session),
             message_status(self.refusals, unpaired=self._pairing.unpaired)]
         if session.supervisor is not None and self._report is not None:
             statuses.append(self._report.status())
         return statuses
 
-    @property
-    def _is_variance_stale(self) -> bool:
+    def _without_variance(self, session: ControlSession) -> str:
+        """Return what is done about an R that is not renewed, nothing if it is."""
         age = self._fresh.ages().get(topics.NOISE_VARIANCE.name)
-        return age is None or age > STALE_PERIODS * self._configured.config.period
+        if age is not None and age <= STALE_PERIODS * session.config.period:
+            return ''
+        inflated = session.supervisor is not None and session.variance_stamp >= 0
+        return ': the last R is held' + (' and inflated' if inflated else '')
 
 
 def warm_up(session: ControlSession) -> None:

@@ -25,6 +25,7 @@ from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import MultiDOFJointTrajectoryPoint
 
 NANOSECONDS = 1_000_000_000
+LAST_SECOND = 2 ** 31 - 1
 UNIT_QUATERNION_TOLERANCE = 1e-3
 
 
@@ -86,13 +87,34 @@ class MotionReading:
 
 
 def stamp_to_ns(stamp: Time) -> int:
-    """Return a time stamp in nanoseconds, exactly."""
-    return int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
+    """
+    Return a time stamp in nanoseconds, exactly.
+
+    Raises
+    ------
+    MessageError
+        If there is more than a second in its nanoseconds.
+
+    """
+    nanosec = int(stamp.nanosec)
+    if nanosec >= NANOSECONDS:
+        raise MessageError('stamp.nanosec', f'below {NANOSECONDS}', nanosec)
+    return int(stamp.sec) * NANOSECONDS + nanosec
 
 
 def ns_to_stamp(nanoseconds: int) -> Time:
-    """Return nanoseconds as a time stamp, exactly."""
+    """
+    Return nanoseconds as a time stamp, exactly.
+
+    Raises
+    ------
+    MessageError
+        If their seconds are not a number of 32 bits.
+
+    """
     sec, nanosec = divmod(nanoseconds, NANOSECONDS)
+    if not -LAST_SECOND <= sec <= LAST_SECOND:
+        raise MessageError('stamp.sec', f'at most {LAST_SECOND}', sec)
     return Time(sec=sec, nanosec=nanosec)
 
 

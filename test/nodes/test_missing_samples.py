@@ -58,13 +58,14 @@ def source(middleware):
         thread.join()
 
 
-def report_with(arm, middleware, condition):
-    """Wait for diagnostics of the supervisor that satisfy a condition."""
+def report_with(arm, reaction, cause=''):
+    """Wait for diagnostics in which the supervisor reacts like that, for that cause."""
     found = []
 
     def told():
         report = arm.newest_report()
-        if report is not None and 'supervisor' in report and condition(*report['supervisor']):
+        values = report['supervisor'][2] if report and 'supervisor' in report else {}
+        if values.get('reaction') == reaction and cause in values.get('causes', ''):
             found.append(report)
         return found
 
@@ -76,14 +77,13 @@ def report_with(arm, middleware, condition):
 def test_what_is_left_out_gets_its_reaction_and_commands_go_on(middleware, source, origin):
     """The stamps' clock is its own: it began at 0, or is off from ours by years."""
     arm, samples = source(origin, *PATIENT)
-    healthy = report_with(arm, middleware, lambda level, text, values: values['causes'] == 'none')
+    healthy = report_with(arm, 'none')
     assert healthy['contacts'][2]['table energy_limit_j'] == '0.5'
     for parts, reaction, cause in (({'joints'}, 'hold', 'wrench_stale'),
                                    ({'wrench'}, 'float', 'joints_stale'),
                                    (set(), 'float', 'joints_stale')):
         samples.parts = parts
-        report = report_with(arm, middleware, lambda level, text, values: (
-            values['reaction'] == reaction and cause in values['causes']))
+        report = report_with(arm, reaction, cause)
         level, text, values = report['supervisor']
         assert level == 2
         assert f'{reaction} instead of control: ' in text
@@ -91,7 +91,7 @@ def test_what_is_left_out_gets_its_reaction_and_commands_go_on(middleware, sourc
         arm.newest_command()
         wait_for(arm.newest_command, f'commands while there is {parts or "nothing"}')
         samples.parts = {'joints', 'wrench'}
-        report_with(arm, middleware, lambda level, text, values: values['reaction'] == 'none')
+        report_with(arm, 'none')
 
 
 def test_a_burst_is_not_worked_through_but_its_newest_sample_is_answered(middleware):
@@ -131,12 +131,14 @@ def test_an_older_sample_is_refused_and_a_clock_that_was_set_back_is_not(middlew
     arm.connect()
     for _ in range(30):
         torque = arm.step()
-    stamp = arm.k * PERIOD
-    arm.send_parts(stamp - 10 * PERIOD, {'joints', 'wrench'})
-    np.testing.assert_allclose(arm.step(), torque, atol=0.2)  # the blend at the start goes on
+    for _ in range(5):
+        arm.send_parts((arm.k - 10) * PERIOD, {'joints', 'wrench'})
+        middleware.pause(0.05)  # nothing is to overtake it
+        before, torque = torque, arm.step()
+        np.testing.assert_allclose(torque, before, atol=0.2)  # the blend at the start goes on
     report = arm.diagnostics(lambda x: any('stamp' in key for key in x['messages'][2]))
-    refused = [n for key, n in report['messages'][2].items() if 'stamp: expected one after' in key]
-    assert refused == ['1']
+    assert any('stamp: expected one after' in key for key in report['messages'][2])
+    assert report['supervisor'][2].keys().isdisjoint({'ticks with hold', 'ticks with float'})
     arm.k -= 1000
     arm.connect()
     report = arm.diagnostics(lambda x: 'ticks with hold' in x['supervisor'][2])
