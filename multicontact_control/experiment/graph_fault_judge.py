@@ -8,7 +8,13 @@ from dataclasses import dataclass
 from multicontact_control.arrays import Vector
 from multicontact_control.experiment.fault_run import FaultRow, FORCE_MARGIN, SEVERITY
 from multicontact_control.experiment.graph_fault_kinds import GraphFault
-from multicontact_control.experiment.graph_fault_watch import CHECKED, finite, GraphWatch, Said
+from multicontact_control.experiment.graph_fault_watch import (
+    CHECKED,
+    finite,
+    GraphWatch,
+    Report,
+    Said,
+)
 from multicontact_control.experiment.graph_spec import CONTROLLER
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.nodes import topics
@@ -19,7 +25,6 @@ SILENT, PAUSED, NONE = 'silent', 'paused', 'none'
 SILENCE = 0.1  # s without a command while samples come that counts as silence
 STOPPED = 0.3  # s of silence that a controller which should go on may not be guilty of
 RETRACT_TIME = 0.1  # s, in which a contact beyond the ceiling must have been left
-REPORT_DELAY = 1.2  # s, in which diagnostics tell of what has been
 
 
 @dataclass(frozen=True)
@@ -158,11 +163,7 @@ class Judge:
 
     def _reaction(self, desired: list[Said], silent: bool, window: Window) -> str:
         """Return the strongest reaction that was told of, or else seen."""
-        told = [
-            values['reaction'] for report in self._watch.reports_since(window.begin)
-            if report.node == CONTROLLER and report.time < window.end + REPORT_DELAY
-            for _, _, values in report.parts.values() if values.get('reaction') in SEVERITY]
-        strongest = max(told, key=SEVERITY.index, default=NONE)
+        strongest = max(self._told(window), key=SEVERITY.index, default=NONE)
         if strongest != NONE:
             return strongest
         if silent:
@@ -172,3 +173,26 @@ class Judge:
         paused = any(not any(x.values.values()) for x in desired if x.time < window.end) or (
             max(np.diff(times)) > SILENCE)
         return PAUSED if paused else NONE
+
+    def _told(self, window: Window) -> set[str]:
+        """Return the reactions that the controller's counts say there were."""
+        told: set[str] = set()
+        before: dict[str, int] = {}
+        for report in self._watch.reports:
+            if report.node != CONTROLLER:
+                continue
+            counts = _reaction_ticks(report)
+            if report.time >= window.begin:
+                # Counts that have fallen are those of a new process or activation.
+                told |= {name for name, ticks in counts.items()
+                         if ticks > before.get(name, 0) or 0 < ticks < before.get(name, 0)}
+            before = counts
+            if report.time >= window.end:
+                break  # what comes later tells of what came later
+        return told
+
+
+def _reaction_ticks(report: Report) -> dict[str, int]:
+    """Return in how many ticks there was each reaction, as diagnostics have it."""
+    return {name: int(values[key]) for _, _, values in report.parts.values()
+            for name in SEVERITY if (key := f'ticks with {name}') in values}

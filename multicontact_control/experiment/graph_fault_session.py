@@ -229,6 +229,13 @@ class FaultSession:
         self.wait(self.operator.start, 'a controller that obeys')
         self.wait(self._in_contact, 'back in contact')
 
+    def wait_for_report(self, since: float, timeout: float) -> None:
+        """Wait for diagnostics of the controller from after a time, `timeout` [s] at most."""
+        give_up = time.monotonic() + timeout
+        while time.monotonic() < give_up and not any(
+                report.node == CONTROLLER for report in self.watch.reports_since(since)):
+            self.spin(POLL_PERIOD)
+
     def _state(self, name: str) -> str:
         """
         Return the state of a node that may have just been started.

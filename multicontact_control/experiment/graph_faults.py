@@ -36,7 +36,8 @@ from rich.progress import (
 
 PLANTS, QUICK_PLANTS = ('rigid', 'puma'), ('puma',)
 SEEDS, QUICK_SEEDS = 2, 1
-QUIET = (0.1, 0.5)  # s of normal operation before a fault
+QUIET = (0.0, 0.3)  # s of normal operation before a fault
+REPORT_TIMEOUT = 1.5  # s until the controller's diagnostics, one a second, tell of it
 SCENARIO = 'quick'  # what is not commanded over topics: limits, estimator
 FOLDER = 'graphs'
 
@@ -159,6 +160,7 @@ class GraphCampaign:
             end = time.time()
             session.recover()
             recovered = time.time()
+            session.wait_for_report(end, REPORT_TIMEOUT)
         except NodeEndedError as error:
             problems.append(f'{error.node_name} died')
         except NotRecoveredError as error:
