@@ -91,6 +91,16 @@ def test_controller_goes_on_without_its_estimator_and_says_so(middleware, start)
         lambda x: x.level == b'\1' and 'contact_forces/noise_variance' in x.message
         and 'the last R is held' in x.message)
     assert len(commands.advances()) >= 20
+    # The last R is not forgotten.
+    first, later = [], []
+    for found in (first, later):
+        wait_for_status(
+            reports, 'controller_node', 'contacts', lambda x, found=found: found.extend(
+                float(v.value) for v in x.values if v.key.endswith('noise_variance_n2'))
+            or bool(found))
+    assert len(first) == 2
+    assert 0.0 < min(first)
+    assert later == first != [0.6, 0.6]
     # A new one is taken on as if nothing had been.
     start(ESTIMATOR, 'autostart:=true')
     variances.advances()
@@ -113,7 +123,8 @@ def test_controller_can_be_killed_and_started_again_mid_run(middleware, start):
             lambda x: x.level == b'\1' and 'the drives hold their position' in x.message)
 
 
-def test_drives_hold_their_position_while_nobody_commands_them(middleware, start):
+@pytest.mark.parametrize('ahead', [0, 100])
+def test_drives_hold_their_position_while_nobody_commands_them(middleware, start, ahead):
     # Half a second, so that only somebody who does not command at all is too late.
     start(SIM, 'command_timeout:=0.5')
     samples = Watch(middleware, topics.JOINT_STATES)
@@ -123,8 +134,10 @@ def test_drives_hold_their_position_while_nobody_commands_them(middleware, start
     found = []
     wait_for(lambda: found.append(samples.newest()) or found[-1] is not None, 'sample 0')
     first = found[-1]
-    # One sample answered again and again is enough: the newest command is the one in force.
-    answer = JointState(header=first.header, name=first.name, effort=first.effort)
+    # One sample answered again and again is enough, even one that has not come yet: the newest
+    # command is the one in force.
+    stamp = messages.stamp_to_ns(first.header.stamp) + ahead * 2_000_000
+    answer = messages.joint_state_message(stamp, first.name, effort=first.effort)
 
     def loop_of_sim():
         report = reports.newest()
