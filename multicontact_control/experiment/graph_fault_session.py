@@ -39,6 +39,7 @@ WANTED_FORCE = 10.0  # N, at every contact
 FORCE_TOLERANCE = 0.25  # of that
 SETTLE_TIME = 0.2  # s, over which the force is averaged
 RECOVERY_TIMEOUT = 30.0
+ATTEMPTS = 3  # at making contact within that time
 ASK_TIMEOUT = 1.0
 RECORDED = (topics.JOINT_STATES, topics.WRENCH, topics.TRUE_FORCES, topics.EFFORT_COMMAND,
             topics.NOISE_VARIANCE, topics.DIAGNOSTICS)
@@ -139,9 +140,11 @@ class FaultSession:
             self._poll_all()
             time.sleep(min(POLL_PERIOD, remaining))
 
-    def wait(self, condition: Callable[[], object], what: str) -> None:
+    def wait(
+        self, condition: Callable[[], object], what: str, timeout: float = RECOVERY_TIMEOUT,
+    ) -> None:
         """
-        Wait for something.
+        Wait for something, `timeout` [s] at most.
 
         Raises
         ------
@@ -149,10 +152,10 @@ class FaultSession:
             If it does not happen.
 
         """
-        give_up = time.monotonic() + RECOVERY_TIMEOUT
+        give_up = time.monotonic() + timeout
         while not condition():
             if time.monotonic() > give_up:
-                raise NotRecoveredError(f'{what}: not within {RECOVERY_TIMEOUT:g} s')
+                raise NotRecoveredError(f'{what}: not within {timeout:g} s')
             self.spin(POLL_PERIOD)
 
     def _poll_all(self) -> None:
@@ -226,8 +229,17 @@ class FaultSession:
         self.watch.pose = None
         self.wait(lambda: self.watch.since(topics.EFFORT_COMMAND, start), 'commands')
         self.wait(lambda: self.watch.since(topics.NOISE_VARIANCE, start), 'noise variances')
-        self.wait(self.operator.start, 'a controller that obeys')
-        self.wait(self._in_contact, 'back in contact')
+        for attempt in range(ATTEMPTS):
+            self.wait(self.operator.start, 'a controller that obeys')
+            try:
+                self.wait(self._in_contact, 'back in contact', RECOVERY_TIMEOUT / ATTEMPTS)
+                return
+            except NotRecoveredError:
+                if attempt == ATTEMPTS - 1:
+                    raise
+            # A contact that was given up is only looked for again once it was not wanted.
+            self.operator.let_go()
+            self.spin(SETTLE_TIME)
 
     def wait_for_report(self, since: float, timeout: float) -> None:
         """Wait for diagnostics of the controller from after a time, `timeout` [s] at most."""
