@@ -118,6 +118,8 @@ class MultiContactClient:
         """
         Configure and activate estimator and controller, as far as they are not.
 
+        A controller that is activated knows of no command from before.
+
         Raises
         ------
         RunError
@@ -126,7 +128,8 @@ class MultiContactClient:
         """
         if self._link.has_lifecycle(topics.ESTIMATOR, OPTIONAL_WAIT):
             self._link.bring_up(topics.ESTIMATOR)
-        self._link.bring_up(topics.CONTROLLER)
+        if self._link.bring_up(topics.CONTROLLER):
+            self._commanded.clear()
 
     def deactivate(self) -> None:
         """
@@ -139,6 +142,7 @@ class MultiContactClient:
 
         """
         self._link.take_down(topics.CONTROLLER)
+        self._commanded.clear()
 
     def hold(self, on: bool = True) -> None:
         """

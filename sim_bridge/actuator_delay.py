@@ -42,7 +42,7 @@ class ActuatorDelay:
 
     def command(self, tick: int, torque: Vector) -> None:
         """
-        Enter the command that answers sample `tick`.
+        Enter the command that answers sample `tick`; a later one for it takes its place.
 
         Parameters
         ----------
@@ -80,6 +80,6 @@ class ActuatorDelay:
             self.misses += 1
         for known in [known for known in self._commands if known <= tick - self._ticks]:
             torque = self._commands.pop(known)
-            if known > self._held_tick:
+            if known >= self._held_tick:
                 self._held, self._held_tick = torque, known
         return self._held.copy()

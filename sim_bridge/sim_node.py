@@ -54,6 +54,7 @@ from std_msgs.msg import String
 
 MAX_LATE_PERIODS = 2
 RESEND_PERIOD, RESEND_PERIOD_GATED = 1.0, 10.0
+RESENDS = 5  # times that a sample is sent in lockstep within answer_timeout
 WAIT_FRACTION = 0.5
 STALE_PERIODS = 25
 REMEMBERED = 1024  # samples whose time of publication is known
@@ -103,6 +104,7 @@ class SimNode(Node):
         self._refusals = Refusals(self.get_logger())
         self._tick = 0
         self._answered = -1
+        self._commanded = 0  # when the last command came
         self._hold = PositionHold(self._plant.model, config.hold_frequency)
         self._saturated = self._misses = self._slips = self._timeouts = 0
         self._latency, self._step_times = DurationLog(), DurationLog()
@@ -217,7 +219,7 @@ class SimNode(Node):
     def _watched(self, torque: Vector) -> Vector:
         """Return the torque that acts: the commanded one, or what the drives do without."""
         timeout = self._config.command_timeout * self._config.rate
-        if timeout == 0.0 or self._tick - self._answered <= timeout:
+        if timeout == 0.0 or self._tick - self._commanded <= timeout:
             self._hold.end()
             return torque
         self._timeouts += not self._hold.holding
@@ -264,9 +266,15 @@ class SimNode(Node):
             remaining = deadline - time.monotonic_ns()
 
     def _wait_for_answer(self, spinner: Spinner) -> None:
-        limit = time.monotonic_ns() + int(self._config.answer_timeout * NANOSECONDS)
+        timeout = int(self._config.answer_timeout * NANOSECONDS)
+        limit = time.monotonic_ns() + timeout
+        resend = time.monotonic_ns() + timeout // RESENDS
         while self._answered < self._tick and not spinner.stop:
             spinner.spin_once(0.1)
+            if time.monotonic_ns() > resend and self._answered < self._tick:
+                # A controller that was cleaned up and configured again has not seen it.
+                resend += timeout // RESENDS
+                self._publish()
             if time.monotonic_ns() > limit and self._answered < self._tick:
                 raise RunError(
                     f'no {topics.EFFORT_COMMAND.name} for sample {self._tick} after '
@@ -303,11 +311,17 @@ class SimNode(Node):
         with self._refusals.guard(topics.EFFORT_COMMAND):
             command = messages.read_effort(message, self._plant.joint_names)
             tick = round((command.stamp - self._origin) * 1e-9 * self._config.rate)
-            if not (0 <= tick <= self._tick and self._stamp(tick) == command.stamp):
+            if not (tick >= 0 and self._stamp(tick) == command.stamp):
                 raise messages.MessageError(
                     'stamp', 'that of a sample', f'{command.stamp} ns')
+            # A controller that has waited for a sample in vain may have counted on.
+            tick = min(tick, self._tick)
+            if tick < self._answered:
+                return
+            # The same sample may get another answer, from a controller that hears of no newer.
+            self._delay.command(tick, command.values)
+            self._commanded = self._tick
             if tick > self._answered:
-                self._delay.command(tick, command.values)
                 self._answered = tick
                 if tick > 0:  # the answer to the first sample waits for everything to start
                     latency = received - int(self._published[tick % REMEMBERED])

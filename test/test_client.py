@@ -13,6 +13,7 @@ from lifecycle_msgs.srv import ChangeState, GetState
 from multicontact_control.client import MultiContactClient, NotReachedError
 from multicontact_control.errors import RunError
 from multicontact_control.experiment.domain import reserve_domain
+from multicontact_control.experiment.lifecycle import CLEAN_UP, DEACTIVATE, LifecycleDriver
 from multicontact_control.nodes import messages
 from multicontact_control.nodes.motion_command import motion_message
 import numpy as np
@@ -20,7 +21,7 @@ import pytest
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from ros_graph import ROOT
+from ros_graph import get_parameter, ROOT
 from std_srvs.srv import SetBool, Trigger
 
 pytestmark = pytest.mark.ros
@@ -87,6 +88,71 @@ def test_client_names_the_contacts_that_are_off(arm):
     arm.set_forces({'table': 8.0})
     with pytest.raises(NotReachedError, match=r'not within 1e-09 N after 0.3 s: .*table is off'):
         arm.wait_until_reached(force_tolerance=1e-9, timeout=0.3)
+
+
+def test_client_holds_and_lets_go(arm):
+    arm.set_forces({'table': 8.0, 'board': 4.0})
+    arm.wait_until_reached(force_tolerance=0.5, timeout=120.0)
+    before = arm.read()
+    arm.hold()
+    # Refused while it is held: neither force nor place is obeyed.
+    arm.set_forces({'table': 12.0})
+    arm.move(before.position_desired + [0.02, 0.0, 0.0], duration=0.2)
+    held = arm.read()
+    assert held.forces_desired == {'table': 8.0, 'board': 4.0}
+    np.testing.assert_allclose(held.position_desired, before.position_world, atol=0.002)
+    arm.hold(False)
+    arm.set_forces({'table': 12.0})
+    assert arm.wait_until_reached(
+        force_tolerance=0.5, timeout=120.0).forces_desired == {'table': 12.0, 'board': 4.0}
+
+
+def test_client_tares_where_nothing_touches_only(arm, domain_id):
+    with pytest.raises(RunError, match='tare refused: contacts: expected none under force con'):
+        arm.tare()
+    state = arm.read()
+    arm.set_forces({'table': 0.0, 'board': 0.0})
+    arm.move(state.position_world + [0.0, -0.02, 0.02], duration=1.0)
+    arm.wait_until_reached(force_tolerance=0.5, timeout=120.0)  # free of both
+    with LifecycleDriver(domain_id, namespace='arm') as driver:
+        before = get_parameter(driver, 'controller_node', 'tool.bias_sensor')
+        arm.tare()
+        bias = get_parameter(driver, 'controller_node', 'tool.bias_sensor')
+    assert bias != before
+    np.testing.assert_allclose(bias, before, atol=0.1)  # there is none in this sensor
+    assert all(abs(force) < 0.5 for force in arm.read().forces.values())
+
+
+def test_client_deactivates_and_activates_a_real_controller(arm, domain_id):
+    arm.set_forces({'table': 5.0, 'board': 5.0})
+    arm.wait_until_reached(force_tolerance=0.5, timeout=120.0)
+    with LifecycleDriver(domain_id, namespace='arm') as driver, MultiContactClient(
+            'arm', domain_id=domain_id, timeout=1.0) as impatient:
+        for _ in range(2):
+            for _ in range(2):  # once more makes no difference
+                arm.deactivate()
+                assert driver.state('controller_node') == 'inactive'
+            with pytest.raises(RunError, match='is the controller active'):
+                impatient.read()
+            with pytest.raises(RunError, match='is the controller active'):
+                impatient.set_forces({'table': 5.0})
+            with pytest.raises(RunError, match='hold refused: controller: expected active'):
+                arm.hold()
+            for _ in range(2):
+                arm.activate()
+                assert driver.state('controller_node') == 'active'
+            # What was commanded before is forgotten, by both.
+            assert arm.read().forces_desired == {'table': 0.0, 'board': 0.0}
+            arm.set_forces({'table': 6.0})
+            assert arm.wait_until_reached(
+                force_tolerance=0.5, timeout=120.0).forces_desired == {'table': 6.0, 'board': 0.0}
+        for name in ('controller_node', 'noise_estimator_node'):
+            for transition in (DEACTIVATE, CLEAN_UP):
+                driver.change(name, transition)
+    arm.activate()
+    arm.set_forces({'table': 5.0, 'board': 5.0})
+    state = arm.wait_until_reached(force_tolerance=0.5, timeout=120.0)
+    assert set(state.noise_variance) == {'table', 'board'}
 
 
 def test_client_says_when_nobody_is_there(domain_id):

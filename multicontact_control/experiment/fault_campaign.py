@@ -21,11 +21,13 @@ from multicontact_control.experiment.faults import fault_kinds, PHASES
 from multicontact_control.experiment.results import write_json
 from multicontact_control.experiment.scenario import PLANTS
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 SEEDS = 14
 FAULTS_PER_CELL = 12
 REPORT_FILE = 'faults.json'
+PLACES = {'process': 'in process', 'graph': 'over the graph'}
 
 
 def situation(number: int) -> tuple[str, str]:
@@ -107,31 +109,40 @@ def write_report(folder: Path, rows: list[FaultRow]) -> Path:
 
 
 def fault_table(rows: list[FaultRow]) -> Table:
-    """Return one line per kind."""
-    table = Table(title='faults', title_justify='left', box=None)
-    for name, justify in (('where', 'left'), ('input', 'left'), ('kind', 'left'), ('n', 'right'),
-                          ('reaction', 'left'), ('to safe [ms]', 'right'),
-                          ('force [N]', 'right'), ('torque', 'right'), ('safe', 'left')):
-        table.add_column(name, justify=justify)  # type: ignore[arg-type]
+    """Return one line per kind, by where it happened."""
+    table = Table(title='faults', title_justify='left', box=None, padding=(0, 1, 0, 0))
+    for name in ('input', 'kind', 'n', 'reaction', 'to safe [ms]', 'force [N]', 'torque', 'safe'):
+        number = name in ('n', 'to safe [ms]', 'force [N]', 'torque')
+        table.add_column(name, justify='right' if number else 'left', no_wrap=name in (
+            'input', 'kind'))
     groups: dict[tuple[str, str, str], list[FaultRow]] = {}
     for row in rows:
         groups.setdefault((row.where, row.input, row.kind), []).append(row)
+    before = ''
     for (where, source, kind), group in groups.items():
+        if where != before:
+            table.add_row(f'[bold]{PLACES[where]}[/]')
+            before = where
         reactions = sorted({row.reaction for row in group})
         slowest = max(row.time_to_safe_s for row in group)
+        never = any(row.time_to_safe_s < 0.0 for row in group)
         unsafe = sum(not row.safe for row in group)
-        problems = sorted({row.problems for row in group if not row.safe})
         table.add_row(
-            where, source, kind, str(len(group)), ', '.join(reactions), f'{1e3 * slowest:.0f}',
+            source.removesuffix('_node'), kind, str(len(group)), ', '.join(reactions),
+            'never' if never else f'{1e3 * slowest:.0f}',
             f'{max(row.peak_force_n for row in group):.1f}',
             f'{max(row.peak_torque_fraction for row in group):.2f}',
-            '[green]yes[/]' if not unsafe else f'[red]{unsafe} not: {"; ".join(problems)}[/]')
+            '[green]yes[/]' if not unsafe else f'[red]{unsafe} not[/]')
     return table
 
 
 def print_report(rows: list[FaultRow], console: Console) -> None:
-    """Print the table and one line of verdict."""
+    """Print the table, a line for each fault that was not safe, and one of verdict."""
     console.print(fault_table(rows))
-    unsafe = sum(not row.safe for row in rows)
+    unsafe = [row for row in rows if not row.safe]
+    for row in unsafe:
+        console.print(f'[red]not safe:[/] {row.where}, {row.plant}, {row.input} {row.kind}, seed '
+                      f'{row.seed}: {escape(row.problems)}', highlight=False)
     kinds = {(row.where, row.input, row.kind) for row in rows}
-    console.print(f'{len(rows)} faults of {len(kinds)} kinds, {unsafe} unsafe', highlight=False)
+    console.print(
+        f'{len(rows)} faults of {len(kinds)} kinds, {len(unsafe)} unsafe', highlight=False)

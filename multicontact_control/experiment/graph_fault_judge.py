@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from multicontact_control.arrays import Vector
 from multicontact_control.experiment.fault_run import FaultRow, FORCE_MARGIN, SEVERITY
 from multicontact_control.experiment.graph_fault_kinds import GraphFault
-from multicontact_control.experiment.graph_fault_watch import CHECKED, finite, GraphWatch, Said
-from multicontact_control.experiment.graph_spec import CONTROLLER
+from multicontact_control.experiment.graph_fault_watch import (
+    CHECKED,
+    finite,
+    GraphWatch,
+    Report,
+    Said,
+)
+from multicontact_control.experiment.graph_spec import CONTROLLER, SIM
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.nodes import topics
 import numpy as np
@@ -19,7 +26,6 @@ SILENT, PAUSED, NONE = 'silent', 'paused', 'none'
 SILENCE = 0.1  # s without a command while samples come that counts as silence
 STOPPED = 0.3  # s of silence that a controller which should go on may not be guilty of
 RETRACT_TIME = 0.1  # s, in which a contact beyond the ceiling must have been left
-REPORT_DELAY = 1.2  # s, in which diagnostics tell of what has been
 
 
 @dataclass(frozen=True)
@@ -141,7 +147,8 @@ class Judge:
         samples = np.array([x.time for x in said[topics.TRUE_FORCES]])
         edges = [window.begin, *(x.time for x in said[topics.EFFORT_COMMAND])]
         if samples.size:
-            edges.append(float(samples[-1]))
+            # Samples were looked for after the commands, on a busy machine long after.
+            edges.append(min(float(samples[-1]), self._watch.polled))
         found = []
         for begin, end in zip(edges, edges[1:]):
             if end - begin > SILENCE and (
@@ -157,14 +164,11 @@ class Judge:
             found.add('obeyed a command it should have refused')
 
     def _reaction(self, desired: list[Said], silent: bool, window: Window) -> str:
-        """Return the strongest reaction that was told of, or else seen."""
-        told = [
-            values['reaction'] for report in self._watch.reports_since(window.begin)
-            if report.node == CONTROLLER and report.time < window.end + REPORT_DELAY
-            for _, _, values in report.parts.values() if values.get('reaction') in SEVERITY]
-        strongest = max(told, key=SEVERITY.index, default=NONE)
-        if strongest != NONE:
-            return strongest
+        """Return the reaction that was told of for longest, or else what was seen."""
+        told = self._told(window)
+        if told:
+            # Not the strongest: a busy machine adds a few ticks of its own.
+            return max(told, key=lambda name: (told[name], SEVERITY.index(name)))
         if silent:
             return SILENT
         # A law that is not at work wants no force, or says nothing of it.
@@ -172,3 +176,40 @@ class Judge:
         paused = any(not any(x.values.values()) for x in desired if x.time < window.end) or (
             max(np.diff(times)) > SILENCE)
         return PAUSED if paused else NONE
+
+    def _told(self, window: Window) -> Counter[str]:
+        """Return in how many ticks there was each reaction, by the controller's counts."""
+        told: Counter[str] = Counter()
+        before: dict[str, int] = {}
+        for report in self._watch.reports:
+            if report.node != CONTROLLER:
+                continue
+            counts = _reaction_ticks(report)
+            if report.time >= window.begin:
+                for name, ticks in counts.items():
+                    known = before.get(name, 0)
+                    # Counts that have fallen are those of a new process or activation.
+                    told[name] += ticks - known if ticks >= known else ticks
+            before = counts
+            if report.time >= window.end:
+                break  # what comes later tells of what came later
+        return +told
+
+
+def _reaction_ticks(report: Report) -> dict[str, int]:
+    """Return in how many ticks there was each reaction, as diagnostics have it."""
+    return {name: int(values[key]) for _, _, values in report.parts.values()
+            for name in SEVERITY[1:] if (key := f'ticks with {name}') in values}
+
+
+def busy_share(reports: Iterable[Report], period: float) -> float:
+    """
+    Return the share of seconds in which the machine was too busy for the control rate.
+
+    That is, in which half of the commands came later than half a period after their samples, as
+    the simulator's diagnostics have it.
+    """
+    latencies = [float(text) for report in reports if report.node == SIM
+                 for _, _, values in report.parts.values()
+                 if (text := values.get('latency_us_p50', 'none')) != 'none']
+    return float(np.mean(np.array(latencies) > 0.5e6 * period)) if latencies else 0.0

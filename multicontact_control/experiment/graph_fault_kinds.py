@@ -115,12 +115,18 @@ def graph_faults() -> list[GraphFault]:
     return _nodes() + streams + commands
 
 
+def general_kind(fault: GraphFault) -> str:
+    """Return what is done, whatever input it is done to; a node is not like another, though."""
+    if fault.input not in stream_faults():
+        return f'{fault.kind} {fault.input}'
+    kind, _, field = fault.kind.rpartition('_')
+    return kind if field in ('q', 'qd') else fault.kind
+
+
 def quick_faults(seed: int) -> list[GraphFault]:
     """Return one fault of every kind: what can befall several inputs befalls one of them."""
     by_kind: dict[str, list[GraphFault]] = {}
     for fault in graph_faults():
-        # A node that is killed is not the same as another one.
-        key = fault.kind if fault.input in stream_faults() else f'{fault.kind} {fault.input}'
-        by_kind.setdefault(key, []).append(fault)
+        by_kind.setdefault(general_kind(fault), []).append(fault)
     return [faults[(seed + number) % len(faults)]
             for number, faults in enumerate(by_kind.values())]

@@ -57,9 +57,16 @@ class Operator:
         home, home_turn = self._home
         self._begin = (messages.stamp_to_ns(pose.header.stamp), position - home,
                        (turn * home_turn.inv()).as_rotvec())
-        self.force_command.publish(messages.joint_state_message(
-            0, list(self._forces), effort=list(self._forces.values())))
+        self._command(self._forces)
         return True
+
+    def let_go(self) -> None:
+        """Want no contact for now."""
+        self._command(dict.fromkeys(self._forces, 0.0))
+
+    def _command(self, forces: dict[str, float]) -> None:
+        self.force_command.publish(messages.joint_state_message(
+            0, list(forces), effort=list(forces.values())))
 
     def stop(self) -> None:
         """Command no more."""

@@ -70,9 +70,11 @@ class GraphWatch:
             topic: deque(maxlen=REMEMBERED) for topic in CHECKED}
         self.reports: deque[Report] = deque(maxlen=1000)
         self.pose: Any = None
+        self.polled = math.inf  # everything that was sent until then has been looked for
 
     def poll(self) -> None:
         """Take in what has come."""
+        self.polled = time.time()
         for topic, subscription in self._streams.items():
             for message, sent in _taken(subscription, topic.message):
                 if topic is topics.POSE_DESIRED:

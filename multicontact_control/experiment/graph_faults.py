@@ -11,7 +11,12 @@ from multicontact_control.errors import RunError
 from multicontact_control.experiment.domain import reserve_domain
 from multicontact_control.experiment.fault_run import FaultRow
 from multicontact_control.experiment.graph import collected_signals
-from multicontact_control.experiment.graph_fault_judge import GRAPH, Judge, Window
+from multicontact_control.experiment.graph_fault_judge import (
+    busy_share,
+    GRAPH,
+    Judge,
+    Window,
+)
 from multicontact_control.experiment.graph_fault_kinds import (
     graph_faults,
     GraphFault,
@@ -36,7 +41,10 @@ from rich.progress import (
 
 PLANTS, QUICK_PLANTS = ('rigid', 'puma'), ('puma',)
 SEEDS, QUICK_SEEDS = 2, 1
-QUIET = (0.1, 0.5)  # s of normal operation before a fault
+QUIET = (0.0, 0.3)  # s of normal operation before a fault
+BUSY = 0.1  # share of the time from which on to say so
+MAX_FAILURES = 2  # graphs in a row that don't come up, for a plant to be given up
+REPORT_TIMEOUT = 1.5  # s until the controller's diagnostics, one a second, tell of it
 SCENARIO = 'quick'  # what is not commanded over topics: limits, estimator
 FOLDER = 'graphs'
 
@@ -91,6 +99,8 @@ class GraphCampaign:
         What became of the faults so far.
     interrupted
         Signal that ended it early, None without one.
+    busy
+        Largest share of seconds, of all graphs, in which the machine was too busy for them.
 
     """
 
@@ -100,6 +110,7 @@ class GraphCampaign:
     ) -> None:
         self.rows: list[FaultRow] = []
         self.interrupted: int | None = None
+        self.busy = 0.0
         self._tasks, self._seed, self._out = tasks, seed, out
         self._on_progress = on_progress
         self._received: list[int] = []
@@ -113,10 +124,10 @@ class GraphCampaign:
         """
         Run all faults; SIGINT and SIGTERM end it early and cleanly.
 
-        Raises
-        ------
-        RunError
-            If a graph does not even come up.
+        Returns
+        -------
+        list of FaultRow
+            By kind; a graph that does not even come up has one, too.
 
         """
         with reserve_domain() as domain_id, collected_signals() as self._received, (
@@ -133,18 +144,32 @@ class GraphCampaign:
     ) -> None:
         """Run the faults of a plant, in a new graph after everything that was not safe."""
         setup = resolve(SCENARIO, plant=plant, seed=self._seed)
-        while True:
-            folder = self._new_folder(plant)
-            with FaultSession(setup, folder, domain_id, self._keep_waiting) as session:
-                judge = Judge(setup, session.watch, session.wanted)
-                while tasks:
-                    row = self._one(session, judge, *tasks.pop(0))
-                    self._add(row)
-                    if not row.safe:
-                        break
-                else:
-                    self._add(_ended(session.end_all(), plant, self._seed))
-                    return
+        failures = 0
+        while failures < MAX_FAILURES:
+            try:
+                with FaultSession(
+                        setup, self._new_folder(plant), domain_id, self._keep_waiting) as session:
+                    failures = 0
+                    if self._run_in(session, Judge(setup, session.watch, session.wanted), tasks):
+                        self._add(_about_graph('ended', session.end_all(), plant, self._seed))
+                        return
+            except RunError as error:
+                failures += 1
+                self._add(_about_graph(
+                    'started', [str(error).splitlines()[0]], plant, self._seed))
+
+    def _run_in(
+        self, session: FaultSession, judge: Judge, tasks: list[tuple[GraphFault, int]],
+    ) -> bool:
+        """Run the faults until none is left; return False if one was not safe."""
+        while tasks:
+            row = self._one(session, judge, *tasks.pop(0))
+            self._add(row)
+            self.busy = max(self.busy, busy_share(
+                session.watch.reports, session.setup.controller.period))
+            if not row.safe:
+                return False
+        return True
 
     def _one(
         self, session: FaultSession, judge: Judge, fault: GraphFault, seed: int,
@@ -159,6 +184,7 @@ class GraphCampaign:
             end = time.time()
             session.recover()
             recovered = time.time()
+            session.wait_for_report(end, REPORT_TIMEOUT)
         except NodeEndedError as error:
             problems.append(f'{error.node_name} died')
         except NotRecoveredError as error:
@@ -184,10 +210,10 @@ class GraphCampaign:
         return folder
 
 
-def _ended(problems: list[str], plant: str, seed: int) -> FaultRow:
-    """Return the row about the end of a graph that went through all its faults."""
+def _about_graph(kind: str, problems: list[str], plant: str, seed: int) -> FaultRow:
+    """Return a row about the start or the end of a graph."""
     return FaultRow(
-        kind='ended', input=GRAPH, seed=seed, reaction='none', time_to_safe_s=0.0,
+        kind=kind, input=GRAPH, seed=seed, reaction='none', time_to_safe_s=0.0,
         peak_force_n=0.0, peak_torque_fraction=0.0, safe=not problems, plant=plant, phase='',
         problems=', '.join(problems), where=GRAPH)
 
@@ -212,11 +238,6 @@ def run_graph_campaign(
     tuple
         The rows, and the signal that ended it early, if one did.
 
-    Raises
-    ------
-    RunError
-        If a graph does not even come up.
-
     """
     columns = (TextColumn('{task.description}'), BarColumn(), MofNCompleteColumn(),
                TimeElapsedColumn(), TimeRemainingColumn())
@@ -226,4 +247,9 @@ def run_graph_campaign(
             graph_tasks(seed, quick=quick), seed, out,
             on_progress=lambda done, total: progress.update(task, completed=done, total=total))
         progress.update(task, total=campaign.total)
-        return campaign.run(), campaign.interrupted
+        rows = campaign.run()
+        if campaign.busy > BUSY:
+            progress.console.print(
+                f'the machine was too busy for the graph in {100.0 * campaign.busy:.0f} % of the '
+                'time: reactions to that are mixed in', highlight=False)
+    return rows, campaign.interrupted

@@ -165,9 +165,9 @@ class ControllerLink:
         self._node.destroy_client(client)
         return found
 
-    def bring_up(self, node_name: str) -> None:
+    def bring_up(self, node_name: str) -> bool:
         """
-        Configure and activate a node, as far as it is not.
+        Configure and activate a node, as far as it is not; return whether it was not active.
 
         Raises
         ------
@@ -177,8 +177,10 @@ class ControllerLink:
         """
         if self._lifecycle_state(node_name) == State.PRIMARY_STATE_UNCONFIGURED:
             self._change_state(node_name, Transition.TRANSITION_CONFIGURE, 'configure')
-        if self._lifecycle_state(node_name) == State.PRIMARY_STATE_INACTIVE:
+        inactive = self._lifecycle_state(node_name) == State.PRIMARY_STATE_INACTIVE
+        if inactive:
             self._change_state(node_name, Transition.TRANSITION_ACTIVATE, 'activate')
+        return inactive
 
     def take_down(self, node_name: str) -> None:
         """

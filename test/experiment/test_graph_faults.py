@@ -9,8 +9,13 @@ import signal
 import threading
 import time
 
-from multicontact_control.experiment.graph_fault_judge import Judge, Window
-from multicontact_control.experiment.graph_fault_kinds import graph_faults, quick_faults
+from multicontact_control.experiment import graph_fault_session
+from multicontact_control.experiment.graph_fault_judge import busy_share, Judge, Window
+from multicontact_control.experiment.graph_fault_kinds import (
+    general_kind,
+    graph_faults,
+    quick_faults,
+)
 from multicontact_control.experiment.graph_fault_streams import (
     DELIVERY,
     INPUTS,
@@ -19,7 +24,7 @@ from multicontact_control.experiment.graph_fault_streams import (
 )
 from multicontact_control.experiment.graph_fault_watch import GraphWatch, Report, Said
 from multicontact_control.experiment.graph_faults import graph_tasks, GraphCampaign
-from multicontact_control.experiment.graph_spec import CONTROLLER, ESTIMATOR, RECORDER
+from multicontact_control.experiment.graph_spec import CONTROLLER, ESTIMATOR, RECORDER, SIM
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.nodes import messages, topics
 import numpy as np
@@ -122,7 +127,9 @@ def test_graph_faults_of_values_leave_the_stamps_and_those_of_stamps_the_values(
 def test_graph_faults_have_every_kind_in_short_and_each_once_per_seed():
     keys = [(fault.kind, fault.input) for fault in graph_faults()]
     assert len(set(keys)) == len(keys) >= 80
-    assert {kind for kind, _ in keys} == {fault.kind for fault in quick_faults(0)}
+    assert {general_kind(fault) for fault in graph_faults()} == {
+        general_kind(fault) for fault in quick_faults(0)}
+    assert len(quick_faults(0)) == len(set(map(general_kind, quick_faults(0)))) < 60
     assert {fault.input for seed in range(3) for fault in quick_faults(seed)} == {
         source for _, source in keys}
     assert graph_tasks(5) == graph_tasks(5) != graph_tasks(6)
@@ -221,9 +228,21 @@ def test_graph_faults_judge_takes_the_reaction_from_diagnostics_if_they_tell(wat
 
     def told(said, reports):
         both(said, reports)
-        for at, reaction in ((100.5, 'hold'), (101.0, 'inflate'), (103.0, 'damp')):
-            reports.append(Report(at, CONTROLLER, {'safety': (1, '', {'reaction': reaction})}))
+        for at, counts in ((99.5, {'damp': 9}), (100.5, {'damp': 9, 'hold': 3}),
+                           (101.2, {'damp': 9, 'hold': 3, 'inflate': 2}),
+                           (102.2, {'damp': 10, 'hold': 3, 'inflate': 2})):
+            reports.append(Report(at, CONTROLLER, {'supervisor': (1, '', {
+                f'ticks with {name}': str(n) for name, n in counts.items()})}))
     assert judged(watch, change=told).reaction == 'hold'
+
+
+def test_graph_faults_know_a_machine_that_is_too_busy():
+    def told(node, latency):
+        return Report(1.0, node, {'loop': (0, '', {'latency_us_p50': latency})})
+    assert busy_share([], 0.002) == 0.0
+    reports = [told(SIM, '999'), told(SIM, '1001'), told(SIM, 'none'), told(CONTROLLER, '5000'),
+               told(SIM, '300'), told(SIM, '200')]
+    assert busy_share(reports, 0.002) == 0.25
 
 
 def test_graph_faults_are_survived_by_a_real_graph(tmp_path):
@@ -246,6 +265,14 @@ def test_graph_faults_are_survived_by_a_real_graph(tmp_path):
     assert 5.0 < peaks['killed', CONTROLLER] < 40.0
     bags = sorted(path.name for path in (tmp_path / 'graphs' / '001-rigid').glob('bag*'))
     assert bags == ['bag', 'bag_1']
+
+
+def test_graph_faults_tell_of_a_graph_that_does_not_come_up(tmp_path, monkeypatch):
+    monkeypatch.setattr(graph_fault_session, 'RECOVERY_TIMEOUT', 0.0)
+    campaign = GraphCampaign({'rigid': [(FAULTS['stuck', 'variance'], 0)]}, 0, tmp_path)
+    rows = campaign.run()
+    assert [(row.kind, row.input, row.safe) for row in rows] == [('started', 'graph', False)] * 2
+    assert rows[0].problems == 'back in contact: not within 0 s'
 
 
 def test_graph_faults_end_at_once_and_cleanly_on_a_signal(tmp_path):

@@ -13,6 +13,7 @@ from multicontact_control.experiment.lifecycle import (
 )
 from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.paths import config_dir
+import numpy as np
 import pytest
 from ros_graph import wait_for
 from sensor_msgs.msg import JointState
@@ -36,6 +37,13 @@ class Watch:
     def newest(self):
         """Return the newest message, None if none has come since."""
         return self._middleware.take(self._subscription, self._topic.message)
+
+    def advance_and_take(self):
+        """Return the newest message after some more have come."""
+        self.advances()
+        found = []
+        wait_for(lambda: found.append(self.newest()) or found[-1] is not None, 'one more')
+        return found[-1]
 
     def advances(self, count=20):
         """Wait until this many newer messages have come."""
@@ -83,6 +91,16 @@ def test_controller_goes_on_without_its_estimator_and_says_so(middleware, start)
         lambda x: x.level == b'\1' and 'contact_forces/noise_variance' in x.message
         and 'the last R is held' in x.message)
     assert len(commands.advances()) >= 20
+    # The last R is not forgotten.
+    first, later = [], []
+    for found in (first, later):
+        wait_for_status(
+            reports, 'controller_node', 'contacts', lambda x, found=found: found.extend(
+                float(v.value) for v in x.values if v.key.endswith('noise_variance_n2'))
+            or bool(found))
+    assert len(first) == 2
+    assert 0.0 < min(first)
+    assert later == first != [0.6, 0.6]
     # A new one is taken on as if nothing had been.
     start(ESTIMATOR, 'autostart:=true')
     variances.advances()
@@ -103,6 +121,39 @@ def test_controller_can_be_killed_and_started_again_mid_run(middleware, start):
         wait_for_status(
             reports, 'sim_node', 'inputs',
             lambda x: x.level == b'\1' and 'the drives hold their position' in x.message)
+
+
+@pytest.mark.parametrize('ahead', [0, 100])
+def test_drives_hold_their_position_while_nobody_commands_them(middleware, start, ahead):
+    # Half a second, so that only somebody who does not command at all is too late.
+    start(SIM, 'command_timeout:=0.5')
+    samples = Watch(middleware, topics.JOINT_STATES)
+    reports = Watch(middleware, topics.DIAGNOSTICS)
+    publisher = middleware.node.create_publisher(
+        JointState, topics.EFFORT_COMMAND.name, topics.EFFORT_COMMAND.profile)
+    found = []
+    wait_for(lambda: found.append(samples.newest()) or found[-1] is not None, 'sample 0')
+    first = found[-1]
+    # One sample answered again and again is enough, even one that has not come yet: the newest
+    # command is the one in force.
+    stamp = messages.stamp_to_ns(first.header.stamp) + ahead * 2_000_000
+    answer = messages.joint_state_message(stamp, first.name, effort=first.effort)
+
+    def loop_of_sim():
+        report = reports.newest()
+        return next(({x.key: x.value for x in status.values} for status in (
+            report.status if report is not None else ()) if status.name == 'sim_node: loop'), None)
+
+    def commanded_for_long():
+        publisher.publish(answer)
+        loop = loop_of_sim()
+        return loop is not None and int(loop['ticks']) > 700 and loop['command_timeouts'] == '0'
+
+    wait_for(commanded_for_long, 'a second and more without a timeout')
+    wait_for(lambda: (loop_of_sim() or {}).get('command_timeouts') == '1', 'a timeout')
+    before = np.array(samples.advance_and_take().position)
+    after = np.array(samples.advance_and_take().position)
+    np.testing.assert_allclose(after, before, atol=1e-3)
 
 
 def test_estimator_goes_through_every_transition_again_and_again(domain_id, middleware, start):

@@ -46,6 +46,15 @@ def test_late_command_never_replaces_a_newer_one():
     np.testing.assert_array_equal(delay.torque_for(4), torque(3))
 
 
+def test_another_answer_to_the_same_sample_takes_the_place_of_the_first():
+    delay = ActuatorDelay(1, INITIAL)
+    delay.command(0, torque(0))
+    delay.command(0, torque(5))
+    np.testing.assert_array_equal(delay.torque_for(1), torque(5))
+    delay.command(0, torque(6))
+    np.testing.assert_array_equal(delay.torque_for(2), torque(6))
+
+
 def test_commands_are_copied():
     delay, command = ActuatorDelay(0, INITIAL), torque(0)
     delay.command(0, command)
