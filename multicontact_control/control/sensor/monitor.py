@@ -45,7 +45,7 @@ class SensorHealth:
 
     @property
     def fault(self) -> str:
-        """What is wrong, ``frozen`` or ``saturated``; empty if nothing is."""
+        """Return what is wrong, ``frozen`` or ``saturated``; empty if nothing is."""
         if self.frozen:
             return 'frozen'
         return 'saturated' if any(self.saturated.tolist()) else ''  # a quarter of numpy's time
