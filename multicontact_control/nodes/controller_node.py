@@ -254,7 +254,7 @@ class ControllerNode(ManagedNode):
             self._restarts += 1
             return True
         before, self._older_stamp = self._older_stamp, stamp
-        if before is not None and stamp > before:
+        if before is not None and stamp >= before:  # the same again: somebody waits for an answer
             return True
         self.refusals.refuse(topics.JOINT_STATES.name, messages.MessageError(
             'stamp', 'one after that of the last sample', f'{stamp} ns'))
