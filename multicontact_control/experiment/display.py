@@ -21,7 +21,9 @@ class ShowProgress(Protocol):
 
 
 @contextmanager
-def progress_bar(title: str, duration: float, console: Console) -> Iterator[ShowProgress]:
+def progress_bar(
+    title: str, duration: float, console: Console, waiting: str = '',
+) -> Iterator[ShowProgress]:
     """
     Show a bar with the live forces for the time of a run.
 
@@ -33,13 +35,15 @@ def progress_bar(title: str, duration: float, console: Console) -> Iterator[Show
         Length of the run [s].
     console
         Where to show it; nothing moves where that is not a terminal.
+    waiting
+        What is said until the first samples come.
 
     """
     columns = (TextColumn('{task.description}'), BarColumn(),
                TextColumn('{task.completed:5.1f} / {task.total:.1f} s'), TimeRemainingColumn(),
                TextColumn('{task.fields[forces]}'))
     with Progress(*columns, console=console, refresh_per_second=5) as progress:
-        task = progress.add_task(title, total=duration, forces='')
+        task = progress.add_task(title, total=duration, forces=waiting)
 
         def show(time: float, forces: Mapping[str, float]) -> None:
             text = '  '.join(f'{name} {force:5.1f} N' for name, force in forces.items())

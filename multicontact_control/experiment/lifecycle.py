@@ -19,6 +19,7 @@ DEACTIVATE, CLEAN_UP, SHUT_DOWN = 'deactivate', 'cleanup', 'shutdown'
 GOALS = {CONFIGURE: 'inactive', ACTIVATE: 'active', DEACTIVATE: 'inactive',
          CLEAN_UP: 'unconfigured', SHUT_DOWN: 'finalized'}
 SERVICE_TIMEOUT, ANSWER_TIMEOUT = 60.0, 30.0
+CONFIGURE_TIMEOUT = 300.0  # the first one after an installation compiles; a dead node is noticed
 
 
 class TransitionError(RunError):
@@ -84,7 +85,8 @@ class LifecycleDriver:
 
         """
         request = ChangeState.Request(transition=Transition(label=transition))
-        answer = self.call(node_name, ChangeState, 'change_state', request)
+        timeout = CONFIGURE_TIMEOUT if transition == CONFIGURE else ANSWER_TIMEOUT
+        answer = self.call(node_name, ChangeState, 'change_state', request, timeout)
         if answer is None:  # the answer may be lost although the work is done
             if self.state(node_name) == GOALS[transition]:
                 return

@@ -52,7 +52,7 @@ def run_simulate(
     refuse_push_test(setup)
     setup.write(folder / CONFIG_FOLDER)
     with progress_bar(f'simulate {setup.scenario.name}', setup.scenario.duration,
-                      console) as show:
+                      console, 'the first start compiles') as show:
         result = run_in_process(setup, lambda time, alpha: show(
             time, dict(zip(setup.controller.contact_names, alpha))), supervised=supervised)
         show(setup.scenario.duration, {})
@@ -120,7 +120,8 @@ def run_real_time(
             'supervised': supervised, 'patience': SIMULATION_PATIENCE}}, parameter_files={
             'controller_node': config / 'controller.yaml', 'sim_node': config / 'plant.yaml',
             'noise_estimator_node': config / 'noise_estimator.yaml'})
-    with progress_bar(f'run {setup.scenario.name}', setup.scenario.duration, console) as show:
+    with progress_bar(f'run {setup.scenario.name}', setup.scenario.duration, console,
+                      'starting the nodes; the first start compiles') as show:
         result = run_graph(
             spec, lambda progress: show(progress.time, progress.forces),
             on_domain=lambda number: console.print(
