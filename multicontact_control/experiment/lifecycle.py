@@ -19,7 +19,8 @@ DEACTIVATE, CLEAN_UP, SHUT_DOWN = 'deactivate', 'cleanup', 'shutdown'
 GOALS = {CONFIGURE: 'inactive', ACTIVATE: 'active', DEACTIVATE: 'inactive',
          CLEAN_UP: 'unconfigured', SHUT_DOWN: 'finalized'}
 SERVICE_TIMEOUT, ANSWER_TIMEOUT = 60.0, 30.0
-CONFIGURE_TIMEOUT = 300.0  # the first one after an installation compiles; a dead node is noticed
+# An answer may be lost, and the first configuration after an installation compiles.
+FIRST_TIMEOUT, WORK_TIMEOUT = 5.0, 300.0
 
 
 class TransitionError(RunError):
@@ -85,14 +86,24 @@ class LifecycleDriver:
 
         """
         request = ChangeState.Request(transition=Transition(label=transition))
-        timeout = CONFIGURE_TIMEOUT if transition == CONFIGURE else ANSWER_TIMEOUT
-        answer = self.call(node_name, ChangeState, 'change_state', request, timeout)
-        if answer is None:  # the answer may be lost although the work is done
-            if self.state(node_name) == GOALS[transition]:
-                return
-            raise RunError(f'{node_name} did not answer when asked to {transition}')
-        if not answer.success:
+        answer = self.call(node_name, ChangeState, 'change_state', request, FIRST_TIMEOUT)
+        if answer is None:
+            self._wait_for_goal(node_name, transition)
+        elif not answer.success:
             raise TransitionError(node_name, transition)
+
+    def _wait_for_goal(self, node_name: str, transition: str) -> None:
+        """Ask for the state: the answer may be lost although the work is done, or yet to come."""
+        give_up = time.monotonic() + WORK_TIMEOUT
+        while time.monotonic() < give_up:
+            # A node at work answers when it has done it.
+            answer = self.call(node_name, GetState, 'get_state', GetState.Request())
+            if answer is None:
+                continue
+            if answer.current_state.label != GOALS[transition]:
+                raise TransitionError(node_name, transition)
+            return
+        raise RunError(f'{node_name} did not answer when asked to {transition}')
 
     def state(self, node_name: str, timeout: float = ANSWER_TIMEOUT) -> str:
         """

@@ -220,10 +220,17 @@ class ControllerNode(ManagedNode):
             self._answer()
 
     def _take(self, sample: PairedSample | None) -> None:
-        if sample is not None:
-            self._watch.beat(self._received)
-            self._waiting = sample
-            self._answer()
+        if sample is None:
+            return
+        self._watch.beat(self._received)
+        again = self._waiting is not None and self._waiting.stamp == sample.stamp
+        self._waiting = sample
+        self._answer()
+        session = self._session
+        if again and self._waiting is sample and session is not None and (
+                session.output is not None and self._state_output is not None):
+            # Lockstep stands still: the estimator came after the forces it has to answer.
+            self._state_output.publish(session.last_stamp, session.tick, session.output)
 
     def _answer(self) -> None:
         """Answer the sample that waits, unless something it needs is not there yet."""
