@@ -27,10 +27,10 @@ STREAM = _profile(5000)
 INPUT = _profile(10)
 """Readers at the control rate: 20 ms at 500 Hz; what is older than that is of no use to them."""
 
-NEWEST = _profile(1)
-"""The controller's inputs in real time: one that was late goes on with the newest sample. What it
-overtakes is counted; to work through it one by one would keep it late. Not in lockstep, where
-nobody is late."""
+NEWEST = _profile(4)
+"""The controller's inputs in real time: one that was late by a few periods catches up, one that
+was late by more goes on with the newest samples. What it overtakes is counted; to work through it
+one by one would keep it late. Not in lockstep, where nobody is late."""
 
 COMMAND = _profile(10)
 """What a user sends now and then: no command may be lost, nor an old one be replayed."""
