@@ -9,6 +9,7 @@ from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Quaternion, Transform, Twist, Vector3, Wrench, WrenchStamped
 from hypothesis import given, HealthCheck, settings
 from hypothesis import strategies as st
+from multicontact_control.experiment.domain import reserve_domain
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.controller_node import ControllerNode
 from multicontact_control.nodes.managed_node import SUCCESS
@@ -133,9 +134,10 @@ class Live:
 
 
 @pytest.fixture(scope='module', params=[True, False], ids=['supervised', 'bare'])
-def live(request, domain_id, tmp_path_factory):
+def live(request, tmp_path_factory):
     from ros_graph import Middleware
-    with pytest.MonkeyPatch.context() as patch:
+    # A domain of its own: what is left of a node of this process must answer nobody later.
+    with reserve_domain() as domain_id, pytest.MonkeyPatch.context() as patch:
         patch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
         patch.setenv('ROS_LOG_DIR', str(tmp_path_factory.mktemp('ros')))
         rclpy.init(args=[
