@@ -229,6 +229,43 @@ def finish_torque(gains: Vector, joints: Matrix, velocity: Vector, torque: Vecto
 
 
 @compiled
+def span_contacts(
+    all_rows: Matrix, active: Mask, mobility: Matrix, inertia_metric: bool, rows: Matrix,
+    factor: Matrix, dual_rows: Matrix, dual_factor: Matrix,
+) -> bool:
+    """
+    Work out what the active contacts span, and in which metric motion is kept off it.
+
+    Parameters
+    ----------
+    all_rows, active
+        N^T of all contacts, shape (r, 6), and which of them are force controlled, shape (r,).
+    mobility
+        Lambda^-1, shape (6, 6).
+    inertia_metric
+        Whether the dual of N is Lambda^-1 N, otherwise N itself.
+    rows, factor
+        Filled: N^T with zeros where not active, and its factor; see `factorise_contacts`.
+    dual_rows, dual_factor
+        The same in that metric; `rows` and `factor` themselves if it is that of the identity.
+
+    Returns
+    -------
+    bool
+        Whether the active contacts are independent.
+
+    """
+    keep_active(all_rows, active, rows)
+    if not factorise_contacts(rows, rows, active, factor):
+        return False
+    if not inertia_metric:
+        return True
+    for i in range(rows.shape[0]):
+        multiply(mobility, rows[i], dual_rows[i])
+    return factorise_contacts(rows, dual_rows, active, dual_factor)
+
+
+@compiled
 def control_law(
     report: Matrix, torque: Vector, jacobian: Matrix, jacobian_rate: Matrix,
     mass_matrix: Matrix, bias_torque: Vector, velocity: Vector, position: Vector,
@@ -283,17 +320,11 @@ def control_law(
         return SINGULAR
     rows = np.empty((count, 6))
     factor = np.empty((count, count))
-    keep_active(all_rows, active, rows)
-    if not factorise_contacts(rows, rows, active, factor):
+    dual_rows = np.empty((count, 6)) if inertia_metric else rows
+    dual_factor = np.empty((count, count)) if inertia_metric else factor
+    if not span_contacts(
+            all_rows, active, mobility, inertia_metric, rows, factor, dual_rows, dual_factor):
         return DEPENDENT
-    dual_rows, dual_factor = rows, factor
-    if inertia_metric:
-        dual_rows = np.empty((count, 6))
-        dual_factor = np.empty((count, count))
-        for i in range(count):
-            multiply(mobility, rows[i], dual_rows[i])
-        if not factorise_contacts(rows, dual_rows, active, dual_factor):
-            return DEPENDENT
     twist = np.empty(6)
     f_t = np.empty(6)
     f_c = np.empty(6)

@@ -8,7 +8,7 @@ import pytest
 
 
 def test_check_forces_takes_what_is_within():
-    CommandLimits(force_ceiling=10.0).check_forces({'a': 0.0, 'b': 10.0})
+    assert CommandLimits(force_ceiling=10.0).check_forces({'a': 0.0, 'b': 10.0}) is None
 
 
 @pytest.mark.parametrize('force', [10.1, -0.1, float('nan'), float('inf')])
@@ -26,7 +26,7 @@ def test_check_position_names_the_axis():
 
 
 def test_check_position_takes_every_one_without_a_box():
-    check_position(np.array([50.0, 0.0, 1.0]), LimitsConfig())
+    assert check_position(np.array([50.0, 0.0, 1.0]), LimitsConfig()) is None
 
 
 def test_command_error_has_one_cause_for_all_values():

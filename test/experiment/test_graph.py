@@ -216,6 +216,7 @@ def test_nodes_end_when_the_process_that_started_them_is_killed(tmp_path, free_d
     parent.kill()
     parent.wait()
     wait_for(lambda: not node_processes(tmp_path), 'nodes ended')
+    assert node_processes(tmp_path) == {}
 
 
 def wait_for(condition, what, deadline=60.0):

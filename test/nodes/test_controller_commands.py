@@ -149,6 +149,7 @@ def test_a_commanded_motion_moves_the_torque(graph):
     wait_for(lambda: np.abs(arm.step() - before).max() > 0.1, 'motion')
     send_position(arm, position)
     wait_for(lambda: np.abs(arm.step() - before).max() < 1e-6, 'return')
+    np.testing.assert_allclose(settle(arm), before, atol=1e-6)
 
 
 def test_tare_makes_the_compensated_wrench_zero(graph):

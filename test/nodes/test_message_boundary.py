@@ -208,6 +208,7 @@ def test_after_all_that_good_samples_are_answered(live):
     wait_for(answered, 'answers')
     if live.supervised:
         wait_for(lambda: live.good() or live.node._configured.status.reaction == 'none', 'control')
+    assert live.received > before + 50
 
 
 INTEGER = st.integers(-2 ** 63, 2 ** 63 - 1)
