@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from datetime import datetime
 from typing import Annotated
 
 from multicontact_control.cli.exits import end_by_verdict, errors_in_one_line, EXIT_SIGNAL
@@ -16,6 +15,7 @@ from multicontact_control.cli.options import (
     Scenario,
     Seed,
 )
+from multicontact_control.cli.preparation import prepare
 import typer
 
 
@@ -40,16 +40,11 @@ def run(
     node died; 2: bad input; 128 + n: ended by signal n.
     """
     from multicontact_control.experiment.domain import check_namespace
-    from multicontact_control.experiment.results import prepare_folder
-    from multicontact_control.experiment.scenario import resolve
 
     with errors_in_one_line():
         namespace = check_namespace(namespace)
-        setup = resolve(
-            scenario, plant=plant, seed=seed, duration=duration,
-            noise_estimator={'estimator': noise_estimator} if noise_estimator else None)
-        folder = prepare_folder(
-            out, setup.scenario.name, overwrite=overwrite, now=datetime.now())
+        setup, folder = prepare(
+            scenario, plant, seed, duration, noise_estimator, out, overwrite)
         # Only now: what is heavy is not loaded for the sake of an error.
         from multicontact_control.experiment.run import run_real_time
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from datetime import datetime
-
 from multicontact_control.cli.exits import end_by_verdict, errors_in_one_line
 from multicontact_control.cli.options import (
     Bare,
@@ -15,6 +13,7 @@ from multicontact_control.cli.options import (
     Scenario,
     Seed,
 )
+from multicontact_control.cli.preparation import prepare
 
 
 def simulate(
@@ -28,15 +27,9 @@ def simulate(
     The same seed gives the same run, bit for bit. Exit code 0: stable; 1: not stable; 2: bad
     input.
     """
-    from multicontact_control.experiment.results import prepare_folder
-    from multicontact_control.experiment.scenario import resolve
-
     with errors_in_one_line():
-        setup = resolve(
-            scenario, plant=plant, seed=seed, duration=duration,
-            noise_estimator={'estimator': noise_estimator} if noise_estimator else None)
-        folder = prepare_folder(
-            out, setup.scenario.name, overwrite=overwrite, now=datetime.now())
+        setup, folder = prepare(
+            scenario, plant, seed, duration, noise_estimator, out, overwrite)
         # Only now: what is heavy is not loaded for the sake of an error.
         from multicontact_control.experiment.run import run_simulate
 
