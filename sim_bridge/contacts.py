@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from multicontact_control.algebra import copy_vector
 from multicontact_control.arrays import Matrix, Vector
-from numba import njit
+from multicontact_control.compiled import compiled
 import numpy as np
 import pinocchio as pin
 from sim_bridge.config import PlantConfig
@@ -104,7 +105,7 @@ def _tip_positions(model: pin.Model, config: PlantConfig) -> Matrix:
     return np.array([frame.placement.translation for frame in frames]).reshape(-1, 3)
 
 
-@njit(cache=True)
+@compiled
 def advance_contacts(
     q: Vector, qd: Vector, push: Vector, rotations: Matrix, offsets: Matrix, tips: Matrix,
     surface_points: Matrix, normals: Matrix, tracks: Matrix, parameters: Matrix,
@@ -142,8 +143,9 @@ def advance_contacts(
     rotation = np.empty((3, 3))
     velocity = np.empty(3)
     forward_kinematics(q, rotations, offsets, axes, origins, rotation)
-    wrist[:] = origins[joints - 1]
-    load[:] = 0.0
+    copy_vector(origins[joints - 1], wrist)
+    for joint in range(joints):
+        load[joint] = 0.0
     add_joint_torque(wrist, push, 1.0, axes, origins, load)
     for contact in range(tips.shape[0]):
         for row in range(3):

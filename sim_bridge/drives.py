@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from multicontact_control.arrays import Matrix, Vector
-from numba import njit
+from multicontact_control.compiled import compiled
 import numpy as np
 from sim_bridge.joint_friction import implicit_speed
 
@@ -58,7 +58,7 @@ class FlexibleDrives:
                        self._friction, self._step, joint_torque)
 
 
-@njit(cache=True)
+@compiled
 def advance_drives(
     torque: Vector, q: Vector, qd: Vector, motor_q: Vector, motor_qd: Vector, inertia: Vector,
     springs: Matrix, friction: Matrix, step: float, joint_torque: Vector,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from multicontact_control.arrays import Matrix, Vector
-from numba import njit
+from multicontact_control.compiled import compiled
 import numpy as np
 from sim_bridge.puma560 import RobotData
 
@@ -43,14 +43,14 @@ def friction_table(robot: RobotData, scale: float, speed: float) -> Matrix:
     return np.array(rows)
 
 
-@njit(cache=True)
+@compiled
 def friction_torque(speed: float, row: Vector) -> float:
     """Return the friction f(v) = b v + F tanh(v / v_0) that a joint at `speed` overcomes [N m]."""
     coulomb = row[COULOMB_POSITIVE] if speed >= 0.0 else row[COULOMB_NEGATIVE]
     return float(row[VISCOUS] * speed + coulomb * np.tanh(speed / row[SPEED]))
 
 
-@njit(cache=True)
+@compiled
 def friction_slope(speed: float, row: Vector) -> float:
     """Return df/dv [N m s/rad]."""
     coulomb = row[COULOMB_POSITIVE] if speed >= 0.0 else row[COULOMB_NEGATIVE]
@@ -58,7 +58,7 @@ def friction_slope(speed: float, row: Vector) -> float:
     return float(row[VISCOUS] + coulomb * (1.0 - tangent * tangent) / row[SPEED])
 
 
-@njit(cache=True)
+@compiled
 def implicit_speed(free_speed: float, step: float, inertia: float, row: Vector) -> float:
     """
     Solve v = free_speed - step / inertia * f(v) for the speed at the end of a step.

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from multicontact_control.algebra import copy_matrix
 from multicontact_control.arrays import Matrix, Vector
-from numba import njit
+from multicontact_control.compiled import compiled
 import numpy as np
 
 
-@njit(cache=True)
+@compiled
 def forward_kinematics(
     q: Vector, rotations: Matrix, offsets: Matrix, axes: Matrix, origins: Matrix,
     last_rotation: Matrix,
@@ -48,10 +49,10 @@ def forward_kinematics(
             rotation[row, 2] = turned[row, 2]
             axes[joint, row] = turned[row, 2]
             origins[joint, row] = position[row]
-    last_rotation[:, :] = rotation
+    copy_matrix(rotation, last_rotation)
 
 
-@njit(cache=True)
+@compiled
 def point_velocity(
     point: Vector, qd: Vector, axes: Matrix, origins: Matrix, velocity: Vector,
 ) -> None:
@@ -60,7 +61,7 @@ def point_velocity(
 
     v = sum_i qd_i z_i x (p - o_i), with the axes z and origins o of `forward_kinematics`.
     """
-    velocity[:] = 0.0
+    velocity[0], velocity[1], velocity[2] = 0.0, 0.0, 0.0
     for joint in range(qd.shape[0]):
         x = point[0] - origins[joint, 0]
         y = point[1] - origins[joint, 1]
@@ -70,7 +71,7 @@ def point_velocity(
         velocity[2] += qd[joint] * (axes[joint, 0] * y - axes[joint, 1] * x)
 
 
-@njit(cache=True)
+@compiled
 def add_joint_torque(
     point: Vector, force: Vector, sign: float, axes: Matrix, origins: Matrix, torque: Vector,
 ) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from multicontact_control.arrays import Matrix, Vector
-from numba import njit
+from multicontact_control.compiled import compiled
 import numpy as np
 import pinocchio as pin
 from sim_bridge.joint_friction import (
@@ -71,7 +71,7 @@ class RigidDrives:
         joint_torque[:] = torque - friction - self._armature * slowed
 
 
-@njit(cache=True)
+@compiled
 def implicit_joint_speed(
     free_speed: Vector, step: float, mass_matrix: Matrix, friction: Matrix, speed: Vector,
 ) -> None:
@@ -116,7 +116,7 @@ def implicit_joint_speed(
             return
 
 
-@njit(cache=True)
+@compiled
 def _friction_residual(
     speed: Vector, free_speed: Vector, step: float, mass_matrix: Matrix, friction: Matrix,
 ) -> Vector:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from multicontact_control.arrays import Matrix, Vector
-from numba import njit
+from multicontact_control.compiled import compiled
 import numpy as np
 from sim_bridge.config import SurfaceConfig
 
@@ -126,7 +126,7 @@ def track_direction(normal_world: Vector) -> Vector:
     return np.asarray(along / np.linalg.norm(along))
 
 
-@njit(cache=True)
+@compiled
 def profile_at(values: Vector, spacing: float, position: float) -> float:
     """Return the value of a periodic profile at a position along its track, between points."""
     place = position / spacing
@@ -137,7 +137,7 @@ def profile_at(values: Vector, spacing: float, position: float) -> float:
     return float((1.0 - share) * values[index] + share * values[following])
 
 
-@njit(cache=True)
+@compiled
 def contact_force(
     point: Vector, velocity: Vector, surface_point: Vector, normal: Vector, track: Vector,
     parameters: Vector, heights: Vector, slopes: Vector, force: Vector,
@@ -178,7 +178,7 @@ def contact_force(
     normal_speed = rate
     depth += profile_at(heights, parameters[SPACING], along)
     rate += profile_at(slopes, parameters[SPACING], along) * along_rate
-    force[:] = 0.0
+    force[0], force[1], force[2] = 0.0, 0.0, 0.0
     if depth <= 0.0:
         return 0.0
     alpha = max(0.0, parameters[STIFFNESS] * depth + parameters[DAMPING] * rate)

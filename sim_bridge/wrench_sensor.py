@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from multicontact_control.arrays import Matrix, Vector
+from multicontact_control.compiled import compiled
 from multicontact_control.errors import ConfigError
-from numba import njit
 import numpy as np
 from scipy.signal import butter
 from sim_bridge.config import SensorConfig
@@ -134,7 +134,7 @@ def low_pass_stages(cutoff: float, rate: float) -> Matrix:
     return np.array(rows)
 
 
-@njit(cache=True)
+@compiled
 def measure(
     wrench: Vector, bias: Vector, noise: Vector, limit: Vector, steps: Vector, reading: Vector,
 ) -> None:
@@ -161,7 +161,7 @@ def measure(
         reading[axis] = value
 
 
-@njit(cache=True)
+@compiled
 def settle(value: Vector, stages: Matrix, memory: Matrix) -> None:
     """Set the filters' memory, shape (stages, 6, 2), as if `value` had always been there."""
     for stage in range(stages.shape[0]):
@@ -171,7 +171,7 @@ def settle(value: Vector, stages: Matrix, memory: Matrix) -> None:
             memory[stage, axis, 1] = value[axis] * (b2 - a2)
 
 
-@njit(cache=True)
+@compiled
 def low_pass(value: Vector, stages: Matrix, memory: Matrix, result: Vector) -> None:
     """
     Advance the chain by one reading (transposed direct form II, gain 1 at rest).

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from multicontact_control.algebra import multiply
+from multicontact_control.algebra import copy_vector
 from multicontact_control.arrays import Codes, Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.control.contact_kernels import LOST
@@ -235,7 +236,7 @@ def gate_torque(
     enforced = 0
     n = gated.shape[0]
     if torque.shape[0] == n and all_numbers(torque):
-        gated[:] = torque
+        copy_vector(torque, gated)
     else:
         enforced = GATE_NUMBERS
         for j in range(n):

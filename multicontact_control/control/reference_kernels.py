@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from multicontact_control.algebra import multiply
+from multicontact_control.algebra import copy_matrix, cross, multiply
 from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.control.contact_kernels import (
@@ -116,15 +116,16 @@ def rotate_by(vector: Vector, rotation: Matrix, turned: Matrix) -> None:
     """
     angle = np.sqrt(vector[0] * vector[0] + vector[1] * vector[1] + vector[2] * vector[2])
     if angle < 1e-12:
-        turned[:] = rotation
+        copy_matrix(rotation, turned)
         return
-    x, y, z = vector[0] / angle, vector[1] / angle, vector[2] / angle
-    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    once, twice = np.empty(3), np.empty(3)
+    axis, column, once, twice = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    for i in range(3):
+        axis[i] = vector[i] / angle
     for j in range(3):
-        column = rotation[:, j]
-        multiply(K, column, once)
-        multiply(K, once, twice)
+        for i in range(3):
+            column[i] = rotation[i, j]
+        cross(axis, column, once)
+        cross(axis, once, twice)
         for i in range(3):
             turned[i, j] = column[i] + np.sin(angle) * once[i] + (1.0 - np.cos(angle)) * twice[i]
 
@@ -164,7 +165,9 @@ def bound_reference(following: Any, posture: Any, pose_des: Matrix, motion_des: 
         for k in range(3):
             position[k] = posture.position[k] + (position[k] - posture.position[k]) * (
                 following.reach / length)
-        motion_des[:] = 0.0
+        for i in range(2):
+            for k in range(6):
+                motion_des[i, k] = 0.0
         limited = True
     turn = np.empty(3)
     rotation_vector(pose_des, posture.rotation, turn)

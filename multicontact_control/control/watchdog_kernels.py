@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from multicontact_control.algebra import copy_matrix, copy_vector
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 import numpy as np
@@ -116,7 +117,7 @@ def judge_joints(
         jumped = has_jumped(new, believed, elapsed, memory, settings)
     same = memory.joints_before and not within(new[QD], STILL) and (
         repeats(new[Q], last[Q]) or repeats(new[QD], last[QD]))
-    last[:] = new
+    copy_matrix(new, last)
     memory.joints_before = True
     if jumped:
         memory.distrust = settings.recovery_samples
@@ -127,7 +128,7 @@ def judge_joints(
     memory.joint_repeats = memory.joint_repeats + 1 if same else 0
     if 0 < settings.frozen_samples <= memory.joint_repeats:
         return FROZEN
-    believed[:] = new
+    copy_matrix(new, believed)
     memory.joints_known = True
     return FINE
 
@@ -157,14 +158,14 @@ def judge_wrench(wrenches: Matrix, full_scale: Vector, memory: Any, settings: An
         return INVALID
     same = memory.wrench_before and repeats(new, last)
     memory.wrench_repeats = memory.wrench_repeats + 1 if same else 0
-    last[:] = new
+    copy_vector(new, last)
     memory.wrench_before = True
     for i in range(6):
         if abs(new[i]) >= full_scale[i]:
             return SATURATED
     if 0 < settings.frozen_samples <= memory.wrench_repeats:
         return FROZEN
-    wrenches[BELIEVED] = new
+    copy_vector(new, wrenches[BELIEVED])
     return FINE
 
 

@@ -209,6 +209,38 @@ def quaternion_of(rotation: Matrix, quaternion: Vector) -> None:
 
 
 @compiled
+def logarithm(error: Matrix, vector: Vector) -> None:
+    """
+    Fill in the rotation vector of a rotation.
+
+    Parameters
+    ----------
+    error
+        Shape (3, 3).
+    vector
+        Filled, shape (3,) [rad].
+
+    """
+    vector[0] = 0.5 * (error[2, 1] - error[1, 2])
+    vector[1] = 0.5 * (error[0, 2] - error[2, 0])
+    vector[2] = 0.5 * (error[1, 0] - error[0, 1])
+    cosine = 0.5 * (error[0, 0] + error[1, 1] + error[2, 2] - 1.0)
+    sine = np.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)
+    if cosine < -0.99:  # near half a turn the skew part vanishes and no longer names the axis
+        quaternion = np.empty(4)
+        quaternion_of(error, quaternion)
+        sine = np.sqrt(quaternion[0] ** 2 + quaternion[1] ** 2 + quaternion[2] ** 2)
+        angle = 2.0 * np.arctan2(sine, abs(quaternion[3]))
+        sign = 1.0 if quaternion[3] >= 0.0 else -1.0
+        for i in range(3):
+            vector[i] = sign * angle * quaternion[i] / sine
+    elif sine >= 1e-9:
+        factor = np.arctan2(sine, cosine) / sine
+        for i in range(3):
+            vector[i] *= factor
+
+
+@compiled
 def rotation_vector(rotation_des: Matrix, rotation: Matrix, vector: Vector) -> None:
     """
     Fill in log(R_des R^T), the rotation from an orientation to a desired one, in world axes.
@@ -227,20 +259,4 @@ def rotation_vector(rotation_des: Matrix, rotation: Matrix, vector: Vector) -> N
             error[i, j] = (rotation_des[i, 0] * rotation[j, 0]
                            + rotation_des[i, 1] * rotation[j, 1]
                            + rotation_des[i, 2] * rotation[j, 2])
-    vector[0] = 0.5 * (error[2, 1] - error[1, 2])
-    vector[1] = 0.5 * (error[0, 2] - error[2, 0])
-    vector[2] = 0.5 * (error[1, 0] - error[0, 1])
-    cosine = 0.5 * (error[0, 0] + error[1, 1] + error[2, 2] - 1.0)
-    sine = np.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)
-    if cosine < -0.99:  # near half a turn the skew part vanishes and no longer names the axis
-        quaternion = np.empty(4)
-        quaternion_of(error, quaternion)
-        sine = np.sqrt(quaternion[0] ** 2 + quaternion[1] ** 2 + quaternion[2] ** 2)
-        angle = 2.0 * np.arctan2(sine, abs(quaternion[3]))
-        sign = 1.0 if quaternion[3] >= 0.0 else -1.0
-        for i in range(3):
-            vector[i] = sign * angle * quaternion[i] / sine
-    elif sine >= 1e-9:
-        factor = np.arctan2(sine, cosine) / sine
-        for i in range(3):
-            vector[i] *= factor
+    logarithm(error, vector)

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 from multicontact_control.arrays import Matrix, Vector
-from numba import njit
+from multicontact_control.compiled import compiled
 import numpy as np
 
-# Compiled (or taken from the cache) on import, so that no tick ever waits for the compiler.
-SIGNATURE = ('UniTuple(f8, 2)(f8[::1], f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[::1], f8[::1], '
-             'f8, f8, f8)')
 
-
-@njit(cache=True)
+@compiled
 def predict(
     x: Vector, P: Matrix, Phi_c: Matrix, Phi_n: Matrix, Gamma: Vector, q_diag: Vector,
     command: float, x_pred: Vector, half: Matrix,
@@ -52,7 +48,7 @@ def predict(
         P[i, i] += q_diag[i]
 
 
-@njit(cache=True)
+@compiled
 def correct(
     x: Vector, P: Matrix, x_pred: Vector, innovation: float, R: float, covariance: Vector,
 ) -> None:
@@ -85,7 +81,7 @@ def correct(
                 P[j, i] = P[i, j]
 
 
-@njit(SIGNATURE, cache=True)
+@compiled
 def kalman_update(
     x: Vector, P: Matrix, Phi_c: Matrix, Phi_n: Matrix, Gamma: Vector, q_diag: Vector,
     command: float, y: float, R: float,
