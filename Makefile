@@ -1,7 +1,7 @@
 # Sets up everything in .venv, then runs. Needs python3, its venv module and make.
 #
 # What pip installs is stamped by a hash of what describes it, so that a second start installs
-# nothing. The package itself is installed in editable mode: the sources of this folder run. What
+# nothing; so are the compiled kernels, by the sources they are made from. The package itself is installed in editable mode: the sources of this folder run. What
 # pip then leaves out, which is what `ros2 run` and the ament index need, setup.py's own
 # install_data puts into .venv.
 
@@ -49,6 +49,8 @@ VENV_STAMP := $(VENV)/.made-$(ROS)-$(shell pwd | sha256sum | cut -c1-12)
 RUN_STAMP := $(VENV)/.run-$(KEY)
 TEST_STAMP := $(VENV)/.test-$(KEY)
 DATA_STAMP := $(VENV)/.data
+COMPILED_STAMP := $(VENV)/.compiled
+KERNELS := $(shell grep -rl --include='*.py' '^@compiled' multicontact_control sim_bridge)
 
 define CHECK_PYTHON
 import pathlib, shutil, sys, sysconfig
@@ -68,7 +70,7 @@ help:  ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "make %-10s %s\n", $$1, $$2}' Makefile
 	@echo 'Pass arguments on with RUN_ARGS="--scenario quick" and TEST_ARGS="-k force".'
 
-setup: $(RUN_STAMP) $(DATA_STAMP)  ## Set up .venv
+setup: $(RUN_STAMP) $(DATA_STAMP) $(COMPILED_STAMP)  ## Set up .venv and compile the kernels
 
 run: setup  ## Run the experiment over ROS 2: RUN_ARGS="--scenario quick --out DIR"
 	@$(WITH_ROS) exec $(BIN)/multicontact run $(RUN_ARGS)
@@ -80,7 +82,7 @@ lint: $(TEST_STAMP)  ## Check style and types
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 
-test: $(TEST_STAMP) $(DATA_STAMP) lint  ## Check style and types, then run the tests
+test: $(TEST_STAMP) $(DATA_STAMP) $(COMPILED_STAMP) lint  ## Check style and types, then run the tests
 	@$(WITH_ROS) exec $(BIN)/python -m pytest $(TEST_ARGS)
 
 clean:  ## Remove .venv and everything built, but no runs
@@ -97,12 +99,16 @@ $(VENV_STAMP):
 $(RUN_STAMP): | $(VENV_STAMP)
 	@echo 'Installing the dependencies.'
 	@$(PIP) 'setuptools>=70.1,<80' --editable '$(RUN_PACKAGE)'
-	@rm -f $(VENV)/.run-* $(VENV)/.test-* $(DATA_STAMP)
+	@rm -f $(VENV)/.run-* $(VENV)/.test-* $(DATA_STAMP) $(COMPILED_STAMP)
 	@touch $@
 
 $(TEST_STAMP): $(RUN_STAMP)
 	@echo 'Installing what the tests need.'
 	@$(PIP) --editable '$(TEST_PACKAGE)'
+	@touch $@
+
+$(COMPILED_STAMP): $(RUN_STAMP) $(KERNELS)
+	@$(WITH_ROS) $(BIN)/multicontact compile
 	@touch $@
 
 $(DATA_STAMP): $(RUN_STAMP) package.xml $(wildcard resource/*) $(shell find config)

@@ -2,6 +2,13 @@
 
 from __future__ import annotations
 
+from multicontact_control.algebra import (
+    cholesky,
+    copy_matrix,
+    copy_vector,
+    dot,
+    solve_cholesky,
+)
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 import numpy as np
@@ -96,35 +103,44 @@ def implicit_joint_speed(
 
     """
     n = free_speed.shape[0]
-    residual = _friction_residual(speed, free_speed, step, mass_matrix, friction)
+    residual, change, trial = np.empty(n), np.empty(n), np.empty(n)
+    factor = np.empty((n, n))
+    _friction_residual(speed, free_speed, step, mass_matrix, friction, residual)
     for _ in range(NEWTON_STEPS):
-        slope = mass_matrix.copy()
+        copy_matrix(mass_matrix, factor)
         for joint in range(n):
-            slope[joint, joint] += step * friction_slope(speed[joint], friction[joint])
-        change = np.linalg.solve(slope, residual)
+            factor[joint, joint] += step * friction_slope(speed[joint], friction[joint])
+        cholesky(factor, factor, 0.0)  # positive definite, as M is and friction never pushes
+        copy_vector(residual, change)
+        solve_cholesky(factor, change)
         share = 1.0
-        before = np.dot(residual, change)
+        before = dot(residual, change)
         for _ in range(30):
-            trial = speed - share * change
-            residual = _friction_residual(trial, free_speed, step, mass_matrix, friction)
+            for joint in range(n):
+                trial[joint] = speed[joint] - share * change[joint]
+            _friction_residual(trial, free_speed, step, mass_matrix, friction, residual)
             # The function still falls at the trial point, or hardly rises: not overshot.
-            if np.dot(residual, change) >= -0.5 * before:
+            if dot(residual, change) >= -0.5 * before:
                 break
             share *= 0.5
-        speed[:] = trial
-        if np.max(np.abs(change)) <= NEWTON_TOLERANCE * (1.0 + np.max(np.abs(speed))):
+        copy_vector(trial, speed)
+        largest_change, largest_speed = 0.0, 0.0
+        for joint in range(n):
+            largest_change = max(largest_change, abs(change[joint]))
+            largest_speed = max(largest_speed, abs(speed[joint]))
+        if largest_change <= NEWTON_TOLERANCE * (1.0 + largest_speed):
             return
 
 
 @compiled
 def _friction_residual(
     speed: Vector, free_speed: Vector, step: float, mass_matrix: Matrix, friction: Matrix,
-) -> Vector:
-    """Return M (v - free_speed) + step f(v)."""
+    residual: Vector,
+) -> None:
+    """Fill in M (v - free_speed) + step f(v)."""
     n = speed.shape[0]
-    residual = np.zeros(n)
     for row in range(n):
+        residual[row] = 0.0
         for column in range(n):
             residual[row] += mass_matrix[row, column] * (speed[column] - free_speed[column])
         residual[row] += step * friction_torque(speed[row], friction[row])
-    return residual

@@ -41,7 +41,7 @@ from multicontact_control.nodes.graph_node import (
 from multicontact_control.nodes.loop_watch import Freshness, LoopWatch
 from multicontact_control.nodes.parameters import load_parameters
 from multicontact_control.nodes.runtime import run_node, Spinner
-from multicontact_control.nodes.timing import DurationLog, write_json
+from multicontact_control.nodes.timing import DurationLog
 import numpy as np
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
@@ -149,18 +149,16 @@ class SimNode(Node):
     def close(self) -> None:
         """Write the counts and times of this run, if asked to, and free the plant."""
         self._plant.close()
-        path = self._config.timing_path
-        if path is not None:
-            samples = max(1, self._tick + 1)
-            write_json(path, {
-                'ticks': self._tick + 1, 'rate_hz': self._config.rate,
-                'lockstep': self._config.lockstep, 'deadline_misses': self._misses,
-                'pace_slips': self._slips, 'command_timeouts': self._timeouts,
-                'wall_s': self._wall * 1e-9,
-                'latency_us': self._latency.percentiles(),
-                'plant_us': self._step_times.percentiles(),
-                'saturated_ticks': self._saturated, 'saturated_fraction':
-                self._saturated / samples, 'refused': dict(self._refusals.counts)})
+        samples = max(1, self._tick + 1)
+        self._config.write_counts({
+            'ticks': self._tick + 1, 'rate_hz': self._config.rate,
+            'lockstep': self._config.lockstep, 'deadline_misses': self._misses,
+            'pace_slips': self._slips, 'command_timeouts': self._timeouts,
+            'wall_s': self._wall * 1e-9,
+            'latency_us': self._latency.percentiles(),
+            'plant_us': self._step_times.percentiles(),
+            'saturated_ticks': self._saturated, 'saturated_fraction':
+            self._saturated / samples, 'refused': dict(self._refusals.counts)})
 
     def _set_origin(self, stamp: int) -> None:
         """Set the stamp of sample 0 [ns]."""

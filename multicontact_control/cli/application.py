@@ -8,6 +8,7 @@ from multicontact_control import __version__
 from multicontact_control.cli.bench import bench
 from multicontact_control.cli.calibrate import calibrate
 from multicontact_control.cli.compare import compare
+from multicontact_control.cli.compile_kernels import compile_kernels
 from multicontact_control.cli.echo import echo
 from multicontact_control.cli.faults import faults
 from multicontact_control.cli.push_test import push_test
@@ -50,6 +51,7 @@ app.command()(echo)
 app.command()(record)
 app.command()(faults)
 app.command()(bench)
+app.command('compile')(compile_kernels)
 
 
 def main() -> None:

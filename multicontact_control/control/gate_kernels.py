@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from multicontact_control.algebra import multiply
-from multicontact_control.algebra import copy_vector
+from multicontact_control.algebra import copy_vector, multiply
 from multicontact_control.arrays import Codes, Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.control.contact_kernels import LOST

@@ -142,8 +142,10 @@ def calibrate(setup: Setup, config: CalibrationConfig) -> Calibration:
 
     """
     # Only now: the simulator is not loaded for the sake of an error.
+    from multicontact_control.experiment.compilation import ensure_compiled
     from multicontact_control.experiment.servoed_plant import ServoedPlant
 
+    ensure_compiled()
     arm = ServoedPlant(setup.controller, setup.plant, setup.seed, setup.urdf_dir)
     try:
         readings = [_reading(arm, np.array(pose), config) for pose in config.poses]

@@ -4,12 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any, Protocol
+from typing import Any, Protocol, TYPE_CHECKING
 
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
+
+if TYPE_CHECKING:  # rclpy is needed for it, and not for the rest
+    from multicontact_control.experiment.progress import GraphProgress
+
+
+# Share of the deadlines missed, of so many at least, from which on no run is like real time.
+HOPELESS, FIRST_DEADLINES = 0.1, 250
 
 
 class ShowProgress(Protocol):
@@ -51,6 +58,34 @@ def progress_bar(
 
         yield show
         progress.update(task, forces='')
+
+
+class PaceNotice:
+    """
+    Says once, from the first second on, that the machine is too busy for real time.
+
+    Parameters
+    ----------
+    console
+        Where it is said.
+    lockstep
+        Whether the run has no deadlines: then there is nothing to say.
+
+    """
+
+    def __init__(self, console: Console, *, lockstep: bool) -> None:
+        self._console, self._told = console, lockstep
+
+    def look(self, progress: GraphProgress) -> None:
+        """Look at the deadlines that the simulator has told of."""
+        if self._told or progress.deadlines < FIRST_DEADLINES or (
+                progress.missed <= HOPELESS * progress.deadlines):
+            return
+        self._told = True
+        self._console.print(
+            f'[yellow]warning: {progress.missed} of the first {progress.deadlines} deadlines '
+            'missed: this machine is too busy for real time, and the figures will show it; '
+            '--lockstep has no deadlines[/yellow]', highlight=False, soft_wrap=True)
 
 
 def summary_table(summary: Mapping[str, Any]) -> Table:

@@ -52,8 +52,7 @@ def estimate_time(
     """
     Return how long the cells that are not finished will take.
 
-    From the finished cells of the same plant, or from a short run of it, which also compiles
-    what the workers would otherwise compile all at once.
+    From the finished cells of the same plant, or from a short run of it.
 
     Parameters
     ----------
@@ -92,8 +91,10 @@ def estimate_time(
 def _probe(cell: RunCell) -> float:
     """Return the wall time for a simulated second of a cell, from its beginning."""
     # Only here: who needs no probe needs neither kernels nor simulator.
+    from multicontact_control.experiment.compilation import ensure_compiled
     from multicontact_control.experiment.loop import run_in_process
 
+    ensure_compiled()
     setup = cell.setup()
     duration = min(PROBE, setup.scenario.duration)
     short = replace(setup, scenario=setup.scenario.model_copy(update={'duration': duration}))

@@ -23,7 +23,12 @@ from multicontact_control.experiment.graph_spec import (
     RECORDER,
     SIM,
 )
-from multicontact_control.experiment.lifecycle import ACTIVATE, CONFIGURE, LifecycleDriver
+from multicontact_control.experiment.lifecycle import (
+    ACTIVATE,
+    CONFIGURE,
+    LifecycleDriver,
+    NoAnswerError,
+)
 from multicontact_control.experiment.node_processes import NodeProcesses
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.nodes import topics
@@ -107,7 +112,8 @@ class FaultSession:
         names = setup.controller.contact_names
         self.wanted = dict.fromkeys(names, WANTED_FORCE)
         self.operator = Operator(self.node, self.watch, self.wanted)
-        self.driver = LifecycleDriver(domain_id, self._poll_all)
+        self.driver = LifecycleDriver(
+            domain_id, lambda what: self._poll_all(), poll_period=4.0 * POLL_PERIOD)
         self._next_check = 0.0
         self._recordings = 0
 
@@ -266,7 +272,7 @@ class FaultSession:
         found: list[str] = []
 
         def answered() -> bool:
-            with contextlib.suppress(RunError):
+            with contextlib.suppress(NoAnswerError):
                 found.append(self.driver.state(name, ASK_TIMEOUT))
             return bool(found)
 

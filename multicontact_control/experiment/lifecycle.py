@@ -18,9 +18,16 @@ CONFIGURE, ACTIVATE = 'configure', 'activate'
 DEACTIVATE, CLEAN_UP, SHUT_DOWN = 'deactivate', 'cleanup', 'shutdown'
 GOALS = {CONFIGURE: 'inactive', ACTIVATE: 'active', DEACTIVATE: 'inactive',
          CLEAN_UP: 'unconfigured', SHUT_DOWN: 'finalized'}
-SERVICE_TIMEOUT, ANSWER_TIMEOUT = 60.0, 30.0
-# An answer may be lost, and the first configuration after an installation compiles.
-FIRST_TIMEOUT, WORK_TIMEOUT = 5.0, 300.0
+# s, for whoever has no time limit of their own: until a node is there, and has done its work.
+PATIENCE = 300.0
+ANSWER_TIMEOUT = 30.0
+FIRST_TIMEOUT = 5.0  # an answer may be lost: then the state tells
+
+KeepWaiting = Callable[[str], None]
+
+
+class NoAnswerError(RunError):
+    """A node does not answer."""
 
 
 class TransitionError(RunError):
@@ -40,18 +47,21 @@ class LifecycleDriver:
     domain_id
         ROS domain of the nodes.
     keep_waiting
-        Called often while a node is waited for; may raise to give up.
+        Called again and again while a node is waited for, with what is waited for; what it
+        raises ends the waiting.
     namespace
         Of the nodes.
+    poll_period
+        Between two calls of `keep_waiting` [s].
 
     """
 
     def __init__(
-        self, domain_id: int, keep_waiting: Callable[[], None] = lambda: None,
-        namespace: str = '',
+        self, domain_id: int, keep_waiting: KeepWaiting = lambda what: None,
+        namespace: str = '', poll_period: float = 0.1,
     ) -> None:
         prepare_environment()
-        self._keep_waiting = keep_waiting
+        self._keep_waiting, self._poll_period = keep_waiting, poll_period
         self._context = Context()
         self._context.init(args=[], domain_id=domain_id)
         self._node = Node(
@@ -81,12 +91,13 @@ class LifecycleDriver:
         ------
         TransitionError
             If the node refuses.
-        RunError
+        NoAnswerError
             If it does not answer.
 
         """
         request = ChangeState.Request(transition=Transition(label=transition))
-        answer = self.call(node_name, ChangeState, 'change_state', request, FIRST_TIMEOUT)
+        answer = self.call(node_name, ChangeState, 'change_state', request, FIRST_TIMEOUT,
+                           doing=transition)
         if answer is None:
             self._wait_for_goal(node_name, transition)
         elif not answer.success:
@@ -94,16 +105,17 @@ class LifecycleDriver:
 
     def _wait_for_goal(self, node_name: str, transition: str) -> None:
         """Ask for the state: the answer may be lost although the work is done, or yet to come."""
-        give_up = time.monotonic() + WORK_TIMEOUT
+        give_up = time.monotonic() + PATIENCE
         while time.monotonic() < give_up:
             # A node at work answers when it has done it.
-            answer = self.call(node_name, GetState, 'get_state', GetState.Request())
+            answer = self.call(
+                node_name, GetState, 'get_state', GetState.Request(), doing=transition)
             if answer is None:
                 continue
             if answer.current_state.label != GOALS[transition]:
                 raise TransitionError(node_name, transition)
             return
-        raise RunError(f'{node_name} did not answer when asked to {transition}')
+        raise NoAnswerError(f'{node_name} did not answer when asked to {transition}')
 
     def state(self, node_name: str, timeout: float = ANSWER_TIMEOUT) -> str:
         """
@@ -111,21 +123,32 @@ class LifecycleDriver:
 
         Raises
         ------
-        RunError
+        NoAnswerError
             If it does not answer within `timeout` [s].
 
         """
         answer = self.call(node_name, GetState, 'get_state', GetState.Request(), timeout)
         if answer is None:
-            raise RunError(f'{node_name} did not tell its state')
+            raise NoAnswerError(f'{node_name} did not tell its state')
         return str(answer.current_state.label)
 
     def call(
         self, node_name: str, service: Any, name: str, request: Any,
-        timeout: float = ANSWER_TIMEOUT,
+        timeout: float = ANSWER_TIMEOUT, doing: str = 'answer',
     ) -> Any:
         """
         Call a service of a node.
+
+        Parameters
+        ----------
+        node_name
+            The node.
+        service, name, request
+            Type and name of its service, and what to ask.
+        timeout
+            Longest wait for the answer [s].
+        doing
+            What the node has to do until it answers.
 
         Returns
         -------
@@ -134,27 +157,28 @@ class LifecycleDriver:
 
         Raises
         ------
-        RunError
-            If there is no such service.
+        NoAnswerError
+            If there is no such service for `PATIENCE`.
 
         """
         client = self._clients.get((node_name, name))
         if client is None:
             client = self._node.create_client(service, f'{node_name}/{name}')
             self._clients[node_name, name] = client
-        self._wait(client.service_is_ready, SERVICE_TIMEOUT, f'{node_name} to appear')
+        if not self._wait(client.service_is_ready, PATIENCE, f'{node_name} to appear'):
+            raise NoAnswerError(f'{node_name} did not appear in {PATIENCE:g} s')
         future = client.call_async(request)
-        try:
-            self._wait(future.done, timeout, f'{node_name} to answer')
-        except RunError:
-            client.remove_pending_request(future)
-            return None
-        return future.result()
+        if self._wait(future.done, timeout, f'{node_name} to {doing}'):
+            return future.result()
+        client.remove_pending_request(future)
+        return None
 
-    def _wait(self, condition: Callable[[], Any], timeout: float, what: str) -> None:
+    def _wait(self, condition: Callable[[], Any], timeout: float, what: str) -> bool:
+        """Return whether a condition came true in time; errors of `keep_waiting` go through."""
         give_up = time.monotonic() + timeout
         while not condition():
-            self._keep_waiting()
             if time.monotonic() > give_up:
-                raise RunError(f'waited {timeout:g} s for {what}')
-            self._executor.spin_once(timeout_sec=0.02)
+                return False
+            self._keep_waiting(what)
+            self._executor.spin_once(timeout_sec=self._poll_period)
+        return True

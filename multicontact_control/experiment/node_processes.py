@@ -7,6 +7,8 @@ import contextlib
 import json
 import signal
 import subprocess
+import threading
+import time
 from typing import Any, IO
 
 from multicontact_control.errors import RunError
@@ -23,16 +25,19 @@ from multicontact_control.experiment.graph_spec import (
 )
 
 STOP_ORDER = (SIM, CONTROLLER, ESTIMATOR, RECORDER)
+# A node that is interrupted sends what it has to send and waits until that has arrived; one that
+# is terminated closes its files, and waits for nobody.
 STOP_TIMEOUTS = ((signal.SIGINT, 6.0), (signal.SIGTERM, 2.0), (signal.SIGKILL, 2.0))
+ABORT_TIMEOUT = 1.0
 LOG_LINES = 12
 
 
 class NodeEndedError(RunError):
     """A node has ended that should not have."""
 
-    def __init__(self, node_name: str, obituary: str) -> None:
+    def __init__(self, node_name: str, report: str) -> None:
         self.node_name = node_name
-        super().__init__(obituary)
+        super().__init__(report)
 
 
 class NodeProcesses:
@@ -52,7 +57,13 @@ class NodeProcesses:
         self._spec = spec
         self._environment = node_environment(spec, domain_id)
         self._running: dict[str, subprocess.Popen[bytes]] = {}
+        self._ends: list[subprocess.Popen[bytes]] = []  # in the order in which they ended
         self._logs: dict[str, IO[bytes]] = {}
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the nodes that were started and not ended from here."""
+        return tuple(self._running)
 
     def start_all(self) -> None:
         """
@@ -73,19 +84,25 @@ class NodeProcesses:
         try:
             # In a session of its own a node does not get the terminal's Ctrl-C: it is
             # stopped here, in order.
-            self._running[name] = subprocess.Popen(
+            process = subprocess.Popen(
                 node_command(name, self._spec, parameters), stdin=subprocess.DEVNULL,
                 stdout=self._logs[name], stderr=subprocess.STDOUT, env=self._environment,
                 start_new_session=True)
         except OSError as error:
             raise RunError(f'{name}: cannot be started: {error}') from None
+        self._running[name] = process
+        threading.Thread(target=self._note_end, args=(process,), daemon=True).start()
+
+    def _note_end(self, process: subprocess.Popen[bytes]) -> None:
+        process.wait()
+        self._ends.append(process)
 
     def signal(self, name: str, number: signal.Signals) -> None:
         """Send a signal to a node."""
         self._running[name].send_signal(number)
 
     def kill(self, name: str) -> None:
-        """End a node at once; nobody will ask why it has ended."""
+        """End a node at once; its end is then no failure."""
         process = self._running.pop(name)
         process.kill()
         process.wait()
@@ -93,59 +110,73 @@ class NodeProcesses:
     def end(self, name: str) -> int:
         """End a node as a run does at its end; return its exit code."""
         process = self._running.pop(name)
-        self._stop_one(process)
+        _stop([process])
         return process.wait()
 
     def ended(self, name: str) -> bool:
         """Return whether a node has ended."""
-        return self._running[name].poll() is not None
+        return self._running[name] in self._ends
 
-    def raise_if_failed(self) -> None:
-        """Raise if a node has ended other than with 0."""
-        for name, process in self._running.items():
-            code = process.poll()
-            if code:
-                raise RunError(self.obituary(name, ending(code)))
+    def raise_if_ended(self, *, at_its_end: bool = False) -> None:
+        """
+        Check that every node still runs, except those that were ended from here.
 
-    def raise_if_gone(self) -> None:
-        """Raise if a node has ended although the simulator has not, and nobody asked it to."""
-        for name, process in self._running.items():
-            code = process.poll()
-            if code is not None and not self.ended(SIM):
-                raise RunError(self.obituary(name, ending(code)))
+        Parameters
+        ----------
+        at_its_end
+            Whether the run is at its end once the simulator has ended with exit code 0: then the
+            others may, too.
 
-    def raise_if_ended(self) -> None:
-        """Raise if a node has ended, however, that was not ended from here."""
-        for name, process in self._running.items():
-            code = process.poll()
-            if code is not None:
-                raise NodeEndedError(name, self.obituary(name, ending(code)))
+        Raises
+        ------
+        NodeEndedError
+            About the one that ended first.
 
-    def obituary(self, name: str, how: str) -> str:
+        """
+        names = {process: name for name, process in self._running.items()}
+        for process in [process for process in self._ends if process in names]:
+            name, code = names[process], process.returncode
+            if at_its_end and code == 0 and self.ended(SIM):
+                continue
+            raise NodeEndedError(name, self.report(name, ending(code)))
+
+    def report(self, name: str, how: str) -> str:
         """Return what happened to a node, with the end of its log."""
-        path = self._spec.logs / f'{name}.log'
-        lines = path.read_text(encoding='utf-8', errors='replace').splitlines()[-LOG_LINES:]
+        lines = self._log(name)[-LOG_LINES:]
         tail = '\n'.join(f'  {line}' for line in lines) or '  (nothing)'
-        return f'{name} {how}; the end of {path}:\n{tail}'
+        return f'{name} {how}; the end of {self._log_file(name)}:\n{tail}'
 
-    def stop(self) -> None:
-        """Stop what still runs, one after the other, the recorder last."""
-        for name in (*STOP_ORDER, *self._spec.extra_nodes):
-            process = self._running.get(name)
-            if process is not None:
-                self._stop_one(process)
+    def last_line(self, name: str) -> str:
+        """Return what a node has said last, empty if nothing yet."""
+        return next((line for line in reversed(self._log(name)) if line.strip()), '')
+
+    def _log(self, name: str) -> list[str]:
+        return self._log_file(name).read_text(encoding='utf-8', errors='replace').splitlines()
+
+    def _log_file(self, name: str) -> Any:
+        return self._spec.logs / f'{name}.log'
+
+    def stop(self, *, abort: bool = False) -> None:
+        """
+        Stop what still runs.
+
+        Parameters
+        ----------
+        abort
+            Whether to end all at once, the recorder last, instead of one after the other, so
+            that every message that was sent is in the bag.
+
+        """
+        names = [x for x in (*STOP_ORDER, *self._spec.extra_nodes) if x in self._running]
+        if abort:
+            for group in ([x for x in names if x != RECORDER], [RECORDER]):
+                _stop([self._running[x] for x in group if x in names],
+                      ((signal.SIGTERM, ABORT_TIMEOUT), (signal.SIGKILL, ABORT_TIMEOUT)))
+        else:
+            for name in names:
+                _stop([self._running[name]])
         for log in self._logs.values():
             log.close()
-
-    @staticmethod
-    def _stop_one(process: subprocess.Popen[bytes]) -> None:
-        process.send_signal(signal.SIGCONT)  # one that is halted would not hear of it
-        for number, timeout in STOP_TIMEOUTS:
-            if process.poll() is not None:
-                return
-            process.send_signal(number)
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                process.wait(timeout)
 
     def timing(self) -> dict[str, dict[str, Any]]:
         """Return what each node wrote about its run; nothing for one that could not."""
@@ -157,6 +188,22 @@ class NodeProcesses:
             except (OSError, ValueError):
                 result[name] = {}
         return result
+
+
+def _stop(
+    processes: list[subprocess.Popen[bytes]],
+    signals: tuple[tuple[signal.Signals, float], ...] = STOP_TIMEOUTS,
+) -> None:
+    """Send some processes one signal after the other, until they have ended."""
+    for process in processes:
+        process.send_signal(signal.SIGCONT)  # one that is halted would not hear of the others
+    for number, timeout in signals:
+        for process in processes:
+            process.send_signal(number)  # nothing to one that has ended
+        give_up = time.monotonic() + timeout
+        for process in processes:
+            with contextlib.suppress(subprocess.TimeoutExpired):  # the next signal, then
+                process.wait(max(0.0, give_up - time.monotonic()))
 
 
 def ending(code: int) -> str:

@@ -98,8 +98,10 @@ def run_push_test(
 
     """
     # Only now: the simulator is not loaded for the sake of an error.
+    from multicontact_control.experiment.compilation import ensure_compiled
     from multicontact_control.experiment.servoed_plant import ServoedPlant
 
+    ensure_compiled()
     controller = setup.controller
     gravity = np.array(controller.robot.gravity_world)
     arm = ServoedPlant(controller, setup.plant, setup.seed, setup.urdf_dir)

@@ -4,12 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
+from multicontact_control.compiled import compiled_here
 from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.experiment.bag import BagContent, read_bag
 from multicontact_control.experiment.claims import judge_claims
-from multicontact_control.experiment.display import progress_bar, summary_table, verdict_lines
+from multicontact_control.experiment.compilation import ensure_compiled
+from multicontact_control.experiment.display import (
+    PaceNotice,
+    progress_bar,
+    summary_table,
+    verdict_lines,
+)
 from multicontact_control.experiment.evidence import evidence_of
 from multicontact_control.experiment.figures import draw_figures
 from multicontact_control.experiment.loop import run_in_process
@@ -18,6 +25,9 @@ from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.results import CONFIG_FOLDER, SUMMARY_FILE, write_json
 from multicontact_control.experiment.scenario import Setup
 from rich.console import Console
+
+if TYPE_CHECKING:
+    from multicontact_control.experiment.progress import GraphProgress
 
 FIGURE_FOLDER = 'figures'
 # Periods: a robot moves on while its samples are late, the simulated one has stood still, and a
@@ -50,9 +60,10 @@ def run_simulate(
     """
     console = console or Console()
     refuse_push_test(setup)
+    ensure_compiled(console)
     setup.write(folder / CONFIG_FOLDER)
-    with progress_bar(f'simulate {setup.scenario.name}', setup.scenario.duration,
-                      console, 'the first start compiles') as show:
+    with progress_bar(
+            f'simulate {setup.scenario.name}', setup.scenario.duration, console) as show:
         result = run_in_process(setup, lambda time, alpha: show(
             time, dict(zip(setup.controller.contact_names, alpha))), supervised=supervised)
         show(setup.scenario.duration, {})
@@ -61,7 +72,7 @@ def run_simulate(
     result.data.save(folder)
     timing = {
         'deadline_misses': 0, 'lost_messages': 0, 'tick_us': percentiles(result.tick_us),
-        'latency_us': None,
+        'latency_us': None, 'kernels_compiled': compiled_here(),
         'realtime_factor': result.data.ticks / result.data.rate / result.wall_time}
     summary = summarise(result.data, setup, mode='in_process', timing=timing,
                         ended_early=result.ended_early) | supervision(
@@ -112,6 +123,7 @@ def run_real_time(
                        'source a ROS 2 Jazzy, or use `multicontact simulate`') from None
     config = folder / CONFIG_FOLDER
     refuse_push_test(setup)
+    ensure_compiled(console)
     setup.write(config)
     spec = GraphSpec(
         out=folder, ticks=setup.ticks, rate=setup.controller.rate, lockstep=lockstep,
@@ -121,9 +133,16 @@ def run_real_time(
             'controller_node': config / 'controller.yaml', 'sim_node': config / 'plant.yaml',
             'noise_estimator_node': config / 'noise_estimator.yaml'})
     with progress_bar(f'run {setup.scenario.name}', setup.scenario.duration, console,
-                      'starting the nodes; the first start compiles') as show:
+                      'starting the nodes') as show:
+        pace = PaceNotice(console, lockstep=lockstep)
+
+        def on_progress(progress: GraphProgress) -> None:
+            show(progress.time, progress.forces)
+            pace.look(progress)
+
         result = run_graph(
-            spec, lambda progress: show(progress.time, progress.forces),
+            spec, on_progress,
+            on_wait=lambda text: console.print(text, highlight=False, markup=False),
             on_domain=lambda number: console.print(
                 f'ROS domain {number}: ROS_DOMAIN_ID={number} multicontact topics',
                 highlight=False))
@@ -184,6 +203,7 @@ def graph_timing(
         'command_timeouts': sim.get('command_timeouts', 0),
         'lost_messages': recorder.get('lost', 0) + never_came,
         'unanswered_samples': content.missing['joint_effort_command'],
+        'kernels_compiled': sum(node.get('kernels_compiled', 0) for node in timing.values()),
         'tick_us': controller.get('tick_us'), 'latency_us': sim.get('latency_us'),
         'plant_us': sim.get('plant_us'),
         'realtime_factor': sim_time / wall if wall else None,

@@ -34,7 +34,7 @@ from multicontact_control.nodes.pairing import PairedSample, SamplePairing
 from multicontact_control.nodes.patience import Patience
 from multicontact_control.nodes.runtime import run_node, Spinner
 from multicontact_control.nodes.state_output import StateOutput, WORLD_FRAME
-from multicontact_control.nodes.timing import DurationLog, write_json
+from multicontact_control.nodes.timing import DurationLog
 import numpy as np
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
@@ -171,13 +171,11 @@ class ControllerNode(ManagedNode):
 
     def close(self) -> None:
         """Write the counts of this run, if asked to."""
-        path = self._node_config.timing_path
-        if path is not None:
-            events = self._session.events.events if self._session is not None else []
-            write_json(path, {
-                'steps': self._step_times.count, 'tick_us': self._step_times.percentiles(),
-                'refused': dict(self.refusals.counts), 'unpaired': self._pairing.unpaired,
-                'restarts': self._restarts, 'events': events})
+        events = self._session.events.events if self._session is not None else []
+        self._node_config.write_counts({
+            'steps': self._step_times.count, 'tick_us': self._step_times.percentiles(),
+            'refused': dict(self.refusals.counts), 'unpaired': self._pairing.unpaired,
+            'restarts': self._restarts, 'events': events})
 
     def _forget(self) -> None:
         self._last_command = self._older_stamp = None

@@ -9,9 +9,11 @@ from pathlib import Path
 import time
 from typing import Any
 
+from multicontact_control.compiled import compiled_here
 from multicontact_control.config import Config, parameter, Real
 from multicontact_control.errors import MulticontactError, RunError
 from multicontact_control.nodes import qos
+from multicontact_control.nodes.timing import write_json
 from multicontact_control.nodes.topics import Topic
 from multicontact_control.process import claim_processor
 from rclpy.impl.rcutils_logger import RcutilsLogger
@@ -23,6 +25,7 @@ from std_msgs.msg import Empty
 
 GATE_POLL = 0.02
 REPORT_PERIOD = 5.0
+NAMED = 3  # connections that a line names
 
 
 class StartupConfig(Config):
@@ -31,16 +34,17 @@ class StartupConfig(Config):
     startup_peers: tuple[str, ...] = parameter(
         (), 'Nodes to wait for before the first message; empty to start at once.')
     startup_timeout: Real = parameter(
-        30.0, 'Longest wait for them.', unit='s', gt=0.0)
+        0.0, 'Longest wait for them; 0 for any time, since who started them watches them all.',
+        unit='s', ge=0.0)
     timing_file: str = parameter('', 'JSON file to write counts and times to at the end.')
     fifo_priority: int = parameter(
         0, 'Real-time priority (SCHED_FIFO) of the node, 0 for normal scheduling.', ge=0, le=99)
     cpus: tuple[int, ...] = parameter((), 'Processors the node may run on; empty for all.')
 
-    @property
-    def timing_path(self) -> Path | None:
-        """Where to write counts and times, if anywhere."""
-        return Path(self.timing_file) if self.timing_file else None
+    def write_counts(self, counts: Mapping[str, Any]) -> None:
+        """Write the counts and times of a run, and how many kernels it compiled, if asked to."""
+        if self.timing_file:
+            write_json(Path(self.timing_file), {**counts, 'kernels_compiled': compiled_here()})
 
 
 def create_publisher(node: Node, topic: Topic) -> Publisher:
@@ -153,12 +157,12 @@ class StartupGate:
         self._next_poll = now + GATE_POLL
         missing = self.missing()
         self.open = not missing
-        if missing and now - self._start > self._config.startup_timeout:
+        if missing and 0.0 < self._config.startup_timeout < now - self._start:
             raise RunError('not connected after '
-                           f'{self._config.startup_timeout:g} s: {"; ".join(missing)}')
+                           f'{self._config.startup_timeout:g} s: {_first_few(missing)}')
         if missing and now > self._next_report:
             self._next_report = now + REPORT_PERIOD
-            self._node.get_logger().info(f'waiting for {"; ".join(missing)}')
+            self._node.get_logger().info(f'waiting for {_first_few(missing)}')
         return self.open
 
     def missing(self) -> list[str]:
@@ -201,6 +205,12 @@ class StartupGate:
                 if info.node_namespace == namespace:
                     names.add(info.node_name)
         return names, count
+
+
+def _first_few(missing: list[str]) -> str:
+    """Return what is missing in one line: there may be dozens."""
+    more = f' and {len(missing) - NAMED} more' if len(missing) > NAMED else ''
+    return f'{"; ".join(missing[:NAMED])}{more}'
 
 
 def _can_connect(offered: QoSProfile, requested: QoSProfile) -> bool:

@@ -176,6 +176,7 @@ class ManagedNode(LifecycleNode):
         self, what: str, work: Callable[[], None], goal: str,
     ) -> TransitionCallbackReturn:
         """Do the work of a transition; rclpy would swallow what it raises."""
+        self.get_logger().info(f'asked to {what}')
         try:
             work()
         except MulticontactError as error:

@@ -21,7 +21,6 @@ from multicontact_control.nodes.loop_watch import Freshness, LoopWatch
 from multicontact_control.nodes.managed_node import ACTIVE, ManagedConfig, ManagedNode
 from multicontact_control.nodes.messages import InnovationReading, NamedReading
 from multicontact_control.nodes.runtime import run_node
-from multicontact_control.nodes.timing import write_json
 import numpy as np
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
@@ -110,10 +109,8 @@ class NoiseEstimatorNode(ManagedNode):
 
     def close(self) -> None:
         """Write the counts of this run, if asked to."""
-        path = self._node_config.timing_path
-        if path is not None:
-            write_json(path, {
-                'samples': self._samples, 'refused': dict(self.refusals.counts)})
+        self._node_config.write_counts({
+            'samples': self._samples, 'refused': dict(self.refusals.counts)})
 
     def _on_measured(self, message: Any) -> None:
         if self.state != ACTIVE:

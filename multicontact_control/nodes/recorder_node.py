@@ -21,7 +21,6 @@ from multicontact_control.nodes.parameters import load_parameters
 from multicontact_control.nodes.raw_recording import RawRecording
 from multicontact_control.nodes.runtime import run_node, Spinner, yield_to_others
 from multicontact_control.nodes.tf_recording import TfRecording
-from multicontact_control.nodes.timing import write_json
 from multicontact_control.nodes.topics import (
     JOINT_STATES,
     RECORDER,
@@ -115,15 +114,13 @@ class RecorderNode(Node):
     def close(self) -> None:
         """Close the bag, and write the counts of this run, if asked to."""
         self._writer.close()
-        path = self._config.timing_path
-        if path is not None:
-            streams = self._recording.streams.values()
-            write_json(path, {
-                'messages': self._writer.message_count, 'counts': self._writer.counts(),
-                'lost': sum(stream.lost for stream in streams),
-                'lost_by_topic': {x.name: x.lost for x in streams if x.lost},
-                'before_start': sum(stream.before_start for stream in streams),
-                'cpu_s': time.process_time() - self._cpu_at_start})
+        streams = self._recording.streams.values()
+        self._config.write_counts({
+            'messages': self._writer.message_count, 'counts': self._writer.counts(),
+            'lost': sum(stream.lost for stream in streams),
+            'lost_by_topic': {x.name: x.lost for x in streams if x.lost},
+            'before_start': sum(stream.before_start for stream in streams),
+            'cpu_s': time.process_time() - self._cpu_at_start})
 
     def _statuses(self) -> list[Status]:
         now, count = time.monotonic(), self._writer.message_count

@@ -19,6 +19,7 @@ import traceback
 from types import FrameType
 from typing import Any, Protocol, TypeVar
 
+from multicontact_control.compiled import compilations_told
 from multicontact_control.errors import ConfigError, MulticontactError
 from multicontact_control.process import settle_process
 import rclpy
@@ -36,10 +37,21 @@ FOLLOW_PARENT = 'MULTICONTACT_FOLLOW_PARENT'
 
 
 class StopFlag:
-    """Set by SIGINT and SIGTERM; as often as they come."""
+    """
+    Set by SIGINT and SIGTERM; as often as they come.
+
+    Attributes
+    ----------
+    signal
+        The first that came.
+    hurry
+        Whether SIGTERM was among them: files are closed then, but nobody is waited for.
+
+    """
 
     def __init__(self) -> None:
         self.signal: int | None = None
+        self.hurry = False
 
     def __bool__(self) -> bool:
         """Whether the process has been asked to stop."""
@@ -53,6 +65,7 @@ class StopFlag:
     def _handle(self, number: int, _frame: FrameType | None) -> None:
         if self.signal is None:
             self.signal = number
+        self.hurry = self.hurry or number == signal.SIGTERM
 
 
 class Spinner:
@@ -218,7 +231,8 @@ def run_node(make_node: Callable[[], NodeT], args: Sequence[str] | None = None) 
     follow_parent()
     try:
         start_ros(args)
-        return _run(make_node(), stop)
+        with compilations_told(_OnceTold(program)):
+            return _run(make_node(), stop)
     except ConfigError as error:
         print(f'{program}: {_one_line(error)}', file=sys.stderr)
         return EXIT_CONFIG
@@ -235,12 +249,28 @@ def run_node(make_node: Callable[[], NodeT], args: Sequence[str] | None = None) 
         rclpy.try_shutdown()
 
 
+class _OnceTold:
+    """Says on stderr, at the first kernel, that this process has to compile."""
+
+    def __init__(self, program: str) -> None:
+        self._program = program
+        self._told = False
+
+    def __call__(self, kernel: str) -> None:
+        if not self._told:
+            print(f'{self._program}: compiling the numerical kernels, beginning with {kernel}: '
+                  'this takes a while, once; `multicontact compile` does it beforehand',
+                  file=sys.stderr, flush=True)
+        self._told = True
+
+
 def _run(node: Any, stop: StopFlag) -> int:
     spinner = Spinner(node, stop)
     settle_process()
     try:
         node.run(spinner)
-        wait_until_sent(node)
+        if not stop.hurry:
+            wait_until_sent(node)
     finally:
         spinner.close()
         try:

@@ -117,12 +117,3 @@ def test_kalman_update_is_joseph_s_form(order):
     np.testing.assert_allclose(x, x_1 + K[:, 0] * innovation, rtol=1e-10)
     np.testing.assert_allclose(
         P, A @ P_1 @ A.T + 0.3 * K @ K.T, rtol=1e-9, atol=1e-9 * np.abs(P).max())
-
-
-def test_kalman_update_refuses_arrays_it_was_not_compiled_for():
-    """An integer or a strided array is an error, not another compilation on the tick."""
-    observer = _observer(1)
-    arguments = list(_arguments(observer))
-    arguments[1] = np.asfortranarray(np.eye(6))
-    with pytest.raises(TypeError, match='No matching definition'):
-        kalman_update(*arguments, 0.0, 1.0, 0.6)

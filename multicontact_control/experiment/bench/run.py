@@ -12,6 +12,7 @@ from multicontact_control.experiment.bench.plant import (
 from multicontact_control.experiment.bench.scaling import bench_scaling
 from multicontact_control.experiment.bench.spread import describe_machine, load_notes
 from multicontact_control.experiment.bench.tick import bench_tick
+from multicontact_control.experiment.compilation import ensure_compiled
 from multicontact_control.process import settle_process
 from rich.console import Console
 from rich.table import Table
@@ -41,6 +42,7 @@ def run_bench(
         See `multicontact bench --json`.
 
     """
+    ensure_compiled()
     machine = describe_machine()  # before this adds to the load itself
     settle_process()
     repeats = QUICK_REPEATS if quick else REPEATS

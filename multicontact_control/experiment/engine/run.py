@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Generic
 
 from multicontact_control.errors import RunError
+from multicontact_control.experiment.compilation import ensure_compiled
 from multicontact_control.experiment.engine.cells import (
     CellResult,
     CellT,
@@ -103,6 +104,8 @@ def run_cells(
     keys = {cell: cell.key() for cell in cells}
     todo = list({key: cell for cell, key in keys.items() if not store.finished(key)}.values())
     lost: dict[str, str] = {}
+    if todo:
+        ensure_compiled(console)  # here once, not in every worker at once
     columns = (TextColumn('{task.description}'), BarColumn(), MofNCompleteColumn(),
                TimeElapsedColumn(), TextColumn('left'), TimeRemainingColumn())
     with Progress(*columns, console=console, refresh_per_second=2,

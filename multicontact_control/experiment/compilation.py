@@ -1,0 +1,169 @@
+"""
+Compiling is a step of its own: every kernel a command or node may need, before any of them runs.
+
+What is to be compiled is found by doing it once, in short: every estimator, both plants, with the
+supervisor and without. A file beside the cache says that all of it is there, for these sources,
+these libraries and this processor; a command that finds none compiles first, and says so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+import contextlib
+import fcntl
+import hashlib
+from importlib.metadata import version
+import json
+import os
+from pathlib import Path
+import sys
+import time
+
+from llvmlite import binding as llvm
+from multicontact_control import compiled
+from multicontact_control.compiled import cache_folder, compilations_told, sources_stamp
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+NO_FOLDER = ('no folder can be written for what is compiled, so every process compiles for itself '
+             '(20 s and more): set NUMBA_CACHE_DIR to one that can')
+LOCK_FILE = 'compiling.lock'
+TICKS = 3
+LOCK_POLL = 0.2  # s
+
+
+def ensure_compiled(console: Console | None = None) -> int:
+    """
+    Compile every kernel that the cache on disk lacks; where it lacks none, look and return.
+
+    A second process that wants the same waits for the first and finds everything done.
+
+    Parameters
+    ----------
+    console
+        Where it is said, and where the bar is shown.
+
+    Returns
+    -------
+    int
+        How many kernels this process compiled.
+
+    """
+    folder = cache_folder()
+    if folder is not None and is_complete(folder):
+        return 0
+    console = console or Console(stderr=True)
+    if folder is None:
+        console.print(f'warning: {NO_FOLDER}', style='yellow', highlight=False, soft_wrap=True)
+        return 0
+    with _alone(folder, console):
+        if is_complete(folder):  # by the one that was waited for
+            return 0
+        console.print(f'compiling the numerical kernels, once, into {folder}',
+                      highlight=False, soft_wrap=True)
+        return _compile_all(folder, console)
+
+
+def is_complete(folder: Path) -> bool:
+    """Return whether everything has been compiled into a folder and is still there."""
+    try:
+        files = json.loads(_complete_file(folder).read_text(encoding='utf-8'))
+    except (OSError, ValueError):
+        return False
+    present = {entry.name for entry in os.scandir(folder) if entry.is_file()} | {
+        f'{entry.name}/{file.name}' for entry in os.scandir(folder) if entry.is_dir()
+        for file in os.scandir(entry)}
+    return present.issuperset(files)
+
+
+def fingerprint() -> str:
+    """Return a hash over all that compiled code depends on: sources, libraries, processor."""
+    core = Path(compiled.__file__).resolve().parent
+    parts = [
+        sources_stamp(core), sources_stamp(core.parent / 'sim_bridge'), version('numba'),
+        version('llvmlite'), sys.version, llvm.get_host_cpu_name(),
+        llvm.get_host_cpu_features().flatten()]
+    return hashlib.sha256('\0'.join(parts).encode()).hexdigest()[:16]
+
+
+def _complete_file(folder: Path) -> Path:
+    return folder / f'complete-{fingerprint()}.json'
+
+
+def _compile_all(folder: Path, console: Console) -> int:
+    """Do everything once, then note which files that took or made."""
+    columns = (TextColumn('{task.description}'), BarColumn(), MofNCompleteColumn(),
+               TimeElapsedColumn(), TextColumn('{task.fields[kernel]}'))
+    with Progress(*columns, console=console, refresh_per_second=5) as progress:
+        bar = progress.add_task('loading', total=None, kernel='')
+        exercises = _exercises()
+        seen: set[str] = set()
+
+        def tell(name: str) -> None:
+            seen.add(name)
+            progress.update(bar, completed=len(seen), kernel=name.rpartition('.')[2])
+
+        progress.update(bar, total=len(compiled.kernels()), description='compiling')
+        with compilations_told(tell):
+            for title, exercise in exercises.items():
+                progress.update(bar, description=f'compiling: {title}')
+                exercise()
+        progress.update(bar, total=len(seen), completed=len(seen), description='compiled',
+                        kernel='')
+    found = sorted(path.relative_to(folder).as_posix() for path in folder.rglob('*.nb[ic]'))
+    complete = _complete_file(folder)
+    unfinished = complete.with_suffix(f'.{os.getpid()}')
+    unfinished.write_text(json.dumps(found), encoding='utf-8')
+    unfinished.replace(complete)
+    return len(seen)
+
+
+def _exercises() -> Mapping[str, Callable[[], object]]:
+    """Return what makes numba compile all that there is, by what it is."""
+    from multicontact_control.experiment.loop import run_in_process
+    from multicontact_control.experiment.scenario import resolve, Setup
+    from multicontact_control.experiment.servoed_plant import ServoedPlant
+    from multicontact_control.force.noise import ESTIMATORS, make_noise_estimator
+
+    def setup(plant: str, **options: object) -> Setup:
+        quick = resolve('quick', plant=plant)
+        return resolve('quick', plant=plant, duration=TICKS * quick.controller.period,
+                       plant_overrides=options)
+
+    def estimators() -> None:
+        config = setup('puma').noise_estimator
+        for name in ESTIMATORS:
+            make_noise_estimator(config.model_copy(update={'estimator': name}))
+
+    def calibration() -> None:
+        puma = setup('puma')
+        arm = ServoedPlant(puma.controller, puma.plant, 0, puma.urdf_dir)
+        arm.hold(puma.controller.period)
+        arm.close()
+
+    return {
+        'noise estimators': estimators,
+        'control law and flexible drives': lambda: run_in_process(setup('puma')),
+        'supervisor': lambda: run_in_process(setup('puma'), supervised=True),
+        'rigid drives': lambda: run_in_process(setup('rigid')),
+        'rigid drives with friction': lambda: run_in_process(
+            setup('rigid', joint_friction_scale=0.25)),
+        'calibration': calibration}
+
+
+@contextlib.contextmanager
+def _alone(folder: Path, console: Console) -> Iterator[None]:
+    """Hold the right to compile into a folder; the system frees it when this process ends."""
+    with (folder / LOCK_FILE).open('w') as lock:
+        waiting = False
+        while True:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except OSError:
+                if not waiting:
+                    console.print('another process compiles the numerical kernels: waiting for '
+                                  'it', highlight=False)
+                waiting = True
+                time.sleep(LOCK_POLL)
+        yield

@@ -1,0 +1,89 @@
+"""The compile step: complete, done once, and seen to be missing."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+import re
+import subprocess
+import sys
+
+from multicontact_control.compiled import cache_folder
+from multicontact_control.experiment import compilation
+from multicontact_control.experiment.compilation import ensure_compiled, is_complete
+import pytest
+
+ROOT = Path(__file__).parents[2]
+COMMANDS = [
+    ('simulate', '--scenario', 'quick', '--duration', '3', '--plant', 'rigid', '--bare',
+     '--noise-estimator', 'sage_husa'),
+    ('run', '--scenario', 'quick', '--duration', '3', '--lockstep'), ('push-test',)]
+# Views of one contact, which the tests look through; a run advances all contacts at once.
+FOR_TESTS = {'advance_one', 'watch_energy_of_one'}
+
+
+def compiled_files():
+    folder = cache_folder()
+    return {path.relative_to(folder): path.stat().st_mtime_ns for path in folder.rglob('*.nb[ic]')}
+
+
+def command(*arguments, **environment):
+    path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get('PYTHONPATH')]))
+    return subprocess.run(
+        [sys.executable, '-m', 'multicontact_control.cli', *arguments], capture_output=True,
+        text=True, env={**os.environ, 'PYTHONPATH': path, **environment})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('arguments', COMMANDS, ids=' '.join)
+def test_commands_and_nodes_compile_nothing_after_the_compile_step(tmp_path, arguments):
+    if arguments[0] == 'run':
+        pytest.importorskip('rclpy')
+    ensure_compiled()
+    before = compiled_files()
+    out = () if arguments[0] == 'push-test' else ('--out', str(tmp_path))
+    done = command(*arguments, *out)
+    assert done.returncode == 0, done.stderr
+    assert compiled_files() == before
+    if out:
+        summary = json.loads((tmp_path / 'summary.json').read_text(encoding='utf-8'))
+        assert summary['timing']['kernels_compiled'] == 0
+    for counts in tmp_path.glob('logs/*.json'):
+        assert json.loads(counts.read_text(encoding='utf-8'))['kernels_compiled'] == 0
+
+
+def test_a_folder_that_lost_a_file_or_has_another_fingerprint_is_not_complete(
+        tmp_path, monkeypatch):
+    (tmp_path / 'sub').mkdir()
+    (tmp_path / 'sub' / 'kernel.nbi').write_text('')
+    assert not is_complete(tmp_path)
+    compilation._complete_file(tmp_path).write_text('["sub/kernel.nbi"]')
+    assert is_complete(tmp_path)
+    monkeypatch.setattr(compilation.llvm, 'get_host_cpu_name', lambda: 'another')
+    assert not is_complete(tmp_path)
+    monkeypatch.undo()
+    (tmp_path / 'sub' / 'kernel.nbi').unlink()
+    assert not is_complete(tmp_path)
+
+
+@pytest.mark.slow
+def test_two_processes_with_a_cold_cache_compile_every_kernel_once(tmp_path):
+    """Let two commands begin at once: one compiles, the other waits and compiles nothing."""
+    path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get('PYTHONPATH')]))
+    both = [subprocess.Popen(
+        [sys.executable, '-m', 'multicontact_control.cli', 'compile'], stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE, text=True,
+        env={**os.environ, 'PYTHONPATH': path, 'NUMBA_CACHE_DIR': str(tmp_path)})
+        for _ in range(2)]
+    said = [process.communicate() for process in both]
+    assert [process.returncode for process in both] == [0, 0]
+    assert sorted('all kernels are compiled' in out for out, _ in said) == [False, True]
+    (waiting,) = (err for out, err in said if 'all kernels are compiled' in out)
+    assert 'another process compiles the numerical kernels' in waiting
+    made = {path.name.partition('-')[0] for path in tmp_path.rglob('*.nbi')}
+    written = {
+        f'{path.stem}.{name}' for package in ('multicontact_control', 'sim_bridge')
+        for path in (ROOT / package).rglob('*.py')
+        for name in re.findall(r'^@compiled\ndef (\w+)', path.read_text(), re.MULTILINE)}
+    assert {name for name in written if name.partition('.')[2] not in FOR_TESTS} == made

@@ -1,0 +1,112 @@
+"""What numba compiles: when, where it is kept, and when it is compiled anew."""
+
+import os
+from pathlib import Path
+import shutil
+import subprocess
+import sys
+
+from multicontact_control.compiled import sources_stamp
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+
+def test_stamp_is_that_of_compiled_sources_only(tmp_path):
+    (tmp_path / 'plain.py').write_text('x = 1')
+    (tmp_path / 'kernels.py').write_text('@compiled\ndef f(): pass')
+    before = sources_stamp(tmp_path)
+    (tmp_path / 'plain.py').write_text('x = 2')
+    assert sources_stamp(tmp_path) == before
+    (tmp_path / 'kernels.py').write_text('@compiled\ndef f(): return 1')
+    assert sources_stamp(tmp_path) != before
+
+
+CALLER = (
+    'from multicontact_control.compiled import compiled\n'
+    'from multicontact_control.inner import inner\n'
+    '@compiled\ndef outer(x):\n    return inner(x)\n')
+INNER = (
+    'from multicontact_control.compiled import compiled\n'
+    '@compiled\ndef inner(x):\n    return x + {}\n')
+RUN = (
+    'from multicontact_control.outer import outer\n'
+    'print(outer(1.0), sum(outer.stats.cache_hits.values()))')
+
+
+def package_with_two_kernels(folder, number):
+    package = folder / 'multicontact_control'
+    if not package.exists():
+        package.mkdir()
+        for name in ('__init__.py', 'compiled.py'):
+            shutil.copy(ROOT / 'multicontact_control' / name, package)
+        (package / 'outer.py').write_text(CALLER)
+    (package / 'inner.py').write_text(INNER.format(number))
+    return package
+
+
+def run(folder, **environment):
+    inherited = {name: value for name, value in os.environ.items() if name != 'NUMBA_CACHE_DIR'}
+    done = subprocess.run(
+        [sys.executable, '-c', RUN], cwd=folder, capture_output=True, text=True, check=True,
+        env={**inherited, 'PYTHONPATH': str(folder), **environment})
+    value, hits = done.stdout.split()
+    return float(value), int(hits)
+
+
+def test_change_of_a_called_function_compiles_its_callers_anew(tmp_path):
+    package_with_two_kernels(tmp_path, 1.0)
+    assert run(tmp_path) == (2.0, 0)
+    assert run(tmp_path) == (2.0, 1)
+    package_with_two_kernels(tmp_path, 5.0)
+    assert run(tmp_path) == (6.0, 0)
+
+
+def read_only_package(folder):
+    package = package_with_two_kernels(folder, 1.0)
+    if os.geteuid() == 0:
+        # Root may write everywhere: a file where the folder would be has the same effect.
+        (package / '__pycache__').write_text('')
+    else:
+        package.chmod(0o555)
+
+
+@pytest.mark.parametrize('variable', ['NUMBA_CACHE_DIR', 'XDG_CACHE_HOME', 'HOME', 'TMPDIR'])
+def test_installation_that_cannot_be_written_is_compiled_once(tmp_path, variable):
+    """Find the result in the user's folder, where one is told, or at last in a temporary one."""
+    read_only_package(tmp_path)
+    cache, nowhere = tmp_path / 'cache', tmp_path / 'nowhere'
+    cache.mkdir()
+    nowhere.write_text('')
+    environment = {'HOME': str(nowhere), 'XDG_CACHE_HOME': '', variable: str(cache)}
+    assert run(tmp_path, **environment) == (2.0, 0)
+    assert run(tmp_path, **environment) == (2.0, 1)
+    assert any(cache.rglob('*.nbi'))
+
+
+def test_where_nothing_can_be_written_every_process_compiles(tmp_path):
+    read_only_package(tmp_path)
+    nowhere = tmp_path / 'nowhere'
+    nowhere.write_text('')
+    environment = {'NUMBA_CACHE_DIR': str(nowhere)}
+    assert run(tmp_path, **environment) == (2.0, 0)
+    assert run(tmp_path, **environment) == (2.0, 0)
+
+
+def test_only_what_is_really_compiled_is_told(tmp_path):
+    package_with_two_kernels(tmp_path, 1.0)
+    program = (
+        'from multicontact_control import compiled\n'
+        'from multicontact_control.outer import outer\n'
+        'told = []\n'
+        'with compiled.compilations_told(told.append):\n    outer(1.0)\n'
+        'print(",".join(told) or "-", compiled.compiled_here())')
+
+    def compile_and_tell():
+        return subprocess.run(
+            [sys.executable, '-c', program], cwd=tmp_path, capture_output=True, text=True,
+            check=True, env={**os.environ, 'PYTHONPATH': str(tmp_path)}).stdout.split()
+
+    names = 'multicontact_control.outer.outer,multicontact_control.inner.inner'
+    assert compile_and_tell() == [names, '2']
+    assert compile_and_tell() == ['-', '0']
