@@ -22,6 +22,7 @@ install_requires = [
     'numpy>=2.2,<3',
     'scipy>=1.13,<2',
     'numba>=0.61,<1',
+    'llvmlite>=0.44,<1',
     'pin>=4.0,<5',
     'pybullet>=3.2.7,<4',
     'pydantic>=2.10,<3',

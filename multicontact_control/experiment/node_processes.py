@@ -147,8 +147,9 @@ class NodeProcesses:
         return f'{name} {how}; the end of {self._log_file(name)}:\n{tail}'
 
     def last_line(self, name: str) -> str:
-        """Return what a node has said last, empty if nothing yet."""
-        return next((line for line in reversed(self._log(name)) if line.strip()), '')
+        """Return what a node has said last, without time and name; empty if nothing yet."""
+        line = next((line for line in reversed(self._log(name)) if line.strip()), '')
+        return line.rpartition(f'[{name}]: ')[2]
 
     def _log(self, name: str) -> list[str]:
         return self._log_file(name).read_text(encoding='utf-8', errors='replace').splitlines()

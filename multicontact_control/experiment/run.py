@@ -142,7 +142,8 @@ def run_real_time(
 
         result = run_graph(
             spec, on_progress,
-            on_wait=lambda text: console.print(text, highlight=False, markup=False),
+            on_wait=lambda text: console.print(
+                text, highlight=False, markup=False, soft_wrap=True),
             on_domain=lambda number: console.print(
                 f'ROS domain {number}: ROS_DOMAIN_ID={number} multicontact topics',
                 highlight=False))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 from pathlib import Path
-import re
 import subprocess
 import sys
 
@@ -19,8 +18,6 @@ COMMANDS = [
     ('simulate', '--scenario', 'quick', '--duration', '3', '--plant', 'rigid', '--bare',
      '--noise-estimator', 'sage_husa'),
     ('run', '--scenario', 'quick', '--duration', '3', '--lockstep'), ('push-test',)]
-# Views of one contact, which the tests look through; a run advances all contacts at once.
-FOR_TESTS = {'advance_one', 'watch_energy_of_one'}
 
 
 def compiled_files():
@@ -65,25 +62,3 @@ def test_a_folder_that_lost_a_file_or_has_another_fingerprint_is_not_complete(
     monkeypatch.undo()
     (tmp_path / 'sub' / 'kernel.nbi').unlink()
     assert not is_complete(tmp_path)
-
-
-@pytest.mark.slow
-def test_two_processes_with_a_cold_cache_compile_every_kernel_once(tmp_path):
-    """Let two commands begin at once: one compiles, the other waits and compiles nothing."""
-    path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get('PYTHONPATH')]))
-    both = [subprocess.Popen(
-        [sys.executable, '-m', 'multicontact_control.cli', 'compile'], stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE, text=True,
-        env={**os.environ, 'PYTHONPATH': path, 'NUMBA_CACHE_DIR': str(tmp_path)})
-        for _ in range(2)]
-    said = [process.communicate() for process in both]
-    assert [process.returncode for process in both] == [0, 0]
-    assert sorted('all kernels are compiled' in out for out, _ in said) == [False, True]
-    (waiting,) = (err for out, err in said if 'all kernels are compiled' in out)
-    assert 'another process compiles the numerical kernels' in waiting
-    made = {path.name.partition('-')[0] for path in tmp_path.rglob('*.nbi')}
-    written = {
-        f'{path.stem}.{name}' for package in ('multicontact_control', 'sim_bridge')
-        for path in (ROOT / package).rglob('*.py')
-        for name in re.findall(r'^@compiled\ndef (\w+)', path.read_text(), re.MULTILINE)}
-    assert {name for name in written if name.partition('.')[2] not in FOR_TESTS} == made

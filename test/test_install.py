@@ -1,0 +1,83 @@
+"""The built wheel, installed where nothing can be written, and nothing compiled yet."""
+
+import json
+import os
+from pathlib import Path
+import re
+import shutil
+import site
+import subprocess
+import sys
+
+import pytest
+
+pytestmark = pytest.mark.slow
+
+ROOT = Path(__file__).resolve().parents[1]
+# Views of one contact, which the tests look through; a run advances all contacts at once.
+FOR_TESTS = {'advance_one', 'watch_energy_of_one'}
+
+
+@pytest.fixture(scope='module')
+def installed(tmp_path_factory):
+    """Install the wheel, without its clone, into a venv that has the dependencies of this one."""
+    folder = tmp_path_factory.mktemp('wheel')
+    pip = [sys.executable, '-m', 'pip', '--quiet', '--disable-pip-version-check']
+    source = shutil.copytree(ROOT, folder / 'source', ignore=shutil.ignore_patterns(
+        '.*', 'build', '*.egg-info', '__pycache__', 'runs', 'test'))
+    subprocess.run([*pip, 'wheel', '--no-deps', '--no-build-isolation', '--wheel-dir', folder,
+                    source], check=True, capture_output=True)
+    (wheel,) = folder.glob('*.whl')
+    venv = folder / 'venv'
+    subprocess.run([sys.executable, '-m', 'venv', '--without-pip', venv], check=True)
+    (packages,) = venv.glob('lib/python*/site-packages')
+    subprocess.run([*pip, '--python', venv / 'bin/python', 'install', '--no-deps', '--no-index',
+                    '--no-compile', '--ignore-installed', wheel], check=True, capture_output=True)
+    others = ''.join(f'import site; site.addsitedir({path!r})\n' for path in site.getsitepackages())
+    (packages / 'dependencies.pth').write_text(others)
+    # Root may write everywhere: a file where the folder would be has the same effect.
+    (packages / 'multicontact_control/__pycache__').write_text('')
+    return venv
+
+
+def start(venv, folder, *arguments):
+    """Start the installed command in a folder that is not the clone, with a home of its own."""
+    environment = {name: value for name, value in os.environ.items() if name not in (
+        'PYTHONPATH', 'NUMBA_CACHE_DIR', 'XDG_CACHE_HOME')}
+    # The messages are where the dependencies are.
+    environment.setdefault('AMENT_PREFIX_PATH', sys.prefix)
+    return subprocess.Popen(
+        [venv / 'bin/multicontact', *arguments], cwd=folder, stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT, text=True,
+        env={**environment, 'HOME': str(folder), 'PYTHONDONTWRITEBYTECODE': '1'})
+
+
+@pytest.mark.ros
+def test_installed_commands_compile_every_kernel_once_and_then_run_from_any_folder(
+        installed, tmp_path):
+    pytest.importorskip('rclpy')
+    commands = [
+        start(installed, tmp_path, 'simulate', '--scenario', 'quick', '--duration', '3',
+              '--out', 'simulated'),
+        start(installed, tmp_path, 'run', '--scenario', 'quick', '--duration', '3', '--lockstep',
+              '--out', 'run')]
+    said = [command.communicate()[0] for command in commands]
+    assert [command.returncode for command in commands] == [0, 0], said
+    # Of two that began at once one compiled, before anything else, and the other waited.
+    assert sorted('compiling the numerical kernels, once' in text for text in said) == [
+        False, True]
+    assert any('another process compiles the numerical kernels' in text for text in said)
+    hashes = set()
+    for name in ('simulated', 'run'):
+        summary = json.loads((tmp_path / name / 'summary.json').read_text(encoding='utf-8'))
+        hashes.add(summary['trajectory_sha256'])
+    assert len(hashes) == 1
+    for counts in tmp_path.glob('run/logs/*.json'):
+        assert json.loads(counts.read_text(encoding='utf-8'))['kernels_compiled'] == 0
+    cache = tmp_path / '.cache/multicontact_control/kernels'
+    made = {path.name.partition('-')[0] for path in cache.rglob('*.nbi')}
+    written = {
+        f'{path.stem}.{name}' for package in ('multicontact_control', 'sim_bridge')
+        for path in (ROOT / package).rglob('*.py')
+        for name in re.findall(r'^@compiled\ndef (\w+)', path.read_text(), re.MULTILINE)}
+    assert {name for name in written if name.partition('.')[2] not in FOR_TESTS} == made
