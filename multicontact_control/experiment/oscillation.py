@@ -97,11 +97,15 @@ def oscillations(
     index = np.array(starts)[:, None] + np.arange(length)
     limit = np.maximum(LARGEST_LINE * command[index].max(axis=1), LEAST_LINE)
     oscillates, frequency, rms = lines(*spectrum(known[index], rate), limit)
-    return [Oscillation(
-        starts[begin] / rate, (starts[end + STRETCH - 2] + length) / rate,
-        (starts[begin + STRETCH - 1] + length - 1) / rate,
-        float(np.median(frequency[begin:end])), float(np.median(rms[begin:end])))
-        for begin, end in zip(*stretches(oscillates))]
+    covered = np.convolve(oscillates, np.ones(STRETCH)) > 0.0  # windows of any such stretch
+    found = []
+    for begin, end in zip(*stretches(covered)):
+        inside = begin + np.flatnonzero(oscillates[begin:end])
+        found.append(Oscillation(
+            starts[begin] / rate, (starts[end - 1] + length) / rate,
+            (starts[begin + STRETCH - 1] + length - 1) / rate,
+            float(np.median(frequency[inside])), float(np.median(rms[inside]))))
+    return found
 
 
 def lines(
