@@ -33,8 +33,8 @@ def installed(tmp_path_factory):
     (packages,) = venv.glob('lib/python*/site-packages')
     subprocess.run([*pip, '--python', venv / 'bin/python', 'install', '--no-deps', '--no-index',
                     '--no-compile', '--ignore-installed', wheel], check=True, capture_output=True)
-    others = ''.join(f'import site; site.addsitedir({path!r})\n' for path in site.getsitepackages())
-    (packages / 'dependencies.pth').write_text(others)
+    others = (f'import site; site.addsitedir({path!r})\n' for path in site.getsitepackages())
+    (packages / 'dependencies.pth').write_text(''.join(others))
     # Root may write everywhere: a file where the folder would be has the same effect.
     (packages / 'multicontact_control/__pycache__').write_text('')
     return venv

@@ -51,7 +51,7 @@ def resumable() -> Iterator[None]:
 
 
 def end_by_verdict(summary: dict[str, Any]) -> None:
-    """Exit with 1 unless the run was stable."""
+    """Exit with 1 unless the run was stable: what the supervisor held is not, either."""
     if not summary['stable']:
         raise typer.Exit(EXIT_FAILED)
 

@@ -2,9 +2,48 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
+from multicontact_control.control.safety import NAMES
 from multicontact_control.control.supervisor_status import SupervisorStatus
 
 CAPACITY = 1000  # a limit that comes and goes at every tick must not fill the memory
+LIMITS = ('reference', *(name for name, _ in NAMES))
+
+
+class Event(NamedTuple):
+    """
+    One line of the log, taken apart.
+
+    Attributes
+    ----------
+    time
+        When it came to be so [s].
+    reaction
+        As in `SupervisorStatus`.
+    causes
+        What called for it.
+    limits
+        Limits that are enforced.
+    contact_states
+        State of each contact.
+
+    """
+
+    time: float
+    reaction: str
+    causes: tuple[str, ...]
+    limits: tuple[str, ...]
+    contact_states: tuple[str, ...]
+
+
+def read_event(time: float, what: str) -> Event:
+    """Return what a line of the log says."""
+    reaction, reasons, states = what.split(' | ')
+    names = reasons.split()
+    return Event(
+        time, reaction, tuple(name for name in names if name not in LIMITS),
+        tuple(name for name in names if name in LIMITS), tuple(states.split(', ')))
 
 
 class EventLog:

@@ -12,6 +12,8 @@ from dataclasses import asdict, dataclass
 from statistics import median
 from typing import Any
 
+from multicontact_control.experiment.verdict import verdict_text
+
 REST_FACTOR = 2.0  # R at rest agrees with the paper's within this factor,
 MOVING_FACTOR = 3.0  # R in motion within this one
 RISE_TOLERANCE = 0.4  # of the designed rise time
@@ -178,7 +180,7 @@ def _moving(evidence: Mapping[str, Any], rows: Sequence[Row]) -> Verdict:
 
 
 def _reasons(evidence: Mapping[str, Any]) -> str:
-    return 'not stable: ' + '; '.join(evidence['instabilities'])
+    return verdict_text(evidence)
 
 
 def _online(evidence: Mapping[str, Any], rows: Sequence[Row]) -> Verdict:
@@ -186,6 +188,8 @@ def _online(evidence: Mapping[str, Any], rows: Sequence[Row]) -> Verdict:
         return NOT_MEASURED, None, f'R came from `{evidence["estimator"]}`'
     if not evidence['ran_in_motion'] and evidence['stable']:
         return NOT_MEASURED, None, 'the run has no motion'
+    if evidence['stable'] and evidence.get('kept_real_time') is False:
+        return NOT_MEASURED, None, verdict_text(evidence)
     if evidence['stable']:
         return 'stable at rest and in motion', True, 'no limit of the verdict `stable` was passed'
     return _unstable_text(evidence), False, _reasons(evidence)

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, Protocol, TYPE_CHECKING
 
+from multicontact_control.experiment.verdict import HELD, NOT_STABLE, STABLE, verdict_text
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -14,9 +15,9 @@ from rich.table import Table
 if TYPE_CHECKING:  # rclpy is needed for it, and not for the rest
     from multicontact_control.experiment.progress import GraphProgress
 
-
 # Share of the deadlines missed, of so many at least, from which on no run is like real time.
 HOPELESS, FIRST_DEADLINES = 0.1, 250
+COLOURS = {STABLE: 'green', HELD: 'yellow', NOT_STABLE: 'red'}
 
 
 class ShowProgress(Protocol):
@@ -118,21 +119,29 @@ def verdict_lines(summary: Mapping[str, Any], folder: object) -> list[str]:
         f"motion error {_number(motion['position_rms_m'], 5)} m rms, "
         f"{_number(motion['orientation_max_rad'], 4)} rad at most; torque at most "
         f"{100.0 * torque['max_fraction_of_limit']:.0f} % of its limit"]
-    if summary['stable']:
-        lines.append('[green]stable[/green]')
-    else:
-        lines.append(f"[red]NOT stable:[/red] {'; '.join(summary['instabilities'])}")
-    misses, lost = timing.get('deadline_misses', 0), timing.get('lost_messages', 0)
-    unanswered = timing.get('unanswered_samples', 0)
-    if misses:
-        lines.append(f"[yellow]warning: {misses} of {summary['ticks']} deadlines missed "
-                     f"({100.0 * misses / max(summary['ticks'], 1):.2f} %)[/yellow]")
-    if unanswered:
-        lines.append(f'[yellow]warning: {unanswered} samples were not answered[/yellow]')
+    known = summary['kept_real_time'] is not False
+    colour = COLOURS[summary['verdict'] if known or not summary['stable'] else HELD]
+    lines.append(f'[{colour}]{escape(verdict_text(summary))}[/{colour}]')
+    lines += _timeliness_lines(summary)
+    lost = timing.get('lost_messages', 0)
     if lost:
         lines.append(f'[yellow]warning: {lost} messages lost[/yellow]')
     lines.append(f'results in {folder}')
     return lines
+
+
+def _timeliness_lines(summary: Mapping[str, Any]) -> list[str]:
+    """Return what is said of deadlines that were missed, nothing if none was."""
+    timing = summary['timing']
+    misses, unanswered = timing.get('deadline_misses', 0), timing.get('unanswered_samples', 0)
+    ticks = summary['ticks']
+    counts = f'{misses} of {ticks} deadlines missed, {unanswered} samples not answered'
+    if summary['kept_real_time'] is False:
+        holds, judged = timing['late_reactions'], 100.0 * timing['judged_fraction']
+        return [f'[yellow]warning: the machine could not keep real time: {counts}, {holds} '
+                f'holds: figures are not representative, and only {judged:.0f} % of the time '
+                'under load was judged; --lockstep has no deadlines[/yellow]']
+    return [f'[yellow]warning: {counts}[/yellow]'] if misses or unanswered else []
 
 
 def _number(value: float | None, digits: int) -> str:

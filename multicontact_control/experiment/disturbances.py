@@ -7,12 +7,9 @@ import math
 from typing import Any
 
 from multicontact_control.arrays import Mask, Vector
-from multicontact_control.experiment.metrics import (
-    LARGEST_FORCE,
-    LONGEST_LOSS,
-    saturation,
-    windows,
-)
+from multicontact_control.experiment.judge import findings
+from multicontact_control.experiment.metrics import windows
+from multicontact_control.experiment.oscillation import spectrum
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.scenario import Setup
 import numpy as np
@@ -110,24 +107,9 @@ def _settled(inside: Mask, held: int) -> int | None:
 
 
 def instability_time(data: RunData, setup: Setup, ended_early: bool = False) -> float | None:
-    """
-    Return when a run became unstable [s], None if it never did.
-
-    The time at which the first of the limits of `instabilities` was passed: a force beyond 5
-    times its command, or the moment a loss of contact or a saturation had lasted 0.1 s.
-    """
-    limit = math.floor(LONGEST_LOSS * data.rate) + 1
-    loaded = windows(setup.scenario.reference, data.time).loaded
-    masks = [(saturation(data, setup), limit)]
-    for i in range(len(data.contact_names)):
-        force, desired = data.alpha_true[:, i], data.alpha_des[:, i]
-        masks.append((loaded & (force <= 0.0), limit))
-        masks.append(((desired > 0.0) & (force > LARGEST_FORCE * desired), 1))
-    times = [found + held - 1 for mask, held in masks
-             if (found := _settled(mask, held)) is not None]
-    if ended_early:
-        times.append(data.ticks - 1)
-    return float(data.time[min(times)]) if times else None
+    """Return when the first of the limits of `findings` was passed [s], None if none was."""
+    found = findings(data, setup, ended_early='ended early' if ended_early else '')
+    return min((finding.time for finding in found if finding.time is not None), default=None)
 
 
 def oscillation(data: RunData, unstable_at: float) -> float | None:
@@ -136,13 +118,8 @@ def oscillation(data: RunData, unstable_at: float) -> float | None:
     forces = data.alpha_true[window]
     if forces.shape[0] < GROWTH * data.rate - 1 or not np.isfinite(forces).all():
         return None
-    ramp = np.linspace(-1.0, 1.0, forces.shape[0])[:, None]
-    forces = forces - forces.mean(axis=0)
-    forces = forces - ramp * (ramp * forces).sum(axis=0) / (ramp * ramp).sum()
-    padded = 8 * forces.shape[0]
-    power = (np.abs(np.fft.rfft(forces * np.hanning(forces.shape[0])[:, None], padded, axis=0))
-             ** 2).sum(axis=1)
-    return float(np.fft.rfftfreq(padded, 1.0 / data.rate)[int(np.argmax(power))])
+    frequencies, power = spectrum(forces.T, data.rate, padding=8)
+    return float(frequencies[int(np.argmax(power.sum(axis=0)))])
 
 
 def quiet_windows(data: RunData, setup: Setup) -> tuple[Mask, Mask]:

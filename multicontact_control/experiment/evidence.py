@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 import math
 from typing import Any
 
 from multicontact_control.arrays import Mask
 from multicontact_control.config import ForceConfig
-from multicontact_control.experiment.disturbances import instability_time, quiet_windows
+from multicontact_control.experiment.disturbances import quiet_windows
 from multicontact_control.experiment.metrics import (
-    instabilities,
     motion_summary,
     SETTLE_AFTER_START,
     step_responses,
@@ -40,7 +40,7 @@ def designed_rise(force: ForceConfig) -> float:
     return float(force.input_delay + tau * brentq(missing, 0.0, 10.0))
 
 
-def evidence_of(data: RunData, setup: Setup, ended_early: str = '') -> dict[str, Any]:
+def evidence_of(data: RunData, setup: Setup, summary: Mapping[str, Any]) -> dict[str, Any]:
     """
     Return what the claims rest on, as JSON values.
 
@@ -50,13 +50,12 @@ def evidence_of(data: RunData, setup: Setup, ended_early: str = '') -> dict[str,
         The recording.
     setup
         Its configuration.
-    ended_early
-        Why the run ended before its time, if it did.
+    summary
+        What `summarise` says of it.
 
     """
     motion = setup.scenario.reference.motion
-    unstable = instabilities(data, setup, ended_early)
-    unstable_at = instability_time(data, setup, bool(ended_early))
+    unstable_at = summary['unstable_at_s']
     start = motion.start_time if motion else None
     return {
         'scenario': setup.scenario.name, 'plant': setup.plant_name, 'seed': setup.seed,
@@ -64,7 +63,8 @@ def evidence_of(data: RunData, setup: Setup, ended_early: str = '') -> dict[str,
         'active_state_order': setup.controller.force.active_state_order,
         'input_delay_s': setup.controller.force.input_delay,
         'designed_rise_s': designed_rise(setup.controller.force),
-        'stable': not unstable, 'instabilities': unstable, 'unstable_at_s': unstable_at,
+        **{name: summary[name] for name in (
+            'stable', 'verdict', 'instabilities', 'unstable_at_s', 'kept_real_time')},
         'unstable_after_motion_s':
             None if unstable_at is None or start is None else unstable_at - start,
         'ran_in_motion': start is not None and float(data.time[-1]) > start + SETTLE_AFTER_START,

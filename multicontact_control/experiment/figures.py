@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
+from textwrap import shorten
 
 import matplotlib
 from matplotlib.axes import Axes
@@ -12,6 +13,7 @@ from matplotlib.figure import Figure
 from multicontact_control.experiment.metrics import windows
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.scenario import Setup
+from multicontact_control.experiment.verdict import STABLE
 import numpy as np
 
 matplotlib.use('Agg')
@@ -21,10 +23,12 @@ ESTIMATED = '#54a24b'
 COMMANDED = '#222222'
 TRUE = '#e45756'
 WINDOW = '#f2f2f2'
+TITLE_WIDTH = 110  # characters of the second line that fit
 
 
 def draw_figures(
-    data: RunData, setup: Setup, folder: Path, *, formats: Sequence[str] = ('png',),
+    data: RunData, setup: Setup, folder: Path, *, verdict: str = STABLE,
+    formats: Sequence[str] = ('png',),
 ) -> list[Path]:
     """
     Draw the figures of a run.
@@ -37,6 +41,8 @@ def draw_figures(
         The configuration, for names and the judged windows.
     folder
         Where the files go.
+    verdict
+        What the run is called, and why; in the titles if it is not stable.
     formats
         Endings of the files, one each.
 
@@ -48,6 +54,8 @@ def draw_figures(
     """
     title = (f'{setup.scenario.name}, plant {setup.plant_name}, '
              f'{setup.noise_estimator.estimator}, seed {setup.seed}')
+    if verdict != STABLE:
+        title += '\n' + shorten(verdict, TITLE_WIDTH, placeholder=' ...')
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
     for name, draw in figure_set(data).items():

@@ -18,6 +18,7 @@ from multicontact_control.experiment.bag import read_bag
 from multicontact_control.experiment.recording import RunData, SERIES_FILE
 from multicontact_control.experiment.results import CONFIG_FOLDER, read_json, SUMMARY_FILE
 from multicontact_control.experiment.scenario import ScenarioConfig, Setup
+from multicontact_control.experiment.summary import summarise_again
 from sim_bridge.config import PlantConfig
 
 BAG_FOLDER = 'bag'
@@ -110,4 +111,6 @@ def load_run(folder: Path) -> LoadedRun:
         data = RunData.load(folder)
     else:
         raise RunError(f'{folder}: expected {BAG_FOLDER}/ or {SERIES_FILE}, found neither')
-    return LoadedRun(folder, setup, data, read_json(folder / SUMMARY_FILE))
+    # By today's definitions: the summary may be of older code, and a verdict is to be trusted.
+    summary = summarise_again(data, setup, read_json(folder / SUMMARY_FILE))
+    return LoadedRun(folder, setup, data, summary)

@@ -9,9 +9,9 @@ from multicontact_control.experiment.disturbances import disturbance_summary
 from multicontact_control.experiment.engine import CellResult, RunCell
 from multicontact_control.experiment.evidence import evidence_of
 from multicontact_control.experiment.loop import run_in_process
-from multicontact_control.experiment.metrics import summarise
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.results import finite
+from multicontact_control.experiment.summary import summarise
 import numpy as np
 
 LAST = 0.5  # s, the end of a run that tells whether it has settled
@@ -46,11 +46,12 @@ def measure_cell(cell: RunCell) -> CellResult:
     if data.ticks < 2:
         raise MulticontactError(f'{cell}: the run ended at once: {result.ended_early}')
     summary = summarise(data, setup, mode='in_process', timing={},
-                        ended_early=result.ended_early)
+                        ended_early=result.ended_early,
+                        events=result.events if cell.supervised else None)
     metrics = {
         'summary': summary,
         'disturbances': disturbance_summary(data, setup, bool(result.ended_early)),
-        'evidence': evidence_of(data, setup, result.ended_early),
+        'evidence': evidence_of(data, setup, summary),
         'final_error_share': final_error_share(data)}
     traces = {name: getattr(data, series) for name, series in TRACES.items()}
     return CellResult(finite(metrics), {'time': data.time, **traces}, result.wall_time)

@@ -1,4 +1,4 @@
-"""What is read off a run: errors, rise times, losses, stability."""
+"""What is read off a run: errors, rise times, losses, oscillation, use of the torque."""
 
 from __future__ import annotations
 
@@ -8,16 +8,18 @@ from typing import Any
 
 from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.control.reference import ReferenceConfig
+from multicontact_control.experiment.oscillation import (
+    bridged,
+    Oscillation,
+    oscillations,
+    stretches,
+)
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.scenario import Setup
 import numpy as np
-from numpy.typing import NDArray
 
 SETTLE_AFTER_STEP = 1.0  # s, the start of the window `rest` after the last force step
 SETTLE_AFTER_START = 2.0  # s, the start of the window `moving` after the motion's start
-LONGEST_LOSS = 0.1  # s, of contact or to saturation, that still counts as stable
-LARGEST_GAP = 0.1  # share of samples without an answer, that still lets a run be judged
-LARGEST_FORCE = 5.0  # times the command, that still counts as stable
 
 
 @dataclass(frozen=True)
@@ -106,45 +108,49 @@ def step_responses(data: RunData, setup: Setup, contact: int) -> list[StepRespon
     return responses
 
 
-def longest_run(mask: NDArray[np.bool_]) -> int:
+def longest_run(mask: Mask) -> int:
     """Return the length of the longest run of True."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(int)))
-    return int((edges[1::2] - edges[::2]).max()) if edges.size else 0
+    return max((end - begin for begin, end in zip(*stretches(mask))), default=0)
 
 
-def instabilities(data: RunData, setup: Setup, ended_early: str = '') -> list[str]:
+def losses(
+    data: RunData, setup: Setup, contact: int, judged: Mask,
+) -> tuple[list[int], list[int]]:
     """
-    Return why a run was not stable, nothing if it was.
+    Return when a contact was lost.
 
-    Stable: no saturation for more than 0.1 s, no contact lost for more than 0.1 s after the
-    preload, no force beyond 5 times its command, nothing that is not finite, and every contact
-    made.
+    A loss is a true force of 0 N for as long as it takes the supervisor to call a contact lost
+    (`contact_state.loss_time`): a tool that leaves the ground for one sample of 2 ms on a rough
+    surface has not lost it.
+
+    Parameters
+    ----------
+    data, setup
+        The run.
+    contact
+        Its column.
+    judged
+        Samples to look at, shape (m,).
+
+    Returns
+    -------
+    tuple
+        The first sample of every loss, and the sample after its last.
+
     """
-    found = [ended_early] if ended_early else []
-    limit = LONGEST_LOSS * data.rate
-    loaded = windows(setup.scenario.reference, data.time).loaded
-    series = (data.q, data.qd, data.torque, data.alpha_true, data.alpha_meas)
-    if any(np.isinf(values).any() for values in series):
-        found.append('a number is not finite')
-    missing = max(float(np.isnan(values).any(axis=1).mean()) for values in series)
-    if missing > LARGEST_GAP:
-        found.append(f'{100.0 * missing:.1f} % of the samples were not answered')
-    saturated = saturation(data, setup)
-    if longest_run(saturated) > limit:
-        found.append(f'torque saturated for {longest_run(saturated) / data.rate:.2f} s')
-    for i, name in enumerate(data.contact_names):
-        force, desired = data.alpha_true[:, i], data.alpha_des[:, i]
-        if not (desired > 0.0).any():
-            found.append(f'{name}: no contact was made')
-            continue
-        lost = longest_run(loaded & (force <= 0.0))
-        if lost > limit:
-            found.append(f'{name}: contact lost for {lost / data.rate:.2f} s')
-        commanded = desired > 0.0
-        ratio = force[commanded] / desired[commanded]
-        if np.nanmax(ratio) > LARGEST_FORCE:
-            found.append(f'{name}: force {np.nanmax(ratio):.1f} times its command')
-    return found
+    force = bridged(data.alpha_true[:, contact], data.rate)
+    least = setup.controller.contact_state.loss_time * data.rate - 1e-9
+    found = [(begin, end) for begin, end in zip(*stretches(judged & (force <= 0.0)))
+             if end - begin >= least]
+    return [begin for begin, _ in found], [end for _, end in found]
+
+
+def force_oscillations(
+    data: RunData, setup: Setup, contact: int, judged: Mask,
+) -> list[Oscillation]:
+    """Return where the true force of a contact oscillates, among the samples `judged`."""
+    command = setup.commanded(data.time)[:, contact]
+    return oscillations(data.alpha_true[:, contact] - command, command, judged, data.rate)
 
 
 def saturation(data: RunData, setup: Setup) -> Mask:
@@ -174,8 +180,25 @@ def contact_summary(data: RunData, setup: Setup, contact: int) -> dict[str, Any]
         'steps': [{'time_s': response.time, 'size_n': response.size,
                    'rise_63_s': response.rise_63,
                    'overshoot_percent': response.overshoot_percent} for response in responses],
+        **_hold_summary(data, setup, contact, judged.loaded),
         'rest': _window_summary(data, contact, judged.rest),
         'moving': _window_summary(data, contact, judged.moving)}
+
+
+def _hold_summary(
+    data: RunData, setup: Setup, contact: int, loaded: Mask,
+) -> dict[str, float | None]:
+    """Return how well a contact was held under load, and its longest oscillation."""
+    begins, ends = losses(data, setup, contact, loaded)
+    longest = max((end - begin for begin, end in zip(begins, ends)), default=0)
+    found = max(force_oscillations(data, setup, contact, loaded),
+                key=lambda oscillation: oscillation.duration, default=None)
+    return {
+        'loss_rate_hz': len(begins) * data.rate / int(loaded.sum()) if loaded.any() else None,
+        'longest_loss_s': longest / data.rate,
+        'oscillation_hz': found.frequency if found else None,
+        'oscillation_rms_n': found.rms if found else None,
+        'oscillation_s': found.duration if found else None}
 
 
 def _window_summary(data: RunData, contact: int, window: Mask) -> dict[str, float | None]:
@@ -231,38 +254,6 @@ def percentiles(values: Vector) -> dict[str, float]:
     p50, p99, p999 = np.percentile(values, [50.0, 99.0, 99.9])
     return {'p50': float(p50), 'p99': float(p99), 'p999': float(p999),
             'max': float(np.max(values))}
-
-
-def summarise(
-    data: RunData, setup: Setup, *, mode: str, timing: dict[str, Any], ended_early: str = '',
-) -> dict[str, Any]:
-    """
-    Return the content of ``summary.json`` (schema 1).
-
-    Parameters
-    ----------
-    data
-        The recorded series.
-    setup
-        The configuration of the run.
-    mode
-        ``in_process``, ``lockstep`` or ``real_time``.
-    timing
-        Deadline misses, tick times, latencies.
-    ended_early
-        Why the run ended before its time, if it did.
-
-    """
-    unstable = instabilities(data, setup, ended_early)
-    return {
-        'schema': 1, 'scenario': setup.scenario.name, 'plant': setup.plant_name,
-        'noise_estimator': setup.noise_estimator.estimator, 'mode': mode, 'seed': setup.seed,
-        'ticks': data.ticks, 'rate_hz': data.rate,
-        'trajectory_sha256': data.trajectory_sha256(), 'timing': timing,
-        'contacts': {name: contact_summary(data, setup, i)
-                     for i, name in enumerate(data.contact_names)},
-        'motion': motion_summary(data, setup), 'torque': torque_summary(data, setup),
-        'stable': not unstable, 'instabilities': unstable, 'claims': []}
 
 
 def _rms(values: Vector) -> float:

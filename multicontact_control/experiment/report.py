@@ -20,6 +20,7 @@ from multicontact_control.experiment.load import LoadedRun
 from multicontact_control.experiment.pages import claims_table, table, write_page
 from multicontact_control.experiment.report_figures import interactive_figures
 from multicontact_control.experiment.run import FIGURE_FOLDER
+from multicontact_control.experiment.verdict import STABLE, verdict_text
 import yaml
 
 REPORT_FILE = 'report.html'
@@ -47,8 +48,7 @@ def run_claims(run: LoadedRun, comparison: dict[str, Any] | None = None) -> list
         Content of ``comparison.json``, for the claims that compare estimators.
 
     """
-    ended = [text for text in run.summary.get('instabilities', []) if text.startswith('tick ')]
-    evidence = evidence_of(run.data, run.setup, ended[0] if ended else '')
+    evidence = evidence_of(run.data, run.setup, run.summary)
     return judge_claims(evidence, claim_rows(comparison['rows']) if comparison else ())
 
 
@@ -83,7 +83,8 @@ def write_report(
         parts += [BACKGROUND, _comparison_section(comparison)]
     for number, run in enumerate(runs):
         folder = out / FIGURE_FOLDER / (run.folder.resolve().name if len(runs) > 1 else '')
-        paths += draw_figures(run.data, run.setup, folder, formats=FORMATS)
+        paths += draw_figures(run.data, run.setup, folder, verdict=verdict_text(run.summary),
+                              formats=FORMATS)
         parts.append(_run_section(run, number, comparison))
     page = out / REPORT_FILE
     write_page(page, 'Multi-contact force control: the paper put to the test', '\n'.join(parts))
@@ -92,8 +93,8 @@ def write_report(
 
 def _run_section(run: LoadedRun, number: int, comparison: dict[str, Any] | None) -> str:
     summary = run.summary
-    verdict = ('<b class=yes>stable</b>' if summary['stable'] else '<b class=no>NOT stable</b>: '
-               + escape('; '.join(summary['instabilities'])))
+    colour = 'yes' if verdict_text(summary) == STABLE else 'no'
+    verdict = f'<b class={colour}>{escape(verdict_text(summary))}</b>'
     parts = [
         f'<h2>{escape(summary["scenario"])}, plant {escape(summary["plant"])}, '
         f'{escape(summary["noise_estimator"])}, seed {summary["seed"]}, '

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
@@ -20,10 +20,13 @@ from multicontact_control.experiment.display import (
 from multicontact_control.experiment.evidence import evidence_of
 from multicontact_control.experiment.figures import draw_figures
 from multicontact_control.experiment.loop import run_in_process
-from multicontact_control.experiment.metrics import percentiles, summarise
+from multicontact_control.experiment.metrics import percentiles
+from multicontact_control.experiment.real_time import REAL_TIME
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.results import CONFIG_FOLDER, SUMMARY_FILE, write_json
 from multicontact_control.experiment.scenario import Setup
+from multicontact_control.experiment.summary import summarise
+from multicontact_control.experiment.verdict import verdict_text
 from rich.console import Console
 
 if TYPE_CHECKING:
@@ -75,8 +78,8 @@ def run_simulate(
         'latency_us': None, 'kernels_compiled': compiled_here(),
         'realtime_factor': result.data.ticks / result.data.rate / result.wall_time}
     summary = summarise(result.data, setup, mode='in_process', timing=timing,
-                        ended_early=result.ended_early) | supervision(
-                            supervised, result.events, result.data)
+                        ended_early=result.ended_early,
+                        events=result.events if supervised else None)
     return _finish(result.data, setup, folder, summary, console)
 
 
@@ -152,13 +155,13 @@ def run_real_time(
     content = read_bag(
         result.bag, rate=setup.controller.rate, contact_names=setup.controller.contact_names,
         joint_names=setup.controller.robot.joint_names)
-    summary = summarise(
-        content.data, setup, mode='lockstep' if lockstep else 'real_time',
-        timing=graph_timing(result.timing, content),
-        ended_early='' if result.interrupted is None else 'interrupted by a signal')
-    summary['ros_domain_id'] = result.domain_id
     events = result.timing.get('controller_node', {}).get('events', [])
-    summary |= supervision(supervised, events, content.data)
+    summary = summarise(
+        content.data, setup, mode='lockstep' if lockstep else REAL_TIME,
+        timing=graph_timing(result.timing, content),
+        ended_early='' if result.interrupted is None else 'interrupted by a signal',
+        events=events if supervised else None)
+    summary['ros_domain_id'] = result.domain_id
     return _finish(content.data, setup, folder, summary, console), result.interrupted
 
 
@@ -175,17 +178,6 @@ def refuse_push_test(setup: Setup) -> None:
     if setup.controller.sensor.require_push_test:
         raise ConfigError('sensor.require_push_test', 'false in a scenario: nobody is there to '
                           'push the tool', True)
-
-
-def supervision(
-    supervised: bool, events: Sequence[tuple[float, str]], data: RunData,
-) -> dict[str, Any]:
-    """Return what ``summary.json`` says of the supervisor: what it did in the run, not after."""
-    if not supervised:
-        return {'supervised': False}
-    return {'supervised': True, 'events': [
-        {'time_s': round(time, 6), 'what': what} for time, what in events
-        if time < data.ticks / data.rate]}
 
 
 def graph_timing(
@@ -216,10 +208,9 @@ def _finish(
     data: RunData, setup: Setup, folder: Path, summary: dict[str, Any], console: Console,
 ) -> dict[str, Any]:
     """Judge the claims, write figures and summary, show the table."""
-    ended = [text for text in summary['instabilities'] if text.startswith('tick ')]
-    evidence = evidence_of(data, setup, ended[0] if ended else '')
+    evidence = evidence_of(data, setup, summary)
     summary['claims'] = [claim.to_json() for claim in judge_claims(evidence)]
-    draw_figures(data, setup, folder / FIGURE_FOLDER)
+    draw_figures(data, setup, folder / FIGURE_FOLDER, verdict=verdict_text(summary))
     write_json(folder / SUMMARY_FILE, summary)
     console.print(summary_table(summary))
     for line in verdict_lines(summary, folder):

@@ -7,6 +7,7 @@ from pathlib import Path
 import shutil
 from typing import Any
 
+from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import (
     Config,
     ControllerConfig,
@@ -22,6 +23,7 @@ from multicontact_control.config import (
 from multicontact_control.control.reference import ReferenceConfig, ScenarioReference
 from multicontact_control.errors import ConfigError
 from multicontact_control.paths import config_dir, named_file
+import numpy as np
 from sim_bridge.config import PlantConfig
 import yaml
 
@@ -77,6 +79,27 @@ class Setup:
         return ScenarioReference(
             self.scenario.reference, rate=self.controller.rate,
             contact_names=self.controller.contact_names)
+
+    def commanded(self, time: Vector) -> Matrix:
+        """
+        Return the forces that the scenario asks for, whatever the supervisor makes of them.
+
+        Parameters
+        ----------
+        time
+            Since the start of the run, shape (m,) [s].
+
+        Returns
+        -------
+        Matrix
+            Shape (m, r) [N]; the preload before the first force step, also while approaching.
+
+        """
+        reference = self.reference()
+        steps = [step.time for step in self.scenario.reference.force_steps]
+        table = np.array([reference.forces_after(done) for done in range(len(steps) + 1)])
+        commanded: Matrix = table[np.searchsorted(steps, time + 1e-9, side='right')]
+        return commanded
 
     def write(self, folder: Path) -> None:
         """Write the exact configuration into a folder, such that the nodes can be run on it."""

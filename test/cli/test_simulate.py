@@ -14,7 +14,7 @@ def test_simulate_leaves_a_run_folder(multicontact, tmp_path):
     assert (summary['scenario'], summary['plant'], summary['seed']) == ('quick', 'rigid', 5)
     assert (summary['mode'], summary['ticks']) == ('in_process', 1500)
     assert len(list((out / 'figures').glob('*.png'))) == 4
-    assert 'stable' in done.stdout
+    assert summary['verdict'] == 'stable' and '\nstable\n' in done.stdout
     again = multicontact('simulate', '--scenario', 'quick', '--out', str(out))
     assert again.returncode == 2
     assert again.stderr.count('\n') == 1
@@ -26,5 +26,5 @@ def test_simulate_that_is_not_stable_exits_with_one(multicontact, tmp_path):
     done = multicontact('simulate', '--scenario', 'quick', '--plant', 'rigid', '--duration',
                         '0.2', '--out', str(tmp_path / 'run'))
     assert done.returncode == 1
-    assert 'NOT stable' in done.stdout
+    assert 'not stable: table: no contact was made' in done.stdout
     assert json.loads((tmp_path / 'run' / 'summary.json').read_text())['stable'] is False

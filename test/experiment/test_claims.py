@@ -5,6 +5,7 @@ from dataclasses import replace
 from multicontact_control.experiment.claims import CLAIMS, judge_claims, NOT_MEASURED, Row
 from multicontact_control.experiment.disturbances import disturbance_summary
 from multicontact_control.experiment.evidence import designed_rise, evidence_of
+from multicontact_control.experiment.summary import summarise
 import numpy as np
 import pytest
 from synthetic_run import delayed, disturbance_setup, paper_run, perfect_run
@@ -12,16 +13,20 @@ from synthetic_run import delayed, disturbance_setup, paper_run, perfect_run
 MOTION = 9.0  # s, its start in the scenario
 
 
+def summary_of(data, setup):
+    return summarise(data, setup, mode='in_process', timing={})
+
+
 def verdict_of(data, setup, words, rows=()):
-    claims = [claim for claim in judge_claims(evidence_of(data, setup), rows)
-              if words in claim.claim]
+    evidence = evidence_of(data, setup, summary_of(data, setup))
+    claims = [claim for claim in judge_claims(evidence, rows) if words in claim.claim]
     assert len(claims) == 1
     return claims[0]
 
 
 def row(label, data, setup):
     contacts = disturbance_summary(data, setup)['contacts']
-    return Row(label, evidence_of(data, setup),
+    return Row(label, evidence_of(data, setup, summary_of(data, setup)),
                {name: contact['recoveries'] for name, contact in contacts.items()})
 
 
@@ -44,6 +49,13 @@ def data(setup):
 def unstable(data):
     """Return the run with the board lost for good 1.7 s after the motion began."""
     return changed(data, 'alpha_true', (data.time >= MOTION + 1.6, 1), 0.0)
+
+
+def test_run_that_was_hardly_judged_does_not_keep_working(data, setup):
+    summary = {**summary_of(data, setup), 'kept_real_time': False}
+    claims = judge_claims(evidence_of(data, setup, summary))
+    (claim,) = [claim for claim in claims if 'keeps the control working' in claim.claim]
+    assert claim.holds is None and 'could not keep real time' in claim.why
 
 
 SINGLE = ('designed time constant', 'motion is tracked', '0.6 N² at rest', 'about 100 N²',
@@ -108,7 +120,7 @@ def test_claim_of_one_run_does_not_hold_on_data_that_break_it(data, setup, words
 
 
 def test_claims_that_compare_are_not_judged_from_one_run(data, setup):
-    claims = judge_claims(evidence_of(data, setup))
+    claims = judge_claims(evidence_of(data, setup, summary_of(data, setup)))
     assert len(claims) == len(CLAIMS)
     single = [claim for claim in claims if any(words in claim.claim for words in SINGLE)]
     others = [claim for claim in claims if claim not in single]

@@ -1,10 +1,12 @@
 """The loop in process: repeatable, and in contact as commanded on both plants."""
 
 from multicontact_control.experiment.figures import draw_figures, figure_set
+from multicontact_control.experiment.judge import judge
 from multicontact_control.experiment.loop import run_in_process
-from multicontact_control.experiment.metrics import contact_summary, instabilities
+from multicontact_control.experiment.metrics import contact_summary
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.scenario import resolve
+from multicontact_control.experiment.verdict import NOT_STABLE
 import numpy as np
 import pytest
 
@@ -20,7 +22,7 @@ def runs():
 def test_quick_is_stable_and_holds_its_forces(runs, plant):
     """The paper's experiment in short."""
     setup, result = runs[plant]
-    assert instabilities(result.data, setup, result.ended_early) == []
+    assert judge(result.data, setup, ended_early=result.ended_early).reasons == ()
     for i in range(2):
         summary = contact_summary(result.data, setup, i)
         assert summary['rest']['true_error_rms_n'] < 1.0
@@ -75,8 +77,7 @@ def test_run_that_gets_out_of_hand_ends_with_a_reason():
     setup = resolve('quick', plant='rigid', duration=4.0, controller={
         'contacts': {name: {'stiffness': 50.0} for name in ('table', 'board')}})
     result = run_in_process(setup)
-    found = instabilities(result.data, setup, result.ended_early)
-    assert found
+    assert judge(result.data, setup, ended_early=result.ended_early).name == NOT_STABLE
 
 
 def test_series_survive_saving_and_loading(runs, tmp_path):

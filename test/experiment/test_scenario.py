@@ -4,6 +4,7 @@ from multicontact_control.config import ControllerConfig, read_parameters, read_
 from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.scenario import resolve, scenario_path
 from multicontact_control.paths import config_dir
+import numpy as np
 import pytest
 import yaml
 
@@ -13,6 +14,14 @@ import yaml
 def test_every_scenario_resolves_and_is_named_as_its_file(path):
     """Whatever lies in config/scenarios can be run."""
     assert resolve(path.stem).scenario.name == path.stem
+
+
+def test_commanded_forces_are_those_of_the_file():
+    """Preload, a step on both contacts, one on the table alone; each from its sample on."""
+    setup = resolve('disturbance')
+    commanded = setup.commanded(np.array([0.0, 1.998, 2.0, 3.499, 3.5, 16.0]))
+    np.testing.assert_array_equal(commanded, [
+        [2.0, 2.0], [2.0, 2.0], [10.0, 10.0], [10.0, 10.0], [15.0, 10.0], [15.0, 10.0]])
 
 
 def _scenario(tmp_path, **changes):

@@ -126,7 +126,7 @@ class ScenarioReference:
         if done != self._task_steps:
             self._task_steps = done
             self._wanted: Mask = np.full(self._count, done >= 0)
-            self._desired = self._forces_after(done) if done >= 0 else np.zeros(self._count)
+            self._desired = self.forces_after(done) if done >= 0 else np.zeros(self._count)
         s, ds, dds = 0.0, 0.0, 0.0
         if self._motion is not None:
             s, ds, dds = sine_motion(self._motion, time)
@@ -137,7 +137,7 @@ class ScenarioReference:
             np.array((ds * x, ds * y, ds * z, 0.0, 0.0, 0.0)),
             np.array((dds * x, dds * y, dds * z, 0.0, 0.0, 0.0)), self._wanted, self._desired)
 
-    def _forces_after(self, steps: int) -> Vector:
+    def forces_after(self, steps: int) -> Vector:
         """Return the desired forces after so many force steps, shape (r,) [N]."""
         desired = np.full(self._count, self._config.approach.preload)
         for _, forces in self._steps[:steps]:
@@ -149,7 +149,7 @@ class ScenarioReference:
         done = bisect_right(self._step_times, time + 1e-9)
         if done != self._steps_done:
             self._steps_done = done
-            self._alpha_des: Vector = np.where(self._active, self._forces_after(done), 0.0)
+            self._alpha_des: Vector = np.where(self._active, self.forces_after(done), 0.0)
         return self._alpha_des
 
 

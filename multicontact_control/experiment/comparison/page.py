@@ -22,6 +22,7 @@ from multicontact_control.experiment.pages import (
     table,
     write_page,
 )
+from multicontact_control.experiment.verdict import verdict_text
 from rich.text import Text
 
 PAGE_FILE = 'comparison.html'
@@ -37,7 +38,8 @@ of the worse contact. <b>rest</b> and <b>moving</b> leave out each push and 1 s 
 standard deviations of its own value in the second before the push, whichever is larger, and stays
 there for 0.1 s; from the end of the push of 0.1 s, from the start of the push of 1 s, which is to
 be controlled out while it lasts; <b>never</b> if not before the next event. Unstable: torque
-saturated or a contact lost for more than 0.1 s, or a force beyond 5 times its command.
+saturated or a contact lost for more than 0.1 s, a contact lost more than 5 times in 10 s, a force
+that oscillates for 2 s, or one beyond 5 times its command and half the force ceiling.
 Click a line for its forces.</p>
 """
 SCRIPT = """
@@ -153,13 +155,12 @@ def _cell(row: dict[str, Any], store: CellStore) -> dict[str, Any]:
     result = store.load(row['key'])
     if result is None:
         raise RunError(f'{store.folder}/{row["key"]}: expected a finished cell')
-    verdict = 'stable' if row['stable'] else 'NOT stable: ' + '; '.join(row['instabilities'])
     contacts, top = {}, {}
     for i, name in enumerate(row['contacts']):
         contacts[name] = _series(result, i)
         top[name] = 3.0 * float(result.traces['desired'][:, i].max())
     return {'title': f'{row["plant"]}, {row["label"]}, {row["kind"]}, seed {row["seed"]}: '
-                     f'{verdict}',
+                     f'{verdict_text(row)}',
             'seed': row['seed'], 'contacts': contacts, 'top': top}
 
 

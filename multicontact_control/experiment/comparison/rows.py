@@ -67,7 +67,7 @@ def row_of(entry: Entry, key: str, result: CellResult) -> dict[str, Any]:
     return {
         'label': entry.label, 'kind': entry.kind, 'plant': entry.cell.plant,
         'seed': entry.cell.seed, 'key': key, 'stable': summary['stable'],
-        'instabilities': summary['instabilities'],
+        'verdict': summary['verdict'], 'instabilities': summary['instabilities'],
         'unstable_at_s': metrics['disturbances']['unstable_at_s'],
         'unstable_after_motion_s': metrics['disturbances']['unstable_after_motion_s'],
         'oscillation_hz': metrics['disturbances']['oscillation_hz'],

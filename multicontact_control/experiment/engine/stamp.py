@@ -12,8 +12,9 @@ from pathlib import Path
 WITHOUT = ('cli', 'client.py', 'nodes', 'tools')
 DECISIVE = (
     'disturbances.py', 'engine/cells.py', 'evidence.py', 'fault_cells.py', 'fault_run.py',
-    'faults.py', 'loop.py', 'measure.py', 'metrics.py', 'recording.py', 'results.py',
-    'scenario.py', 'sweep/measure.py')
+    'faults.py', 'judge.py', 'loop.py', 'measure.py', 'metrics.py', 'oscillation.py',
+    'real_time.py', 'recording.py', 'results.py', 'scenario.py', 'summary.py', 'sweep/measure.py',
+    'verdict.py')
 LIBRARIES = ('numba', 'numpy', 'pin', 'pybullet', 'scipy')
 
 

@@ -70,15 +70,11 @@ def verdict(metrics: dict[str, Any]) -> tuple[bool, float | None]:
     """Return whether a cell of the map is stable, and its largest overshoot [%]."""
     share = metrics['final_error_share']
     stable = bool(share is not None and share <= SETTLED
-                  and not _ended_early(metrics['summary']))
+                  and not metrics['summary']['ended_early'])
     overshoots = [contact['step_overshoot_percent']
                   for contact in metrics['summary']['contacts'].values()
                   if contact['step_overshoot_percent'] is not None]
     return stable, max(overshoots) if overshoots else None
-
-
-def _ended_early(summary: dict[str, Any]) -> bool:
-    return any(text.startswith('tick ') for text in summary['instabilities'])
 
 
 def ratios(count: int) -> list[float]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import time
 
 from multicontact_control.experiment.engine import CellResult, RunCell
-from multicontact_control.experiment.metrics import summarise
 from multicontact_control.experiment.results import finite
+from multicontact_control.experiment.summary import summarise
 
 SHORTEST = 2  # samples that a summary can be made of
 
@@ -37,7 +37,8 @@ def summarise_cell(cell: RunCell) -> CellResult:
         error, summary = result.ended_early or None, None
         if result.data.ticks >= SHORTEST:
             summary = summarise(result.data, setup, mode='in_process', timing={},
-                                ended_early=result.ended_early)
+                                ended_early=result.ended_early,
+                                events=result.events if cell.supervised else None)
     except Exception as problem:
         # Whatever one combination does to the law or the simulator, the others shall be run.
         error, summary = f'{type(problem).__name__}: {problem}', None

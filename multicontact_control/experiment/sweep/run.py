@@ -29,6 +29,7 @@ from multicontact_control.experiment.sweep.table import (
     TABLE_FILE,
     write_table,
 )
+from multicontact_control.experiment.verdict import HELD
 import pyarrow as pa
 from rich.console import Console
 import yaml
@@ -160,7 +161,9 @@ def _show(plan: SweepPlan, table: pa.Table, folder: Path, console: Console) -> N
         paths = []
     stable = sum(table['stable'].to_pylist())
     ended = sum(error is not None for error in table['error'].to_pylist())
+    held = table['verdict'].to_pylist().count(HELD)
     console.print(f'{table.num_rows} runs: {stable} stable, {table.num_rows - stable} not, of '
-                  f'which {ended} ended early', highlight=False)
+                  f'which {ended} ended early and {held} were held by the supervisor',
+                  highlight=False, soft_wrap=True)
     for path in (folder / TABLE_FILE, *paths):
         console.print(f'results in {path}', highlight=False, soft_wrap=True)

@@ -14,12 +14,14 @@ import pyarrow.parquet as pq
 
 TABLE_FILE = 'sweep.parquet'
 # Of summary.json: what is told elsewhere in the row, is no result, or depends on the machine.
-LEFT_OUT = ('claims', 'instabilities', 'mode', 'noise_estimator', 'plant', 'scenario', 'schema',
-            'seed', 'stable', 'timing', 'trajectory_sha256')
+LEFT_OUT = ('claims', 'ended_early', 'instabilities', 'kept_real_time', 'mode',
+            'noise_estimator', 'plant', 'scenario', 'schema', 'seed', 'stable', 'supervised',
+            'timing', 'trajectory_sha256', 'verdict')
 SUFFIX_UNITS = {
     '_n2': 'N^2', '_n': 'N', '_s': 's', '_m': 'm', '_rad': 'rad', '_hz': 'Hz', '_percent': '%',
     '_fraction': '1', '_fraction_of_limit': '1'}
-TEXTS = ('error', 'instabilities', 'trajectory_sha256')  # even where all of them are null
+# Texts even where all of them are null.
+TEXTS = ('verdict', 'error', 'instabilities', 'trajectory_sha256')
 
 Row = dict[str, Any]
 
@@ -38,7 +40,8 @@ def row_of(metrics: Mapping[str, Any], lost: str = '') -> Row:
     """
     summary = metrics.get('summary') or {}
     return {
-        'stable': bool(summary.get('stable', False)), 'error': lost or metrics.get('error'),
+        'stable': bool(summary.get('stable', False)), 'verdict': summary.get('verdict'),
+        'error': lost or metrics.get('error'),
         'instabilities': '; '.join(summary.get('instabilities', ())) or None,
         **dict(_flat({name: value for name, value in summary.items() if name not in LEFT_OUT})),
         'trajectory_sha256': summary.get('trajectory_sha256')}

@@ -3,8 +3,8 @@ import math
 from multicontact_control.experiment.comparison.matrix import comparison_matrix
 from multicontact_control.experiment.disturbances import instability_time, quiet_windows
 from multicontact_control.experiment.engine import CellStore, LocalExecutor
+from multicontact_control.experiment.judge import judge
 from multicontact_control.experiment.loop import run_in_process
-from multicontact_control.experiment.metrics import instabilities
 from multicontact_control.experiment.robustness.boundaries import (
     arm_loop,
     bisect,
@@ -55,11 +55,13 @@ def test_arm_loop_bears_more_with_less_delay_and_a_slower_observer():
 
 
 def test_verdict_of_a_run_that_did_not_settle_is_unstable():
-    metrics = {'final_error_share': 0.05, 'summary': {'instabilities': [], 'contacts': {
+    metrics = {'final_error_share': 0.05, 'summary': {'ended_early': None, 'contacts': {
         'table': {'step_overshoot_percent': 12.0}, 'board': {'step_overshoot_percent': None}}}}
     assert verdict(metrics) == (True, 12.0)
     assert verdict({**metrics, 'final_error_share': 0.2})[0] is False
     assert verdict({**metrics, 'final_error_share': None})[0] is False
+    metrics['summary']['ended_early'] = 'tick 100: singular'
+    assert verdict(metrics)[0] is False
 
 
 @pytest.mark.slow
@@ -91,7 +93,7 @@ def test_estimator_in_motion_on_flexible_drives(label):
     if label == 'fixed':
         assert found is not None and 0.0 < found - 9.0 < 5.0
         return
-    assert found is None and instabilities(data, setup) == []
+    assert found is None and judge(data, setup).reasons == ()
     moving = quiet_windows(data, setup)[1]
     error = (data.alpha_true - data.alpha_des)[moving]
     assert (data.alpha_true[moving] > 0.0).all()

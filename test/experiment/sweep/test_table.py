@@ -16,7 +16,9 @@ SUMMARY = {
     'contacts': {'table': {'step_rise_63_s': 0.05, 'steps': [{'time_s': 1.0}],
                            'rest': {'true_error_rms_n': None}}},
     'torque': {'max_fraction_of_limit': 1}, 'stable': False,
-    'instabilities': ['a: b', 'c'], 'claims': []}
+    'verdict': 'not stable', 'instabilities': ['a: b', 'c'], 'unstable_at_s': 0.5,
+    'ended_early': None, 'kept_real_time': None, 'claims': [], 'supervised': True,
+    'events': [{'time_s': 0.0, 'what': 'none |  | free'}]}
 
 
 @pytest.fixture
@@ -37,7 +39,8 @@ def table_of(plan):
 
 def test_row_is_flat_and_knows_nothing_of_the_machine():
     assert row_of({'summary': SUMMARY, 'error': None}) == {
-        'stable': False, 'error': None, 'instabilities': 'a: b; c', 'ticks': 50, 'rate_hz': 500.0,
+        'stable': False, 'verdict': 'not stable', 'error': None, 'instabilities': 'a: b; c',
+        'unstable_at_s': 0.5, 'ticks': 50, 'rate_hz': 500.0,
         'contacts.table.step_rise_63_s': 0.05, 'contacts.table.rest.true_error_rms_n': None,
         'torque.max_fraction_of_limit': 1, 'trajectory_sha256': 'abc'}
 
@@ -47,9 +50,9 @@ def test_table_has_a_row_for_every_run_with_types_and_units(plan):
     units = {field.name: (field.metadata or {}).get(b'unit', b'').decode()
              for field in table.schema}
     assert table.column_names == [
-        'run', 'plant', 'seed', 'controller.force.input_delay', 'stable', 'error',
-        'instabilities', 'ticks', 'rate_hz', 'contacts.table.step_rise_63_s',
-        'contacts.table.rest.true_error_rms_n', 'torque.max_fraction_of_limit',
+        'run', 'plant', 'seed', 'controller.force.input_delay', 'stable', 'verdict',
+        'error', 'instabilities', 'ticks', 'rate_hz', 'contacts.table.step_rise_63_s',
+        'contacts.table.rest.true_error_rms_n', 'torque.max_fraction_of_limit', 'unstable_at_s',
         'trajectory_sha256', 'key']
     assert units['controller.force.input_delay'] == units['contacts.table.step_rise_63_s'] == 's'
     assert units['contacts.table.rest.true_error_rms_n'] == 'N'

@@ -1,0 +1,280 @@
+"""
+Whether a run was stable: against what the scenario asked for, and with what help.
+
+*Not stable* is a run with anything of `findings`. *Held by the supervisor* is one without, in
+which the supervisor had to step in again and again: bounds that are kept because something else
+than the control law keeps them are no sign of stability. All others are *stable*.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+import math
+from typing import Any
+
+from multicontact_control.arrays import Mask, Vector
+from multicontact_control.control.contact_state import ContactState
+from multicontact_control.control.event_log import Event
+from multicontact_control.experiment.metrics import (
+    force_oscillations,
+    longest_run,
+    losses,
+    saturation,
+    windows,
+)
+from multicontact_control.experiment.oscillation import stretches
+from multicontact_control.experiment.real_time import (
+    REAL_TIME,
+    replaces,
+    Timeliness,
+    timeliness,
+)
+from multicontact_control.experiment.recording import RunData
+from multicontact_control.experiment.scenario import Setup
+from multicontact_control.experiment.verdict import HELD, NOT_STABLE, STABLE
+import numpy as np
+
+LONGEST_LOSS = 0.1  # s, of contact or to saturation: five time constants of the designed loop
+LARGEST_GAP = 0.1  # share of samples without an answer that still lets a run be judged
+# A force is too large beyond 5 times its command and beyond half the force ceiling, at which the
+# supervisor leaves a contact. The second, an absolute one, is for touches: they go with speed,
+# stiffness and mass (12 N at 20 mm/s and 60 000 N/m), and not with the preload that follows.
+LARGEST_FORCE = 5.0
+IMPACT_SHARE = 0.5  # 30 N of 60 N
+# A contact is lost, or the supervisor steps in, again and again if it happens more than 5 times
+# within 10 s. One surface that goes away makes one loss, and a bounce or two when it is back.
+AGAIN = 5
+AGAIN_TIME = 10.0  # s
+LARGEST_HELD_SHARE = 0.05  # of the time under load, in which reactions replace the control law
+
+WHOLE = (ContactState.IMPACT.value, ContactState.HOLDING.value)
+GONE = (ContactState.LOST.value, ContactState.RETRACTING.value, ContactState.GIVEN_UP.value)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """
+    A limit that was passed.
+
+    Attributes
+    ----------
+    text
+        Which one and by how much.
+    time
+        When [s]; None for what was missed throughout the run.
+
+    """
+
+    text: str
+    time: float | None = None
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """
+    What a run is called, and why.
+
+    Attributes
+    ----------
+    name
+        `STABLE`, `HELD` or `NOT_STABLE`.
+    reasons
+        Nothing if it was stable.
+    unstable_at
+        When the first limit was passed [s], None if none was or it has no time.
+    timeliness
+        How the machine kept up.
+    judged_share
+        Share of the time under load that the arm answers for.
+
+    """
+
+    name: str
+    reasons: tuple[str, ...]
+    unstable_at: float | None
+    timeliness: Timeliness
+    judged_share: float
+
+
+def judge(
+    data: RunData, setup: Setup, *, mode: str = 'in_process',
+    timing: Mapping[str, Any] | None = None, ended_early: str = '', events: Sequence[Event] = (),
+) -> Verdict:
+    """
+    Judge a run.
+
+    Where real time was not kept (`timeliness`), only what happened at least 1 s away from gaps
+    and from reactions to late samples counts: that is how what the machine did is told from what
+    the arm did. Numbers that are not finite, and contacts that were never made, always count.
+
+    Parameters
+    ----------
+    data, setup
+        The run.
+    mode, timing
+        As in ``summary.json``.
+    ended_early
+        Why it ended before its time, if it did.
+    events
+        What the supervisor did, if there was one.
+
+    """
+    timely = timeliness(data, mode, timing or {}, events)
+    found = findings(data, setup, timely.judged, ended_early)
+    missing = _missing(data)
+    if mode != REAL_TIME and missing > LARGEST_GAP:
+        found.append(Finding(f'{100.0 * missing:.1f} % of the samples were not answered'))
+    helped = interventions(data, setup, events, timely.judged)
+    name = NOT_STABLE if found else HELD if helped else STABLE
+    found += helped
+    loaded = windows(setup.scenario.reference, data.time).loaded
+    times = [finding.time for finding in found if finding.time is not None]
+    return Verdict(
+        name, tuple(finding.text for finding in found), min(times, default=None), timely,
+        float(timely.judged[loaded].mean()) if loaded.any() else 1.0)
+
+
+def findings(
+    data: RunData, setup: Setup, judged: Mask | None = None, ended_early: str = '',
+) -> list[Finding]:
+    """
+    Return the limits that a run has passed; none of them is set by the supervisor.
+
+    They are: no end before its time; nothing that is not finite; no torque at its limit for more
+    than 0.1 s; every contact made; under load, which is from the first force step on, no contact
+    lost for more than 0.1 s, nor more than 5 times within 10 s, and no force that oscillates
+    (`oscillation`); no force beyond 5 times its command and half the force ceiling.
+
+    Parameters
+    ----------
+    data, setup
+        The run.
+    judged
+        Samples that count, shape (m,); all if not given.
+    ended_early
+        Why the run ended before its time, if it did.
+
+    """
+    judged = np.ones(data.ticks, dtype=bool) if judged is None else judged
+    found = [Finding(ended_early, float(data.time[-1]))] if ended_early else []
+    series = (data.q, data.qd, data.torque, data.alpha_true, data.alpha_meas)
+    infinite = np.any([np.isinf(values).any(axis=1) for values in series], axis=0)
+    if infinite.any():
+        found.append(Finding('a number is not finite', _when(data, infinite, 1)))
+    saturated = judged & saturation(data, setup)
+    lasting = math.floor(LONGEST_LOSS * data.rate) + 1
+    if longest_run(saturated) >= lasting:
+        found.append(Finding(f'torque saturated for {longest_run(saturated) / data.rate:.2f} s',
+                             _when(data, saturated, lasting)))
+    for contact, name in enumerate(data.contact_names):
+        found += [Finding(f'{name}: {finding.text}', finding.time)
+                  for finding in _contact_findings(data, setup, contact, judged)]
+    return found
+
+
+def _contact_findings(
+    data: RunData, setup: Setup, contact: int, judged: Mask,
+) -> list[Finding]:
+    if not (data.alpha_des[:, contact] > 0.0).any():
+        return [Finding('no contact was made')]
+    found = []
+    loaded = judged & windows(setup.scenario.reference, data.time).loaded
+    lasting = math.floor(LONGEST_LOSS * data.rate) + 1
+    begins, ends = losses(data, setup, contact, loaded)
+    long = [(begin, end) for begin, end in zip(begins, ends) if end - begin >= lasting]
+    if long:
+        longest = max(end - begin for begin, end in long) / data.rate
+        found.append(Finding(f'contact lost for {longest:.2f} s',
+                             float(data.time[long[0][0] + lasting - 1])))
+    again = again_at(data.time[begins])
+    if again is not None:
+        found.append(Finding(f'contact lost {len(begins)} times', again))
+    oscillating = force_oscillations(data, setup, contact, loaded)
+    if oscillating:
+        worst = max(oscillating, key=lambda oscillation: oscillation.rms)
+        total = sum(oscillation.duration for oscillation in oscillating)
+        found.append(Finding(
+            f'oscillates at {worst.frequency:.0f} Hz with {worst.rms:.2g} N rms for {total:.1f} s',
+            oscillating[0].known))
+    force, command = data.alpha_true[:, contact], setup.commanded(data.time)[:, contact]
+    ceiling = setup.controller.contact_state.force_ceiling
+    beyond = judged & (force > np.maximum(LARGEST_FORCE * command, IMPACT_SHARE * ceiling))
+    if beyond.any():
+        worst_at = int(np.argmax(np.where(beyond, force, 0.0)))
+        found.append(Finding(
+            f'force of {force[worst_at]:.0f} N at a command of {command[worst_at]:.3g} N',
+            _when(data, beyond, 1)))
+    return found
+
+
+def interventions(
+    data: RunData, setup: Setup, events: Sequence[Event], judged: Mask,
+) -> list[Finding]:
+    """
+    Return whether a supervisor stepped in again and again, or for long, under load.
+
+    It steps in when a reaction replaces the control law, when a contact leaves the force law
+    (lost, retracting, given up), and when the last gate begins to enforce a limit. Contacts that
+    are sought, touched and pressed are the task; so is a reference that is kept within the
+    speeds allowed.
+
+    Parameters
+    ----------
+    data, setup
+        The run.
+    events
+        What the supervisor did.
+    judged
+        Samples that count, shape (m,).
+
+    """
+    loaded = judged & windows(setup.scenario.reference, data.time).loaded
+    if not loaded.any():
+        return []
+    places = [*(round(event.time * data.rate) for event in events), data.ticks]
+    times, held = [], np.zeros(data.ticks, dtype=bool)
+    for event, place, end in zip(events, places, places[1:]):
+        held[place:end] = replaces(event.reaction)
+    for before, event, place in zip(events, events[1:], places[1:]):
+        if place < data.ticks and loaded[place] and _steps_in(before, event):
+            times.append(event.time)
+    found = []
+    again = again_at(np.array(times))
+    if again is not None:
+        found.append(Finding(f'the supervisor stepped in {len(times)} times under load', again))
+    share = float(held[loaded].mean())
+    if share > LARGEST_HELD_SHARE:
+        enough = np.cumsum(held & loaded) > LARGEST_HELD_SHARE * loaded.sum()
+        found.append(Finding(
+            f'the supervisor held the arm for {100.0 * share:.0f} % of the time under load',
+            _when(data, enough, 1)))
+    return found
+
+
+def _steps_in(before: Event, event: Event) -> bool:
+    """Return whether an event is the supervisor's doing, and not that of the task."""
+    reacts = replaces(event.reaction) and not replaces(before.reaction)
+    loses = any(was in WHOLE and now in GONE
+                for was, now in zip(before.contact_states, event.contact_states))
+    limits = set(event.limits) - set(before.limits) - {'reference'}
+    return reacts or loses or bool(limits)
+
+
+def again_at(times: Vector) -> float | None:
+    """Return when something had happened more than 5 times within 10 s [s], None if never."""
+    late = times[AGAIN:]
+    known = late[late - times[:len(late)] <= AGAIN_TIME]
+    return float(known[0]) if known.size else None
+
+
+def _when(data: RunData, mask: Mask, lasting: int) -> float:
+    """Return when something had first been so for a number of samples on end [s]."""
+    begin = next(begin for begin, end in zip(*stretches(mask)) if end - begin >= lasting)
+    return float(data.time[begin + lasting - 1])
+
+
+def _missing(data: RunData) -> float:
+    """Return the largest share of samples that a series lacks."""
+    return max(float(np.isnan(values).any(axis=1).mean()) for values in (
+        data.q, data.qd, data.torque, data.alpha_true, data.alpha_meas))

@@ -1,0 +1,196 @@
+"""
+Sustained oscillation of a force: how a limit cycle is told from noise and from transients.
+
+The error of a force is cut into windows of 0.5 s, each half covered by the next, and looked at in
+stretches of seven of them: 2 s. The *line* of a stretch is the frequency from 10 Hz up that is
+strongest in the mean of its seven spectra, with what is within 4 Hz of it. A stretch oscillates
+if
+
+- the mean spectrum is at least 4 times as strong at the line as 6 Hz below it: there is a peak,
+  where the spectrum of a force that wanders slowly only falls from lower frequencies;
+- in six of the seven windows the line holds at least half of the power from 10 Hz up: what sensor
+  noise and a rough surface leave in a force is spread over the band, 0.1 to 0.2 of it in a line;
+- and in the same ones the rms of the line is at least 2.5 % of the command, and 0.1 N.
+
+What dies out within 1 s, as the answer to a step or a push, does not make a stretch. A limit
+cycle lasts, and one that a supervisor breaks begins again. Slower hunting is not looked for:
+sliding over a surface that is not flat, and friction that turns around, look the same there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from multicontact_control.arrays import Mask, Matrix, Vector
+import numpy as np
+
+WINDOW = 0.5  # s; five periods of the lowest frequency
+LOWEST = 10.0  # Hz, just above the poles of the designed loop (8 Hz), which follows its command
+LINE_WIDTH = 4.0  # Hz to either side: the main lobe of a Hann window of 0.5 s
+FLANK = 6.0  # Hz below a line, beyond that lobe
+CONTRAST = 4.0  # of noise whose power falls with frequency, at most 3 in 5 x 40 runs of 30 s
+LINE_SHARE = 0.5  # of the power from LOWEST up
+LARGEST_LINE = 0.025  # rms, of the command: 7 % from peak to peak
+LEAST_LINE = 0.1  # N rms; twice what the wrist sensor's noise is, so that it can be known of
+STRETCH = 7  # windows, 2 s; at twice the modelled stiffness a step has rung out in 1 s
+EXCEPTIONS = 1  # windows of a stretch in which a supervisor may have broken the limit cycle
+LONGEST_BRIDGE = 0.01  # s of missing samples that are interpolated; a tenth of the slowest period
+
+
+@dataclass(frozen=True)
+class Oscillation:
+    """
+    A stretch in which a force oscillates.
+
+    Attributes
+    ----------
+    start, end
+        Of the stretch [s].
+    known
+        When it had lasted 2 s [s].
+    frequency
+        Of its line [Hz].
+    rms
+        Of its line [N].
+
+    """
+
+    start: float
+    end: float
+    known: float
+    frequency: float
+    rms: float
+
+    @property
+    def duration(self) -> float:
+        """Length of the stretch [s]."""
+        return self.end - self.start
+
+
+def oscillations(
+    error: Vector, command: Vector, judged: Mask, rate: float,
+) -> list[Oscillation]:
+    """
+    Return where a force oscillates; see above.
+
+    Parameters
+    ----------
+    error
+        Force less what was asked for, NaN where it is not known, shape (m,) [N].
+    command
+        What was asked for, shape (m,) [N].
+    judged
+        Samples to look at, shape (m,). A window is left out, as if it were not there, if it
+        holds others, or more than 10 ms without samples, or if nothing is asked for in it.
+    rate
+        Samples per second [Hz].
+
+    """
+    length = round(WINDOW * rate)
+    known = bridged(error, rate)
+    usable = judged & np.isfinite(known) & (command > 0.0)
+    first = np.flatnonzero(judged)[0] if judged.any() else 0
+    starts = [start for start in range(first, len(error) - length + 1, length // 2)
+              if usable[start:start + length].all()]
+    if len(starts) < STRETCH:
+        return []
+    index = np.array(starts)[:, None] + np.arange(length)
+    limit = np.maximum(LARGEST_LINE * command[index].max(axis=1), LEAST_LINE)
+    oscillates, frequency, rms = lines(*spectrum(known[index], rate), limit)
+    covered = np.convolve(oscillates, np.ones(STRETCH)) > 0.0  # windows of any such stretch
+    found = []
+    for begin, end in zip(*stretches(covered)):
+        inside = begin + np.flatnonzero(oscillates[begin:end])
+        found.append(Oscillation(
+            starts[begin] / rate, (starts[end - 1] + length) / rate,
+            (starts[begin + STRETCH - 1] + length - 1) / rate,
+            float(np.median(frequency[inside])), float(np.median(rms[inside]))))
+    return found
+
+
+def lines(
+    frequencies: Vector, power: Matrix, limit: Vector,
+) -> tuple[Mask, Vector, Vector]:
+    """
+    Return the line of every stretch of windows.
+
+    Parameters
+    ----------
+    frequencies, power
+        Of every window, as from `spectrum`, shapes (f,) [Hz] and (w, f) [N^2].
+    limit
+        Rms from which on a line counts, shape (w,) [N].
+
+    Returns
+    -------
+    tuple
+        Whether the stretch that begins with a window oscillates, the line's frequency [Hz] and
+        rms [N], each of shape (w - 6,).
+
+    """
+    band = frequencies >= LOWEST
+    flank = round(FLANK / frequencies[1])
+    found = []
+    for begin in range(len(power) - STRETCH + 1):
+        stretch = power[begin:begin + STRETCH]
+        mean = stretch.mean(axis=0)
+        peak = int(np.argmax(np.where(band, mean, 0.0)))
+        near = np.abs(frequencies - frequencies[peak]) <= LINE_WIDTH + 1e-9
+        line = (stretch * near).sum(axis=1)
+        all_of_it = (stretch * (near | band)).sum(axis=1)
+        windows = (line >= LINE_SHARE * all_of_it) & (
+            np.sqrt(line) >= limit[begin:begin + STRETCH])
+        stands_out = mean[peak] >= CONTRAST * mean[peak - flank]
+        found.append((stands_out and int(windows.sum()) >= STRETCH - EXCEPTIONS,
+                      frequencies[peak], np.sqrt(line.mean())))
+    oscillates, frequency, rms = (np.array(values) for values in zip(*found))
+    return oscillates, frequency, rms
+
+
+def spectrum(values: Matrix, rate: float, padding: int = 1) -> tuple[Vector, Matrix]:
+    """
+    Return the power of series over frequency, without mean and trend, under a Hann window.
+
+    Parameters
+    ----------
+    values
+        Shape (w, n).
+    rate
+        Samples per second [Hz].
+    padding
+        Length that zeros extend the series to, in lengths of its own.
+
+    Returns
+    -------
+    tuple
+        Frequencies, shape (f,) [Hz], and the mean square of each, shape (w, f).
+
+    """
+    n = values.shape[1]
+    ramp, hann = np.linspace(-1.0, 1.0, n), np.hanning(n)
+    values = values - values.mean(axis=1, keepdims=True)
+    values = values - np.outer(values @ ramp, ramp) / (ramp @ ramp)
+    amplitude = np.abs(np.fft.rfft(values * hann, padding * n, axis=1))
+    power: Matrix = 2.0 * amplitude ** 2 / (padding * n * (hann @ hann))
+    frequencies: Vector = np.arange(power.shape[1]) * (rate / (padding * n))
+    return frequencies, power
+
+
+def bridged(values: Vector, rate: float) -> Vector:
+    """Return a series with what is missing for at most 10 ms interpolated, shape (m,)."""
+    missing = np.isnan(values)
+    if not missing.any() or missing.all():
+        return values
+    places = np.arange(len(values))
+    filled = np.interp(places, places[~missing], values[~missing])
+    for begin, end in zip(*stretches(missing)):
+        outside = begin == 0 or end == len(values)
+        if outside or end - begin > LONGEST_BRIDGE * rate:
+            filled[begin:end] = np.nan
+    return filled
+
+
+def stretches(mask: Mask) -> tuple[list[int], list[int]]:
+    """Return the first place of every run of True, and the place after its last."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(int)))
+    return edges[::2].tolist(), edges[1::2].tolist()

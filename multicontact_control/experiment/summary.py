@@ -1,0 +1,76 @@
+"""``summary.json``: the numbers of a run, and what they are called."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from multicontact_control.control.event_log import read_event
+from multicontact_control.experiment.judge import judge
+from multicontact_control.experiment.metrics import (
+    contact_summary,
+    motion_summary,
+    torque_summary,
+)
+from multicontact_control.experiment.recording import RunData
+from multicontact_control.experiment.scenario import Setup
+from multicontact_control.experiment.verdict import STABLE
+
+
+def summarise(
+    data: RunData, setup: Setup, *, mode: str, timing: Mapping[str, Any], ended_early: str = '',
+    events: Sequence[tuple[float, str]] | None = None,
+) -> dict[str, Any]:
+    """
+    Return the content of ``summary.json`` (schema 1).
+
+    Parameters
+    ----------
+    data
+        The recorded series.
+    setup
+        The configuration of the run.
+    mode
+        ``in_process``, ``lockstep`` or ``real_time``.
+    timing
+        Deadline misses, tick times, latencies.
+    ended_early
+        Why the run ended before its time, if it did.
+    events
+        What the supervisor did: times [s] and what changed; None if there was no supervisor.
+
+    """
+    # What the supervisor did after the run is not part of it.
+    told = [(time, what) for time, what in events or () if time < data.ticks / data.rate]
+    verdict = judge(data, setup, mode=mode, timing=timing, ended_early=ended_early,
+                    events=[read_event(*event) for event in told])
+    timely = verdict.timeliness
+    if timely.kept is not None:
+        timing = {**timing, 'late_reactions': timely.reactions,
+                  'judged_fraction': verdict.judged_share}
+    return {
+        'schema': 1, 'scenario': setup.scenario.name, 'plant': setup.plant_name,
+        'noise_estimator': setup.noise_estimator.estimator, 'mode': mode, 'seed': setup.seed,
+        'ticks': data.ticks, 'rate_hz': data.rate,
+        'trajectory_sha256': data.trajectory_sha256(), 'timing': timing,
+        'contacts': {name: contact_summary(data, setup, i)
+                     for i, name in enumerate(data.contact_names)},
+        'motion': motion_summary(data, setup), 'torque': torque_summary(data, setup),
+        'stable': verdict.name == STABLE, 'verdict': verdict.name,
+        'instabilities': list(verdict.reasons), 'unstable_at_s': verdict.unstable_at,
+        'ended_early': ended_early or None, 'kept_real_time': timely.kept, 'claims': [],
+        'supervised': events is not None} | (
+            {} if events is None else {'events': [
+                {'time_s': round(time, 6), 'what': what} for time, what in told]})
+
+
+def summarise_again(
+    data: RunData, setup: Setup, summary: Mapping[str, Any],
+) -> dict[str, Any]:
+    """Return the summary of a recording by today's definitions, whatever made the old one."""
+    early = [text for text in summary['instabilities'] if text.startswith('tick ')]
+    events = [(event['time_s'], event['what']) for event in summary.get('events', ())]
+    return summarise(
+        data, setup, mode=summary['mode'], timing=summary['timing'],
+        ended_early=summary.get('ended_early') or (early[0] if early else ''),
+        events=events if summary.get('supervised') else None)

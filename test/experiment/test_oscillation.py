@@ -1,0 +1,116 @@
+"""Limit cycles are found, noise and transients are not."""
+
+from multicontact_control.experiment.oscillation import (
+    bridged,
+    oscillations,
+    spectrum,
+)
+import numpy as np
+import pytest
+
+RATE = 500.0
+TIME = np.arange(3000) / RATE
+COMMAND = np.full(TIME.shape, 10.0)
+EVERYTHING = np.ones(TIME.shape, dtype=bool)
+
+
+def tone(frequency, rms):
+    return rms * np.sqrt(2.0) * np.sin(2.0 * np.pi * frequency * TIME)
+
+
+def noise(rms, seed=0, colour=0.0):
+    """Return noise, of which each sample keeps a share `colour` of the one before."""
+    white = np.random.default_rng(seed).standard_normal(TIME.shape)
+    values = np.zeros(TIME.shape)
+    for k in range(1, len(values)):
+        values[k] = colour * values[k - 1] + white[k]
+    return rms * values / values.std()
+
+
+def found_in(error, judged=EVERYTHING, command=COMMAND):
+    return oscillations(error, command, judged, RATE)
+
+
+@pytest.mark.parametrize('frequency', [11.0, 14.0, 42.0, 180.0])
+def test_limit_cycle_in_noise_is_found_with_its_frequency_and_size(frequency):
+    (one,) = found_in(tone(frequency, 0.8) + noise(0.5))
+    assert one.frequency == pytest.approx(frequency, abs=1.0)
+    assert one.rms == pytest.approx(0.8, rel=0.15)
+    assert (one.start, one.known) == (0.0, pytest.approx(2.0, abs=0.01))
+    assert one.duration == pytest.approx(6.0, abs=0.3)
+
+
+@pytest.mark.parametrize('colour', [0.0, 0.5, 0.8, 0.9, 0.95, 0.98])
+@pytest.mark.parametrize('seed', range(5))
+def test_noise_of_any_colour_is_no_oscillation(seed, colour):
+    """Even if it is a third of the command."""
+    assert found_in(noise(3.0, seed, colour)) == []
+
+
+def test_what_dies_out_within_a_second_is_no_oscillation_and_two_are_one():
+    for lasting, many in ((1.0, 0), (2.1, 1)):
+        window = (TIME >= 1.0) & (TIME < 1.0 + lasting)
+        assert len(found_in(np.where(window, tone(42.0, 2.0), 0.0))) == many
+
+
+def test_ringing_after_a_step_is_no_oscillation():
+    """5 N that decay with 0.3 s, on every step of 10 N, a second and a half apart."""
+    since = TIME % 1.5
+    assert found_in(5.0 * np.exp(-since / 0.3) * np.cos(2.0 * np.pi * 14.0 * since)) == []
+
+
+def test_single_window_without_does_not_end_an_oscillation():
+    """A supervisor that breaks it for 0.25 s only has it begin again."""
+    broken = (TIME % 1.5 >= 1.0) & (TIME % 1.5 < 1.25)
+    assert len(found_in(np.where(broken, noise(0.5), tone(42.0, 2.0)))) == 1
+
+
+@pytest.mark.parametrize(('share', 'many'), [(0.02, 0), (0.03, 1)])
+def test_oscillation_is_measured_by_the_command(share, many):
+    for command in (10.0, 40.0):
+        assert len(found_in(tone(42.0, share * command), command=command + 0.0 * TIME)) == many
+
+
+def test_what_the_sensor_cannot_see_and_what_is_not_asked_for_is_left_out():
+    assert found_in(tone(42.0, 0.08), command=0.0 * TIME + 1.0) == []
+    assert found_in(tone(42.0, 5.0), command=0.0 * TIME) == []
+    assert found_in(tone(42.0, 5.0), judged=TIME < 1.5) == []
+
+
+def test_slower_than_the_band_is_left_out():
+    assert found_in(tone(2.0, 3.0)) == []
+
+
+def test_gaps_alone_are_no_oscillation_and_hide_none():
+    missing = np.random.default_rng(1).random(TIME.shape) < 0.05
+    for second in range(0, 6, 2):
+        missing |= (TIME >= second + 0.5) & (TIME < second + 0.53)
+    quiet = np.where(missing, np.nan, noise(1.0) + 3.0 * np.sin(2.0 * np.pi * 0.5 * TIME))
+    assert found_in(quiet) == []
+    (one,) = found_in(np.where(missing, np.nan, tone(42.0, 2.0)))
+    assert one.frequency == pytest.approx(42.0, abs=1.0)
+
+
+def test_samples_that_do_not_count_are_left_out():
+    """Noise everywhere but where the tone is not judged."""
+    loud = (TIME >= 2.0) & (TIME < 4.5)
+    error = np.where(loud, tone(42.0, 2.0), noise(0.5))
+    assert len(found_in(error)) == 1
+    assert found_in(error, judged=~loud) == []
+
+
+def test_bridged_fills_short_gaps_only():
+    values = np.arange(40.0)
+    values[[0, 5, 6]] = values[20:30] = np.nan
+    filled = bridged(values, RATE)
+    np.testing.assert_allclose(filled[1:20], np.arange(1.0, 20.0))
+    assert np.isnan(filled[[0, *range(20, 30)]]).all()
+
+
+@pytest.mark.parametrize('padding', [1, 8])
+def test_spectrum_sums_up_to_the_mean_square(padding):
+    frequencies, power = spectrum(np.array([tone(42.0, 2.0)[:500], noise(1.0)[:500]]), RATE,
+                                  padding)
+    assert power.sum(axis=1) == pytest.approx([4.0, 1.0], rel=0.25)
+    assert frequencies[np.argmax(power[0])] == pytest.approx(42.0, abs=1.0)
+    assert frequencies[-1] == pytest.approx(250.0)
