@@ -7,7 +7,6 @@ import math
 import os
 import signal
 import threading
-import time
 
 from multicontact_control.experiment import graph_fault_session
 from multicontact_control.experiment.graph_fault_judge import busy_share, Judge, Window
@@ -32,6 +31,7 @@ import pytest
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
+from ros_graph import wait_for
 
 pytestmark = pytest.mark.ros
 
@@ -280,9 +280,10 @@ def test_graph_faults_end_at_once_and_cleanly_on_a_signal(tmp_path):
         {'rigid': [(FAULTS['stuck', 'variance'], seed) for seed in range(1000)]}, 0, tmp_path)
 
     def interrupt():
-        while not campaign.rows:
-            time.sleep(0.05)
-        os.kill(os.getpid(), signal.SIGINT)
+        try:
+            wait_for(lambda: campaign.rows, 'a first fault')
+        finally:
+            os.kill(os.getpid(), signal.SIGINT)
 
     thread = threading.Thread(target=interrupt, daemon=True)
     thread.start()

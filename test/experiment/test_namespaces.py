@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from rclpy.context import Context
 from rclpy.node import Node
-from ros_graph import ROOT, wait_for
+from ros_graph import end_of, ROOT, wait_for
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import get_typestore, Stores
 from sensor_msgs.msg import JointState
@@ -96,7 +96,7 @@ def two_runs(tmp_path_factory):
             for side in SIDES:
                 wait_for(late[side], f'the description of {side}')
             for run in runs:
-                _, errors = run.communicate(timeout=120)
+                _, errors = end_of(run)
                 assert run.returncode == 0, errors
             result = {side: {'description': late[side]()[-1].data,
                              'efforts': heard[side]['efforts'](),
