@@ -40,7 +40,7 @@ from ros_graph import PATIENCE, wait_for
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import get_typestore, Stores
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.xdist_group('real_time')]
 
 ROOT = Path(__file__).resolve().parents[2]
 TICKS = 1000
@@ -259,7 +259,7 @@ def test_run_graph_works_in_a_thread_without_signals(tmp_path, free_domain):
 
 
 def test_run_says_in_which_domain_it_is(tmp_path, free_domain):
-    setup = resolve('quick', plant='rigid', seed=0, duration=3.0)
+    setup = resolve('quick', plant='rigid', seed=0, duration=0.5)
     text = io.StringIO()
     summary, interrupted = run_real_time(
         setup, tmp_path, lockstep=True, console=Console(file=text, width=200))
