@@ -13,8 +13,8 @@ VENV := .venv
 RUN_ARGS ?=
 TEST_ARGS ?=
 
-# Two workers, each with whole files; what runs in real time is one worker's, test after test.
-PYTEST = $(BIN)/python -m pytest -n 2 --dist loadgroup
+# Two workers, as test/conftest.py divides the tests.
+PYTEST = $(BIN)/python -m pytest -n 2
 
 # A native ROS 2 Jazzy is used where there is one; the wheels must not shadow it.
 ROS_PREFIX ?= /opt/ros/jazzy
@@ -87,7 +87,7 @@ test: $(TEST_STAMP) $(DATA_STAMP) lint  ## Check style and types, then run the t
 	@$(WITH_ROS) exec $(PYTEST) $(TEST_ARGS)
 
 check: $(TEST_STAMP) $(DATA_STAMP) lint  ## For every commit: style, types, unit tests, one run
-	@$(WITH_ROS) $(PYTEST) -m 'not ros and not slow and not colcon' $(TEST_ARGS)
+	@$(WITH_ROS) $(PYTEST) -m 'not (ros or slow or colcon or linter)' $(TEST_ARGS)
 	@$(WITH_ROS) exec $(BIN)/multicontact simulate --scenario quick --out $(VENV)/check --overwrite
 
 clean:  ## Remove .venv and everything built, but no runs

@@ -1,11 +1,24 @@
-"""Which tests two workers may not take apart."""
+"""Who runs which tests, where there are several workers (`pytest -n 2`)."""
 
 import pytest
 
+# One after the other: two graphs in real time would take each other's processor. What makes a
+# folder among the sources, and what looks whether there is a new one.
+TOGETHER = [
+    {'test/experiment/test_graph.py', 'test/experiment/test_graph_faults.py',
+     'test/nodes/test_missing_samples.py', 'test/nodes/test_survival.py'},
+    {'test/test_colcon.py', 'test/test_packaging.py'}]
 
-@pytest.hookimpl(tryfirst=True)  # before xdist reads the groups
-def pytest_collection_modifyitems(items):
-    """Keep a file together: its fixtures are made once. Real time has a group of its own."""
-    for item in items:
-        if item.get_closest_marker('xdist_group') is None:
-            item.add_marker(pytest.mark.xdist_group(item.location[0]))
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """Give every worker whole files, so that their fixtures are made once."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class FileScheduling(LoadScopeScheduling):
+
+        def _split_scope(self, nodeid):
+            path = nodeid.split('::')[0]
+            return next((min(files) for files in TOGETHER if path in files), path)
+
+    return FileScheduling(config, log)

@@ -40,7 +40,7 @@ from ros_graph import PATIENCE, wait_for
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import get_typestore, Stores
 
-pytestmark = [pytest.mark.ros, pytest.mark.xdist_group('real_time')]
+pytestmark = pytest.mark.ros
 
 ROOT = Path(__file__).resolve().parents[2]
 TICKS = 1000

@@ -33,7 +33,7 @@ from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 from ros_graph import wait_for
 
-pytestmark = [pytest.mark.ros, pytest.mark.xdist_group('real_time')]
+pytestmark = pytest.mark.ros
 
 JOINTS = [f'joint{i}' for i in range(1, 7)]
 FAULTS = {(fault.kind, fault.input): fault for fault in graph_faults()}

@@ -15,7 +15,7 @@ import pytest
 from ros_graph import wait_for
 from sensor_msgs.msg import JointState
 
-pytestmark = [pytest.mark.ros, pytest.mark.xdist_group('real_time')]
+pytestmark = pytest.mark.ros
 
 MODULE = 'multicontact_control.nodes.controller_node'
 FILE = config_dir() / 'controller.yaml'

@@ -18,7 +18,7 @@ import pytest
 from ros_graph import PATIENCE, wait_for
 from sensor_msgs.msg import JointState
 
-pytestmark = [pytest.mark.ros, pytest.mark.xdist_group('real_time')]
+pytestmark = pytest.mark.ros
 
 CONTROLLER = 'multicontact_control.nodes.controller_node'
 ESTIMATOR = 'multicontact_control.nodes.noise_estimator_node'
