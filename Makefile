@@ -13,6 +13,9 @@ VENV := .venv
 RUN_ARGS ?=
 TEST_ARGS ?=
 
+# Two workers, as test/conftest.py divides the tests.
+PYTEST = $(BIN)/python -m pytest -n 2
+
 # A native ROS 2 Jazzy is used where there is one; the wheels must not shadow it.
 ROS_PREFIX ?= /opt/ros/jazzy
 ifneq ($(wildcard $(ROS_PREFIX)/setup.bash),)
@@ -64,7 +67,7 @@ if sys.version_info >= (3, 12) and not (headers.is_file() and shutil.which('c++'
 endef
 export CHECK_PYTHON
 
-.PHONY: help setup run simulate test lint clean
+.PHONY: help setup run simulate test check lint clean
 
 help:  ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "make %-10s %s\n", $$1, $$2}' Makefile
@@ -83,7 +86,11 @@ lint: $(TEST_STAMP)  ## Check style and types
 	$(BIN)/mypy
 
 test: $(TEST_STAMP) $(DATA_STAMP) $(COMPILED_STAMP) lint  ## Check style and types, then run the tests
-	@$(WITH_ROS) exec $(BIN)/python -m pytest $(TEST_ARGS)
+	@$(WITH_ROS) exec $(PYTEST) $(TEST_ARGS)
+
+check: $(TEST_STAMP) $(DATA_STAMP) $(COMPILED_STAMP) lint  ## For every commit: style, types, unit tests, one run
+	@$(WITH_ROS) $(PYTEST) -m 'not (ros or slow or colcon or linter)' $(TEST_ARGS)
+	@$(WITH_ROS) exec $(BIN)/multicontact simulate --scenario quick --out $(VENV)/check --overwrite
 
 clean:  ## Remove .venv and everything built, but no runs
 	rm -rf $(VENV) build install log dist *.egg-info .hypothesis .mypy_cache .pytest_cache \

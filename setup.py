@@ -52,6 +52,7 @@ extras_require = {
     ],
     'test': [
         'pytest>=8,<10',
+        'pytest-xdist>=3.6,<4',
         'hypothesis>=6.100,<7',
         'rosbags>=0.10,<0.12',
         'ruff>=0.17.5,<0.18',

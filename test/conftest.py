@@ -1,8 +1,30 @@
-"""Nothing compiles during a test: what is to be compiled is compiled before the first one."""
+"""What comes before the first test, and who runs which, with several workers (`pytest -n 2`)."""
 
 from multicontact_control.experiment.compilation import ensure_compiled
+import pytest
+
+# One after the other: two graphs in real time would take each other's processor. What makes a
+# folder among the sources, and what looks whether there is a new one.
+TOGETHER = [
+    {'test/experiment/test_graph.py', 'test/experiment/test_graph_faults.py',
+     'test/nodes/test_missing_samples.py', 'test/nodes/test_survival.py'},
+    {'test/test_colcon.py', 'test/test_packaging.py'}]
 
 
 def pytest_sessionstart(session):
-    """Compile; of several workers that start at once, one does."""
+    """Compile what no test should wait for; of several workers that start at once, one does."""
     ensure_compiled()
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """Give every worker whole files, so that their fixtures are made once."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class FileScheduling(LoadScopeScheduling):
+
+        def _split_scope(self, nodeid):
+            path = nodeid.split('::')[0]
+            return next((min(files) for files in TOGETHER if path in files), path)
+
+    return FileScheduling(config, log)

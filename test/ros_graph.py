@@ -8,6 +8,7 @@ from pathlib import Path
 import subprocess
 import sys
 import time
+from typing import TypeVar
 
 from multicontact_control.nodes.runtime import prepare_environment
 from rcl_interfaces.srv import GetParameters, SetParameters
@@ -15,17 +16,34 @@ from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_value_to_python
 
+T = TypeVar('T')
+
 ROOT = Path(__file__).resolve().parents[1]
-DEADLINE = 60.0
+# s, that any test waits for anything: so long that only what never comes is missed.
+PATIENCE = float(os.environ.get('MULTICONTACT_TEST_PATIENCE', '180'))
 
 
-def wait_for(condition: Callable[[], object], what: str, *, deadline: float = DEADLINE) -> None:
-    """Wait for an event; its absence is the only thing a slow machine may not cause."""
-    give_up = time.monotonic() + deadline
-    while not condition():
+def wait_for(
+    condition: Callable[[], T], what: str, seen: Callable[[], object] | None = None,
+) -> T:
+    """
+    Wait until a condition is true and return its value.
+
+    A slow machine may make an event late, but may not cause its absence. That is an error which
+    says what was `seen` instead, or else the condition's last value.
+    """
+    give_up = time.monotonic() + PATIENCE
+    while not (value := condition()):
         if time.monotonic() > give_up:
-            raise AssertionError(f'{what}: did not happen within {deadline:g} s')
+            raise AssertionError(f'{what}: did not happen within {PATIENCE:g} s; '
+                                 f'last seen: {value if seen is None else seen()!r}')
         time.sleep(0.005)
+    return value
+
+
+def end_of(process: subprocess.Popen[str]) -> tuple[str, str]:
+    """Wait for the end of a process; return what it wrote to its two pipes."""
+    return process.communicate(timeout=PATIENCE)
 
 
 class Middleware:

@@ -21,7 +21,7 @@ import pytest
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from ros_graph import get_parameter, ROOT
+from ros_graph import end_of, get_parameter, PATIENCE, ROOT
 from std_srvs.srv import SetBool, Trigger
 
 pytestmark = pytest.mark.ros
@@ -61,24 +61,28 @@ def arm(domain_id, tmp_path_factory):
         [sys.executable, '-c', RUN, str(folder), str(domain_id)], cwd=ROOT,
         stderr=subprocess.PIPE, text=True)
     try:
-        with MultiContactClient('arm', domain_id=domain_id, timeout=60.0) as client:
+        with MultiContactClient('arm', domain_id=domain_id, timeout=PATIENCE) as client:
             yield client
     finally:
         run.send_signal(signal.SIGINT)
-        _, errors = run.communicate(timeout=60)
+        _, errors = end_of(run)
     assert run.returncode == 0, errors
+
+
+def reached(arm):
+    return arm.wait_until_reached(force_tolerance=0.5, timeout=PATIENCE)
 
 
 def test_client_presses_moves_and_keeps_pressing(arm):
     arm.set_forces({'table': 5.0, 'board': 4.0})
-    arm.wait_until_reached(force_tolerance=0.5, timeout=120.0)
+    reached(arm)
     arm.set_forces({'table': 10.0})
-    state = arm.wait_until_reached(force_tolerance=0.5, timeout=120.0)
+    state = reached(arm)
     assert state.forces_desired == {'table': 10.0, 'board': 4.0}
     assert set(state.noise_variance) == {'table', 'board'}
     goal = state.position_desired + [0.03, 0.0, 0.0]
     arm.move(goal, duration=1.0)
-    after = arm.wait_until_reached(force_tolerance=0.5, timeout=120.0)
+    after = reached(arm)
     np.testing.assert_allclose(after.position_desired, goal, atol=1e-12)
     assert abs(after.position_world[0] - goal[0]) < 0.003
     assert after.time - state.time >= 1.0
@@ -92,7 +96,7 @@ def test_client_names_the_contacts_that_are_off(arm):
 
 def test_client_holds_and_lets_go(arm):
     arm.set_forces({'table': 8.0, 'board': 4.0})
-    arm.wait_until_reached(force_tolerance=0.5, timeout=120.0)
+    reached(arm)
     before = arm.read()
     arm.hold()
     # Refused while it is held: neither force nor place is obeyed.
@@ -103,8 +107,7 @@ def test_client_holds_and_lets_go(arm):
     np.testing.assert_allclose(held.position_desired, before.position_world, atol=0.002)
     arm.hold(False)
     arm.set_forces({'table': 12.0})
-    assert arm.wait_until_reached(
-        force_tolerance=0.5, timeout=120.0).forces_desired == {'table': 12.0, 'board': 4.0}
+    assert reached(arm).forces_desired == {'table': 12.0, 'board': 4.0}
 
 
 def test_client_tares_where_nothing_touches_only(arm, domain_id):
@@ -113,7 +116,7 @@ def test_client_tares_where_nothing_touches_only(arm, domain_id):
     state = arm.read()
     arm.set_forces({'table': 0.0, 'board': 0.0})
     arm.move(state.position_world + [0.0, -0.02, 0.02], duration=1.0)
-    arm.wait_until_reached(force_tolerance=0.5, timeout=120.0)  # free of both
+    reached(arm)  # free of both
     with LifecycleDriver(domain_id, namespace='arm') as driver:
         before = get_parameter(driver, 'controller_node', 'tool.bias_sensor')
         arm.tare()
@@ -125,7 +128,7 @@ def test_client_tares_where_nothing_touches_only(arm, domain_id):
 
 def test_client_deactivates_and_activates_a_real_controller(arm, domain_id):
     arm.set_forces({'table': 5.0, 'board': 5.0})
-    arm.wait_until_reached(force_tolerance=0.5, timeout=120.0)
+    reached(arm)
     with LifecycleDriver(domain_id, namespace='arm') as driver, MultiContactClient(
             'arm', domain_id=domain_id, timeout=1.0) as impatient:
         for _ in range(2):
@@ -144,14 +147,13 @@ def test_client_deactivates_and_activates_a_real_controller(arm, domain_id):
             # What was commanded before is forgotten, by both.
             assert arm.read().forces_desired == {'table': 0.0, 'board': 0.0}
             arm.set_forces({'table': 6.0})
-            assert arm.wait_until_reached(
-                force_tolerance=0.5, timeout=120.0).forces_desired == {'table': 6.0, 'board': 0.0}
+            assert reached(arm).forces_desired == {'table': 6.0, 'board': 0.0}
         for name in ('controller_node', 'noise_estimator_node'):
             for transition in (DEACTIVATE, CLEAN_UP):
                 driver.change(name, transition)
     arm.activate()
     arm.set_forces({'table': 5.0, 'board': 5.0})
-    state = arm.wait_until_reached(force_tolerance=0.5, timeout=120.0)
+    state = reached(arm)
     assert set(state.noise_variance) == {'table', 'board'}
 
 
@@ -215,7 +217,7 @@ class StandIn:
 def test_client_drives_services_and_lifecycle(domain_id):
     controller = StandIn(domain_id)
     try:
-        with MultiContactClient('stand_in', domain_id=domain_id, timeout=30.0) as client:
+        with MultiContactClient('stand_in', domain_id=domain_id, timeout=PATIENCE) as client:
             client.activate()
             client.activate()
             client.hold()

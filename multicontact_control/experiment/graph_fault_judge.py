@@ -99,7 +99,7 @@ class Judge:
         never = window.recovered < 0.0
         return FaultRow(
             kind=fault.kind, input=fault.input, seed=seed,
-            reaction=self._reaction(said[topics.DESIRED_FORCES], bool(silences), window),
+            reaction=self._reaction(said[topics.DESIRED_FORCES], silences, window),
             time_to_safe_s=-1.0 if never else round(max(0.0, back - window.begin), 3),
             peak_force_n=round(float(forces.max(initial=0.0)), 3),
             peak_torque_fraction=round(peak_torque, 5), safe=not found, plant=self._plant,
@@ -163,14 +163,17 @@ class Judge:
                for x in desired for name, force in self._wanted.items()):
             found.add('obeyed a command it should have refused')
 
-    def _reaction(self, desired: list[Said], silent: bool, window: Window) -> str:
+    def _reaction(
+        self, desired: list[Said], silences: list[tuple[float, float]], window: Window,
+    ) -> str:
         """Return the reaction that was told of for longest, or else what was seen."""
         told = self._told(window)
+        if silences:
+            # Who is silent counts no ticks.
+            told[SILENT] = round(sum(end - begin for begin, end in silences) * self._rate)
         if told:
             # Not the strongest: a busy machine adds a few ticks of its own.
-            return max(told, key=lambda name: (told[name], SEVERITY.index(name)))
-        if silent:
-            return SILENT
+            return max(told, key=lambda name: (told[name], (*SEVERITY, SILENT).index(name)))
         # A law that is not at work wants no force, or says nothing of it.
         times = [window.begin, *(x.time for x in desired if x.time < window.end), window.end]
         paused = any(not any(x.values.values()) for x in desired if x.time < window.end) or (

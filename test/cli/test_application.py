@@ -30,6 +30,14 @@ def test_help_teaches(multicontact, command):
     assert 'Usage: multicontact' in done.stdout
 
 
+def test_process_says_and_ends_as_the_application_does(multicontact, process, tmp_path):
+    for arguments in (('--help',), ('--version',), ('simulate', '--plant', 'x')):
+        here, there = multicontact(*arguments), process(*arguments, cwd=tmp_path)
+        assert (there.returncode, there.stdout, there.stderr) == (
+            here.returncode, here.stdout, here.stderr)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_version_is_the_packages(multicontact):
     """One version."""
     assert multicontact('--version').stdout.strip() == f'multicontact {__version__}'

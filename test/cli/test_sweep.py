@@ -6,12 +6,11 @@ from pathlib import Path
 import signal
 import subprocess
 import sys
-import time
 
 import pyarrow.parquet as pq
 import pytest
+from ros_graph import end_of, ROOT, wait_for
 
-ROOT = Path(__file__).parents[2]
 STUDY = """
 name: small
 scenario: step
@@ -38,11 +37,11 @@ def start(study, out):
 
 
 def wait_for_cells(out, count, process):
-    until = time.monotonic() + 120.0
-    while len(list(out.glob('cells/*.json'))) < count:
+    def finished():
         assert process.poll() is None, process.communicate()
-        assert time.monotonic() < until
-        time.sleep(0.02)
+        return len(list(out.glob('cells/*.json'))) >= count
+
+    wait_for(finished, f'{count} finished runs')
 
 
 @pytest.mark.slow
@@ -55,7 +54,7 @@ def test_interrupted_sweep_goes_on_where_it_was(multicontact, study, tmp_path, n
         os.killpg(process.pid, number)  # Ctrl-C reaches the workers, too
     else:
         process.send_signal(number)
-    _, errors = process.communicate(timeout=60.0)
+    _, errors = end_of(process)
     assert process.returncode == code, errors
     assert 'the same command goes on from there' in errors
     assert 'Traceback' not in errors
@@ -76,7 +75,7 @@ def test_killed_worker_loses_nothing(multicontact, study, tmp_path):
     process = start(study, out)
     wait_for_cells(out, 1, process)
     os.kill(_worker_of(process.pid), signal.SIGKILL)
-    shown, errors = process.communicate(timeout=120.0)
+    shown, errors = end_of(process)
     assert process.returncode == 0, errors
     assert 'a worker died' in shown
     reference = tmp_path / 'reference'

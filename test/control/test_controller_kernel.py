@@ -106,6 +106,7 @@ def test_law_equals_numpy_for_other_arms(tmp_path, joints, contacts, projection)
         assert_equal(compiled.step(measurement, variance), plain.step(measurement, variance))
 
 
+@pytest.mark.slow
 def test_run_equals_numpy_tick_by_tick():
     """Both see the samples of a closed loop, contacts, steps and motion included."""
     setup = resolve('quick', plant='rigid', seed=0, duration=None)

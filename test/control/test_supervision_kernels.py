@@ -117,6 +117,7 @@ def test_reference_equals_plain_python(seed, box):
     for each in pair:
         each.start(Pose(place, np.eye(3)), normals)
     alpha, event = np.zeros(CONTACTS), ''
+    outputs, energies = ([], []), ([], [])  # compared at once, which takes a fifth of the time
     for k in range(300):
         if k % 10 == 0:
             task.draw(place)
@@ -130,14 +131,17 @@ def test_reference_equals_plain_python(seed, box):
             if event:
                 getattr(each, event)()
         event = ''
-        found, wanted = (each.update(k * H, alpha) for each in pair)
-        for mine, plain in zip((*found.pose_des, *found[1:]), (*wanted.pose_des, *wanted[1:])):
-            np.testing.assert_allclose(mine, plain, rtol=0.0, atol=1e-12)
+        for each, values in zip(pair, outputs):
+            output = each.update(k * H, alpha)
+            values.append(np.concatenate(
+                [np.ravel(x) for x in (*output.pose_des, *output[1:])]))
         assert pair[0].limited == pair[1].limited
         assert pair[0].states == pair[1].states
         assert pair[0].state_names == tuple(state.value for state in pair[1].states)
-        np.testing.assert_allclose(
-            pair[0].energies, [each.energy for each in pair[1].observers], atol=1e-12)
+        energies[0].append(pair[0].energies)
+        energies[1].append([each.energy for each in pair[1].observers])
+    np.testing.assert_allclose(*outputs, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(*energies, atol=1e-12)
 
 
 ANY = st.lists(st.one_of(st.floats(width=64), st.floats(-60.0, 60.0)), min_size=6, max_size=6)
@@ -193,6 +197,7 @@ def test_watchdog_equals_plain_python(seed):
     random = np.random.default_rng(seed)
     watchdog, plain = Watchdog(CONFIG), PlainWatchdog(CONFIG)
     now, kind = TickInputs(0.0), 'good'
+    believed = [np.zeros(0)], [np.zeros(0)]  # compared at once, which takes a fifth of the time
     for k in range(150):
         if random.random() < 0.3:
             kind = random.choice(['good', *KINDS])
@@ -204,7 +209,9 @@ def test_watchdog_equals_plain_python(seed):
                             (found.wrench, wanted.wrench), (found.variance, wanted.variance)):
             assert (mine is None) == (other is None)
             if mine is not None:
-                np.testing.assert_allclose(mine, other, rtol=1e-15)
+                believed[0].append(np.array(mine))
+                believed[1].append(np.array(other))
+    np.testing.assert_allclose(*map(np.concatenate, believed), rtol=1e-15)
 
 
 @settings(max_examples=100, deadline=None)

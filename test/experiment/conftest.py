@@ -4,16 +4,12 @@ from contextlib import suppress
 from dataclasses import dataclass
 import json
 import os
-from pathlib import Path
 import signal
 import subprocess
 import sys
-import time
 
 import pytest
-
-ROOT = Path(__file__).parents[2]
-DEADLINE = 60.0  # s
+from ros_graph import PATIENCE, ROOT, wait_for
 
 
 @dataclass(frozen=True)
@@ -59,13 +55,11 @@ def _address(file):
     """Wait for the scheduler and both workers, return the address."""
     from distributed import Client
 
-    until = time.monotonic() + DEADLINE
-    while time.monotonic() < until:
-        try:
-            address = json.loads(file.read_text())['address']
-            break
-        except (OSError, ValueError):
-            time.sleep(0.1)
-    with Client(address, set_as_default=False, timeout=DEADLINE) as client:
-        client.wait_for_workers(2, timeout=DEADLINE)
+    def written():
+        with suppress(OSError, ValueError):
+            return json.loads(file.read_text())['address']
+
+    address = wait_for(written, 'address of the scheduler')
+    with Client(address, set_as_default=False, timeout=PATIENCE) as client:
+        client.wait_for_workers(2, timeout=PATIENCE)
     return address

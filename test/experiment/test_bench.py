@@ -14,6 +14,8 @@ import pytest
 ROOT = Path(__file__).parents[2]
 MARGIN = 2.0
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope='module')
 def result():

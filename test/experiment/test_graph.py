@@ -11,7 +11,6 @@ import socket
 import subprocess
 import sys
 import threading
-import time
 
 from multicontact_control.errors import RunError
 from multicontact_control.experiment.domain import domain_in_use, reserve_domain
@@ -37,6 +36,7 @@ from multicontact_control.nodes.topics import (
 import numpy as np
 import pytest
 from rich.console import Console
+from ros_graph import PATIENCE, wait_for
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import get_typestore, Stores
 
@@ -219,13 +219,6 @@ def test_nodes_end_when_the_process_that_started_them_is_killed(tmp_path, free_d
     assert node_processes(tmp_path) == {}
 
 
-def wait_for(condition, what, deadline=60.0):
-    give_up = time.monotonic() + deadline
-    while not condition():
-        assert time.monotonic() < give_up, f'{what}: did not happen within {deadline:g} s'
-        time.sleep(0.05)
-
-
 def test_node_command_passes_numbers_as_what_they_are(tmp_path):
     _, spec = make_spec(tmp_path)
     command = node_command(SIM, spec)
@@ -261,12 +254,12 @@ def test_run_graph_works_in_a_thread_without_signals(tmp_path, free_domain):
     results = []
     thread = threading.Thread(target=lambda: results.append(run_graph(spec)))
     thread.start()
-    thread.join(120.0)
+    thread.join(PATIENCE)
     assert results
 
 
 def test_run_says_in_which_domain_it_is(tmp_path, free_domain):
-    setup = resolve('quick', plant='rigid', seed=0, duration=3.0)
+    setup = resolve('quick', plant='rigid', seed=0, duration=0.5)
     text = io.StringIO()
     summary, interrupted = run_real_time(
         setup, tmp_path, lockstep=True, console=Console(file=text, width=200))

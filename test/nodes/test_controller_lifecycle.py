@@ -18,7 +18,7 @@ from multicontact_control.experiment.lifecycle import (
 from multicontact_control.paths import config_dir
 import numpy as np
 import pytest
-from ros_graph import set_parameter
+from ros_graph import end_of, PATIENCE, set_parameter
 
 pytestmark = pytest.mark.ros
 
@@ -76,7 +76,7 @@ def test_every_transition_works_again_and_again(process, driver, arm):
         assert driver.state(NAME) == 'unconfigured'
         assert arm.answer(stamp) is None
     driver.change(NAME, SHUT_DOWN)
-    assert process.wait(60) == 0
+    assert process.wait(PATIENCE) == 0
 
 
 def test_a_transition_that_is_not_possible_is_refused_and_survived(process, driver):
@@ -86,7 +86,7 @@ def test_a_transition_that_is_not_possible_is_refused_and_survived(process, driv
     assert driver.state(NAME) == 'unconfigured'
     driver.change(NAME, CONFIGURE)
     driver.change(NAME, SHUT_DOWN)
-    assert process.wait(60) == 0
+    assert process.wait(PATIENCE) == 0
 
 
 def test_deactivation_goes_to_the_declared_behaviour_without_a_jump(process, driver, arm):
@@ -124,7 +124,7 @@ def test_autostart_begins_alone_or_ends_with_the_reason(middleware, arm):
     process = middleware.start(MODULE, 'autostart:=true', *PARAMETERS, files=(FILE,))
     arm.connect()
     assert process.poll() is None
-    _, errors = bad.communicate(timeout=60)
+    _, errors = end_of(bad)
     assert bad.returncode == 2
     assert errors.splitlines()[-1].endswith(
         'force.time_constant: expected greater than 0, found -1.0')

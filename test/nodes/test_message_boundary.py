@@ -105,12 +105,18 @@ class Live:
         self.callbacks = {
             **{topic: x.callback for topic, x in self.node._inputs.items()},
             **{topic: x.callback for topic, x in self.node._commands.subscriptions.items()}}
-        self._middleware = middleware
         self._outputs = {
             topic: middleware.node.create_subscription(
                 topic.message, topic.name, lambda _: None, 1000) for topic in PUBLISHED}
+        self._wires = {
+            topic: middleware.node.create_publisher(topic.message, topic.name, 10)
+            for topic in (topics.JOINT_STATES, topics.WRENCH)}
         for subscription in self._outputs.values():
             wait_for(subscription.get_publisher_count, 'connection')
+        for topic, publisher in self._wires.items():
+            # Both ends: a writer that knows its reader may yet be unknown to it.
+            wait_for(publisher.get_subscription_count, 'connection')
+            wait_for(self.node._inputs[topic].get_publisher_count, 'connection')
         self.supervised = supervised
         self.k = 0
         self.received = 0
@@ -123,6 +129,12 @@ class Live:
             stamp, 0.01 * np.random.default_rng(self.k).standard_normal(6), 'ft_face'))
         self.callbacks[topics.JOINT_STATES](messages.joint_state_message(
             stamp, JOINTS, position=HOME, velocity=np.zeros(6)))
+
+    def send(self, topic, message):
+        """Hand over a message over the wire."""
+        heard = self.node._heard
+        self._wires[topic].publish(message)
+        wait_for(lambda: self.spinner.spin_once(0.05) or self.node._heard > heard, 'the message')
 
     def take(self):
         """Take everything that has come over the wire, and check its numbers."""
@@ -183,14 +195,10 @@ def test_nothing_that_comes_raises_or_brings_out_what_is_not_finite(live, events
 @given(message=st.one_of(JOINT_STATE, WRENCH))
 def test_over_the_wire_is_no_different(live, message):
     topic = topics.WRENCH if isinstance(message, WrenchStamped) else topics.JOINT_STATES
-    publisher = live._middleware.node.create_publisher(topic.message, topic.name, 10)
-    wait_for(publisher.get_subscription_count, 'connection')
-    heard, before = live.node._heard, live.node.refusals.total
-    publisher.publish(message)
-    wait_for(lambda: live.spinner.spin_once(0.05) or live.node._heard > heard, 'the message')
+    before = live.node.refusals.total
+    live.send(topic, message)
     if not is_readable(topic, message):
         assert live.node.refusals.total > before
-    live._middleware.node.destroy_publisher(publisher)
     live.take()
 
 

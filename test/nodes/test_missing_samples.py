@@ -63,13 +63,15 @@ def report_with(arm, reaction, cause=''):
     found = []
 
     def told():
+        # Without causes there has been no sample yet.
         report = arm.newest_report()
         values = report['supervisor'][2] if report and 'supervisor' in report else {}
-        if values.get('reaction') == reaction and cause in values.get('causes', ''):
+        if 'causes' in values:
             found.append(report)
-        return found
+            return values['reaction'] == reaction and cause in values['causes']
+        return False
 
-    wait_for(told, 'such a report of the supervisor')
+    wait_for(told, f'a report of {reaction} {cause}', lambda: found[-1:])
     return found[-1]
 
 
@@ -136,8 +138,18 @@ def test_an_older_sample_is_refused_and_a_clock_that_was_set_back_is_not(middlew
         middleware.pause(0.05)  # nothing is to overtake it
         before, torque = torque, arm.step()
         np.testing.assert_allclose(torque, before, atol=0.2)  # the blend at the start goes on
-    report = arm.diagnostics(lambda x: any('stamp' in key for key in x['messages'][2]))
-    assert any('stamp: expected one after' in key for key in report['messages'][2])
+    reports = []
+
+    def refused():
+        arm.send_parts((arm.k - 10) * PERIOD, {'joints', 'wrench'})
+        middleware.pause(0.01)
+        arm.step()
+        reports.extend(filter(None, [arm.newest_report()]))
+        return reports and any(
+            'stamp: expected one after' in key for key in reports[-1]['messages'][2])
+
+    wait_for(refused, 'a refusal', lambda: reports[-1:])
+    report = reports[-1]
     assert report['supervisor'][2].keys().isdisjoint({'ticks with hold', 'ticks with float'})
     arm.k -= 1000
     arm.connect()

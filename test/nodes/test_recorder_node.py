@@ -13,7 +13,7 @@ from multicontact_control.nodes.graph_node import ready_topic
 import pytest
 from rclpy.duration import Duration
 from rclpy.serialization import deserialize_message
-from ros_graph import wait_for
+from ros_graph import end_of, PATIENCE, wait_for
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import get_typestore, Stores
 from sensor_msgs.msg import JointState
@@ -67,10 +67,10 @@ def test_recorder_keeps_every_message_and_closes_the_bag(
     # Reliable is what the writer still repeats: a message that was dropped on a busy machine
     # comes again with the next heartbeat, which may be after the recorder's quiet time.
     for publisher in publishers.values():
-        publisher.wait_for_all_acked(Duration(seconds=5.0))
+        assert publisher.wait_for_all_acked(Duration(seconds=PATIENCE))
     process.send_signal(number)
     process.send_signal(number)  # a Ctrl-C often comes twice
-    _, errors = process.communicate(timeout=60)
+    _, errors = end_of(process)
     assert process.returncode == 0, errors
     with Reader(tmp_path / 'bag') as reader:
         assert {x.topic: x.msgcount for x in reader.connections} == {
@@ -89,7 +89,7 @@ def test_recorder_that_is_killed_leaves_all_whole_chunks(middleware, publishers,
     process = start_recorder(middleware, folder, publishers, 'chunk_size:=4096')
     path = folder / 'bag_0.mcap'
     publish(publishers, 0, COUNT)
-    wait_for(lambda: path.stat().st_size > 20_000, 'chunks on disk')
+    wait_for(lambda: len(recover(path, '/joint_states')) > COUNT // 4, 'chunks on disk')
     process.kill()
     process.communicate()
     recovered = recover(path, '/joint_states')
@@ -114,7 +114,7 @@ def recover(path, topic):
 
 def test_recorder_refuses_an_unknown_topic(middleware, tmp_path):
     process = middleware.start(RECORDER, f'folder:={tmp_path}/bag', 'topics:=[joint_stats]')
-    _, errors = process.communicate(timeout=60)
+    _, errors = end_of(process)
     assert process.returncode == 2
     assert 'topics: expected names among joint_states' in errors
     assert errors.rstrip().endswith("found 'joint_stats'")
@@ -128,7 +128,7 @@ def test_recorder_refuses_an_unknown_topic(middleware, tmp_path):
 def test_recorder_refuses_extra_topics_that_cannot_be(middleware, tmp_path, text, expected):
     process = middleware.start(
         RECORDER, f'folder:={tmp_path}/bag', f'extra_topics:=["{text}"]')
-    _, errors = process.communicate(timeout=60)
+    _, errors = end_of(process)
     assert process.returncode == 2
     assert f'extra_topics: expected {expected}, found ' in errors
     assert len(errors.splitlines()) == 1
@@ -136,7 +136,7 @@ def test_recorder_refuses_extra_topics_that_cannot_be(middleware, tmp_path, text
 
 def test_recorder_needs_a_folder(middleware):
     process = middleware.start(RECORDER)
-    _, errors = process.communicate(timeout=60)
+    _, errors = end_of(process)
     assert process.returncode == 2
     assert 'folder: expected a value, found nothing' in errors
 
@@ -145,7 +145,7 @@ def test_recorder_refuses_a_parameter_file_that_is_not_one(middleware, tmp_path)
     path = tmp_path / 'mixed.yaml'
     path.write_text('/**:\n  ros__parameters:\n    a: [0, 1.5]\n', encoding='utf-8')
     process = middleware.start(RECORDER, files=(path,))
-    _, errors = process.communicate(timeout=60)
+    _, errors = end_of(process)
     assert process.returncode == 2
     assert 'mixed.yaml' in errors.splitlines()[-1]
     assert 'Traceback' not in errors

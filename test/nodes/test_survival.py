@@ -15,7 +15,7 @@ from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.paths import config_dir
 import numpy as np
 import pytest
-from ros_graph import wait_for
+from ros_graph import PATIENCE, wait_for
 from sensor_msgs.msg import JointState
 
 pytestmark = pytest.mark.ros
@@ -41,9 +41,7 @@ class Watch:
     def advance_and_take(self):
         """Return the newest message after some more have come."""
         self.advances()
-        found = []
-        wait_for(lambda: found.append(self.newest()) or found[-1] is not None, 'one more')
-        return found[-1]
+        return wait_for(self.newest, 'one more')
 
     def advances(self, count=20):
         """Wait until this many newer messages have come."""
@@ -69,11 +67,15 @@ def start(middleware):
 
 
 def wait_for_status(watch, node, part, condition):
+    seen = []
+
     def told():
         report = watch.newest()
-        return report is not None and any(
-            x.name == f'{node}: {part}' and condition(x) for x in report.status)
-    wait_for(told, f'{node} to tell of its {part}')
+        seen.extend(x for x in (report.status if report is not None else ())
+                    if x.name == f'{node}: {part}')
+        return seen and condition(seen[-1])
+
+    wait_for(told, f'{node} to tell of its {part}', lambda: seen[-1:])
 
 
 def test_controller_goes_on_without_its_estimator_and_says_so(middleware, start):
@@ -83,7 +85,16 @@ def test_controller_goes_on_without_its_estimator_and_says_so(middleware, start)
     commands = Watch(middleware, topics.EFFORT_COMMAND)
     variances = Watch(middleware, topics.NOISE_VARIANCE)
     reports = Watch(middleware, topics.DIAGNOSTICS)
-    variances.advances()
+    told = {}
+
+    def noise_variances(found):
+        told.update({x.key: float(x.value) for x in found.values
+                     if x.key.endswith('noise_variance_n2')})
+        return list(told.values())
+
+    # Only what the controller has taken on can be held.
+    wait_for_status(reports, 'controller_node', 'contacts',
+                    lambda x: noise_variances(x) not in ([], [0.6, 0.6]))
     estimator.kill()
     estimator.wait()
     wait_for_status(
@@ -92,12 +103,11 @@ def test_controller_goes_on_without_its_estimator_and_says_so(middleware, start)
         and 'the last R is held' in x.message)
     assert len(commands.advances()) >= 20
     # The last R is not forgotten.
-    first, later = [], []
-    for found in (first, later):
-        wait_for_status(
-            reports, 'controller_node', 'contacts', lambda x, found=found: found.extend(
-                float(v.value) for v in x.values if v.key.endswith('noise_variance_n2'))
-            or bool(found))
+    held = []
+    for _ in range(2):
+        wait_for_status(reports, 'controller_node', 'contacts', noise_variances)
+        held.append(list(told.values()))
+    first, later = held
     assert len(first) == 2
     assert 0.0 < min(first)
     assert later == first != [0.6, 0.6]
@@ -131,9 +141,7 @@ def test_drives_hold_their_position_while_nobody_commands_them(middleware, start
     reports = Watch(middleware, topics.DIAGNOSTICS)
     publisher = middleware.node.create_publisher(
         JointState, topics.EFFORT_COMMAND.name, topics.EFFORT_COMMAND.profile)
-    found = []
-    wait_for(lambda: found.append(samples.newest()) or found[-1] is not None, 'sample 0')
-    first = found[-1]
+    first = wait_for(samples.newest, 'sample 0')
     # One sample answered again and again is enough, even one that has not come yet: the newest
     # command is the one in force.
     stamp = messages.stamp_to_ns(first.header.stamp) + ahead * 2_000_000
@@ -144,13 +152,23 @@ def test_drives_hold_their_position_while_nobody_commands_them(middleware, start
         return next(({x.key: x.value for x in status.values} for status in (
             report.status if report is not None else ()) if status.name == 'sim_node: loop'), None)
 
+    # By how many timeouts there were, the ticks at which that was told. On a busy machine this
+    # test itself may be too late, but not for ever.
+    told = {}
+
     def commanded_for_long():
         publisher.publish(answer)
         loop = loop_of_sim()
-        return loop is not None and int(loop['ticks']) > 700 and loop['command_timeouts'] == '0'
+        if loop is not None:
+            told.setdefault(int(loop['command_timeouts']), []).append(int(loop['ticks']))
+        return any(ticks[-1] - ticks[0] > 700 for ticks in told.values())
 
-    wait_for(commanded_for_long, 'a second and more without a timeout')
-    wait_for(lambda: (loop_of_sim() or {}).get('command_timeouts') == '1', 'a timeout')
+    wait_for(commanded_for_long, 'a second and more without a timeout', lambda: told)
+    wait_for_status(reports, 'sim_node', 'inputs',
+                    lambda x: 'the drives hold their position' in x.message)
+    # One silence is one timeout, however long it is.
+    counts = [int(wait_for(loop_of_sim, 'its loop')['command_timeouts']) for _ in range(2)]
+    assert counts[0] == counts[1] > max(told)
     before = np.array(samples.advance_and_take().position)
     after = np.array(samples.advance_and_take().position)
     np.testing.assert_allclose(after, before, atol=1e-3)
@@ -163,21 +181,26 @@ def test_estimator_goes_through_every_transition_again_and_again(domain_id, midd
     variances = Watch(middleware, topics.NOISE_VARIANCE)
     stamp = 0
 
-    def answer(force):
+    def send(force):
         nonlocal stamp
         stamp += 2_000_000
         publisher.publish(messages.joint_state_message(
             stamp, ['table', 'board'], effort=[force, force]))
+
+    def answer(force, since):
+        """Send a sample; return the newest answer to one from then on, which may be late."""
+        send(force)
         middleware.pause(0.002)
-        return variances.newest()
+        found = variances.newest()
+        late = found is not None and messages.stamp_to_ns(found.header.stamp) <= since
+        return None if late else found
 
     def first_variance():
-        found = []
-        wait_for(lambda: found.append(answer(1.0)) or found[-1], 'first variance')
-        return list(found[-1].effort)
+        since = stamp
+        return list(wait_for(lambda: answer(1.0, since), 'first variance').effort)
 
     def alternate():
-        found = answer((-1.0) ** (stamp // 2_000_000))
+        found = answer((-1.0) ** (stamp // 2_000_000), 0)
         return found is not None and found.effort[0] > 1.0
 
     with LifecycleDriver(domain_id) as driver:
@@ -189,10 +212,14 @@ def test_estimator_goes_through_every_transition_again_and_again(domain_id, midd
                 assert first_variance() == [0.6, 0.6]
                 wait_for(alternate, 'variance of an alternating force')
                 driver.change(topics.ESTIMATOR, DEACTIVATE)
-                assert answer(1.0) is None
+                since = stamp
+                send(1.0)
+                # It answers one thing after the other.
+                assert driver.state(topics.ESTIMATOR) == 'inactive'
+                assert answer(1.0, since) is None
             driver.change(topics.ESTIMATOR, CLEAN_UP)
         driver.change(topics.ESTIMATOR, SHUT_DOWN)
-    assert process.wait(60) == 0
+    assert process.wait(PATIENCE) == 0
 
 
 def test_diagnostics_are_of_the_type_that_viewers_expect():

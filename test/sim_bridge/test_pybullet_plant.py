@@ -148,6 +148,7 @@ def test_contact_carries_a_static_load(make_plant):
     assert depth == pytest.approx(12.0 / 6000.0, rel=0.01)
 
 
+@pytest.mark.slow
 def test_joint_friction_holds_the_arm_against_a_small_torque(make_plant):
     for changes in ({}, {'drives': 'rigid', 'joint_sensing': 'joint'}):
         plant = make_plant('puma', **changes)

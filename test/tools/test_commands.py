@@ -13,7 +13,7 @@ from multicontact_control.nodes import messages, qos
 import pytest
 from rclpy.context import Context
 from rclpy.node import Node
-from ros_graph import ROOT, wait_for
+from ros_graph import end_of, PATIENCE, ROOT, wait_for
 from rosbags.interfaces import QosDurability
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import get_typestore, Stores
@@ -24,6 +24,11 @@ import yaml
 pytestmark = pytest.mark.ros
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
+PATIENT = ('--timeout', str(PATIENCE))
+
+
+def numbered(number):
+    return messages.joint_state_message(number, ['a'], effort=[number])
 
 
 class Chatter:
@@ -34,6 +39,8 @@ class Chatter:
         self._context.init(args=[], domain_id=domain_id)
         self.node = Node('chatter', context=self._context, use_global_arguments=False)
         self._forces = self.node.create_publisher(JointState, 'left/forces', qos.STREAM)
+        # What a reader that gets no processor for some seconds has yet missed nothing of.
+        self._seldom = self.node.create_publisher(JointState, 'left/seldom', qos.STREAM)
         self._latched = self.node.create_publisher(String, 'description', qos.LATCHED)
         self._hidden = self.node.create_publisher(String, '_hidden/topic', qos.LATCHED)
         self._latched.publish(String(data='an arm'))
@@ -45,8 +52,9 @@ class Chatter:
     def _talk(self):
         while not self._stop.wait(0.002):
             self.number += 1
-            self._forces.publish(messages.joint_state_message(
-                self.number, ['a'], effort=[self.number]))
+            self._forces.publish(numbered(self.number))
+            if self.number % 20 == 0:
+                self._seldom.publish(numbered(self.number // 20))
 
     def close(self):
         self._stop.set()
@@ -72,16 +80,21 @@ def chatter():
 @pytest.fixture
 def multicontact(chatter, tmp_path):
     """Return a function that starts the command; what still runs at the end is killed."""
-    started = []
+    started, limits = [], []
 
     def start(*arguments):
         environment = {**os.environ, 'PYTHONPATH': str(ROOT)}
         started.append(subprocess.Popen(
             [sys.executable, '-m', 'multicontact_control.cli', *arguments], cwd=tmp_path,
             env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True))
+        # Whoever reads a line of it reads the end then.
+        limits.append(threading.Timer(PATIENCE, started[-1].kill))
+        limits[-1].start()
         return started[-1]
 
     yield start
+    for limit in limits:
+        limit.cancel()
     for process in started:
         if process.poll() is None:
             process.kill()
@@ -92,7 +105,7 @@ def test_topics_lists_names_and_types_but_nothing_hidden(multicontact):
     listed = []
 
     def complete():
-        output, errors = multicontact('topics').communicate(timeout=60)
+        output, errors = end_of(multicontact('topics'))
         assert errors == ''
         listed[:] = output.splitlines()
         return {'/left/forces [sensor_msgs/msg/JointState]',
@@ -103,10 +116,10 @@ def test_topics_lists_names_and_types_but_nothing_hidden(multicontact):
 
 
 def test_echo_finds_the_type_and_prints_until_interrupted(multicontact):
-    process = multicontact('echo', 'left/forces')
+    process = multicontact('echo', 'left/seldom', *PATIENT)
     lines = [process.stdout.readline() for _ in range(60)]
     process.send_signal(signal.SIGINT)
-    rest, errors = process.communicate(timeout=60)
+    rest, errors = end_of(process)
     assert (process.returncode, errors) == (0, '')
     documents = [x for x in yaml.safe_load_all(''.join(lines) + rest) if x is not None]
     numbers = [x['effort'][0] for x in documents]
@@ -114,19 +127,19 @@ def test_echo_finds_the_type_and_prints_until_interrupted(multicontact):
 
 
 def test_echo_once_gets_what_was_said_before(multicontact):
-    output, errors = multicontact('echo', '/description', '--once').communicate(timeout=60)
+    output, errors = end_of(multicontact('echo', '/description', '--once', *PATIENT))
     assert (output, errors) == ('data: an arm\n---\n', '')
 
 
 @pytest.mark.parametrize(('arguments', 'code', 'message'), [
     (('echo', '/nothing', '--timeout', '0.5'), 1,
      '/nothing: expected a publisher within 0.5 s, found none'),
-    (('echo', '/left/forces', '--field', 'x'), 2, '--field: expected one of header'),
+    (('echo', '/left/forces', '--field', 'x', *PATIENT), 2, '--field: expected one of header'),
     (('record',), 2, 'topics: expected either names or --all, found neither'),
     (('record', '/a', '-o', '.'), 2, '--output: expected a folder that does not exist yet')])
 def test_bad_input_is_answered_in_one_line(multicontact, arguments, code, message):
     process = multicontact(*arguments)
-    _, errors = process.communicate(timeout=60)
+    _, errors = end_of(process)
     assert process.returncode == code
     assert message in errors
     assert len(errors.splitlines()) == 1
@@ -144,7 +157,7 @@ def test_record_keeps_every_message_of_any_type(chatter, multicontact, tmp_path,
     enough = chatter.number + 300
     wait_for(lambda: chatter.number > enough, 'messages')
     process.send_signal(signal.SIGINT)
-    rest, errors = process.communicate(timeout=60)
+    rest, errors = end_of(process)
     assert (process.returncode, errors) == (0, '')
     output += rest
     with Reader(tmp_path / 'bag') as reader:
