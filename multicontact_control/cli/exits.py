@@ -51,8 +51,8 @@ def resumable() -> Iterator[None]:
 
 
 def end_by_verdict(summary: dict[str, Any]) -> None:
-    """Exit with 1 unless the run was stable: what the supervisor held is not, either."""
-    if not summary['stable']:
+    """Exit with 1 if the run was not stable; what the supervisor held is not, either."""
+    if summary['stable'] is False:
         raise typer.Exit(EXIT_FAILED)
 
 

@@ -163,6 +163,8 @@ def _start_disturbs(evidence: Mapping[str, Any], rows: Sequence[Row]) -> Verdict
 
 
 def _moving(evidence: Mapping[str, Any], rows: Sequence[Row]) -> Verdict:
+    if evidence['stable'] is None:
+        return NOT_MEASURED, None, verdict_text(evidence)
     contacts = evidence['contacts'].values()
     if any(c['moving_rms_n'] is None for c in contacts):
         if evidence['unstable_after_motion_s'] is not None:
@@ -188,7 +190,7 @@ def _online(evidence: Mapping[str, Any], rows: Sequence[Row]) -> Verdict:
         return NOT_MEASURED, None, f'R came from `{evidence["estimator"]}`'
     if not evidence['ran_in_motion'] and evidence['stable']:
         return NOT_MEASURED, None, 'the run has no motion'
-    if evidence['stable'] and evidence.get('kept_real_time') is False:
+    if evidence['stable'] is not False and evidence.get('kept_real_time') is False:
         return NOT_MEASURED, None, verdict_text(evidence)
     if evidence['stable']:
         return 'stable at rest and in motion', True, 'no limit of the verdict `stable` was passed'
@@ -225,7 +227,8 @@ def _mismatched(evidence: Mapping[str, Any]) -> bool:
 
 def _stiffness(evidence: Mapping[str, Any], rows: Sequence[Row]) -> Verdict:
     judged = [entry for entry in [evidence, *(row.evidence for row in rows if row.label.startswith(
-        PAPER_ESTIMATOR) and row.evidence['active_state_order'] > 0)] if _mismatched(entry)]
+        PAPER_ESTIMATOR) and row.evidence['active_state_order'] > 0)]
+        if entry['stable'] is not None and _mismatched(entry)]
     if not judged:
         return (NOT_MEASURED, None,
                 'the simulated stiffness is that of the model; see the cells `stiffness` of '
@@ -253,7 +256,8 @@ def _fixed(evidence: Mapping[str, Any], rows: Sequence[Row]) -> Verdict:
     judged = [row.evidence for row in _standard(rows, FIXED)]
     if evidence['estimator'] == FIXED and not judged:
         judged = [evidence]
-    judged = [entry for entry in judged if entry['ran_in_motion'] or not entry['stable']]
+    judged = [entry for entry in judged if entry['stable'] is not None and (
+        entry['ran_in_motion'] or not entry['stable'])]
     if not judged:
         return NOT_MEASURED, None, 'needs runs with the estimator `fixed` in motion'
     in_motion = [entry['unstable_after_motion_s'] for entry in judged

@@ -6,7 +6,14 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, Protocol, TYPE_CHECKING
 
-from multicontact_control.experiment.verdict import HELD, NOT_STABLE, STABLE, verdict_text
+from multicontact_control.experiment.verdict import (
+    HELD,
+    HOPELESS,
+    NOT_STABLE,
+    STABLE,
+    UNJUDGED,
+    verdict_text,
+)
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -15,9 +22,8 @@ from rich.table import Table
 if TYPE_CHECKING:  # rclpy is needed for it, and not for the rest
     from multicontact_control.experiment.progress import GraphProgress
 
-# Share of the deadlines missed, of so many at least, from which on no run is like real time.
-HOPELESS, FIRST_DEADLINES = 0.1, 250
-COLOURS = {STABLE: 'green', HELD: 'yellow', NOT_STABLE: 'red'}
+FIRST_DEADLINES = 250  # that are waited for before anything is said of them
+COLOURS = {STABLE: 'green', HELD: 'yellow', UNJUDGED: 'yellow', NOT_STABLE: 'red'}
 
 
 class ShowProgress(Protocol):

@@ -32,7 +32,7 @@ from multicontact_control.experiment.real_time import (
 )
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.scenario import Setup
-from multicontact_control.experiment.verdict import HELD, NOT_STABLE, STABLE
+from multicontact_control.experiment.verdict import HELD, NOT_STABLE, STABLE, UNJUDGED
 import numpy as np
 
 LONGEST_LOSS = 0.1  # s, of contact or to saturation: five time constants of the designed loop
@@ -63,11 +63,14 @@ class Finding:
         Which one and by how much.
     time
         When [s]; None for what was missed throughout the run.
+    always
+        Whether it counts however busy the machine was.
 
     """
 
     text: str
     time: float | None = None
+    always: bool = False
 
 
 @dataclass(frozen=True)
@@ -78,9 +81,9 @@ class Verdict:
     Attributes
     ----------
     name
-        `STABLE`, `HELD` or `NOT_STABLE`.
+        `STABLE`, `HELD`, `NOT_STABLE` or `UNJUDGED`.
     reasons
-        Nothing if it was stable.
+        Nothing if it was stable; of a run that is not judged, what was seen all the same.
     unstable_at
         When the first limit was passed [s], None if none was or it has no time.
     timeliness
@@ -106,7 +109,9 @@ def judge(
 
     Where real time was not kept (`timeliness`), only what happened at least 1 s away from gaps
     and from reactions to late samples counts: that is how what the machine did is told from what
-    the arm did. Numbers that are not finite, and contacts that were never made, always count.
+    the arm did. Numbers that are not finite, and contacts that were never made, count all the
+    same. Where more than a tenth of the deadlines were missed, only the first of these does, and
+    the run is not judged: commands that come late leave no gap, and act as another delay.
 
     Parameters
     ----------
@@ -127,6 +132,8 @@ def judge(
         found.append(Finding(f'{100.0 * missing:.1f} % of the samples were not answered'))
     helped = interventions(data, setup, events, timely.judged)
     name = NOT_STABLE if found else HELD if helped else STABLE
+    if timely.hopeless and not any(finding.always for finding in found):
+        name = UNJUDGED
     found += helped
     loaded = windows(setup.scenario.reference, data.time).loaded
     times = [finding.time for finding in found if finding.time is not None]
@@ -161,7 +168,7 @@ def findings(
     series = (data.q, data.qd, data.torque, data.alpha_true, data.alpha_meas)
     infinite = np.any([np.isinf(values).any(axis=1) for values in series], axis=0)
     if infinite.any():
-        found.append(Finding('a number is not finite', _when(data, infinite, 1)))
+        found.append(Finding('a number is not finite', _when(data, infinite, 1), always=True))
     saturated = judged & saturation(data, setup)
     lasting = math.floor(LONGEST_LOSS * data.rate) + 1
     if longest_run(saturated) >= lasting:

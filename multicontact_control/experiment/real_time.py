@@ -12,6 +12,7 @@ from multicontact_control.control.reactions import INFLATE, NONE
 from multicontact_control.experiment.metrics import SETTLE_AFTER_STEP
 from multicontact_control.experiment.oscillation import stretches
 from multicontact_control.experiment.recording import RunData
+from multicontact_control.experiment.verdict import HOPELESS
 import numpy as np
 
 REAL_TIME = 'real_time'  # the mode with deadlines
@@ -34,6 +35,8 @@ class Timeliness:
     misses, unanswered, reactions
         Deadlines missed, samples without an answer, and how often the supervisor held the arm
         because samples were late or missing.
+    hopeless
+        Whether so many deadlines were missed that the run cannot be judged.
     judged
         Samples that the arm answers for, shape (m,). All, if real time was kept. Otherwise not
         those from two unanswered samples in a row, or from such a reaction, until 1 s after it.
@@ -45,6 +48,7 @@ class Timeliness:
     unanswered: int
     reactions: int
     judged: Mask
+    hopeless: bool = False
 
 
 def replaces(reaction: str) -> bool:
@@ -91,7 +95,8 @@ def timeliness(
     judged = everything
     for begin, end in gaps + held:
         judged &= ~((data.time >= begin) & (data.time < end + AFTERMATH))
-    return Timeliness(False, misses, unanswered, len(held), judged)
+    return Timeliness(False, misses, unanswered, len(held), judged,
+                      hopeless=misses > HOPELESS * data.ticks)
 
 
 def late_reactions(events: Sequence[Event], until: float) -> list[tuple[float, float]]:

@@ -14,7 +14,7 @@ from multicontact_control.experiment.metrics import (
 )
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.scenario import Setup
-from multicontact_control.experiment.verdict import STABLE
+from multicontact_control.experiment.verdict import STABLE, UNJUDGED
 
 
 def summarise(
@@ -56,7 +56,8 @@ def summarise(
         'contacts': {name: contact_summary(data, setup, i)
                      for i, name in enumerate(data.contact_names)},
         'motion': motion_summary(data, setup), 'torque': torque_summary(data, setup),
-        'stable': verdict.name == STABLE, 'verdict': verdict.name,
+        'stable': None if verdict.name == UNJUDGED else verdict.name == STABLE,
+        'verdict': verdict.name,
         'instabilities': list(verdict.reasons), 'unstable_at_s': verdict.unstable_at,
         'ended_early': ended_early or None, 'kept_real_time': timely.kept, 'claims': [],
         'supervised': events is not None} | (

@@ -4,7 +4,7 @@ from multicontact_control.control.event_log import CAPACITY, read_event
 from multicontact_control.experiment.judge import judge
 from multicontact_control.experiment.real_time import late_reactions, timeliness
 from multicontact_control.experiment.scenario import resolve
-from multicontact_control.experiment.verdict import NOT_STABLE, STABLE
+from multicontact_control.experiment.verdict import NOT_STABLE, STABLE, UNJUDGED
 import numpy as np
 import pytest
 from synthetic_run import perfect_run
@@ -89,6 +89,20 @@ def test_samples_without_an_answer_alone_are_not_unstable(setup, data):
     assert (verdict.name, verdict.timeliness.kept) == (STABLE, False)
     data.q[100, 0] = np.inf
     assert judge(data, setup, mode='real_time').reasons == ('a number is not finite',)
+
+
+def test_run_that_missed_a_tenth_of_its_deadlines_is_not_judged_but_what_is_seen_is_told(
+        setup, data):
+    for misses, name in ((600, NOT_STABLE), (601, UNJUDGED)):
+        run = perfect_run(setup)
+        lose(run, 5.0, 0.2)
+        verdict = judge(run, setup, mode='real_time', timing={'deadline_misses': misses})
+        assert verdict.name == name
+        assert any('contact lost' in reason for reason in verdict.reasons)
+    data.q[100, 0] = np.inf
+    verdict = judge(data, setup, mode='real_time', timing={'deadline_misses': 6000})
+    assert verdict.name == NOT_STABLE
+    assert judge(data, setup, mode='lockstep', timing={'deadline_misses': 6000}).name != UNJUDGED
 
 
 def test_holds_for_late_samples_are_no_interventions(setup, data):

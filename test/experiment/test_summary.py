@@ -85,6 +85,10 @@ def test_machine_that_could_not_keep_up_is_one_line(setup, data):
     assert ('could not keep real time: 300 of 6000 deadlines missed, 200 samples not answered, '
             '1 holds: figures are not representative') in line
     assert '85 % of the time under load' in line and '--lockstep has no deadlines' in line
+    hopeless = summary_of(data, setup, mode='real_time', timing={'deadline_misses': 3000})
+    assert (hopeless['stable'], hopeless['verdict']) == (None, 'not judged')
+    assert verdict_lines(hopeless, 'here')[1].startswith('[yellow]not judged: the machine could')
+    end_by_verdict(hopeless)  # no failure of the run
     kept = summary_of(perfect_run(setup), setup, mode='real_time', timing={
         'deadline_misses': 3, 'unanswered_samples': 1})
     assert kept['kept_real_time'] is True
