@@ -13,8 +13,9 @@ VENV := .venv
 RUN_ARGS ?=
 TEST_ARGS ?=
 
-# Two workers, as test/conftest.py divides the tests.
-PYTEST = $(BIN)/python -m pytest -n 2
+# Three workers for two cores: graphs that start and end leave them idle half of the time.
+# test/conftest.py divides the tests among them.
+PYTEST = $(BIN)/python -m pytest -n 3
 
 # A native ROS 2 Jazzy is used where there is one; the wheels must not shadow it.
 ROS_PREFIX ?= /opt/ros/jazzy

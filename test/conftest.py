@@ -1,4 +1,4 @@
-"""What comes before the first test, and who runs which, with several workers (`pytest -n 2`)."""
+"""What comes before the first test, and who runs which, with several workers (`pytest -n 3`)."""
 
 from multicontact_control.experiment.compilation import ensure_compiled
 import pytest
@@ -16,6 +16,26 @@ def pytest_sessionstart(session):
     ensure_compiled()
 
 
+def pytest_configure(config):
+    """Keep the order of the files below, where there are several workers."""
+    config.option.loadscopereorder = False
+
+
+def pytest_collection_modifyitems(items):
+    """Put what takes longest first, file by file, so that no worker begins it last."""
+    weights = {}
+    for item in items:
+        weight = sum(bool(item.get_closest_marker(name)) for name in ('ros', 'slow', 'colcon'))
+        weights[item.path] = max(weight, weights.get(item.path, 0))
+    items.sort(key=lambda item: (_group(item.nodeid) != min(TOGETHER[0]), -weights[item.path]))
+
+
+def _group(nodeid):
+    """Return what a test is run together with: its file, or the first of several."""
+    path = nodeid.split('::')[0]
+    return next((min(files) for files in TOGETHER if path in files), path)
+
+
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config, log):
     """Give every worker whole files, so that their fixtures are made once."""
@@ -24,7 +44,6 @@ def pytest_xdist_make_scheduler(config, log):
     class FileScheduling(LoadScopeScheduling):
 
         def _split_scope(self, nodeid):
-            path = nodeid.split('::')[0]
-            return next((min(files) for files in TOGETHER if path in files), path)
+            return _group(nodeid)
 
     return FileScheduling(config, log)

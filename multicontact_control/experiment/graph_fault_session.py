@@ -133,8 +133,8 @@ class FaultSession:
         self.close()
 
     def close(self) -> None:
-        """Stop everything."""
-        self.processes.stop()
+        """Stop what was not ended by `end_all`: then something failed, and nothing more counts."""
+        self.processes.stop(abort=True)
         self.driver.close()
         self.node.destroy_node()
         self._context.try_shutdown()

@@ -1,4 +1,8 @@
-"""The start of the real graph: who is waited for, and what becomes of a node that dies then."""
+"""
+The start of the real graph: who is waited for, and what becomes of a node that dies then.
+
+`test_graph.py` has the nodes that die once samples flow.
+"""
 
 from __future__ import annotations
 
@@ -93,21 +97,6 @@ def test_node_that_is_killed_during_the_start_ends_the_run_and_is_named(
     with pytest.raises(RunError, match=f'^{name} was killed by SIGKILL; the end of .*{name}.log'):
         run_graph(spec)
     thread.join()
-    assert all(process.poll() is not None for process in nodes.processes.values())
-
-
-@pytest.mark.parametrize('name', NODES)
-def test_node_that_is_killed_in_the_first_second_ends_the_run_and_is_named(spec, nodes, name):
-    killed = []
-
-    def kill(progress):
-        if not killed:
-            killed.append(progress.time)
-            nodes.kill(name)
-
-    with pytest.raises(RunError, match=f'^{name} was killed by SIGKILL; the end of .*{name}.log'):
-        run_graph(spec, kill)
-    assert killed
     assert all(process.poll() is not None for process in nodes.processes.values())
 
 
