@@ -267,13 +267,17 @@ class FaultSession:
         Return the state of a node that may have just been started.
 
         The middleware takes one that was killed for present for a while and sends it what is
-        meant for its successor: so it is asked again and again.
+        meant for its successor: so it is asked again and again, each time with more patience for
+        one that is only slow.
         """
         found: list[str] = []
+        patience = ASK_TIMEOUT
 
         def answered() -> bool:
+            nonlocal patience
             with contextlib.suppress(NoAnswerError):
-                found.append(self.driver.state(name, ASK_TIMEOUT))
+                found.append(self.driver.state(name, patience))
+            patience *= 2.0
             return bool(found)
 
         self.wait(answered, f'{name} to tell its state')
