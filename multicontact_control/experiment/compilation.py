@@ -26,7 +26,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 NO_FOLDER = ('no folder can be written for what is compiled, so every process compiles for itself '
-             '(20 s and more): set NUMBA_CACHE_DIR to one that can')
+             '(half a minute each): set NUMBA_CACHE_DIR to one that can')
 LOCK_FILE = 'compiling.lock'
 TICKS = 3
 LOCK_POLL = 0.2  # s
