@@ -36,7 +36,8 @@ def run(
     Run a scenario on the ROS 2 graph, record it to MCAP and report it.
 
     Starts simulator, controller, noise estimator and recorder as processes of their own, stops
-    them together, then draws the figures from the bag. Exit code 0: stable; 1: not stable, held
+    them together, then draws the figures from the bag. Exit code 0: stable, or not
+    judged, since the machine missed a tenth of the deadlines; 1: not stable, held
     by the supervisor, or a node died; 2: bad input; 128 + n: ended by signal n.
     """
     from multicontact_control.experiment.domain import check_namespace
