@@ -10,8 +10,8 @@ from source_imports import find_cycle, imports_of, is_ros
 ROOT = Path(__file__).resolve().parents[1]
 # What is not listed (config, errors, arrays, paths, ...) lies at the bottom.
 LAYERS = {
-    'dynamics': 1, 'contact': 1, 'force': 1, 'control': 2, 'nodes': 3, 'experiment': 4,
-    'tools': 4, 'client': 4, 'cli': 5, '__main__': 5}
+    'dynamics': 1, 'contact': 1, 'force': 1, 'control': 2, 'sensor': 3, 'supervision': 3,
+    'nodes': 4, 'experiment': 5, 'tools': 5, 'client': 5, 'cli': 6, '__main__': 6}
 PINOCCHIO_HOME = 'multicontact_control.dynamics.robot'
 
 
@@ -26,7 +26,7 @@ def layer(module: str) -> int:
 
 
 def is_core(module: str) -> bool:
-    return area(module) != '' and layer(module) <= LAYERS['control']
+    return area(module) != '' and layer(module) <= LAYERS['supervision']
 
 
 def broken_rule(module: str, target: str) -> str:
@@ -36,13 +36,15 @@ def broken_rule(module: str, target: str) -> str:
         return 'the core knows neither ROS nor the simulation'
     if top == 'pinocchio' and module != PINOCCHIO_HOME and not module.startswith('sim_bridge'):
         return 'pinocchio is wrapped in dynamics/robot.py'
-    if area(module) == 'control' and f'{target}.'.startswith('multicontact_control.force.noise.'):
+    if area(module) in ('control', 'supervision') and f'{target}.'.startswith(
+            'multicontact_control.force.noise.'):
         return 'R reaches the controller as a number'
     if area(module) and area(target):
         if layer(module) < layer(target):
             return 'imports flow downwards'
-        if layer(module) == layer(target) == 1 and area(module) != area(target):
-            return 'dynamics, contact and force know nothing of each other'
+        if layer(module) == layer(target) in (1, 3) and area(module) != area(target):
+            return 'dynamics, contact and force know nothing of each other, nor do sensor and ' \
+                'supervision'
     return ''
 
 

@@ -39,7 +39,7 @@ def faults(
     interrupted = None
     with resumable(), errors_in_one_line():
         # Only now: what is heavy is not loaded for the sake of an error.
-        from multicontact_control.experiment.fault_campaign import (
+        from multicontact_control.experiment.faults.campaign import (
             print_report,
             run_campaign,
             write_report,
@@ -50,7 +50,7 @@ def faults(
         rows = run_campaign(seed, out, quick=quick, jobs=jobs, overwrite=overwrite)
         if graph:
             require_ros()
-            from multicontact_control.experiment.graph_faults import run_graph_campaign
+            from multicontact_control.experiment.faults.in_graph import run_graph_campaign
 
             over_graph, interrupted = run_graph_campaign(seed, out, quick=quick)
             rows += over_graph

@@ -61,7 +61,7 @@ def keep_active(rows: Matrix, active: Mask, kept: Matrix) -> None:
 
 
 @compiled
-def factorise_contacts(rows: Matrix, dual_rows: Matrix, active: Mask, factor: Matrix) -> bool:
+def factorise_contacts(rows: Matrix, weighted_rows: Matrix, active: Mask, factor: Matrix) -> bool:
     """
     Factorise N^T D, with 1 on the diagonal of every contact that is not active.
 
@@ -70,7 +70,7 @@ def factorise_contacts(rows: Matrix, dual_rows: Matrix, active: Mask, factor: Ma
 
     Parameters
     ----------
-    rows, dual_rows
+    rows, weighted_rows
         N^T and D^T, zero where not active, shape (r, 6).
     active
         Shape (r,).
@@ -88,7 +88,7 @@ def factorise_contacts(rows: Matrix, dual_rows: Matrix, active: Mask, factor: Ma
         for j in range(i, count):
             total = 0.0
             for k in range(6):
-                total += rows[i, k] * dual_rows[j, k]
+                total += rows[i, k] * weighted_rows[j, k]
             factor[i, j] = total
         if not active[i]:
             factor[i, i] = 1.0
@@ -126,7 +126,7 @@ def rates(rows: Matrix, twist: Vector, speeds: Vector) -> None:
 
 @compiled
 def compose_acceleration(
-    rows: Matrix, dual_rows: Matrix, dual_factor: Matrix, f_t: Vector, f_c: Vector,
+    rows: Matrix, weighted_rows: Matrix, weighted_factor: Matrix, f_t: Vector, f_c: Vector,
     acceleration: Vector,
 ) -> None:
     """
@@ -138,7 +138,7 @@ def compose_acceleration(
 
     Parameters
     ----------
-    rows, dual_rows, dual_factor
+    rows, weighted_rows, weighted_factor
         N^T and D^T, shape (r, 6), and the factor of N^T D, shape (r, r).
     f_t, f_c
         Accelerations of the motion and the force law, shape (6,).
@@ -151,11 +151,11 @@ def compose_acceleration(
         acceleration[k] = f_t[k] - f_c[k]
     beta = rows[:, 0].copy()
     rates(rows, acceleration, beta)
-    solve_cholesky(dual_factor, beta)
+    solve_cholesky(weighted_factor, beta)
     for k in range(6):
         total = f_t[k]
         for i in range(count):
-            total -= dual_rows[i, k] * beta[i]
+            total -= weighted_rows[i, k] * beta[i]
         acceleration[k] = total
 
 

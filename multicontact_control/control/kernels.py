@@ -231,7 +231,7 @@ def finish_torque(gains: Vector, joints: Matrix, velocity: Vector, torque: Vecto
 @compiled
 def span_contacts(
     all_rows: Matrix, active: Mask, mobility: Matrix, inertia_metric: bool, rows: Matrix,
-    factor: Matrix, dual_rows: Matrix, dual_factor: Matrix,
+    factor: Matrix, weighted_rows: Matrix, weighted_factor: Matrix,
 ) -> bool:
     """
     Work out what the active contacts span, and in which metric motion is kept off it.
@@ -246,7 +246,7 @@ def span_contacts(
         Whether the dual of N is Lambda^-1 N, otherwise N itself.
     rows, factor
         Filled: N^T with zeros where not active, and its factor; see `factorise_contacts`.
-    dual_rows, dual_factor
+    weighted_rows, weighted_factor
         The same in that metric; `rows` and `factor` themselves if it is that of the identity.
 
     Returns
@@ -261,8 +261,8 @@ def span_contacts(
     if not inertia_metric:
         return True
     for i in range(rows.shape[0]):
-        multiply(mobility, rows[i], dual_rows[i])
-    return factorise_contacts(rows, dual_rows, active, dual_factor)
+        multiply(mobility, rows[i], weighted_rows[i])
+    return factorise_contacts(rows, weighted_rows, active, weighted_factor)
 
 
 @compiled
@@ -320,10 +320,10 @@ def control_law(
         return SINGULAR
     rows = np.empty((count, 6))
     factor = np.empty((count, count))
-    dual_rows = np.empty((count, 6)) if inertia_metric else rows
-    dual_factor = np.empty((count, count)) if inertia_metric else factor
-    if not span_contacts(
-            all_rows, active, mobility, inertia_metric, rows, factor, dual_rows, dual_factor):
+    weighted_rows = np.empty((count, 6)) if inertia_metric else rows
+    weighted_factor = np.empty((count, count)) if inertia_metric else factor
+    if not span_contacts(all_rows, active, mobility, inertia_metric, rows, factor, weighted_rows,
+                         weighted_factor):
         return DEPENDENT
     twist = np.empty(6)
     f_t = np.empty(6)
@@ -337,7 +337,7 @@ def control_law(
     observe_and_command(
         matrices, vectors, scalars, P_0, active, alpha_des, noise_variance, report, inputs)
     force_law(gains, decoupled, rows, factor, twist, inputs, f_c)
-    compose_acceleration(rows, dual_rows, dual_factor, f_t, f_c, acceleration)
+    compose_acceleration(rows, weighted_rows, weighted_factor, f_t, f_c, acceleration)
     bias_acceleration(L, Y, bias_torque, jacobian_rate, velocity, bias)
     for i in range(6):
         acceleration[i] += bias[i]

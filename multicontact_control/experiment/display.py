@@ -20,7 +20,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 if TYPE_CHECKING:  # rclpy is needed for it, and not for the rest
-    from multicontact_control.experiment.progress import GraphProgress
+    from multicontact_control.experiment.graph.progress import GraphProgress
 
 FIRST_DEADLINES = 250  # that are waited for before anything is said of them
 COLOURS = {STABLE: 'green', HELD: 'yellow', UNJUDGED: 'yellow', NOT_STABLE: 'red'}

@@ -7,21 +7,21 @@ from dataclasses import dataclass
 import time
 
 from multicontact_control.arrays import Vector
-from multicontact_control.control.bumpless import BumplessController
 from multicontact_control.control.controller import ControlOutput, Measurement
-from multicontact_control.control.event_log import EventLog
-from multicontact_control.control.sensor.front_end import SensorFrontEnd, SensorReading
-from multicontact_control.control.supervisor import Supervisor
-from multicontact_control.control.watchdog import (
+from multicontact_control.errors import ContactGeometryError, SingularTaskError
+from multicontact_control.experiment.recording import empty_run_data, RunData
+from multicontact_control.experiment.scenario import Setup
+from multicontact_control.force.noise import Innovation, make_noise_estimator
+from multicontact_control.sensor.front_end import SensorFrontEnd, SensorReading
+from multicontact_control.supervision.bumpless import BumplessController
+from multicontact_control.supervision.event_log import EventLog
+from multicontact_control.supervision.supervisor import Supervisor
+from multicontact_control.supervision.validation import (
     JointInput,
     TickInputs,
     VarianceInput,
     WrenchInput,
 )
-from multicontact_control.errors import ContactGeometryError, SingularTaskError
-from multicontact_control.experiment.recording import empty_run_data, RunData
-from multicontact_control.experiment.scenario import Setup
-from multicontact_control.force.noise import Innovation, make_noise_estimator
 import numpy as np
 from sim_bridge.actuator_delay import ActuatorDelay
 from sim_bridge.pybullet_plant import PybulletPlant, Sample

@@ -11,7 +11,7 @@ from multicontact_control.experiment.engine import (
     prepare_cell_folder,
     RunCell,
 )
-from multicontact_control.experiment.estimate import estimate_time
+from multicontact_control.experiment.runtime_estimate import estimate_time
 from rich.console import Console
 
 

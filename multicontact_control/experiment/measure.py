@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 from multicontact_control.errors import MulticontactError
+from multicontact_control.experiment.claim_metrics import evidence_of
 from multicontact_control.experiment.disturbances import disturbance_summary
 from multicontact_control.experiment.engine import CellResult, RunCell
-from multicontact_control.experiment.evidence import evidence_of
 from multicontact_control.experiment.loop import run_in_process
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.results import finite

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from multicontact_control.arrays import Matrix
-from multicontact_control.control.sensor.push_config import PushTestConfig
-from multicontact_control.control.sensor.push_test import PushTest
-from multicontact_control.control.sensor.push_verdict import PushTestResult
-from multicontact_control.control.sensor.tare import tare_bias
 from multicontact_control.control.wrench import contact_wrench
 from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.experiment.calibration import sensor_setup
 from multicontact_control.experiment.scenario import Setup
+from multicontact_control.sensor.push_config import PushTestConfig
+from multicontact_control.sensor.push_test import PushTest
+from multicontact_control.sensor.push_verdict import PushTestResult
+from multicontact_control.sensor.tare import tare_bias
 import numpy as np
 from scipy.spatial.transform import Rotation
 from sim_bridge.puma560 import load_robot
@@ -99,7 +99,7 @@ def run_push_test(
     """
     # Only now: the simulator is not loaded for the sake of an error.
     from multicontact_control.experiment.compilation import ensure_compiled
-    from multicontact_control.experiment.servoed_plant import ServoedPlant
+    from multicontact_control.experiment.position_controlled_plant import ServoedPlant
 
     ensure_compiled()
     controller = setup.controller

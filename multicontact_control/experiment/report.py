@@ -7,6 +7,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+from multicontact_control.experiment.claim_metrics import evidence_of
 from multicontact_control.experiment.claims import Claim, judge_claims
 from multicontact_control.experiment.comparison.findings import findings
 from multicontact_control.experiment.comparison.page import HEAD, plain_cells
@@ -14,10 +15,9 @@ from multicontact_control.experiment.comparison.rows import (
     claim_rows,
     grouped,
 )
-from multicontact_control.experiment.evidence import evidence_of
 from multicontact_control.experiment.figures import draw_figures
+from multicontact_control.experiment.html import claims_table, table, write_page
 from multicontact_control.experiment.load import LoadedRun
-from multicontact_control.experiment.pages import claims_table, table, write_page
 from multicontact_control.experiment.report_figures import interactive_figures
 from multicontact_control.experiment.run import FIGURE_FOLDER
 from multicontact_control.experiment.verdict import STABLE, verdict_text

@@ -22,7 +22,7 @@ from scipy.linalg import block_diag, expm
 
 
 @dataclass(frozen=True)
-class Surroundings:
+class LinearArmPlant:
     """
     The plant that the force loops meet.
 
@@ -59,7 +59,7 @@ class Surroundings:
 
 
 def closed_loop(
-    surroundings: Surroundings, observer: ActiveObserver, kalman_gain: Vector,
+    surroundings: LinearArmPlant, observer: ActiveObserver, kalman_gain: Vector,
     damping_rate: float, period: float,
 ) -> Matrix:
     """

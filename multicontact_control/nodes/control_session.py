@@ -7,27 +7,27 @@ from pathlib import Path
 
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
-from multicontact_control.control.bumpless import BumplessController
-from multicontact_control.control.command_limits import check_position, CommandLimits
 from multicontact_control.control.controller import ControlOutput, Measurement
-from multicontact_control.control.event_log import EventLog
-from multicontact_control.control.holdable_reference import HeldSource, HoldableReference
 from multicontact_control.control.reference import CommandedReference
-from multicontact_control.control.sensor.front_end import SensorFrontEnd
-from multicontact_control.control.sensor.push_config import PushTestConfig
-from multicontact_control.control.sensor.push_gate import PushGate
-from multicontact_control.control.sensor.tare import tare_bias, TareConfig
-from multicontact_control.control.supervisor import Supervisor, SupervisorStatus
-from multicontact_control.control.watchdog import (
+from multicontact_control.control.reference.holdable import HeldSource, HoldableReference
+from multicontact_control.errors import CommandError
+from multicontact_control.nodes.messages import JointReading, MotionReading, WrenchReading
+from multicontact_control.nodes.pairing import PairedSample
+from multicontact_control.nodes.sample_clock import SampleClock
+from multicontact_control.sensor.front_end import SensorFrontEnd
+from multicontact_control.sensor.push_config import PushTestConfig
+from multicontact_control.sensor.push_gate import PushGate
+from multicontact_control.sensor.tare import tare_bias, TareConfig
+from multicontact_control.supervision.bumpless import BumplessController
+from multicontact_control.supervision.command_limits import check_position, CommandLimits
+from multicontact_control.supervision.event_log import EventLog
+from multicontact_control.supervision.supervisor import Supervisor, SupervisorStatus
+from multicontact_control.supervision.validation import (
     JointInput,
     TickInputs,
     VarianceInput,
     WrenchInput,
 )
-from multicontact_control.errors import CommandError
-from multicontact_control.nodes.messages import JointReading, MotionReading, WrenchReading
-from multicontact_control.nodes.pairing import PairedSample
-from multicontact_control.nodes.sample_clock import SampleClock
 import numpy as np
 
 TARE_READINGS = 100

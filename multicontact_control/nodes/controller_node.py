@@ -28,11 +28,11 @@ from multicontact_control.nodes.graph_node import (
     create_subscription,
     StartupGate,
 )
-from multicontact_control.nodes.loop_watch import Freshness, LoopWatch, NANOSECONDS
+from multicontact_control.nodes.loop_statistics import Freshness, LoopStatistics, NANOSECONDS
 from multicontact_control.nodes.managed_node import ACTIVE, ManagedNode
 from multicontact_control.nodes.pairing import PairedSample, SamplePairing
-from multicontact_control.nodes.patience import Patience
 from multicontact_control.nodes.runtime import run_node, Spinner
+from multicontact_control.nodes.sample_timeout import SampleTimeout
 from multicontact_control.nodes.state_output import StateOutput, WORLD_FRAME
 from multicontact_control.nodes.timing import DurationLog
 import numpy as np
@@ -52,10 +52,10 @@ class ControllerNode(ManagedNode):
     again gets the same command again. After a deactivation samples are answered by the declared
     safe behaviour.
 
-    With a supervisor, commands go on when samples do not come: see `Patience` and `SampleClock`.
-    A single sample that is older than the last is refused then; two in a row say that their clock
-    has been set back, which the supervisor reacts to. Without one, and in lockstep, an older
-    sample starts everything anew.
+    With a supervisor, commands go on when samples do not come: see `SampleTimeout` and
+    `SampleClock`. A single sample that is older than the last is refused then; two in a row
+    say that their clock has been set back, which the supervisor reacts to. Without one, and in
+    lockstep, an older sample starts everything anew.
     """
 
     def __init__(self) -> None:
@@ -68,13 +68,13 @@ class ControllerNode(ManagedNode):
         self._outputs: dict[topics.Topic, Publisher] = {}
         self._inputs: dict[topics.Topic, Subscription] = {}
         self._node_config = ControllerNodeConfig()
-        self._watch, self._fresh = LoopWatch(), Freshness()
+        self._watch, self._fresh = LoopStatistics(), Freshness()
         self._pairing = SamplePairing()
         self._step_times = DurationLog()
         self._restarts = 0
         self._waiting: PairedSample | None = None
         self._older_stamp: int | None = None
-        self._patience = Patience(0.0, 1.0)
+        self._patience = SampleTimeout(0.0, 1.0)
         self._heard = self._received = 0
         self._instruction = ''
         self._last_command: JointState | None = None
@@ -88,7 +88,7 @@ class ControllerNode(ManagedNode):
             config, node_config.scenario(config), node_config.command, node_config.folder,
             supervised=node_config.supervised)
         warm_up(session)
-        self._session, self._watch = session, LoopWatch(config.rate)
+        self._session, self._watch = session, LoopStatistics(config.rate)
         self._report = SupervisorReport(session)
         self._set_patience(config)
         self._outputs = {
@@ -114,7 +114,7 @@ class ControllerNode(ManagedNode):
 
     def _set_patience(self, config: ControllerConfig) -> None:
         waits = self._node_config.supervised and not self._node_config.lockstep
-        self._patience = Patience(
+        self._patience = SampleTimeout(
             self._node_config.patience if waits else 0.0, config.period * NANOSECONDS)
 
     def activate(self) -> StartupGate:
@@ -220,7 +220,7 @@ class ControllerNode(ManagedNode):
     def _take(self, sample: PairedSample | None) -> None:
         if sample is None:
             return
-        self._watch.beat(self._received)
+        self._watch.add_period(self._received)
         again = self._waiting is not None and self._waiting.stamp == sample.stamp
         self._waiting = sample
         self._answer()
@@ -310,7 +310,7 @@ class ControllerNode(ManagedNode):
         self._send(command)
         self._last_command = command
         if sampled:
-            self._watch.answered(time.monotonic_ns() - self._received)
+            self._watch.add_latency(time.monotonic_ns() - self._received)
             if session.output is not None and self._state_output is not None:
                 self._state_output.publish(stamp, session.tick, session.output)
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections import Counter
 from typing import Any
 
-from multicontact_control.control.contact_state import ContactState
-from multicontact_control.control.reactions import INFLATE, NONE, SEVERITY
 from multicontact_control.nodes.control_session import ControlSession
 from multicontact_control.nodes.diagnostics import Status
+from multicontact_control.supervision.contact_state import ContactState
+from multicontact_control.supervision.fallback import INFLATE, NONE, SEVERITY
 
 TROUBLED = (ContactState.LOST.value, ContactState.RETRACTING.value, ContactState.GIVEN_UP.value)
 

@@ -6,15 +6,7 @@ import time
 from multicontact_control import algebra
 from multicontact_control.contact import kernels as contact_kernels
 from multicontact_control.contact.geometry import contact_normals
-from multicontact_control.control import (
-    contact_kernels as state_kernels,
-)
-from multicontact_control.control import (
-    gate_kernels,
-    kernels,
-    reference_kernels,
-    watchdog_kernels,
-)
+from multicontact_control.control import kernels
 from multicontact_control.dynamics import kernels as dynamics_kernels
 from multicontact_control.dynamics.pose import Pose, rotation_error
 from multicontact_control.force import kernels as force_kernels
@@ -22,12 +14,18 @@ from multicontact_control.force.active_observer import ActiveObserver
 from multicontact_control.force.noise import kernels as noise_kernels
 from multicontact_control.force.observer_bank import ObserverBank
 from multicontact_control.force.plant_model import design_force_loop
+from multicontact_control.supervision import contact_kernels as state_kernels
+from multicontact_control.supervision import (
+    gate_kernels,
+    reference_kernels,
+    validation_kernels,
+)
 import numpy as np
 import pytest
 
 MODULES = (
     algebra, contact_kernels, dynamics_kernels, force_kernels, gate_kernels, kernels,
-    noise_kernels, reference_kernels, state_kernels, watchdog_kernels)
+    noise_kernels, reference_kernels, state_kernels, validation_kernels)
 
 
 @pytest.mark.parametrize('module', MODULES, ids=lambda module: module.__name__)

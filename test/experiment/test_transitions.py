@@ -1,8 +1,8 @@
 """First touch, lost and found surfaces, switches without a jump: in closed loop."""
 
-from multicontact_control.control.reactions import TorqueBlend
-from multicontact_control.experiment.fault_run import World
+from multicontact_control.experiment.faults.in_process import World
 from multicontact_control.experiment.scenario import resolve
+from multicontact_control.supervision.fallback import TorqueBlend
 import numpy as np
 import pytest
 

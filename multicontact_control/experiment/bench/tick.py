@@ -8,13 +8,6 @@ from typing import Any
 
 from multicontact_control.arrays import Vector
 from multicontact_control.control.controller import Controller, ControlOutput, Measurement
-from multicontact_control.control.supervisor import Supervisor, SupervisorOutput
-from multicontact_control.control.watchdog import (
-    JointInput,
-    TickInputs,
-    VarianceInput,
-    WrenchInput,
-)
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.experiment.bench.spread import (
     median,
@@ -25,6 +18,13 @@ from multicontact_control.experiment.bench.spread import (
 from multicontact_control.experiment.loop import run_in_process
 from multicontact_control.experiment.scenario import resolve, Setup
 from multicontact_control.force.noise import make_noise_estimator, NoiseEstimator
+from multicontact_control.supervision.supervisor import Supervisor, SupervisorOutput
+from multicontact_control.supervision.validation import (
+    JointInput,
+    TickInputs,
+    VarianceInput,
+    WrenchInput,
+)
 import numpy as np
 
 

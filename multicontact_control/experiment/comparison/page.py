@@ -13,7 +13,7 @@ from multicontact_control.experiment.comparison.matrix import AOB, CAUSE, PLAIN
 from multicontact_control.experiment.comparison.rows import comparison_claims, grouped
 from multicontact_control.experiment.comparison.table import table_row
 from multicontact_control.experiment.engine import CellResult, CellStore
-from multicontact_control.experiment.pages import (
+from multicontact_control.experiment.html import (
     claims_table,
     corners,
     envelope,

@@ -58,7 +58,7 @@ class DaskExecutor:
             raise RunError('a Dask cluster needs `distributed`, which is not installed here: '
                            "pip install 'multicontact_control[dask]'") from None
         try:
-            _knock(address)
+            _check_reachable(address)
             self._client: Any = distributed.Client(
                 address, timeout=CONNECT_TIMEOUT, set_as_default=False)
         except (OSError, ValueError) as error:
@@ -119,7 +119,7 @@ class DaskExecutor:
                 self._client.cancel(futures)
 
 
-def _knock(address: str) -> None:
+def _check_reachable(address: str) -> None:
     """Connect to an address for a moment; OSError or ValueError if that cannot be done."""
     from distributed.comm import get_address_host_port, parse_address
 

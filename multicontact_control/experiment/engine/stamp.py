@@ -11,10 +11,10 @@ from pathlib import Path
 # experiment/ only this does.
 WITHOUT = ('cli', 'client.py', 'nodes', 'tools')
 DECISIVE = (
-    'disturbances.py', 'engine/cells.py', 'evidence.py', 'fault_cells.py', 'fault_run.py',
-    'faults.py', 'judge.py', 'loop.py', 'measure.py', 'metrics.py', 'oscillation.py',
-    'real_time.py', 'recording.py', 'results.py', 'scenario.py', 'summary.py', 'sweep/measure.py',
-    'verdict.py')
+    'claim_metrics.py', 'disturbances.py', 'engine/cells.py', 'faults/cells.py',
+    'faults/in_process.py', 'faults/vocabulary.py', 'judge.py', 'loop.py', 'measure.py',
+    'metrics.py', 'oscillation.py', 'real_time.py', 'recording.py', 'results.py', 'scenario.py',
+    'summary.py', 'sweep/measure.py', 'verdict.py')
 LIBRARIES = ('numba', 'numpy', 'pin', 'pybullet', 'scipy')
 
 

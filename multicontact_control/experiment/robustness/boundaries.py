@@ -24,7 +24,7 @@ from multicontact_control.experiment.loop import run_in_process
 from multicontact_control.experiment.measure import final_error_share
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.force.active_observer import ActiveObserver
-from multicontact_control.force.contact_loop import closed_loop, spectral_radius, Surroundings
+from multicontact_control.force.contact_loop import closed_loop, LinearArmPlant, spectral_radius
 from multicontact_control.force.linear_loop import (
     RealContact,
     stability_boundary,
@@ -96,7 +96,7 @@ class ArmLoop:
     setup
         Where stiffness, damping, delay and controller come from.
     mobility, tool_inertia
-        As in `Surroundings`.
+        As in `LinearArmPlant`.
 
     """
 
@@ -144,7 +144,7 @@ class ArmLoop:
         gain = steady_gain(observer, noise_variance)
 
         def of_ratio(ratio: float) -> float:
-            surroundings = Surroundings(
+            surroundings = LinearArmPlant(
                 mobility=self.mobility, stiffness=ratio * stiffness, damping=damping,
                 tool_inertia=self.tool_inertia, delay_ticks=plant.actuator_delay_ticks)
             return spectral_radius(closed_loop(

@@ -13,8 +13,8 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from multicontact_control.experiment.engine import Executor, run_cells, RunCell
+from multicontact_control.experiment.html import image, table, write_page
 from multicontact_control.experiment.measure import measure_cell
-from multicontact_control.experiment.pages import image, table, write_page
 from multicontact_control.experiment.results import finite, write_json
 from multicontact_control.experiment.robustness.boundaries import (
     DELAYS,

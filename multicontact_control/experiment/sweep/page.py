@@ -7,8 +7,8 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from multicontact_control.experiment.pages import image, write_page
-from multicontact_control.experiment.pages import table as html_table
+from multicontact_control.experiment.html import image, write_page
+from multicontact_control.experiment.html import table as html_table
 from multicontact_control.experiment.sweep.figure import draw_sweep
 from multicontact_control.experiment.sweep.groups import groups_of, judged, middle, STABLE
 from multicontact_control.experiment.sweep.plan import SweepPlan

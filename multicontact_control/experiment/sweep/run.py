@@ -16,7 +16,7 @@ from multicontact_control.experiment.engine import (
     RunCell,
 )
 from multicontact_control.experiment.engine.cluster import DaskExecutor
-from multicontact_control.experiment.estimate import estimate_time
+from multicontact_control.experiment.runtime_estimate import estimate_time
 from multicontact_control.experiment.sweep.groups import chosen_metrics, groups_of
 from multicontact_control.experiment.sweep.measure import summarise_cell
 from multicontact_control.experiment.sweep.page import group_table, write_sweep_page

@@ -1,0 +1,131 @@
+"""What the arm does while it must not be controlled, and how one law hands over to the next."""
+
+from __future__ import annotations
+
+import math
+
+from multicontact_control.arrays import Vector
+from multicontact_control.config import WatchdogConfig
+from multicontact_control.dynamics.robot import RobotModel
+from multicontact_control.supervision.arm_state import ArmState
+import numpy as np
+
+NONE, INFLATE, HOLD, FLOAT, DAMP = 'none', 'inflate', 'hold', 'float', 'damp'
+SEVERITY = (NONE, INFLATE, HOLD, FLOAT, DAMP)
+COAST_TIME = 0.1  # s, in which an arm that cannot be seen any more is brought to rest
+
+
+class Reactions:
+    """
+    The torques of the declared reactions.
+
+    `hold`: gravity compensated, the joints sprung to where they were when it began,
+    Gamma = C v + g + diag(M) (w^2 (q_0 - q) - 2 w v). `float`: the joint state is not known;
+    gravity of the last posture, and the last motion brought to rest open loop. `damp`: no model
+    at all is trusted; zero torque with damping, Gamma = -c diag(M) v.
+
+    Parameters
+    ----------
+    config
+        Frequencies and rates.
+    robot
+        The arm.
+    period
+        h [s].
+
+    """
+
+    def __init__(self, config: WatchdogConfig, robot: RobotModel, period: float) -> None:
+        self._config, self._robot, self._period = config, robot, period
+        self.end()
+
+    def end(self) -> None:
+        """Control has resumed: the next reaction begins anew."""
+        self._posture: Vector | None = None
+        self._since = 0
+
+    def torque(self, reaction: str, arm: ArmState | None) -> Vector:
+        """
+        Return the torque of a reaction.
+
+        Parameters
+        ----------
+        reaction
+            `HOLD`, `FLOAT` or `DAMP`.
+        arm
+            As it was last believed to be; None if it never was.
+
+        """
+        self._since += 1
+        if arm is None:
+            return np.zeros(self._robot.joint_count)
+        if reaction == DAMP:
+            damped: Vector = -self._config.damping_rate * arm.inertia * arm.velocity
+            return damped
+        if reaction == FLOAT:
+            self._posture = None  # wherever it has gone meanwhile
+            fade = math.exp(-self._since * self._period / COAST_TIME)
+            state = self._robot.update(arm.q, arm.velocity)
+            braking = state.mass_matrix @ state.velocity * (fade / COAST_TIME)
+            floating: Vector = state.gravity - braking
+            return floating
+        if self._posture is None:
+            self._posture = arm.q.copy()
+        w = self._config.hold_frequency
+        held: Vector = arm.bias_torque + arm.inertia * (
+            w * w * (self._posture - arm.q) - 2.0 * w * arm.velocity)
+        return held
+
+
+class TorqueBlend:
+    """
+    Hands over between laws without a step.
+
+    At a switch the difference between the last command and the new law's is kept as an offset
+    that decays exponentially: the torque, and with it the commanded acceleration, is continuous,
+    and changes by at most |offset| h / time_constant per period more than the new law's own.
+
+    Parameters
+    ----------
+    time_constant
+        Of that decay [s].
+    period
+        h [s].
+
+    """
+
+    def __init__(self, time_constant: float, period: float) -> None:
+        self._keep = math.exp(-period / time_constant)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the past: the next law starts at once."""
+        self._law: object = None
+        self._offset: Vector | None = None
+        self.last: Vector | None = None
+
+    def settle(self) -> None:
+        """Let the offset go at once; somebody else sees to the jump."""
+        self._offset = None
+
+    def apply(self, law: object, torque: Vector) -> Vector:
+        """
+        Return the torque to command.
+
+        Parameters
+        ----------
+        law
+            Anything that differs from one law to another.
+        torque
+            The law's torque, shape (n,) [N m].
+
+        """
+        if self.last is not None and law != self._law:
+            self._offset = self.last - torque
+        elif self._offset is not None:
+            self._offset = self._offset * self._keep
+            if np.abs(self._offset).max() < 1e-6:
+                self._offset = None
+        self._law = law
+        blended = torque if self._offset is None else torque + self._offset
+        return blended
