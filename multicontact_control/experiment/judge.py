@@ -31,7 +31,7 @@ from multicontact_control.experiment.real_time import (
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.experiment.verdict import HELD, NOT_STABLE, STABLE, UNJUDGED
-from multicontact_control.supervision.contact_state import ContactState
+from multicontact_control.supervision.contacts import ContactState
 from multicontact_control.supervision.event_log import Event
 import numpy as np
 

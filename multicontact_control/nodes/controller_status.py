@@ -7,7 +7,7 @@ from typing import Any
 
 from multicontact_control.nodes.control_session import ControlSession
 from multicontact_control.nodes.diagnostics import Status
-from multicontact_control.supervision.contact_state import ContactState
+from multicontact_control.supervision.contacts import ContactState
 from multicontact_control.supervision.fallback import INFLATE, NONE, SEVERITY
 
 TROUBLED = (ContactState.LOST.value, ContactState.RETRACTING.value, ContactState.GIVEN_UP.value)

@@ -6,8 +6,8 @@ import math
 
 from multicontact_control.arrays import Vector
 from multicontact_control.config import WatchdogConfig
+from multicontact_control.control.arm_state import ArmState
 from multicontact_control.dynamics.robot import RobotModel
-from multicontact_control.supervision.arm_state import ArmState
 import numpy as np
 
 NONE, INFLATE, HOLD, FLOAT, DAMP = 'none', 'inflate', 'hold', 'float', 'damp'

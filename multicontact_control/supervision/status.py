@@ -7,7 +7,7 @@ from typing import NamedTuple
 from multicontact_control.arrays import Vector
 from multicontact_control.control.tick import ControlOutput
 from multicontact_control.dynamics.pose import Pose
-from multicontact_control.force.kernels import REPORT_ROWS
+from multicontact_control.records import CONTACT
 import numpy as np
 
 
@@ -55,5 +55,5 @@ def no_answer(joints: int, contacts: int) -> ControlOutput:
     """Return the answer before anything is known."""
     pose = Pose(np.zeros(3), np.eye(3))
     return ControlOutput(
-        torque=np.zeros(joints), contacts=np.zeros((len(REPORT_ROWS), contacts)),
-        active=np.zeros(contacts, dtype=bool), pose=pose, pose_des=pose)
+        torque=np.zeros(joints), contacts=np.zeros(contacts, dtype=CONTACT), pose=pose,
+        pose_des=pose)

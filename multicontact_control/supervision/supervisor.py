@@ -7,14 +7,13 @@ from pathlib import Path
 
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
+from multicontact_control.control.arm_state import ArmState
 from multicontact_control.control.controller import Controller, ControlOutput
 from multicontact_control.control.reference import TaskSource
+from multicontact_control.control.wrench import tool_record
 from multicontact_control.dynamics.pose import Pose
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import ConfigError
-from multicontact_control.force.kernels import DESIRED
-from multicontact_control.supervision.arm_state import ArmState
-from multicontact_control.supervision.contact_reference import ContactReference
 from multicontact_control.supervision.fallback import (
     DAMP,
     FLOAT,
@@ -25,15 +24,19 @@ from multicontact_control.supervision.fallback import (
     SEVERITY,
 )
 from multicontact_control.supervision.gate import TorqueGate
-from multicontact_control.supervision.gate_kernels import (
+from multicontact_control.supervision.inputs import TickInputs
+from multicontact_control.supervision.plausibility import (
     check_plausibility,
+    check_speeds,
     NOT_FINITE,
     OUTSIDE,
+    plausibility_limits,
     PULL,
     SIDEWAYS,
+    SPEED_EXCESS,
+    TOO_FAST,
 )
-from multicontact_control.supervision.inputs import TickInputs
-from multicontact_control.supervision.plausibility import plausibility_limits
+from multicontact_control.supervision.reference import ContactReference
 from multicontact_control.supervision.safe_behaviour import SafeBehaviour
 from multicontact_control.supervision.status import (
     no_answer,
@@ -94,11 +97,10 @@ class Supervisor:
         self._safe = SafeBehaviour(config.safe_behaviour, robot)
         self._adopt(config)
         self.expects_pushes = False
-        self._normals = np.array(
-            [config.contacts[name].normal_world for name in config.contact_names])
-        self._view = ArmState(config.limits, robot.joint_count)
-        self.reference.bind_arm(self._view)
-        self.reference.bind_buffers(self.controller.buffers)
+        self._speed_limit = np.broadcast_to(
+            SPEED_EXCESS * np.array(config.limits.joint_speed or np.inf),
+            (robot.joint_count,)).copy()
+        self.reference.bind(self.controller)
         self._energy_limits = self.reference.energy_limits
         self._warm_up()
         self.reset()
@@ -122,6 +124,7 @@ class Supervisor:
         """Set what follows from the values that may change while the arm is controlled."""
         self.config = config
         self._plausibility = plausibility_limits(config)
+        self._tools = tool_record(config.tool, np.array(config.robot.gravity_world))
         self._transition.adopt(config)
         self._safe.config = config.safe_behaviour
 
@@ -178,6 +181,7 @@ class Supervisor:
         self._reactions.end()
         self._transition.reset()
         self._arm: ArmState | None = None
+        self._too_fast: tuple[str, ...] = ()
         self._output = no_answer(self._robot.joint_count, len(self.config.contact_names))
         self._status: SupervisorStatus | None = None
         self._effort: Vector | None = None
@@ -192,13 +196,11 @@ class Supervisor:
 
     def _warm_up(self) -> None:
         """Call everything compiled once: no tick is to wait for numba."""
-        n, r = self._robot.joint_count, len(self.config.contact_names)
-        nothing = np.zeros(n)
-        self._view.update(self.controller.sense(nothing, nothing), nothing, nothing)
-        output = no_answer(n, r)
-        check_plausibility(
-            output.torque, output.contacts, self.reference.state_codes, np.zeros(6),
-            self._view.posture, self._normals, self._plausibility)
+        nothing = np.zeros(self._robot.joint_count)
+        arm = self.controller.arm
+        arm.update(nothing, nothing)
+        self._check_speeds(arm)
+        self._check_answer(nothing, np.zeros(6))
 
     def step(self, inputs: TickInputs) -> SupervisorOutput:
         """
@@ -284,14 +286,11 @@ class Supervisor:
     def _idle_output(self, torque: Vector) -> ControlOutput:
         """Return an answer of something else than the control law."""
         contacts = self._output.contacts.copy()
-        contacts[DESIRED] = 0.0
-        return self._output._replace(
-            torque=torque, contacts=contacts, active=np.zeros_like(self._output.active))
+        contacts['alpha_des'], contacts['active'] = 0.0, False
+        return self._output._replace(torque=torque, contacts=contacts)
 
     def _step(self, believed: ValidatedInputs) -> SupervisorOutput:
-        causes = believed.causes
-        if self._arm is not None and self._arm.too_fast:
-            causes += self._arm.too_fast
+        causes = believed.causes + self._too_fast
         reaction = self._reaction_to(causes)
         if reaction in (NONE, INFLATE):
             self._good_ticks += 1
@@ -307,9 +306,19 @@ class Supervisor:
         """Work out where the arm is."""
         if believed.q is None or believed.qd is None:
             return
-        terms = self.controller.sense(believed.q, believed.qd)
-        if self._view.update(terms, believed.q, believed.qd):
-            self._arm = self._view
+        arm = self.controller.arm
+        if arm.update(believed.q, believed.qd):
+            self._arm = arm
+            self._too_fast = TOO_FAST[self._check_speeds(arm)]
+
+    def _check_speeds(self, arm: ArmState) -> int:
+        return int(check_speeds(arm.joints, arm.frames, self._speed_limit, self._plausibility))
+
+    def _check_answer(self, torque: Vector, wrench: Vector) -> int:
+        controller = self.controller
+        return int(check_plausibility(
+            torque, wrench, controller.contacts, self.reference.contact_states,
+            controller.arm.frames, self._tools, self._plausibility))
 
     def _reaction_to(self, causes: tuple[str, ...]) -> str:
         if not causes:
@@ -335,11 +344,11 @@ class Supervisor:
             output = self.controller.answer(
                 self._task_time(), believed.wrench, believed.variance)
         except Exception as error:  # whatever it is, the arm needs an answer
-            return self._react((f'law_{type(error).__name__}',), believed.rejected,
-                               self.config.watchdog.on_law_fault)
-        doubts = check_plausibility(
-            output.torque, output.contacts, self.reference.state_codes, believed.wrench,
-            self._arm.posture, self._normals, self._plausibility)
+            cause = f'law_{type(error).__name__}' if self.controller.arm.finite else (
+                'law_not_finite')
+            return self._react(
+                (cause,), believed.rejected, self.config.watchdog.on_law_fault)
+        doubts = self._check_answer(output.torque, self.controller.wrench_sensor)
         if doubts & NOT_FINITE:
             return self._react(('law_not_finite',), believed.rejected,
                                self.config.watchdog.on_law_fault)
@@ -396,7 +405,7 @@ class Supervisor:
     def _last_resort(self, cause: str) -> SupervisorOutput:
         """Answer after something failed that should not: forget the arm, let go of it slowly."""
         self._paused, self._last_reaction, self._arm = True, DAMP, None
-        self._good_ticks = 0
+        self._too_fast, self._good_ticks = (), 0
         return self._finish(self._output, DAMP, (cause,), (), DAMP, ())
 
     def _task_time(self) -> float:

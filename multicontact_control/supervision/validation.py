@@ -7,29 +7,31 @@ from typing import Any, NamedTuple
 
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
+from multicontact_control.records import (
+    AXIS_READING,
+    JOINT_READING,
+    READING_MEMORY,
+    READING_SETTINGS,
+    Records,
+    VARIANCE_READING,
+)
 from multicontact_control.supervision.inputs import (
     JointInput,
     TickInputs,
     VarianceInput,
     WrenchInput,
 )
-from multicontact_control.supervision.validation_kernels import (
-    BELIEVED,
+from multicontact_control.supervision.readings import (
+    check_readings,
     FINE,
     FROZEN,
     IMPLAUSIBLE,
     INVALID,
-    judge_readings,
     JUMP,
-    NEW,
-    READINGS,
     SATURATED,
     VERDICTS,
-    WATCH_MEMORY,
-    WATCH_SETTINGS,
 )
 import numpy as np
-from numpy.typing import NDArray
 
 __all__ = [
     'JointInput', 'TickInputs', 'ValidatedInputs', 'VarianceInput', 'Watchdog', 'WrenchInput']
@@ -103,8 +105,8 @@ class Watchdog:
 
     A reading that is not believed counts as not received: the last believed one is used until it
     is older than its limit. So a sample that is lost or damaged is bridged, and two in a row
-    call for a reaction. Stamps, names and sizes are looked at here, the numbers in
-    `watchdog_kernels`, compiled.
+    call for a reaction. Stamps, names and sizes are looked at here, the numbers in `readings`,
+    compiled.
 
     Parameters
     ----------
@@ -118,27 +120,33 @@ class Watchdog:
         self._period = config.period
         self._names = list(config.robot.joint_names)
         watch, n, r = config.watchdog, len(self._names), len(config.contact_names)
-        self._settings = watch_settings(config)
-        self._speed_limit = np.array(config.limits.joint_speed or [np.inf] * n)
-        self._full_scale = (0.999 * np.array(watch.wrench_full_scale)
-                            if watch.wrench_full_scale else np.full(6, np.inf))
+        self._settings = reading_settings(config)
+        self._joints: Any = np.zeros(n, dtype=JOINT_READING)
+        self._joints['speed_limit'] = config.limits.joint_speed or np.inf
+        self._axes: Any = np.zeros(6, dtype=AXIS_READING)
+        self._axes['full_scale'] = 0.999 * np.array(watch.wrench_full_scale or np.inf)
+        self._variances: Any = np.zeros(r, dtype=VARIANCE_READING)
+        self._memory: Any = np.zeros(1, dtype=READING_MEMORY)
         self._band = config.period / watch.rate_band, config.period * watch.rate_band
         slack = 1e-3 * config.period
         self._limits = (
             ('joints', watch.joint_max_age + slack), ('wrench', watch.wrench_max_age + slack),
             ('variance', watch.variance_max_age + slack))
-        self._memory: Any = np.zeros(1, dtype=WATCH_MEMORY)
-        self._joints = np.zeros((len(READINGS), 2, n))
-        self._wrenches = np.zeros((len(READINGS), 6))
-        self._variances = np.zeros((len(READINGS), r))
         self._in_order = list(range(n))
-        self._new_q, self._new_qd = self._joints[NEW]
-        self._believed_q, self._believed_qd = self._joints[BELIEVED]
-        self._believed_wrench = self._wrenches[BELIEVED]
-        self._new_wrench, self._new_variance = self._wrenches[NEW], self._variances[NEW]
-        self._numbers = (self._joints, self._wrenches, self._variances, self._speed_limit,
-                         self._full_scale, self._memory, self._settings)
-        judge_readings(True, True, True, 0.0, *self._numbers)  # no tick is to wait for numba
+        self._new_q: Vector = self._joints['q']
+        self._new_qd: Vector = self._joints['qd']
+        self._valid_q: Vector = self._joints['valid_q']
+        self._valid_qd: Vector = self._joints['valid_qd']
+        self._new_wrench: Vector = self._axes['new']
+        self._valid_wrench: Vector = self._axes['valid']
+        self._new_variance: Vector = self._variances['new']
+        self._valid_variance: Vector = self._variances['valid']
+        self._fresh_readings = [
+            self._memory[f'{name}_fresh'] for name in ('joints', 'wrench', 'variance')]
+        self._elapsed: Vector = self._memory['elapsed']
+        for fresh in self._fresh_readings:
+            fresh[:] = True
+        self._check()  # no tick is to wait for numba
         self.reset()
 
     def reset(self) -> None:
@@ -148,12 +156,12 @@ class Watchdog:
         self._q: Vector | None = None
         self._qd: Vector | None = None
         self._wrench: Vector | None = None
-        self._variances[BELIEVED] = min(
+        self._valid_variance[:] = min(
             self._config.initial_noise_variance, self._watch.variance_ceiling)
         self._inflation = 1.0
         self._stamps: dict[str, float | None] = {'joints': None, 'wrench': None, 'variance': None}
         self._seen: dict[str, float | None] = dict(self._stamps)
-        self._memory[:] = np.zeros(1, dtype=WATCH_MEMORY)
+        self._memory[:] = np.zeros(1, dtype=READING_MEMORY)
 
     def validate(self, inputs: TickInputs) -> ValidatedInputs:
         """Take in what is known at a tick and say what of it is believed."""
@@ -187,9 +195,9 @@ class Watchdog:
 
     def _used_variance(self) -> Vector:
         if self._inflation == 1.0:
-            return self._variances[BELIEVED]
+            return self._valid_variance
         used: Vector = np.minimum(
-            self._variances[BELIEVED] * self._inflation, self._watch.variance_ceiling)
+            self._valid_variance * self._inflation, self._watch.variance_ceiling)
         self._inflation = min(self._inflation, 1e12)
         return used
 
@@ -291,9 +299,10 @@ class Watchdog:
         variance = None if inputs.variance is None else self._take_numbers(
             'variance', *inputs.variance, self._new_variance, time, problems)
         elapsed = h if joints is None or before is None else joints - before
-        verdicts = judge_readings(
-            joints is not None, wrench is not None, variance is not None, elapsed,
-            *self._numbers)
+        self._elapsed[0] = elapsed
+        for fresh, stamp in zip(self._fresh_readings, (joints, wrench, variance)):
+            fresh[0] = stamp is not None
+        verdicts = self._check()
         on_joints = on_wrench = on_variance = FINE
         if verdicts:
             on_variance, others = divmod(verdicts, VERDICTS ** 2)
@@ -302,12 +311,12 @@ class Watchdog:
         if joints is not None:
             if on_joints == FINE:
                 self._stamps['joints'], self._blind_ticks = joints, 0
-                self._q, self._qd = self._believed_q, self._believed_qd
+                self._q, self._qd = self._valid_q, self._valid_qd
             elif on_joints == FROZEN:  # the reading is as old as its value
                 self._stamps['joints'] = joints - h * self._repeats('joint_repeats')
         if wrench is not None:
             if on_wrench == FINE:
-                self._stamps['wrench'], self._wrench = wrench, self._believed_wrench
+                self._stamps['wrench'], self._wrench = wrench, self._valid_wrench
             elif on_wrench == FROZEN:
                 self._stamps['wrench'] = wrench - h * self._repeats('wrench_repeats')
         if variance is not None and on_variance == FINE:
@@ -318,14 +327,19 @@ class Watchdog:
                     problems[key] = PROBLEMS[verdict]
         return problems
 
+    def _check(self) -> int:
+        """Check what is fresh of the numbers; see `check_readings`."""
+        return int(check_readings(
+            self._joints, self._axes, self._variances, self._memory, self._settings))
+
     def _repeats(self, name: str) -> int:
         return int(self._memory[name][0])
 
 
-def watch_settings(config: ControllerConfig) -> NDArray[np.void]:
-    """Return what compiled code needs of a configuration: one record of `WATCH_SETTINGS`."""
+def reading_settings(config: ControllerConfig) -> Records:
+    """Return what readings must be like as one record of `READING_SETTINGS`."""
     watch = config.watchdog
-    settings = np.zeros(1, dtype=WATCH_SETTINGS)
+    settings = np.zeros(1, dtype=READING_SETTINGS)
     for name in ('position_jump', 'frozen_samples', 'variance_floor', 'variance_ceiling'):
         settings[name] = getattr(watch, name)
     settings['period'] = config.period

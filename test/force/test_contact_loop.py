@@ -1,11 +1,11 @@
 from multicontact_control.errors import ConfigError, ShapeError
-from multicontact_control.force.active_observer import ActiveObserver
 from multicontact_control.force.contact_loop import closed_loop, LinearArmPlant, spectral_radius
 from multicontact_control.force.linear_loop import (
     closed_loop_matrix,
     RealContact,
     steady_gain,
 )
+from multicontact_control.force.observer import design_observer
 from multicontact_control.force.plant_model import design_force_loop
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ H = 0.002
 
 
 def observer():
-    return ActiveObserver(design_force_loop(
+    return design_observer(design_force_loop(
         6000.0, damping_rate=20.0, input_delay=0.006, period=H, time_constant=0.02))
 
 

@@ -2,12 +2,14 @@
 
 import math
 
+from equations import rotation_error
 from multicontact_control.control.reference import Reference
-from multicontact_control.dynamics.pose import Pose, rotation_error
-from multicontact_control.supervision.contact_kernels import LEVEL_TIME, POSITION_RATE, TOUCH_SHARE
-from multicontact_control.supervision.contact_reference import RETURN_RATE
-from multicontact_control.supervision.contact_state import ACTIVE, ContactState
+from multicontact_control.dynamics.pose import Pose
+from multicontact_control.supervision.contacts import ContactState
 import numpy as np
+
+LEVEL_TIME, TOUCH_SHARE, POSITION_RATE, RETURN_RATE = 0.1, 0.5, 20.0, 2.0
+ACTIVE = (ContactState.IMPACT, ContactState.HOLDING)
 
 
 class PlainMachine:
@@ -35,11 +37,6 @@ class PlainMachine:
     @property
     def approach_speed(self):
         return self._config.approach_speed
-
-    def retry(self):
-        if self.state is ContactState.GIVEN_UP:
-            self._enter(ContactState.FREE)
-            self._origin = None
 
     def let_go(self, place, speed=0.0):
         if self.active:

@@ -1,11 +1,14 @@
 """Watchdog and gate in plain numpy: what the compiled ones must equal."""
 
-from multicontact_control.arrays import all_finite
 from multicontact_control.supervision.gate import GateResult
-from multicontact_control.supervision.gate_kernels import SPEED_GAIN
 from multicontact_control.supervision.validation import Watchdog
-from multicontact_control.supervision.validation_kernels import BELIEVED, LONGEST, STILL
 import numpy as np
+
+SPEED_GAIN, LONGEST, STILL = 50.0, 0.1, 1e-4
+
+
+def all_finite(values):
+    return bool(np.isfinite(values).all())
 
 
 class PlainGate:
@@ -102,7 +105,7 @@ class PlainWatchdog(Watchdog):
     def _joint_problem(self, q, qd, stamp):
         if not (all_finite(q) and all_finite(qd)):
             return 'invalid'
-        if np.abs(q).max() > 1e3 or (np.abs(qd) > 3.0 * self._speed_limit).any():
+        if np.abs(q).max() > 1e3 or (np.abs(qd) > 3.0 * self._joints['speed_limit']).any():
             return 'implausible'
         before, self._last_joints = self._last_joints, (q, qd)
         if self._jumped(q, qd, before, stamp):
@@ -135,7 +138,7 @@ class PlainWatchdog(Watchdog):
         self._wrench_repeats = self._wrench_repeats + 1 if same else 0
         self._last_wrench = wrench
         limit = self._watch.frozen_samples
-        if (np.abs(wrench) >= self._full_scale).any():
+        if (np.abs(wrench) >= self._axes['full_scale']).any():
             problems['wrench'] = 'saturated'
         elif limit and self._wrench_repeats >= limit:
             problems['wrench'] = 'frozen'
@@ -148,6 +151,6 @@ class PlainWatchdog(Watchdog):
         if not all_finite(variance) or not (variance > 0.0).all():
             problems['variance'] = 'invalid'
         else:
-            self._variances[BELIEVED] = np.clip(
+            self._valid_variance[:] = np.clip(
                 variance, self._watch.variance_floor, self._watch.variance_ceiling)
             self._stamps['variance'], self._inflation = stamp, 1.0

@@ -4,7 +4,6 @@ from arms import controller_config, HOME
 from multicontact_control.control.controller import Controller, Measurement
 from multicontact_control.control.reference import CommandedReference
 from multicontact_control.errors import ConfigError
-from multicontact_control.force.kernels import COMMAND, COVARIANCE, RUNNING
 from multicontact_control.paths import config_dir
 from multicontact_control.sensor.weight import weight_reading
 from multicontact_control.supervision.bumpless import BumplessController
@@ -92,17 +91,17 @@ def test_reconfigure_keeps_what_the_observers_know():
             reference.set_forces({'table': 5.0})
         controller.step(sample(controller, k), R)
     known = controller.controller._observers
-    assert known.x_est[0].any()
+    assert known['x_est'][0].any()
     controller.reconfigure(controller_config(force={'time_constant': 0.04}))
     new = controller.controller._observers
-    np.testing.assert_array_equal(known.x_est, new.x_est)
-    np.testing.assert_array_equal(known.matrices[COVARIANCE], new.matrices[COVARIANCE])
-    np.testing.assert_array_equal(known.scalars[RUNNING], new.scalars[RUNNING])
-    assert (new.feedback[:, 0] < 0.5 * known.feedback[:, 0]).all()
+    np.testing.assert_array_equal(known['x_est'], new['x_est'])
+    np.testing.assert_array_equal(known['P'], new['P'])
+    np.testing.assert_array_equal(known['running'], new['running'])
+    assert (new['feedback'][:, 0] < 0.5 * known['feedback'][:, 0]).all()
     # The input under way is still the one that was commanded.
     np.testing.assert_allclose(
-        new.scalars[COMMAND] - np.sum(new.feedback * new.x_est, axis=1),
-        known.scalars[COMMAND] - np.sum(known.feedback * known.x_est, axis=1),
+        new['command'] - np.sum(new['feedback'] * new['x_est'], axis=1),
+        known['command'] - np.sum(known['feedback'] * known['x_est'], axis=1),
         rtol=1e-9, atol=1e-12)
 
 
@@ -115,8 +114,8 @@ def test_reconfigure_to_a_state_of_another_size_starts_the_observers_anew():
     old = controller.controller._observers
     controller.reconfigure(controller_config(force={'active_state_order': 0}))
     new = controller.controller._observers
-    assert new.x_est.shape[1] == old.x_est.shape[1] - 1
-    assert not new.scalars[RUNNING].any() and not new.x_est.any()
+    assert (new['states'] == old['states'] - 1).all()
+    assert not new['running'].any() and not new['x_est'].any()
 
 
 @pytest.mark.parametrize('changes', [

@@ -1,10 +1,11 @@
 """The reference around a task: box, reach, pauses."""
 
 from arms import controller_config
+from equations import rotation_error
 from multicontact_control.control.reference import CommandedReference
-from multicontact_control.dynamics.pose import Pose, rotation_error
-from multicontact_control.supervision.contact_reference import ContactReference
-from multicontact_control.supervision.reference_kernels import rotate_by
+from multicontact_control.dynamics.pose import Pose
+from multicontact_control.supervision.reference import ContactReference
+from multicontact_control.supervision.reference_limits import rotate_by
 import numpy as np
 import pytest
 

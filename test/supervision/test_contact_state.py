@@ -1,8 +1,9 @@
 """The state machine of a contact: transitions, bounds, what noise and bounces must not do."""
 
+from contact_machine import ContactMachine
 from multicontact_control.config import ContactStateConfig
 from multicontact_control.errors import ConfigError
-from multicontact_control.supervision.contact_state import ContactMachine, ContactState
+from multicontact_control.supervision.contacts import ContactState
 import numpy as np
 import pytest
 
@@ -124,7 +125,7 @@ def test_bounce_after_touch_is_no_loss():
 
 
 def test_lost_contact_waits_where_it_would_touch_and_not_where_it_pressed():
-    machine = ContactMachine(ContactStateConfig(search_distance=0.001), H, stiffness=6000.0)
+    machine = ContactMachine(ContactStateConfig(search_distance=0.001), H, 6000.0)
     for alpha, ticks in ((0.0, 300), (15.0, 100), (0.0, 10)):
         for _ in range(ticks):
             machine.update(True, alpha, 15.0, 0.005, 0.0)
@@ -138,7 +139,7 @@ def test_given_up_contact_stays_so_until_asked_for_anew():
     surface = Surface(depth=1.0, approach_distance=0.01)
     surface.run(3.0)
     assert surface.machine.state is ContactState.GIVEN_UP
-    surface.machine.retry()
+    surface.run(0.1, wanted=False)
     surface.run(0.1)
     assert surface.machine.state is ContactState.APPROACHING
 

@@ -3,9 +3,9 @@
 from arms import controller_config, HOME
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from multicontact_control.control.arm_state import ArmState
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.paths import config_dir
-from multicontact_control.supervision.arm_state import ArmState
 from multicontact_control.supervision.gate import TorqueGate
 import numpy as np
 
@@ -16,8 +16,8 @@ STEP = np.array(CONFIG.limits.torque_rate) * CONFIG.period
 
 
 def view_arm(q, velocity):
-    arm = ArmState(CONFIG.limits, 6)
-    assert arm.update(ROBOT.compute(q, velocity), q, velocity)
+    arm = ArmState(ROBOT)
+    assert arm.update(q, velocity)
     return arm
 
 

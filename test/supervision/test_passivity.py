@@ -1,7 +1,7 @@
 """The passivity observer: silent for springs and dampers, awake for what feeds a bounce."""
 
+from contact_machine import PassivityObserver
 from multicontact_control.config import ContactStateConfig
-from multicontact_control.supervision.passivity import PassivityObserver
 import numpy as np
 import pytest
 

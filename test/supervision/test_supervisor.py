@@ -3,19 +3,21 @@
 from arms import controller_config, HOME
 from hypothesis import given, HealthCheck, settings
 from hypothesis import strategies as st
+from multicontact_control.control.arm_state import fill_frame, fill_joints
+from multicontact_control.control.law import control_law
 from multicontact_control.control.reference import (
     ApproachConfig,
     CommandedReference,
     ReferenceConfig,
     ScenarioReference,
 )
+from multicontact_control.control.wrench import measure_contacts
 from multicontact_control.paths import config_dir
-from multicontact_control.supervision import (
-    contact_kernels,
-    gate_kernels,
-    reference_kernels,
-    validation_kernels,
-)
+from multicontact_control.supervision.contacts import let_go
+from multicontact_control.supervision.gate import gate_torque
+from multicontact_control.supervision.plausibility import check_plausibility, check_speeds
+from multicontact_control.supervision.readings import check_readings
+from multicontact_control.supervision.reference_limits import limit_reference
 from multicontact_control.supervision.supervisor import Supervisor
 from multicontact_control.supervision.validation import (
     JointInput,
@@ -226,9 +228,8 @@ def test_pulling_surface_is_not_believed():
 
 def test_no_tick_compiles_anything():
     """Whatever the arrays of a message are like: numba would take seconds for another type."""
-    kernels = (contact_kernels.let_one_go, reference_kernels.limit_reference,
-               validation_kernels.judge_readings, gate_kernels.see_arm,
-               gate_kernels.check_plausibility, gate_kernels.gate_torque)
+    kernels = (let_go, limit_reference, check_readings, check_speeds, check_plausibility,
+               gate_torque, fill_joints, fill_frame, control_law, measure_contacts)
 
     def compiled():
         return [len(kernel.signatures) for kernel in kernels]

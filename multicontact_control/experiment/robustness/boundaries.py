@@ -15,21 +15,21 @@ import math
 from typing import Any
 
 from multicontact_control.arrays import Matrix
-from multicontact_control.contact.geometry import contact_normals
+from multicontact_control.contact.geometry import normal_space
 from multicontact_control.control.controller import Controller
-from multicontact_control.dynamics.operational_space import operational_space
+from multicontact_control.dynamics.operational_space import task_inertia
 from multicontact_control.experiment.comparison.matrix import controller_values, estimator_values
 from multicontact_control.experiment.engine import cell_of, RunCell
 from multicontact_control.experiment.loop import run_in_process
 from multicontact_control.experiment.measure import final_error_share
 from multicontact_control.experiment.scenario import Setup
-from multicontact_control.force.active_observer import ActiveObserver
 from multicontact_control.force.contact_loop import closed_loop, LinearArmPlant, spectral_radius
 from multicontact_control.force.linear_loop import (
     RealContact,
     stability_boundary,
     steady_gain,
 )
+from multicontact_control.force.observer import design_observer, ObserverDesign
 from multicontact_control.force.plant_model import design_force_loop
 import numpy as np
 
@@ -104,7 +104,7 @@ class ArmLoop:
     mobility: Matrix
     tool_inertia: Matrix
 
-    def observer(self) -> ActiveObserver:
+    def observer(self) -> ObserverDesign:
         """Return the observer of the first contact; the others have the same model."""
         controller = self.setup.controller
         force = controller.force
@@ -113,7 +113,7 @@ class ArmLoop:
             damping_rate=force.damping_rate, input_delay=force.input_delay,
             period=controller.period, time_constant=force.time_constant,
             second_pole_ratio=force.second_pole_ratio)
-        return ActiveObserver(
+        return design_observer(
             loop, order=force.active_state_order, process_noise=force.process_noise,
             initial_covariance=force.initial_covariance)
 
@@ -182,13 +182,11 @@ def arm_loop(setup: Setup) -> ArmLoop:
 
     """
     config = setup.controller
-    robot = Controller.from_config(config, setup.reference(), setup.urdf_dir).robot
+    controller = Controller.from_config(config, setup.reference(), setup.urdf_dir)
+    robot = controller.robot
     state = robot.update(np.array(setup.plant.home), np.zeros(robot.joint_count))
-    contacts = [config.contacts[name] for name in config.contact_names]
-    levers = -np.array([contact.point_operational for contact in contacts]
-                       ) @ state.pose.rotation_world.T
-    N = contact_normals(np.array([contact.normal_world for contact in contacts]), levers)
-    mobility = N.T @ np.linalg.solve(operational_space(state).Lambda, N)
+    N = normal_space(controller.contacts, state.pose.rotation_world)
+    mobility = N.T @ np.linalg.solve(task_inertia(state.mass_matrix, state.jacobian), N)
     com = (state.sensor_pose.rotation_world @ np.array(config.tool.com_sensor)
            + state.sensor_pose.position_world - state.pose.position_world)
     x, y, z = com

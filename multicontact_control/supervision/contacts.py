@@ -1,15 +1,28 @@
 """
-The states of all contacts, their passivity observers, and the reference they make, compiled.
+The state of each contact: looked for, touched, held, lost, given up; and its passivity.
 
-Every contact is one record of `CONTACT`; what is set for all of them is the one record of
-`CONTACT_SETTINGS`. `ContactMachine` and `ContactReference` say what it is for.
+One machine per contact decides which law drives the operational point along that contact's
+normal: the force law from touch to loss, the motion law before and after. In the motion law the
+tip advances along the normal by a displacement that is ramped, bounded and braked.
+
+free -> approaching -> impact -> holding -> lost -> approaching ..., given up once the tip has
+gone too far without a surface, retracting (then given up) beyond the force ceiling. Touch
+and loss have thresholds apart and least times, so that a bounce or a spike changes nothing.
+
+Every contact is one record of `CONTACT_STATE`; what is set for all of them is the one record of
+`CONTACT_SETTINGS`.
 """
 
 from __future__ import annotations
 
+from enum import Enum
+import math
 from typing import Any
 
+from multicontact_control.arrays import Mask
 from multicontact_control.compiled import compiled
+from multicontact_control.config import ContactStateConfig
+from multicontact_control.records import CONTACT_SETTINGS, CONTACT_STATE, Records
 import numpy as np
 
 # States in the order of `ContactState`; below LOST and above APPROACHING the force law acts.
@@ -18,19 +31,55 @@ LEVEL_TIME = 0.1  # s, over which the force a contact is held with is averaged
 TOUCH_SHARE = 0.5  # of the force before a loss, that counts as touch right after it
 POSITION_RATE = 20.0  # 1/s, of the way left: how a displacement settles
 
-# One contact: what `ContactMachine` and `PassivityObserver` call so; `origin` is where the
-# surface was, NaN if it was never met.
-CONTACT = np.dtype([('state', np.int64), ('losses', np.int64), *((name, np.float64) for name in (
-    'displacement', 'speed', 'acceleration', 'force_limit', 'in_state', 'below', 'level',
-    'origin', 'start', 'target', 'energy', 'stored', 'stiffness'))])
-# What is set for all contacts: the fields of `ContactStateConfig` of the same name, the period,
-# and the share of the energy that is kept from tick to tick.
-CONTACT_SETTINGS = np.dtype([(name, np.float64) for name in (
-    'period', 'approach_speed', 'approach_ramp_time', 'approach_distance', 'search_distance',
-    'contact_threshold', 'release_threshold', 'release_fraction', 'escape_speed', 'preload',
-    'force_rate', 'impact_time', 'bounce_time', 'loss_time', 'lost_time', 'braking',
-    'force_ceiling', 'retract_distance', 'retract_speed', 'energy_limit', 'injected_damping',
-    'energy_keep')])
+
+class ContactState(Enum):
+    """What is known of a contact."""
+
+    FREE = 'free'
+    APPROACHING = 'approaching'
+    IMPACT = 'impact'
+    HOLDING = 'holding'
+    LOST = 'lost'
+    RETRACTING = 'retracting'
+    GIVEN_UP = 'given up'
+
+
+STATES = tuple(ContactState)
+
+
+def contact_settings(config: ContactStateConfig, period: float) -> Records:
+    """Return what is set for all contacts as one record of `CONTACT_SETTINGS`; h in [s]."""
+    others = {'period': period, 'energy_keep': math.exp(-period / config.energy_memory)}
+    settings = np.zeros(1, dtype=CONTACT_SETTINGS)
+    for name in settings.dtype.names or ():
+        settings[name] = others[name] if name in others else getattr(config, name)
+    return settings
+
+
+def contact_states(stiffness: list[float]) -> Records:
+    """Return contacts that are free, of surfaces of that stiffness [N/m], shape (r,)."""
+    states = np.zeros(len(stiffness), dtype=CONTACT_STATE)
+    states['stiffness'] = stiffness
+    states['origin'] = math.nan
+    return states
+
+
+def reset(states: Records, which: Mask | None = None) -> None:
+    """
+    Let contacts start anew, free; their energy is not forgotten.
+
+    Parameters
+    ----------
+    states
+        Records of `CONTACT_STATE`, changed, shape (r,).
+    which
+        Which of them, all if not given, shape (r,).
+
+    """
+    chosen = np.ones(states.shape, dtype=bool) if which is None else which
+    for name in states.dtype.names or ():
+        if name not in ('stiffness', 'energy', 'stored'):
+            states[name][chosen] = math.nan if name == 'origin' else 0
 
 
 @compiled
@@ -80,12 +129,12 @@ def watch_search(contact: Any, settings: Any, alpha: float) -> None:
 
 @compiled
 def watch_hold(
-    contact: Any, settings: Any, alpha: float, alpha_des: float, place: float, speed: float,
+    contact: Any, settings: Any, alpha: float, place: float, speed: float,
 ) -> None:
     """Notice a loss, or that a touch has lasted."""
     h = settings.period
     threshold = max(settings.release_threshold, settings.release_fraction * min(
-        contact.level, alpha_des, contact.force_limit))
+        contact.level, contact.asked, contact.force_limit))
     if alpha >= threshold:
         contact.below = 0.0
         contact.origin = place - alpha / contact.stiffness  # where it would not press any more
@@ -106,8 +155,7 @@ def watch_hold(
 
 @compiled
 def switch_state(
-    contact: Any, settings: Any, wanted: bool, alpha: float, alpha_des: float, place: float,
-    speed: float,
+    contact: Any, settings: Any, alpha: float, place: float, speed: float,
 ) -> None:
     """Go to another state if it is time; see `advance_contact`."""
     if alpha > settings.force_ceiling and contact.state != RETRACTING:
@@ -115,7 +163,7 @@ def switch_state(
         contact.speed = speed
         contact.target = place - settings.retract_distance
         enter(contact, RETRACTING)
-    elif not wanted:
+    elif not contact.wanted:
         if is_active(contact):
             leave_surface(contact, place, speed)
         if contact.state != FREE:
@@ -126,7 +174,7 @@ def switch_state(
         contact.start = contact.displacement
         enter(contact, APPROACHING)
     elif is_active(contact):
-        watch_hold(contact, settings, alpha, alpha_des, place, speed)
+        watch_hold(contact, settings, alpha, place, speed)
     elif contact.state == RETRACTING:
         if abs(contact.target - contact.displacement) < 1e-4:
             enter(contact, GIVEN_UP)
@@ -135,13 +183,13 @@ def switch_state(
 
 
 @compiled
-def raise_force_limit(contact: Any, settings: Any, alpha_des: float) -> None:
+def raise_force_limit(contact: Any, settings: Any) -> None:
     """Let a contact that holds have what is asked for, at a bounded rate after a loss."""
     if contact.state == HOLDING and contact.losses == 0:
-        contact.force_limit = max(contact.force_limit, alpha_des)
+        contact.force_limit = max(contact.force_limit, contact.asked)
     elif contact.state == HOLDING or not np.isnan(contact.origin) and contact.losses > 0:
         step = settings.force_rate * settings.period
-        contact.force_limit += min(max(alpha_des - contact.force_limit, -step), step)
+        contact.force_limit += min(max(contact.asked - contact.force_limit, -step), step)
 
 
 @compiled
@@ -167,32 +215,44 @@ def move(contact: Any, settings: Any) -> None:
 
 @compiled
 def advance_contact(
-    contact: Any, settings: Any, wanted: bool, alpha: float, alpha_des: float, place: float,
-    speed: float,
+    contact: Any, settings: Any, alpha: float, place: float, speed: float,
 ) -> None:
     """
-    Take one tick into the state machine of a contact; see `ContactMachine.update`.
+    Take one tick into the state machine of a contact.
 
     Parameters
     ----------
     contact, settings
-        Records of `CONTACT`, changed, and `CONTACT_SETTINGS`.
-    wanted, alpha, alpha_des, place, speed
-        As for `ContactMachine.update`.
+        Records of `CONTACT_STATE`, changed, and `CONTACT_SETTINGS`. `wanted` and `asked` say what
+        the task wants.
+    alpha
+        Measured force [N].
+    place, speed
+        Of the tip along the normal, relative to the task without displacement [m, m/s].
 
     """
     contact.in_state += settings.period
-    switch_state(contact, settings, wanted, alpha, alpha_des, place, speed)
+    switch_state(contact, settings, alpha, place, speed)
     if is_active(contact):
         contact.acceleration = 0.0
-        raise_force_limit(contact, settings, alpha_des)
+        raise_force_limit(contact, settings)
     else:
         move(contact, settings)
 
 
 @compiled
 def let_go(contact: Any, place: float, speed: float) -> None:
-    """Give a contact back to the motion law, from where the tip is; see `ContactMachine`."""
+    """
+    Give a contact back to the motion law, from where the tip is.
+
+    Parameters
+    ----------
+    contact
+        Record of `CONTACT_STATE`, changed.
+    place, speed
+        Of the tip along the normal, relative to the task [m, m/s].
+
+    """
     if is_active(contact):
         contact.losses += 1
         leave_surface(contact, place, speed)
@@ -205,19 +265,24 @@ def let_go(contact: Any, place: float, speed: float) -> None:
 @compiled
 def watch_energy(contact: Any, settings: Any, alpha: float, speed: float) -> float:
     """
-    Take one tick into the passivity observer of a contact; see `PassivityObserver`.
+    Take one tick into the passivity observer of a contact.
+
+    The robot does the work W = sum alpha v h on a surface, of which alpha^2 / (2 k) is stored in
+    it. What remains is turned into heat there, and a controller that keeps on delivering it feeds
+    a bouncing or an oscillation. The remainder is forgotten with a time constant; above a limit
+    the contact counts as active, and a damping force b v is to be taken from its command.
 
     Parameters
     ----------
     contact, settings
-        Records of `CONTACT`, changed, and `CONTACT_SETTINGS`.
+        Records of `CONTACT_STATE`, changed, and `CONTACT_SETTINGS`.
     alpha, speed
         Measured force [N], and speed of the contact point INTO the surface [m/s].
 
     Returns
     -------
     float
-        Force to take from the command [N].
+        Force to take from the command [N], 0 while the bound is kept.
 
     """
     pressed = max(alpha, 0.0)
@@ -226,24 +291,3 @@ def watch_energy(contact: Any, settings: Any, alpha: float, speed: float) -> flo
     contact.energy = settings.energy_keep * contact.energy + work - (stored - contact.stored)
     contact.stored = stored
     return 0.0 if contact.energy <= settings.energy_limit else settings.injected_damping * speed
-
-
-@compiled
-def advance_one(
-    contacts: Any, settings: Any, wanted: bool, alpha: float, alpha_des: float, place: float,
-    speed: float,
-) -> None:
-    """Call `advance_contact` for the first contact of an array."""
-    advance_contact(contacts[0], settings[0], wanted, alpha, alpha_des, place, speed)
-
-
-@compiled
-def let_one_go(contacts: Any, place: float, speed: float) -> None:
-    """Call `let_go` for the first contact of an array."""
-    let_go(contacts[0], place, speed)
-
-
-@compiled
-def watch_energy_of_one(contacts: Any, settings: Any, alpha: float, speed: float) -> float:
-    """Call `watch_energy` for the first contact of an array."""
-    return watch_energy(contacts[0], settings[0], alpha, speed)
