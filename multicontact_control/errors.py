@@ -1,5 +1,7 @@
 """The errors this package raises: one root, each saying what was expected and what was found."""
 
+from collections.abc import Callable
+
 
 class MulticontactError(Exception):
     """Root of every error raised by this package."""
@@ -30,6 +32,23 @@ class ConfigError(MulticontactError):
         self.cause = f'{field}: expected {expected}'  # whatever was found
         where = f'{source}: ' if source else ''
         super().__init__(f'{where}{field}: expected {expected}, found {found}')
+
+
+class ConfigErrors(ConfigError):
+    """
+    Several values are not acceptable, all named in one line.
+
+    Parameters
+    ----------
+    errors
+        One for each of them; the first one gives the attributes.
+
+    """
+
+    def __init__(self, errors: list[ConfigError]) -> None:
+        first = errors[0]
+        super().__init__(first.field, first.expected, first.found, first.source)
+        self.args = ('; '.join(map(str, errors)),)
 
 
 class ShapeError(MulticontactError):
@@ -69,3 +88,23 @@ class CommandError(MulticontactError):
     def __init__(self, field: str, expected: str, found: object) -> None:
         self.cause = f'{field}: expected {expected}'
         super().__init__(f'{self.cause}, found {found}')
+
+
+def check_all(*checks: Callable[[], object]) -> None:
+    """
+    Call every check, whatever the others found.
+
+    Raises
+    ------
+    ConfigError
+        With all that was not acceptable, in one line.
+
+    """
+    errors = []
+    for check in checks:
+        try:
+            check()
+        except ConfigError as error:
+            errors.append(error)
+    if errors:
+        raise ConfigErrors(errors) if len(errors) > 1 else errors[0]

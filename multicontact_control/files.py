@@ -1,0 +1,44 @@
+"""Files that a reader finds whole, or as they were before."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+import json
+from pathlib import Path
+from typing import Any
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """
+    Yield the path to write to; what is there at the end takes the place of `path`.
+
+    Parameters
+    ----------
+    path
+        The file that is to be there, or to be replaced, in one step.
+
+    """
+    partial = path.with_suffix('.partial')
+    yield partial
+    partial.replace(path)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write text in UTF-8; a reader sees the old file or the new one."""
+    with replacing(path) as partial:
+        partial.write_text(text, encoding='utf-8')
+
+
+def write_json(path: Path, content: Any) -> None:
+    """
+    Write JSON values; a reader sees the old file or the new one.
+
+    Raises
+    ------
+    ValueError
+        If a number among them is not finite, which JSON does not know.
+
+    """
+    write_text(path, json.dumps(content, indent=2, allow_nan=False) + '\n')
