@@ -34,23 +34,6 @@ class ConfigError(MulticontactError):
         super().__init__(f'{where}{field}: expected {expected}, found {found}')
 
 
-class ConfigErrors(ConfigError):
-    """
-    Several values are not acceptable, all named in one line.
-
-    Parameters
-    ----------
-    errors
-        One for each of them; the first one gives the attributes.
-
-    """
-
-    def __init__(self, errors: list[ConfigError]) -> None:
-        first = errors[0]
-        super().__init__(first.field, first.expected, first.found, first.source)
-        self.args = ('; '.join(map(str, errors)),)
-
-
 class ShapeError(MulticontactError):
     """An array does not have the shape its function documents."""
 
@@ -107,4 +90,5 @@ def check_all(*checks: Callable[[], object]) -> None:
         except ConfigError as error:
             errors.append(error)
     if errors:
-        raise ConfigErrors(errors) if len(errors) > 1 else errors[0]
+        errors[0].args = ('; '.join(map(str, errors)),)
+        raise errors[0]

@@ -31,14 +31,11 @@ def write_text(path: Path, text: str) -> None:
         partial.write_text(text, encoding='utf-8')
 
 
+def json_text(content: Any) -> str:
+    """Return JSON values as a file has them; ValueError for a number that is not finite."""
+    return json.dumps(content, indent=2, allow_nan=False) + '\n'
+
+
 def write_json(path: Path, content: Any) -> None:
-    """
-    Write JSON values; a reader sees the old file or the new one.
-
-    Raises
-    ------
-    ValueError
-        If a number among them is not finite, which JSON does not know.
-
-    """
-    write_text(path, json.dumps(content, indent=2, allow_nan=False) + '\n')
+    """Write JSON values as `json_text`; a reader sees the old file or the new one."""
+    write_text(path, json_text(content))

@@ -10,6 +10,7 @@ from typing import Generic
 
 from multicontact_control.errors import RunError
 from multicontact_control.experiment.compilation import ensure_compiled
+from multicontact_control.experiment.display import count_bar
 from multicontact_control.experiment.study.cache import JobCache
 from multicontact_control.experiment.study.jobs import (
     Executor,
@@ -19,14 +20,6 @@ from multicontact_control.experiment.study.jobs import (
 )
 from multicontact_control.experiment.study.local import LocalExecutor
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 
 
 @dataclass(frozen=True)
@@ -107,10 +100,7 @@ def run_jobs(
     lost: dict[str, str] = {}
     if todo:
         ensure_compiled(console)  # here once, not in every worker at once
-    columns = (TextColumn('{task.description}'), BarColumn(), MofNCompleteColumn(),
-               TimeElapsedColumn(), TextColumn('left'), TimeRemainingColumn())
-    with Progress(*columns, console=console, refresh_per_second=2,
-                  speed_estimate_period=600.0) as progress:
+    with count_bar(console) as progress:
         bar = progress.add_task(title, total=len(set(keys.values())),
                                 completed=len(set(keys.values())) - len(todo))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -65,18 +65,18 @@ class Study(ABC, Generic[JobT, ContentT]):
 
         """
 
-    @property
+    @staticmethod
     @abstractmethod
-    def measure(self) -> Callable[[JobT], JobResult]:
-        """Return what a job is run with, an importable function."""
+    def measure(job: Any) -> JobResult:
+        """Run a job; workers must be able to import what does."""
 
     @abstractmethod
     def content(self, run: JobRun[JobT]) -> ContentT:
         """Return what came out, the same whatever ran the jobs."""
 
-    @abstractmethod
     def tables(self, content: ContentT, run: JobRun[JobT]) -> Mapping[str, Any]:
-        """Return what is written, as for `write_table`, by file name."""
+        """Return what is written, as for `write_table`, by file name; one JSON file if alone."""
+        return {f'{self.name}.json': content}
 
     @abstractmethod
     def page(self, content: ContentT, folder: Path) -> Page:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 import csv
 from dataclasses import dataclass
 from html import escape
@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from multicontact_control.experiment.html_parts import table
-from multicontact_control.files import replacing, write_json, write_text
-import pyarrow as pa
+from multicontact_control.files import json_text, replacing
 import pyarrow.parquet as pq
 from rich.box import SIMPLE_HEAD
 from rich.markup import escape as plain
@@ -40,29 +39,18 @@ def write_table(content: Any, path: Path) -> Path:
         The file.
 
     """
-    writers = {'.parquet': _write_parquet, '.csv': _write_csv, '.yaml': _write_yaml}
-    writers.get(path.suffix, _write_json)(content, path)
-    return path
-
-
-def _write_json(content: Any, path: Path) -> None:
-    write_json(path, content)
-
-
-def _write_yaml(content: Any, path: Path) -> None:
-    write_text(path, yaml.safe_dump(content, sort_keys=False))
-
-
-def _write_parquet(content: pa.Table, path: Path) -> None:
     with replacing(path) as partial:
-        pq.write_table(content, partial, compression='zstd')
-
-
-def _write_csv(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
-    with replacing(path) as partial, partial.open('w', encoding='utf-8', newline='') as file:
-        writer = csv.DictWriter(file, list(rows[0]) if rows else [], lineterminator='\n')
-        writer.writeheader()
-        writer.writerows(rows)
+        if path.suffix == '.parquet':
+            pq.write_table(content, partial, compression='zstd')
+        elif path.suffix == '.csv':
+            lines = [list(content[0]) if content else [], *(row.values() for row in content)]
+            with partial.open('w', encoding='utf-8', newline='') as file:
+                csv.writer(file, lineterminator='\n').writerows(lines)
+        elif path.suffix == '.yaml':
+            partial.write_text(yaml.safe_dump(content, sort_keys=False), encoding='utf-8')
+        else:
+            partial.write_text(json_text(content), encoding='utf-8')
+    return path
 
 
 @dataclass(frozen=True)

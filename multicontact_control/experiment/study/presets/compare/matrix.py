@@ -95,17 +95,24 @@ def controller_values(plant: str) -> dict[str, Any]:
     The friction compensation there is that of the plant `puma`. On joints without friction it
     pushes the arm along, which makes a limit cycle at rest of 1.5 N at the board.
     """
-    config = validate(PlantConfig, read_parameters(plant_path(plant)), plant)
-    return {} if config.joint_friction_scale > 0.0 else {
+    return {} if _plant(plant).joint_friction_scale > 0.0 else {
         'friction': {'coulomb': [], 'viscous': []}}
+
+
+def _plant(name: str) -> PlantConfig:
+    return validate(PlantConfig, read_parameters(plant_path(name)), name)
+
+
+# Label, kind, and what is laid over the files of estimator, controller and plant.
+Variant = tuple[str, str, dict[str, Any], dict[str, Any], dict[str, Any]]
 
 
 def comparison_matrix(
     plants: Sequence[str] = PLANTS, labels: Sequence[str] = LABELS, seeds: int = 3, *,
-    plain: bool = True, scenario: str = SCENARIO, duration: float | None = None,
+    plain: bool = True, duration: float | None = None,
 ) -> list[Entry]:
     """
-    Return the matrix of plants, estimators, observers and seeds, and the jobs beside it.
+    Return the matrix of plants, estimators, observers and seeds.
 
     Parameters
     ----------
@@ -117,44 +124,39 @@ def comparison_matrix(
         How many, from 0.
     plain
         Whether every estimator is run without the active state too.
-    scenario, duration
-        What is run, and for how long.
+    duration
+        Length of every run [s]; the scenario's own if not given.
 
     """
-    entries = []
-    for plant in plants:
-        base = controller_values(plant)
-        for label in labels:
-            for kind in (AOB, PLAIN) if plain else (AOB,):
-                order = {} if kind == AOB else {'force': {'active_state_order': 0}}
-                entries += [Entry(label, kind, job_of(
-                    scenario, plant, seed, duration=duration,
-                    noise_estimator=estimator_values(label), controller={**base, **order}))
-                    for seed in range(seeds)]
-    return entries
+    orders: dict[str, dict[str, Any]] = {AOB: {}}
+    if plain:
+        orders[PLAIN] = {'force': {'active_state_order': 0}}
+    variants: list[Variant] = [(label, kind, estimator_values(label), order, {})
+                               for label in labels for kind, order in orders.items()]
+    return [entry for plant in plants for entry in _entries(plant, variants, seeds, duration)]
 
 
 def beside_the_matrix(
-    plants: Sequence[str] = PLANTS, seeds: int = 3, *, scenario: str = SCENARIO,
-    duration: float | None = None, quick: bool = False,
+    plants: Sequence[str] = PLANTS, seeds: int = 3, *, quick: bool = False,
 ) -> list[Entry]:
-    """Return the jobs that look for causes; with flexible drives, and with a wrong stiffness."""
+    """Return the runs that look for causes; with flexible drives, and with a wrong stiffness."""
     entries = []
     for plant in plants:
-        config = validate(PlantConfig, read_parameters(plant_path(plant)), plant)
-        base = controller_values(plant)
-        variants = list(_stiffness_variants(config, quick))
+        config = _plant(plant)
+        entries += _entries(plant, _stiffness_variants(config, quick), 1)
         if config.drives == 'flexible':
-            variants += _cause_variants(config, quick)
-        for label, kind, estimator, controller, overrides in variants:
-            entries += [Entry(label, kind, job_of(
-                scenario, plant, seed, duration=duration, noise_estimator=estimator,
-                controller={**base, **controller}, plant_overrides=overrides))
-                for seed in range(1 if kind == STIFFNESS else seeds)]
+            entries += _entries(plant, _cause_variants(config, quick), seeds)
     return entries
 
 
-Variant = tuple[str, str, dict[str, Any], dict[str, Any], dict[str, Any]]
+def _entries(
+    plant: str, variants: Sequence[Variant], seeds: int, duration: float | None = None,
+) -> list[Entry]:
+    base = controller_values(plant)
+    return [Entry(label, kind, job_of(
+        SCENARIO, plant, seed, duration=duration, noise_estimator=estimator,
+        controller={**base, **controller}, plant_overrides=overrides))
+        for label, kind, estimator, controller, overrides in variants for seed in range(seeds)]
 
 
 def _stiffness_variants(config: PlantConfig, quick: bool) -> list[Variant]:

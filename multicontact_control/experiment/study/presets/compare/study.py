@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ from multicontact_control.experiment.html_parts import claims_table
 from multicontact_control.experiment.scenario import PLANTS
 from multicontact_control.experiment.study.cache import JobCache
 from multicontact_control.experiment.study.execute import JobRun
-from multicontact_control.experiment.study.jobs import JobResult, RunJob
+from multicontact_control.experiment.study.jobs import RunJob
 from multicontact_control.experiment.study.measure import measure_run
 from multicontact_control.experiment.study.page import Page, Section
 from multicontact_control.experiment.study.presets.compare.findings import findings
@@ -35,7 +35,6 @@ from multicontact_control.experiment.study.presets.compare.matrix import (
 )
 from multicontact_control.experiment.study.presets.compare.rows import (
     comparison_claims,
-    COMPARISON_FILE,
     row_of,
 )
 from multicontact_control.experiment.study.study import Study
@@ -64,6 +63,7 @@ class ComparisonStudy(Study[RunJob, dict[str, Any]]):
 
     title = 'compare'
     name = 'comparison'
+    measure = staticmethod(measure_run)
     takes_long = True
 
     @property
@@ -103,11 +103,6 @@ class ComparisonStudy(Study[RunJob, dict[str, Any]]):
         """Return the runs."""
         return [entry.job for entry in self.entries()]
 
-    @property
-    def measure(self) -> Callable[[RunJob], JobResult]:
-        """Return what measures the answers to the disturbances."""
-        return measure_run
-
     def content(self, run: JobRun[RunJob]) -> dict[str, Any]:
         """Return the content of ``comparison.json``."""
         rows = [row_of(entry, run.keys[entry.job], run.result(entry.job))
@@ -115,10 +110,6 @@ class ComparisonStudy(Study[RunJob, dict[str, Any]]):
         return {'schema': 1, 'scenario': SCENARIO, 'rows': rows,
                 'claims': {plant: [claim.to_json() for claim in claims]
                            for plant, claims in comparison_claims(rows).items()}}
-
-    def tables(self, content: dict[str, Any], run: JobRun[RunJob]) -> Mapping[str, Any]:
-        """Return ``comparison.json``."""
-        return {COMPARISON_FILE: content}
 
     def page(self, content: dict[str, Any], folder: Path) -> Page:
         """Return tables, forces, findings and claims."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,6 @@ from multicontact_control.experiment.faults.in_process import FaultRow
 from multicontact_control.experiment.faults.vocabulary import fault_kinds, PHASES
 from multicontact_control.experiment.scenario import PLANTS
 from multicontact_control.experiment.study.execute import JobRun
-from multicontact_control.experiment.study.jobs import JobResult
 from multicontact_control.experiment.study.page import Page, Section
 from multicontact_control.experiment.study.presets.faults.jobs import (
     Fault,
@@ -60,6 +59,7 @@ class FaultStudy(Study[FaultJob, list[FaultRow]]):
 
     title = 'faults'
     name = 'faults'
+    measure = staticmethod(run_fault_job)
     unit = 'jobs'
 
     def check(self) -> None:
@@ -98,11 +98,6 @@ class FaultStudy(Study[FaultJob, list[FaultRow]]):
         return [FaultJob(plant, phase, self.seed, tuple(faults[i:i + FAULTS_PER_JOB]))
                 for (plant, phase), faults in places.items()
                 for i in range(0, len(faults), FAULTS_PER_JOB)]
-
-    @property
-    def measure(self) -> Callable[[FaultJob], JobResult]:
-        """Return what lets the faults of a job happen and judges them."""
-        return run_fault_job
 
     def content(self, run: JobRun[FaultJob]) -> list[FaultRow]:
         """Return what became of every fault, by kind and seed."""

@@ -18,10 +18,8 @@ from multicontact_control.arrays import Matrix
 from multicontact_control.contact.geometry import contact_normals
 from multicontact_control.control.controller import Controller
 from multicontact_control.dynamics.operational_space import operational_space
-from multicontact_control.experiment.loop import run_in_process
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.experiment.study.jobs import job_of, RunJob
-from multicontact_control.experiment.study.measure import final_error_share
 from multicontact_control.experiment.study.presets.compare.matrix import (
     controller_values,
     estimator_values,
@@ -210,78 +208,6 @@ def bisect(stable: Callable[[float], bool], low: float, high: float, steps: int)
         else:
             high = middle
     return math.sqrt(low * high)
-
-
-@dataclass(frozen=True)
-class BoundaryCheck:
-    """
-    The largest stiffness ratio, by two ways.
-
-    Attributes
-    ----------
-    damping_rate
-        K_2 [1/s].
-    delay_ticks
-        Of the actuator; T_d of the model is the same.
-    paper, linear, simulated
-        Of eq. 32 alone, of the linear loops of the arm, and by bisection in simulation.
-
-    """
-
-    damping_rate: float
-    delay_ticks: int
-    paper: float
-    linear: float
-    simulated: float
-
-    @property
-    def difference(self) -> float:
-        """Return simulated over linear, less 1."""
-        return self.simulated / self.linear - 1.0
-
-
-def check_boundary(
-    damping_rate: float, *, delay_ticks: int = 1, noise_variance: float = 0.6, steps: int = 5,
-) -> BoundaryCheck:
-    """
-    Compare the linear boundary with the simulated one.
-
-    On the plant `rigid` without joint friction, roughness and sensor noise, with R fixed and the
-    model's T_d equal to the actuator's delay: nothing differs but the stiffness.
-
-    Parameters
-    ----------
-    damping_rate
-        K_2 [1/s].
-    delay_ticks
-        Delay of actuator and model [periods].
-    noise_variance
-        R [N^2].
-    steps
-        Of the bisection between half and twice the linear boundary; 5 leave it known to 4 %.
-
-    """
-    def job(ratio: float) -> RunJob:
-        surface = {'stiffness': 6000.0 * ratio, 'roughness_std': 0.0, 'friction': 0.0}
-        return job_of(
-            SCENARIO, 'rigid', 0, duration=3.5,
-            noise_estimator={'estimator': 'fixed', 'fixed_variance': noise_variance},
-            controller={**controller_values('rigid'), 'force': {
-                'damping_rate': damping_rate, 'input_delay': delay_ticks / 500.0}},
-            plant_overrides={
-                'actuator_delay_ticks': delay_ticks, 'joint_friction_scale': 0.0,
-                'sensor': {'noise': False, 'quantise': False},
-                'surfaces': {'table': surface, 'board': surface}})
-
-    def stable(ratio: float) -> bool:
-        result = run_in_process(job(ratio).setup())
-        return not result.ended_early and final_error_share(result.data) <= SETTLED
-
-    loop = arm_loop(job(1.0).setup())
-    linear = loop.boundary(noise_variance)
-    return BoundaryCheck(
-        damping_rate, delay_ticks, loop.paper_boundary(noise_variance), linear,
-        bisect(stable, 0.5 * linear, 2.0 * linear, steps))
 
 
 def linear_boundaries(

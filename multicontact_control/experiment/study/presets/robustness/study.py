@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 import math
 from pathlib import Path
@@ -12,7 +12,7 @@ from multicontact_control.errors import check_all
 from multicontact_control.experiment.results import finite
 from multicontact_control.experiment.scenario import PLANTS
 from multicontact_control.experiment.study.execute import JobRun
-from multicontact_control.experiment.study.jobs import JobResult, RunJob
+from multicontact_control.experiment.study.jobs import RunJob
 from multicontact_control.experiment.study.measure import measure_run
 from multicontact_control.experiment.study.page import Page, Section
 from multicontact_control.experiment.study.presets.compare.matrix import LABELS, name_checks
@@ -63,6 +63,7 @@ class RobustnessStudy(Study[RunJob, dict[str, Any]]):
 
     title = 'map'
     name = 'robustness'
+    measure = staticmethod(measure_run)
     takes_long = True
 
     def check(self) -> None:
@@ -84,11 +85,6 @@ class RobustnessStudy(Study[RunJob, dict[str, Any]]):
         """Return the runs."""
         return list(self.points().values())
 
-    @property
-    def measure(self) -> Callable[[RunJob], JobResult]:
-        """Return what measures whether a run has settled."""
-        return measure_run
-
     def content(self, run: JobRun[RunJob]) -> dict[str, Any]:
         """Return the content of ``robustness.json``."""
         points = []
@@ -103,10 +99,6 @@ class RobustnessStudy(Study[RunJob, dict[str, Any]]):
             'linear': {plant: linear_boundaries(plant, self.delays, VARIANCES)
                        for plant in self.plants}})
         return content
-
-    def tables(self, content: dict[str, Any], run: JobRun[RunJob]) -> Mapping[str, Any]:
-        """Return ``robustness.json``."""
-        return {f'{self.name}.json': content}
 
     def page(self, content: dict[str, Any], folder: Path) -> Page:
         """Return the map and its stable ranges."""

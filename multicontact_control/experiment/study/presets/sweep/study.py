@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from multicontact_control.experiment.study.execute import JobRun
-from multicontact_control.experiment.study.jobs import JobResult, RunJob
+from multicontact_control.experiment.study.jobs import RunJob
 from multicontact_control.experiment.study.measure import summarise_run
 from multicontact_control.experiment.study.page import Page, Section
 from multicontact_control.experiment.study.presets.sweep.config import read_study, study_path
 from multicontact_control.experiment.study.presets.sweep.figure import draw_sweep
-from multicontact_control.experiment.study.presets.sweep.groups import chosen_metrics, groups_of
-from multicontact_control.experiment.study.presets.sweep.listing import sweep_listing
+from multicontact_control.experiment.study.presets.sweep.groups import (
+    chosen_metrics,
+    groups_of,
+    sweep_listing,
+)
 from multicontact_control.experiment.study.presets.sweep.plan import plan_sweep, SweepPlan
 from multicontact_control.experiment.study.presets.sweep.table import (
     Row,
@@ -50,6 +53,7 @@ class SweepStudy(Study[RunJob, pa.Table]):
 
     title = 'sweep'
     name = 'sweep'
+    measure = staticmethod(summarise_run)
 
     def folder(self) -> Path:
         """Return a folder that is called like the study."""
@@ -71,11 +75,6 @@ class SweepStudy(Study[RunJob, pa.Table]):
     def jobs(self) -> list[RunJob]:
         """Return the runs."""
         return [run.job for run in self.plan.runs]
-
-    @property
-    def measure(self) -> Callable[[RunJob], JobResult]:
-        """Return what summarises a run, whatever happens in it."""
-        return summarise_run
 
     def content(self, run: JobRun[RunJob]) -> pa.Table:
         """Return the table: a row for each run, also for those that failed or were lost."""

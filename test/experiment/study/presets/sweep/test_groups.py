@@ -8,8 +8,9 @@ from multicontact_control.experiment.study.presets.sweep.groups import (
     groups_of,
     judged,
     metric_values,
+    short_names,
+    sweep_listing,
 )
-from multicontact_control.experiment.study.presets.sweep.listing import short_names, sweep_listing
 from multicontact_control.experiment.study.presets.sweep.plan import plan_sweep
 from multicontact_control.experiment.study.presets.sweep.study import SweepStudy
 import numpy as np
