@@ -4,16 +4,8 @@ from __future__ import annotations
 
 from typing import Annotated
 
+from multicontact_control.cli import options
 from multicontact_control.cli.exits import errors_in_one_line, resumable
-from multicontact_control.cli.options import (
-    Dask,
-    DryRun,
-    Estimators,
-    Jobs,
-    RunAgain,
-    split_list,
-    StudyOut,
-)
 import typer
 
 
@@ -23,11 +15,11 @@ def compare(
         'state.')] = False,
     plants: Annotated[str, typer.Option(
         help='Plants, with commas between: presets or paths.')] = 'rigid,puma',
-    estimators: Estimators = '',
+    estimators: options.Estimators = '',
     seeds: Annotated[int | None, typer.Option(
         help='Number of seeds, from 0: 3, or 1 with --quick.')] = None,
-    jobs: Jobs = 0, dask: Dask = '', out: StudyOut = None, dry_run: DryRun = False,
-    overwrite: RunAgain = False,
+    jobs: options.Jobs = 0, dask: options.Dask = '', out: options.StudyOut = None,
+    dry_run: options.DryRun = False, overwrite: options.RunAgain = False,
 ) -> None:
     """
     Compare the noise estimators on the paper's disturbances, with and without the active state.
@@ -44,5 +36,6 @@ def compare(
         from multicontact_control.experiment.study.study import run_study, StudyOptions
 
         run_study(
-            ComparisonStudy(split_list(plants), split_list(estimators), seeds, quick),
+            ComparisonStudy(options.split_list(plants),
+                            options.split_list(estimators), seeds, quick),
             StudyOptions(out, jobs, dask, dry_run, overwrite))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
+from multicontact_control.cli import options
 from multicontact_control.cli.exits import (
     errors_in_one_line,
     EXIT_FAILED,
@@ -11,20 +12,19 @@ from multicontact_control.cli.exits import (
     require_ros,
     resumable,
 )
-from multicontact_control.cli.options import Dask, DryRun, Jobs, RunAgain, StudyOut
 from rich.console import Console
 import typer
 
 
 def faults(
     seed: Annotated[int, typer.Option(help='Seed of the first fault of every kind.')] = 0,
-    out: StudyOut = None,
     quick: Annotated[bool, typer.Option(
         '--quick', help='One fault of each kind instead of 14.')] = False,
     graph: Annotated[bool, typer.Option(
         '--graph', help='Also kill nodes, damage messages and send wrong commands in a running '
         'ROS 2 graph, in real time; these are run anew each time.')] = False,
-    jobs: Jobs = 0, dask: Dask = '', dry_run: DryRun = False, overwrite: RunAgain = False,
+    jobs: options.Jobs = 0, dask: options.Dask = '', out: options.StudyOut = None,
+    dry_run: options.DryRun = False, overwrite: options.RunAgain = False,
 ) -> None:
     """
     Break inputs and plant in many ways, and check that the arm stays safe.

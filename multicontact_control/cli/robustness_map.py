@@ -4,16 +4,8 @@ from __future__ import annotations
 
 from typing import Annotated
 
+from multicontact_control.cli import options
 from multicontact_control.cli.exits import errors_in_one_line, resumable
-from multicontact_control.cli.options import (
-    Dask,
-    DryRun,
-    Estimators,
-    Jobs,
-    RunAgain,
-    split_list,
-    StudyOut,
-)
 import typer
 
 
@@ -22,8 +14,9 @@ def robustness_map(
         '--quick', help='Two estimators on plant `rigid`, a coarse grid.')] = False,
     plants: Annotated[str, typer.Option(
         help='Plants, with commas between; rigid,puma, or rigid with --quick.')] = '',
-    estimators: Estimators = '', jobs: Jobs = 0, dask: Dask = '', out: StudyOut = None,
-    dry_run: DryRun = False, overwrite: RunAgain = False,
+    estimators: options.Estimators = '',
+    jobs: options.Jobs = 0, dask: options.Dask = '', out: options.StudyOut = None,
+    dry_run: options.DryRun = False, overwrite: options.RunAgain = False,
 ) -> None:
     """
     Map how wrong stiffness and delay may be, simulated and by the linear loop.
@@ -42,5 +35,6 @@ def robustness_map(
         from multicontact_control.experiment.study.study import run_study, StudyOptions
 
         run_study(
-            robustness_study(split_list(plants), split_list(estimators), quick=quick),
+            robustness_study(options.split_list(plants),
+                             options.split_list(estimators), quick=quick),
             StudyOptions(out, jobs, dask, dry_run, overwrite))

@@ -5,15 +5,8 @@ from __future__ import annotations
 from functools import partial
 from typing import Annotated
 
+from multicontact_control.cli import options
 from multicontact_control.cli.exits import errors_in_one_line, resumable
-from multicontact_control.cli.options import (
-    Dask,
-    DryRun,
-    Jobs,
-    RunAgain,
-    split_list,
-    StudyOut,
-)
 from multicontact_control.errors import check_all, ConfigError
 import typer
 
@@ -24,8 +17,8 @@ def sweep(
         'YAML file.')],
     seeds: Annotated[str, typer.Option(
         help="How many seeds, from 0, or a list with commas; the study's own if not given.")] = '',
-    jobs: Jobs = 0, dask: Dask = '', out: StudyOut = None, dry_run: DryRun = False,
-    overwrite: RunAgain = False,
+    jobs: options.Jobs = 0, dask: options.Dask = '', out: options.StudyOut = None,
+    dry_run: options.DryRun = False, overwrite: options.RunAgain = False,
 ) -> None:
     r"""
     Run parameters times seeds, and gather the summaries in one table.
@@ -63,9 +56,9 @@ def sweep(
         from multicontact_control.experiment.study.presets.sweep.study import sweep_study
         from multicontact_control.experiment.study.study import run_study, StudyOptions
 
-        options = StudyOptions(out, jobs, dask, dry_run, overwrite)
-        check_all(partial(study_path, study), partial(_seeds, seeds), options.check)
-        run_study(sweep_study(study, _seeds(seeds)), options)
+        asked = StudyOptions(out, jobs, dask, dry_run, overwrite)
+        check_all(partial(study_path, study), partial(_seeds, seeds), asked.check)
+        run_study(sweep_study(study, _seeds(seeds)), asked)
 
 
 def _seeds(text: str) -> tuple[int, ...] | None:
@@ -73,7 +66,7 @@ def _seeds(text: str) -> tuple[int, ...] | None:
     if not text:
         return None
     try:
-        numbers = [int(part) for part in split_list(text)]
+        numbers = [int(part) for part in options.split_list(text)]
     except ValueError:
         numbers = []
     if not numbers or min(numbers) < 0 or (',' not in text and numbers[0] < 1):

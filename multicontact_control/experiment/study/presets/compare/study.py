@@ -15,28 +15,10 @@ from multicontact_control.experiment.study.execute import JobRun
 from multicontact_control.experiment.study.jobs import RunJob
 from multicontact_control.experiment.study.measure import measure_run
 from multicontact_control.experiment.study.page import Page, Section
+from multicontact_control.experiment.study.presets.compare import forces, matrix
 from multicontact_control.experiment.study.presets.compare.findings import findings
-from multicontact_control.experiment.study.presets.compare.forces import (
-    forces_of_plant,
-    forces_script,
-    NOTE,
-)
 from multicontact_control.experiment.study.presets.compare.listing import comparison_listing
-from multicontact_control.experiment.study.presets.compare.matrix import (
-    AOB,
-    beside_the_matrix,
-    comparison_matrix,
-    Entry,
-    LABELS,
-    name_checks,
-    PLAIN,
-    QUICK_LABELS,
-    SCENARIO,
-)
-from multicontact_control.experiment.study.presets.compare.rows import (
-    comparison_claims,
-    row_of,
-)
+from multicontact_control.experiment.study.presets.compare.rows import comparison_claims, row_of
 from multicontact_control.experiment.study.study import Study
 
 
@@ -69,7 +51,7 @@ class ComparisonStudy(Study[RunJob, dict[str, Any]]):
     @property
     def labels(self) -> tuple[str, ...]:
         """Return the estimators that are compared."""
-        return self.estimators or (QUICK_LABELS if self.quick else LABELS)
+        return self.estimators or (matrix.QUICK_LABELS if self.quick else matrix.LABELS)
 
     @property
     def seed_count(self) -> int:
@@ -78,7 +60,7 @@ class ComparisonStudy(Study[RunJob, dict[str, Any]]):
 
     def check(self) -> None:
         """Check plants, estimators and seeds; ConfigError with all that are not acceptable."""
-        check_all(*name_checks(self.plants, self.labels), self._check_seeds)
+        check_all(*matrix.name_checks(self.plants, self.labels), self._check_seeds)
 
     def _check_seeds(self) -> None:
         if self.seed_count < 1:
@@ -88,16 +70,16 @@ class ComparisonStudy(Study[RunJob, dict[str, Any]]):
         """Return plants, estimators and seeds, and what runs beside their matrix."""
         beside = dict.fromkeys(entry.label for entry in self._beside())
         return {'plants': self.plants, 'estimators': self.labels,
-                'observers': (AOB,) if self.quick else (AOB, PLAIN),
+                'observers': (matrix.AOB,) if self.quick else (matrix.AOB, matrix.PLAIN),
                 'seeds': range(self.seed_count), 'variants beside them': list(beside)}
 
-    def entries(self) -> list[Entry]:
+    def entries(self) -> list[matrix.Entry]:
         """Return every run and its place in the matrix."""
-        return comparison_matrix(
+        return matrix.comparison_matrix(
             self.plants, self.labels, self.seed_count, plain=not self.quick) + self._beside()
 
-    def _beside(self) -> list[Entry]:
-        return beside_the_matrix(self.plants, self.seed_count, quick=self.quick)
+    def _beside(self) -> list[matrix.Entry]:
+        return matrix.beside_the_matrix(self.plants, self.seed_count, quick=self.quick)
 
     def jobs(self) -> list[RunJob]:
         """Return the runs."""
@@ -107,7 +89,7 @@ class ComparisonStudy(Study[RunJob, dict[str, Any]]):
         """Return the content of ``comparison.json``."""
         rows = [row_of(entry, run.keys[entry.job], run.result(entry.job))
                 for entry in self.entries()]
-        return {'schema': 1, 'scenario': SCENARIO, 'rows': rows,
+        return {'schema': 1, 'scenario': matrix.SCENARIO, 'rows': rows,
                 'claims': {plant: [claim.to_json() for claim in claims]
                            for plant, claims in comparison_claims(rows).items()}}
 
@@ -116,13 +98,13 @@ class ComparisonStudy(Study[RunJob, dict[str, Any]]):
         rows, claims = content['rows'], comparison_claims(content['rows'])
         sections = [
             Section(f'Plant {plant}: worse contact, median over the seeds',
-                    comparison_listing(rows, plant), before='' if number else NOTE,
-                    after=forces_of_plant(rows, plant, number))
+                    comparison_listing(rows, plant), before='' if number else forces.NOTE,
+                    after=forces.forces_of_plant(rows, plant, number))
             for number, plant in enumerate(self.plants)]
         sections += [Section(f'Claims of the paper, plant {plant}', after=claims_table(found))
                      for plant, found in claims.items()]
         against = [f'does not hold on {plant}: {claim.claim}'
                    for plant, found in claims.items() for claim in found if claim.holds is False]
-        return Page(f'Noise estimators compared: scenario {SCENARIO}', sections,
+        return Page(f'Noise estimators compared: scenario {matrix.SCENARIO}', sections,
                     warnings=against, findings=findings(rows),
-                    script=forces_script(rows, JobCache(folder)))
+                    script=forces.forces_script(rows, JobCache(folder)))
