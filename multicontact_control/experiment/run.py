@@ -23,10 +23,11 @@ from multicontact_control.experiment.loop import run_in_process
 from multicontact_control.experiment.metrics import percentiles
 from multicontact_control.experiment.real_time import REAL_TIME
 from multicontact_control.experiment.recording import RunData
-from multicontact_control.experiment.results import CONFIG_FOLDER, SUMMARY_FILE, write_json
+from multicontact_control.experiment.results import CONFIG_FOLDER, SUMMARY_FILE
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.experiment.summary import summarise
 from multicontact_control.experiment.verdict import verdict_text
+from multicontact_control.files import write_json
 from rich.console import Console
 
 if TYPE_CHECKING:

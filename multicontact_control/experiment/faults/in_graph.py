@@ -8,6 +8,7 @@ from pathlib import Path
 import time
 
 from multicontact_control.errors import RunError
+from multicontact_control.experiment.display import count_bar
 from multicontact_control.experiment.faults.graph_session import (
     FaultSession,
     NotRecoveredError,
@@ -30,14 +31,6 @@ from multicontact_control.experiment.graph.run import collected_signals
 from multicontact_control.experiment.scenario import resolve
 import numpy as np
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 
 PLANTS, QUICK_PLANTS = ('rigid', 'puma'), ('puma',)
 SEEDS, QUICK_SEEDS = 2, 1
@@ -239,9 +232,7 @@ def run_graph_campaign(
         The rows, and the signal that ended it early, if one did.
 
     """
-    columns = (TextColumn('{task.description}'), BarColumn(), MofNCompleteColumn(),
-               TimeElapsedColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console) as progress:
+    with count_bar(console) as progress:
         task = progress.add_task('faults over the graph')
         campaign = GraphCampaign(
             graph_tasks(seed, quick=quick), seed, out,
