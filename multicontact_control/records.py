@@ -104,6 +104,19 @@ OBSERVER = np.dtype([
     ('Phi_n_P', F, (MAX_STATES, MAX_STATES)),  # Phi_n P, on the way to P_1
 ], align=True)
 
+# What is set for an estimator over a window (P04 eqs 42-44); one.
+NOISE_WINDOW = np.dtype([
+    ('pole', F), ('zero', F), ('gain', F),  # a, c and b of the filter
+    ('dc_gain', F),  # of the filter
+    ('largest', F),  # what magnitudes of samples must be below [N]
+    ('scale', F),  # of the variances
+    ('floor', F), ('ceiling', F),  # of R [N^2]
+    ('count', I),  # samples so far
+], align=True)
+
+# What the filter of one contact remembers of the sample before.
+FILTER_STATE = np.dtype([('alpha', F), ('filtered', F)])  # [N]
+
 # The supervised state of one contact, and its passivity observer.
 CONTACT_STATE = np.dtype([
     ('state', I),  # see `supervision.contacts`
