@@ -11,9 +11,13 @@ from multicontact_control.control.controller import ControlOutput, Measurement
 from multicontact_control.control.reference import CommandedReference
 from multicontact_control.control.reference.holdable import HeldSource, HoldableReference
 from multicontact_control.errors import CommandError
-from multicontact_control.nodes.messages import JointReading, MotionReading, WrenchReading
-from multicontact_control.nodes.pairing import PairedSample
-from multicontact_control.nodes.sample_clock import SampleClock
+from multicontact_control.sampling import (
+    JointReading,
+    MotionReading,
+    PairedSample,
+    SampleClock,
+    WrenchReading,
+)
 from multicontact_control.sensor.front_end import SensorFrontEnd
 from multicontact_control.sensor.push_config import PushTestConfig
 from multicontact_control.sensor.push_gate import PushGate

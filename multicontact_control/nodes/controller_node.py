@@ -30,11 +30,10 @@ from multicontact_control.nodes.graph_node import (
 )
 from multicontact_control.nodes.loop_statistics import Freshness, LoopStatistics, NANOSECONDS
 from multicontact_control.nodes.managed_node import ACTIVE, ManagedNode
-from multicontact_control.nodes.pairing import PairedSample, SamplePairing
 from multicontact_control.nodes.runtime import run_node, Spinner
-from multicontact_control.nodes.sample_timeout import SampleTimeout
 from multicontact_control.nodes.state_output import StateOutput, WORLD_FRAME
 from multicontact_control.nodes.timing import DurationLog
+from multicontact_control.sampling import PairedSample, SamplePairing, SampleTimeout
 import numpy as np
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription

@@ -7,9 +7,13 @@ from multicontact_control.config import ControllerConfig
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import CommandError, ConfigError
 from multicontact_control.nodes.control_session import ControlSession
-from multicontact_control.nodes.messages import JointReading, MotionReading, WrenchReading
-from multicontact_control.nodes.pairing import PairedSample
 from multicontact_control.paths import config_dir
+from multicontact_control.sampling import (
+    JointReading,
+    MotionReading,
+    PairedSample,
+    WrenchReading,
+)
 from multicontact_control.sensor.weight import weight_reading
 from multicontact_control.supervision.command_limits import CommandLimits
 import numpy as np
