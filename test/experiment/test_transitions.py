@@ -1,6 +1,6 @@
 """First touch, lost and found surfaces, switches without a jump: in closed loop."""
 
-from multicontact_control.experiment.faults.in_process import World
+from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.supervision.fallback import TorqueBlend
 import numpy as np
@@ -15,18 +15,19 @@ def follow(world, ticks, at=None):
     for _ in range(ticks):
         if at is not None and world.tick in at:
             at[world.tick](world.plant.contacts)
-        result = world.advance()
+        world.advance()
         forces.append(world.true_forces.copy())
-        torques.append(result.output.torque)
-        states.append(result.status.contact_states)
+        torques.append(world.command)
+        states.append(world.status.contact_states)
     return np.array(forces), np.array(torques), states
 
 
 def touch(stiffness, plant='rigid', seed=0):
     """Run the approach of `quick`: 20 mm/s, 2 N of preload, the model as stiff as the surfaces."""
     same = {name: {'stiffness': stiffness} for name in CONTACTS}
-    return World(resolve('quick', plant=plant, seed=seed, controller={'contacts': same},
-                         plant_overrides={'surfaces': same}))
+    return ClosedLoop(resolve(
+        'quick', plant=plant, seed=seed, controller={'contacts': same},
+        plant_overrides={'surfaces': same}))
 
 
 @pytest.mark.parametrize('seed', [0, 1])
@@ -48,7 +49,7 @@ def test_first_touch_of_a_stiff_surface_settles_after_two_losses_at_most(seed):
 
 
 def sliding(seed, plant='rigid'):
-    world = World(resolve('quick', plant=plant, seed=seed))
+    world = ClosedLoop(resolve('quick', plant=plant, seed=seed))
     follow(world, 4500)
     return world
 

@@ -11,7 +11,7 @@ from pathlib import Path
 # experiment/ only this does.
 WITHOUT = ('cli', 'client.py', 'nodes', 'tools')
 DECISIVE = (
-    'claim_metrics.py', 'disturbances.py', 'engine/cells.py', 'faults/cells.py',
+    'claim_metrics.py', 'closed_loop.py', 'disturbances.py', 'engine/cells.py', 'faults/cells.py',
     'faults/in_process.py', 'faults/vocabulary.py', 'judge.py', 'loop.py', 'measure.py',
     'metrics.py', 'oscillation.py', 'real_time.py', 'recording.py', 'results.py', 'scenario.py',
     'summary.py', 'sweep/measure.py', 'verdict.py')

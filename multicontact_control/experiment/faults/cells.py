@@ -8,9 +8,10 @@ from multiprocessing.connection import Connection
 import time
 from typing import Any
 
+from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.engine import CellResult
 from multicontact_control.experiment.engine.cells import content_key, setup_content
-from multicontact_control.experiment.faults.in_process import FaultRow, run_fault, World
+from multicontact_control.experiment.faults.in_process import FaultRow, run_fault
 from multicontact_control.experiment.faults.vocabulary import (
     APPROACH,
     fault_kinds,
@@ -83,23 +84,23 @@ def run_fault_cell(cell: FaultCell) -> CellResult:
 
 # The worlds of this process by plant: faults happen in copies of them, so that a later phase
 # goes on from an earlier one, and no fault costs the way there.
-_WORLDS: dict[str, World] = {}
+_WORLDS: dict[str, ClosedLoop] = {}
 
 
-def _world_at(cell: FaultCell) -> World:
+def _world_at(cell: FaultCell) -> ClosedLoop:
     setup = cell.setup()
     tick = round(PHASE_TIMES[cell.phase] * setup.controller.rate)
     world = _WORLDS.get(cell.plant)
     if world is None or world.tick > tick or world.setup != setup:
         if world is not None:
             world.plant.close()
-        world = _WORLDS[cell.plant] = World(setup)
+        world = _WORLDS[cell.plant] = ClosedLoop(setup)
     while world.tick < tick:
         world.advance()
     return world
 
 
-def in_fork(world: World, kind: FaultKind, seed: int, phase: str) -> FaultRow:
+def in_fork(world: ClosedLoop, kind: FaultKind, seed: int, phase: str) -> FaultRow:
     """Run one fault in a copy of this process; a copy that hangs or dies is not safe."""
     context = multiprocessing.get_context('fork')
     ours, theirs = context.Pipe(duplex=False)
@@ -121,6 +122,6 @@ def in_fork(world: World, kind: FaultKind, seed: int, phase: str) -> FaultRow:
                     world.setup.plant_name, phase, problem)
 
 
-def _child(world: World, kind: FaultKind, seed: int, phase: str, pipe: Connection) -> None:
+def _child(world: ClosedLoop, kind: FaultKind, seed: int, phase: str, pipe: Connection) -> None:
     pipe.send(run_fault(world, kind, seed, phase))
     pipe.close()
