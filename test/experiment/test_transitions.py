@@ -2,7 +2,6 @@
 
 from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.scenario import resolve
-from multicontact_control.supervision.fallback import TorqueBlend
 import numpy as np
 import pytest
 
@@ -106,18 +105,3 @@ def test_switch_of_the_active_set_does_not_step_the_torque():
     assert switched.sum() == 2
     usual = steps[100:][~switched[100:]].max()
     assert steps[switched].max() <= max(usual, 1e-9)
-
-
-def test_blend_is_continuous_and_decays_at_its_declared_rate():
-    blend = TorqueBlend(0.01, 0.002)
-    old, new = np.array([5.0, -3.0]), np.array([-1.0, 2.0])
-    for _ in range(3):
-        blend.last = blend.apply('old', old)
-    out = [blend.last]
-    for _ in range(60):
-        blend.last = blend.apply('new', new)
-        out.append(blend.last)
-    out = np.array(out)
-    np.testing.assert_allclose(out[1], old)
-    np.testing.assert_allclose(out[-1], new, atol=1e-4)
-    assert (np.abs(np.diff(out, axis=0)) <= np.abs(old - new) * 0.002 / 0.01 + 1e-12).all()
