@@ -14,6 +14,8 @@ LAYERS = {
     'control_loop': 4, 'nodes': 5, 'experiment': 6, 'tools': 6, 'client': 6, 'cli': 7,
     '__main__': 7}
 PINOCCHIO_HOME = 'multicontact_control.dynamics.robot'
+STEPPED = (
+    'multicontact_control.supervision.supervisor', 'multicontact_control.supervision.bumpless')
 
 
 def area(module: str) -> str:
@@ -37,6 +39,8 @@ def broken_rule(module: str, target: str) -> str:
         return 'the core knows neither ROS nor the simulation'
     if top == 'pinocchio' and module != PINOCCHIO_HOME and not module.startswith('sim_bridge'):
         return 'pinocchio is wrapped in dynamics/robot.py'
+    if target.startswith(STEPPED) and area(module) not in ('supervision', 'control_loop'):
+        return 'samples become torques in control_loop.py'
     if area(module) in ('control', 'supervision') and f'{target}.'.startswith(
             'multicontact_control.force.noise.'):
         return 'R reaches the controller as a number'
@@ -106,6 +110,8 @@ def test_checker_accepts_a_good_tree(tmp_path):
     ('sampling.py', 'from sensor_msgs.msg import JointState', 'the core knows neither'),
     ('control/controller.py', 'import pinocchio as pin', 'pinocchio is wrapped'),
     ('nodes/controller_node.py', 'import pinocchio', 'pinocchio is wrapped'),
+    ('experiment/loop.py', 'from multicontact_control.supervision.supervisor import Supervisor',
+     'in control_loop.py'),
     ('control/controller.py', 'from multicontact_control.force.noise import f', 'as a number'),
     ('control/controller.py', 'from multicontact_control.force import noise', 'as a number'),
     ('control/controller.py', 'import multicontact_control.force.noise.innovation', 'as a number'),

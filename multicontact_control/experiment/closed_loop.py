@@ -19,7 +19,6 @@ from multicontact_control.supervision.inputs import (
     WrenchInput,
 )
 from multicontact_control.supervision.status import SupervisorStatus
-import numpy as np
 from sim_bridge.actuator_delay import ActuatorDelay
 from sim_bridge.pybullet_plant import PybulletPlant, Sample
 
@@ -71,8 +70,7 @@ class ClosedLoop:
         self._delay = ActuatorDelay(setup.plant.actuator_delay_ticks, self.plant.initial_torque)
         self.tick = 0
         self.sample: Sample = self.plant.reset()
-        self.variance: Vector = np.full(
-            len(config.contact_names), config.initial_noise_variance)
+        self.variance: Vector = self.control.variance
         self.command: Vector = self.plant.initial_torque
         self.history: deque[TickInputs] = deque(maxlen=HISTORY)
 
