@@ -262,7 +262,7 @@ class ControlLoop:
 
     def _require_supervisor(self) -> None:
         if self.supervisor is None:
-            raise CommandError('supervised', 'true, to go on without a sample', 'false')
+            raise _incomplete()
 
     def _supervise(self, supervisor: Supervisor, inputs: TickInputs) -> Vector:
         result = supervisor.safe_step(inputs) if self.safe else supervisor.step(inputs)
@@ -279,7 +279,7 @@ class ControlLoop:
     def _control(self, controller: BumplessController, inputs: TickInputs) -> Vector:
         joints, wrench = inputs.joints, inputs.wrench
         if joints is None or wrench is None:
-            raise CommandError('supervised', 'true, to go on without a sample', 'false')
+            raise _incomplete()
         measurement = Measurement(
             inputs.time, joints.q, joints.qd, wrench.wrench, joints.effort)
         if self.safe:
@@ -417,3 +417,7 @@ class ControlLoop:
         pose = self.controller.controller.robot.update(joints.q, joints.qd).sensor_pose
         return tare_bias(readings, pose.rotation_world, model.tool,
                          np.array(model.robot.gravity_world), config)
+
+
+def _incomplete() -> CommandError:
+    return CommandError('supervised', 'true, to go on without a sample', 'false')
