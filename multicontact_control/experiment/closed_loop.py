@@ -10,7 +10,7 @@ from multicontact_control.control.controller import ControlOutput
 from multicontact_control.control_loop import ControlLoop
 from multicontact_control.errors import RunError
 from multicontact_control.experiment.scenario import Setup
-from multicontact_control.force.noise import Innovation, make_noise_estimator
+from multicontact_control.force.noise import Innovation, make_noise_estimator, NoiseEstimator
 from multicontact_control.supervision.command_limits import CommandLimits
 from multicontact_control.supervision.inputs import (
     JointInput,
@@ -131,10 +131,7 @@ class ClosedLoop:
         output = self.control.output
         if output is None:
             raise RunError('closed loop: expected a controller at work, found its safe behaviour')
-        estimator = self._estimator
-        self.variance = estimator.update(output.alpha_meas, Innovation(
-            output.innovation, output.prior_variance, output.variance_used)
-            if estimator.uses_innovation else None)
+        self.variance = estimate_variance(self._estimator, output)
         return output
 
     def act(self) -> None:
@@ -152,3 +149,10 @@ class ClosedLoop:
     def close(self) -> None:
         """Give the simulator's memory back."""
         self.plant.close()
+
+
+def estimate_variance(estimator: NoiseEstimator, output: ControlOutput) -> Vector:
+    """Return what an estimator makes of an answer: the R of the next tick, shape (r,) [N^2]."""
+    return estimator.update(output.alpha_meas, Innovation(
+        output.innovation, output.prior_variance, output.variance_used)
+        if estimator.uses_innovation else None)

@@ -15,6 +15,7 @@ from multicontact_control.experiment.bench.spread import (
     percentiles,
     spread,
 )
+from multicontact_control.experiment.closed_loop import estimate_variance
 from multicontact_control.experiment.loop import run_in_process
 from multicontact_control.experiment.scenario import resolve, Setup
 from multicontact_control.force.noise import make_noise_estimator, NoiseEstimator
@@ -68,7 +69,8 @@ class Replay:
         loop = self.loop
         loop.step(sample)
         if loop.output is not None:
-            loop.take_variance(sample.stamp, self.estimator.update(loop.output.alpha_meas))
+            loop.take_variance(
+                sample.stamp, estimate_variance(self.estimator, loop.output))
 
 
 def time_ticks(replay: Replay, ticks: int) -> tuple[Vector, Vector]:
