@@ -28,7 +28,8 @@ def designed_rise(force: ForceConfig) -> float:
     Return the time in which the designed loop reaches 63 % of a step [s].
 
     T_d plus the time at which the response of the two poles reaches 1 - 1/e: for two equal ones
-    2.146 time constants.
+    2.146 time constants. T_d is that of the input alone: this is about the true force, of which
+    the sensor's low-pass delays the measurement only.
     """
     tau, ratio = force.time_constant, force.second_pole_ratio
 

@@ -39,11 +39,6 @@ class SensorHealth:
     frozen: bool
 
     @property
-    def ok(self) -> bool:
-        """Whether the reading can be relied on."""
-        return not self.fault
-
-    @property
     def fault(self) -> str:
         """Return what is wrong, ``frozen`` or ``saturated``; empty if nothing is."""
         if self.frozen:

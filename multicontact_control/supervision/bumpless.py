@@ -10,8 +10,10 @@ from multicontact_control.control.controller import Controller, ControlOutput, M
 from multicontact_control.control.reference import ReferenceSource
 from multicontact_control.dynamics.pose import Pose
 from multicontact_control.supervision.safe_behaviour import SafeBehaviour
-from multicontact_control.supervision.torque_blend import TorqueBlend
+from multicontact_control.supervision.transition import TorqueTransition
 import numpy as np
+
+LAW = None  # to the blends all is one law: only what is asked for goes over
 
 
 class BumplessController:
@@ -28,7 +30,7 @@ class BumplessController:
     def __init__(self, controller: Controller) -> None:
         config = controller.config
         self._controller = controller
-        self._blend = TorqueBlend(config.transition, config.period)
+        self._transition = TorqueTransition(config)
         self._safe = SafeBehaviour(config.safe_behaviour, controller.robot)
         self._limit = _torque_limit(config)
         self.reset()
@@ -61,7 +63,7 @@ class BumplessController:
     def reset(self) -> None:
         """Forget everything measured and commanded; the next sample starts anew."""
         self._controller.reset()
-        self._last: Vector | None = None
+        self._transition.reset()
         self._safe_running = False
 
     def check(self, config: ControllerConfig) -> None:
@@ -87,14 +89,14 @@ class BumplessController:
 
         """
         self._controller.reconfigure(config)
-        self._blend.config, self._safe.config = config.transition, config.safe_behaviour
+        self._transition.adopt(config)
+        self._safe.config = config.safe_behaviour
         self._limit = _torque_limit(config)
         self.restart_from_last()
 
     def restart_from_last(self) -> None:
         """Let the next command be the last one again: what is asked for is about to jump."""
-        if self._last is not None:
-            self._blend.start(self._last)
+        self._transition.restart_from_last()
 
     def stand_still(self, pose: Pose) -> Pose:
         """Return the pose of a reference that leaves the arm at a pose: the same."""
@@ -112,15 +114,14 @@ class BumplessController:
         The first command is the measured effort, or gravity compensation where there is none.
         """
         output = self._controller.step(measurement, noise_variance)
-        if self._last is None:
-            self._blend.start(self._held(measurement))
-        elif self._safe_running:
-            self._blend.start(self._last)
-        torque = self._blend.apply(output.torque)
+        if self._safe_running or not self._transition.begun:
+            self._transition.begin(lambda: self._held(measurement))
+        self._safe_running = False
+        torque = self._transition.apply(LAW, output.torque)
         if torque is not output.torque:
             torque = np.clip(torque, -self._limit, self._limit)
             output = output._replace(torque=torque)
-        self._last, self._safe_running = torque, False
+        self._transition.commanded(torque)
         return output
 
     def safe_step(self, measurement: Measurement) -> Vector:
@@ -140,11 +141,11 @@ class BumplessController:
             self._safe_running = True
             self._safe.start()
             self._controller.reset()
-            self._blend.start(self._held(measurement) if self._last is None else self._last)
+            self._transition.begin(lambda: self._held(measurement))
         torque: Vector = np.clip(
-            self._blend.apply(self._safe.torque(measurement.q, measurement.qd)),
+            self._transition.apply(LAW, self._safe.torque(measurement.q, measurement.qd)),
             -self._limit, self._limit)
-        self._last = torque
+        self._transition.commanded(torque)
         return torque
 
     def _held(self, measurement: Measurement) -> Vector:

@@ -1,4 +1,4 @@
-"""What the arm does while it must not be controlled, and how one law hands over to the next."""
+"""What the arm does while it must not be controlled."""
 
 from __future__ import annotations
 
@@ -75,57 +75,3 @@ class Reactions:
         held: Vector = arm.bias_torque + arm.inertia * (
             w * w * (self._posture - arm.q) - 2.0 * w * arm.velocity)
         return held
-
-
-class TorqueBlend:
-    """
-    Hands over between laws without a step.
-
-    At a switch the difference between the last command and the new law's is kept as an offset
-    that decays exponentially: the torque, and with it the commanded acceleration, is continuous,
-    and changes by at most |offset| h / time_constant per period more than the new law's own.
-
-    Parameters
-    ----------
-    time_constant
-        Of that decay [s].
-    period
-        h [s].
-
-    """
-
-    def __init__(self, time_constant: float, period: float) -> None:
-        self._keep = math.exp(-period / time_constant)
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget the past: the next law starts at once."""
-        self._law: object = None
-        self._offset: Vector | None = None
-        self.last: Vector | None = None
-
-    def settle(self) -> None:
-        """Let the offset go at once; somebody else sees to the jump."""
-        self._offset = None
-
-    def apply(self, law: object, torque: Vector) -> Vector:
-        """
-        Return the torque to command.
-
-        Parameters
-        ----------
-        law
-            Anything that differs from one law to another.
-        torque
-            The law's torque, shape (n,) [N m].
-
-        """
-        if self.last is not None and law != self._law:
-            self._offset = self.last - torque
-        elif self._offset is not None:
-            self._offset = self._offset * self._keep
-            if np.abs(self._offset).max() < 1e-6:
-                self._offset = None
-        self._law = law
-        blended = torque if self._offset is None else torque + self._offset
-        return blended

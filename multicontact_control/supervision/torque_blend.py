@@ -1,4 +1,4 @@
-"""From the torque that acts to that of another law, without a jump."""
+"""Two ways from the torque that acts to that of another law, without a jump."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 STEEPEST = 1.875  # largest slope of the quintic from 0 to 1
 
 
-class TorqueBlend:
+class QuinticBlend:
     """
     Adds to a law what it lacked of the torque at its start, and lets that fade.
 
@@ -33,11 +33,6 @@ class TorqueBlend:
         self._from: Vector | None = None
         self._difference: Vector | None = None
         self._tick = self._ticks = 0
-
-    @property
-    def active(self) -> bool:
-        """Whether some difference is left."""
-        return self._from is not None or self._difference is not None
 
     def start(self, torque: Vector) -> None:
         """
@@ -92,3 +87,57 @@ class TorqueBlend:
         self._from, self._difference = None, difference
         self._tick, self._ticks = 0, math.ceil(duration / self._period)
         return start
+
+
+class ExponentialBlend:
+    """
+    Hands over between laws without a step.
+
+    At a switch the difference between the last command and the new law's is kept as an offset
+    that decays exponentially: the torque, and with it the commanded acceleration, is continuous,
+    and changes by at most |offset| h / time_constant per period more than the new law's own.
+
+    Parameters
+    ----------
+    time_constant
+        Of that decay [s].
+    period
+        h [s].
+
+    """
+
+    def __init__(self, time_constant: float, period: float) -> None:
+        self._keep = math.exp(-period / time_constant)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the past: the next law starts at once."""
+        self._law: object = None
+        self.cancel()
+
+    def cancel(self) -> None:
+        """Let the offset go at once; somebody else sees to the jump."""
+        self._offset: Vector | None = None
+
+    def apply(self, law: object, torque: Vector, last: Vector | None) -> Vector:
+        """
+        Return the torque to command.
+
+        Parameters
+        ----------
+        law
+            Anything that differs from one law to another.
+        torque
+            The law's torque, shape (n,) [N m].
+        last
+            The torque that acts now, shape (n,) [N m]; None before the first.
+
+        """
+        if last is not None and law != self._law:
+            self._offset = last - torque
+        elif self._offset is not None:
+            self._offset = self._offset * self._keep
+            if np.abs(self._offset).max() < 1e-6:
+                self._offset = None
+        self._law = law
+        return torque if self._offset is None else torque + self._offset

@@ -6,8 +6,7 @@ from collections.abc import Callable
 
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
-from multicontact_control.supervision.fallback import TorqueBlend as SwitchBlend
-from multicontact_control.supervision.torque_blend import TorqueBlend
+from multicontact_control.supervision.torque_blend import ExponentialBlend, QuinticBlend
 
 
 class TorqueTransition:
@@ -16,7 +15,8 @@ class TorqueTransition:
 
     What somebody asks for (a start, other gains, a hold) goes over as `transition` says, which
     may take a second. What happens by itself (a contact that comes or goes, a reaction) goes over
-    within `contact_state.blend_time`, a few milliseconds; a reaction ends the slow one.
+    within `contact_state.blend_time`, a few milliseconds; a reaction ends the slow one. Where
+    there is only one law, the fast one has nothing to do.
 
     Parameters
     ----------
@@ -26,8 +26,9 @@ class TorqueTransition:
     """
 
     def __init__(self, config: ControllerConfig) -> None:
-        self._fast = SwitchBlend(config.contact_state.blend_time, config.period)
-        self._slow = TorqueBlend(config.transition, config.period)
+        self._fast = ExponentialBlend(config.contact_state.blend_time, config.period)
+        self._slow = QuinticBlend(config.transition, config.period)
+        self._last: Vector | None = None
 
     def adopt(self, config: ControllerConfig) -> None:
         """Take the slow pace of another configuration."""
@@ -35,19 +36,20 @@ class TorqueTransition:
 
     def reset(self) -> None:
         """Forget the past."""
+        self._last = None
         self._fast.reset()
         self._slow.cancel()
 
     @property
     def begun(self) -> bool:
         """Whether anything has been commanded so far."""
-        return self._fast.last is not None
+        return self._last is not None
 
     def restart_from_last(self) -> None:
         """Let the next command be the last one again, if there was one."""
-        if self._fast.last is not None:
-            self._fast.settle()
-            self._slow.start(self._fast.last)
+        if self._last is not None:
+            self._fast.cancel()
+            self._slow.start(self._last)
 
     def begin(self, held: Callable[[], Vector]) -> None:
         """
@@ -59,15 +61,15 @@ class TorqueTransition:
             Returns it if nothing has been commanded so far, shape (n,) [N m].
 
         """
-        if self._fast.last is None:
+        if self._last is None:
             self._slow.start(held())
         else:
             self.restart_from_last()
 
     def drop_slow_blend(self, held: Callable[[], Vector]) -> None:
         """Leave what has still to go over slowly to the fast blend; see `begin`."""
-        if self._fast.last is None:
-            self._fast.last = held()
+        if self._last is None:
+            self._last = held()
         self._slow.cancel()
 
     def apply(self, law: object, torque: Vector) -> Vector:
@@ -81,9 +83,14 @@ class TorqueTransition:
         torque
             The law's torque, shape (n,) [N m].
 
+        Returns
+        -------
+        Vector
+            The same object if nothing has to go over any more, shape (n,) [N m].
+
         """
-        return self._fast.apply(law, self._slow.apply(torque))
+        return self._fast.apply(law, self._slow.apply(torque), self._last)
 
     def commanded(self, torque: Vector) -> None:
         """Take note of the torque that acts now, shape (n,) [N m]."""
-        self._fast.last = torque
+        self._last = torque

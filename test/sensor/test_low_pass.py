@@ -99,4 +99,4 @@ def test_front_end_watches_the_raw_reading_and_hands_on_the_filtered_one():
     assert chain.update(np.full(6, 10.0)).health.frozen
     chain.reset()
     np.testing.assert_allclose(chain.update(np.full(6, 1.0)).wrench_sensor, 1.0)
-    assert SensorFrontEnd(SensorFrontEndConfig(), RATE).update(np.ones(6)).health.ok
+    assert not SensorFrontEnd(SensorFrontEndConfig(), RATE).update(np.ones(6)).health.fault

@@ -19,12 +19,12 @@ def test_monitor_names_the_saturated_axis(axis, sign):
     wrench[axis] = sign * FULL_SCALE[axis]
     health = monitor.update(wrench)
     np.testing.assert_array_equal(np.flatnonzero(health.saturated), [axis])
-    assert not health.ok
-    assert monitor.update(0.98 * wrench).ok
+    assert health.fault == 'saturated'
+    assert not monitor.update(0.98 * wrench).fault
 
 
 def test_monitor_without_a_full_scale_finds_no_saturation():
-    assert SensorMonitor(SensorFrontEndConfig()).update(np.full(6, 1e9)).ok
+    assert not SensorMonitor(SensorFrontEndConfig()).update(np.full(6, 1e9)).fault
 
 
 def test_monitor_finds_a_frozen_sensor_in_time_and_its_recovery():
@@ -33,7 +33,7 @@ def test_monitor_finds_a_frozen_sensor_in_time_and_its_recovery():
     assert found == [False] * 4 + [True] * 4
     almost = np.ones(6)
     almost[5] += 1e-9
-    assert monitor.update(almost).ok
+    assert not monitor.update(almost).fault
     monitor.update(almost)
     monitor.reset()
     assert [monitor.update(almost).frozen for _ in range(5)] == [False] * 4 + [True]
@@ -48,7 +48,7 @@ def test_monitor_takes_a_missing_number_for_a_reading_like_any_other():
 
 def test_monitor_is_off_by_default():
     monitor = SensorMonitor(SensorFrontEndConfig())
-    assert all(monitor.update(np.ones(6)).ok for _ in range(100))
+    assert not any(monitor.update(np.ones(6)).fault for _ in range(100))
 
 
 def test_repeat_probability_is_that_of_simulated_readings():

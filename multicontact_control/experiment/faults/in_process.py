@@ -6,23 +6,18 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from multicontact_control.arrays import Vector
+from multicontact_control.experiment.closed_loop import ClosedLoop, Corruption
 from multicontact_control.experiment.faults.vocabulary import Context, FaultKind
-from multicontact_control.experiment.loop import inputs_of
-from multicontact_control.experiment.scenario import Setup
-from multicontact_control.force.noise import make_noise_estimator
-from multicontact_control.supervision.supervisor import Supervisor, SupervisorOutput
-from multicontact_control.supervision.validation import TickInputs
+from multicontact_control.supervision.fallback import SEVERITY
+from multicontact_control.supervision.inputs import TickInputs
+from multicontact_control.supervision.status import SupervisorStatus
 import numpy as np
 from numpy.typing import NDArray
-from sim_bridge.actuator_delay import ActuatorDelay
-from sim_bridge.pybullet_plant import PybulletPlant
 
 REACTION_TICKS = 2
 FORCE_MARGIN = 1.25  # times the force ceiling
 RETRACT_TICKS = 50  # in which a contact beyond that must have been left
 RUN_TICKS = 350
-HISTORY = 64
-SEVERITY = ('none', 'inflate', 'hold', 'float', 'damp')
 
 
 @dataclass(frozen=True)
@@ -73,106 +68,68 @@ class FaultRow:
         return asdict(self)
 
 
-class World:
+def run_fault(loop: ClosedLoop, kind: FaultKind, seed: int, phase: str) -> FaultRow:
     """
-    Plant, supervised controller and estimator, advanced tick by tick.
+    Let one fault happen in a closed loop that is used up by it.
 
     Parameters
     ----------
-    setup
-        The scenario.
-
-    """
-
-    def __init__(self, setup: Setup) -> None:
-        self.setup = setup
-        config = setup.controller
-        self.supervisor = Supervisor.from_config(config, setup.reference(), setup.urdf_dir)
-        self._estimator = make_noise_estimator(setup.noise_estimator)
-        self.plant = PybulletPlant(setup.plant, rate=config.rate, seed=setup.seed)
-        self._delay = ActuatorDelay(setup.plant.actuator_delay_ticks, self.plant.initial_torque)
-        self._sample = self.plant.reset()
-        self._variance: Vector = np.full(
-            len(config.contact_names), config.initial_noise_variance)
-        self.command: Vector = self.plant.initial_torque
-        self.tick = 0
-        self.history: list[TickInputs] = []
-
-    def advance(self, fault: tuple[FaultKind, Context, int] | None = None) -> SupervisorOutput:
-        """Take one tick, with the n-th tick of a fault in it."""
-        inputs = self.inputs()
-        self.history = [*self.history[-HISTORY:], inputs]
-        if fault is not None and fault[0].corrupt is not None:
-            kind, context, n = fault
-            context.history.append(inputs)
-            inputs = fault[0].corrupt(context, inputs, n)
-        result = self.supervisor.step(inputs)
-        self._variance = self._estimator.update(result.output.alpha_meas)
-        self._delay.command(self.tick, result.output.torque)
-        self._sample = self.plant.step(self._delay.torque_for(self.tick))
-        self.command = result.output.torque
-        self.tick += 1
-        return result
-
-    def inputs(self) -> TickInputs:
-        """Return what is known in this tick if all is well."""
-        return inputs_of(
-            self.setup, self.tick, self._sample, self._sample.wrench, self._variance)
-
-    @property
-    def true_forces(self) -> Vector:
-        """Return the true normal forces now, shape (r,) [N]."""
-        return self._sample.contact_force
-
-
-def run_fault(world: World, kind: FaultKind, seed: int, phase: str) -> FaultRow:
-    """
-    Let one fault happen in a world that is used up by it.
-
-    Parameters
-    ----------
-    world
-        At the beginning of the phase.
+    loop
+        At the beginning of the phase, supervised.
     kind, seed, phase
         The fault, what decides its details, and where in the scenario it happens.
 
     """
     random = np.random.default_rng([seed, sum(map(ord, kind.kind + kind.input))])
     for _ in range(int(random.integers(5, 60))):
-        world.advance()
-    context = Context(random, world.setup.controller.period, list(world.history), world.inputs(),
+        loop.advance()
+    context = Context(random, loop.setup.controller.period, list(loop.history), loop.inputs(),
                       random.random(4))
     length = int(random.integers(5, 150))
-    watch = _Watch(world)
+    watch = _Watch(loop)
     if kind.begin is not None:
-        kind.begin(world.plant, context)
+        kind.begin(loop.plant, context)
     for n in range(RUN_TICKS):
         if n == length and kind.end is not None:
-            kind.end(world.plant, context)
-        result = world.advance((kind, context, n) if n < length else None)
-        watch.note(n, result, world.true_forces, faulty=n < length)
+            kind.end(loop.plant, context)
+        loop.advance(_corruption(kind, context, n) if n < length else None)
+        watch.note(loop.command, loop.status, loop.true_forces, faulty=n < length)
     return watch.row(kind, seed, phase)
+
+
+def _corruption(kind: FaultKind, context: Context, n: int) -> Corruption | None:
+    """Return what the n-th tick of a fault does to the readings."""
+    change = kind.corrupt
+    if change is None:
+        return None
+
+    def corrupt(inputs: TickInputs) -> TickInputs:
+        context.history.append(inputs)
+        return change(context, inputs, n)
+
+    return corrupt
 
 
 class _Watch:
     """Notes what happens, and judges it."""
 
-    def __init__(self, world: World) -> None:
-        config = world.setup.controller
-        self._plant, self._h = world.setup.plant_name, config.period
+    def __init__(self, loop: ClosedLoop) -> None:
+        config = loop.setup.controller
+        self._plant, self._h = loop.setup.plant_name, config.period
         limits = config.limits
         self._limit = np.array(config.torque_limit)
         self._step = np.array(limits.torque_rate) * config.period
         self._ceiling = config.contact_state.force_ceiling
-        self._before = world.command
+        self._before = loop.command
         self._reactions: list[str] = []
         self._forces: list[float] = []
         self._peak_fraction = 0.0
         self._strongest = 0
         self._problems: set[str] = set()
 
-    def note(self, n: int, result: SupervisorOutput, forces: Vector, *, faulty: bool) -> None:
-        torque = result.output.torque
+    def note(
+        self, torque: Vector, status: SupervisorStatus, forces: Vector, *, faulty: bool,
+    ) -> None:
         if not np.isfinite(torque).all():
             self._problems.add('command not finite')
         else:
@@ -183,11 +140,11 @@ class _Watch:
             if (np.abs(torque - self._before) > self._step * (1.0 + 1e-9)).any():
                 self._problems.add('torque rate beyond its limit')
             self._before = torque
-        if any(cause.startswith('internal') for cause in result.status.causes):
-            self._problems.add(result.status.causes[0])
-        self._reactions.append(result.status.reaction)
+        if any(cause.startswith('internal') for cause in status.causes):
+            self._problems.add(status.causes[0])
+        self._reactions.append(status.reaction)
         if faulty:
-            self._strongest = max(self._strongest, SEVERITY.index(result.status.reaction))
+            self._strongest = max(self._strongest, SEVERITY.index(status.reaction))
         self._forces.append(float(forces.max()))
 
     def row(self, kind: FaultKind, seed: int, phase: str) -> FaultRow:

@@ -15,10 +15,11 @@ from multicontact_control.experiment.faults.graph_watch import (
     ReceivedMessage,
     Report,
 )
-from multicontact_control.experiment.faults.in_process import FaultRow, FORCE_MARGIN, SEVERITY
+from multicontact_control.experiment.faults.in_process import FaultRow, FORCE_MARGIN
 from multicontact_control.experiment.graph.spec import CONTROLLER, SIM
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.nodes import topics
+from multicontact_control.supervision.fallback import SEVERITY
 import numpy as np
 
 GRAPH = 'graph'

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from multicontact_control.arrays import Vector
-from multicontact_control.supervision.validation import TickInputs
+from multicontact_control.supervision.inputs import TickInputs
 import numpy as np
 from scipy.spatial.transform import Rotation
 from sim_bridge.pybullet_plant import PybulletPlant

@@ -1,6 +1,7 @@
 """Faults in process: how they are answered and judged, and that the judge can say no."""
 
-from multicontact_control.experiment.faults.in_process import RUN_TICKS, World
+from multicontact_control.experiment.closed_loop import ClosedLoop
+from multicontact_control.experiment.faults.in_process import RUN_TICKS
 from multicontact_control.experiment.faults.vocabulary import fault_kinds
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.experiment.study.presets.faults.jobs import in_fork
@@ -14,7 +15,7 @@ KINDS = {(kind.kind, kind.input): kind for kind in fault_kinds()}
 @pytest.fixture(scope='module')
 def world():
     """Return a rigid plant at the approach."""
-    world = World(resolve('quick', plant='rigid', seed=0))
+    world = ClosedLoop(resolve('quick', plant='rigid', seed=0))
     while world.tick < 330:
         world.advance()
     return world
@@ -51,7 +52,7 @@ def test_fault_that_nobody_notices_is_not_safe(world, monkeypatch):
 
 
 def test_fault_that_kills_its_process_is_not_safe(world, monkeypatch):
-    monkeypatch.setattr(World, 'advance', lambda self, fault=None: 1 / 0)
+    monkeypatch.setattr(ClosedLoop, 'advance', lambda self, corrupt=None: 1 / 0)
     row = in_fork(world, KINDS['nan', 'wrench'], 1, 'approach')
     assert (row.safe, row.problems) == (False, 'died')
 

@@ -12,11 +12,11 @@ import time
 import traceback
 from typing import Any, ClassVar, NoReturn
 
+from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.faults.in_process import (
     FaultRow,
     run_fault,
     RUN_TICKS,
-    World,
 )
 from multicontact_control.experiment.faults.vocabulary import (
     APPROACH,
@@ -98,23 +98,23 @@ def run_fault_job(job: FaultJob) -> JobResult:
 
 # The worlds of this process by plant: faults happen in copies of them, so that a later phase
 # goes on from an earlier one, and no fault costs the way there.
-_WORLDS: dict[str, World] = {}
+_WORLDS: dict[str, ClosedLoop] = {}
 
 
-def _world_at(job: FaultJob) -> World:
+def _world_at(job: FaultJob) -> ClosedLoop:
     setup = job.setup()
     tick = round(PHASE_TIMES[job.phase] * setup.controller.rate)
     world = _WORLDS.get(job.plant)
     if world is None or world.tick > tick or world.setup != setup:
         if world is not None:
             world.plant.close()
-        world = _WORLDS[job.plant] = World(setup)
+        world = _WORLDS[job.plant] = ClosedLoop(setup)
     while world.tick < tick:
         world.advance()
     return world
 
 
-def in_fork(world: World, kind: FaultKind, seed: int, phase: str) -> FaultRow:
+def in_fork(world: ClosedLoop, kind: FaultKind, seed: int, phase: str) -> FaultRow:
     """Run one fault in a copy of this process; a copy that hangs or dies is not safe."""
     ours, theirs = Pipe(duplex=False)
     # By hand: a worker of Dask is not allowed to have children of `multiprocessing`.

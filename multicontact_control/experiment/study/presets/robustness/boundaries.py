@@ -105,13 +105,20 @@ class ArmLoop:
     mobility: Matrix
     tool_inertia: Matrix
 
+    @property
+    def delay(self) -> float:
+        """Return the delay the loop really has: of actuators and sensor's low-pass [s]."""
+        controller = self.setup.controller
+        return (self.setup.plant.actuator_delay_ticks * controller.period
+                + controller.sensor.filter_delay(controller.rate))
+
     def observer(self) -> ObserverDesign:
         """Return the observer of the first contact; the others have the same model."""
         controller = self.setup.controller
         force = controller.force
         loop = design_force_loop(
             controller.contacts[controller.contact_names[0]].stiffness,
-            damping_rate=force.damping_rate, input_delay=force.input_delay,
+            damping_rate=force.damping_rate, input_delay=controller.loop_delay,
             period=controller.period, time_constant=force.time_constant,
             second_pole_ratio=force.second_pole_ratio)
         return design_observer(
@@ -119,17 +126,19 @@ class ArmLoop:
             initial_covariance=force.initial_covariance)
 
     def paper_boundary(self, noise_variance: float) -> float:
-        """Return the largest stable stiffness ratio of eq. 32 with the actuator's delay."""
+        """Return the largest stable stiffness ratio of eq. 32 with the real delay."""
         controller = self.setup.controller
         contact = RealContact(
             stiffness=controller.contacts[controller.contact_names[0]].stiffness,
             damping_rate=controller.force.damping_rate, period=controller.period,
-            input_delay=self.setup.plant.actuator_delay_ticks * controller.period)
+            input_delay=self.delay)
         return stability_boundary(self.observer(), noise_variance, contact).upper
 
     def radius(self, noise_variance: float) -> Callable[[float], float]:
         """
         Return the spectral radius of the closed loops as a function of the stiffness ratio.
+
+        The real delay counts in whole periods.
 
         Parameters
         ----------
@@ -147,7 +156,8 @@ class ArmLoop:
         def of_ratio(ratio: float) -> float:
             surroundings = LinearArmPlant(
                 mobility=self.mobility, stiffness=ratio * stiffness, damping=damping,
-                tool_inertia=self.tool_inertia, delay_ticks=plant.actuator_delay_ticks)
+                tool_inertia=self.tool_inertia,
+                delay_ticks=round(self.delay * controller.rate))
             return spectral_radius(closed_loop(
                 surroundings, observer, gain, force.damping_rate, controller.period))
 

@@ -3,6 +3,7 @@ import math
 from multicontact_control.experiment.disturbances import instability_time, quiet_windows
 from multicontact_control.experiment.judge import judge
 from multicontact_control.experiment.loop import run_in_process
+from multicontact_control.experiment.scenario import resolve
 from multicontact_control.experiment.study.jobs import job_of
 from multicontact_control.experiment.study.measure import final_error_share
 from multicontact_control.experiment.study.presets.compare.matrix import (
@@ -50,6 +51,45 @@ def test_arm_loop_bears_more_with_less_delay_and_a_slower_observer():
     loops = [arm_loop(map_job(1.0, delay, 'fixed').setup()) for delay in (1, 3)]
     assert loops[0].boundary(0.6) > loops[1].boundary(0.6)
     assert loops[0].boundary(100.0) > loops[0].boundary(0.6)
+
+
+LOW_PASS = {'sensor': {'filter_order': 2, 'filter_cutoff': 60.0}}
+
+
+def low_passed_cell(ratio, sensor):
+    """Return a run on surfaces of another stiffness, without noise and friction."""
+    surface = {'stiffness': 6000.0 * ratio, 'roughness_std': 0.0, 'friction': 0.0}
+    return resolve(
+        'step', plant='rigid', duration=3.5,
+        noise_estimator={'estimator': 'fixed', 'fixed_variance': 0.6},
+        controller={**sensor, 'force': {'damping_rate': 60.0, 'input_delay': 0.002}},
+        plant_overrides={
+            'actuator_delay_ticks': 1, 'joint_friction_scale': 0.0,
+            'sensor': {'noise': False, 'quantise': False},
+            'surfaces': {'table': surface, 'board': surface}})
+
+
+def test_observer_of_the_linear_loop_is_the_controllers():
+    """Force, rate, the inputs under way and the active state; a low-pass adds to those inputs."""
+    for sensor, under_way in (({}, 1), (LOW_PASS, 3)):
+        setup = low_passed_cell(1.0, sensor)
+        assert math.ceil(setup.controller.loop_delay * 500.0 - 1e-9) == under_way
+        assert arm_loop(setup).observer().feedback.shape == (2 + under_way + 1,)
+
+
+@pytest.mark.slow
+def test_linear_boundary_with_a_low_pass_is_the_simulated_one_within_a_quarter():
+    """It was almost half above it while only the controller knew of the low-pass."""
+    def stable(ratio):
+        result = run_in_process(low_passed_cell(ratio, LOW_PASS))
+        return not result.ended_early and final_error_share(result.data) <= 0.1
+
+    loop = arm_loop(low_passed_cell(1.0, LOW_PASS))
+    linear = loop.boundary(0.6)
+    simulated = bisect(stable, 0.5 * linear, 2.0 * linear, 4)
+    assert abs(simulated / linear - 1.0) < 0.25
+    assert loop.paper_boundary(0.6) < simulated
+    assert linear < 0.8 * arm_loop(low_passed_cell(1.0, {})).boundary(0.6)
 
 
 def test_verdict_of_a_run_that_did_not_settle_is_unstable():

@@ -1,4 +1,10 @@
-"""The controller between activation and deactivation: samples and commands in, torques out."""
+"""
+The middle of the closed loop: samples and commands in, torques out.
+
+Sensor front end, supervision, control law, gate; with hold, tare and push test. Nothing else turns
+samples into torques: the node, the simulation in process, the faults and the benchmark all step
+this.
+"""
 
 from __future__ import annotations
 
@@ -11,9 +17,13 @@ from multicontact_control.control.controller import ControlOutput, Measurement
 from multicontact_control.control.reference import CommandedReference
 from multicontact_control.control.reference.holdable import HeldSource, HoldableReference
 from multicontact_control.errors import CommandError
-from multicontact_control.nodes.messages import JointReading, MotionReading, WrenchReading
-from multicontact_control.nodes.pairing import PairedSample
-from multicontact_control.nodes.sample_clock import SampleClock
+from multicontact_control.sampling import (
+    JointReading,
+    MotionReading,
+    PairedSample,
+    SampleClock,
+    WrenchReading,
+)
 from multicontact_control.sensor.front_end import SensorFrontEnd
 from multicontact_control.sensor.push_config import PushTestConfig
 from multicontact_control.sensor.push_gate import PushGate
@@ -21,21 +31,22 @@ from multicontact_control.sensor.tare import tare_bias, TareConfig
 from multicontact_control.supervision.bumpless import BumplessController
 from multicontact_control.supervision.command_limits import check_position, CommandLimits
 from multicontact_control.supervision.event_log import EventLog
-from multicontact_control.supervision.supervisor import Supervisor, SupervisorStatus
-from multicontact_control.supervision.validation import (
+from multicontact_control.supervision.inputs import (
     JointInput,
     TickInputs,
     VarianceInput,
     WrenchInput,
 )
+from multicontact_control.supervision.supervisor import Supervisor, SupervisorStatus
+from multicontact_control.supervision.validation import copy_numbers
 import numpy as np
 
 TARE_READINGS = 100
 
 
-class ControlSession:
+class ControlLoop:
     """
-    One controller and all that it remembers of its samples.
+    A controller between activation and deactivation, and all that it remembers of its samples.
 
     Parameters
     ----------
@@ -48,10 +59,15 @@ class ControlSession:
     base_dir
         Folder that relative paths start from.
     supervised
-        Whether contact states, watchdogs and limits are around the control law.
+        Whether contact states, watchdogs and limits are around the control law; without them it
+        runs bare but for its start.
 
     Attributes
     ----------
+    supervisor
+        What is around the control law, None if it runs bare.
+    controller
+        The supervisor, or the control law with its start.
     output
         The answer to the newest sample, None before the first and in the safe behaviour.
     status
@@ -125,12 +141,11 @@ class ControlSession:
         self.first_stamp = self.last_stamp = self.variance_stamp = -1
         self.skipped = 0
         self.tick = 0
-        self._newest: Measurement | None = None
+        self._inputs = TickInputs(0.0)
+        self._filtered: WrenchInput | None = None
         self._readings: deque[Vector] = deque(maxlen=TARE_READINGS)
         self.variance: Vector = np.full(
             len(self.config.contact_names), self.config.initial_noise_variance)
-        self._joints: JointInput | None = None
-        self._wrench: WrenchInput | None = None
         self._variance: VarianceInput | None = None
         self.sensor_fault = ''
         self._missed = 0
@@ -147,7 +162,7 @@ class ControlSession:
         Returns
         -------
         Vector
-            The torque to command [N m].
+            The torque to command, shape (n,) [N m].
 
         Raises
         ------
@@ -157,30 +172,64 @@ class ControlSession:
 
         """
         time = self._begin_tick(sample.stamp)
-        self._take_wrench(time, sample.wrench_sensor)
-        self._joints = JointInput(time, sample.q, sample.qd, effort=sample.effort)
-        self._newest = Measurement(
-            self.tick * self.config.period, sample.q, sample.qd, self._filtered, sample.effort)
-        if self.supervisor is not None:
-            torque = self._supervise(self.supervisor, time)
-        else:
-            torque = self._control(self.controller, self._newest)  # type: ignore[arg-type]
-        self._push(sample)
-        return torque
+        # Without supervisor the law's time goes in whole periods, whatever the stamps do.
+        now = time if self.supervisor is not None else self.tick * self.config.period
+        return self.answer(TickInputs(
+            now, JointInput(time, sample.q, sample.qd, effort=sample.effort),
+            WrenchInput(time, sample.wrench_sensor), self._variance))
 
     def step_half(self, reading: JointReading | WrenchReading) -> Vector:
         """Answer a sample of which one half did not come; only with a supervisor."""
+        self._require_supervisor()
         time = self._begin_tick(reading.stamp)
+        inputs = self._inputs._replace(time=time, variance=self._variance)
         if isinstance(reading, JointReading):
-            self._joints = JointInput(time, reading.q, reading.qd)
+            inputs = inputs._replace(joints=JointInput(time, reading.q, reading.qd))
         else:
-            self._take_wrench(time, reading.wrench_sensor)
-        return self._supervise(self._required_supervisor(), time)
+            inputs = inputs._replace(wrench=WrenchInput(time, reading.wrench_sensor))
+        return self.answer(inputs)
 
     def step_without(self, periods: int) -> Vector:
         """Command something although nothing came for some periods; only with a supervisor."""
+        self._require_supervisor()
         self._missed += periods
-        return self._supervise(self._required_supervisor(), self._clock.count_on(periods))
+        return self.answer(self._inputs._replace(
+            time=self._clock.count_on(periods), variance=self._variance))
+
+    def answer(self, inputs: TickInputs) -> Vector:
+        """
+        Answer a tick: every way of a sample into a torque is through here.
+
+        Parameters
+        ----------
+        inputs
+            The newest readings, however old, as the sensors gave them: the wrench has not
+            passed the front end. It does so once: a wrench with the stamp of the one before is
+            the one before.
+
+        Returns
+        -------
+        Vector
+            The torque to command, shape (n,) [N m].
+
+        Raises
+        ------
+        MulticontactError
+            Without supervisor, if something is missing or there is no torque for this posture.
+
+        """
+        self._inputs = inputs
+        new, joints, wrench = self._take_wrench(inputs.wrench), inputs.joints, inputs.wrench
+        seen = TickInputs(
+            inputs.time, joints, None if wrench is None else self._filtered, inputs.variance,
+            self.sensor_fault)
+        if self.supervisor is not None:
+            torque = self._supervise(self.supervisor, seen)
+        else:
+            torque = self._control(self.controller, seen)  # type: ignore[arg-type]
+        if new and joints is not None and wrench is not None and joints.stamp == wrench.stamp:
+            self._push(joints, self._readings[-1])
+        return torque
 
     @property
     def expected_stamp(self) -> int:
@@ -196,25 +245,30 @@ class ControlSession:
         self.tick, self.last_stamp = tick, stamp
         return self._clock.take(stamp)
 
-    def _take_wrench(self, time: float, wrench: Vector) -> None:
-        self._readings.append(wrench)
-        reading = self._front_end.update(wrench)
-        self._filtered = reading.wrench_sensor
-        self.sensor_fault = reading.health.fault
-        self._wrench = WrenchInput(time, self._filtered)
+    def _take_wrench(self, reading: WrenchInput | None) -> bool:
+        """Let a reading that is new through the front end; return whether it is one."""
+        if reading is None or (
+                self._filtered is not None and reading.stamp == self._filtered.stamp):
+            return False
+        raw = np.empty(6)
+        if not copy_numbers(reading.wrench, raw):
+            self._filtered = reading  # for the watchdog to refuse
+            return False
+        self._readings.append(raw)
+        result = self._front_end.update(raw)
+        self.sensor_fault = result.health.fault
+        self._filtered = WrenchInput(reading.stamp, result.wrench_sensor)
+        return True
 
-    def _required_supervisor(self) -> Supervisor:
+    def _require_supervisor(self) -> None:
         if self.supervisor is None:
-            raise CommandError('supervised', 'true, to go on without a sample', 'false')
-        return self.supervisor
+            raise _incomplete()
 
-    def _supervise(self, supervisor: Supervisor, time: float) -> Vector:
-        inputs = TickInputs(
-            time, self._joints, self._wrench, self._variance, self.sensor_fault)
+    def _supervise(self, supervisor: Supervisor, inputs: TickInputs) -> Vector:
         result = supervisor.safe_step(inputs) if self.safe else supervisor.step(inputs)
         status = result.status
         self.output, self.status = None if self.safe else result.output, status
-        self.events.note(self._clock.now, status)
+        self.events.note(inputs.time, status)
         self.reactions[status.reaction] += 1
         if status.rejected:
             self.rejected.update(status.rejected)
@@ -222,17 +276,23 @@ class ControlSession:
             self.limited.update(status.limits)
         return result.output.torque
 
-    def _control(self, controller: BumplessController, measurement: Measurement) -> Vector:
+    def _control(self, controller: BumplessController, inputs: TickInputs) -> Vector:
+        joints, wrench = inputs.joints, inputs.wrench
+        if joints is None or wrench is None:
+            raise _incomplete()
+        measurement = Measurement(
+            inputs.time, joints.q, joints.qd, wrench.wrench, joints.effort)
         if self.safe:
             self.output = None
             return controller.safe_step(measurement)
-        self.output = controller.step(measurement, self.variance)
+        self.output = controller.step(
+            measurement, self.variance if inputs.variance is None else inputs.variance.variance)
         return self.output.torque
 
-    def _push(self, sample: PairedSample) -> None:
+    def _push(self, joints: JointInput, wrench_sensor: Vector) -> None:
         """Lead on with a push test, if there is one, and obey its verdict."""
         if self.push_gate.running and not self.safe and self.push_gate.update(
-                sample.q, sample.qd, sample.wrench_sensor, self.config.tool):
+                joints.q, joints.qd, wrench_sensor, self.config.tool):
             if self.push_gate.open:
                 self._reference.unlock()
                 self.controller.go_on()
@@ -349,11 +409,15 @@ class ControlSession:
         """
         if self.output is not None and self.output.active.any():
             raise CommandError('contacts', 'none under force control for a tare', 'some')
-        newest = self._newest
+        joints = self._inputs.joints
         readings = np.array(self._readings).reshape(-1, 6)
-        if newest is None:
+        if joints is None:
             raise CommandError('samples', 'some, for a tare', 'none')
         model = self.config
-        pose = self.controller.controller.robot.update(newest.q, newest.qd).sensor_pose
+        pose = self.controller.controller.robot.update(joints.q, joints.qd).sensor_pose
         return tare_bias(readings, pose.rotation_world, model.tool,
                          np.array(model.robot.gravity_world), config)
+
+
+def _incomplete() -> CommandError:
+    return CommandError('supervised', 'true, to go on without a sample', 'false')
