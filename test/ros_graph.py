@@ -10,10 +10,8 @@ import sys
 import time
 from typing import TypeVar
 
-from multicontact_control.nodes.runtime import prepare_environment
+from multicontact_control.nodes.guest import GuestNode
 from rcl_interfaces.srv import GetParameters, SetParameters
-from rclpy.context import Context
-from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_value_to_python
 
 T = TypeVar('T')
@@ -21,6 +19,7 @@ T = TypeVar('T')
 ROOT = Path(__file__).resolve().parents[1]
 # s, that any test waits for anything: so long that only what never comes is missed.
 PATIENCE = float(os.environ.get('MULTICONTACT_TEST_PATIENCE', '180'))
+END_TIMEOUT = 10.0  # s, for a node that is terminated after its test
 
 
 def wait_for(
@@ -54,12 +53,8 @@ class Middleware:
     """
 
     def __init__(self, domain_id: int) -> None:
-        prepare_environment()
-        self._context = Context()
-        self._context.init(args=[], domain_id=domain_id)
-        self.node = Node(
-            'sim_node', context=self._context, use_global_arguments=False,
-            start_parameter_services=False)
+        self._guest = GuestNode('sim_node', domain_id)
+        self.node = self._guest.node
         self._processes: list[subprocess.Popen[str]] = []
 
     def __enter__(self) -> Middleware:
@@ -67,11 +62,14 @@ class Middleware:
 
     def __exit__(self, *error: object) -> None:
         for process in self._processes:
-            if process.poll() is None:
+            process.terminate()  # nothing to one that has ended
+        for process in self._processes:
+            try:
+                process.communicate(timeout=END_TIMEOUT)
+            except subprocess.TimeoutExpired:
                 process.kill()
-            process.communicate()
-        self.node.destroy_node()
-        self._context.try_shutdown()
+                process.communicate()
+        self._guest.close()
 
     def start(
         self, module: str, *parameters: str, files: tuple[Path, ...] = (),

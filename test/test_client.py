@@ -15,12 +15,11 @@ from multicontact_control.errors import RunError
 from multicontact_control.experiment.graph.domain import reserve_domain
 from multicontact_control.experiment.graph.lifecycle import CLEAN_UP, DEACTIVATE, LifecycleDriver
 from multicontact_control.nodes import messages
+from multicontact_control.nodes.guest import GuestNode
 from multicontact_control.nodes.motion_command import motion_message
 import numpy as np
 import pytest
-from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 from ros_graph import end_of, get_parameter, PATIENCE, ROOT
 from std_srvs.srv import SetBool, Trigger
 
@@ -172,16 +171,13 @@ class StandIn:
     def __init__(self, domain_id):
         self.asked = []
         self.state = State.PRIMARY_STATE_UNCONFIGURED
-        self._context = Context()
-        self._context.init(args=[], domain_id=domain_id)
-        self._node = Node('controller_node', namespace='stand_in', context=self._context,
-                          use_global_arguments=False, start_parameter_services=False)
+        self._guest = GuestNode('controller_node', domain_id, 'stand_in')
         for service, name, callback in (
                 (GetState, 'get_state', self._get_state), (Trigger, 'tare', self._tare),
                 (ChangeState, 'change_state', self._change), (SetBool, 'hold', self._hold)):
-            self._node.create_service(service, f'~/{name}', callback)
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self._node)
+            self._guest.node.create_service(service, f'~/{name}', callback)
+        self._executor = SingleThreadedExecutor(context=self._guest.context)
+        self._executor.add_node(self._guest.node)
         self._thread = threading.Thread(target=self._executor.spin)
         self._thread.start()
 
@@ -210,8 +206,7 @@ class StandIn:
     def close(self):
         self._executor.shutdown()
         self._thread.join()
-        self._node.destroy_node()
-        self._context.try_shutdown()
+        self._guest.close()
 
 
 def test_client_drives_services_and_lifecycle(domain_id):

@@ -12,11 +12,9 @@ from lifecycle_msgs.srv import ChangeState, GetState
 from multicontact_control.errors import RunError
 from multicontact_control.nodes import qos
 from multicontact_control.nodes.graph_node import create_publisher
-from multicontact_control.nodes.runtime import prepare_environment
+from multicontact_control.nodes.guest import GuestNode
 from multicontact_control.nodes.topics import Topic
-from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
 
@@ -44,13 +42,9 @@ class ControllerLink:
     def __init__(
         self, topics: Sequence[Topic], *, namespace: str, domain_id: int | None, timeout: float,
     ) -> None:
-        prepare_environment()
         self._timeout = timeout
-        self._context = Context()
-        self._context.init(args=[], domain_id=domain_id)
-        self._node = Node(
-            f'multicontact_client_{os.getpid()}', namespace=namespace, context=self._context,
-            use_global_arguments=False, start_parameter_services=False, enable_rosout=False)
+        self._guest = GuestNode(f'multicontact_client_{os.getpid()}', domain_id, namespace)
+        self._node = self._guest.node
         self._newest: dict[Topic, Any] = {}
         self._subscriptions: dict[Topic, Subscription] = {
             topic: self._node.create_subscription(
@@ -64,8 +58,7 @@ class ControllerLink:
 
     def close(self) -> None:
         """Leave the graph."""
-        self._node.destroy_node()
-        self._context.try_shutdown()
+        self._guest.close()
 
     def publisher(self, topic: Topic) -> Publisher:
         """Return a publisher of a command."""
@@ -141,7 +134,7 @@ class ControllerLink:
         """
         full = self._node.resolve_service_name(name)
         client = self._node.create_client(service, name)
-        executor = SingleThreadedExecutor(context=self._context)
+        executor = SingleThreadedExecutor(context=self._guest.context)
         executor.add_node(self._node)
         try:
             if not client.wait_for_service(timeout_sec=self._timeout):

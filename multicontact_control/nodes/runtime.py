@@ -21,6 +21,7 @@ from typing import Any, Protocol, TypeVar
 
 from multicontact_control.compiled import compilations_told
 from multicontact_control.errors import ConfigError, MulticontactError
+from multicontact_control.paths import config_dir
 from multicontact_control.process import settle_process
 import rclpy
 from rclpy.duration import Duration
@@ -128,13 +129,15 @@ NodeT = TypeVar('NodeT', bound=RunnableNode)
 
 def prepare_environment() -> None:
     """
-    Set what rclpy reads from the environment, unless the user has.
+    Set what rclpy and Fast DDS read from the environment, unless the user has.
 
-    The wheels keep their ament index in the Python environment, and without a discovery range
-    the graph would announce itself to the whole network.
+    The wheels keep their ament index in the Python environment; without a discovery range the
+    graph would announce itself to the whole network; and what `fastdds.xml` turns off lets a
+    process with two participants hang.
     """
     os.environ.setdefault('AMENT_PREFIX_PATH', sys.prefix)
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    os.environ.setdefault('FASTRTPS_DEFAULT_PROFILES_FILE', str(config_dir() / 'fastdds.xml'))
 
 
 def make_executor() -> Executor:

@@ -7,9 +7,7 @@ import time
 from types import TracebackType
 
 from multicontact_control.errors import RunError
-from multicontact_control.nodes.runtime import prepare_environment
-from rclpy.context import Context
-from rclpy.node import Node
+from multicontact_control.nodes.guest import GuestNode
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
@@ -19,7 +17,7 @@ POLL_PERIOD = 0.005
 
 class GraphInspector:
     """
-    A hidden node in a context of its own; to be used in a with statement.
+    A hidden node; to be used in a with statement.
 
     Parameters
     ----------
@@ -29,12 +27,8 @@ class GraphInspector:
     """
 
     def __init__(self, domain_id: int | None = None) -> None:
-        prepare_environment()
-        self._context = Context()
-        self._context.init(args=[], domain_id=domain_id)
-        self.node = Node(
-            f'_multicontact_{os.getpid()}', context=self._context, use_global_arguments=False,
-            start_parameter_services=False, enable_rosout=False)
+        self._guest = GuestNode(f'_multicontact_{os.getpid()}', domain_id)
+        self.node = self._guest.node
 
     def __enter__(self) -> GraphInspector:
         """Return the onlooker itself."""
@@ -45,8 +39,7 @@ class GraphInspector:
         trace: TracebackType | None,
     ) -> None:
         """Leave the graph."""
-        self.node.destroy_node()
-        self._context.try_shutdown()
+        self._guest.close()
 
     def topics(self) -> dict[str, list[str]]:
         """Return the types by topic, of those that are not hidden and that someone publishes."""

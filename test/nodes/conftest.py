@@ -3,6 +3,7 @@
 import os
 
 from multicontact_control.experiment.graph.domain import reserve_domain
+from multicontact_control.nodes.guest import GuestNode
 import pytest
 from ros_graph import Middleware
 
@@ -12,7 +13,9 @@ def domain_id():
     """Reserve a domain that nothing else on this machine uses."""
     saved = os.environ.pop('ROS_DOMAIN_ID', None)
     with reserve_domain() as number:
+        keeper = GuestNode('keeper', number)  # so that one participant serves all tests
         yield number
+        keeper.close()
     if saved is not None:
         os.environ['ROS_DOMAIN_ID'] = saved
 

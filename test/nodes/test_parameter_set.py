@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from multicontact_control.config import Config, ControllerConfig, parameter, Real, Vector
 from multicontact_control.errors import ConfigError
+from multicontact_control.nodes.guest import GuestNode
 from multicontact_control.nodes.parameter_set import ParameterSet
-from multicontact_control.nodes.runtime import prepare_environment
 from multicontact_control.paths import config_dir
 import pytest
-from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
@@ -28,23 +27,21 @@ class Whole(Config):
 @pytest.fixture
 def make(domain_id, tmp_path, monkeypatch):
     monkeypatch.setenv('ROS_LOG_DIR', str(tmp_path / 'ros'))
-    prepare_environment()
-    context = Context()
-    context.init(args=[], domain_id=domain_id)
+    guest = GuestNode('context', domain_id)
     nodes = []
 
     def make_set(*arguments, model=Whole, file=None):
         files = ['--params-file', str(file)] if file else []
         options = [part for argument in arguments for part in ('-p', argument)]
         nodes.append(Node(
-            'parameter_set_test', context=context, use_global_arguments=False,
+            'parameter_set_test', context=guest.context, use_global_arguments=False,
             start_parameter_services=False, cli_args=['--ros-args', *files, *options]))
         return nodes[-1], ParameterSet(nodes[-1], model)
 
     yield make_set
     for node in nodes:
         node.destroy_node()
-    context.try_shutdown()
+    guest.close()
 
 
 def change(node, name, value):

@@ -14,11 +14,10 @@ from multicontact_control.config import (
     write_parameters,
 )
 from multicontact_control.errors import ConfigError
+from multicontact_control.nodes.guest import GuestNode
 from multicontact_control.nodes.parameters import load_parameters, nested, parameter_specs
-from multicontact_control.nodes.runtime import prepare_environment
 from multicontact_control.paths import config_dir
 import pytest
-from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
@@ -39,9 +38,7 @@ class Small(Config):
 @pytest.fixture
 def make_node(domain_id, tmp_path, monkeypatch):
     monkeypatch.setenv('ROS_LOG_DIR', str(tmp_path / 'ros'))
-    prepare_environment()
-    context = Context()
-    context.init(args=[], domain_id=domain_id)
+    guest = GuestNode('context', domain_id)
     nodes = []
 
     def make(*arguments, text=None, file=None):
@@ -51,14 +48,14 @@ def make_node(domain_id, tmp_path, monkeypatch):
         files = ['--params-file', str(file)] if file else []
         options = [part for argument in arguments for part in ('-p', argument)]
         nodes.append(Node(
-            'parameter_test', context=context, use_global_arguments=False,
+            'parameter_test', context=guest.context, use_global_arguments=False,
             start_parameter_services=False, cli_args=['--ros-args', *files, *options]))
         return nodes[-1]
 
     yield make
     for node in nodes:
         node.destroy_node()
-    context.try_shutdown()
+    guest.close()
 
 
 def test_load_parameters_reads_what_the_yaml_file_says(make_node):

@@ -10,8 +10,8 @@ import threading
 
 from multicontact_control.experiment.graph.domain import reserve_domain
 from multicontact_control.nodes import messages, qos
+from multicontact_control.nodes.guest import GuestNode
 import pytest
-from rclpy.context import Context
 from rclpy.node import Node
 from ros_graph import end_of, PATIENCE, ROOT, wait_for
 from rosbags.interfaces import QosDurability
@@ -35,9 +35,8 @@ class Chatter:
     """Publishes numbered forces all the time, and said a description once."""
 
     def __init__(self, domain_id):
-        self._context = Context()
-        self._context.init(args=[], domain_id=domain_id)
-        self.node = Node('chatter', context=self._context, use_global_arguments=False)
+        self._guest = GuestNode('guest', domain_id)
+        self.node = Node('chatter', context=self._guest.context, use_global_arguments=False)
         self._forces = self.node.create_publisher(JointState, 'left/forces', qos.STREAM)
         # What a reader that gets no processor for some seconds has yet missed nothing of.
         self._seldom = self.node.create_publisher(JointState, 'left/seldom', qos.STREAM)
@@ -60,7 +59,7 @@ class Chatter:
         self._stop.set()
         self._thread.join()
         self.node.destroy_node()
-        self._context.try_shutdown()
+        self._guest.close()
 
 
 @pytest.fixture(scope='module')

@@ -32,11 +32,9 @@ from multicontact_control.experiment.graph.spec import (
 )
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.nodes import topics
-from multicontact_control.nodes.runtime import prepare_environment
+from multicontact_control.nodes.guest import GuestNode
 import numpy as np
 from rcl_interfaces.srv import SetParameters
-from rclpy.context import Context
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 POLL_PERIOD = 0.005  # s
@@ -99,15 +97,12 @@ class FaultSession:
         self, setup: Setup, folder: Path, domain_id: int,
         keep_waiting: Callable[[], None] = lambda: None,
     ) -> None:
-        prepare_environment()
         self.setup, self._keep_waiting = setup, keep_waiting
         self.spec = fault_graph(setup, folder, domain_id)
         self.spec.logs.mkdir(parents=True, exist_ok=True)
         self.processes = NodeProcesses(self.spec, domain_id)
-        self._context = Context()
-        self._context.init(args=[], domain_id=domain_id)
-        self.node = Node('fault_campaign', context=self._context, use_global_arguments=False,
-                         start_parameter_services=False, enable_rosout=False)
+        self._guest = GuestNode('fault_campaign', domain_id)
+        self.node = self._guest.node
         self.watch = GraphWatch(self.node)
         names = setup.controller.contact_names
         self.wanted = dict.fromkeys(names, WANTED_FORCE)
@@ -136,8 +131,7 @@ class FaultSession:
         """Stop what was not ended by `end_all`: then something failed, and nothing more counts."""
         self.processes.stop(abort=True)
         self.driver.close()
-        self.node.destroy_node()
-        self._context.try_shutdown()
+        self._guest.close()
 
     def spin(self, duration: float) -> None:
         """

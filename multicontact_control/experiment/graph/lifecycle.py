@@ -9,10 +9,8 @@ from typing import Any
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from multicontact_control.errors import RunError
-from multicontact_control.nodes.runtime import prepare_environment
-from rclpy.context import Context
+from multicontact_control.nodes.guest import GuestNode
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 
 CONFIGURE, ACTIVATE = 'configure', 'activate'
 DEACTIVATE, CLEAN_UP, SHUT_DOWN = 'deactivate', 'cleanup', 'shutdown'
@@ -60,15 +58,10 @@ class LifecycleDriver:
         self, domain_id: int, keep_waiting: KeepWaiting = lambda what: None,
         namespace: str = '', poll_period: float = 0.1,
     ) -> None:
-        prepare_environment()
         self._keep_waiting, self._poll_period = keep_waiting, poll_period
-        self._context = Context()
-        self._context.init(args=[], domain_id=domain_id)
-        self._node = Node(
-            'lifecycle_driver', context=self._context, use_global_arguments=False,
-            namespace=namespace, start_parameter_services=False, enable_rosout=False)
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self._node)
+        self._guest = GuestNode('lifecycle_driver', domain_id, namespace)
+        self._executor = SingleThreadedExecutor(context=self._guest.context)
+        self._executor.add_node(self._guest.node)
         self._clients: dict[tuple[str, str], Any] = {}
 
     def __enter__(self) -> LifecycleDriver:
@@ -80,8 +73,7 @@ class LifecycleDriver:
     def close(self) -> None:
         """Leave the graph."""
         self._executor.shutdown()
-        self._node.destroy_node()
-        self._context.try_shutdown()
+        self._guest.close()
 
     def change(self, node_name: str, transition: str) -> None:
         """
@@ -96,23 +88,18 @@ class LifecycleDriver:
 
         """
         request = ChangeState.Request(transition=Transition(label=transition))
-        answer = self.call(node_name, ChangeState, 'change_state', request, FIRST_TIMEOUT,
-                           doing=transition)
-        if answer is None:
-            self._wait_for_goal(node_name, transition)
-        elif not answer.success:
-            raise TransitionError(node_name, transition)
-
-    def _wait_for_goal(self, node_name: str, transition: str) -> None:
-        """Ask for the state: the answer may be lost although the work is done, or yet to come."""
         give_up = time.monotonic() + PATIENCE
         while time.monotonic() < give_up:
-            # A node at work answers when it has done it.
-            answer = self.call(
-                node_name, GetState, 'get_state', GetState.Request(), doing=transition)
+            answer = self.call(node_name, ChangeState, 'change_state', request, FIRST_TIMEOUT,
+                               doing=transition)
             if answer is None:
-                continue
-            if answer.current_state.label != GOALS[transition]:
+                # The answer may be lost although the work is done, or yet to come: a node at
+                # work tells its state when it has done it.
+                answer = self.call(
+                    node_name, GetState, 'get_state', GetState.Request(), doing=transition)
+                if answer is None or answer.current_state.label != GOALS[transition]:
+                    continue  # or the request: one that was killed seems to listen for a while
+            elif not answer.success:
                 raise TransitionError(node_name, transition)
             return
         raise NoAnswerError(f'{node_name} did not answer when asked to {transition}')
@@ -163,7 +150,7 @@ class LifecycleDriver:
         """
         client = self._clients.get((node_name, name))
         if client is None:
-            client = self._node.create_client(service, f'{node_name}/{name}')
+            client = self._guest.node.create_client(service, f'{node_name}/{name}')
             self._clients[node_name, name] = client
         if not self._wait(client.service_is_ready, PATIENCE, f'{node_name} to appear'):
             raise NoAnswerError(f'{node_name} did not appear in {PATIENCE:g} s')

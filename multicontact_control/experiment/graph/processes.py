@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 import contextlib
 import json
 import signal
@@ -24,14 +24,11 @@ from multicontact_control.experiment.graph.spec import (
     timing_file,
 )
 
-# Whoever answers ends after the one it answers, and the recorder after all that it records.
-STOP_ORDER = ((SIM,), (CONTROLLER, ESTIMATOR), (RECORDER,))
-# Signals to end a process by, one after the other, each with the time to end in [s].
-Signals = tuple[tuple[signal.Signals, float], ...]
+STOP_ORDER = (SIM, CONTROLLER, ESTIMATOR, RECORDER)
 # A node that is interrupted sends what it has to send and waits until that has arrived; one that
 # is terminated closes its files, and waits for nobody.
 STOP_TIMEOUTS = ((signal.SIGINT, 6.0), (signal.SIGTERM, 2.0), (signal.SIGKILL, 2.0))
-ABORT_TIMEOUTS = ((signal.SIGTERM, 1.0), (signal.SIGKILL, 1.0))
+ABORT_TIMEOUT = 1.0
 LOG_LINES = 12
 
 
@@ -167,17 +164,18 @@ class NodeProcesses:
         Parameters
         ----------
         abort
-            Whether to end all at once, the recorder last, instead of in the order in which every
-            message that was sent comes into the bag.
+            Whether to end all at once, the recorder last, instead of one after the other, so
+            that every message that was sent is in the bag.
 
         """
-        groups: Sequence[Sequence[str]] = (*STOP_ORDER, tuple(self._spec.extra_nodes))
-        signals: Signals = STOP_TIMEOUTS
+        names = [x for x in (*STOP_ORDER, *self._spec.extra_nodes) if x in self._running]
         if abort:
-            others = [name for group in groups for name in group if name != RECORDER]
-            groups, signals = (others, (RECORDER,)), ABORT_TIMEOUTS
-        for group in groups:
-            _stop([self._running[name] for name in group if name in self._running], signals)
+            for group in ([x for x in names if x != RECORDER], [RECORDER]):
+                _stop([self._running[x] for x in group if x in names],
+                      ((signal.SIGTERM, ABORT_TIMEOUT), (signal.SIGKILL, ABORT_TIMEOUT)))
+        else:
+            for name in names:
+                _stop([self._running[name]])
         for log in self._logs.values():
             log.close()
 
@@ -194,7 +192,8 @@ class NodeProcesses:
 
 
 def _stop(
-    processes: list[subprocess.Popen[bytes]], signals: Signals = STOP_TIMEOUTS,
+    processes: list[subprocess.Popen[bytes]],
+    signals: tuple[tuple[signal.Signals, float], ...] = STOP_TIMEOUTS,
 ) -> None:
     """Send some processes one signal after the other, until they have ended."""
     for process in processes:

@@ -8,9 +8,7 @@ import math
 from typing import Any
 
 from multicontact_control.nodes import messages, qos, topics
-from multicontact_control.nodes.runtime import prepare_environment
-from rclpy.context import Context
-from rclpy.node import Node
+from multicontact_control.nodes.guest import GuestNode
 
 LOOP_OF_SIM = f'{topics.SIM}: loop'
 
@@ -52,14 +50,9 @@ class ProgressListener:
     """
 
     def __init__(self, domain_id: int, namespace: str = '') -> None:
-        prepare_environment()
-        self._context = Context()
-        self._context.init(args=[], domain_id=domain_id)
-        self._node = Node(
-            'run_progress', namespace=namespace, context=self._context, use_global_arguments=False,
-            start_parameter_services=False, enable_rosout=False)
+        self._guest = GuestNode('run_progress', domain_id, namespace)
         self._forces, self._reports = (
-            self._node.create_subscription(topic.message, topic.name, self._ignore, profile)
+            self._guest.node.create_subscription(topic.message, topic.name, self._ignore, profile)
             for topic, profile in ((topics.MEASURED_FORCES, qos.GLANCE),
                                    (topics.DIAGNOSTICS, qos.REPORT)))
         self._first: int | None = None
@@ -93,8 +86,7 @@ class ProgressListener:
 
     def close(self) -> None:
         """Leave the graph."""
-        self._node.destroy_node()
-        self._context.try_shutdown()
+        self._guest.close()
 
 
 def _take(subscription: Any, topic: topics.Topic) -> Any:

@@ -26,10 +26,9 @@ from multicontact_control.experiment.faults.judge import busy_share, Judge, Wind
 from multicontact_control.experiment.graph.spec import CONTROLLER, ESTIMATOR, RECORDER, SIM
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.nodes import messages, topics
+from multicontact_control.nodes.guest import GuestNode
 import numpy as np
 import pytest
-from rclpy.context import Context
-from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 from ros_graph import wait_for
 
@@ -137,13 +136,9 @@ def test_graph_faults_have_every_kind_in_short_and_each_once_per_seed():
 
 @pytest.fixture(scope='module')
 def watch():
-    context = Context()
-    context.init(args=[], domain_id=101)
-    node = Node('graph_faults_test', context=context, use_global_arguments=False,
-                start_parameter_services=False, enable_rosout=False)
-    yield GraphWatch(node)
-    node.destroy_node()
-    context.try_shutdown()
+    guest = GuestNode('graph_faults_test', 101)
+    yield GraphWatch(guest.node)
+    guest.close()
 
 
 def judged(watch, fault=('stuck', 'variance'), *, change=None, problems=(), recovered=2.0):

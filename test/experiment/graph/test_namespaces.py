@@ -9,11 +9,10 @@ from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.graph.domain import check_namespace, reserve_domain
 from multicontact_control.experiment.graph.spec import CONTROLLER, GraphSpec, node_command
 from multicontact_control.nodes import qos
+from multicontact_control.nodes.guest import GuestNode
 from multicontact_control.paths import config_dir
 import numpy as np
 import pytest
-from rclpy.context import Context
-from rclpy.node import Node
 from ros_graph import end_of, ROOT, wait_for
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import get_typestore, Stores
@@ -49,10 +48,8 @@ class Listener:
     """A node that hears some topics of both graphs."""
 
     def __init__(self, domain_id):
-        self._context = Context()
-        self._context.init(args=[], domain_id=domain_id)
-        self.node = Node('listener', context=self._context, use_global_arguments=False,
-                         start_parameter_services=False, enable_rosout=False)
+        self._guest = GuestNode('listener', domain_id)
+        self.node = self._guest.node
 
     def subscribe(self, message, name, profile):
         subscription = self.node.create_subscription(message, name, lambda _: None, profile)
@@ -67,8 +64,7 @@ class Listener:
         return newest
 
     def close(self):
-        self.node.destroy_node()
-        self._context.try_shutdown()
+        self._guest.close()
 
 
 @pytest.fixture(scope='module')
