@@ -84,6 +84,11 @@ class Controller:
         self.tasks: Any = np.zeros(1, dtype=TASK)
         self.tasks['rotation'] = np.eye(3)
         self._active: Mask = self.contacts['active']
+        self._alpha_meas: Vector = self.contacts['alpha_meas']
+        self._noise_variance: Vector = self.contacts['noise_variance']
+        self._torque: Vector = self.arm.joints['torque']
+        # numpy copies a structured array field by field, which takes five times as long.
+        self._contact_bytes = self.contacts.view(np.uint8)
         self.wrench_sensor = np.zeros(6)
         self._adopt(config)
         self.reset()
@@ -209,21 +214,21 @@ class Controller:
             raise SingularTaskError(
                 "the arm's dynamics: expected finite numbers, found others at joint positions "
                 f'{self.arm.q.tolist()} and velocities {self.arm.velocity.tolist()}')
-        contacts = self.contacts
-        if wrench_sensor.shape != (6,) or noise_variance.shape != contacts.shape:
+        if wrench_sensor.shape != (6,) or noise_variance.shape != self._active.shape:
             require_shape('wrench_sensor', wrench_sensor, (6,))
-            require_shape('noise_variance', noise_variance, contacts.shape)
+            require_shape('noise_variance', noise_variance, self._active.shape)
         self.wrench_sensor[:] = wrench_sensor
-        contacts['noise_variance'] = noise_variance
+        self._noise_variance[:] = noise_variance
         self._measure()
         pose = Pose(self.arm.pose.position_world.copy(), self.arm.pose.rotation_world.copy())
         if not self._started:
             self._start(pose)
-        reference = self._reference.update(time, contacts['alpha_meas'])
+        reference = self._reference.update(time, self._alpha_meas)
         self._take_reference(reference)
         self._decide()
         return ControlOutput(
-            self.arm.joints['torque'].copy(), contacts.copy(), pose, reference.pose_des)
+            self._torque.copy(), np.frombuffer(self._contact_bytes.tobytes(), dtype=CONTACT),
+            pose, reference.pose_des)
 
     def _measure(self) -> None:
         """Fill in N and the measured contact forces."""
@@ -240,16 +245,12 @@ class Controller:
 
     def _take_reference(self, reference: Reference) -> None:
         """Copy what is to be done, unless it has been made in these very arrays."""
-        if reference.active is self._active:
+        if reference.alpha_des.base is self.contacts:
             return
         task, contacts = self.tasks, self.contacts
         task['position'], task['rotation'] = reference.pose_des
         task['twist'], task['acceleration'] = reference.twist_des, reference.acceleration_des
         contacts['active'], contacts['alpha_des'] = reference.active, reference.alpha_des
-
-    def bind(self) -> tuple[Records, Records, Mask]:
-        """Return `tasks`, `contacts` and the mask of a reference that is made in them."""
-        return self.tasks, self.contacts, self._active
 
     def _decide(self) -> None:
         """Work out the joint torque."""

@@ -46,7 +46,8 @@ class ControlOutput(NamedTuple):
     torque
         Gamma, shape (n,) [N m].
     contacts
-        All that there is to say of every contact: records of `CONTACT`, shape (r,).
+        All that there is to say of every contact: records of `CONTACT`, shape (r,), which
+        cannot be written to.
     pose, pose_des
         Present and desired pose of the operational frame.
 

@@ -64,7 +64,7 @@ class ContactReference:
         self._frames['rotation'] = np.eye(3)
         self._tasks, self._wanted = np.zeros(1, dtype=TASK), np.zeros(1, dtype=TASK)
         self._tasks['rotation'] = self._wanted['rotation'] = np.eye(3)
-        self._active: Mask = self._contacts['active']
+        self._see()
         self._limits: Any = np.zeros(1, dtype=REFERENCE_LIMITS)
         self._offset: Vector = self._limits['offset'][0]
         self._energy_limit = contact_state.energy_limit
@@ -137,7 +137,24 @@ class ContactReference:
         """
         self._frames = controller.arm.frames
         self._observed = True
-        self._tasks, self._contacts, self._active = controller.bind()
+        self._tasks, self._contacts = controller.tasks, controller.contacts
+        self._see()
+
+    def _see(self) -> None:
+        """Keep views of what every tick reads or writes: looking up a field takes long."""
+        task, wanted = self._tasks[0], self._wanted[0]
+        self._position: Vector = task['position']
+        self._rotation: Matrix = task['rotation']
+        self._motion: tuple[Vector, Vector] = task['twist'], task['acceleration']
+        self._active: Mask = self._contacts['active']
+        self._alpha_des: Vector = self._contacts['alpha_des']
+        self._alpha_meas: Vector = self._contacts['alpha_meas']
+        self._position_wanted: Vector = wanted['position']
+        self._rotation_wanted: Matrix = wanted['rotation']
+        self._twist_wanted: Vector = wanted['twist']
+        self._acceleration_wanted: Vector = wanted['acceleration']
+        self._contacts_wanted: Mask = self.contact_states['wanted']
+        self._asked: Vector = self.contact_states['asked']
 
     def _note(self, pose: Pose, twist_world: Vector) -> None:
         frame = self._frames
@@ -193,11 +210,12 @@ class ContactReference:
 
     def update(self, time: float, alpha_meas: Vector) -> Reference:
         """Return the reference of one tick; see `ReferenceSource.update`."""
-        task, wanted, states = self._task.task(time), self._wanted, self.contact_states
-        wanted['position'], wanted['rotation'] = task.pose_des
-        wanted['twist'], wanted['acceleration'] = task.twist_des, task.acceleration_des
-        states['wanted'], states['asked'] = task.active, task.alpha_des
-        self._contacts['alpha_meas'] = alpha_meas
+        task = self._task.task(time)
+        self._position_wanted[:], self._rotation_wanted[:] = task.pose_des
+        self._twist_wanted[:], self._acceleration_wanted[:] = task.twist_des, task.acceleration_des
+        self._contacts_wanted[:], self._asked[:] = task.active, task.alpha_des
+        if alpha_meas.base is not self._contacts:
+            self._alpha_meas[:] = alpha_meas
         if self._catching_up:
             self._return()
         return self._follow()
@@ -207,10 +225,9 @@ class ContactReference:
         self.limited = limit_reference(
             self._limits, self._wanted, self._frames, self._contacts, self.contact_states,
             self._settings, self._tasks)
-        task = self._tasks.copy()[0]
         return Reference(
-            Pose(task['position'], task['rotation']), task['twist'], task['acceleration'],
-            self._active, self._contacts['alpha_des'])
+            Pose(self._position.copy(), self._rotation.copy()), *self._motion, self._active,
+            self._alpha_des)
 
     def _return(self) -> None:
         """Let the offset that a pause has left go to zero."""

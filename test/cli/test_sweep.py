@@ -15,7 +15,7 @@ STUDY = """
 name: small
 scenario: step
 plants: [rigid]
-duration: 2.0
+duration: 6.0
 seeds: 6
 grid: {noise_estimator.estimator: [fixed, lead_window]}
 """
