@@ -10,17 +10,6 @@ Mask = NDArray[np.bool_]
 Codes = NDArray[np.int64]
 
 
-_ZEROS = {size: np.zeros(size) for size in range(33)}
-
-
-def all_finite(vector: Vector) -> bool:
-    """Return whether a vector holds finite numbers only; 0 times anything else is not 0."""
-    zeros = _ZEROS.get(vector.size)
-    if zeros is None:
-        return bool(np.isfinite(vector).all())
-    return bool(vector.dot(zeros) == 0.0)
-
-
 def require_shape(name: str, array: NDArray[np.generic], expected: tuple[int, ...]) -> None:
     """
     Check the shape of an array.

@@ -1,5 +1,7 @@
 """The errors this package raises: one root, each saying what was expected and what was found."""
 
+from collections.abc import Callable
+
 
 class MulticontactError(Exception):
     """Root of every error raised by this package."""
@@ -69,3 +71,24 @@ class CommandError(MulticontactError):
     def __init__(self, field: str, expected: str, found: object) -> None:
         self.cause = f'{field}: expected {expected}'
         super().__init__(f'{self.cause}, found {found}')
+
+
+def check_all(*checks: Callable[[], object]) -> None:
+    """
+    Call every check, whatever the others found.
+
+    Raises
+    ------
+    ConfigError
+        With all that was not acceptable, in one line.
+
+    """
+    errors = []
+    for check in checks:
+        try:
+            check()
+        except ConfigError as error:
+            errors.append(error)
+    if errors:
+        errors[0].args = ('; '.join(map(str, errors)),)
+        raise errors[0]

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
-from multicontact_control.algebra import copy_vector
+from typing import Any
+
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 import numpy as np
 import pinocchio as pin
 from sim_bridge.config import PlantConfig
-from sim_bridge.kinematics import add_joint_torque, forward_kinematics, point_velocity
-from sim_bridge.surface import build_surfaces, contact_force, FRICTION, STIFFNESS
+from sim_bridge.kinematics import (
+    add_joint_torque,
+    chain_of,
+    forward_kinematics,
+    point_velocity,
+)
+from sim_bridge.surface import build_surfaces, press
 
 
 class Contacts:
@@ -43,20 +49,21 @@ class Contacts:
         self, config: PlantConfig, model: pin.Model, generators: list[np.random.Generator],
     ) -> None:
         names = config.contact_names
-        self._chain = _chain_constants(model)
-        self._tips = _tip_positions(model, config)
-        surfaces = build_surfaces([config.surfaces[name] for name in names], generators)
-        self._surfaces = (
-            surfaces.points_world, surfaces.normals_world, surfaces.tracks_world,
-            surfaces.parameters, surfaces.heights, surfaces.slopes)
-        self.alpha = np.zeros(len(names))
-        self.forces_world, self.points_world = np.zeros((len(names), 3)), np.zeros((len(names), 3))
-        self.wrist_world, self.load = np.zeros(3), np.zeros(model.nv)
+        self._links = chain_of(model)
+        self._surfaces: Any
+        self._surfaces, self._heights, self._slopes = build_surfaces(
+            [config.surfaces[name] for name in names], generators)
+        self._surfaces['tip'] = _tip_positions(model, config)
+        self.alpha: Vector = self._surfaces['alpha']
+        self.forces_world: Matrix = self._surfaces['force']
+        self.points_world: Matrix = self._surfaces['point']
+        self.wrist_world: Vector = self._links['origin'][-1]
+        self.load = np.zeros(model.nv)
 
     def shift(self, contact: int, distance: float) -> None:
         """Move a surface along its normal by `distance` [m], away from the robot if positive."""
-        points, normals = self._surfaces[0], self._surfaces[1]
-        points[contact] += distance * normals[contact]
+        surface = self._surfaces[contact]
+        surface['place'] += distance * surface['normal']
 
     def scale_stiffness(self, contact: int, factor: float) -> None:
         """
@@ -64,14 +71,14 @@ class Contacts:
 
         A surface that is pressed on is moved such that it presses as before.
         """
-        stiffness = self._surfaces[3][contact, STIFFNESS]
-        depth = self.alpha[contact] / stiffness
-        self._surfaces[3][contact, STIFFNESS] = factor * stiffness
+        surface = self._surfaces[contact]
+        depth = surface['alpha'] / surface['stiffness']
+        surface['stiffness'] *= factor
         self.shift(contact, depth * (1.0 - 1.0 / factor))
 
     def scale_friction(self, contact: int, factor: float) -> None:
         """Multiply a surface's coefficient of friction."""
-        self._surfaces[3][contact, FRICTION] *= factor
+        self._surfaces[contact]['friction'] *= factor
 
     def update(self, q: Vector, qd: Vector, push_world: Vector) -> None:
         """
@@ -85,17 +92,8 @@ class Contacts:
             Force on the wrist, shape (3,) [N].
 
         """
-        advance_contacts(
-            q, qd, push_world, *self._chain, self._tips, *self._surfaces, self.alpha,
-            self.forces_world, self.points_world, self.wrist_world, self.load)
-
-
-def _chain_constants(model: pin.Model) -> tuple[Matrix, Matrix]:
-    """Return the pose of each joint frame in the link before it, as compiled code wants it."""
-    placements = list(model.jointPlacements)[1:]
-    rotations = np.ascontiguousarray([placement.rotation for placement in placements])
-    offsets = np.ascontiguousarray([placement.translation for placement in placements])
-    return rotations, offsets
+        advance_contacts(q, qd, push_world, self._links, self._surfaces, self._heights,
+                         self._slopes, self.load)
 
 
 def _tip_positions(model: pin.Model, config: PlantConfig) -> Matrix:
@@ -107,10 +105,8 @@ def _tip_positions(model: pin.Model, config: PlantConfig) -> Matrix:
 
 @compiled
 def advance_contacts(
-    q: Vector, qd: Vector, push: Vector, rotations: Matrix, offsets: Matrix, tips: Matrix,
-    surface_points: Matrix, normals: Matrix, tracks: Matrix, parameters: Matrix,
-    heights: Matrix, slopes: Matrix, alpha: Vector, forces: Matrix, points: Matrix,
-    wrist: Vector, load: Vector,
+    q: Vector, qd: Vector, push: Vector, links: Any, surfaces: Any, heights: Matrix,
+    slopes: Matrix, load: Vector,
 ) -> None:
     """
     Work out every contact for a state of the arm.
@@ -121,41 +117,29 @@ def advance_contacts(
         Joint angles and speeds, link side, shape (n,) [rad], [rad/s].
     push
         Force on the origin of the last link, world axes, shape (3,) [N].
-    rotations, offsets
-        See `forward_kinematics`.
-    tips
-        Tips in the last link's frame, shape (nc, 3) [m].
-    surface_points, normals, tracks, parameters, heights, slopes
+    links, surfaces
+        Records of `LINK`, shape (n,), and `SURFACE`, shape (nc,), changed.
+    heights, slopes
         See `Surfaces`.
-    alpha
-        Filled with the normal forces, shape (nc,) [N].
-    forces, points
-        Filled with the forces of robot on surface and where, world axes, shape (nc, 3) [N], [m].
-    wrist
-        Filled with the origin of the last link, world axes, shape (3,) [m].
     load
         Filled with what surfaces and push do to the joints, shape (n,) [N m].
 
     """
     joints = q.shape[0]
-    axes = np.empty((joints, 3))
-    origins = np.empty((joints, 3))
     rotation = np.empty((3, 3))
     velocity = np.empty(3)
-    forward_kinematics(q, rotations, offsets, axes, origins, rotation)
-    copy_vector(origins[joints - 1], wrist)
+    forward_kinematics(q, links, rotation)
+    wrist = links[joints - 1].origin
     for joint in range(joints):
         load[joint] = 0.0
-    add_joint_torque(wrist, push, 1.0, axes, origins, load)
-    for contact in range(tips.shape[0]):
+    add_joint_torque(wrist, push, 1.0, links, load)
+    for i in range(surfaces.shape[0]):
+        surface = surfaces[i]
         for row in range(3):
-            points[contact, row] = wrist[row]
+            surface.point[row] = wrist[row]
             for column in range(3):
-                points[contact, row] += rotation[row, column] * tips[contact, column]
-        point_velocity(points[contact], qd, axes, origins, velocity)
-        alpha[contact] = contact_force(
-            points[contact], velocity, surface_points[contact], normals[contact],
-            tracks[contact], parameters[contact], heights[contact], slopes[contact],
-            forces[contact])
-        if alpha[contact] > 0.0:
-            add_joint_torque(points[contact], forces[contact], -1.0, axes, origins, load)
+                surface.point[row] += rotation[row, column] * surface.tip[column]
+        point_velocity(surface.point, qd, links, velocity)
+        press(surface, velocity, heights[i], slopes[i])
+        if surface.alpha > 0.0:
+            add_joint_torque(surface.point, surface.force, -1.0, links, load)

@@ -2,10 +2,22 @@
 
 from __future__ import annotations
 
-from multicontact_control.arrays import Matrix, Vector
+from typing import Any
+
+from multicontact_control.arrays import Vector
 from multicontact_control.compiled import compiled
+from multicontact_control.records import Records
 import numpy as np
 from sim_bridge.joint_friction import implicit_speed
+
+# One drive: its rotor, over the gear, and the spring to its link.
+DRIVE = np.dtype([
+    ('q', np.float64),  # [rad]
+    ('qd', np.float64),  # [rad/s]
+    ('inertia', np.float64),  # of the rotor, joint side [kg m^2]
+    ('stiffness', np.float64),  # of the spring [N m/rad]
+    ('damping', np.float64),  # of the spring [N m s/rad]
+])
 
 
 class FlexibleDrives:
@@ -16,10 +28,10 @@ class FlexibleDrives:
     ----------
     inertia
         Rotor inertia, joint side, shape (n,) [kg m^2].
-    springs
-        Stiffness and damping, shape (n, 2) [N m/rad], [N m s/rad].
+    stiffness, damping
+        Of the springs, shape (n,) [N m/rad], [N m s/rad].
     friction
-        Friction table, shape (n, 4).
+        Records of `FRICTION`, shape (n,).
     step
         Integration step [s].
 
@@ -30,38 +42,31 @@ class FlexibleDrives:
 
     """
 
-    def __init__(self, inertia: Vector, springs: Matrix, friction: Matrix, step: float) -> None:
-        self._inertia, self._springs = inertia, np.ascontiguousarray(springs)
+    def __init__(
+        self, inertia: Vector, stiffness: Vector, damping: Vector, friction: Records, step: float,
+    ) -> None:
+        self._drives: Any = np.zeros(len(inertia), dtype=DRIVE)
+        self._drives['inertia'] = inertia
+        self._drives['stiffness'], self._drives['damping'] = stiffness, damping
         self._friction, self._step = friction, step
-        self.q, self.qd = np.zeros(len(inertia)), np.zeros(len(inertia))
+        self.q: Vector = self._drives['q']
+        self.qd: Vector = self._drives['qd']
 
     def reset(self, q: Vector, torque: Vector) -> None:
         """Rest with the links at `q` [rad] and the springs wound up by `torque` [N m]."""
-        self.q[:] = q + torque / self._springs[:, 0]
+        self.q[:] = q + torque / self._drives['stiffness']
         self.qd[:] = 0.0
 
     def advance(self, torque: Vector, q: Vector, qd: Vector, joint_torque: Vector) -> None:
-        """
-        Advance the rotors by one step and fill in what the springs do to the links.
-
-        Parameters
-        ----------
-        torque
-            Motor torque, joint side, shape (n,) [N m].
-        q, qd
-            Link side at the start of the step, shape (n,) [rad], [rad/s].
-        joint_torque
-            Filled with the torque on the links, shape (n,) [N m].
-
-        """
-        advance_drives(torque, q, qd, self.q, self.qd, self._inertia, self._springs,
-                       self._friction, self._step, joint_torque)
+        """Advance the rotors by one step; see `advance_drives`."""
+        advance_drives(
+            torque, q, qd, self._drives, self._friction, self._step, joint_torque)
 
 
 @compiled
 def advance_drives(
-    torque: Vector, q: Vector, qd: Vector, motor_q: Vector, motor_qd: Vector, inertia: Vector,
-    springs: Matrix, friction: Matrix, step: float, joint_torque: Vector,
+    torque: Vector, q: Vector, qd: Vector, drives: Any, friction: Any, step: float,
+    joint_torque: Vector,
 ) -> None:
     """
     Advance the rotors by one step and give what their springs do to the links.
@@ -75,14 +80,8 @@ def advance_drives(
         Motor torque, joint side, shape (n,) [N m].
     q, qd
         Link side of the joints at the start of the step, shape (n,) [rad], [rad/s].
-    motor_q, motor_qd
-        Rotor side, over the gear; advanced in place.
-    inertia
-        Rotor inertia, joint side, shape (n,) [kg m^2].
-    springs
-        Stiffness and damping, shape (n, 2) [N m/rad], [N m s/rad].
-    friction
-        Friction table.
+    drives, friction
+        Records of `DRIVE`, advanced in place, and `FRICTION`, shape (n,).
     step
         Length of the step [s].
     joint_torque
@@ -90,9 +89,9 @@ def advance_drives(
 
     """
     for joint in range(q.shape[0]):
-        twist = (springs[joint, 0] * (motor_q[joint] - q[joint])
-                 + springs[joint, 1] * (motor_qd[joint] - qd[joint]))
+        drive = drives[joint]
+        twist = drive.stiffness * (drive.q - q[joint]) + drive.damping * (drive.qd - qd[joint])
         joint_torque[joint] = twist
-        free = motor_qd[joint] + step / inertia[joint] * (torque[joint] - twist)
-        motor_qd[joint] = implicit_speed(free, step, inertia[joint], friction[joint])
-        motor_q[joint] += step * motor_qd[joint]
+        free = drive.qd + step / drive.inertia * (torque[joint] - twist)
+        drive.qd = implicit_speed(free, step, drive.inertia, friction[joint])
+        drive.q += step * drive.qd

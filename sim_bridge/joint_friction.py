@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
-from multicontact_control.arrays import Matrix, Vector
+from typing import Any
+
 from multicontact_control.compiled import compiled
+from multicontact_control.records import Records
 import numpy as np
 from sim_bridge.puma560 import RobotData
 
-# Columns of a friction table.
-VISCOUS, COULOMB_POSITIVE, COULOMB_NEGATIVE, SPEED = range(4)
+# Friction of one joint, joint side.
+FRICTION = np.dtype([
+    ('viscous', np.float64),  # [N m s/rad]
+    ('coulomb_positive', np.float64),  # for positive speed, >= 0 [N m]
+    ('coulomb_negative', np.float64),  # for negative speed, >= 0 [N m]
+    ('speed', np.float64),  # scale of the smoothed Coulomb friction [rad/s]
+])
 NEWTON_STEPS = 50
 NEWTON_TOLERANCE = 1e-13
 
 
-def friction_table(robot: RobotData, scale: float, speed: float) -> Matrix:
+def joint_friction(robot: RobotData, scale: float, speed: float) -> Records:
     """
     Return the joint-side friction of every joint.
 
@@ -28,38 +35,38 @@ def friction_table(robot: RobotData, scale: float, speed: float) -> Matrix:
 
     Returns
     -------
-    Matrix
-        Viscous [N m s/rad], Coulomb for positive and for negative speed (both >= 0) [N m], and
-        speed scale [rad/s], shape (n, 4).
+    Records
+        Records of `FRICTION`, shape (n,).
 
     """
-    rows = []
-    for motor in robot.motors:
+    joints = np.zeros(len(robot.motors), dtype=FRICTION)
+    for joint, motor in zip(joints, robot.motors):
         gear = abs(motor.gear)
         positive, negative = motor.coulomb
-        rows.append((
-            scale * motor.viscous * gear ** 2, scale * abs(positive) * gear,
-            scale * abs(negative) * gear, speed))
-    return np.array(rows)
+        joint['viscous'] = scale * motor.viscous * gear ** 2
+        joint['coulomb_positive'] = scale * abs(positive) * gear
+        joint['coulomb_negative'] = scale * abs(negative) * gear
+        joint['speed'] = speed
+    return joints
 
 
 @compiled
-def friction_torque(speed: float, row: Vector) -> float:
+def friction_torque(speed: float, joint: Any) -> float:
     """Return the friction f(v) = b v + F tanh(v / v_0) that a joint at `speed` overcomes [N m]."""
-    coulomb = row[COULOMB_POSITIVE] if speed >= 0.0 else row[COULOMB_NEGATIVE]
-    return float(row[VISCOUS] * speed + coulomb * np.tanh(speed / row[SPEED]))
+    coulomb = joint.coulomb_positive if speed >= 0.0 else joint.coulomb_negative
+    return float(joint.viscous * speed + coulomb * np.tanh(speed / joint.speed))
 
 
 @compiled
-def friction_slope(speed: float, row: Vector) -> float:
+def friction_slope(speed: float, joint: Any) -> float:
     """Return df/dv [N m s/rad]."""
-    coulomb = row[COULOMB_POSITIVE] if speed >= 0.0 else row[COULOMB_NEGATIVE]
-    tangent = np.tanh(speed / row[SPEED])
-    return float(row[VISCOUS] + coulomb * (1.0 - tangent * tangent) / row[SPEED])
+    coulomb = joint.coulomb_positive if speed >= 0.0 else joint.coulomb_negative
+    tangent = np.tanh(speed / joint.speed)
+    return float(joint.viscous + coulomb * (1.0 - tangent * tangent) / joint.speed)
 
 
 @compiled
-def implicit_speed(free_speed: float, step: float, inertia: float, row: Vector) -> float:
+def implicit_speed(free_speed: float, step: float, inertia: float, joint: Any) -> float:
     """
     Solve v = free_speed - step / inertia * f(v) for the speed at the end of a step.
 
@@ -74,8 +81,8 @@ def implicit_speed(free_speed: float, step: float, inertia: float, row: Vector) 
         Length of the step [s].
     inertia
         Inertia of the joint [kg m^2].
-    row
-        Row of the friction table.
+    joint
+        Record of `FRICTION`.
 
     Returns
     -------
@@ -87,15 +94,15 @@ def implicit_speed(free_speed: float, step: float, inertia: float, row: Vector) 
     ratio = step / inertia
     speed = free_speed
     # Small speeds stick: start where tanh is straight if the whole of the friction stops it.
-    if abs(free_speed) < ratio * max(row[COULOMB_POSITIVE], row[COULOMB_NEGATIVE]):
-        speed = free_speed / (1.0 + ratio * friction_slope(0.0, row))
+    if abs(free_speed) < ratio * max(joint.coulomb_positive, joint.coulomb_negative):
+        speed = free_speed / (1.0 + ratio * friction_slope(0.0, joint))
     for _ in range(NEWTON_STEPS):
-        residual = speed - free_speed + ratio * friction_torque(speed, row)
+        residual = speed - free_speed + ratio * friction_torque(speed, joint)
         if residual > 0.0:
             high = speed
         else:
             low = speed
-        following = speed - residual / (1.0 + ratio * friction_slope(speed, row))
+        following = speed - residual / (1.0 + ratio * friction_slope(speed, joint))
         if not low <= following <= high:
             following = 0.5 * (low + high)
         if abs(following - speed) <= NEWTON_TOLERANCE * (1.0 + abs(speed)):

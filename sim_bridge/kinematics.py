@@ -2,17 +2,35 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from multicontact_control.algebra import copy_matrix
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
+from multicontact_control.records import Records
 import numpy as np
+import pinocchio as pin
+
+# One revolute joint of a chain, and its link.
+LINK = np.dtype([
+    ('rotation', np.float64, (3, 3)),  # axes of the joint frame in the link before it
+    ('offset', np.float64, 3),  # its origin there [m]
+    ('axis', np.float64, 3),  # z axis of the joint, world axes
+    ('origin', np.float64, 3),  # origin of the joint, world axes [m]
+])
+
+
+def chain_of(model: pin.Model) -> Records:
+    """Return the links of an arm as records of `LINK`, shape (n,)."""
+    links = np.zeros(model.nv, dtype=LINK)
+    placements = list(model.jointPlacements)[1:]
+    links['rotation'] = [placement.rotation for placement in placements]
+    links['offset'] = [placement.translation for placement in placements]
+    return links
 
 
 @compiled
-def forward_kinematics(
-    q: Vector, rotations: Matrix, offsets: Matrix, axes: Matrix, origins: Matrix,
-    last_rotation: Matrix,
-) -> None:
+def forward_kinematics(q: Vector, links: Any, last_rotation: Matrix) -> None:
     """
     Place a chain of revolute joints, each about the z axis of its own frame.
 
@@ -20,10 +38,8 @@ def forward_kinematics(
     ----------
     q
         Joint angles, shape (n,) [rad].
-    rotations, offsets
-        Pose of each joint frame in the link before it, shapes (n, 3, 3) and (n, 3) [m].
-    axes, origins
-        Filled with each joint's axis and origin, world axes, shape (n, 3) [m].
+    links
+        Records of `LINK`, shape (n,): axis and origin are filled in.
     last_rotation
         Filled with the last link's axes as columns, world axes, shape (3, 3).
 
@@ -34,12 +50,12 @@ def forward_kinematics(
     for joint in range(q.shape[0]):
         for row in range(3):
             for column in range(3):
-                position[row] += rotation[row, column] * offsets[joint, column]
+                position[row] += rotation[row, column] * links[joint].offset[column]
         for row in range(3):
             for column in range(3):
                 total = 0.0
                 for inner in range(3):
-                    total += rotation[row, inner] * rotations[joint, inner, column]
+                    total += rotation[row, inner] * links[joint].rotation[inner, column]
                 turned[row, column] = total
         cosine, sine = np.cos(q[joint]), np.sin(q[joint])
         for row in range(3):
@@ -47,15 +63,13 @@ def forward_kinematics(
             rotation[row, 0] = cosine * x + sine * y
             rotation[row, 1] = cosine * y - sine * x
             rotation[row, 2] = turned[row, 2]
-            axes[joint, row] = turned[row, 2]
-            origins[joint, row] = position[row]
+            links[joint].axis[row] = turned[row, 2]
+            links[joint].origin[row] = position[row]
     copy_matrix(rotation, last_rotation)
 
 
 @compiled
-def point_velocity(
-    point: Vector, qd: Vector, axes: Matrix, origins: Matrix, velocity: Vector,
-) -> None:
+def point_velocity(point: Vector, qd: Vector, links: Any, velocity: Vector) -> None:
     """
     Fill `velocity` with that of a point fixed in the last link, world axes, shape (3,) [m/s].
 
@@ -63,17 +77,18 @@ def point_velocity(
     """
     velocity[0], velocity[1], velocity[2] = 0.0, 0.0, 0.0
     for joint in range(qd.shape[0]):
-        x = point[0] - origins[joint, 0]
-        y = point[1] - origins[joint, 1]
-        z = point[2] - origins[joint, 2]
-        velocity[0] += qd[joint] * (axes[joint, 1] * z - axes[joint, 2] * y)
-        velocity[1] += qd[joint] * (axes[joint, 2] * x - axes[joint, 0] * z)
-        velocity[2] += qd[joint] * (axes[joint, 0] * y - axes[joint, 1] * x)
+        axis, origin = links[joint].axis, links[joint].origin
+        x = point[0] - origin[0]
+        y = point[1] - origin[1]
+        z = point[2] - origin[2]
+        velocity[0] += qd[joint] * (axis[1] * z - axis[2] * y)
+        velocity[1] += qd[joint] * (axis[2] * x - axis[0] * z)
+        velocity[2] += qd[joint] * (axis[0] * y - axis[1] * x)
 
 
 @compiled
 def add_joint_torque(
-    point: Vector, force: Vector, sign: float, axes: Matrix, origins: Matrix, torque: Vector,
+    point: Vector, force: Vector, sign: float, links: Any, torque: Vector,
 ) -> None:
     """
     Add J^T (sign * force) of a force at a point of the last link, world axes, to `torque`.
@@ -81,10 +96,11 @@ def add_joint_torque(
     tau_i = z_i . ((p - o_i) x f), shape (n,) [N m].
     """
     for joint in range(torque.shape[0]):
-        x = point[0] - origins[joint, 0]
-        y = point[1] - origins[joint, 1]
-        z = point[2] - origins[joint, 2]
+        axis, origin = links[joint].axis, links[joint].origin
+        x = point[0] - origin[0]
+        y = point[1] - origin[1]
+        z = point[2] - origin[2]
         torque[joint] += sign * (
-            axes[joint, 0] * (y * force[2] - z * force[1])
-            + axes[joint, 1] * (z * force[0] - x * force[2])
-            + axes[joint, 2] * (x * force[1] - y * force[0]))
+            axis[0] * (y * force[2] - z * force[1])
+            + axis[1] * (z * force[0] - x * force[2])
+            + axis[2] * (x * force[1] - y * force[0]))

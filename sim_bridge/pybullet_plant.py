@@ -12,7 +12,7 @@ from sim_bridge.bullet_arm import BulletArm
 from sim_bridge.config import PlantConfig
 from sim_bridge.contacts import Contacts
 from sim_bridge.drives import FlexibleDrives
-from sim_bridge.joint_friction import friction_table
+from sim_bridge.joint_friction import joint_friction
 from sim_bridge.puma560 import load_robot, RobotData, SENSOR_FRAME, urdf_text
 from sim_bridge.rigid_drives import RigidDrives
 from sim_bridge.timed_pushes import push_at
@@ -185,13 +185,13 @@ class PybulletPlant:
 
     def _build_drives(self) -> tuple[RigidDrives | None, FlexibleDrives | None]:
         config = self.config
-        friction = friction_table(
+        friction = joint_friction(
             self._robot, config.joint_friction_scale, config.joint_friction_speed)
         if config.drives == 'rigid':
             return RigidDrives(self._model, friction, config.substep), None
-        springs = np.column_stack((config.drive_stiffness, config.drive_damping))
-        armature = np.array(self._model.armature)
-        return None, FlexibleDrives(armature, springs, friction, config.substep)
+        return None, FlexibleDrives(
+            np.array(self._model.armature), np.array(config.drive_stiffness),
+            np.array(config.drive_damping), friction, config.substep)
 
     def _substep(self, torque: Vector, push: Vector) -> None:
         contacts, arm, joint_torque = self.contacts, self.arm, self._joint_torque

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from multicontact_control.algebra import (
     cholesky,
     copy_matrix,
@@ -11,6 +13,7 @@ from multicontact_control.algebra import (
 )
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
+from multicontact_control.records import Records
 import numpy as np
 import pinocchio as pin
 from sim_bridge.joint_friction import (
@@ -18,7 +21,6 @@ from sim_bridge.joint_friction import (
     friction_torque,
     NEWTON_STEPS,
     NEWTON_TOLERANCE,
-    VISCOUS,
 )
 
 
@@ -34,17 +36,18 @@ class RigidDrives:
     model
         The arm with its armature.
     friction
-        Friction table, shape (n, 4).
+        Records of `FRICTION`, shape (n,).
     step
         Integration step [s].
 
     """
 
-    def __init__(self, model: pin.Model, friction: Matrix, step: float) -> None:
+    def __init__(self, model: pin.Model, friction: Records, step: float) -> None:
         self._model, self._data = model, model.createData()
         self._armature = np.array(model.armature)
         self._friction, self._step = friction, step
-        self._frictionless = not friction[:, VISCOUS:VISCOUS + 3].any()
+        self._frictionless = not any(
+            friction[name].any() for name in ('viscous', 'coulomb_positive', 'coulomb_negative'))
 
     def torque(
         self, torque: Vector, load: Vector, q: Vector, qd: Vector, joint_torque: Vector,
@@ -80,7 +83,7 @@ class RigidDrives:
 
 @compiled
 def implicit_joint_speed(
-    free_speed: Vector, step: float, mass_matrix: Matrix, friction: Matrix, speed: Vector,
+    free_speed: Vector, step: float, mass_matrix: Matrix, friction: Any, speed: Vector,
 ) -> None:
     """
     Solve M (v - free_speed) + step f(v) = 0 for the speeds of joints that move each other.
@@ -97,7 +100,7 @@ def implicit_joint_speed(
     mass_matrix
         Joint inertia with armature, shape (n, n) [kg m^2].
     friction
-        Friction table.
+        Records of `FRICTION`, shape (n,).
     speed
         First guess; replaced by the solution, shape (n,) [rad/s].
 
@@ -134,7 +137,7 @@ def implicit_joint_speed(
 
 @compiled
 def _friction_residual(
-    speed: Vector, free_speed: Vector, step: float, mass_matrix: Matrix, friction: Matrix,
+    speed: Vector, free_speed: Vector, step: float, mass_matrix: Matrix, friction: Any,
     residual: Vector,
 ) -> None:
     """Fill in M (v - free_speed) + step f(v)."""

@@ -38,7 +38,7 @@ from multicontact_control.nodes.graph_node import (
     StartupConfig,
     StartupGate,
 )
-from multicontact_control.nodes.loop_watch import Freshness, LoopWatch
+from multicontact_control.nodes.loop_statistics import Freshness, LoopStatistics
 from multicontact_control.nodes.parameters import load_parameters
 from multicontact_control.nodes.runtime import run_node, Spinner
 from multicontact_control.nodes.timing import DurationLog
@@ -115,7 +115,7 @@ class SimNode(Node):
             topic: create_publisher(self, topic) for topic in topics.published_by(topics.SIM)}
         if config.lockstep:
             self._outputs[topics.CLOCK] = create_publisher(self, topics.CLOCK)
-        self._watch, self._fresh = LoopWatch(config.rate), Freshness()
+        self._watch, self._fresh = LoopStatistics(config.rate), Freshness()
         self._fresh.expect(topics.EFFORT_COMMAND.name)
         self._diagnostics = Diagnostics(self, self._statuses)
         # Kept by the publisher for whoever comes late.
@@ -290,7 +290,7 @@ class SimNode(Node):
             outputs[topics.CLOCK].publish(Clock(clock=messages.ns_to_stamp(stamp)))
         now = time.monotonic_ns()
         self._published[self._tick % REMEMBERED] = now
-        self._watch.beat(now)
+        self._watch.add_period(now)
         outputs[topics.WRENCH].publish(wrench)
         outputs[topics.WRENCH_FILTERED].publish(filtered)
         outputs[topics.JOINT_STATES].publish(joints)
@@ -324,7 +324,7 @@ class SimNode(Node):
                 if tick > 0:  # the answer to the first sample waits for everything to start
                     latency = received - int(self._published[tick % REMEMBERED])
                     self._latency.add(latency)
-                    self._watch.answered(latency)
+                    self._watch.add_latency(latency)
 
     def _statuses(self) -> list[Status]:
         loop = {**self._watch.report(), 'ticks': self._tick + 1, 'pace_slips': self._slips,

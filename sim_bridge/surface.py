@@ -7,44 +7,49 @@ positive normal component.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
+from multicontact_control.records import Records
 import numpy as np
 from sim_bridge.config import SurfaceConfig
 
 PROFILE_POINTS = 1 << 16
 POINTS_PER_LENGTH = 5
 
-# Columns of `Surfaces.parameters`.
-STIFFNESS, DAMPING, FRICTION, SLIP_SPEED, SPACING = range(5)
+# One surface, the tip that may touch it, and what is between them; world axes.
+SURFACE = np.dtype([
+    ('place', np.float64, 3),  # a point of the mean surface [m]
+    ('normal', np.float64, 3),  # unit normal INTO the surface
+    ('track', np.float64, 3),  # unit direction along which the height profile runs
+    ('stiffness', np.float64),  # [N/m]
+    ('damping', np.float64),  # [N s/m]
+    ('friction', np.float64),  # coefficient
+    ('slip_speed', np.float64),  # [m/s]
+    ('spacing', np.float64),  # of the points of the profile [m]
+    ('tip', np.float64, 3),  # the tip in the last link's frame [m]
+    ('point', np.float64, 3),  # where the tip is [m]
+    ('alpha', np.float64),  # normal force of robot on surface [N]
+    ('force', np.float64, 3),  # force of robot on surface, friction included [N]
+])
 
 
-@dataclass(frozen=True, slots=True)
-class Surfaces:
+class Surfaces(NamedTuple):
     """
-    Several surfaces as arrays, one row each.
+    Several surfaces.
 
     Attributes
     ----------
-    points_world
-        A point of each mean surface, shape (nc, 3) [m].
-    normals_world
-        Unit normals INTO the surfaces, shape (nc, 3).
-    tracks_world
-        Unit directions along which the height profiles run, shape (nc, 3).
-    parameters, heights, slopes
-        Stiffness [N/m], damping [N s/m], friction, slip speed [m/s], profile spacing [m],
-        shape (nc, 5); height profiles, positive towards the robot, shape (nc, m) [m], each of
-        which repeats after its last point; their derivatives along the track, shape (nc, m).
+    records
+        Records of `SURFACE`, shape (nc,).
+    heights, slopes
+        Height profiles, positive towards the robot, shape (nc, m) [m], each of which repeats
+        after its last point; their derivatives along the track, shape (nc, m).
 
     """
 
-    points_world: Matrix
-    normals_world: Matrix
-    tracks_world: Matrix
-    parameters: Matrix
+    records: Records
     heights: Matrix
     slopes: Matrix
 
@@ -62,27 +67,21 @@ def build_surfaces(
     generators
         A source of randomness for each.
 
-    Returns
-    -------
-    Surfaces
-        Their arrays.
-
     """
     heights = np.zeros((len(configs), PROFILE_POINTS))
     slopes = np.zeros_like(heights)
-    rows = np.zeros((len(configs), 5))
+    records = np.zeros(len(configs), dtype=SURFACE)
     for i, config in enumerate(configs):
         spacing = config.roughness_length / POINTS_PER_LENGTH
         heights[i] = roughness_profile(config.roughness_std, generators[i])
         slopes[i] = (np.roll(heights[i], -1) - np.roll(heights[i], 1)) / (2.0 * spacing)
-        rows[i] = (
-            config.stiffness, config.damping, config.friction, config.slip_speed, spacing)
-    normals = np.array([config.normal_world for config in configs]).reshape(-1, 3)
-    return Surfaces(
-        points_world=np.array([config.point_world for config in configs]).reshape(-1, 3),
-        normals_world=normals,
-        tracks_world=np.array([track_direction(normal) for normal in normals]).reshape(-1, 3),
-        parameters=rows, heights=heights, slopes=slopes)
+        record = records[i]
+        record['place'], record['normal'] = config.point_world, config.normal_world
+        record['track'] = track_direction(record['normal'])
+        for name in ('stiffness', 'damping', 'friction', 'slip_speed'):
+            record[name] = getattr(config, name)
+        record['spacing'] = spacing
+    return Surfaces(records, heights, slopes)
 
 
 def roughness_profile(std: float, generator: np.random.Generator) -> Vector:
@@ -138,54 +137,46 @@ def profile_at(values: Vector, spacing: float, position: float) -> float:
 
 
 @compiled
-def contact_force(
-    point: Vector, velocity: Vector, surface_point: Vector, normal: Vector, track: Vector,
-    parameters: Vector, heights: Vector, slopes: Vector, force: Vector,
-) -> float:
+def press(surface: Any, velocity: Vector, heights: Vector, slopes: Vector) -> None:
     """
-    Fill `force` with what a moving point does to a surface, and return its normal component.
+    Work out what a moving tip does to a surface.
 
     alpha = max(0, k depth + c d(depth)/dt) inside the surface, 0 outside (Kelvin-Voigt, it never
     pulls); friction mu alpha v / sqrt(|v|^2 + v_s^2) along the sliding velocity v.
 
     Parameters
     ----------
-    point, velocity
-        Of the tip, world axes, shape (3,) [m], [m/s].
-    surface_point, normal, track
-        Row of `Surfaces`, shape (3,).
-    parameters, heights, slopes
-        Row of `Surfaces`.
-    force
-        Filled with the force on the surface, world axes, shape (3,) [N].
-
-    Returns
-    -------
-    float
-        The normal force alpha [N].
+    surface
+        Record of `SURFACE` with the point filled in: force and alpha are.
+    velocity
+        Of the tip, world axes, shape (3,) [m/s].
+    heights, slopes
+        Rows of `Surfaces`.
 
     """
+    normal, track, force = surface.normal, surface.track, surface.force
     depth = 0.0
     rate = 0.0
     along = 0.0
     along_rate = 0.0
     for i in range(3):
-        offset = point[i] - surface_point[i]
+        offset = surface.point[i] - surface.place[i]
         depth += offset * normal[i]
         rate += velocity[i] * normal[i]
         along += offset * track[i]
         along_rate += velocity[i] * track[i]
     normal_speed = rate
-    depth += profile_at(heights, parameters[SPACING], along)
-    rate += profile_at(slopes, parameters[SPACING], along) * along_rate
+    depth += profile_at(heights, surface.spacing, along)
+    rate += profile_at(slopes, surface.spacing, along) * along_rate
     force[0], force[1], force[2] = 0.0, 0.0, 0.0
+    surface.alpha = 0.0
     if depth <= 0.0:
-        return 0.0
-    alpha = max(0.0, parameters[STIFFNESS] * depth + parameters[DAMPING] * rate)
-    speed_squared = parameters[SLIP_SPEED] ** 2
+        return
+    surface.alpha = max(0.0, surface.stiffness * depth + surface.damping * rate)
+    speed_squared = surface.slip_speed ** 2
     for i in range(3):
         speed_squared += (velocity[i] - normal_speed * normal[i]) ** 2
-    friction = parameters[FRICTION] * alpha / np.sqrt(speed_squared)
+    friction = surface.friction * surface.alpha / np.sqrt(speed_squared)
     for i in range(3):
-        force[i] = alpha * normal[i] + friction * (velocity[i] - normal_speed * normal[i])
-    return float(alpha)
+        force[i] = surface.alpha * normal[i] + friction * (
+            velocity[i] - normal_speed * normal[i])

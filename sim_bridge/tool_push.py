@@ -7,7 +7,7 @@ from multicontact_control.errors import ConfigError
 import numpy as np
 import pinocchio as pin
 from sim_bridge.config import PlantConfig
-from sim_bridge.kinematics import add_joint_torque, forward_kinematics
+from sim_bridge.kinematics import add_joint_torque, chain_of, forward_kinematics
 from sim_bridge.timed_pushes import push_at
 
 
@@ -43,10 +43,7 @@ class ToolPush:
         if not model.existFrame(name):
             raise ConfigError('tool_push_link', 'a link of the tool', f"'{name}'")
         self._local: Vector = np.array(model.frames[model.getFrameId(name)].placement.translation)
-        placements = list(model.jointPlacements)[1:]
-        self._rotations = np.ascontiguousarray([place.rotation for place in placements])
-        self._offsets = np.ascontiguousarray([place.translation for place in placements])
-        self._axes, self._origins = np.zeros((model.nv, 3)), np.zeros((model.nv, 3))
+        self._links = chain_of(model)
         self._schedule = (
             config.tool_push_start, config.tool_push_duration, config.tool_push_force_world)
         self._rate = rate
@@ -76,9 +73,7 @@ class ToolPush:
         if not self.force_world.any():
             return False
         rotation = np.empty((3, 3))
-        forward_kinematics(
-            q, self._rotations, self._offsets, self._axes, self._origins, rotation)
-        self.point_world = self._origins[-1] + rotation @ self._local
-        add_joint_torque(
-            self.point_world, self.force_world, 1.0, self._axes, self._origins, load)
+        forward_kinematics(q, self._links, rotation)
+        self.point_world = self._links['origin'][-1] + rotation @ self._local
+        add_joint_torque(self.point_world, self.force_world, 1.0, self._links, load)
         return True

@@ -5,10 +5,10 @@ from __future__ import annotations
 from arms import HOME
 from diagnostic_msgs.msg import DiagnosticArray
 from multicontact_control.config import ControllerConfig, read_parameters, validate
-from multicontact_control.control.sensor.weight import weight_reading
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.nodes import messages, topics
 from multicontact_control.paths import config_dir
+from multicontact_control.sensor.weight import weight_reading
 import numpy as np
 from rclpy.qos import QoSProfile
 from ros_graph import wait_for

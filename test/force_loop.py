@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from multicontact_control.config import NoiseEstimatorConfig
-from multicontact_control.force.active_observer import ActiveObserver
+from multicontact_control.force import observer as aob
 from multicontact_control.force.noise import Innovation, make_noise_estimator
 from multicontact_control.force.plant_model import delayed_plant, design_force_loop
 import numpy as np
@@ -23,6 +23,49 @@ def estimator_of(name, contacts=1, **values):
     names = tuple(f'contact{i}' for i in range(contacts))
     return make_noise_estimator(
         NoiseEstimatorConfig(estimator=name, contact_names=names, **values))
+
+
+class ActiveObserver:
+    """The compiled observer of one contact, as the controller runs it."""
+
+    def __init__(self, loop, **options):
+        self.design = aob.design_observer(loop, **options)
+        self.records = aob.make_observers([self.design])
+        self.n = len(self.design.Gamma)
+        self.reset()
+
+    def __getattr__(self, name):
+        return getattr(self.design, name)
+
+    @property
+    def x_est(self):
+        return self.records['x_est'][0, :self.n]
+
+    @property
+    def P(self):
+        return self.records['P'][0, :self.n, :self.n]
+
+    def reset(self, force=0.0):
+        aob.start(self.records[0], force)
+        self.records['running'], self.records['command'] = False, 0.0
+        self.innovation = self.prior_variance = self.variance_used = 0.0
+
+    def update(self, force, noise_variance):
+        observer = self.records[0]
+        if not observer['running']:
+            observer['running'] = True
+            return
+        aob.predict(observer)
+        self.prior_variance = self.P[0, 0]
+        self.innovation = force - observer['x_1'][0]
+        self.variance_used = noise_variance
+        aob.correct(observer, self.innovation, noise_variance)
+
+    def command(self, force_des):
+        return aob.command(self.records[0], force_des)
+
+    def continue_from(self, other):
+        return aob.continue_from(self.records, other.records)
 
 
 def observer_of(order=1, damping_rate=20.0, stiffness=6000.0):

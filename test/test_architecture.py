@@ -8,11 +8,14 @@ import pytest
 from source_imports import find_cycle, imports_of, is_ros
 
 ROOT = Path(__file__).resolve().parents[1]
-# What is not listed (config, errors, arrays, paths, ...) lies at the bottom.
+# What is not listed (config, errors, arrays, paths, sampling, ...) lies at the bottom.
 LAYERS = {
-    'dynamics': 1, 'contact': 1, 'force': 1, 'control': 2, 'nodes': 3, 'experiment': 4,
-    'tools': 4, 'client': 4, 'cli': 5, '__main__': 5}
+    'dynamics': 1, 'contact': 1, 'force': 1, 'control': 2, 'sensor': 3, 'supervision': 3,
+    'control_loop': 4, 'nodes': 5, 'experiment': 6, 'tools': 6, 'client': 6, 'cli': 7,
+    '__main__': 7}
 PINOCCHIO_HOME = 'multicontact_control.dynamics.robot'
+STEPPED = (
+    'multicontact_control.supervision.supervisor', 'multicontact_control.supervision.bumpless')
 
 
 def area(module: str) -> str:
@@ -26,7 +29,7 @@ def layer(module: str) -> int:
 
 
 def is_core(module: str) -> bool:
-    return area(module) != '' and layer(module) <= LAYERS['control']
+    return area(module) != '' and layer(module) <= LAYERS['control_loop']
 
 
 def broken_rule(module: str, target: str) -> str:
@@ -36,13 +39,17 @@ def broken_rule(module: str, target: str) -> str:
         return 'the core knows neither ROS nor the simulation'
     if top == 'pinocchio' and module != PINOCCHIO_HOME and not module.startswith('sim_bridge'):
         return 'pinocchio is wrapped in dynamics/robot.py'
-    if area(module) == 'control' and f'{target}.'.startswith('multicontact_control.force.noise.'):
+    if target.startswith(STEPPED) and area(module) not in ('supervision', 'control_loop'):
+        return 'samples become torques in control_loop.py'
+    if area(module) in ('control', 'supervision') and f'{target}.'.startswith(
+            'multicontact_control.force.noise.'):
         return 'R reaches the controller as a number'
     if area(module) and area(target):
         if layer(module) < layer(target):
             return 'imports flow downwards'
-        if layer(module) == layer(target) == 1 and area(module) != area(target):
-            return 'dynamics, contact and force know nothing of each other'
+        if layer(module) == layer(target) in (1, 3) and area(module) != area(target):
+            return 'dynamics, contact and force know nothing of each other, nor do sensor and ' \
+                'supervision'
     return ''
 
 
@@ -71,6 +78,7 @@ GOOD = {
     'multicontact_control/force/noise.py': '',
     'multicontact_control/force/observer.py': 'from . import noise',
     'multicontact_control/control/controller.py': 'import multicontact_control.force.observer',
+    'multicontact_control/control_loop.py': '',
     'multicontact_control/nodes/controller_node.py':
         'import rclpy\nfrom multicontact_control.control.controller import Controller',
     'multicontact_control/experiment/loop.py': 'from sim_bridge.plant import Plant',
@@ -98,8 +106,12 @@ def test_checker_accepts_a_good_tree(tmp_path):
     ('errors.py', 'import pybullet', 'the core knows neither'),
     ('force/noise.py', 'from sensor_msgs.msg import JointState', 'the core knows neither'),
     ('control/controller.py', 'def f():\n    import sim_bridge.plant', 'the core knows neither'),
+    ('control_loop.py', 'from rclpy.node import Node', 'the core knows neither'),
+    ('sampling.py', 'from sensor_msgs.msg import JointState', 'the core knows neither'),
     ('control/controller.py', 'import pinocchio as pin', 'pinocchio is wrapped'),
     ('nodes/controller_node.py', 'import pinocchio', 'pinocchio is wrapped'),
+    ('experiment/loop.py', 'from multicontact_control.supervision.supervisor import Supervisor',
+     'in control_loop.py'),
     ('control/controller.py', 'from multicontact_control.force.noise import f', 'as a number'),
     ('control/controller.py', 'from multicontact_control.force import noise', 'as a number'),
     ('control/controller.py', 'import multicontact_control.force.noise.innovation', 'as a number'),
@@ -108,6 +120,8 @@ def test_checker_accepts_a_good_tree(tmp_path):
     ('dynamics/__init__.py', 'from ..contact.geometry import N', 'of each other'),
     ('errors.py', 'import multicontact_control.force.noise', 'imports flow downwards'),
     ('control/controller.py', 'from multicontact_control.nodes import qos', 'flow downwards'),
+    ('control_loop.py', 'from multicontact_control.nodes import qos', 'flow downwards'),
+    ('supervision/gate.py', 'from multicontact_control import control_loop', 'flow downwards'),
     ('experiment/loop.py', 'from multicontact_control import cli', 'imports flow downwards'),
     ('errors.py', 'from multicontact_control.config import Config', 'import cycle'),
     ('force/noise.py', 'from .observer import Observer', 'import cycle'),

@@ -12,8 +12,8 @@ from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from multicontact_control.client import MultiContactClient, NotReachedError
 from multicontact_control.errors import RunError
-from multicontact_control.experiment.domain import reserve_domain
-from multicontact_control.experiment.lifecycle import CLEAN_UP, DEACTIVATE, LifecycleDriver
+from multicontact_control.experiment.graph.domain import reserve_domain
+from multicontact_control.experiment.graph.lifecycle import CLEAN_UP, DEACTIVATE, LifecycleDriver
 from multicontact_control.nodes import messages
 from multicontact_control.nodes.guest import GuestNode
 from multicontact_control.nodes.motion_command import motion_message
@@ -28,7 +28,7 @@ pytestmark = pytest.mark.ros
 RUN = """
 import sys
 from pathlib import Path
-from multicontact_control.experiment.graph import GraphSpec, run_graph
+from multicontact_control.experiment.graph.run import GraphSpec, run_graph
 from multicontact_control.experiment.scenario import resolve
 folder = Path(sys.argv[1])
 setup = resolve('quick', plant='rigid', seed=0)

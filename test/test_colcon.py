@@ -7,7 +7,7 @@ from pathlib import Path
 import subprocess
 import sys
 
-from multicontact_control.experiment.domain import reserve_domain
+from multicontact_control.experiment.graph.domain import reserve_domain
 import pytest
 from ros_graph import PATIENCE, ROOT
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
+from multicontact_control.cli import options
 from multicontact_control.cli.exits import errors_in_one_line, resumable
-from multicontact_control.cli.options import split_list
 import typer
 
 
@@ -16,31 +15,27 @@ def compare(
         'state.')] = False,
     plants: Annotated[str, typer.Option(
         help='Plants, with commas between: presets or paths.')] = 'rigid,puma',
-    estimators: Annotated[str, typer.Option(
-        help='Noise estimators, with commas between; `window rescaled` is `window` with the same '
-        'R at rest as `lead_window`. All if not given.')] = '',
+    estimators: options.Estimators = '',
     seeds: Annotated[int | None, typer.Option(
         help='Number of seeds, from 0: 3, or 1 with --quick.')] = None,
-    jobs: Annotated[int, typer.Option(help='Runs at once; 0 for every core.')] = 0,
-    out: Annotated[Path, typer.Option(
-        help='Folder for the results. Runs that are finished there are not run again.',
-    )] = Path('runs/compare'),
-    overwrite: Annotated[bool, typer.Option(
-        '--overwrite', help='Run everything again.')] = False,
+    jobs: options.Jobs = 0, dask: options.Dask = '', out: options.StudyOut = None,
+    dry_run: options.DryRun = False, overwrite: options.RunAgain = False,
 ) -> None:
     """
     Compare the noise estimators on the paper's disturbances, with and without the active state.
 
     Everything runs bare, the control law without its supervisor: its own limits are the point.
 
-    Writes comparison.json and comparison.html. Exit code 0, whatever the verdicts; 2: bad input.
+    Writes comparison.json and comparison.html. Ctrl-C keeps what is finished; the same command
+    goes on from there. Exit code 0, whatever the verdicts; 1: runs were lost; 2: bad input; 130:
+    interrupted.
     """
-    from multicontact_control.experiment.comparison.run import (
-        compare_and_report,
-        ComparisonRequest,
-    )
-
     with resumable(), errors_in_one_line():
-        compare_and_report(ComparisonRequest(
-            plants=split_list(plants), estimators=split_list(estimators), seeds=seeds, jobs=jobs,
-            quick=quick, out=out, overwrite=overwrite))
+        # Only now: what is heavy is not loaded for the sake of an error.
+        from multicontact_control.experiment.study.presets.compare.study import ComparisonStudy
+        from multicontact_control.experiment.study.study import run_study, StudyOptions
+
+        run_study(
+            ComparisonStudy(options.split_list(plants),
+                            options.split_list(estimators), seeds, quick),
+            StudyOptions(out, jobs, dask, dry_run, overwrite))

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
+from multicontact_control.cli import options
 from multicontact_control.cli.exits import (
     errors_in_one_line,
     EXIT_FAILED,
@@ -12,51 +12,50 @@ from multicontact_control.cli.exits import (
     require_ros,
     resumable,
 )
-from multicontact_control.errors import ConfigError
 from rich.console import Console
 import typer
 
 
 def faults(
     seed: Annotated[int, typer.Option(help='Seed of the first fault of every kind.')] = 0,
-    out: Annotated[Path, typer.Option(
-        help='Folder for faults.json. Faults that are finished there are not run again.',
-    )] = Path('runs/faults'),
     quick: Annotated[bool, typer.Option(
         '--quick', help='One fault of each kind instead of 14.')] = False,
     graph: Annotated[bool, typer.Option(
         '--graph', help='Also kill nodes, damage messages and send wrong commands in a running '
-        'ROS 2 graph, in real time.')] = False,
-    jobs: Annotated[int, typer.Option(help='Faults at once; 0 for every core.')] = 0,
-    overwrite: Annotated[bool, typer.Option(
-        '--overwrite', help='Run everything again.')] = False,
+        'ROS 2 graph, in real time; these are run anew each time.')] = False,
+    jobs: options.Jobs = 0, dask: options.Dask = '', out: options.StudyOut = None,
+    dry_run: options.DryRun = False, overwrite: options.RunAgain = False,
 ) -> None:
     """
     Break inputs and plant in many ways, and check that the arm stays safe.
 
-    Exit code 0: every fault was safe; 1: one was not; 2: bad input; 128 + n: ended by signal n.
+    Writes faults.json and faults.html. Ctrl-C keeps what is finished; the same command goes on
+    from there. Exit code 0: every fault was safe; 1: one was not, or was lost; 2: bad input;
+    128 + n: ended by signal n.
     """
     interrupted = None
     with resumable(), errors_in_one_line():
-        # Only now: what is heavy is not loaded for the sake of an error.
-        from multicontact_control.experiment.fault_campaign import (
-            print_report,
-            run_campaign,
-            write_report,
-        )
-
-        if seed < 0:
-            raise ConfigError('seed', 'a whole number >= 0', seed)
-        rows = run_campaign(seed, out, quick=quick, jobs=jobs, overwrite=overwrite)
         if graph:
             require_ros()
-            from multicontact_control.experiment.graph_faults import run_graph_campaign
+        # Only now: what is heavy is not loaded for the sake of an error.
+        from multicontact_control.experiment.study.presets.faults.study import FaultStudy
+        from multicontact_control.experiment.study.study import (
+            report_study,
+            run_study_jobs,
+            StudyOptions,
+        )
 
-            over_graph, interrupted = run_graph_campaign(seed, out, quick=quick)
+        study, console = FaultStudy(seed, quick, graph), Console()
+        run = run_study_jobs(study, StudyOptions(out, jobs, dask, dry_run, overwrite), console)
+        if run is None:
+            return
+        rows = study.content(run)
+        if graph:
+            from multicontact_control.experiment.faults.in_graph import run_graph_campaign
+
+            over_graph, interrupted = run_graph_campaign(seed, run.folder, quick=quick)
             rows += over_graph
-        path = write_report(out, rows)
-    print_report(rows, Console())
-    typer.echo(f'written to {path}')
+        report_study(study, rows, run, console)
     if interrupted is not None:
         raise typer.Exit(EXIT_SIGNAL + interrupted)
     if not all(row.safe for row in rows):

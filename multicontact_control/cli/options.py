@@ -29,6 +29,23 @@ Bare = Annotated[bool, typer.Option(
 DomainId = Annotated[int | None, typer.Option(
     help='ROS_DOMAIN_ID to look at; that of the environment, or 0, if not given.')]
 
+# Of the studies: compare, map, sweep, faults.
+StudyOut = Annotated[Path | None, typer.Option(
+    help='Folder for the results; runs/<command> if not given, runs/sweep-<name> for a sweep. '
+    'What is finished there is not run again.')]
+Jobs = Annotated[int, typer.Option(
+    help='Jobs at once on this machine; 0 for every core.')]
+Dask = Annotated[str, typer.Option(
+    metavar='ADDRESS', help='Run on the workers of this Dask scheduler instead, e.g. '
+    'tcp://host:8786. They need this package in the same version.')]
+DryRun = Annotated[bool, typer.Option(
+    '--dry-run', help='Only say what would be run, how much of it is finished, and how long the '
+    'rest will take.')]
+RunAgain = Annotated[bool, typer.Option('--overwrite', help='Run everything again.')]
+Estimators = Annotated[str, typer.Option(
+    help='Noise estimators, with commas between; `window rescaled` is `window` with the same R '
+    'at rest as `lead_window`. All if not given.')]
+
 
 def split_list(text: str) -> tuple[str, ...]:
     """Return the parts of a list with commas between, without the empty ones."""

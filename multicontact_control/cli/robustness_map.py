@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
+from multicontact_control.cli import options
 from multicontact_control.cli.exits import errors_in_one_line, resumable
-from multicontact_control.cli.options import split_list
 import typer
 
 
@@ -15,25 +14,27 @@ def robustness_map(
         '--quick', help='Two estimators on plant `rigid`, a coarse grid.')] = False,
     plants: Annotated[str, typer.Option(
         help='Plants, with commas between; rigid,puma, or rigid with --quick.')] = '',
-    estimators: Annotated[str, typer.Option(
-        help='Noise estimators, with commas between. All if not given.')] = '',
-    jobs: Annotated[int, typer.Option(help='Runs at once; 0 for every core.')] = 0,
-    out: Annotated[Path, typer.Option(
-        help='Folder for the results. Runs that are finished there are not run again.',
-    )] = Path('runs/map'),
-    overwrite: Annotated[bool, typer.Option(
-        '--overwrite', help='Run everything again.')] = False,
+    estimators: options.Estimators = '',
+    jobs: options.Jobs = 0, dask: options.Dask = '', out: options.StudyOut = None,
+    dry_run: options.DryRun = False, overwrite: options.RunAgain = False,
 ) -> None:
     """
     Map how wrong stiffness and delay may be, simulated and by the linear loop.
 
     True stiffness 0.1 to 20 times the model's, actuator delay 0 to 3 periods. Everything runs
     bare, the control law without its supervisor: its own limits are the point. Writes
-    robustness.json, robustness.png and robustness.html.
+    robustness.json, robustness.png and robustness.html. Ctrl-C keeps what is finished; the same
+    command goes on from there. Exit code 0, whatever came out; 1: runs were lost; 2: bad input;
+    130: interrupted.
     """
-    from multicontact_control.experiment.robustness.run import map_and_report, MapRequest
-
     with resumable(), errors_in_one_line():
-        map_and_report(MapRequest(
-            plants=split_list(plants), estimators=split_list(estimators), jobs=jobs, quick=quick,
-            out=out, overwrite=overwrite))
+        # Only now: what is heavy is not loaded for the sake of an error.
+        from multicontact_control.experiment.study.presets.robustness.study import (
+            robustness_study,
+        )
+        from multicontact_control.experiment.study.study import run_study, StudyOptions
+
+        run_study(
+            robustness_study(options.split_list(plants),
+                             options.split_list(estimators), quick=quick),
+            StudyOptions(out, jobs, dask, dry_run, overwrite))

@@ -40,7 +40,7 @@ def run(
     judged, since the machine missed a tenth of the deadlines; 1: not stable, held
     by the supervisor, or a node died; 2: bad input; 128 + n: ended by signal n.
     """
-    from multicontact_control.experiment.domain import check_namespace
+    from multicontact_control.experiment.graph.domain import check_namespace
 
     with errors_in_one_line():
         namespace = check_namespace(namespace)

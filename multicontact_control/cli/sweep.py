@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from functools import partial
 from typing import Annotated
 
+from multicontact_control.cli import options
 from multicontact_control.cli.exits import errors_in_one_line, resumable
-from multicontact_control.cli.options import split_list
-from multicontact_control.errors import ConfigError
+from multicontact_control.errors import check_all, ConfigError
 import typer
 
 
@@ -17,19 +17,8 @@ def sweep(
         'YAML file.')],
     seeds: Annotated[str, typer.Option(
         help="How many seeds, from 0, or a list with commas; the study's own if not given.")] = '',
-    jobs: Annotated[int, typer.Option(
-        help='Runs at once on this machine; 0 for every core.')] = 0,
-    dask: Annotated[str, typer.Option(
-        metavar='ADDRESS', help='Run on the workers of this Dask scheduler instead, e.g. '
-        'tcp://host:8786. They need this package in the same version.')] = '',
-    out: Annotated[Path | None, typer.Option(
-        help='Folder for the results; runs/sweep-<name> if not given. Runs that are finished '
-        'there are not run again.')] = None,
-    dry_run: Annotated[bool, typer.Option(
-        '--dry-run', help='Only say how many runs there are, and how long they will take.',
-    )] = False,
-    overwrite: Annotated[bool, typer.Option(
-        '--overwrite', help='Run everything again.')] = False,
+    jobs: options.Jobs = 0, dask: options.Dask = '', out: options.StudyOut = None,
+    dry_run: options.DryRun = False, overwrite: options.RunAgain = False,
 ) -> None:
     r"""
     Run parameters times seeds, and gather the summaries in one table.
@@ -62,12 +51,14 @@ def sweep(
     130: interrupted.
     """
     with resumable(), errors_in_one_line():
-        numbers = _seeds(seeds)
-        from multicontact_control.experiment.sweep.run import sweep_and_report, SweepRequest
+        # Only now: what is heavy is not loaded for the sake of an error.
+        from multicontact_control.experiment.study.presets.sweep.config import study_path
+        from multicontact_control.experiment.study.presets.sweep.study import sweep_study
+        from multicontact_control.experiment.study.study import run_study, StudyOptions
 
-        sweep_and_report(SweepRequest(
-            study=study, out=out, seeds=numbers, jobs=jobs, dask=dask, dry_run=dry_run,
-            overwrite=overwrite))
+        asked = StudyOptions(out, jobs, dask, dry_run, overwrite)
+        check_all(partial(study_path, study), partial(_seeds, seeds), asked.check)
+        run_study(sweep_study(study, _seeds(seeds)), asked)
 
 
 def _seeds(text: str) -> tuple[int, ...] | None:
@@ -75,7 +66,7 @@ def _seeds(text: str) -> tuple[int, ...] | None:
     if not text:
         return None
     try:
-        numbers = [int(part) for part in split_list(text)]
+        numbers = [int(part) for part in options.split_list(text)]
     except ValueError:
         numbers = []
     if not numbers or min(numbers) < 0 or (',' not in text and numbers[0] < 1):

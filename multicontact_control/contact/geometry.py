@@ -1,84 +1,66 @@
-"""Contact normals and lever arms as the matrices N and T (P04 eqs 1-6, 17)."""
+"""Contact normals and lever arms as the columns of N (P04 eqs 1-6, 17)."""
 
 from __future__ import annotations
 
-from multicontact_control.arrays import Matrix, require_shape, Vector
-from multicontact_control.errors import ContactGeometryError
+from typing import Any
+
+from multicontact_control.arrays import Matrix, Vector
+from multicontact_control.compiled import compiled
+from multicontact_control.records import Records
 import numpy as np
 
-MIN_INDEPENDENCE = 1e-6
 MAX_CONTACTS = 6  # as many as a wrench has components
 
 
-def contact_normals(normals_world: Matrix, levers_world: Matrix) -> Matrix:
+@compiled
+def fill_normal_space(contacts: Any, rotation: Matrix) -> None:
     """
-    Return N, whose columns are the wrenches that unit contact forces make.
+    Fill in N_i, the wrench that a unit force at contact i makes.
 
-    N_i = [n_i; n_i x l_i] (P04 eq. 5).
+    N_i = [n_i; n_i x l_i] (P04 eq. 5), with the lever l_i = -R p_i from the contact point to
+    the operational point.
 
     Parameters
     ----------
-    normals_world
-        Unit normals INTO the surfaces, shape (r, 3).
-    levers_world
-        Vectors from each contact point to the operational point, shape (r, 3) [m].
+    contacts
+        Records of `CONTACT`, `N` of which is filled, shape (r,).
+    rotation
+        Axes R of the operational frame as columns, world axes, shape (3, 3).
+
+    """
+    for i in range(contacts.shape[0]):
+        normal, point, column = contacts[i].normal, contacts[i].point, contacts[i].N
+        nx, ny, nz = normal[0], normal[1], normal[2]
+        px, py, pz = point[0], point[1], point[2]
+        lx = -(rotation[0, 0] * px + rotation[0, 1] * py + rotation[0, 2] * pz)
+        ly = -(rotation[1, 0] * px + rotation[1, 1] * py + rotation[1, 2] * pz)
+        lz = -(rotation[2, 0] * px + rotation[2, 1] * py + rotation[2, 2] * pz)
+        column[0], column[1], column[2] = nx, ny, nz
+        column[3] = ny * lz - nz * ly
+        column[4] = nz * lx - nx * lz
+        column[5] = nx * ly - ny * lx
+
+
+def normal_space(contacts: Records, rotation_world: Matrix) -> Matrix:
+    """
+    Return N of some contacts (P04 eq. 5), and fill it in.
+
+    Parameters
+    ----------
+    contacts
+        Records of `CONTACT`, shape (r,).
+    rotation_world
+        Axes of the operational frame, shape (3, 3).
 
     Returns
     -------
     Matrix
         N at the operational point, world axes, shape (6, r).
 
-    Raises
-    ------
-    ShapeError
-        If the two do not both have shape (r, 3).
-
     """
-    count = normals_world.shape[0]
-    require_shape('normals_world', normals_world, (count, 3))
-    require_shape('levers_world', levers_world, (count, 3))
-    N = np.empty((6, count))
-    N[:3] = normals_world.T
-    nx, ny, nz = normals_world.T
-    lx, ly, lz = levers_world.T
-    N[3] = ny * lz - nz * ly  # np.cross costs ten times these three lines
-    N[4] = nz * lx - nx * lz
-    N[5] = nx * ly - ny * lx
+    fill_normal_space(contacts, np.ascontiguousarray(rotation_world))
+    N: Matrix = contacts['N'].T.copy()
     return N
-
-
-def free_motions(N: Matrix) -> Matrix:
-    """
-    Return T, an orthonormal basis of the motions that move no contact along its normal.
-
-    N^T T = 0 (P04 eqs 4, 6).
-
-    Parameters
-    ----------
-    N
-        Contact normal space, shape (m, r).
-
-    Returns
-    -------
-    Matrix
-        T, shape (m, m - r).
-
-    Raises
-    ------
-    ContactGeometryError
-        If the columns of N are not independent.
-
-    """
-    rows, columns = N.shape
-    if columns == 0:
-        return np.eye(rows)
-    U, singular, _ = np.linalg.svd(N)
-    if columns > rows or singular[-1] < MIN_INDEPENDENCE * singular[0]:
-        raise ContactGeometryError(
-            f'N: expected {columns} independent columns, found singular values '
-            f'{np.array2string(singular, precision=3)}')
-    T: Matrix = U[:, columns:]
-    return T
 
 
 def operational_stiffness(k_env: float, normal_world: Vector, lever_world: Vector) -> float:
@@ -103,27 +85,3 @@ def operational_stiffness(k_env: float, normal_world: Vector, lever_world: Vecto
     """
     moment = np.cross(lever_world, normal_world)
     return float(k_env * (1.0 + moment @ moment))
-
-
-def contact_coordinates(N: Matrix, wrench_or_twist: Vector) -> Vector:
-    """
-    Return the coordinates of the contact part of a wrench or twist.
-
-    alpha = N^+ f = (N^T N)^-1 N^T f (P04 eqs 2, 7 with N' = T).
-
-    Parameters
-    ----------
-    N
-        Contact normal space, shape (6, r).
-    wrench_or_twist
-        Shape (6,).
-
-    Returns
-    -------
-    Vector
-        Shape (r,): [N] for a wrench.
-
-    """
-    if N.shape[1] == 0:
-        return np.zeros(0)
-    return np.asarray(np.linalg.solve(N.T @ N, N.T @ wrench_or_twist), dtype=float)

@@ -1,156 +1,168 @@
-"""Projections onto the force and the motion space, and the force allocation (P04 eqs 7-15, 30)."""
+"""
+Contact coordinates, projections and the force allocation (P04 eqs 7-15, 27-30), as executed.
+
+Contacts come and go, so matrices have a row per contact, which is zero for one that is left out;
+neither Omega_f nor Omega_m is formed, only what they make of vectors.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from typing import Any
 
+from multicontact_control.algebra import cholesky, multiply_transposed, solve_cholesky
 from multicontact_control.arrays import Matrix, Vector
-import numpy as np
+from multicontact_control.compiled import compiled
 
-Allocation = Literal['decoupled', 'paper']
+# A normal counts as dependent when the others leave less than this share of its square.
+SMALLEST_PIVOT = 1e-12
 
 
-@dataclass(frozen=True, slots=True)
-class Projections:
+@compiled
+def active_rows(contacts: Any, everyone: bool, rows: Matrix) -> None:
     """
-    The pair that splits wrenches and accelerations.
-
-    Attributes
-    ----------
-    Omega_f
-        Onto the contact wrenches, shape (6, 6) (P04 eq. 9).
-    Omega_m
-        Onto the free motions, shape (6, 6) (P04 eq. 10).
-
-    """
-
-    Omega_f: Matrix
-    Omega_m: Matrix
-
-    @property
-    def Omega_c(self) -> Matrix:
-        """Complement 1 - Omega_m on motions; Omega_f itself in the Euclidean metric (eq. 13)."""
-        complement: Matrix = self.Omega_f.T
-        return complement
-
-
-def euclidean_projections(N: Matrix) -> Projections:
-    """
-    Return the paper's projections.
-
-    Omega_f = N (N^T N)^-1 N^T, Omega_m = 1 - Omega_f (P04 eqs 11-13, N' = T and T' = N).
+    Fill in N^T, with zeros for every contact that is left out.
 
     Parameters
     ----------
-    N
-        Contact normal space, shape (m, r), independent columns.
+    contacts
+        Records of `CONTACT` with `N` filled in, shape (r,).
+    everyone
+        Whether all contacts count, otherwise those that are active.
+    rows
+        Filled, shape (r, 6).
 
     """
-    size = N.shape[0]
-    if N.shape[1] == 0:
-        return Projections(np.zeros((size, size)), np.eye(size))
-    Omega_f = N @ np.linalg.solve(N.T @ N, N.T)
-    return Projections(Omega_f, np.eye(size) - Omega_f)
+    for i in range(contacts.shape[0]):
+        column = contacts[i].N
+        counts = everyone or contacts[i].active
+        for k in range(6):
+            rows[i, k] = column[k] if counts else 0.0
 
 
-def inertia_projections(N: Matrix, Lambda: Matrix) -> Projections:
+@compiled
+def factorise_contacts(
+    contacts: Any, everyone: bool, rows: Matrix, weighted_rows: Matrix, factor: Matrix,
+) -> bool:
     """
-    Return the dynamically consistent projections, which do not depend on the unit of length.
+    Factorise N^T D, with 1 on the diagonal of every contact that is left out.
 
-    Omega_f = N (N^T Lambda^-1 N)^-1 N^T Lambda^-1, Omega_m = 1 - Omega_f^T: the general form of
-    eqs 9-12 with T' = Lambda^-1 N and N' = Lambda T.
+    So the size stays the same whichever contacts are there, and the coordinate of one that is
+    not there stays 0. D is N itself, or Lambda^-1 N.
 
     Parameters
     ----------
-    N
-        Contact normal space, shape (m, r), independent columns.
-    Lambda
-        Task inertia, shape (m, m).
+    contacts, everyone
+        As for `active_rows`.
+    rows, weighted_rows
+        N^T and D^T, zero for those left out, shape (r, 6).
+    factor
+        Filled with the Cholesky factor, shape (r, r).
+
+    Returns
+    -------
+    bool
+        Whether the active columns of N are independent.
 
     """
-    size = N.shape[0]
-    if N.shape[1] == 0:
-        return Projections(np.zeros((size, size)), np.eye(size))
-    mobility_N = np.linalg.solve(Lambda, N)  # Lambda^-1 N
-    Omega_f = N @ np.linalg.solve(N.T @ mobility_N, mobility_N.T)
-    return Projections(Omega_f, np.eye(size) - Omega_f.T)
+    count = rows.shape[0]
+    for i in range(count):
+        for j in range(i, count):
+            total = 0.0
+            for k in range(6):
+                total += rows[i, k] * weighted_rows[j, k]
+            factor[i, j] = total
+        if not (everyone or contacts[i].active):
+            factor[i, i] = 1.0
+    return cholesky(factor, factor, SMALLEST_PIVOT)
 
 
-def general_projections(N: Matrix, T: Matrix, N_prime: Matrix, T_prime: Matrix) -> Projections:
+@compiled
+def coordinates(rows: Matrix, factor: Matrix, vector: Vector, alpha: Vector) -> None:
     """
-    Return the projections for any choice of complements.
-
-    f = N alpha_1 + N' alpha_2, theta = T beta_1 + T' beta_2 (P04 eqs 7-8) with N^T T = 0 and
-    N'^T T' = 0: Omega_f = N (T'^T N)^-1 T'^T, Omega_m = T (N'^T T)^-1 N'^T.
+    Fill in the contact coordinates alpha = (N^T N)^-1 N^T f (P04 eqs 2, 7).
 
     Parameters
     ----------
-    N, T_prime
-        Shape (m, r).
-    T, N_prime
-        Shape (m, m - r).
+    rows, factor
+        N^T, shape (r, 6), and the factor of N^T N, shape (r, r).
+    vector
+        Wrench or twist f, shape (6,).
+    alpha
+        Filled, shape (r,).
 
     """
-    return Projections(
-        N @ np.linalg.solve(T_prime.T @ N, T_prime.T),
-        T @ np.linalg.solve(N_prime.T @ T, N_prime.T))
+    rates(rows, vector, alpha)
+    solve_cholesky(factor, alpha)
 
 
-def allocate_force(N: Matrix, alpha_star: Vector, allocation: Allocation) -> Vector:
+@compiled
+def rates(rows: Matrix, twist: Vector, speeds: Vector) -> None:
+    """Fill in N^T theta, the speeds of the contact points along their normals, shape (r,)."""
+    for i in range(rows.shape[0]):
+        total = 0.0
+        for k in range(6):
+            total += rows[i, k] * twist[k]
+        speeds[i] = total
+
+
+@compiled
+def compose_acceleration(
+    rows: Matrix, weighted_rows: Matrix, weighted_factor: Matrix, f_t: Vector, f_c: Vector,
+    acceleration: Vector,
+) -> None:
     """
-    Return the acceleration of the operational point that serves the contacts' force loops.
+    Fill in Omega_m f_t* + Omega_c f_c* (P04 eq. 27).
 
-    `paper`: f_c* = N alpha* (P04 eq. 30). The contact points then accelerate by N^T N alpha*,
-    which couples the loops unless N^T N is diagonal. `decoupled`: f_c* = N (N^T N)^-1 alpha*, so
-    that contact point i accelerates by alpha*_i whatever the geometry.
+    As Omega_m = 1 - Omega_c with Omega_c = D (N^T D)^-1 N^T, this is
+    f_t* - D (N^T D)^-1 N^T (f_t* - f_c*). D = N gives the paper's projections (eqs 11-13),
+    D = Lambda^-1 N the dynamically consistent ones.
 
     Parameters
     ----------
-    N
-        Contact normal space, shape (6, r).
+    rows, weighted_rows, weighted_factor
+        N^T and D^T, shape (r, 6), and the factor of N^T D, shape (r, r).
+    f_t, f_c
+        Accelerations of the motion and the force law, shape (6,).
+    acceleration
+        Filled, shape (6,).
+
+    """
+    count = rows.shape[0]
+    for k in range(6):
+        acceleration[k] = f_t[k] - f_c[k]
+    beta = rows[:, 0].copy()
+    rates(rows, acceleration, beta)
+    solve_cholesky(weighted_factor, beta)
+    for k in range(6):
+        total = f_t[k]
+        for i in range(count):
+            total -= weighted_rows[i, k] * beta[i]
+        acceleration[k] = total
+
+
+@compiled
+def allocate(
+    rows: Matrix, factor: Matrix, alpha_star: Vector, decoupled: bool, f_c: Vector,
+) -> None:
+    """
+    Fill in the acceleration that serves the force loops.
+
+    N alpha* is the paper's (P04 eq. 30): the contact points then accelerate by N^T N alpha*,
+    which couples the loops unless N^T N is diagonal. N (N^T N)^-1 alpha*, if `decoupled`, lets
+    contact point i accelerate by alpha*_i whatever the geometry.
+
+    Parameters
+    ----------
+    rows, factor
+        N^T, shape (r, 6), and the factor of N^T N, shape (r, r).
     alpha_star
-        Inputs of the force loops, shape (r,) [m/s^2].
-    allocation
+        Inputs of the force loops, overwritten, shape (r,) [m/s^2].
+    decoupled
         Which of the two.
-
-    Returns
-    -------
-    Vector
-        f_c*, shape (6,) [m/s^2, rad/s^2].
+    f_c
+        Filled, shape (6,) [m/s^2, rad/s^2].
 
     """
-    if N.shape[1] == 0:
-        return np.zeros(N.shape[0])
-    if allocation == 'paper':
-        return N @ alpha_star
-    return N @ np.linalg.solve(N.T @ N, alpha_star)
-
-
-def contact_rates(N: Matrix, twist: Vector, allocation: Allocation) -> Vector:
-    """
-    Return the rates theta_c that the force loops' damping K_2 acts on.
-
-    They are the rates along the coordinates the allocation drives: N^+ theta for `paper` (where
-    theta_c,i multiplies N_i, P04 eq. 16), N^T theta, the speed of the contact point along its
-    normal, for `decoupled`.
-
-    Parameters
-    ----------
-    N
-        Contact normal space, shape (6, r).
-    twist
-        Twist of the operational point, shape (6,) [m/s, rad/s].
-    allocation
-        As for `allocate_force`.
-
-    Returns
-    -------
-    Vector
-        Shape (r,) [m/s].
-
-    """
-    rates: Vector = N.T @ twist
-    if allocation == 'paper' and N.shape[1]:
-        rates = np.asarray(np.linalg.solve(N.T @ N, rates), dtype=float)
-    return rates
+    if decoupled:
+        solve_cholesky(factor, alpha_star)
+    multiply_transposed(rows, alpha_star, f_c)

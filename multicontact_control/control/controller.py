@@ -1,8 +1,4 @@
-"""
-The composed control law: from joint state, wrist wrench and noise variance to torque.
-
-The arithmetic is in `kernels`, compiled; here is what surrounds it.
-"""
+"""The control law around its compiled core: from joint state, wrench and R to torque."""
 
 from __future__ import annotations
 
@@ -10,26 +6,30 @@ import contextlib
 from pathlib import Path
 from typing import Any
 
-from multicontact_control.arrays import Matrix, Vector
+from multicontact_control.arrays import Mask, Matrix, require_shape, Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.contact.geometry import MAX_CONTACTS, operational_stiffness
-from multicontact_control.control.buffers import Buffers, constants_of
-from multicontact_control.control.kernels import control_law, measure_contacts, OK, SINGULAR
-from multicontact_control.control.reference import ReferenceSource
+from multicontact_control.control.arm_state import ArmState
+from multicontact_control.control.law import control_law, OK, SINGULAR
+from multicontact_control.control.reference import Reference, ReferenceSource
 from multicontact_control.control.tick import ControlOutput, Measurement
-from multicontact_control.dynamics.operational_space import task_inertia
+from multicontact_control.control.wrench import measure_contacts, tool_record
+from multicontact_control.dynamics.operational_space import MAX_CONDITION, task_inertia
 from multicontact_control.dynamics.pose import Pose
-from multicontact_control.dynamics.robot import LiveTerms, RobotModel
+from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import (
     ConfigError,
     ContactGeometryError,
-    MulticontactError,
     SingularTaskError,
 )
-from multicontact_control.force.active_observer import ActiveObserver
-from multicontact_control.force.kernels import MEASURED, REPORT_ROWS
-from multicontact_control.force.observer_bank import ObserverBank
+from multicontact_control.force.observer import (
+    continue_from,
+    design_observer,
+    make_observers,
+    ObserverDesign,
+)
 from multicontact_control.force.plant_model import design_force_loop
+from multicontact_control.records import CONTACT, LAW, Records, TASK
 import numpy as np
 
 __all__ = ['Controller', 'ControlOutput', 'Measurement']
@@ -54,8 +54,14 @@ class Controller:
 
     Attributes
     ----------
-    buffers
-        What compiled code works on.
+    arm
+        Where the arm is.
+    contacts
+        Records of `CONTACT`, shape (r,), which every step overwrites.
+    tasks
+        One record of `TASK`: what the motion law is asked for.
+    wrench_sensor
+        The newest reading, shape (6,) [N, N m].
 
     Raises
     ------
@@ -67,14 +73,23 @@ class Controller:
     def __init__(
         self, config: ControllerConfig, robot: RobotModel, reference: ReferenceSource,
     ) -> None:
-        if len(config.contact_names) > MAX_CONTACTS:
+        count = len(config.contact_names)
+        if count > MAX_CONTACTS:
             raise ConfigError('contact_names', f'at most {MAX_CONTACTS} contacts, as many as a '
-                              'wrench has components', len(config.contact_names))
+                              'wrench has components', count)
         self.robot = robot
         self._reference = reference
-        self._joints, contacts = robot.joint_count, len(config.contact_names)
-        self._report_shape = len(REPORT_ROWS), contacts
-        self.buffers = Buffers(self._joints, contacts)
+        self.arm = ArmState(robot)
+        self.contacts: Any = np.zeros(count, dtype=CONTACT)
+        self.tasks: Any = np.zeros(1, dtype=TASK)
+        self.tasks['rotation'] = np.eye(3)
+        self._active: Mask = self.contacts['active']
+        self._alpha_meas: Vector = self.contacts['alpha_meas']
+        self._noise_variance: Vector = self.contacts['noise_variance']
+        self._torque: Vector = self.arm.joints['torque']
+        # numpy copies a structured array field by field, which takes five times as long.
+        self._contact_bytes = self.contacts.view(np.uint8)
+        self.wrench_sensor = np.zeros(6)
         self._adopt(config)
         self.reset()
         self._warm_up()
@@ -82,8 +97,15 @@ class Controller:
     def _adopt(self, config: ControllerConfig) -> None:
         """Set everything that follows from the configuration alone."""
         self.config = config
-        self._constants = constants_of(config, self._joints)
-        self._measure_arguments = self._gather_measure_arguments()
+        self._laws = law_record(config)
+        self._tools = tool_record(config.tool, np.array(config.robot.gravity_world))
+        contacts = [config.contacts[name] for name in config.contact_names]
+        self.contacts['normal'] = [contact.normal_world for contact in contacts]
+        self.contacts['point'] = [contact.point_operational for contact in contacts]
+        joints = self.arm.joints
+        for name in ('coulomb', 'viscous'):
+            joints[name] = getattr(config.friction, name) or 0.0
+        joints['torque_limit'] = config.torque_limit or np.inf
 
     @classmethod
     def from_config(
@@ -104,7 +126,7 @@ class Controller:
         """Forget everything measured; the next sample starts anew."""
         self._started = False
 
-    def redesign(self, config: ControllerConfig) -> ObserverBank | None:
+    def redesign(self, config: ControllerConfig) -> Records | None:
         """
         Return observers for other gains, which keep what they know if its size stays.
 
@@ -115,7 +137,7 @@ class Controller:
 
         Returns
         -------
-        ObserverBank or None
+        Records or None
             The observers, None before the first sample.
 
         Raises
@@ -130,8 +152,8 @@ class Controller:
                                   getattr(config, name))
         if not self._started:
             return None
-        observers = self._design_observers(self._rotation_world, config)
-        observers.continue_from(self._observers)
+        observers = make_observers(design_observers(config, self._rotation_world))
+        continue_from(observers, self._observers)
         return observers
 
     def reconfigure(self, config: ControllerConfig) -> None:
@@ -143,8 +165,7 @@ class Controller:
         observers = self.redesign(config)
         self._adopt(config)
         if observers is not None:
-            self._observers = observers
-            self._law_arguments = self._gather_law_arguments(observers)
+            self._observers: Any = observers
 
     def step(self, measurement: Measurement, noise_variance: Vector) -> ControlOutput:
         """
@@ -172,38 +193,14 @@ class Controller:
             If the contacts' normals are not independent.
 
         """
-        self.sense(measurement.q, measurement.qd)
+        self.arm.update(measurement.q, measurement.qd)
         return self.answer(measurement.time, measurement.wrench_sensor, noise_variance)
-
-    def sense(self, q: Vector, qd: Vector) -> LiveTerms:
-        """
-        Take in where the arm is: the first half of `step`.
-
-        Parameters
-        ----------
-        q, qd
-            Joint positions [rad] and velocities [rad/s], shape (n,).
-
-        Returns
-        -------
-        LiveTerms
-            The arm's terms there, for who needs them too.
-
-        Raises
-        ------
-        ShapeError
-            If an array is not of the robot's size.
-
-        """
-        buffers = self.buffers
-        buffers.take_joints(q, qd)
-        return self.robot.compute(buffers.q, buffers.qd)
 
     def answer(
         self, time: float, wrench_sensor: Vector, noise_variance: Vector,
     ) -> ControlOutput:
         """
-        Answer the sample whose joints have been sensed: the second half of `step`.
+        Answer the sample whose joints `arm` has been given: the second half of `step`.
 
         Parameters
         ----------
@@ -213,100 +210,120 @@ class Controller:
             As for `step`, which also says what is raised.
 
         """
-        buffers, terms = self.buffers, self.robot.terms
-        buffers.take_wrench(wrench_sensor, noise_variance)
-        report = np.empty(self._report_shape)
-        self._measure(report)
-        pose = Pose(terms.position_world.copy(), terms.rotation_world.copy())
+        if not self.arm.finite:
+            raise SingularTaskError(
+                "the arm's dynamics: expected finite numbers, found others at joint positions "
+                f'{self.arm.q.tolist()} and velocities {self.arm.velocity.tolist()}')
+        if wrench_sensor.shape != (6,) or noise_variance.shape != self._active.shape:
+            require_shape('wrench_sensor', wrench_sensor, (6,))
+            require_shape('noise_variance', noise_variance, self._active.shape)
+        self.wrench_sensor[:] = wrench_sensor
+        self._noise_variance[:] = noise_variance
+        self._measure()
+        pose = Pose(self.arm.pose.position_world.copy(), self.arm.pose.rotation_world.copy())
         if not self._started:
             self._start(pose)
-        reference = self._reference.update(time, report[MEASURED])
-        buffers.take_reference(reference)
-        torque = self._decide(terms, report)
+        reference = self._reference.update(time, self._alpha_meas)
+        self._take_reference(reference)
+        self._decide()
         return ControlOutput(
-            torque, report, buffers.active.copy(), pose, reference.pose_des)
+            self._torque.copy(), np.frombuffer(self._contact_bytes.tobytes(), dtype=CONTACT),
+            pose, reference.pose_des)
 
-    def _measure(self, report: Matrix) -> None:
-        """Fill in the measured contact forces; N is in the buffers then."""
-        if not measure_contacts(report, *self._measure_arguments):
+    def _measure(self) -> None:
+        """Fill in N and the measured contact forces."""
+        if not measure_contacts(
+                self.wrench_sensor, self.arm.frames, self._tools, self.contacts):
             raise self._dependent_contacts()
 
     def _start(self, pose: Pose) -> None:
         """Begin with the first sample."""
         self._rotation_world = pose.rotation_world
-        self._observers = self._design_observers(pose.rotation_world, self.config)
-        self._law_arguments = self._gather_law_arguments(self._observers)
-        self._reference.start(pose, self._constants.normals_world)
+        self._observers = make_observers(design_observers(self.config, pose.rotation_world))
+        self._reference.start(pose, self.contacts['normal'].copy())
         self._started = True
 
-    def _decide(self, terms: LiveTerms, report: Matrix) -> Vector:
-        """Return the joint torque; the report is complete then."""
-        torque = np.empty(self._joints)
+    def _take_reference(self, reference: Reference) -> None:
+        """Copy what is to be done, unless it has been made in these very arrays."""
+        if reference.alpha_des.base is self.contacts:
+            return
+        task, contacts = self.tasks, self.contacts
+        task['position'], task['rotation'] = reference.pose_des
+        task['twist'], task['acceleration'] = reference.twist_des, reference.acceleration_des
+        contacts['active'], contacts['alpha_des'] = reference.active, reference.alpha_des
+
+    def _decide(self) -> None:
+        """Work out the joint torque."""
+        terms, arm = self.robot.terms, self.arm
         status = control_law(
-            report, torque, terms.jacobian, terms.jacobian_rate, *self._law_arguments)
-        if status == OK:
-            return torque
+            self._laws, arm.joints, arm.frames, terms.mass_matrix, terms.jacobian,
+            terms.jacobian_rate, self.contacts, self._observers, self.tasks)
         if status == SINGULAR:
-            state = self.robot.update(self.buffers.q, self.buffers.qd)
+            state = self.robot.update(arm.q, arm.velocity)
             task_inertia(state.mass_matrix, state.jacobian)  # says what is wrong
             raise SingularTaskError('J M^-1 J^T: expected a positive definite matrix')
-        raise self._dependent_contacts()
+        if status != OK:
+            raise self._dependent_contacts()
 
-    def _gather_measure_arguments(self) -> tuple[Any, ...]:
-        """Return what `measure_contacts` takes that stays where it is from tick to tick."""
-        terms, constants, buffers = self.robot.terms, self._constants, self.buffers
-        return (
-            buffers.wrench_sensor, terms.sensor_rotation_world, terms.sensor_position_world,
-            terms.rotation_world, terms.position_world, constants.tool, constants.normals_world,
-            constants.points_operational, constants.measured, buffers.normal_rows)
-
-    def _gather_law_arguments(self, observers: ObserverBank) -> tuple[Any, ...]:
-        """Return what `control_law` takes that stays where it is from tick to tick."""
-        terms, constants, buffers = self.robot.terms, self._constants, self.buffers
-        return (
-            terms.mass_matrix, terms.bias_torque, buffers.qd, terms.position_world,
-            terms.rotation_world, buffers.pose_des, buffers.motion_des, buffers.normal_rows,
-            buffers.active, buffers.alpha_des, buffers.noise_variance, constants.gains,
-            constants.inertia_metric, constants.decoupled, constants.joints,
-            observers.matrices, observers.vectors, observers.scalars, observers.P_0)
-
-    def _dependent_contacts(self) -> MulticontactError:
-        if not np.isfinite(self.buffers.q).all():
-            return SingularTaskError(
-                f'joint positions: expected finite numbers, found {self.buffers.q.tolist()}')
+    def _dependent_contacts(self) -> ContactGeometryError:
         return ContactGeometryError(
             'N: expected independent columns, found normals and contact points of '
             f'{", ".join(self.config.contact_names)} that depend on each other')
 
-    @staticmethod
-    def _design_observers(rotation_world: Matrix, config: ControllerConfig) -> ObserverBank:
-        """Design one AOB per contact for the geometry of the first sample."""
-        force = config.force
-        observers = []
-        for name in config.contact_names:
-            contact = config.contacts[name]
-            k_env = contact.stiffness
-            # `decoupled` drives the contact point itself, `paper` the coordinate along N_i.
-            stiffness = k_env if force.allocation == 'decoupled' else operational_stiffness(
-                k_env, np.array(contact.normal_world),
-                -rotation_world @ np.array(contact.point_operational))
-            loop = design_force_loop(
-                stiffness, damping_rate=force.damping_rate, input_delay=config.loop_delay,
-                period=config.period, time_constant=force.time_constant,
-                second_pole_ratio=force.second_pole_ratio)
-            observers.append(ActiveObserver(
-                loop, order=force.active_state_order, process_noise=force.process_noise,
-                initial_covariance=force.initial_covariance))
-        return ObserverBank(observers, force.initial_covariance)
-
     def _warm_up(self) -> None:
-        """Call everything compiled once with arrays of the types it will see."""
-        terms = self.robot.compute(self.buffers.q, self.buffers.qd)
-        pose = Pose(terms.position_world.copy(), terms.rotation_world.copy())
+        """Call everything compiled once: no step is to wait for it."""
+        pose = Pose(self.arm.pose.position_world.copy(), self.arm.pose.rotation_world.copy())
         pose.quaternion_xyzw  # noqa: B018 - compiled too
-        self._law_arguments = self._gather_law_arguments(
-            self._design_observers(pose.rotation_world, self.config))
-        report = np.zeros(self._report_shape)
-        for warm in (lambda: self._measure(report), lambda: self._decide(terms, report)):
+        self._observers = make_observers(design_observers(self.config, pose.rotation_world))
+        for warm in (self._measure, self._decide):
             with contextlib.suppress(SingularTaskError, ContactGeometryError):
-                warm()  # nobody has said that all joints at 0 is a good posture
+                warm()  # all joints at 0 need not be a good posture
+
+
+def law_record(config: ControllerConfig) -> Records:
+    """Return gains and options of the control law as one record of `LAW`."""
+    motion, force = config.motion, config.force
+    frequency = motion.natural_frequency
+    law = np.zeros(1, dtype=LAW)
+    law['k_p'] = frequency ** 2
+    law['k_v'] = 2.0 * motion.damping_ratio * frequency
+    law['K_2'] = force.damping_rate
+    law['friction_speed'] = config.friction.speed
+    law['nullspace_damping'] = config.nullspace_damping
+    law['max_condition'] = MAX_CONDITION
+    law['singular_mobility'] = config.limits.singular_mobility
+    law['inertia_metric'] = force.projection == 'inertia'
+    law['decoupled'] = force.allocation == 'decoupled'
+    return law
+
+
+def design_observers(config: ControllerConfig, rotation_world: Matrix) -> list[ObserverDesign]:
+    """
+    Design one AOB per contact.
+
+    Parameters
+    ----------
+    config
+        Contacts, force loops.
+    rotation_world
+        Axes of the operational frame, for which `paper` allocation has its stiffness, shape
+        (3, 3).
+
+    """
+    force = config.force
+    designs = []
+    for name in config.contact_names:
+        contact = config.contacts[name]
+        k_env = contact.stiffness
+        # `decoupled` drives the contact point itself, `paper` the coordinate along N_i.
+        stiffness = k_env if force.allocation == 'decoupled' else operational_stiffness(
+            k_env, np.array(contact.normal_world),
+            -rotation_world @ np.array(contact.point_operational))
+        loop = design_force_loop(
+            stiffness, damping_rate=force.damping_rate, input_delay=config.loop_delay,
+            period=config.period, time_constant=force.time_constant,
+            second_pole_ratio=force.second_pole_ratio)
+        designs.append(design_observer(
+            loop, order=force.active_state_order, process_noise=force.process_noise,
+            initial_covariance=force.initial_covariance))
+    return designs

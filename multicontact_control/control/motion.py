@@ -2,42 +2,34 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from multicontact_control.arrays import Vector
-from multicontact_control.config import MotionConfig
-from multicontact_control.control.reference import Reference
-from multicontact_control.dynamics.pose import Pose, rotation_error
+from multicontact_control.compiled import compiled
+from multicontact_control.dynamics.rotations import rotation_vector
 import numpy as np
 
 
-def motion_acceleration(
-    config: MotionConfig, reference: Reference, pose: Pose, twist_world: Vector,
-) -> Vector:
+@compiled
+def motion_law(law: Any, task: Any, frame: Any, f_t: Vector) -> None:
     """
-    Return f_t*, the acceleration that leads the operational point to its reference.
+    Fill in f_t*, the acceleration that leads the operational point to its reference.
 
     f_t* = a_des + k_v (theta_des - theta) + k_p (x_des - x), k_p = omega_n^2 and
-    k_v = 2 zeta omega_n (P04 sec. 5.2: critically damped, 30 rad/s).
+    k_v = 2 zeta omega_n (P04 sec. 3.1; sec. 5.2: critically damped, 30 rad/s).
 
     Parameters
     ----------
-    config
-        Natural frequency and damping ratio.
-    reference
-        Desired pose, twist and acceleration.
-    pose, twist_world
-        Present pose, and twist of shape (6,) [m/s, rad/s].
-
-    Returns
-    -------
-    Vector
-        f_t*, world axes, shape (6,) [m/s^2, rad/s^2].
+    law, task, frame
+        Records of `LAW`, `TASK` and `FRAME`.
+    f_t
+        Filled, world axes, shape (6,) [m/s^2, rad/s^2].
 
     """
-    k_p = config.natural_frequency ** 2
-    k_v = 2.0 * config.damping_ratio * config.natural_frequency
-    error = np.empty(6)
-    error[:3] = reference.pose_des.position_world - pose.position_world
-    error[3:] = rotation_error(reference.pose_des.rotation_world, pose.rotation_world)
-    acceleration: Vector = (
-        reference.acceleration_des + k_v * (reference.twist_des - twist_world) + k_p * error)
-    return acceleration
+    turn = np.empty(3)
+    rotation_vector(task.rotation, frame.rotation, turn)
+    for i in range(3):
+        f_t[i] = law.k_p * (task.position[i] - frame.position[i])
+        f_t[3 + i] = law.k_p * turn[i]
+    for i in range(6):
+        f_t[i] += task.acceleration[i] + law.k_v * (task.twist[i] - frame.twist[i])

@@ -5,17 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from multicontact_control.arrays import Mask, Matrix, Vector
+from multicontact_control.arrays import Mask, Vector
 from multicontact_control.dynamics.pose import Pose
-from multicontact_control.force.kernels import (
-    DESIRED,
-    ESTIMATED,
-    INNOVATION,
-    MEASURED,
-    PRIOR_VARIANCE,
-    RATE,
-    VARIANCE_USED,
-)
+from multicontact_control.records import Records
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,40 +46,42 @@ class ControlOutput(NamedTuple):
     torque
         Gamma, shape (n,) [N m].
     contacts
-        All that there is to say of every contact: the rows are the properties of this class,
-        shape (7, r).
-    active
-        Which contacts are force controlled, shape (r,).
+        All that there is to say of every contact: records of `CONTACT`, shape (r,), which
+        cannot be written to.
     pose, pose_des
         Present and desired pose of the operational frame.
 
     """
 
     torque: Vector
-    contacts: Matrix
-    active: Mask
+    contacts: Records
     pose: Pose
     pose_des: Pose
 
     @property
+    def active(self) -> Mask:
+        """Which contacts are force controlled, shape (r,)."""
+        return self.contacts['active']
+
+    @property
     def alpha_meas(self) -> Vector:
         """Measured contact forces, shape (r,) [N]."""
-        return self.contacts[MEASURED]
+        return self.contacts['alpha_meas']
 
     @property
     def alpha_des(self) -> Vector:
         """Desired contact forces, 0 where no force is controlled, shape (r,) [N]."""
-        return self.contacts[DESIRED]
+        return self.contacts['alpha_des']
 
     @property
     def alpha_est(self) -> Vector:
         """Estimated contact forces, 0 where no force is controlled, shape (r,) [N]."""
-        return self.contacts[ESTIMATED]
+        return self.contacts['alpha_est']
 
     @property
     def alpha_rate_est(self) -> Vector:
         """Their estimated rates, 0 where no force is controlled, shape (r,) [N/s]."""
-        return self.contacts[RATE]
+        return self.contacts['alpha_rate_est']
 
     @property
     def innovation(self) -> Vector:
@@ -97,14 +91,14 @@ class ControlOutput(NamedTuple):
         This, `prior_variance` and `variance_used` are 0 where no force is controlled, and for
         the sample with which control starts.
         """
-        return self.contacts[INNOVATION]
+        return self.contacts['innovation']
 
     @property
     def prior_variance(self) -> Vector:
         """Return the variance C P_1 C^T of that prediction, shape (r,) [N^2]."""
-        return self.contacts[PRIOR_VARIANCE]
+        return self.contacts['prior_variance']
 
     @property
     def variance_used(self) -> Vector:
         """Return the R each observer worked with, shape (r,) [N^2]."""
-        return self.contacts[VARIANCE_USED]
+        return self.contacts['variance_used']

@@ -2,61 +2,177 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Any
 
+from multicontact_control.algebra import (
+    cholesky,
+    gram,
+    multiply,
+    multiply_transposed,
+    solve_lower,
+    solve_lower_columns,
+)
 from multicontact_control.arrays import Matrix, require_shape, Vector
-from multicontact_control.dynamics.robot import RobotState
+from multicontact_control.compiled import compiled
 from multicontact_control.errors import SingularTaskError
 import numpy as np
 
 MAX_CONDITION = 1e8
 
 
-@dataclass(frozen=True, slots=True)
-class OperationalSpace:
+@compiled
+def mobility_and_inertia(
+    mass_matrix: Matrix, jacobian: Matrix, max_condition: float, singular_mobility: float,
+    L: Matrix, Y: Matrix, mobility: Matrix, Lambda: Matrix,
+) -> float:
     """
-    Quantities of Lambda dtheta/dt + mu + p + f_c = F (P04 eq. 23).
+    Work out Lambda = (J M^-1 J^T)^-1 (P04 eq. 23) and what leads to it.
 
-    Attributes
-    ----------
-    Lambda
-        Inertia at the operational point, shape (6, 6) [kg, kg m, kg m^2].
-    J_bar
-        Dynamically consistent inverse M^-1 J^T Lambda, shape (n, 6).
-    mu
-        Coriolis and centripetal wrench, shape (6,) [N, N m].
-    p
-        Gravity wrench, shape (6,) [N, N m].
-    damped
-        Whether Lambda is damped, near a singularity: J_bar is not a full inverse of J then.
+    M = L L^T, Y = L^-1 J^T, Lambda^-1 = Y^T Y. The condition number of Lambda^-1 is at most the
+    product of the Frobenius norms of the two; only when that is too large is it worked out.
 
-    """
-
-    Lambda: Matrix
-    J_bar: Matrix
-    mu: Vector
-    p: Vector
-    damped: bool = False
-
-
-def mobility_damping(smallest: float, singular_mobility: float) -> float:
-    """
-    Return what to add to the eigenvalues of J M^-1 J^T near a singularity.
-
-    d = e_0 / 2 (1 - e / e_0)^2 for a smallest eigenvalue e below e_0, else 0. Lambda then has
-    no eigenvalue above 2 / e_0, changes smoothly, and is exact away from singularities. This is
-    damped least squares in the metric of M: in the direction that the arm is losing it does
-    less than asked, and no torque grows without bound.
+    Near a singularity, below an eigenvalue e_0 of Lambda^-1, d = e_0 / 2 (1 - e / e_0)^2 is
+    added to its diagonal. Lambda then has no eigenvalue above 2 / e_0, changes smoothly, and is
+    exact away from singularities. This is damped least squares in the metric of M: in the
+    direction that the arm is losing it does less than asked, and no torque grows without bound.
 
     Parameters
     ----------
-    smallest, singular_mobility
-        e and e_0 [1/kg]; e_0 = 0 for no damping.
+    mass_matrix
+        M, shape (n, n), only its upper triangle is read [kg m^2].
+    jacobian
+        J, shape (6, n).
+    max_condition
+        Largest accepted condition number of Lambda^-1.
+    singular_mobility
+        Eigenvalue of Lambda^-1 up to which it is damped, 0 for not at all [1/kg].
+    L, Y, mobility, Lambda
+        Filled, shapes (n, n) (lower triangle), (n, 6), (6, 6), (6, 6).
+
+    Returns
+    -------
+    float
+        What was added to the diagonal of Lambda^-1, -1 if the arm cannot accelerate the
+        operational point in every direction.
 
     """
-    if singular_mobility <= 0.0 or smallest >= singular_mobility:
-        return 0.0
-    return 0.5 * singular_mobility * (1.0 - smallest / singular_mobility) ** 2
+    n = mass_matrix.shape[0]
+    if not cholesky(mass_matrix, L, 0.0):
+        return -1.0
+    for i in range(n):
+        for j in range(6):
+            Y[i, j] = jacobian[j, i]
+    solve_lower_columns(L, Y)
+    gram(Y, mobility)
+    damping = 0.0
+    invertible = _invert(mobility, Lambda)
+    # 1 / |Lambda| is at most the smallest eigenvalue: mostly that alone says enough.
+    if singular_mobility > 0.0 and not (
+            invertible and np.sqrt(_squared_norm(Lambda)) * singular_mobility <= 1.0):
+        smallest = np.linalg.eigvalsh(mobility)[0]
+        if smallest < singular_mobility:
+            damping = 0.5 * singular_mobility * (1.0 - smallest / singular_mobility) ** 2
+            for i in range(6):
+                mobility[i, i] += damping
+            invertible = _invert(mobility, Lambda)
+    if not invertible:
+        return -1.0
+    if np.sqrt(_squared_norm(mobility) * _squared_norm(Lambda)) < max_condition:
+        return damping
+    eigenvalues = np.linalg.eigvalsh(mobility)
+    return damping if eigenvalues[0] * max_condition > eigenvalues[-1] else -1.0
+
+
+@compiled
+def _invert(A: Matrix, inverse: Matrix) -> bool:
+    """Fill in the inverse of a symmetric matrix; return whether it is positive definite."""
+    factor = np.empty((6, 6))
+    if not cholesky(A, factor, 0.0):
+        return False
+    root = np.eye(6)
+    solve_lower_columns(factor, root)
+    gram(root, inverse)
+    return True
+
+
+@compiled
+def _squared_norm(A: Matrix) -> float:
+    """Return the sum of the squares of all elements."""
+    total = 0.0
+    for i in range(A.shape[0]):
+        for j in range(A.shape[1]):
+            total += A[i, j] * A[i, j]
+    return total
+
+
+@compiled
+def bias_acceleration(
+    joints: Any, L: Matrix, Y: Matrix, jacobian_rate: Matrix, acceleration: Vector,
+) -> None:
+    """
+    Fill in the acceleration whose force is mu + p = Lambda (J M^-1 (C v + g) - dJ/dt v).
+
+    This is P04 eq. 23 with J_bar^T = Lambda J M^-1.
+
+    Parameters
+    ----------
+    joints
+        Records of `JOINT`, shape (n,): their velocity and bias torque are used.
+    L, Y
+        From `mobility_and_inertia`.
+    jacobian_rate
+        dJ/dt, shape (6, n).
+    acceleration
+        Filled, shape (6,) [m/s^2, rad/s^2].
+
+    """
+    n = joints.shape[0]
+    reduced = np.empty(n)
+    for j in range(n):
+        reduced[j] = joints[j].bias_torque
+    solve_lower(L, reduced)
+    multiply_transposed(Y, reduced, acceleration)
+    for i in range(6):
+        for j in range(n):
+            acceleration[i] -= jacobian_rate[i, j] * joints[j].velocity
+
+
+@compiled
+def add_nullspace_torque(
+    joints: Any, mass_matrix: Matrix, jacobian: Matrix, L: Matrix, Y: Matrix, Lambda: Matrix,
+    damping: float,
+) -> None:
+    """
+    Compensate and damp the motion that the operational point does not see.
+
+    Gamma += (1 - J^T J_bar^T)(C v + g - d M v).
+
+    Parameters
+    ----------
+    joints
+        Records of `JOINT`, shape (n,); their torque is added to.
+    mass_matrix, jacobian, L, Y, Lambda
+        As for `mobility_and_inertia`.
+    damping
+        d [1/s].
+
+    """
+    n = joints.shape[0]
+    free = np.empty(n)
+    for i in range(n):
+        momentum = 0.0
+        for j in range(n):
+            momentum += mass_matrix[min(i, j), max(i, j)] * joints[j].velocity
+        free[i] = joints[i].bias_torque - damping * momentum
+        joints[i].torque += free[i]
+    solve_lower(L, free)
+    acceleration = np.empty(6)
+    force = np.empty(6)
+    multiply_transposed(Y, free, acceleration)
+    multiply(Lambda, acceleration, force)
+    for j in range(n):
+        for i in range(6):
+            joints[j].torque -= jacobian[i, j] * force[i]
 
 
 def task_inertia(
@@ -64,100 +180,43 @@ def task_inertia(
     singular_mobility: float = 0.0,
 ) -> Matrix:
     """
-    Return the inertia felt at a task frame.
+    Return the inertia felt at the operational point.
 
-    Lambda = (J M^-1 J^T)^-1 (P04 eq. 23).
+    Lambda = (J M^-1 J^T)^-1 (P04 eq. 23); see `mobility_and_inertia`.
 
     Parameters
     ----------
     mass_matrix
         Joint inertia M, shape (n, n), symmetric positive definite [kg m^2].
     jacobian
-        Task Jacobian J, shape (m, n), world axes, linear rows first.
+        J, shape (6, n), world axes, linear rows first.
     max_condition
         Largest accepted condition number of J M^-1 J^T.
     singular_mobility
-        See `mobility_damping`.
+        Eigenvalue of it up to which it is damped, 0 for not at all [1/kg].
 
     Returns
     -------
     Matrix
-        Lambda, shape (m, m).
+        Lambda, shape (6, 6) [kg, kg m, kg m^2].
 
     Raises
     ------
     ShapeError
-        If `jacobian` does not have n columns.
+        If `jacobian` is not of shape (6, n).
     SingularTaskError
         If J M^-1 J^T is conditioned worse than `max_condition`.
 
     """
-    require_shape('jacobian', jacobian, (jacobian.shape[0], mass_matrix.shape[0]))
-    mobility = jacobian @ np.linalg.solve(mass_matrix, jacobian.T)
-    eigenvalues, vectors = np.linalg.eigh(0.5 * (mobility + mobility.T))
-    eigenvalues = eigenvalues + mobility_damping(float(eigenvalues[0]), singular_mobility)
-    if eigenvalues[0] * max_condition <= eigenvalues[-1]:
+    n = mass_matrix.shape[0]
+    require_shape('jacobian', jacobian, (6, n))
+    mobility, Lambda = np.empty((6, 6)), np.empty((6, 6))
+    damping = mobility_and_inertia(
+        np.asfortranarray(mass_matrix), np.asfortranarray(jacobian), max_condition,
+        singular_mobility, np.empty((n, n)), np.empty((n, 6)), mobility, Lambda)
+    if damping < 0.0:
+        eigenvalues = np.linalg.eigvalsh(jacobian @ np.linalg.solve(mass_matrix, jacobian.T))
         raise SingularTaskError(
             f'J M^-1 J^T: expected a condition number below {max_condition:g}, found '
             f'eigenvalues from {eigenvalues[0]:.3g} to {eigenvalues[-1]:.3g}')
-    inertia: Matrix = (vectors / eigenvalues) @ vectors.T
-    return inertia
-
-
-def operational_space(
-    state: RobotState, *, singular_mobility: float = 0.0,
-) -> OperationalSpace:
-    """
-    Express the arm's dynamics at the operational point.
-
-    mu = J_bar^T C v - Lambda dJ/dt v, p = J_bar^T g (P04 eq. 23).
-
-    Raises
-    ------
-    SingularTaskError
-        If the arm cannot accelerate the operational point in every direction.
-
-    """
-    Lambda = task_inertia(
-        state.mass_matrix, state.jacobian, singular_mobility=singular_mobility)
-    J_bar = np.asarray(
-        np.linalg.solve(state.mass_matrix, state.jacobian.T @ Lambda), dtype=float)
-    mu = J_bar.T @ state.coriolis - Lambda @ state.jacobian_drift
-    damped = singular_mobility > 0.0 and bool(
-        np.abs(state.jacobian @ J_bar - np.eye(6)).max() > 1e-9)
-    return OperationalSpace(
-        Lambda=Lambda, J_bar=J_bar, mu=mu, p=J_bar.T @ state.gravity, damped=damped)
-
-
-def joint_torque(
-    wrench_world: Vector, state: RobotState, space: OperationalSpace, *,
-    nullspace_damping: float = 0.0,
-) -> Vector:
-    """
-    Return the joint torque that makes a wrench at the operational point.
-
-    Gamma = J^T F (P04 sec. 3). With more than six joints the motion that the operational point
-    does not see, or near a singularity hardly, is gravity compensated and damped:
-    Gamma += (1 - J^T J_bar^T)(C v + g - d M v).
-
-    Parameters
-    ----------
-    wrench_world
-        F, shape (6,) [N, N m].
-    state, space
-        The arm at this instant.
-    nullspace_damping
-        d [1/s].
-
-    Returns
-    -------
-    Vector
-        Gamma, shape (n,) [N m].
-
-    """
-    torque: Vector = state.jacobian.T @ wrench_world
-    if state.mass_matrix.shape[0] > 6 or space.damped:
-        free = state.coriolis + state.gravity - nullspace_damping * (
-            state.mass_matrix @ state.velocity)
-        torque += free - state.jacobian.T @ (space.J_bar.T @ free)
-    return torque
+    return Lambda

@@ -124,11 +124,6 @@ class RobotModel:
         """Return the number of joints n."""
         return int(self._model.nv)
 
-    @property
-    def total_mass(self) -> float:
-        """Mass of all moving links [kg]."""
-        return float(sum(inertia.mass for inertia in list(self._model.inertias)[1:]))
-
     def _frame_id(self, field: str, name: str) -> int:
         if not self._model.existFrame(name):
             bodies = [f.name for f in self._model.frames if f.type == pin.FrameType.BODY]

@@ -16,15 +16,15 @@ from multicontact_control.config import (
     validate,
     Vector,
 )
-from multicontact_control.control.sensor.identification import (
+from multicontact_control.errors import ConfigError
+from multicontact_control.experiment.scenario import resolve, Setup
+from multicontact_control.paths import config_dir
+from multicontact_control.sensor.identification import (
     Identification,
     IdentificationConfig,
     identify_tool,
     PoseReading,
 )
-from multicontact_control.errors import ConfigError
-from multicontact_control.experiment.scenario import resolve, Setup
-from multicontact_control.paths import config_dir
 import numpy as np
 from pydantic import model_validator
 from rich.table import Table
@@ -32,7 +32,7 @@ from sim_bridge.puma560 import load_robot
 import yaml
 
 if TYPE_CHECKING:
-    from multicontact_control.experiment.servoed_plant import ServoedPlant
+    from multicontact_control.experiment.position_controlled_plant import ServoedPlant
 
 POSES_FILE = 'calibration.yaml'
 TOOL_FILE = 'tool.yaml'
@@ -143,7 +143,7 @@ def calibrate(setup: Setup, config: CalibrationConfig) -> Calibration:
     """
     # Only now: the simulator is not loaded for the sake of an error.
     from multicontact_control.experiment.compilation import ensure_compiled
-    from multicontact_control.experiment.servoed_plant import ServoedPlant
+    from multicontact_control.experiment.position_controlled_plant import ServoedPlant
 
     ensure_compiled()
     arm = ServoedPlant(setup.controller, setup.plant, setup.seed, setup.urdf_dir)

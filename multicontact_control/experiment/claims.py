@@ -2,7 +2,7 @@
 The paper's claims (P04 sec. 4.1, 4.2, 5.2), each put to the recorded data.
 
 A claim is judged from `evidence_of` a run, and, where it compares ways of estimating R, from the
-evidence of the cells of a comparison on the same plant. What is not in the data is not judged.
+evidence of the runs of a comparison on the same plant. What is not in the data is not judged.
 """
 
 from __future__ import annotations
@@ -215,7 +215,7 @@ def _tracking(evidence: Mapping[str, Any], rows: Sequence[Row]) -> Verdict:
 
 
 def _standard(rows: Sequence[Row], label: str) -> list[Row]:
-    """Return the cells of one estimator with active state and the right stiffness."""
+    """Return the runs of one estimator with active state and the right stiffness."""
     return [row for row in rows if row.label == label
             and row.evidence['active_state_order'] > 0
             and not _mismatched(row.evidence)]

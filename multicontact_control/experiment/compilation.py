@@ -121,8 +121,8 @@ def _compile_all(folder: Path, console: Console) -> int:
 def _exercises() -> Mapping[str, Callable[[], object]]:
     """Return what makes numba compile all that there is, by what it is."""
     from multicontact_control.experiment.loop import run_in_process
+    from multicontact_control.experiment.position_controlled_plant import ServoedPlant
     from multicontact_control.experiment.scenario import resolve, Setup
-    from multicontact_control.experiment.servoed_plant import ServoedPlant
     from multicontact_control.force.noise import ESTIMATORS, make_noise_estimator
 
     def setup(plant: str, **options: object) -> Setup:

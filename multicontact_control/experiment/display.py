@@ -16,11 +16,18 @@ from multicontact_control.experiment.verdict import (
 )
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 from rich.table import Table
 
 if TYPE_CHECKING:  # rclpy is needed for it, and not for the rest
-    from multicontact_control.experiment.progress import GraphProgress
+    from multicontact_control.experiment.graph.progress import GraphProgress
 
 FIRST_DEADLINES = 250  # that are waited for before anything is said of them
 COLOURS = {STABLE: 'green', HELD: 'yellow', UNJUDGED: 'yellow', NOT_STABLE: 'red'}
@@ -65,6 +72,14 @@ def progress_bar(
 
         yield show
         progress.update(task, forces='')
+
+
+def count_bar(console: Console | None = None) -> Progress:
+    """Return the bar of a study: how much is done, for how long, and how long it will take."""
+    return Progress(
+        TextColumn('{task.description}'), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
+        TextColumn('left'), TimeRemainingColumn(), console=console, refresh_per_second=2,
+        speed_estimate_period=600.0)
 
 
 class PaceNotice:

@@ -14,8 +14,6 @@ import math
 from typing import Any
 
 from multicontact_control.arrays import Mask, Vector
-from multicontact_control.control.contact_state import ContactState
-from multicontact_control.control.event_log import Event
 from multicontact_control.experiment.metrics import (
     force_oscillations,
     longest_run,
@@ -33,6 +31,8 @@ from multicontact_control.experiment.real_time import (
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.experiment.verdict import HELD, NOT_STABLE, STABLE, UNJUDGED
+from multicontact_control.supervision.contacts import ContactState
+from multicontact_control.supervision.event_log import Event
 import numpy as np
 
 LONGEST_LOSS = 0.1  # s, of contact or to saturation: five time constants of the designed loop

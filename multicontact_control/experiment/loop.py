@@ -1,4 +1,4 @@
-"""One scenario in one process: plant, controller and estimator called in turn, without ROS."""
+"""One scenario in one process, as fast as it goes, and what it leaves."""
 
 from __future__ import annotations
 
@@ -7,24 +7,12 @@ from dataclasses import dataclass
 import time
 
 from multicontact_control.arrays import Vector
-from multicontact_control.control.bumpless import BumplessController
-from multicontact_control.control.controller import ControlOutput, Measurement
-from multicontact_control.control.event_log import EventLog
-from multicontact_control.control.sensor.front_end import SensorFrontEnd, SensorReading
-from multicontact_control.control.supervisor import Supervisor
-from multicontact_control.control.watchdog import (
-    JointInput,
-    TickInputs,
-    VarianceInput,
-    WrenchInput,
-)
+from multicontact_control.control.controller import ControlOutput
 from multicontact_control.errors import ContactGeometryError, SingularTaskError
+from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.recording import empty_run_data, RunData
 from multicontact_control.experiment.scenario import Setup
-from multicontact_control.force.noise import Innovation, make_noise_estimator
 import numpy as np
-from sim_bridge.actuator_delay import ActuatorDelay
-from sim_bridge.pybullet_plant import PybulletPlant, Sample
 
 PROGRESS_TICKS = 100
 
@@ -63,9 +51,6 @@ def run_in_process(
     """
     Run a scenario as fast as it goes.
 
-    The controller at tick k works with the R of tick k - 1, and its command acts on the plant
-    from k + actuator delay on, as in the graph.
-
     Parameters
     ----------
     setup
@@ -83,92 +68,40 @@ def run_in_process(
 
     """
     config = setup.controller
-    step, log = _stepper(setup, supervised)
-    front_end = SensorFrontEnd(config.sensor, config.rate)
-    estimator = make_noise_estimator(setup.noise_estimator)
-    plant = PybulletPlant(setup.plant, rate=config.rate, seed=setup.seed)
-    delay = ActuatorDelay(setup.plant.actuator_delay_ticks, plant.initial_torque)
     data = empty_run_data(
         setup.ticks, config.rate, config.contact_names, config.robot.joint_names)
     tick_us = np.zeros(setup.ticks)
-    noise_variance = np.full(len(config.contact_names), config.initial_noise_variance)
     ended_early = ''
     done = setup.ticks
+    loop = ClosedLoop(setup, supervised=supervised)
     start = time.perf_counter()
     try:
-        sample = plant.reset()
         for k in range(setup.ticks):
             before = time.perf_counter_ns()
-            reading = front_end.update(_wrench(setup, sample))
             try:
-                output = step(k, sample, reading, noise_variance)
+                output = loop.answer()
             except (SingularTaskError, ContactGeometryError, np.linalg.LinAlgError) as error:
                 ended_early, done = f'tick {k}: {error}', k
                 break
-            noise_variance = estimator.update(output.alpha_meas, Innovation(
-                output.innovation, output.prior_variance, output.variance_used)
-                if estimator.uses_innovation else None)
             tick_us[k] = (time.perf_counter_ns() - before) * 1e-3
-            _record(data, k, sample, output, noise_variance)
+            _record(data, loop, output)
             if not np.isfinite(output.torque).all():
                 ended_early, done = f'tick {k}: the commanded torque is not finite', k + 1
                 break
-            delay.command(k, output.torque)
             if k + 1 < setup.ticks:
-                sample = plant.step(delay.torque_for(k))
+                loop.act()
             if on_progress is not None and k % PROGRESS_TICKS == 0:
                 on_progress(k * config.period, output.alpha_meas)
     finally:
-        plant.close()
+        loop.close()
     return LoopResult(
         data=data.truncated(done), tick_us=tick_us[:done],
-        wall_time=time.perf_counter() - start, ended_early=ended_early, events=tuple(log.events))
+        wall_time=time.perf_counter() - start, ended_early=ended_early,
+        events=tuple(loop.control.events.events))
 
 
-Step = Callable[[int, Sample, SensorReading, Vector], ControlOutput]
-
-
-def _stepper(setup: Setup, supervised: bool) -> tuple[Step, EventLog]:
-    """Return what answers a sample, and the log of what a supervisor does."""
-    config, log = setup.controller, EventLog()
-    h = config.period
-    if not supervised:
-        controller = BumplessController.from_config(config, setup.reference(), setup.urdf_dir)
-        return lambda k, sample, reading, variance: controller.step(
-            Measurement(k * h, sample.q, sample.qd, reading.wrench_sensor, sample.effort),
-            variance), log
-    supervisor = Supervisor.from_config(config, setup.reference(), setup.urdf_dir)
-
-    def step(
-        k: int, sample: Sample, reading: SensorReading, variance: Vector,
-    ) -> ControlOutput:
-        result = supervisor.step(inputs_of(
-            setup, k, sample, reading.wrench_sensor, variance, reading.health.fault))
-        log.note(k * h, result.status)
-        return result.output
-
-    return step, log
-
-
-def inputs_of(
-    setup: Setup, k: int, sample: Sample, wrench: Vector, variance: Vector,
-    sensor_fault: str = '',
-) -> TickInputs:
-    """Return what is known at tick k if all is well: its sample, and the R of the tick before."""
-    h = setup.controller.period
-    return TickInputs(
-        time=k * h, joints=JointInput(k * h, sample.q, sample.qd, effort=sample.effort),
-        wrench=WrenchInput(k * h, wrench),
-        variance=VarianceInput((k - 1) * h, variance) if k else None, sensor_fault=sensor_fault)
-
-
-def _wrench(setup: Setup, sample: Sample) -> Vector:
-    return sample.wrench if setup.controller.wrench_input == 'raw' else sample.wrench_filtered
-
-
-def _record(
-    data: RunData, k: int, sample: Sample, output: ControlOutput, noise_variance: Vector,
-) -> None:
+def _record(data: RunData, loop: ClosedLoop, output: ControlOutput) -> None:
+    k, sample = loop.tick, loop.sample
     data.q[k] = sample.q
     data.qd[k] = sample.qd
     data.effort[k] = sample.effort
@@ -180,7 +113,7 @@ def _record(
     data.alpha_est[k] = output.alpha_est
     data.alpha_rate_est[k] = output.alpha_rate_est
     data.alpha_des[k] = output.alpha_des
-    data.noise_variance[k] = noise_variance
+    data.noise_variance[k] = loop.variance
     data.innovation[k] = output.innovation
     data.position[k] = output.pose.position_world
     data.quaternion[k] = output.pose.quaternion_xyzw

@@ -1,18 +1,21 @@
-"""The push test on the simulated arm, by a scripted hand, with a sensor that may be wrong."""
+"""
+The push test on the simulated arm, by a scripted hand, with a sensor that may be wrong.
+
+Tare and test are those of the control loop, which holds the arm meanwhile.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 from multicontact_control.arrays import Matrix
-from multicontact_control.control.sensor.push_config import PushTestConfig
-from multicontact_control.control.sensor.push_test import PushTest
-from multicontact_control.control.sensor.push_verdict import PushTestResult
-from multicontact_control.control.sensor.tare import tare_bias
-from multicontact_control.control.wrench import contact_wrench
 from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.experiment.calibration import sensor_setup
 from multicontact_control.experiment.scenario import Setup
+from multicontact_control.sensor.push_config import PushTestConfig
+from multicontact_control.sensor.push_verdict import PushTestResult
+from multicontact_control.sensor.tare import TareConfig
 import numpy as np
 from scipy.spatial.transform import Rotation
 from sim_bridge.puma560 import load_robot
@@ -60,11 +63,13 @@ def push_setup(plant: str, seed: int, config: PushTestConfig, mounting: Matrix) 
     if FIRST_PUSH < TARE_TIME + config.rest_time or GAP < config.rest_time:
         raise ConfigError('push_test.rest_time', f'at most {FIRST_PUSH - TARE_TIME:g} s in '
                           'simulation', f'{config.rest_time:g} s')
-    return sensor_setup(
+    setup = sensor_setup(
         plant, seed, sensor={'mounting': mounting.ravel().tolist()},
         tool_push_start=[FIRST_PUSH + i * (length + GAP) for i in range(count)],
         tool_push_duration=[length] * count,
         tool_push_force_world=(config.force * config.directions_world).ravel().tolist())
+    front_end = setup.controller.sensor.model_copy(update={'require_push_test': True})
+    return replace(setup, controller=setup.controller.model_copy(update={'sensor': front_end}))
 
 
 def run_push_test(
@@ -98,32 +103,28 @@ def run_push_test(
 
     """
     # Only now: the simulator is not loaded for the sake of an error.
+    from multicontact_control.experiment.closed_loop import ClosedLoop
     from multicontact_control.experiment.compilation import ensure_compiled
-    from multicontact_control.experiment.servoed_plant import ServoedPlant
 
     ensure_compiled()
-    controller = setup.controller
-    gravity = np.array(controller.robot.gravity_world)
-    arm = ServoedPlant(controller, setup.plant, setup.seed, setup.urdf_dir)
+    rate = setup.controller.rate
+    loop = ClosedLoop(setup)
+    control, gate = loop.control, loop.control.push_gate
     try:
-        quiet = [sample.wrench for sample, _ in arm.hold(TARE_TIME)]
-        pose = arm.state.pose
-        sensor_rotation = arm.state.sensor_pose.rotation_world
-        bias = tare_bias(np.array(quiet), sensor_rotation, controller.tool, gravity)
-        tool = controller.tool.model_copy(update={'bias_sensor': tuple(bias.tolist())})
-        tip = np.array(load_robot().tool.tips[setup.plant.tool_push_link])
-        lever = arm.state.sensor_pose.position_world + sensor_rotation @ tip - pose.position_world
-        test = PushTest(
-            config, controller.rate, sensor_rotation_world=sensor_rotation, lever_world=lever)
-        said = ''
-        for _ in range(round(3.0 * config.timeout * controller.rate)):
-            if on_instruction is not None and test.instruction != said:
-                on_instruction(said := test.instruction)
-            if test.result is not None:
-                return test.result
-            (sample, state), = arm.hold(controller.period)
-            test.update(contact_wrench(
-                sample.wrench, state.sensor_pose, state.pose.position_world, tool, gravity))
+        for _ in range(round(TARE_TIME * rate)):
+            loop.advance()
+        tool = control.config.tool.model_copy(
+            update={'bias_sensor': tuple(control.tare(TareConfig()).tolist())})
+        control.controller.reconfigure(control.config.model_copy(update={'tool': tool}))
+        said = control.push_test(config, load_robot().tool.tips[setup.plant.tool_push_link])
+        if on_instruction is not None:
+            on_instruction(said)
+        for _ in range(round(3.0 * config.timeout * rate)):
+            loop.advance()
+            if on_instruction is not None and gate.instruction != said:
+                on_instruction(said := gate.instruction)
+            if gate.result is not None:
+                return gate.result
     finally:
-        arm.close()
-    raise RunError(f'push test: expected an end, found it waiting: {test.instruction}')
+        loop.close()
+    raise RunError(f'push test: expected an end, found it waiting: {gate.instruction}')

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from multicontact_control.arrays import Mask
-from multicontact_control.control.event_log import CAPACITY, Event
-from multicontact_control.control.reactions import INFLATE, NONE
 from multicontact_control.experiment.metrics import SETTLE_AFTER_STEP
 from multicontact_control.experiment.oscillation import stretches
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.verdict import HOPELESS
+from multicontact_control.supervision.event_log import CAPACITY, Event
+from multicontact_control.supervision.fallback import INFLATE, NONE
 import numpy as np
 
 REAL_TIME = 'real_time'  # the mode with deadlines

@@ -7,19 +7,17 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+from multicontact_control.experiment.claim_metrics import evidence_of
 from multicontact_control.experiment.claims import Claim, judge_claims
-from multicontact_control.experiment.comparison.findings import findings
-from multicontact_control.experiment.comparison.page import HEAD, plain_cells
-from multicontact_control.experiment.comparison.rows import (
-    claim_rows,
-    grouped,
-)
-from multicontact_control.experiment.evidence import evidence_of
 from multicontact_control.experiment.figures import draw_figures
+from multicontact_control.experiment.html_parts import claims_table, table, write_page
 from multicontact_control.experiment.load import LoadedRun
-from multicontact_control.experiment.pages import claims_table, table, write_page
 from multicontact_control.experiment.report_figures import interactive_figures
 from multicontact_control.experiment.run import FIGURE_FOLDER
+from multicontact_control.experiment.study.presets.compare.findings import findings
+from multicontact_control.experiment.study.presets.compare.listing import comparison_listing
+from multicontact_control.experiment.study.presets.compare.rows import claim_rows
+from multicontact_control.experiment.study.table import html_table
 from multicontact_control.experiment.verdict import STABLE, verdict_text
 import yaml
 
@@ -142,10 +140,8 @@ def _comparison_section(comparison: dict[str, Any]) -> str:
     parts = ['<h2>Measured by the comparison</h2><ul>',
              *(f'<li>{escape(text)}</li>' for text in findings(rows)), '</ul>']
     for plant in dict.fromkeys(row['plant'] for row in rows):
-        lines = [plain_cells(kind, label, group)
-                 for (where, kind, label), group in grouped(rows).items() if where == plant]
         parts += [f'<h3>Plant {escape(plant)}: worse contact, median over the seeds</h3>',
-                  table(HEAD, lines)]
+                  html_table(comparison_listing(rows, plant))]
     return '\n'.join(parts)
 
 

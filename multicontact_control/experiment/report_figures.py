@@ -6,9 +6,9 @@ from typing import Any
 
 from multicontact_control.arrays import Vector
 from multicontact_control.experiment.figures import COMMANDED, ESTIMATED, MEASURED, TRUE
+from multicontact_control.experiment.html_parts import corners, envelope, figure
 from multicontact_control.experiment.load import LoadedRun
 from multicontact_control.experiment.metrics import windows
-from multicontact_control.experiment.pages import corners, envelope, figure
 import numpy as np
 
 BUCKETS = 1500

@@ -72,13 +72,6 @@ def point_latest(folder: Path) -> None:
     fresh.replace(link)
 
 
-def write_json(path: Path, content: Any) -> None:
-    """Write JSON such that a reader sees the old file or the new one, never half of one."""
-    partial = path.with_suffix('.partial')
-    partial.write_text(json.dumps(content, indent=2, allow_nan=False) + '\n', encoding='utf-8')
-    partial.replace(path)
-
-
 def read_json(path: Path) -> Any:
     """
     Read JSON.

@@ -9,6 +9,7 @@ from typing import Any, TYPE_CHECKING
 from multicontact_control.compiled import compiled_here
 from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.experiment.bag import BagContent, read_bag
+from multicontact_control.experiment.claim_metrics import evidence_of
 from multicontact_control.experiment.claims import judge_claims
 from multicontact_control.experiment.compilation import ensure_compiled
 from multicontact_control.experiment.display import (
@@ -17,20 +18,20 @@ from multicontact_control.experiment.display import (
     summary_table,
     verdict_lines,
 )
-from multicontact_control.experiment.evidence import evidence_of
 from multicontact_control.experiment.figures import draw_figures
 from multicontact_control.experiment.loop import run_in_process
 from multicontact_control.experiment.metrics import percentiles
 from multicontact_control.experiment.real_time import REAL_TIME
 from multicontact_control.experiment.recording import RunData
-from multicontact_control.experiment.results import CONFIG_FOLDER, SUMMARY_FILE, write_json
+from multicontact_control.experiment.results import CONFIG_FOLDER, SUMMARY_FILE
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.experiment.summary import summarise
 from multicontact_control.experiment.verdict import verdict_text
+from multicontact_control.files import write_json
 from rich.console import Console
 
 if TYPE_CHECKING:
-    from multicontact_control.experiment.progress import GraphProgress
+    from multicontact_control.experiment.graph.progress import GraphProgress
 
 FIGURE_FOLDER = 'figures'
 # Periods: a robot moves on while its samples are late, the simulated one has stood still, and a
@@ -120,7 +121,7 @@ def run_real_time(
     """
     console = console or Console()
     try:
-        from multicontact_control.experiment.graph import GraphSpec, run_graph
+        from multicontact_control.experiment.graph.run import GraphSpec, run_graph
     except ImportError as error:
         raise RunError(f'ROS 2 (rclpy) cannot be loaded: {error}; install the extra [ros], '
                        'source a ROS 2 Jazzy, or use `multicontact simulate`') from None

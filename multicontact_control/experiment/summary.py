@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from multicontact_control.control.event_log import read_event
 from multicontact_control.experiment.judge import judge
 from multicontact_control.experiment.metrics import (
     contact_summary,
@@ -15,6 +14,7 @@ from multicontact_control.experiment.metrics import (
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.experiment.verdict import STABLE, UNJUDGED
+from multicontact_control.supervision.event_log import read_event
 
 
 def summarise(

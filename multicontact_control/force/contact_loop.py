@@ -16,13 +16,13 @@ from dataclasses import dataclass, field
 
 from multicontact_control.arrays import Matrix, require_shape, Vector
 from multicontact_control.errors import ConfigError
-from multicontact_control.force.active_observer import ActiveObserver
+from multicontact_control.force.observer import ObserverDesign
 import numpy as np
 from scipy.linalg import block_diag, expm
 
 
 @dataclass(frozen=True)
-class Surroundings:
+class LinearArmPlant:
     """
     The plant that the force loops meet.
 
@@ -59,7 +59,7 @@ class Surroundings:
 
 
 def closed_loop(
-    surroundings: Surroundings, observer: ActiveObserver, kalman_gain: Vector,
+    surroundings: LinearArmPlant, observer: ObserverDesign, kalman_gain: Vector,
     damping_rate: float, period: float,
 ) -> Matrix:
     """

@@ -8,7 +8,7 @@ from typing import Literal
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.errors import ConfigError
-from multicontact_control.force.active_observer import ActiveObserver
+from multicontact_control.force.observer import ObserverDesign
 from multicontact_control.force.plant_model import delayed_hold
 import numpy as np
 from scipy.linalg import solve_discrete_are
@@ -80,7 +80,7 @@ class StabilityRange:
     upper: float
 
 
-def steady_gain(observer: ActiveObserver, noise_variance: float) -> Vector:
+def steady_gain(observer: ObserverDesign, noise_variance: float) -> Vector:
     """
     Return the gain K that an observer settles at with a constant R.
 
@@ -114,7 +114,7 @@ def steady_gain(observer: ActiveObserver, noise_variance: float) -> Vector:
     return gain
 
 
-def closed_loop_matrix(observer: ActiveObserver, gain: Vector, contact: RealContact) -> Matrix:
+def closed_loop_matrix(observer: ObserverDesign, gain: Vector, contact: RealContact) -> Matrix:
     """
     Return the transition of [z, dz/dt, inputs under way, x_est] from one tick to the next.
 
@@ -179,7 +179,7 @@ def is_stable(matrix: Matrix) -> bool:
 
 
 def stability_boundary(
-    observer: ActiveObserver, noise_variance: float, modelled: RealContact, *,
+    observer: ObserverDesign, noise_variance: float, modelled: RealContact, *,
     lowest: float = 0.01, highest: float = 100.0, tolerance: float = 1e-4,
 ) -> StabilityRange:
     """

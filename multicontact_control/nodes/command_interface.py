@@ -6,9 +6,9 @@ from collections.abc import Callable
 import contextlib
 from typing import Any
 
+from multicontact_control.control_loop import ControlLoop
 from multicontact_control.errors import MulticontactError
 from multicontact_control.nodes import messages, topics
-from multicontact_control.nodes.control_session import ControlSession
 from multicontact_control.nodes.controller_config import ControllerNodeConfig
 from multicontact_control.nodes.graph_node import create_subscription, Refusals
 from rclpy.node import Node
@@ -18,13 +18,13 @@ from std_srvs.srv import SetBool, Trigger
 
 class CommandInterface:
     """
-    Hands commands to a session, refuses what it refuses, and counts that.
+    Hands commands to a control loop, refuses what it refuses, and counts that.
 
     Parameters
     ----------
     node
         The controller's node.
-    session
+    loop
         What is commanded.
     refusals
         Where refusals are counted.
@@ -34,11 +34,11 @@ class CommandInterface:
     """
 
     def __init__(
-        self, node: Node, session: ControlSession, refusals: Refusals,
+        self, node: Node, loop: ControlLoop, refusals: Refusals,
         set_bias: Callable[[list[float]], None],
     ) -> None:
         self._node = node
-        self._session = session
+        self._loop = loop
         self._refusals = refusals
         self._set_bias = set_bias
         self._config = ControllerNodeConfig()
@@ -65,17 +65,17 @@ class CommandInterface:
 
     def _on_forces(self, message: Any) -> None:
         with self._refusals.guard(topics.FORCE_COMMAND):
-            self._session.set_forces(
-                messages.read_some_efforts(message, self._session.config.contact_names))
+            self._loop.set_forces(
+                messages.read_some_efforts(message, self._loop.config.contact_names))
 
     def _on_motion(self, message: Any) -> None:
         with self._refusals.guard(topics.MOTION_COMMAND):
-            self._session.set_motion(messages.read_motion(message))
+            self._loop.set_motion(messages.read_motion(message))
 
     def _on_tare(self, _request: Any, response: Any) -> Any:
         response.success = False
         with self._told(response, '~/tare'):
-            bias = self._session.tare(self._config.tare)
+            bias = self._loop.tare(self._config.tare)
             self._set_bias(bias.tolist())
             response.success = True
             response.message = 'bias [N, N m]: ' + ', '.join(f'{x:.4g}' for x in bias)
@@ -84,7 +84,7 @@ class CommandInterface:
     def _on_hold(self, request: Any, response: Any) -> Any:
         response.success = False
         with self._told(response, '~/hold'):
-            self._session.hold(request.data)
+            self._loop.hold(request.data)
             response.success = True
             response.message = 'held' if request.data else 'released'
         return response
@@ -92,7 +92,7 @@ class CommandInterface:
     def _on_push_test(self, _request: Any, response: Any) -> Any:
         response.success = False
         with self._told(response, '~/push_test'):
-            response.message = self._session.push_test(
+            response.message = self._loop.push_test(
                 self._config.push_test, self._config.push_point_sensor)
             response.success = True
         return response

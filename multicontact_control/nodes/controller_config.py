@@ -13,13 +13,13 @@ from multicontact_control.config import (
     validate,
     Vector,
 )
-from multicontact_control.control.command_limits import CommandLimits
 from multicontact_control.control.reference import ReferenceConfig, ScenarioReference
-from multicontact_control.control.sensor.push_config import PushTestConfig
-from multicontact_control.control.sensor.tare import TareConfig
 from multicontact_control.errors import ConfigError
 from multicontact_control.nodes.managed_node import ManagedConfig
 from multicontact_control.paths import config_dir
+from multicontact_control.sensor.push_config import PushTestConfig
+from multicontact_control.sensor.tare import TareConfig
+from multicontact_control.supervision.command_limits import CommandLimits
 from pydantic import model_validator
 
 

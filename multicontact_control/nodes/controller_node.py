@@ -10,11 +10,11 @@ from typing import Any
 
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
+from multicontact_control.control_loop import ControlLoop
 from multicontact_control.errors import MulticontactError
 from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.nodes.command_interface import CommandInterface
 from multicontact_control.nodes.contact_markers import ContactMarkers
-from multicontact_control.nodes.control_session import ControlSession
 from multicontact_control.nodes.controller_config import ControllerNodeConfig
 from multicontact_control.nodes.controller_status import (
     contact_status,
@@ -28,13 +28,12 @@ from multicontact_control.nodes.graph_node import (
     create_subscription,
     StartupGate,
 )
-from multicontact_control.nodes.loop_watch import Freshness, LoopWatch, NANOSECONDS
+from multicontact_control.nodes.loop_statistics import Freshness, LoopStatistics, NANOSECONDS
 from multicontact_control.nodes.managed_node import ACTIVE, ManagedNode
-from multicontact_control.nodes.pairing import PairedSample, SamplePairing
-from multicontact_control.nodes.patience import Patience
 from multicontact_control.nodes.runtime import run_node, Spinner
 from multicontact_control.nodes.state_output import StateOutput, WORLD_FRAME
 from multicontact_control.nodes.timing import DurationLog
+from multicontact_control.sampling import PairedSample, SamplePairing, SampleTimeout
 import numpy as np
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
@@ -52,15 +51,15 @@ class ControllerNode(ManagedNode):
     again gets the same command again. After a deactivation samples are answered by the declared
     safe behaviour.
 
-    With a supervisor, commands go on when samples do not come: see `Patience` and `SampleClock`.
-    A single sample that is older than the last is refused then; two in a row say that their clock
-    has been set back, which the supervisor reacts to. Without one, and in lockstep, an older
-    sample starts everything anew.
+    With a supervisor, commands go on when samples do not come: see `SampleTimeout` and
+    `SampleClock`. A single sample that is older than the last is refused then; two in a row
+    say that their clock has been set back, which the supervisor reacts to. Without one, and in
+    lockstep, an older sample starts everything anew.
     """
 
     def __init__(self) -> None:
         super().__init__(topics.CONTROLLER, ControllerConfig, ControllerNodeConfig)
-        self._session: ControlSession | None = None
+        self._loop: ControlLoop | None = None
         self._commands: CommandInterface | None = None
         self._effort_output: EffortOutput | None = None
         self._state_output: StateOutput | None = None
@@ -68,13 +67,13 @@ class ControllerNode(ManagedNode):
         self._outputs: dict[topics.Topic, Publisher] = {}
         self._inputs: dict[topics.Topic, Subscription] = {}
         self._node_config = ControllerNodeConfig()
-        self._watch, self._fresh = LoopWatch(), Freshness()
+        self._watch, self._fresh = LoopStatistics(), Freshness()
         self._pairing = SamplePairing()
         self._step_times = DurationLog()
         self._restarts = 0
         self._waiting: PairedSample | None = None
         self._older_stamp: int | None = None
-        self._patience = Patience(0.0, 1.0)
+        self._patience = SampleTimeout(0.0, 1.0)
         self._heard = self._received = 0
         self._instruction = ''
         self._last_command: JointState | None = None
@@ -84,12 +83,12 @@ class ControllerNode(ManagedNode):
         config: ControllerConfig
         config, self._node_config = configurations
         node_config = self._node_config
-        session = ControlSession(
+        loop = ControlLoop(
             config, node_config.scenario(config), node_config.command, node_config.folder,
             supervised=node_config.supervised)
-        warm_up(session)
-        self._session, self._watch = session, LoopWatch(config.rate)
-        self._report = SupervisorReport(session)
+        warm_up(loop)
+        self._loop, self._watch = loop, LoopStatistics(config.rate)
+        self._report = SupervisorReport(loop)
         self._set_patience(config)
         self._outputs = {
             topic: create_publisher(self, topic)
@@ -107,14 +106,14 @@ class ControllerNode(ManagedNode):
             topic: create_subscription(self, topic, callback, profile)
             for topic, callback in callbacks.items()}
         self._commands = CommandInterface(
-            self, session, self.refusals,
+            self, loop, self.refusals,
             lambda bias: self.parameter_set.assign('tool.bias_sensor', bias))
         self._commands.adopt(node_config)
         self._forget()
 
     def _set_patience(self, config: ControllerConfig) -> None:
         waits = self._node_config.supervised and not self._node_config.lockstep
-        self._patience = Patience(
+        self._patience = SampleTimeout(
             self._node_config.patience if waits else 0.0, config.period * NANOSECONDS)
 
     def activate(self) -> StartupGate:
@@ -144,7 +143,7 @@ class ControllerNode(ManagedNode):
             self.destroy_publisher(publisher)
         for subscription in self._inputs.values():
             self.destroy_subscription(subscription)
-        self._session = self._commands = self._effort_output = None
+        self._loop = self._commands = self._effort_output = None
         self._state_output = self._report = None
         self._patience.stop()
         self._outputs, self._inputs = {}, {}
@@ -155,23 +154,23 @@ class ControllerNode(ManagedNode):
 
     def reconfigure(self, configurations: Sequence[Any]) -> None:
         """Go on with new configurations from the next sample on."""
-        session = self._configured
+        loop = self._configured
         config, self._node_config = configurations
-        session.limits = self._node_config.command
+        loop.limits = self._node_config.command
         if self._commands is not None:
             self._commands.adopt(self._node_config)
-        if config != session.config:
-            session.controller.reconfigure(config)
+        if config != loop.config:
+            loop.controller.reconfigure(config)
 
     @property
-    def _configured(self) -> ControlSession:
-        if self._session is None:
+    def _configured(self) -> ControlLoop:
+        if self._loop is None:
             raise MulticontactError('the controller is not configured')
-        return self._session
+        return self._loop
 
     def close(self) -> None:
         """Write the counts of this run, if asked to."""
-        events = self._session.events.events if self._session is not None else []
+        events = self._loop.events.events if self._loop is not None else []
         self._node_config.write_counts({
             'steps': self._step_times.count, 'tick_us': self._step_times.percentiles(),
             'refused': dict(self.refusals.counts), 'unpaired': self._pairing.unpaired,
@@ -189,13 +188,13 @@ class ControllerNode(ManagedNode):
         return self._fresh.note(topic.name)
 
     def _on_joint_states(self, message: Any) -> None:
-        session = self._session
-        if session is None:
+        loop = self._loop
+        if loop is None:
             return
         self._received = self._hear(topics.JOINT_STATES)
         with self.refusals.guard(topics.JOINT_STATES):
             self._take(self._pairing.add_joints(messages.read_joint_state(
-                message, session.config.robot.joint_names, with_effort=session.first_stamp < 0)))
+                message, loop.config.robot.joint_names, with_effort=loop.first_stamp < 0)))
 
     def _on_wrench(self, message: Any) -> None:
         self._received = self._hear(self._wrench)
@@ -203,59 +202,59 @@ class ControllerNode(ManagedNode):
             self._take(self._pairing.add_wrench(messages.read_wrench(message)))
 
     def _on_noise_variance(self, message: Any) -> None:
-        session = self._session
-        if session is None:
+        loop = self._loop
+        if loop is None:
             return
         self._fresh.note(topics.NOISE_VARIANCE.name)
         with self.refusals.guard(topics.NOISE_VARIANCE):
-            reading = messages.read_effort(message, session.config.contact_names)
+            reading = messages.read_effort(message, loop.config.contact_names)
             if not (reading.values > 0.0).all():
                 raise messages.MessageError(
                     'effort', 'variances above 0', reading.values.tolist())
-            if reading.stamp > session.last_stamp:
+            if reading.stamp > loop.last_stamp:
                 return  # left over from before a restart
-            session.take_variance(reading.stamp, reading.values)
+            loop.take_variance(reading.stamp, reading.values)
             self._answer()
 
     def _take(self, sample: PairedSample | None) -> None:
         if sample is None:
             return
-        self._watch.beat(self._received)
+        self._watch.add_period(self._received)
         again = self._waiting is not None and self._waiting.stamp == sample.stamp
         self._waiting = sample
         self._answer()
-        session = self._session
-        if again and self._waiting is sample and session is not None and (
-                session.output is not None and self._state_output is not None):
+        loop = self._loop
+        if again and self._waiting is sample and loop is not None and (
+                loop.output is not None and self._state_output is not None):
             # Lockstep stands still: the estimator came after the forces it has to answer.
-            self._state_output.publish(session.last_stamp, session.tick, session.output)
+            self._state_output.publish(loop.last_stamp, loop.tick, loop.output)
 
     def _answer(self) -> None:
         """Answer the sample that waits, unless something it needs is not there yet."""
-        sample, session = self._waiting, self._session
-        if sample is None or session is None or not (self.working or session.safe):
+        sample, loop = self._waiting, self._loop
+        if sample is None or loop is None or not (self.working or loop.safe):
             return
-        if sample.stamp == session.last_stamp:
+        if sample.stamp == loop.last_stamp:
             self._waiting = None
             if self._last_command is not None:
                 self._send(self._last_command)
             return
-        if sample.stamp < session.last_stamp and not self._start_anew(session, sample.stamp):
+        if sample.stamp < loop.last_stamp and not self._start_anew(loop, sample.stamp):
             self._waiting = None
             return
-        if self._node_config.lockstep and not session.safe and (
-                session.variance_stamp != session.last_stamp):
+        if self._node_config.lockstep and not loop.safe and (
+                loop.variance_stamp != loop.last_stamp):
             return
         self._waiting = self._older_stamp = None
         self._patience.start(self._received)
-        self._command(session, lambda: session.step(sample))
-        self._guide(session)
+        self._command(loop, lambda: loop.step(sample))
+        self._guide(loop)
 
-    def _start_anew(self, session: ControlSession, stamp: int) -> bool:
+    def _start_anew(self, loop: ControlLoop, stamp: int) -> bool:
         """Return whether to go on with a sample that is older than the last."""
-        if session.supervisor is None or self._node_config.lockstep:
+        if loop.supervisor is None or self._node_config.lockstep:
             self.get_logger().warning('samples start anew: the controller starts anew')
-            session.restart()
+            loop.restart()
             self._restarts += 1
             return True
         before, self._older_stamp = self._older_stamp, stamp
@@ -272,55 +271,55 @@ class ControllerNode(ManagedNode):
 
     def look(self, spinner: Spinner) -> None:
         """Go on with half a sample, or without any, if it is time."""
-        session, due, heard = self._session, self._patience.due, -1
-        if session is None or not due or time.monotonic_ns() < due:
+        loop, due, heard = self._loop, self._patience.due, -1
+        if loop is None or not due or time.monotonic_ns() < due:
             return
         while heard != self._heard and not spinner.stop:
             heard = self._heard  # what waits in a queue has come: it goes first
             spinner.spin_once(0.0)
         now = time.monotonic_ns()
-        if not 0 < self._patience.due <= now or not (self.working or session.safe):
+        if not 0 < self._patience.due <= now or not (self.working or loop.safe):
             return
-        half = self._pairing.take_half(session.last_stamp)
+        half = self._pairing.take_half(loop.last_stamp)
         if half is not None:
             self._patience.half_used(now)
-            self._command(session, lambda: session.step_half(half))
+            self._command(loop, lambda: loop.step_half(half))
             return
         periods = self._patience.missed(now)
         if periods:
-            self._command(session, lambda: session.step_without(periods), sampled=False)
+            self._command(loop, lambda: loop.step_without(periods), sampled=False)
 
     def _command(
-        self, session: ControlSession, step: Callable[[], Vector], *, sampled: bool = True,
+        self, loop: ControlLoop, step: Callable[[], Vector], *, sampled: bool = True,
     ) -> None:
         with self.refusals.guard(topics.JOINT_STATES):
-            self._command_guarded(session, step, sampled)
+            self._command_guarded(loop, step, sampled)
 
     def _command_guarded(
-        self, session: ControlSession, step: Callable[[], Vector], sampled: bool,
+        self, loop: ControlLoop, step: Callable[[], Vector], sampled: bool,
     ) -> None:
         start = time.perf_counter_ns()
         self._last_command = None
         torque = step()
-        stamp = session.expected_stamp
+        stamp = loop.expected_stamp
         command = messages.joint_state_message(
-            stamp, session.config.robot.joint_names, effort=torque)
+            stamp, loop.config.robot.joint_names, effort=torque)
         self._step_times.add(time.perf_counter_ns() - start)
         # The command first: everything else can wait, the robot cannot.
         self._send(command)
         self._last_command = command
         if sampled:
-            self._watch.answered(time.monotonic_ns() - self._received)
-            if session.output is not None and self._state_output is not None:
-                self._state_output.publish(stamp, session.tick, session.output)
+            self._watch.add_latency(time.monotonic_ns() - self._received)
+            if loop.output is not None and self._state_output is not None:
+                self._state_output.publish(stamp, loop.tick, loop.output)
 
     def _send(self, command: JointState) -> None:
         if self._effort_output is not None:
             self._effort_output.publish(command)
 
-    def _guide(self, session: ControlSession) -> None:
+    def _guide(self, loop: ControlLoop) -> None:
         """Say what a push test waits for, whenever that changes."""
-        instruction = session.push_gate.instruction
+        instruction = loop.push_gate.instruction
         if instruction != self._instruction:
             self._instruction = instruction
             if instruction:
@@ -328,41 +327,42 @@ class ControllerNode(ManagedNode):
 
     def statuses(self) -> list[Status]:
         """Return what diagnostics report."""
-        session = self._configured
-        self._watch.missed, session.skipped = session.skipped, 0
-        loop = {**self._watch.report(), 'steps': self._step_times.count,
-                'restarts': self._restarts, 'safe_behaviour': session.safe,
-                'supervised': session.supervisor is not None}
-        missed = loop['deadline_misses']
+        loop = self._configured
+        self._watch.missed, loop.skipped = loop.skipped, 0
+        timing = {**self._watch.report(), 'steps': self._step_times.count,
+                  'restarts': self._restarts, 'safe_behaviour': loop.safe,
+                  'supervised': loop.supervisor is not None}
+        missed = timing['deadline_misses']
         statuses = [
-            Status('loop', loop, warning=f'{missed} samples without a command' if missed else ''),
-            input_status(self._fresh, STALE_PERIODS * session.config.period,
+            Status('loop', timing,
+                   warning=f'{missed} samples without a command' if missed else ''),
+            input_status(self._fresh, STALE_PERIODS * loop.config.period,
                          needed=self.state == ACTIVE,
-                         consequence=self._without_variance(session)),
-            contact_status(session), sensor_status(session),
+                         consequence=self._without_variance(loop)),
+            contact_status(loop), sensor_status(loop),
             message_status(self.refusals, unpaired=self._pairing.unpaired)]
-        if session.supervisor is not None and self._report is not None:
+        if loop.supervisor is not None and self._report is not None:
             statuses.append(self._report.status())
         return statuses
 
-    def _without_variance(self, session: ControlSession) -> str:
+    def _without_variance(self, loop: ControlLoop) -> str:
         """Return what is done about an R that is not renewed, nothing if it is."""
         age = self._fresh.ages().get(topics.NOISE_VARIANCE.name)
-        if age is not None and age <= STALE_PERIODS * session.config.period:
+        if age is not None and age <= STALE_PERIODS * loop.config.period:
             return ''
-        inflated = session.supervisor is not None and session.variance_stamp >= 0
+        inflated = loop.supervisor is not None and loop.variance_stamp >= 0
         return ': the last R is held' + (' and inflated' if inflated else '')
 
 
-def warm_up(session: ControlSession) -> None:
+def warm_up(loop: ControlLoop) -> None:
     """Take a step that nobody sees: the first one takes a hundred times as long."""
-    joints = np.linspace(0.4, 1.0, len(session.config.robot.joint_names))
+    joints = np.linspace(0.4, 1.0, len(loop.config.robot.joint_names))
     with contextlib.suppress(MulticontactError):
-        session.step(PairedSample(0, joints, 0.0 * joints, np.zeros(6)))
-        if session.output is not None:
-            pose = session.output.pose
+        loop.step(PairedSample(0, joints, 0.0 * joints, np.zeros(6)))
+        if loop.output is not None:
+            pose = loop.output.pose
             messages.pose_message(0, pose.position_world, pose.quaternion_xyzw, WORLD_FRAME)
-    session.restart()
+    loop.restart()
 
 
 def main() -> int:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections import Counter
 from typing import Any
 
-from multicontact_control.control.contact_state import ContactState
-from multicontact_control.control.reactions import INFLATE, NONE, SEVERITY
-from multicontact_control.nodes.control_session import ControlSession
+from multicontact_control.control_loop import ControlLoop
 from multicontact_control.nodes.diagnostics import Status
+from multicontact_control.supervision.contacts import ContactState
+from multicontact_control.supervision.fallback import INFLATE, NONE, SEVERITY
 
 TROUBLED = (ContactState.LOST.value, ContactState.RETRACTING.value, ContactState.GIVEN_UP.value)
 
@@ -19,26 +19,26 @@ class SupervisorReport:
 
     Parameters
     ----------
-    session
+    loop
         Whose supervisor.
 
     """
 
-    def __init__(self, session: ControlSession) -> None:
-        self._session = session
+    def __init__(self, loop: ControlLoop) -> None:
+        self._loop = loop
         self._before: tuple[Counter[str], ...] = (Counter(), Counter(), Counter())
 
     def status(self) -> Status:
         """Return the status, and begin the next report."""
-        session, status = self._session, self._session.status
-        counts = (session.reactions, session.rejected, session.limited)
+        loop, status = self._loop, self._loop.status
+        counts = (loop.reactions, loop.rejected, loop.limited)
         since = [_since(now, before) for now, before in zip(counts, self._before)]
         self._before = tuple(Counter(count) for count in counts)
         values: dict[str, Any] = {'reaction': status.reaction if status else 'none'}
         if status is None:
             return Status('supervisor', values)
         values |= {'causes': ' '.join(status.causes) or 'none',
-                   'task_time_s': status.task_time, 'events': len(session.events.events)}
+                   'task_time_s': status.task_time, 'events': len(loop.events.events)}
         values |= {f'ticks with {name}': n for name, n in counts[0].items() if name != NONE}
         values |= {f'rejected {name}': n for name, n in counts[1].items()}
         values |= {f'limited {name}': n for name, n in counts[2].items()}
@@ -63,20 +63,20 @@ def _told(what: str, counts: dict[str, int]) -> str:
         f'{name} in {n} ticks' for name, n in counts.items()) if counts else ''
 
 
-def contact_status(session: ControlSession) -> Status:
+def contact_status(loop: ControlLoop) -> Status:
     """Return the states and forces of the contacts, and the energy they have taken up."""
-    output, status = session.output, session.status
-    values: dict[str, Any] = {'held': session.held}
+    output, status = loop.output, loop.status
+    values: dict[str, Any] = {'held': loop.held}
     if output is None:
         return Status('contacts', values)
     trouble = []
-    for i, name in enumerate(session.config.contact_names):
+    for i, name in enumerate(loop.config.contact_names):
         values[name] = status.contact_states[i] if status else (
             'force' if output.active[i] else 'motion')
         values[f'{name} measured_n'] = float(output.alpha_meas[i])
         values[f'{name} estimated_n'] = float(output.alpha_est[i])
         values[f'{name} desired_n'] = float(output.alpha_des[i])
-        values[f'{name} noise_variance_n2'] = float(session.variance[i])
+        values[f'{name} noise_variance_n2'] = float(loop.variance[i])
         if status is None:
             continue
         energy, limit = float(status.energy[i]), float(status.energy_limit[i])
@@ -88,9 +88,9 @@ def contact_status(session: ControlSession) -> Status:
     return Status('contacts', values, warning='; '.join(trouble))
 
 
-def sensor_status(session: ControlSession) -> Status:
+def sensor_status(loop: ControlLoop) -> Status:
     """Return the health of the wrist sensor, and what is still to be proved of it."""
-    gate, fault = session.push_gate, session.sensor_fault
+    gate, fault = loop.push_gate, loop.sensor_fault
     values = {'fault': fault or 'none', 'force_control': 'allowed' if gate.open else 'disabled',
               'push_test': gate.instruction or 'none'}
     failed = gate.result is not None and not gate.result.passed and not gate.running

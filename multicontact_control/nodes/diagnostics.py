@@ -10,7 +10,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from multicontact_control.nodes import topics
 from multicontact_control.nodes.graph_node import create_publisher, Refusals
-from multicontact_control.nodes.loop_watch import Freshness
+from multicontact_control.nodes.loop_statistics import Freshness
 from rclpy.node import Node
 
 PERIOD = 1_000_000_000  # ns

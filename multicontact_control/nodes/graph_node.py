@@ -12,8 +12,8 @@ from typing import Any
 from multicontact_control.compiled import compiled_here
 from multicontact_control.config import Config, parameter, Real
 from multicontact_control.errors import MulticontactError, RunError
+from multicontact_control.files import write_json
 from multicontact_control.nodes import qos
-from multicontact_control.nodes.timing import write_json
 from multicontact_control.nodes.topics import Topic
 from multicontact_control.process import claim_processor
 from rclpy.impl.rcutils_logger import RcutilsLogger

@@ -19,6 +19,7 @@ from geometry_msgs.msg import PoseStamped, WrenchStamped
 from multicontact_control.arrays import Vector
 from multicontact_control.errors import MulticontactError
 from multicontact_control.force.noise import Innovation
+from multicontact_control.sampling import JointReading, MotionReading, WrenchReading
 import numpy as np
 from numpy.typing import ArrayLike
 from sensor_msgs.msg import JointState
@@ -39,28 +40,6 @@ class MessageError(MulticontactError):
 
 
 @dataclass(frozen=True, slots=True)
-class JointReading:
-    """
-    Joint positions [rad] and velocities [rad/s] at a time, in the order that was asked for.
-
-    The effort [N m] is None if it was not asked for, or not all there.
-    """
-
-    stamp: int
-    q: Vector
-    qd: Vector
-    effort: Vector | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class WrenchReading:
-    """What a wrist sensor reads [N, N m] at a time, in its own frame."""
-
-    stamp: int
-    wrench_sensor: Vector
-
-
-@dataclass(frozen=True, slots=True)
 class NamedReading:
     """One number per name at a time, in the order that was asked for."""
 
@@ -74,16 +53,6 @@ class InnovationReading:
 
     stamp: int
     innovation: Innovation
-
-
-@dataclass(frozen=True, slots=True)
-class MotionReading:
-    """A commanded pose, twist and acceleration of the operational point, in world axes."""
-
-    position_world: Vector
-    quaternion_xyzw: Vector
-    twist_world: Vector
-    acceleration_world: Vector
 
 
 def stamp_to_ns(stamp: Time) -> int:

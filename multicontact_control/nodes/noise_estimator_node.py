@@ -17,7 +17,7 @@ from multicontact_control.nodes.graph_node import (
     create_subscription,
     StartupGate,
 )
-from multicontact_control.nodes.loop_watch import Freshness, LoopWatch
+from multicontact_control.nodes.loop_statistics import Freshness, LoopStatistics
 from multicontact_control.nodes.managed_node import ACTIVE, ManagedConfig, ManagedNode
 from multicontact_control.nodes.messages import InnovationReading, NamedReading
 from multicontact_control.nodes.runtime import run_node
@@ -44,7 +44,7 @@ class NoiseEstimatorNode(ManagedNode):
         self._publisher: Publisher | None = None
         self._inputs: dict[topics.Topic, Subscription] = {}
         self._node_config = ManagedConfig()
-        self._watch, self._fresh = LoopWatch(), Freshness()
+        self._watch, self._fresh = LoopStatistics(), Freshness()
         self._samples = 0
         self._forget()
 
@@ -55,7 +55,7 @@ class NoiseEstimatorNode(ManagedNode):
         self._names = self._config.contact_names
         estimator = make_noise_estimator(self._config)
         estimator.update(np.zeros(len(self._names)))  # the first one takes a while
-        self._estimator, self._watch = estimator, LoopWatch(self._config.rate)
+        self._estimator, self._watch = estimator, LoopStatistics(self._config.rate)
         self._publisher = create_publisher(self, topics.NOISE_VARIANCE)
         callbacks: dict[topics.Topic, Callable[[Any], None]] = {
             topics.MEASURED_FORCES: self._on_measured}
@@ -116,13 +116,13 @@ class NoiseEstimatorNode(ManagedNode):
         if self.state != ACTIVE:
             return
         received = self._fresh.note(topics.MEASURED_FORCES.name)
-        self._watch.beat(received)
+        self._watch.add_period(received)
         with self.refusals.guard(topics.MEASURED_FORCES):
             self._waiting.append(messages.read_effort(message, self._names))
             if self.working:
                 self._answer()
                 if not self._waiting:
-                    self._watch.answered(self._fresh.elapsed(received))
+                    self._watch.add_latency(self._fresh.elapsed(received))
 
     def _on_innovation(self, message: Any) -> None:
         if self.state != ACTIVE:
@@ -132,7 +132,7 @@ class NoiseEstimatorNode(ManagedNode):
             self._innovations.append(messages.read_innovation(message, self._names))
             if self.working:
                 self._answer()
-                self._watch.answered(self._fresh.elapsed(received))
+                self._watch.add_latency(self._fresh.elapsed(received))
 
     def _answer(self) -> None:
         """Answer everything that waits and has all it needs, in order."""

@@ -15,7 +15,7 @@ import time
 from typing import Any
 
 from multicontact_control.nodes.bag_writer import BagWriter
-from multicontact_control.nodes.loop_watch import Freshness
+from multicontact_control.nodes.loop_statistics import Freshness
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription

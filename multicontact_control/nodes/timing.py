@@ -1,12 +1,6 @@
-"""Durations of a run, kept without allocating, and the JSON file they end in."""
+"""Durations of a run, kept without allocating."""
 
 from __future__ import annotations
-
-from collections.abc import Mapping
-import json
-import os
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -42,10 +36,3 @@ class DurationLog:
         p50, p99, p999 = np.percentile(kept, (50.0, 99.0, 99.9)) * 1e-3
         return {'p50': round(float(p50), 3), 'p99': round(float(p99), 3),
                 'p999': round(float(p999), 3), 'max': round(float(kept.max()) * 1e-3, 3)}
-
-
-def write_json(path: Path, values: Mapping[str, Any]) -> None:
-    """Write a JSON file so that a reader finds all of it or nothing."""
-    temporary = path.with_name(f'.{path.name}.{os.getpid()}')
-    temporary.write_text(json.dumps(values, indent=1) + '\n', encoding='utf-8')
-    os.replace(temporary, path)

@@ -8,14 +8,14 @@ import time
 from multicontact_control.errors import RunError
 from multicontact_control.nodes.message_definitions import message_class
 from multicontact_control.nodes.runtime import StopFlag
-from multicontact_control.tools.message_text import document, TRUNCATE_LENGTH
-from multicontact_control.tools.onlooker import (
+from multicontact_control.tools.graph_inspector import (
     DISCOVERY_POLL,
     full_name,
+    GraphInspector,
     matching_profile,
-    Onlooker,
     POLL_PERIOD,
 )
+from multicontact_control.tools.message_text import document, TRUNCATE_LENGTH
 
 DEPTH = 100
 
@@ -55,7 +55,7 @@ def echo(
     stop = StopFlag()
     stop.install()
     name, truncate = full_name(topic), None if full_length else TRUNCATE_LENGTH
-    with Onlooker(domain_id) as onlooker:
+    with GraphInspector(domain_id) as onlooker:
         onlooker.wait_for_publisher(name, timeout, stop)
         publishers = onlooker.publishers(name)
         if not publishers:
@@ -98,7 +98,7 @@ def list_topics(wait: float = 1.0, domain_id: int | None = None) -> list[str]:
     stop = StopFlag()
     stop.install()
     end = time.monotonic() + wait
-    with Onlooker(domain_id) as onlooker:
+    with GraphInspector(domain_id) as onlooker:
         while time.monotonic() < end and not stop:
             time.sleep(DISCOVERY_POLL)
         return [f'{name} [{", ".join(types)}]' for name, types in onlooker.topics().items()]

@@ -11,10 +11,10 @@ from multicontact_control.nodes.bag_writer import BagWriter
 from multicontact_control.nodes.message_definitions import message_class
 from multicontact_control.nodes.raw_recording import RawRecording
 from multicontact_control.nodes.runtime import StopFlag
-from multicontact_control.tools.onlooker import (
+from multicontact_control.tools.graph_inspector import (
     full_name,
+    GraphInspector,
     matching_profile,
-    Onlooker,
     POLL_PERIOD,
 )
 
@@ -59,7 +59,7 @@ def record(
     stop.install()
     if folder.exists():
         raise ConfigError('--output', 'a folder that does not exist yet', str(folder))
-    with Onlooker(domain_id) as onlooker, BagWriter(folder) as writer:
+    with GraphInspector(domain_id) as onlooker, BagWriter(folder) as writer:
         recording = RawRecording(onlooker.node, writer)
         search = _Search(onlooker, recording, topics, say)
         say('Recording... Press Ctrl-C to stop.')
@@ -87,7 +87,7 @@ class _Search:
     """Finds topics to record as they appear."""
 
     def __init__(
-        self, onlooker: Onlooker, recording: RawRecording, topics: Sequence[str],
+        self, onlooker: GraphInspector, recording: RawRecording, topics: Sequence[str],
         say: Callable[[str], None],
     ) -> None:
         self._onlooker = onlooker

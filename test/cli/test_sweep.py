@@ -33,7 +33,9 @@ def start(study, out):
     return subprocess.Popen(
         [sys.executable, '-m', 'multicontact_control.cli', 'sweep', str(study), '--jobs', '2',
          '--out', str(out)], cwd=ROOT, start_new_session=True, stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE, text=True)
+        stderr=subprocess.PIPE, text=True,
+        # Whoever runs the tests in the background has them ignore Ctrl-C, and all they start.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL))
 
 
 def wait_for_cells(out, count, process):

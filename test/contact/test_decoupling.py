@@ -2,13 +2,9 @@
 
 from dataclasses import dataclass
 
-from multicontact_control.contact.geometry import contact_normals, operational_stiffness
-from multicontact_control.contact.projections import (
-    allocate_force,
-    contact_rates,
-    euclidean_projections,
-    inertia_projections,
-)
+from contact_space import allocate_force, contact_normals, contact_rates
+from contact_space import projections as projections_of
+from multicontact_control.contact.geometry import operational_stiffness
 import numpy as np
 import pytest
 
@@ -51,8 +47,8 @@ METRES, MILLIMETRES = World(1.0), World(1000.0)
 def projections(request):
     world = METRES
     if request.param == 'euclidean':
-        return euclidean_projections(world.N)
-    return inertia_projections(world.N, world.Lambda)
+        return projections_of(world.N)
+    return projections_of(world.N, world.Lambda)
 
 
 def _force_acceleration(projections, allocation):
@@ -100,9 +96,9 @@ def test_paper_allocation_decouples_orthogonal_contacts():
         6000.0 * N.T @ allocate_force(N, INPUTS[:2], 'paper'), k_s * INPUTS[:2], rtol=1e-12)
 
 
-def test_unit_of_length_changes_the_euclidean_projections():
+def test_unit_of_length_changes_the_projections_of():
     """Omega_f and Omega_m add metres to radians (paper notes 10)."""
-    metres, other = euclidean_projections(METRES.N), euclidean_projections(MILLIMETRES.N)
+    metres, other = projections_of(METRES.N), projections_of(MILLIMETRES.N)
     S = MILLIMETRES.similarity
     inverse = np.linalg.inv(S)
     for there, here in ((other.Omega_m, S @ metres.Omega_m @ inverse),
@@ -110,10 +106,10 @@ def test_unit_of_length_changes_the_euclidean_projections():
         assert np.abs(there - here).max() > 0.1 * np.abs(here).max()
 
 
-def test_unit_of_length_only_renames_the_inertia_projections():
+def test_unit_of_length_only_renames_the_projections_of():
     """The same maps in other coordinates: S Omega_m S^-1, and S^-1 Omega_f S for wrenches."""
-    metres = inertia_projections(METRES.N, METRES.Lambda)
-    other = inertia_projections(MILLIMETRES.N, MILLIMETRES.Lambda)
+    metres = projections_of(METRES.N, METRES.Lambda)
+    other = projections_of(MILLIMETRES.N, MILLIMETRES.Lambda)
     S = MILLIMETRES.similarity
     inverse = np.linalg.inv(S)
     np.testing.assert_allclose(
@@ -136,8 +132,8 @@ def test_unit_of_length_leaves_decoupled_contact_accelerations(metric):
     """N^T Omega_c f_c* = a in any unit; with `paper` the contacts move differently."""
     accelerations = {}
     for world in (METRES, MILLIMETRES):
-        projections = (euclidean_projections(world.N) if metric == 'euclidean'
-                       else inertia_projections(world.N, world.Lambda))
+        projections = (projections_of(world.N) if metric == 'euclidean'
+                       else projections_of(world.N, world.Lambda))
         for allocation in ('decoupled', 'paper'):
             f_c = allocate_force(world.N, world.scale * INPUTS, allocation)
             accelerations[allocation, world] = (

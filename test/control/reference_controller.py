@@ -2,31 +2,23 @@
 
 from __future__ import annotations
 
-from multicontact_control.arrays import Mask, Matrix, Vector
-from multicontact_control.contact.geometry import (
+from equations import (
+    allocate_force,
     contact_coordinates,
     contact_normals,
-    operational_stiffness,
-)
-from multicontact_control.contact.projections import (
-    allocate_force,
     contact_rates,
+    contact_wrench,
     euclidean_projections,
     inertia_projections,
-    Projections,
-)
-from multicontact_control.control.controller import ControlOutput
-from multicontact_control.control.motion import motion_acceleration
-from multicontact_control.control.reference import Reference
-from multicontact_control.control.wrench import contact_wrench
-from multicontact_control.dynamics.operational_space import (
     joint_torque,
+    motion_acceleration,
+    Observer,
     operational_space,
-    OperationalSpace,
 )
-from multicontact_control.dynamics.robot import RobotState
-from multicontact_control.force.active_observer import ActiveObserver
+from multicontact_control.contact.geometry import operational_stiffness
+from multicontact_control.control.controller import ControlOutput
 from multicontact_control.force.plant_model import design_force_loop
+from multicontact_control.records import CONTACT
 import numpy as np
 
 
@@ -76,20 +68,22 @@ class ReferenceController:
         torque = joint_torque(
             force, state, space, nullspace_damping=self.config.nullspace_damping)
         torque += self._friction(measurement.qd)
-        contacts = np.stack([
-            alpha_meas, reference.alpha_des, alpha_est, self._estimates(1),
-            self._reports('innovation'), self._reports('prior_variance'),
-            self._reports('variance_used')])
+        contacts = np.zeros(self._active.shape, dtype=CONTACT)
+        contacts['active'], contacts['alpha_meas'] = self._active, alpha_meas
+        contacts['alpha_des'], contacts['alpha_est'] = reference.alpha_des, alpha_est
+        contacts['alpha_rate_est'] = self._estimates(1)
+        for name in ('innovation', 'prior_variance', 'variance_used'):
+            contacts[name] = self._reports(name)
         return ControlOutput(
             torque=np.clip(torque, -self._torque_limit, self._torque_limit), contacts=contacts,
-            active=self._active.copy(), pose=state.pose, pose_des=reference.pose_des)
+            pose=state.pose, pose_des=reference.pose_des)
 
-    def _friction(self, qd: Vector) -> Vector:
+    def _friction(self, qd):
         """Return the torque that the joints' friction is expected to take, shape (n,) [N m]."""
-        friction: Vector = self._coulomb * np.tanh(qd / self.config.friction.speed)
+        friction = self._coulomb * np.tanh(qd / self.config.friction.speed)
         return friction + self._viscous * qd
 
-    def _design_observers(self, levers: Matrix) -> list[ActiveObserver]:
+    def _design_observers(self, levers):
         """Design one AOB per contact for the geometry of the first sample."""
         force = self.config.force
         observers = []
@@ -102,20 +96,19 @@ class ReferenceController:
                 stiffness, damping_rate=force.damping_rate, input_delay=force.input_delay,
                 period=self.config.period, time_constant=force.time_constant,
                 second_pole_ratio=force.second_pole_ratio)
-            observers.append(ActiveObserver(
-                loop, order=force.active_state_order, process_noise=force.process_noise,
+            observers.append(Observer(
+                loop.plant.Phi, loop.plant.Gamma, loop.L, order=force.active_state_order,
+                process_noise=force.process_noise,
                 initial_covariance=force.initial_covariance))
         return observers
 
-    def _follow_active_set(self, active: Mask, alpha_meas: Vector) -> None:
+    def _follow_active_set(self, active, alpha_meas):
         """Start the observer of every contact that has just become force controlled."""
         for i in np.flatnonzero(active & ~self._active):
             self._observers[i].reset(float(alpha_meas[i]))
         self._active = active.copy()
 
-    def _force_inputs(
-        self, reference: Reference, alpha_meas: Vector, noise_variance: Vector,
-    ) -> Vector:
+    def _force_inputs(self, reference, alpha_meas, noise_variance):
         """Return u of every active contact (P04 eq. 36)."""
         inputs = []
         for i in np.flatnonzero(self._active):
@@ -124,10 +117,7 @@ class ReferenceController:
             inputs.append(observer.command(float(reference.alpha_des[i])))
         return np.array(inputs)
 
-    def _acceleration(
-        self, state: RobotState, space: OperationalSpace, reference: Reference, N: Matrix,
-        inputs: Vector,
-    ) -> Vector:
+    def _acceleration(self, state, space, reference, N, inputs):
         """Return Omega_m f_t* + Omega_f f_c* (P04 eq. 27)."""
         force = self.config.force
         projections = self._projections(N, space)
@@ -135,21 +125,21 @@ class ReferenceController:
         rates = contact_rates(N, state.twist_world, force.allocation)
         alpha_star = inputs - force.damping_rate * rates
         f_c = allocate_force(N, alpha_star, force.allocation)
-        acceleration: Vector = projections.Omega_m @ f_t + projections.Omega_c @ f_c
+        acceleration = projections.Omega_m @ f_t + projections.Omega_c @ f_c
         return acceleration
 
-    def _projections(self, N: Matrix, space: OperationalSpace) -> Projections:
+    def _projections(self, N, space):
         if self.config.force.projection == 'inertia':
             return inertia_projections(N, space.Lambda)
         return euclidean_projections(N)
 
-    def _estimates(self, derivative: int) -> Vector:
+    def _estimates(self, derivative: int):
         """Return alpha (0) or its rate (1) as the observers of the active contacts see it."""
         return np.array([
             observer.x_est[derivative] if active else 0.0
             for observer, active in zip(self._observers, self._active)])
 
-    def _reports(self, name: str) -> Vector:
+    def _reports(self, name: str):
         """Return what the observers of the active contacts say about their last update."""
         return np.array([
             getattr(observer, name) if active else 0.0

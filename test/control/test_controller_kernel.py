@@ -4,7 +4,9 @@ from pathlib import Path
 
 from arms import controller_config, HOME
 from multicontact_control.control.controller import Controller, Measurement
+from multicontact_control.control.law import control_law
 from multicontact_control.control.reference import CommandedReference, Reference
+from multicontact_control.control.wrench import measure_contacts
 from multicontact_control.dynamics.pose import Pose
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import (
@@ -150,25 +152,23 @@ def test_outputs_stay_as_they_are_when_the_next_sample_comes():
 
 
 def test_strange_arrays_do_not_make_numba_compile_again():
-    from multicontact_control.control import kernels
     controller = puma()
-    compiled = len(kernels.control_law.signatures), len(kernels.measure_contacts.signatures)
+    compiled = len(control_law.signatures), len(measure_contacts.signatures)
     strided = np.repeat(HOME, 2)[::2]
     frozen = np.zeros(6)
     frozen.flags.writeable = False
     controller.step(Measurement(0.0, strided, frozen, frozen.astype(np.float32)), np.ones(2))
     assert compiled == (
-        len(kernels.control_law.signatures), len(kernels.measure_contacts.signatures))
+        len(control_law.signatures), len(measure_contacts.signatures))
 
 
 def test_no_step_compiles_anything(tmp_path):
-    from multicontact_control.control import kernels
     setup = synthetic_setup(tmp_path, joints=7, contacts=2)
     controller = Controller.from_config(
         setup.config, CommandedReference(setup.config.contact_names), tmp_path)
-    before = len(kernels.control_law.signatures)
+    before = len(control_law.signatures)
     controller.step(Measurement(0.0, setup.home, np.zeros(7), np.zeros(6)), np.ones(2))
-    assert len(kernels.control_law.signatures) == before
+    assert len(control_law.signatures) == before
 
 
 def test_singular_posture_is_named():

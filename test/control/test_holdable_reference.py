@@ -1,12 +1,12 @@
 """A held reference stands still, and then goes on where it was."""
 
-from multicontact_control.control.holdable_reference import HoldableReference
 from multicontact_control.control.reference import (
     CommandedReference,
     ReferenceConfig,
     ScenarioReference,
     SineConfig,
 )
+from multicontact_control.control.reference.holdable import HoldableReference
 from multicontact_control.dynamics.pose import Pose
 import numpy as np
 import pytest

@@ -3,31 +3,29 @@
 import inspect
 import time
 
+from equations import contact_normals, rotation_error
 from multicontact_control import algebra
-from multicontact_control.contact import kernels as contact_kernels
-from multicontact_control.contact.geometry import contact_normals
-from multicontact_control.control import (
-    contact_kernels as state_kernels,
-)
-from multicontact_control.control import (
-    gate_kernels,
-    kernels,
-    reference_kernels,
-    watchdog_kernels,
-)
-from multicontact_control.dynamics import kernels as dynamics_kernels
-from multicontact_control.dynamics.pose import Pose, rotation_error
-from multicontact_control.force import kernels as force_kernels
-from multicontact_control.force.active_observer import ActiveObserver
+from multicontact_control.contact import geometry, projections
+from multicontact_control.control import arm_state, law, motion, wrench
+from multicontact_control.dynamics import operational_space, rotations
+from multicontact_control.dynamics.pose import Pose
+from multicontact_control.force import observer
 from multicontact_control.force.noise import kernels as noise_kernels
-from multicontact_control.force.observer_bank import ObserverBank
 from multicontact_control.force.plant_model import design_force_loop
+from multicontact_control.records import CONTACT, FRAME, JOINT, LAW, TASK
+from multicontact_control.supervision import (
+    contacts,
+    gate,
+    plausibility,
+    readings,
+    reference_limits,
+)
 import numpy as np
 import pytest
 
 MODULES = (
-    algebra, contact_kernels, dynamics_kernels, force_kernels, gate_kernels, kernels,
-    noise_kernels, reference_kernels, state_kernels, watchdog_kernels)
+    algebra, arm_state, contacts, gate, geometry, law, motion, noise_kernels, observer,
+    operational_space, plausibility, projections, readings, reference_limits, rotations, wrench)
 
 
 @pytest.mark.parametrize('module', MODULES, ids=lambda module: module.__name__)
@@ -38,7 +36,9 @@ def test_every_compiled_function_says_what_it_does(module):
     for name, dispatcher in compiled:
         assert inspect.getdoc(dispatcher.py_func), name
         annotations = dispatcher.py_func.__annotations__
-        assert set(annotations) == {*inspect.signature(dispatcher.py_func).parameters, 'return'}
+        parameters = inspect.signature(dispatcher.py_func).parameters
+        assert set(annotations) == {*parameters, 'return'}
+        assert len(parameters) <= 10, name
 
 
 def twelve_column_law(joints, active_count):
@@ -46,61 +46,62 @@ def twelve_column_law(joints, active_count):
     random = np.random.default_rng(3)
     normals = random.standard_normal((12, 3))
     normals /= np.linalg.norm(normals, axis=1)[:, None]
-    rows = np.ascontiguousarray(contact_normals(normals, random.standard_normal((12, 3))).T)
+    columns = np.zeros(12, dtype=CONTACT)
+    columns['N'] = contact_normals(normals, random.standard_normal((12, 3))).T
     root = random.standard_normal((joints, joints))
     mass = root @ root.T + np.eye(joints)
     jacobian = random.standard_normal((6, joints))
-    active = np.arange(12) < active_count
+    columns['active'] = np.arange(12) < active_count
+    columns['alpha_des'] = np.where(columns['active'], 5.0, 0.0)
+    columns['noise_variance'], columns['alpha_meas'] = 0.6, random.standard_normal(12)
     loop = design_force_loop(
         6000.0, damping_rate=20.0, input_delay=0.006, period=0.002, time_constant=0.02)
-    bank = ObserverBank([ActiveObserver(loop) for _ in range(12)], 1e-3)
-    report = np.zeros((len(force_kernels.REPORT_ROWS), 12))
-    report[force_kernels.MEASURED] = random.standard_normal(12)
-    gains = np.array([900.0, 60.0, 20.0, 0.02, 2.0, 1e8, 0.0])
-    law = [
-        jacobian, np.zeros((6, joints)), np.asfortranarray(mass),
-        random.standard_normal(joints), random.standard_normal(joints), np.zeros(3),
-        np.asfortranarray(np.eye(3)), np.eye(4, 3), np.zeros((2, 6)), rows, active,
-        np.where(active, 5.0, 0.0), np.full(12, 0.6), gains, False, True,
-        np.stack([np.zeros(joints), np.zeros(joints), np.full(joints, np.inf)]),
-        bank.matrices, bank.vectors, bank.scalars, bank.P_0]
-    return report, np.empty(joints), law
+    laws, frames, tasks = (np.zeros(1, dtype=kind) for kind in (LAW, FRAME, TASK))
+    for name, value in (('k_p', 900.0), ('k_v', 60.0), ('K_2', 20.0), ('friction_speed', 0.02),
+                        ('nullspace_damping', 2.0), ('max_condition', 1e8),
+                        ('decoupled', True)):
+        laws[name] = value
+    frames['rotation'] = tasks['rotation'] = np.eye(3)
+    arm = np.zeros(joints, dtype=JOINT)
+    arm['velocity'], arm['bias_torque'] = random.standard_normal((2, joints))
+    frames['twist'] = jacobian @ arm['velocity']
+    arm['torque_limit'] = np.inf
+    return [laws, arm, frames, np.asfortranarray(mass), np.asfortranarray(jacobian),
+            np.asfortranarray(np.zeros((6, joints))), columns,
+            observer.make_observers([observer.design_observer(loop)] * 12), tasks]
 
 
 def test_twelve_contact_columns_and_fourteen_joints_stay_below_a_millisecond():
     """Six of them active: more cannot be independent on one operational point."""
-    report, torque, law = twelve_column_law(14, 6)
+    arguments = twelve_column_law(14, 6)
     times = []
     for _ in range(50):
         start = time.thread_time()
-        assert kernels.control_law(report, torque, *law) == kernels.OK
+        assert law.control_law(*arguments) == law.OK
         times.append(time.thread_time() - start)
     assert np.median(times) < 1e-3
-    assert np.isfinite(torque).all()
+    assert np.isfinite(arguments[1]['torque']).all()
 
 
 def test_seven_active_contacts_are_dependent():
-    report, torque, law = twelve_column_law(7, 7)
-    before = report.copy()
-    assert kernels.control_law(report, torque, *law) == kernels.DEPENDENT
-    np.testing.assert_array_equal(report, before)
+    arguments = twelve_column_law(7, 7)
+    before = arguments[6].tobytes(), arguments[7].tobytes()
+    assert law.control_law(*arguments) == law.DEPENDENT
+    assert (arguments[6].tobytes(), arguments[7].tobytes()) == before
 
 
 def test_contacts_that_are_not_active_change_nothing():
     """The law with twelve columns, two of them active, is that with these two alone."""
-    report, torque, law = twelve_column_law(7, 2)
-    few_report, few_torque = report[:, :2].copy(), np.empty(7)
-    few = list(law)
-    for k in (9, 10, 11, 12):  # rows, active, desired forces, R
-        few[k] = np.ascontiguousarray(law[k][:2])
-    for k in (17, 18, 19):  # observers
-        few[k] = np.ascontiguousarray(law[k][:, :2])
+    arguments, few = twelve_column_law(7, 2), twelve_column_law(7, 2)
+    for k in (6, 7):
+        few[k] = few[k][:2].copy()
     for _ in range(5):
-        kernels.control_law(report, torque, *law)
-        kernels.control_law(few_report, few_torque, *few)
-        np.testing.assert_allclose(torque, few_torque, rtol=1e-12)
-        np.testing.assert_allclose(report[:, :2], few_report, rtol=1e-12)
-    np.testing.assert_array_equal(report[force_kernels.ESTIMATED, 2:], 0.0)
+        law.control_law(*arguments)
+        law.control_law(*few)
+        np.testing.assert_allclose(arguments[1]['torque'], few[1]['torque'], rtol=1e-12)
+        for name in ('alpha_est', 'alpha_rate_est', 'innovation', 'prior_variance'):
+            np.testing.assert_allclose(arguments[6][name][:2], few[6][name], rtol=1e-12)
+    np.testing.assert_array_equal(arguments[6]['alpha_est'][2:], 0.0)
 
 
 def test_cholesky_refuses_what_is_not_positive_definite():
@@ -122,7 +123,7 @@ def test_rotation_vector_equals_scipy(angle):
         rotation = Pose.from_quaternion(np.zeros(3), quaternion).rotation_world
         turn = Pose.from_quaternion(np.zeros(3), np.append(
             np.sin(angle / 2) * axis / np.linalg.norm(axis), np.cos(angle / 2))).rotation_world
-        dynamics_kernels.rotation_vector(turn @ rotation, np.asfortranarray(rotation), vector)
+        rotations.rotation_vector(turn @ rotation, rotation, vector)
         np.testing.assert_allclose(
             vector, rotation_error(turn @ rotation, rotation), atol=1e-12, rtol=1e-6)
         np.testing.assert_allclose(np.linalg.norm(vector), angle, atol=1e-12, rtol=1e-9)

@@ -1,13 +1,28 @@
 """The PD motion law (P04 sec. 3.1, 5.2)."""
 
 from multicontact_control.config import MotionConfig
-from multicontact_control.control.motion import motion_acceleration
+from multicontact_control.control.motion import motion_law
 from multicontact_control.control.reference import Reference
 from multicontact_control.dynamics.pose import Pose
+from multicontact_control.records import FRAME, LAW, TASK
 import numpy as np
 import pytest
 
 REST = np.zeros(6)
+
+
+def motion_acceleration(config, reference, pose, twist):
+    """Return what the compiled law makes of a reference."""
+    law, task, frame = (np.zeros(1, dtype=kind) for kind in (LAW, TASK, FRAME))
+    law['k_p'] = config.natural_frequency ** 2
+    law['k_v'] = 2.0 * config.damping_ratio * config.natural_frequency
+    task['position'], task['rotation'] = reference.pose_des
+    task['twist'], task['acceleration'] = reference.twist_des, reference.acceleration_des
+    frame['position'], frame['rotation'] = pose
+    frame['twist'] = twist
+    f_t = np.empty(6)
+    motion_law(law[0], task[0], frame[0], f_t)
+    return f_t
 
 
 def _reference(position, acceleration=REST):

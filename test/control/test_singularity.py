@@ -3,7 +3,7 @@
 from arms import controller_config, HOME
 from multicontact_control.control.controller import Controller, Measurement
 from multicontact_control.control.reference import Reference
-from multicontact_control.dynamics.operational_space import mobility_damping
+from multicontact_control.dynamics.operational_space import mobility_and_inertia
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.paths import config_dir
 import numpy as np
@@ -61,9 +61,14 @@ def test_no_spike_on_the_way_through_wrist_and_elbow_singularity(joint, start, e
 def test_damping_is_smooth_bounded_and_absent_away_from_singularities():
     """Lambda = 1 / (e + d): at most 2 / e_0; d and its slope go to zero at e_0."""
     e = np.linspace(0.0, 0.02, 2001)
-    damped = e + np.array([mobility_damping(x, 0.01) for x in e])
+    damped, room = np.empty_like(e), [np.empty((6, 6)) for _ in range(4)]
+    for i, smallest in enumerate(e):
+        J = np.diag(np.sqrt([smallest, 1.0, 1.0, 1.0, 1.0, 1.0]))
+        assert mobility_and_inertia(
+            np.asfortranarray(np.eye(6)), np.asfortranarray(J), 1e8, 0.01, *room) >= 0.0
+        damped[i] = 1.0 / room[3][0, 0]
     assert (1.0 / damped).max() <= 2.0 / 0.01 + 1e-9
-    np.testing.assert_array_equal(damped[e >= 0.01], e[e >= 0.01])
+    np.testing.assert_allclose(damped[e >= 0.01], e[e >= 0.01], rtol=1e-12)
     assert np.abs(np.diff(damped, 2)).max() < 2e-8
 
 

@@ -1,5 +1,6 @@
 """From the sensor's reading to the contact wrench: weight, axes, lever, sign."""
 
+import equations
 from multicontact_control.config import ToolConfig
 from multicontact_control.control.wrench import contact_wrench
 from multicontact_control.dynamics.pose import Pose
@@ -69,3 +70,13 @@ def test_bias_of_the_sensor_is_taken_off(sensor):
     np.testing.assert_allclose(
         contact_wrench(reading + bias, sensor, np.zeros(3), biased, GRAVITY),
         contact_wrench(reading, sensor, np.zeros(3), TOOL, GRAVITY), atol=1e-12)
+
+
+def test_contact_wrench_is_the_equation():
+    rng = np.random.default_rng(2)
+    for rotation in Rotation.random(10, rng=rng).as_matrix():
+        sensor, point = Pose(rng.standard_normal(3), rotation), rng.standard_normal(3)
+        reading = rng.standard_normal(6)
+        np.testing.assert_allclose(
+            contact_wrench(reading, sensor, point, TOOL, GRAVITY),
+            equations.contact_wrench(reading, sensor, point, TOOL, GRAVITY), atol=1e-12)

@@ -1,9 +1,12 @@
 """Lambda, mu, p and the torque map against joint-space dynamics (P04 eqs 23-25)."""
 
 from arms import controller_config, HOME, seven_joint_config, seven_joint_urdf
+import equations
+from multicontact_control.control.arm_state import ArmState
 from multicontact_control.dynamics.operational_space import (
-    joint_torque,
-    operational_space,
+    add_nullspace_torque,
+    bias_acceleration,
+    mobility_and_inertia,
     task_inertia,
 )
 from multicontact_control.dynamics.robot import RobotModel
@@ -24,15 +27,35 @@ def _acceleration(state, torque):
     return state.jacobian @ qdd + state.jacobian_drift
 
 
+def torque_for(model, q, v, acceleration, damping=None):
+    """Return J^T Lambda (a + bias), with the null space where a damping is given."""
+    arm = ArmState(model)
+    arm.update(q, v)
+    terms, n = model.terms, len(q)
+    L, Y = np.empty((n, n)), np.empty((n, 6))
+    mobility, Lambda, bias = np.empty((6, 6)), np.empty((6, 6)), np.empty(6)
+    assert mobility_and_inertia(
+        terms.mass_matrix, terms.jacobian, 1e8, 0.0, L, Y, mobility, Lambda) == 0.0
+    np.testing.assert_allclose(mobility @ Lambda, np.eye(6), atol=1e-9)
+    bias_acceleration(arm.joints, L, Y, terms.jacobian_rate, bias)
+    arm.joints['torque'] = terms.jacobian.T @ (Lambda @ (acceleration + bias))
+    if damping is not None:
+        add_nullspace_torque(
+            arm.joints, terms.mass_matrix, terms.jacobian, L, Y, Lambda, damping)
+    return arm.joints['torque'].copy()
+
+
 def test_operational_force_gives_the_commanded_acceleration(puma):
     """F = Lambda a + mu + p makes the operational point accelerate by a (P04 eqs 24-25)."""
     rng = np.random.default_rng(1)
     for _ in range(10):
-        state = puma.update(HOME + 0.3 * rng.standard_normal(6), rng.standard_normal(6))
-        space = operational_space(state)
-        a = rng.standard_normal(6)
-        torque = joint_torque(space.Lambda @ a + space.mu + space.p, state, space)
+        q, v, a = HOME + 0.3 * rng.standard_normal(6), *rng.standard_normal((2, 6))
+        torque = torque_for(puma, q, v, a)
+        state = puma.update(q, v)
         np.testing.assert_allclose(_acceleration(state, torque), a, atol=1e-9)
+        space = equations.operational_space(state)
+        np.testing.assert_allclose(torque, state.jacobian.T @ (
+            space.Lambda @ a + space.mu + space.p), atol=1e-9)
 
 
 def test_redundant_arm_gives_the_commanded_acceleration_and_damps_the_rest(tmp_path):
@@ -40,24 +63,23 @@ def test_redundant_arm_gives_the_commanded_acceleration_and_damps_the_rest(tmp_p
     model = RobotModel(seven_joint_config(seven_joint_urdf(tmp_path)), tmp_path)
     rng = np.random.default_rng(2)
     q, v = rng.standard_normal((2, 7))
-    state = model.update(q, v)
-    space = operational_space(state)
     a = rng.standard_normal(6)
-    force = space.Lambda @ a + space.mu + space.p
-    torque = joint_torque(force, state, space, nullspace_damping=3.0)
+    torque, undamped = (torque_for(model, q, v, a, damping) for damping in (3.0, 0.0))
+    state = model.update(q, v)
     np.testing.assert_allclose(_acceleration(state, torque), a, atol=1e-9)
-    undamped = joint_torque(force, state, space)
     assert (torque - undamped) @ v < 0.0
+    space = equations.operational_space(state)
+    np.testing.assert_allclose(torque, equations.joint_torque(
+        space.Lambda @ a + space.mu + space.p, state, space, nullspace_damping=3.0), atol=1e-9)
 
 
-def test_operational_space_quantities_are_consistent(puma):
-    """J J_bar = 1, Lambda is symmetric and J^T p is the gravity torque."""
+def test_task_inertia_is_the_equation(puma):
+    """Lambda = (J M^-1 J^T)^-1, symmetric, with damping below the eigenvalue that is named."""
     state = puma.update(HOME, np.zeros(6))
-    space = operational_space(state)
-    np.testing.assert_allclose(state.jacobian @ space.J_bar, np.eye(6), atol=1e-9)
-    np.testing.assert_allclose(space.Lambda, space.Lambda.T, atol=1e-9)
-    np.testing.assert_allclose(state.jacobian.T @ space.p, state.gravity, atol=1e-9)
-    np.testing.assert_allclose(space.mu, 0.0, atol=1e-12)
+    for singular_mobility in (0.0, 10.0):
+        np.testing.assert_allclose(
+            task_inertia(state.mass_matrix, state.jacobian, singular_mobility=singular_mobility),
+            equations.operational_space(state, singular_mobility).Lambda, rtol=1e-9, atol=1e-12)
 
 
 def test_armature_is_in_the_task_inertia(puma):
@@ -81,5 +103,5 @@ def test_task_inertia_refuses_a_singular_posture(puma):
 
 def test_task_inertia_refuses_a_jacobian_of_another_width():
     """The message names the array."""
-    with pytest.raises(ShapeError, match=r'jacobian: expected shape \(2, 3\), found \(2, 4\)'):
+    with pytest.raises(ShapeError, match=r'jacobian: expected shape \(6, 3\), found \(2, 4\)'):
         task_inertia(np.eye(3), np.zeros((2, 4)))

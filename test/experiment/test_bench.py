@@ -47,12 +47,13 @@ def test_bench_says_what_it_promises(result):
 
 
 def test_tick_is_near_its_floor(result):
-    assert result['ratios']['tick_to_dynamics'] < 5.0 * MARGIN
+    """Seven times the floor when it was measured, from the sample to the torque."""
+    assert result['ratios']['tick_to_dynamics'] < 7.0 * MARGIN
 
 
 def test_supervised_tick_is_near_its_floor(result):
-    """Nine times the floor and twice the control law by itself, when it was measured."""
-    assert result['ratios']['supervised_tick_to_dynamics'] < 9.0 * MARGIN
+    """Eleven times the floor and less than twice the bare tick, when it was measured."""
+    assert result['ratios']['supervised_tick_to_dynamics'] < 11.0 * MARGIN
     law, supervised = (result[name]['ratio'] for name in ('tick', 'supervised_tick'))
     assert supervised < 2.0 * law * MARGIN
 

@@ -6,7 +6,6 @@ from multicontact_control.config import (
     read_parameters,
     validate,
 )
-from multicontact_control.control.sensor.push_config import PushTestConfig
 from multicontact_control.control.wrench import contact_wrench
 from multicontact_control.errors import CalibrationError, ConfigError
 from multicontact_control.experiment.calibration import (
@@ -16,13 +15,14 @@ from multicontact_control.experiment.calibration import (
     sensor_setup,
     write_tool,
 )
+from multicontact_control.experiment.position_controlled_plant import ServoedPlant
 from multicontact_control.experiment.push_trial import (
     fault_mounting,
     push_setup,
     run_push_test,
 )
-from multicontact_control.experiment.servoed_plant import ServoedPlant
 from multicontact_control.paths import config_dir
+from multicontact_control.sensor.push_config import PushTestConfig
 import numpy as np
 import pytest
 

@@ -2,9 +2,9 @@
 
 from dataclasses import replace
 
+from multicontact_control.experiment.claim_metrics import designed_rise, evidence_of
 from multicontact_control.experiment.claims import CLAIMS, judge_claims, NOT_MEASURED, Row
 from multicontact_control.experiment.disturbances import disturbance_summary
-from multicontact_control.experiment.evidence import designed_rise, evidence_of
 from multicontact_control.experiment.summary import summarise
 import numpy as np
 import pytest

@@ -1,10 +1,10 @@
 """What a run is called: by recordings made by hand, and by short runs that went wrong."""
 
-from multicontact_control.control.event_log import read_event
 from multicontact_control.experiment.judge import again_at, interventions, judge
 from multicontact_control.experiment.loop import run_in_process
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.experiment.verdict import HELD, NOT_STABLE, STABLE, verdict_text
+from multicontact_control.supervision.event_log import read_event
 import numpy as np
 import pytest
 from synthetic_run import perfect_run

@@ -1,10 +1,10 @@
 """What the machine did to a run is told from what the arm did."""
 
-from multicontact_control.control.event_log import CAPACITY, read_event
 from multicontact_control.experiment.judge import judge
 from multicontact_control.experiment.real_time import late_reactions, timeliness
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.experiment.verdict import NOT_STABLE, STABLE, UNJUDGED
+from multicontact_control.supervision.event_log import CAPACITY, read_event
 import numpy as np
 import pytest
 from synthetic_run import perfect_run

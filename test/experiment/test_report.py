@@ -6,8 +6,8 @@ from multicontact_control.cli import app
 from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.experiment.load import load_run, load_setup
 from multicontact_control.experiment.report import run_claims
-from multicontact_control.experiment.results import write_json
 from multicontact_control.experiment.summary import summarise
+from multicontact_control.files import write_json
 import pytest
 from synthetic_run import disturbance_setup, paper_run
 from typer.testing import CliRunner

@@ -1,11 +1,10 @@
 """Run folders: named, kept, replaced only when asked."""
 
 from datetime import datetime
-import json
 
 from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.experiment.recording import RunData
-from multicontact_control.experiment.results import prepare_folder, write_json
+from multicontact_control.experiment.results import prepare_folder
 import pytest
 
 NOW = datetime(2026, 1, 2, 3, 4, 5)
@@ -48,15 +47,6 @@ def test_out_that_is_a_file_is_refused(tmp_path):
     (tmp_path / 'file').write_text('')
     with pytest.raises(ConfigError, match='out: expected a folder, found .*file, a file'):
         prepare_folder(tmp_path / 'file', 'paper', overwrite=True, now=NOW)
-
-
-def test_write_json_leaves_no_partial_file(tmp_path):
-    """And refuses numbers that JSON does not know."""
-    write_json(tmp_path / 'a.json', {'x': 1.5})
-    with pytest.raises(ValueError, match='not JSON compliant'):
-        write_json(tmp_path / 'a.json', {'x': float('nan')})
-    assert json.loads((tmp_path / 'a.json').read_text()) == {'x': 1.5}
-    assert [path.name for path in tmp_path.iterdir()] == ['a.json']
 
 
 def test_loading_a_folder_without_a_recording_says_so(tmp_path):

@@ -1,7 +1,6 @@
 """First touch, lost and found surfaces, switches without a jump: in closed loop."""
 
-from multicontact_control.control.reactions import TorqueBlend
-from multicontact_control.experiment.fault_run import World
+from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.scenario import resolve
 import numpy as np
 import pytest
@@ -15,18 +14,19 @@ def follow(world, ticks, at=None):
     for _ in range(ticks):
         if at is not None and world.tick in at:
             at[world.tick](world.plant.contacts)
-        result = world.advance()
+        world.advance()
         forces.append(world.true_forces.copy())
-        torques.append(result.output.torque)
-        states.append(result.status.contact_states)
+        torques.append(world.command)
+        states.append(world.status.contact_states)
     return np.array(forces), np.array(torques), states
 
 
 def touch(stiffness, plant='rigid', seed=0):
     """Run the approach of `quick`: 20 mm/s, 2 N of preload, the model as stiff as the surfaces."""
     same = {name: {'stiffness': stiffness} for name in CONTACTS}
-    return World(resolve('quick', plant=plant, seed=seed, controller={'contacts': same},
-                         plant_overrides={'surfaces': same}))
+    return ClosedLoop(resolve(
+        'quick', plant=plant, seed=seed, controller={'contacts': same},
+        plant_overrides={'surfaces': same}))
 
 
 @pytest.mark.parametrize('seed', [0, 1])
@@ -48,7 +48,7 @@ def test_first_touch_of_a_stiff_surface_settles_after_two_losses_at_most(seed):
 
 
 def sliding(seed, plant='rigid'):
-    world = World(resolve('quick', plant=plant, seed=seed))
+    world = ClosedLoop(resolve('quick', plant=plant, seed=seed))
     follow(world, 4500)
     return world
 
@@ -105,18 +105,3 @@ def test_switch_of_the_active_set_does_not_step_the_torque():
     assert switched.sum() == 2
     usual = steps[100:][~switched[100:]].max()
     assert steps[switched].max() <= max(usual, 1e-9)
-
-
-def test_blend_is_continuous_and_decays_at_its_declared_rate():
-    blend = TorqueBlend(0.01, 0.002)
-    old, new = np.array([5.0, -3.0]), np.array([-1.0, 2.0])
-    for _ in range(3):
-        blend.last = blend.apply('old', old)
-    out = [blend.last]
-    for _ in range(60):
-        blend.last = blend.apply('new', new)
-        out.append(blend.last)
-    out = np.array(out)
-    np.testing.assert_allclose(out[1], old)
-    np.testing.assert_allclose(out[-1], new, atol=1e-4)
-    assert (np.abs(np.diff(out, axis=0)) <= np.abs(old - new) * 0.002 / 0.01 + 1e-12).all()

@@ -1,11 +1,11 @@
 from multicontact_control.errors import ConfigError, ShapeError
-from multicontact_control.force.active_observer import ActiveObserver
-from multicontact_control.force.contact_loop import closed_loop, spectral_radius, Surroundings
+from multicontact_control.force.contact_loop import closed_loop, LinearArmPlant, spectral_radius
 from multicontact_control.force.linear_loop import (
     closed_loop_matrix,
     RealContact,
     steady_gain,
 )
+from multicontact_control.force.observer import design_observer
 from multicontact_control.force.plant_model import design_force_loop
 import numpy as np
 import pytest
@@ -14,13 +14,13 @@ H = 0.002
 
 
 def observer():
-    return ActiveObserver(design_force_loop(
+    return design_observer(design_force_loop(
         6000.0, damping_rate=20.0, input_delay=0.006, period=H, time_constant=0.02))
 
 
 def surroundings(mobility, *, stiffness=9000.0, damping=30.0, tool=0.0, delay=1):
     count = len(mobility)
-    return Surroundings(
+    return LinearArmPlant(
         mobility=np.array(mobility), stiffness=np.full(count, stiffness),
         damping=np.full(count, damping), tool_inertia=tool * np.eye(count), delay_ticks=delay)
 
@@ -80,6 +80,6 @@ def motion(x, acting):
 
 def test_surroundings_of_the_wrong_shape_are_refused():
     with pytest.raises(ShapeError, match='mobility'):
-        Surroundings(np.eye(3), np.ones(2), np.ones(2), np.eye(2))
+        LinearArmPlant(np.eye(3), np.ones(2), np.ones(2), np.eye(2))
     with pytest.raises(ConfigError, match='delay_ticks'):
-        Surroundings(np.eye(2), np.ones(2), np.ones(2), np.eye(2), -1)
+        LinearArmPlant(np.eye(2), np.ones(2), np.ones(2), np.eye(2), -1)

@@ -1,8 +1,9 @@
 """The compiled Kalman update: its equations, and its covariance over a million updates."""
 
-from multicontact_control.force.active_observer import ActiveObserver, MAX_ORDER
-from multicontact_control.force.kalman import kalman_update
+from force_loop import ActiveObserver
+from multicontact_control.force.observer import correct, predict
 from multicontact_control.force.plant_model import design_force_loop
+from multicontact_control.records import MAX_ORDER
 from numba import njit
 import numpy as np
 import pytest
@@ -15,11 +16,6 @@ def _observer(order, damping_rate=20.0):
     return ActiveObserver(design_force_loop(
         6000.0, damping_rate=damping_rate, input_delay=0.006, period=0.002, time_constant=0.02),
         order=order)
-
-
-def _arguments(observer):
-    return (observer.x_est, observer.P, observer.Phi_c, observer.Phi_n, observer.Gamma,
-            observer.Q)
 
 
 @njit
@@ -45,7 +41,7 @@ def _smallest_pivot(P):
 
 
 @njit
-def _run(x, P, Phi_c, Phi_n, Gamma, q_diag, feedback, noise, variances):
+def _run(observers, noise, variances):
     """
     Close the loop over the plant the filter models, with 10 N as command and noise on top.
 
@@ -54,15 +50,20 @@ def _run(x, P, Phi_c, Phi_n, Gamma, q_diag, feedback, noise, variances):
     pivot, asymmetry, largest = np.inf, 0.0, 0.0
     n = 2 + 3  # states of the plant: the active ones come after
     plant = np.zeros(n)
-    command = 10.0 * feedback[0]
+    observer = observers[0]
+    size = observer.states
+    observer.command = 10.0 * observer.feedback[0]
     for k in range(noise.shape[0]):
-        kalman_update(
-            x, P, Phi_c, Phi_n, Gamma, q_diag, command, plant[0] + noise[k], variances[k])
-        u = command - np.sum(feedback * x)
-        plant = Phi_n[:n, :n].copy() @ plant + Gamma[:n] * u
+        predict(observer)
+        correct(observer, plant[0] + noise[k] - observer.x_1[0], variances[k])
+        u = observer.command
+        for i in range(size):
+            u -= observer.feedback[i] * observer.x_est[i]
+        plant = observer.Phi_n[:n, :n].copy() @ plant + observer.Gamma[:n] * u
+        P = observer.P[:size, :size].copy()
         pivot = min(pivot, _smallest_pivot(P))
         largest = max(largest, abs(plant[0]))
-        for i in range(P.shape[0]):
+        for i in range(size):
             for j in range(i):
                 asymmetry = max(asymmetry, abs(P[i, j] - P[j, i]))
     return pivot, asymmetry, largest
@@ -85,7 +86,7 @@ def test_covariance_stays_symmetric_and_positive_over_a_million_jumps(order, dam
     observer = _observer(order, damping_rate)
     variances = _jumping_variance(rng)
     noise = rng.standard_normal(UPDATES) * np.minimum(np.sqrt(variances), 1.0)
-    pivot, asymmetry, largest = _run(*_arguments(observer), observer.feedback, noise, variances)
+    pivot, asymmetry, largest = _run(observer.records, noise, variances)
     assert asymmetry == 0.0
     # Rounding reaches the pivots at about 1e-16: one far above it is positive for good.
     assert pivot > 1e-9
@@ -93,7 +94,7 @@ def test_covariance_stays_symmetric_and_positive_over_a_million_jumps(order, dam
     # And P is not only positive but right: a fresh filter ends where this one does.
     fresh = _observer(order, damping_rate)
     for filter_ in (observer, fresh):
-        _run(*_arguments(filter_), filter_.feedback, np.zeros(20000), np.full(20000, 0.6))
+        _run(filter_.records, np.zeros(20000), np.full(20000, 0.6))
     np.testing.assert_allclose(observer.P, fresh.P, rtol=1e-6, atol=1e-15)
 
 
@@ -110,10 +111,11 @@ def test_kalman_update_is_joseph_s_form(order):
     C = np.eye(n)[:1]
     K = P_1 @ C.T / (P_1[0, 0] + 0.3)
     A = np.eye(n) - K @ C
-    innovation, prior_variance = kalman_update(
-        x, P, observer.Phi_c, observer.Phi_n, observer.Gamma, observer.Q, 2.0, 5.0, 0.3)
-    assert innovation == pytest.approx(5.0 - x_1[0], rel=1e-12)
-    assert prior_variance == pytest.approx(P_1[0, 0], rel=1e-12)
-    np.testing.assert_allclose(x, x_1 + K[:, 0] * innovation, rtol=1e-10)
+    observer.x_est[:], observer.P[:] = x, P
+    observer.records['command'], observer.records['running'] = 2.0, True
+    observer.update(5.0, 0.3)
+    assert observer.innovation == pytest.approx(5.0 - x_1[0], rel=1e-12)
+    assert observer.prior_variance == pytest.approx(P_1[0, 0], rel=1e-12)
+    np.testing.assert_allclose(observer.x_est, x_1 + K[:, 0] * observer.innovation, rtol=1e-10)
     np.testing.assert_allclose(
-        P, A @ P_1 @ A.T + 0.3 * K @ K.T, rtol=1e-9, atol=1e-9 * np.abs(P).max())
+        observer.P, A @ P_1 @ A.T + 0.3 * K @ K.T, rtol=1e-9, atol=1e-9 * np.abs(P).max())

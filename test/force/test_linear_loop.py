@@ -117,7 +117,7 @@ def _growth(observer, variance, contact):
                  + contact.carried_mass * derivative(s, acting(steps * k - 1))[1])
         forces.append(force)
         observer.update(force, variance)
-        command = observer.command(0.0) + observer.force_est / m
+        command = observer.command(0.0) + observer.x_est[0] / m
         if contact.damping == 'commanded':
             command -= contact.damping_rate * s[1]
         commands.append(command)

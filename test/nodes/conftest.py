@@ -2,7 +2,7 @@
 
 import os
 
-from multicontact_control.experiment.domain import reserve_domain
+from multicontact_control.experiment.graph.domain import reserve_domain
 from multicontact_control.nodes.guest import GuestNode
 import pytest
 from ros_graph import Middleware

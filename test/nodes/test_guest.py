@@ -6,7 +6,7 @@ import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
 
-from multicontact_control.experiment.domain import reserve_domain
+from multicontact_control.experiment.graph.domain import reserve_domain
 from multicontact_control.nodes.guest import GuestNode
 import pytest
 
@@ -37,8 +37,9 @@ def check_guests(own, another):
 
 def test_short_cut_between_participants_of_a_process_is_off_unless_the_user_decides():
     """Fast DDS reads the file at the first participant; see `config/fastdds.xml`."""
-    show = ("import os\nfrom multicontact_control.nodes.runtime import prepare_environment\n"
-            "prepare_environment()\nprint(os.environ['FASTRTPS_DEFAULT_PROFILES_FILE'])")
+    show = (
+        'import os\nfrom multicontact_control.nodes.runtime import prepare_environment\n'
+        'prepare_environment()\nprint(os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"])')
     environment = {name: value for name, value in os.environ.items()
                    if name != 'FASTRTPS_DEFAULT_PROFILES_FILE'}
     for chosen in ({}, {'FASTRTPS_DEFAULT_PROFILES_FILE': '/my/own.xml'}):

@@ -9,7 +9,7 @@ from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Quaternion, Transform, Twist, Vector3, Wrench, WrenchStamped
 from hypothesis import given, HealthCheck, settings
 from hypothesis import strategies as st
-from multicontact_control.experiment.domain import reserve_domain
+from multicontact_control.experiment.graph.domain import reserve_domain
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.controller_node import ControllerNode
 from multicontact_control.nodes.managed_node import SUCCESS

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from diagnostic_msgs.msg import DiagnosticArray
-from multicontact_control.experiment.lifecycle import (
+from multicontact_control.experiment.graph.lifecycle import (
     ACTIVATE,
     CLEAN_UP,
     CONFIGURE,

@@ -3,15 +3,16 @@ import pinocchio as pin
 import pytest
 from sim_bridge.config import load_preset
 from sim_bridge.drives import FlexibleDrives
+from sim_bridge.joint_friction import FRICTION
 
-NO_FRICTION = np.tile([0.0, 0.0, 0.0, 1e-3], (2, 1))
+NO_FRICTION = np.array([(0.0, 0.0, 0.0, 1e-3)] * 2, dtype=FRICTION)
 
 
 def test_flexible_drives_conserve_energy_without_damping():
     """Two rotors on two free flywheels: no drift over 20 000 steps (symplectic Euler)."""
     inertia, wheel, step = np.array([0.8, 0.2]), np.array([0.3, 0.01]), 2.5e-4
     stiffness = np.array([3e4, 2e3])
-    drives = FlexibleDrives(inertia, np.column_stack((stiffness, [0, 0])), NO_FRICTION, step)
+    drives = FlexibleDrives(inertia, stiffness, np.zeros(2), NO_FRICTION, step)
     q, qd, torque = np.zeros(2), np.array([0.5, -0.5]), np.zeros(2)
     energy, momentum = [], []
     for _ in range(20000):
@@ -29,7 +30,7 @@ def test_flexible_drives_conserve_energy_without_damping():
 
 def test_flexible_drives_rest_with_springs_wound_up():
     drives = FlexibleDrives(
-        np.ones(2), np.array([[1e4, 10.0], [2e3, 1.0]]), NO_FRICTION, 2.5e-4)
+        np.ones(2), np.array([1e4, 2e3]), np.array([10.0, 1.0]), NO_FRICTION, 2.5e-4)
     q, load, torque = np.array([0.3, -0.2]), np.array([30.0, -5.0]), np.zeros(2)
     drives.reset(q, load)
     for _ in range(100):

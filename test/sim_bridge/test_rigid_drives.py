@@ -1,7 +1,7 @@
 import numpy as np
 import pinocchio as pin
 import pytest
-from sim_bridge.joint_friction import friction_table, friction_torque
+from sim_bridge.joint_friction import friction_torque, joint_friction
 from sim_bridge.rigid_drives import implicit_joint_speed, RigidDrives
 
 STEP = 1e-3
@@ -15,7 +15,7 @@ def arm_with_rotors(robot, model):
 
 def test_rigid_drives_make_bare_links_accelerate_as_with_rotors(robot, arm_with_rotors, rng):
     model = arm_with_rotors
-    drives = RigidDrives(model, friction_table(robot, 0.0, 1e-3), STEP)
+    drives = RigidDrives(model, joint_friction(robot, 0.0, 1e-3), STEP)
     bare = model.copy()
     bare.armature = np.zeros(6)
     for _ in range(5):
@@ -28,7 +28,7 @@ def test_rigid_drives_make_bare_links_accelerate_as_with_rotors(robot, arm_with_
 
 
 def test_implicit_joint_speed_solves_its_equation(robot, arm_with_rotors, rng):
-    model, table = arm_with_rotors, friction_table(robot, 1.0, 1e-3)
+    model, table = arm_with_rotors, joint_friction(robot, 1.0, 1e-3)
     for _ in range(50):
         upper = np.triu(pin.crba(model, model.createData(), rng.uniform(-1, 1, 6)))
         mass_matrix = upper + np.triu(upper, 1).T
@@ -42,7 +42,7 @@ def test_implicit_joint_speed_solves_its_equation(robot, arm_with_rotors, rng):
 
 def test_rigid_drives_with_friction_brake_like_the_implicit_solution(
         robot, arm_with_rotors, rng):
-    model, table = arm_with_rotors, friction_table(robot, 0.6, 1e-3)
+    model, table = arm_with_rotors, joint_friction(robot, 0.6, 1e-3)
     drives = RigidDrives(model, table, STEP)
     bare = model.copy()
     bare.armature = np.zeros(6)

@@ -3,8 +3,8 @@ import pytest
 from sim_bridge.config import SurfaceConfig
 from sim_bridge.surface import (
     build_surfaces,
-    contact_force,
     POINTS_PER_LENGTH,
+    press,
     profile_at,
     roughness_profile,
     track_direction,
@@ -20,13 +20,11 @@ def surface(**changes):
 
 
 def touch(surfaces, depth, velocity=(0.0, 0.0, 0.0), along=0.0):
-    point = surfaces.points_world[0] + depth * NORMAL + along * surfaces.tracks_world[0]
-    force = np.full(3, np.nan)
-    alpha = contact_force(
-        point, np.array(velocity, dtype=float), surfaces.points_world[0],
-        surfaces.normals_world[0], surfaces.tracks_world[0], surfaces.parameters[0],
-        surfaces.heights[0], surfaces.slopes[0], force)
-    return alpha, force
+    record = surfaces.records[0]
+    record['point'] = record['place'] + depth * NORMAL + along * record['track']
+    record['force'] = np.nan
+    press(record, np.array(velocity, dtype=float), surfaces.heights[0], surfaces.slopes[0])
+    return record['alpha'], record['force'].copy()
 
 
 def test_contact_force_has_the_slope_of_the_stiffness():
@@ -80,18 +78,18 @@ def test_roughness_has_the_asked_deviation_and_correlation_length():
 
 def test_roughness_is_felt_as_depth_and_as_rate():
     surfaces = surface(roughness_std=4e-5)
-    spacing = surfaces.parameters[0, -1]
+    spacing = surfaces.records['spacing'][0]
     for point in (0, 17, -5):
         height, slope = surfaces.heights[0, point], surfaces.slopes[0, point]
         alpha, _ = touch(surfaces, 1e-3, along=point * spacing)
         assert alpha == pytest.approx(6000.0 * (1e-3 + height), rel=1e-9)
-        moving, _ = touch(surfaces, 1e-3, 0.1 * surfaces.tracks_world[0], point * spacing)
+        moving, _ = touch(surfaces, 1e-3, 0.1 * surfaces.records['track'][0], point * spacing)
         assert moving - alpha == pytest.approx(30.0 * 0.1 * slope, rel=1e-6, abs=1e-9)
 
 
 def test_roughness_slope_is_the_derivative_of_the_height():
     surfaces = surface(roughness_std=4e-5)
-    spacing, step = surfaces.parameters[0, -1], surfaces.parameters[0, -1]
+    spacing, step = *surfaces.records['spacing'], *surfaces.records['spacing']
     for position in np.linspace(-0.01, 0.01, 11):
         ahead, behind = (
             profile_at(surfaces.heights[0], spacing, position + sign * step) for sign in (1, -1))

@@ -8,7 +8,7 @@ import subprocess
 import sys
 import threading
 
-from multicontact_control.experiment.domain import reserve_domain
+from multicontact_control.experiment.graph.domain import reserve_domain
 from multicontact_control.nodes import messages, qos
 from multicontact_control.nodes.guest import GuestNode
 import pytest

@@ -9,8 +9,8 @@ from typing import Any
 
 from multicontact_control.experiment.bench.echo import echo_latency
 from multicontact_control.experiment.bench.spread import percentiles
-from multicontact_control.experiment.domain import reserve_domain
-from multicontact_control.experiment.graph import GraphSpec, run_graph
+from multicontact_control.experiment.graph.domain import reserve_domain
+from multicontact_control.experiment.graph.run import GraphSpec, run_graph
 from multicontact_control.experiment.scenario import resolve
 
 

@@ -89,7 +89,7 @@ def print_bench(result: dict[str, Any], console: Console) -> None:
     table = Table('what', 'value', 'floor', 'ratio', title='multicontact bench')
     tick, plant, graph = result['tick'], result['plant'], result['graph']
     supervised = result['supervised_tick']
-    for title, part in (('control law', tick), ('supervised tick', supervised)):
+    for title, part in (('bare tick', tick), ('supervised tick', supervised)):
         for name in ('p50', 'p99', 'p999', 'max'):
             table.add_row(f'{title} {name}', _us(part['tick_us'][name]),
                           _us(part['dynamics_us'][name]),
@@ -106,7 +106,7 @@ def print_bench(result: dict[str, Any], console: Console) -> None:
         table.add_row('recorder', f"{graph['recorder_cpu_share']:.1%} of a core", '', '')
     table.add_row('cold start', f"{result['cold_start']['process_s']:.2f} s", '', '')
     console.print(table)
-    for title, part in (('control law', tick), ('supervised tick', supervised)):
+    for title, part in (('bare tick', tick), ('supervised tick', supervised)):
         console.print(f'share of the {title}: ' + ', '.join(
             f'{stage} {share:.0%}' for stage, share in part['shares'].items()))
     for name, times in result['scaling'].items():

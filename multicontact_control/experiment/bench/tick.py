@@ -7,14 +7,7 @@ from time import perf_counter_ns
 from typing import Any
 
 from multicontact_control.arrays import Vector
-from multicontact_control.control.controller import Controller, ControlOutput, Measurement
-from multicontact_control.control.supervisor import Supervisor, SupervisorOutput
-from multicontact_control.control.watchdog import (
-    JointInput,
-    TickInputs,
-    VarianceInput,
-    WrenchInput,
-)
+from multicontact_control.control_loop import ControlLoop
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.experiment.bench.spread import (
     median,
@@ -22,9 +15,12 @@ from multicontact_control.experiment.bench.spread import (
     percentiles,
     spread,
 )
+from multicontact_control.experiment.closed_loop import estimate_variance
 from multicontact_control.experiment.loop import run_in_process
 from multicontact_control.experiment.scenario import resolve, Setup
 from multicontact_control.force.noise import make_noise_estimator, NoiseEstimator
+from multicontact_control.sampling import PairedSample
+from multicontact_control.supervision.command_limits import CommandLimits
 import numpy as np
 
 
@@ -37,14 +33,12 @@ class Replay:
     setup
         The run.
     supervised
-        Whether the control law runs within its supervision, or by itself.
+        Whether the control law runs within its supervision, or bare.
 
     Attributes
     ----------
-    control
-        The supervisor or the controller, warmed up.
-    controller
-        The control law, in the supervisor or by itself.
+    loop
+        What answers the samples, warmed up.
     estimator, robot
         Warmed up, too; the floor has an arm of its own.
     samples
@@ -54,38 +48,29 @@ class Replay:
 
     def __init__(self, setup: Setup, *, supervised: bool = False) -> None:
         data = run_in_process(setup, supervised=supervised).data
-        h = setup.controller.period
+        config = setup.controller
+        wrench = data.wrench if config.wrench_input == 'raw' else data.wrench_filtered
         self.samples = [
-            Measurement(k * h, data.q[k].copy(), data.qd[k].copy(), data.wrench[k].copy())
+            PairedSample(round(k * config.period * 1e9), data.q[k].copy(), data.qd[k].copy(),
+                         wrench[k].copy())
             for k in range(data.ticks)]
-        self._readings = {
-            sample.time: (JointInput(sample.time, sample.q, sample.qd),
-                          WrenchInput(sample.time, sample.wrench_sensor))
-            for sample in self.samples}
-        self._setup, self.supervised = setup, supervised
-        kind: Any = Supervisor if supervised else Controller
-        self.control = kind.from_config(setup.controller, setup.reference(), setup.urdf_dir)
-        self.controller: Any = self.control.controller if supervised else self.control
+        self.loop = ControlLoop(
+            config, setup.reference(), CommandLimits(), setup.urdf_dir, supervised=supervised)
         self.estimator: NoiseEstimator = make_noise_estimator(setup.noise_estimator)
-        self.robot = RobotModel(setup.controller.robot, setup.urdf_dir)
+        self.robot = RobotModel(config.robot, setup.urdf_dir)
 
-    def restart(self) -> Vector:
-        """Begin anew and return the first R."""
-        self.control.reset()
+    def restart(self) -> None:
+        """Begin anew."""
+        self.loop.restart()
         self.estimator.reset()
-        config = self._setup.controller
-        return np.full(len(config.contact_names), config.initial_noise_variance)
 
-    def step(self, sample: Measurement, variance: Vector) -> ControlOutput:
-        """Answer a sample."""
-        if not self.supervised:
-            output: ControlOutput = self.control.step(sample, variance)
-            return output
-        time = sample.time
-        supervised: SupervisorOutput = self.control.step(TickInputs(
-            time, *self._readings[time],
-            VarianceInput(time - self._setup.controller.period, variance)))
-        return supervised.output
+    def step(self, sample: PairedSample) -> None:
+        """Answer a sample, and estimate the R of the next one."""
+        loop = self.loop
+        loop.step(sample)
+        if loop.output is not None:
+            loop.take_variance(
+                sample.stamp, estimate_variance(self.estimator, loop.output))
 
 
 def time_ticks(replay: Replay, ticks: int) -> tuple[Vector, Vector]:
@@ -100,16 +85,12 @@ def time_ticks(replay: Replay, ticks: int) -> tuple[Vector, Vector]:
     """
     tick, floor = np.zeros(ticks), np.zeros(ticks)
     samples, robot = replay.samples, replay.robot
-    step, estimate = replay.step, replay.estimator.update
-    if not replay.supervised:
-        step = replay.control.step
-    variance = replay.restart()
     for k in range(ticks):
         sample = samples[k % len(samples)]
         if k % len(samples) == 0:
-            variance = replay.restart()
+            replay.restart()
         start = perf_counter_ns()
-        variance = estimate(step(sample, variance).alpha_meas)
+        replay.step(sample)
         done = perf_counter_ns()
         robot.bare_dynamics(sample.q, sample.qd)
         end = perf_counter_ns()
@@ -135,12 +116,15 @@ class _Stopwatch:
 
 def stage_shares(replay: Replay, ticks: int) -> dict[str, float]:
     """Return which part of a tick goes where; the stopwatch's own time counts with each."""
-    control, controller, watch = replay.control, replay.controller, _Stopwatch()
+    loop, watch = replay.loop, _Stopwatch()
+    controller, supervisor = loop.controller.controller, loop.supervisor
     places: list[tuple[Any, str, str]] = [
+        (loop._front_end, 'update', 'sensor'),
         (controller.robot, 'compute', 'dynamics'), (controller, '_measure', 'contacts'),
         (controller._reference, 'update', 'reference'), (controller, '_decide', 'law')]
-    if replay.supervised:
-        places += [(control._watchdog, 'judge', 'watchdog'), (control, '_finish', 'gate')]
+    if supervisor is not None:
+        places += [
+            (supervisor._watchdog, 'validate', 'watchdog'), (supervisor, '_finish', 'gate')]
     for owner, method, stage in places:
         setattr(owner, method, watch.around(stage, getattr(owner, method)))
     try:
@@ -157,7 +141,7 @@ def stage_shares(replay: Replay, ticks: int) -> dict[str, float]:
 
 def _estimator_time(replay: Replay, ticks: int) -> float:
     """Return the median time of all noise estimators in a tick [us]."""
-    watch, alpha = _Stopwatch(), np.full(len(replay.restart()), 10.0)
+    watch, alpha = _Stopwatch(), np.full(len(replay.loop.variance), 10.0)
     update = watch.around('estimators', replay.estimator.update)
     for _ in range(ticks):
         update(alpha)
@@ -174,7 +158,7 @@ def bench_tick(ticks: int, repeats: int, *, supervised: bool) -> dict[str, Any]:
         How many, and how often.
     supervised
         Whether watchdog, contact states, limits and gate count, or the control law with its
-        torque limits alone; the noise estimators of all contacts always do.
+        start alone; front end and noise estimators of all contacts always do.
 
     """
     replay = Replay(

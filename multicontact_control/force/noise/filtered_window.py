@@ -7,6 +7,7 @@ from multicontact_control.force.noise.estimator import MAX_MAGNITUDE, NoiseEstim
 from multicontact_control.force.noise.innovation import Innovation
 from multicontact_control.force.noise.kernels import take_into_window
 from multicontact_control.force.noise.lead_filter import lead_filter, LeadFilter, Normalisation
+from multicontact_control.records import FILTER_STATE, NOISE_WINDOW
 import numpy as np
 
 
@@ -15,20 +16,21 @@ class Window(NoiseEstimator):
 
     def _forget(self) -> None:
         design = self._design()
-        self._filter = np.array([design.pole, design.zero, design.gain, design.dc_gain])
-        self._memory: Matrix = np.zeros((2, self._contacts))
+        self._window = np.zeros(1, dtype=NOISE_WINDOW)
+        for name in ('pole', 'zero', 'gain', 'dc_gain'):
+            self._window[name] = getattr(design, name)
+        self._window['largest'] = MAX_MAGNITUDE
+        for name, value in zip(('scale', 'floor', 'ceiling'), self._limits):
+            self._window[name] = value
+        self._states = np.zeros(self._contacts, dtype=FILTER_STATE)
         self._samples: Matrix = np.zeros((self.config.window, self._contacts))
-        self._count = 0
 
     def _design(self) -> LeadFilter:
         return LeadFilter(pole=0.0, zero=0.0, gain=1.0)  # what comes in goes out
 
     def _take(self, innovation: Innovation | None) -> bool:
-        usable = take_into_window(
-            self._alpha, MAX_MAGNITUDE, self._filter, self._memory, self._samples, self._count,
-            *self._limits, self._variance)
-        self._count += usable
-        return usable
+        return bool(take_into_window(
+            self._alpha, self._window, self._states, self._samples, self._variance))
 
 
 class LeadWindow(Window):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.compiled import compiled
 import numpy as np
@@ -17,9 +19,7 @@ def all_below(values: Vector, limit: float) -> bool:
 
 
 @compiled
-def advance_filter(
-    pole: float, zero: float, gain: float, previous: Vector, alpha: Vector, filtered: Vector,
-) -> None:
+def advance_filter(window: Any, states: Any, alpha: Vector) -> None:
     """
     Take one sample per contact into a first-order filter.
 
@@ -27,17 +27,19 @@ def advance_filter(
 
     Parameters
     ----------
-    pole, zero, gain
-        a, c and b.
-    previous, alpha
-        alpha_k-1, overwritten with alpha_k, and alpha_k, shape (r,) [N].
-    filtered
-        alpha_f, overwritten, shape (r,) [N].
+    window
+        Record of `NOISE_WINDOW`.
+    states
+        Records of `FILTER_STATE`, changed, shape (r,).
+    alpha
+        alpha_k, shape (r,) [N].
 
     """
     for i in range(alpha.shape[0]):
-        filtered[i] = pole * filtered[i] + gain * (alpha[i] - zero * previous[i])
-        previous[i] = alpha[i]
+        state = states[i]
+        state.filtered = window.pole * state.filtered + window.gain * (
+            alpha[i] - window.zero * state.alpha)
+        state.alpha = alpha[i]
 
 
 @compiled
@@ -91,8 +93,7 @@ def settle_variance(
 
 @compiled
 def take_into_window(
-    alpha: Vector, limit: float, design: Vector, memory: Matrix, samples: Matrix, count: int,
-    scale: float, floor: float, ceiling: float, variance: Vector,
+    alpha: Vector, windows: Any, states: Any, samples: Matrix, variance: Vector,
 ) -> bool:
     """
     Filter one sample per contact, and estimate R once the window is full (P04 eqs 42-44).
@@ -101,17 +102,16 @@ def take_into_window(
 
     Parameters
     ----------
-    alpha, limit
-        Forces [N], shape (r,), and what their magnitudes must be below.
-    design
-        Pole, zero, gain and gain at DC of the filter.
-    memory
-        The force and the filtered force of the tick before, overwritten, shape (2, r).
-    samples, count
-        Window of filtered forces, overwritten in turn, shape (N, r), and how many samples have
-        come before this one.
-    scale, floor, ceiling, variance
-        As for `settle_variance`.
+    alpha
+        Forces, shape (r,) [N].
+    windows
+        One record of `NOISE_WINDOW`; its count is raised.
+    states
+        Records of `FILTER_STATE`, changed, shape (r,).
+    samples
+        Window of filtered forces, overwritten in turn, shape (N, r).
+    variance
+        R, overwritten once the window is full, shape (r,) [N^2].
 
     Returns
     -------
@@ -119,20 +119,21 @@ def take_into_window(
         Whether the forces could be used; if not, nothing has changed.
 
     """
-    if not all_below(alpha, limit):
+    window = windows[0]
+    if not all_below(alpha, window.largest):
         return False
-    window, contacts = samples.shape
-    previous, filtered = memory[0], memory[1]
-    if count == 0:
+    length, contacts = samples.shape
+    if window.count == 0:
         for i in range(contacts):
-            previous[i] = alpha[i]
-            filtered[i] = design[3] * alpha[i]
-    advance_filter(design[0], design[1], design[2], previous, alpha, filtered)
+            states[i].alpha = alpha[i]
+            states[i].filtered = window.dc_gain * alpha[i]
+    advance_filter(window, states, alpha)
     for i in range(contacts):
-        samples[count % window, i] = filtered[i]
-    if count + 1 >= window:
+        samples[window.count % length, i] = states[i].filtered
+    window.count += 1
+    if window.count >= length:
         estimate = np.empty(contacts)
-        windowed_variance(samples, window, estimate)
-        settle_variance(estimate, np.ones(contacts, dtype=np.bool_), scale, floor, ceiling,
-                        variance)
+        windowed_variance(samples, length, estimate)
+        settle_variance(estimate, np.ones(contacts, dtype=np.bool_), window.scale, window.floor,
+                        window.ceiling, variance)
     return True

@@ -17,7 +17,7 @@ def test_innovation_gives_the_residual_and_the_posterior_variance_of_the_observe
     innovation = Innovation(
         np.array([observer.innovation]), np.array([observer.prior_variance]),
         np.array([observer.variance_used]))
-    assert innovation.residual[0] == pytest.approx(force - observer.force_est, rel=1e-9)
+    assert innovation.residual[0] == pytest.approx(force - observer.x_est[0], rel=1e-9)
     assert innovation.posterior_variance[0] == pytest.approx(observer.P[0, 0], rel=1e-9)
 
 

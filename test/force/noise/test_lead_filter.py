@@ -2,6 +2,7 @@
 
 from multicontact_control.force.noise import lead_filter
 from multicontact_control.force.noise.kernels import advance_filter
+from multicontact_control.records import FILTER_STATE, NOISE_WINDOW
 import numpy as np
 import pytest
 from scipy.signal import dimpulse, freqz, lfilter, lfilter_zi
@@ -52,7 +53,9 @@ def test_running_lead_filter_is_scipys_from_its_steady_state(normalisation):
     numerator, denominator = [f.gain, -f.gain * f.zero], [1.0, -f.pole]
     zi = lfilter_zi(numerator, denominator)[:, None] * samples[0]
     expected, _ = lfilter(numerator, denominator, samples, axis=0, zi=zi)
-    previous, filtered = samples[0].copy(), f.dc_gain * samples[0]
+    window, states = np.zeros(1, dtype=NOISE_WINDOW), np.zeros(2, dtype=FILTER_STATE)
+    window['pole'], window['zero'], window['gain'] = f.pole, f.zero, f.gain
+    states['alpha'], states['filtered'] = samples[0], f.dc_gain * samples[0]
     for sample, wanted in zip(samples, expected):
-        advance_filter(f.pole, f.zero, f.gain, previous, sample, filtered)
-        np.testing.assert_allclose(filtered, wanted, rtol=1e-10, atol=1e-12)
+        advance_filter(window[0], states, sample)
+        np.testing.assert_allclose(states['filtered'], wanted, rtol=1e-10, atol=1e-12)

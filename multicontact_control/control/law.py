@@ -1,0 +1,174 @@
+"""The control law of one tick (P04 eqs 23-30), compiled."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from multicontact_control.algebra import multiply
+from multicontact_control.arrays import Matrix, Vector
+from multicontact_control.compiled import compiled
+from multicontact_control.contact.projections import (
+    active_rows,
+    allocate,
+    compose_acceleration,
+    coordinates,
+    factorise_contacts,
+    rates,
+)
+from multicontact_control.control.motion import motion_law
+from multicontact_control.dynamics.operational_space import (
+    add_nullspace_torque,
+    bias_acceleration,
+    mobility_and_inertia,
+)
+from multicontact_control.force.observer import observe_and_command
+import numpy as np
+
+# What `control_law` returns.
+OK, SINGULAR, DEPENDENT = range(3)
+
+
+@compiled
+def force_law(
+    law: Any, rows: Matrix, factor: Matrix, twist: Vector, inputs: Vector, f_c: Vector,
+) -> None:
+    """
+    Fill in f_c*, the acceleration that serves the force loops with damping K_2 (P04 eq. 30).
+
+    The damping acts on the rates along the coordinates that the allocation drives: N^+ theta
+    where theta_c,i multiplies N_i (P04 eq. 16), N^T theta, the speeds of the contact points along
+    their normals, if `decoupled`.
+
+    Parameters
+    ----------
+    law
+        Record of `LAW`.
+    rows, factor
+        N^T of the active contacts, shape (r, 6), and the factor of N^T N, shape (r, r).
+    twist
+        Of the operational point, shape (6,).
+    inputs
+        u of the observers, shape (r,) [m/s^2].
+    f_c
+        Filled, shape (6,) [m/s^2, rad/s^2].
+
+    """
+    alpha_star = np.empty(inputs.shape[0])
+    if law.decoupled:
+        rates(rows, twist, alpha_star)
+    else:
+        coordinates(rows, factor, twist, alpha_star)
+    for i in range(inputs.shape[0]):
+        alpha_star[i] = inputs[i] - law.K_2 * alpha_star[i]
+    allocate(rows, factor, alpha_star, law.decoupled, f_c)
+
+
+@compiled
+def finish_torque(law: Any, joints: Any) -> None:
+    """
+    Add the friction that the joints are expected to take, then keep to the limits.
+
+    Gamma += F_c tanh(v / v_0) + F_v v.
+
+    Parameters
+    ----------
+    law
+        Record of `LAW`.
+    joints
+        Records of `JOINT`, shape (n,); their torque is changed.
+
+    """
+    for j in range(joints.shape[0]):
+        joint = joints[j]
+        if joint.coulomb != 0.0:
+            joint.torque += joint.coulomb * np.tanh(joint.velocity / law.friction_speed)
+        joint.torque += joint.viscous * joint.velocity
+        limit = joint.torque_limit
+        if joint.torque > limit:  # written so that what is not a number stays that
+            joint.torque = limit
+        elif joint.torque < -limit:
+            joint.torque = -limit
+
+
+@compiled
+def control_law(
+    laws: Any, joints: Any, frames: Any, mass_matrix: Matrix, jacobian: Matrix,
+    jacobian_rate: Matrix, contacts: Any, observers: Any, tasks: Any,
+) -> int:
+    """
+    Work out the joint torque of one tick.
+
+    F = Lambda (Omega_m f_t* + Omega_c f_c*) + mu + p + N alpha_est, Gamma = J^T F (P04
+    eqs 23-27), then null space, friction and limits.
+
+    Parameters
+    ----------
+    laws, frames, tasks
+        One record each of `LAW`, `FRAME` and `TASK`.
+    joints
+        Records of `JOINT`, shape (n,); their torque is filled in.
+    mass_matrix, jacobian, jacobian_rate
+        M (upper triangle), J and dJ/dt.
+    contacts
+        Records of `CONTACT`, shape (r,), with `N` and `alpha_meas` filled in; what the observers
+        say is.
+    observers
+        Records of `OBSERVER`, shape (r,), changed.
+
+    Returns
+    -------
+    int
+        OK, or what is wrong; the observers have not been touched then.
+
+    """
+    law, frame, task = laws[0], frames[0], tasks[0]
+    n = joints.shape[0]
+    count = contacts.shape[0]
+    L = np.empty((n, n))
+    Y = np.empty((n, 6))
+    mobility = np.empty((6, 6))
+    Lambda = np.empty((6, 6))
+    damping = mobility_and_inertia(
+        mass_matrix, jacobian, law.max_condition, law.singular_mobility, L, Y, mobility, Lambda)
+    if damping < 0.0:
+        return SINGULAR
+    rows = np.empty((count, 6))
+    factor = np.empty((count, count))
+    active_rows(contacts, False, rows)
+    if not factorise_contacts(contacts, False, rows, rows, factor):
+        return DEPENDENT
+    weighted_rows, weighted_factor = rows, factor
+    if law.inertia_metric:
+        weighted_rows = np.empty((count, 6))
+        weighted_factor = np.empty((count, count))
+        for i in range(count):
+            multiply(mobility, rows[i], weighted_rows[i])
+        if not factorise_contacts(contacts, False, rows, weighted_rows, weighted_factor):
+            return DEPENDENT
+    f_t = np.empty(6)
+    f_c = np.empty(6)
+    acceleration = np.empty(6)
+    bias = np.empty(6)
+    force = np.empty(6)
+    inputs = np.empty(count)
+    motion_law(law, task, frame, f_t)
+    observe_and_command(observers, contacts, inputs)
+    force_law(law, rows, factor, frame.twist, inputs, f_c)
+    compose_acceleration(rows, weighted_rows, weighted_factor, f_t, f_c, acceleration)
+    bias_acceleration(joints, L, Y, jacobian_rate, bias)
+    for i in range(6):
+        acceleration[i] += bias[i]
+    multiply(Lambda, acceleration, force)
+    for i in range(count):
+        for k in range(6):
+            force[k] += rows[i, k] * contacts[i].alpha_est
+    for j in range(n):
+        joints[j].torque = 0.0
+    for i in range(6):
+        for j in range(n):
+            joints[j].torque += jacobian[i, j] * force[i]
+    if n > 6 or damping > 0.0:
+        add_nullspace_torque(
+            joints, mass_matrix, jacobian, L, Y, Lambda, law.nullspace_damping)
+    finish_torque(law, joints)
+    return OK

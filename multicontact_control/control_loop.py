@@ -1,0 +1,423 @@
+"""
+The middle of the closed loop: samples and commands in, torques out.
+
+Sensor front end, supervision, control law, gate; with hold, tare and push test. Nothing else turns
+samples into torques: the node, the simulation in process, the faults and the benchmark all step
+this.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from pathlib import Path
+
+from multicontact_control.arrays import Vector
+from multicontact_control.config import ControllerConfig
+from multicontact_control.control.controller import ControlOutput, Measurement
+from multicontact_control.control.reference import CommandedReference
+from multicontact_control.control.reference.holdable import HeldSource, HoldableReference
+from multicontact_control.errors import CommandError
+from multicontact_control.sampling import (
+    JointReading,
+    MotionReading,
+    PairedSample,
+    SampleClock,
+    WrenchReading,
+)
+from multicontact_control.sensor.front_end import SensorFrontEnd
+from multicontact_control.sensor.push_config import PushTestConfig
+from multicontact_control.sensor.push_gate import PushGate
+from multicontact_control.sensor.tare import tare_bias, TareConfig
+from multicontact_control.supervision.bumpless import BumplessController
+from multicontact_control.supervision.command_limits import check_position, CommandLimits
+from multicontact_control.supervision.event_log import EventLog
+from multicontact_control.supervision.inputs import (
+    JointInput,
+    TickInputs,
+    VarianceInput,
+    WrenchInput,
+)
+from multicontact_control.supervision.supervisor import Supervisor, SupervisorStatus
+from multicontact_control.supervision.validation import copy_numbers
+import numpy as np
+
+TARE_READINGS = 100
+
+
+class ControlLoop:
+    """
+    A controller between activation and deactivation, and all that it remembers of its samples.
+
+    Parameters
+    ----------
+    config
+        The controller's.
+    scenario
+        What to do; None to obey commands.
+    limits
+        Of those commands.
+    base_dir
+        Folder that relative paths start from.
+    supervised
+        Whether contact states, watchdogs and limits are around the control law; without them it
+        runs bare but for its start.
+
+    Attributes
+    ----------
+    supervisor
+        What is around the control law, None if it runs bare.
+    controller
+        The supervisor, or the control law with its start.
+    output
+        The answer to the newest sample, None before the first and in the safe behaviour.
+    status
+        What the supervisor says of that, None without one.
+    events, reactions, rejected, limited
+        What the supervisor did since the last restart, and in how many ticks.
+    safe
+        Whether samples are answered by the declared safe behaviour.
+    push_gate
+        What allows force control.
+    first_stamp, last_stamp
+        Of the first and the newest sample [ns], -1 before the first.
+    sensor_fault
+        What is wrong with the newest wrench, empty if nothing is.
+    variance, variance_stamp
+        R [N^2] and its stamp [ns], -1 before the first.
+    tick
+        Number of the newest sample.
+    skipped
+        Samples that never came, or were overtaken.
+
+    """
+
+    def __init__(
+        self, config: ControllerConfig, scenario: HeldSource | None, limits: CommandLimits,
+        base_dir: Path, *, supervised: bool = True,
+    ) -> None:
+        self.limits = limits
+        self._commanded = CommandedReference(config.contact_names) if scenario is None else None
+        self._reference = HoldableReference(
+            scenario or self._commanded,  # type: ignore[arg-type]
+            locked=config.sensor.require_push_test)
+        self.supervisor: Supervisor | None = None
+        self.controller: BumplessController | Supervisor
+        if supervised:
+            self.controller = self.supervisor = Supervisor.from_config(
+                config, self._reference, base_dir)
+        else:
+            self.controller = BumplessController.from_config(config, self._reference, base_dir)
+        self._front_end = SensorFrontEnd(config.sensor, config.rate)
+        self.push_gate = PushGate(
+            required=config.sensor.require_push_test, robot=self.controller.controller.robot,
+            gravity_world=np.array(config.robot.gravity_world), rate=config.rate)
+        self._clock = SampleClock(config.period)
+        self.restart()
+
+    @property
+    def config(self) -> ControllerConfig:
+        """Return the configuration in force."""
+        return self.controller.config
+
+    @property
+    def held(self) -> bool:
+        """Whether pose and forces are held."""
+        return self._reference.held
+
+    def restart(self) -> None:
+        """Forget the past: the next sample is the first."""
+        self.controller.reset()
+        self._front_end.reset()
+        self._clock.reset()
+        self.push_gate.restart()
+        self._trust()
+        self.output: ControlOutput | None = None
+        self.status: SupervisorStatus | None = None
+        self.events = EventLog()
+        self.reactions: Counter[str] = Counter()
+        self.rejected: Counter[str] = Counter()
+        self.limited: Counter[str] = Counter()
+        self.safe = False
+        self.first_stamp = self.last_stamp = self.variance_stamp = -1
+        self.skipped = 0
+        self.tick = 0
+        self._inputs = TickInputs(0.0)
+        self._filtered: WrenchInput | None = None
+        self._readings: deque[Vector] = deque(maxlen=TARE_READINGS)
+        self.variance: Vector = np.full(
+            len(self.config.contact_names), self.config.initial_noise_variance)
+        self._variance: VarianceInput | None = None
+        self.sensor_fault = ''
+        self._missed = 0
+
+    def take_variance(self, stamp: int, variance: Vector) -> None:
+        """Use an R [N^2] from the next sample on; its stamp is that of a sample [ns]."""
+        self.variance_stamp, self.variance = stamp, variance
+        self._variance = VarianceInput(self._clock.time_of(stamp), variance)
+
+    def step(self, sample: PairedSample) -> Vector:
+        """
+        Answer a sample.
+
+        Returns
+        -------
+        Vector
+            The torque to command, shape (n,) [N m].
+
+        Raises
+        ------
+        MulticontactError
+            Without supervisor, if that is not possible in this posture; the sample counts as
+            seen.
+
+        """
+        time = self._begin_tick(sample.stamp)
+        # Without supervisor the law's time goes in whole periods, whatever the stamps do.
+        now = time if self.supervisor is not None else self.tick * self.config.period
+        return self.answer(TickInputs(
+            now, JointInput(time, sample.q, sample.qd, effort=sample.effort),
+            WrenchInput(time, sample.wrench_sensor), self._variance))
+
+    def step_half(self, reading: JointReading | WrenchReading) -> Vector:
+        """Answer a sample of which one half did not come; only with a supervisor."""
+        self._require_supervisor()
+        time = self._begin_tick(reading.stamp)
+        inputs = self._inputs._replace(time=time, variance=self._variance)
+        if isinstance(reading, JointReading):
+            inputs = inputs._replace(joints=JointInput(time, reading.q, reading.qd))
+        else:
+            inputs = inputs._replace(wrench=WrenchInput(time, reading.wrench_sensor))
+        return self.answer(inputs)
+
+    def step_without(self, periods: int) -> Vector:
+        """Command something although nothing came for some periods; only with a supervisor."""
+        self._require_supervisor()
+        self._missed += periods
+        return self.answer(self._inputs._replace(
+            time=self._clock.count_on(periods), variance=self._variance))
+
+    def answer(self, inputs: TickInputs) -> Vector:
+        """
+        Answer a tick: every way of a sample into a torque is through here.
+
+        Parameters
+        ----------
+        inputs
+            The newest readings, however old, as the sensors gave them: the wrench has not
+            passed the front end. It does so once: a wrench with the stamp of the one before is
+            the one before.
+
+        Returns
+        -------
+        Vector
+            The torque to command, shape (n,) [N m].
+
+        Raises
+        ------
+        MulticontactError
+            Without supervisor, if something is missing or there is no torque for this posture.
+
+        """
+        self._inputs = inputs
+        new, joints, wrench = self._take_wrench(inputs.wrench), inputs.joints, inputs.wrench
+        seen = TickInputs(
+            inputs.time, joints, None if wrench is None else self._filtered, inputs.variance,
+            self.sensor_fault)
+        if self.supervisor is not None:
+            torque = self._supervise(self.supervisor, seen)
+        else:
+            torque = self._control(self.controller, seen)  # type: ignore[arg-type]
+        if new and joints is not None and wrench is not None and joints.stamp == wrench.stamp:
+            self._push(joints, self._readings[-1])
+        return torque
+
+    @property
+    def expected_stamp(self) -> int:
+        """Stamp of the newest sample, or of the one that should have come by now [ns]."""
+        return self.last_stamp + round(self._missed * self.config.period * 1e9)
+
+    def _begin_tick(self, stamp: int) -> float:
+        if self.first_stamp < 0:
+            self.first_stamp = stamp
+        tick = round((stamp - self.first_stamp) * 1e-9 * self.config.rate)
+        self.skipped += max(0, tick - self.tick - 1)
+        self._missed = 0
+        self.tick, self.last_stamp = tick, stamp
+        return self._clock.take(stamp)
+
+    def _take_wrench(self, reading: WrenchInput | None) -> bool:
+        """Let a reading that is new through the front end; return whether it is one."""
+        if reading is None or (
+                self._filtered is not None and reading.stamp == self._filtered.stamp):
+            return False
+        raw = np.empty(6)
+        if not copy_numbers(reading.wrench, raw):
+            self._filtered = reading  # for the watchdog to refuse
+            return False
+        self._readings.append(raw)
+        result = self._front_end.update(raw)
+        self.sensor_fault = result.health.fault
+        self._filtered = WrenchInput(reading.stamp, result.wrench_sensor)
+        return True
+
+    def _require_supervisor(self) -> None:
+        if self.supervisor is None:
+            raise _incomplete()
+
+    def _supervise(self, supervisor: Supervisor, inputs: TickInputs) -> Vector:
+        result = supervisor.safe_step(inputs) if self.safe else supervisor.step(inputs)
+        status = result.status
+        self.output, self.status = None if self.safe else result.output, status
+        self.events.note(inputs.time, status)
+        self.reactions[status.reaction] += 1
+        if status.rejected:
+            self.rejected.update(status.rejected)
+        if status.limits:
+            self.limited.update(status.limits)
+        return result.output.torque
+
+    def _control(self, controller: BumplessController, inputs: TickInputs) -> Vector:
+        joints, wrench = inputs.joints, inputs.wrench
+        if joints is None or wrench is None:
+            raise _incomplete()
+        measurement = Measurement(
+            inputs.time, joints.q, joints.qd, wrench.wrench, joints.effort)
+        if self.safe:
+            self.output = None
+            return controller.safe_step(measurement)
+        self.output = controller.step(
+            measurement, self.variance if inputs.variance is None else inputs.variance.variance)
+        return self.output.torque
+
+    def _push(self, joints: JointInput, wrench_sensor: Vector) -> None:
+        """Lead on with a push test, if there is one, and obey its verdict."""
+        if self.push_gate.running and not self.safe and self.push_gate.update(
+                joints.q, joints.qd, wrench_sensor, self.config.tool):
+            if self.push_gate.open:
+                self._reference.unlock()
+                self.controller.go_on()
+            self._trust()
+
+    def _trust(self) -> None:
+        """Let the wrench be doubted again, or not, as the reference has come to be."""
+        if self.supervisor is not None:
+            self.supervisor.expects_pushes = self._reference.locked
+
+    def push_test(self, config: PushTestConfig, point_sensor: tuple[float, ...]) -> str:
+        """
+        Begin a push test; the arm stays where it is meanwhile.
+
+        Returns
+        -------
+        str
+            What the user should do now.
+
+        Raises
+        ------
+        CommandError
+            If forces are being controlled.
+
+        """
+        if self.output is not None and self.output.active.any():
+            raise CommandError('contacts', 'none under force control for a push test', 'some')
+        self.push_gate.start(config, point_sensor)
+        pose = self.output.pose if self.output is not None else None
+        self._reference.lock(None if pose is None else self.controller.stand_still(pose))
+        self._trust()
+        return self.push_gate.instruction
+
+    def set_forces(self, forces: dict[str, float]) -> None:
+        """
+        Obey commanded forces.
+
+        Raises
+        ------
+        CommandError
+            If they are out of limits or nothing can be commanded now.
+
+        """
+        reference = self._commandable()
+        self.limits.check_forces(forces)
+        reference.set_forces(forces)
+
+    def set_motion(self, motion: MotionReading) -> None:
+        """
+        Obey a commanded motion, as far as it is not along a contact that is sought or held.
+
+        Raises
+        ------
+        CommandError
+            If it is out of limits or nothing can be commanded now.
+
+        """
+        reference = self._commandable()
+        check_position(motion.position_world, self.config.limits)
+        normals = np.zeros((0, 3)) if self.supervisor is None else (
+            self.supervisor.reference.sought_normals())
+        reference.set_motion(motion.position_world, motion.quaternion_xyzw, motion.twist_world,
+                             motion.acceleration_world, normals)
+
+    def _commandable(self) -> CommandedReference:
+        if self._commanded is None:
+            raise CommandError('reference_file', 'none, to obey commands', 'a scenario')
+        self._running()
+        if self.held:
+            raise CommandError('~/hold', 'released, to obey commands', 'held')
+        return self._commanded
+
+    def _running(self) -> ControlOutput:
+        if self.output is None:
+            raise CommandError('controller', 'active, with samples coming', 'not so')
+        if self._reference.locked:
+            raise CommandError('~/push_test', 'passed, to obey commands',
+                               f"'{self.push_gate.instruction}'")
+        return self.output
+
+    def hold(self, wanted: bool) -> None:
+        """
+        Hold the present pose and the desired forces, or go on.
+
+        Raises
+        ------
+        CommandError
+            If nothing is controlled now.
+
+        """
+        output = self._running()
+        if wanted:
+            self._reference.hold(self.controller.stand_still(output.pose), output.active)
+        elif self.held:
+            self._reference.release()
+            self.controller.go_on()
+
+    def tare(self, config: TareConfig) -> Vector:
+        """
+        Return the sensor's bias, by which the compensated wrench would read zero now.
+
+        Returns
+        -------
+        Vector
+            Sensor axes, force first, shape (6,) [N, N m].
+
+        Raises
+        ------
+        CommandError
+            If forces are being controlled: what presses would be taken for bias.
+        CalibrationError
+            If there are too few readings, or they are restless.
+
+        """
+        if self.output is not None and self.output.active.any():
+            raise CommandError('contacts', 'none under force control for a tare', 'some')
+        joints = self._inputs.joints
+        readings = np.array(self._readings).reshape(-1, 6)
+        if joints is None:
+            raise CommandError('samples', 'some, for a tare', 'none')
+        model = self.config
+        pose = self.controller.controller.robot.update(joints.q, joints.qd).sensor_pose
+        return tare_bias(readings, pose.rotation_world, model.tool,
+                         np.array(model.robot.gravity_world), config)
+
+
+def _incomplete() -> CommandError:
+    return CommandError('supervised', 'true, to go on without a sample', 'false')

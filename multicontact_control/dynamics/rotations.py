@@ -1,0 +1,103 @@
+"""Rotations as quaternions and rotation vectors, compiled."""
+
+from __future__ import annotations
+
+from multicontact_control.arrays import Matrix, Vector
+from multicontact_control.compiled import compiled
+import numpy as np
+
+
+@compiled
+def quaternion_of(rotation: Matrix, quaternion: Vector) -> None:
+    """
+    Fill in the unit quaternion of a rotation.
+
+    Shepperd's method: of the four ways to take the roots, the one without cancellation.
+
+    Parameters
+    ----------
+    rotation
+        Shape (3, 3).
+    quaternion
+        Filled, scalar last, shape (4,).
+
+    """
+    trace = rotation[0, 0] + rotation[1, 1] + rotation[2, 2]
+    largest = 3
+    greatest = trace
+    for i in range(3):
+        if rotation[i, i] > greatest:
+            largest, greatest = i, rotation[i, i]
+    if largest == 3:
+        quaternion[0] = rotation[2, 1] - rotation[1, 2]
+        quaternion[1] = rotation[0, 2] - rotation[2, 0]
+        quaternion[2] = rotation[1, 0] - rotation[0, 1]
+        quaternion[3] = 1.0 + trace
+    else:
+        i = largest
+        j = (i + 1) % 3
+        k = (i + 2) % 3
+        quaternion[i] = 1.0 - trace + 2.0 * rotation[i, i]
+        quaternion[j] = rotation[j, i] + rotation[i, j]
+        quaternion[k] = rotation[k, i] + rotation[i, k]
+        quaternion[3] = rotation[k, j] - rotation[j, k]
+    length = 0.0
+    for i in range(4):
+        length += quaternion[i] * quaternion[i]
+    length = np.sqrt(length)
+    for i in range(4):
+        quaternion[i] /= length
+
+
+@compiled
+def logarithm(error: Matrix, vector: Vector) -> None:
+    """
+    Fill in the rotation vector of a rotation.
+
+    Parameters
+    ----------
+    error
+        Shape (3, 3).
+    vector
+        Filled, shape (3,) [rad].
+
+    """
+    vector[0] = 0.5 * (error[2, 1] - error[1, 2])
+    vector[1] = 0.5 * (error[0, 2] - error[2, 0])
+    vector[2] = 0.5 * (error[1, 0] - error[0, 1])
+    cosine = 0.5 * (error[0, 0] + error[1, 1] + error[2, 2] - 1.0)
+    sine = np.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)
+    if cosine < -0.99:  # near half a turn the skew part vanishes and no longer names the axis
+        quaternion = np.empty(4)
+        quaternion_of(error, quaternion)
+        sine = np.sqrt(quaternion[0] ** 2 + quaternion[1] ** 2 + quaternion[2] ** 2)
+        angle = 2.0 * np.arctan2(sine, abs(quaternion[3]))
+        sign = 1.0 if quaternion[3] >= 0.0 else -1.0
+        for i in range(3):
+            vector[i] = sign * angle * quaternion[i] / sine
+    elif sine >= 1e-9:
+        factor = np.arctan2(sine, cosine) / sine
+        for i in range(3):
+            vector[i] *= factor
+
+
+@compiled
+def rotation_vector(rotation_des: Matrix, rotation: Matrix, vector: Vector) -> None:
+    """
+    Fill in log(R_des R^T), the rotation from an orientation to a desired one, in world axes.
+
+    Parameters
+    ----------
+    rotation_des, rotation
+        Shape (3, 3).
+    vector
+        Filled, shape (3,) [rad].
+
+    """
+    error = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            error[i, j] = (rotation_des[i, 0] * rotation[j, 0]
+                           + rotation_des[i, 1] * rotation[j, 1]
+                           + rotation_des[i, 2] * rotation[j, 2])
+    logarithm(error, vector)

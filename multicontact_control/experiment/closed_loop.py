@@ -1,0 +1,158 @@
+"""Plant, control loop and noise estimator, advanced tick by tick in one process, without ROS."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+
+from multicontact_control.arrays import Vector
+from multicontact_control.control.controller import ControlOutput
+from multicontact_control.control_loop import ControlLoop
+from multicontact_control.errors import RunError
+from multicontact_control.experiment.scenario import Setup
+from multicontact_control.force.noise import Innovation, make_noise_estimator, NoiseEstimator
+from multicontact_control.supervision.command_limits import CommandLimits
+from multicontact_control.supervision.inputs import (
+    JointInput,
+    TickInputs,
+    VarianceInput,
+    WrenchInput,
+)
+from multicontact_control.supervision.status import SupervisorStatus
+from sim_bridge.actuator_delay import ActuatorDelay
+from sim_bridge.pybullet_plant import PybulletPlant, Sample
+
+HISTORY = 65  # ticks
+
+Corruption = Callable[[TickInputs], TickInputs]
+
+
+class ClosedLoop:
+    """
+    The loop of the graph in one process: what a scenario, a fault or a push is tried on.
+
+    The controller at tick k works with the R of tick k - 1, and its command acts on the plant
+    from k + actuator delay on, as in the graph.
+
+    Parameters
+    ----------
+    setup
+        The scenario.
+    supervised
+        Whether contact states, watchdogs and limits are around the control law.
+
+    Attributes
+    ----------
+    control
+        What turns samples into torques.
+    plant
+        The simulated arm.
+    tick
+        Number of the sample that is answered next, or has been answered and not acted on.
+    sample
+        That sample.
+    variance
+        The newest R, shape (r,) [N^2].
+    command
+        The newest torque, shape (n,) [N m].
+    history
+        What was known at the last ticks if nothing was wrong with it, newest last.
+
+    """
+
+    def __init__(self, setup: Setup, *, supervised: bool = True) -> None:
+        self.setup = setup
+        config = setup.controller
+        self.control = ControlLoop(
+            config, setup.reference(), CommandLimits(), setup.urdf_dir, supervised=supervised)
+        self._estimator = make_noise_estimator(setup.noise_estimator)
+        self.plant = PybulletPlant(setup.plant, rate=config.rate, seed=setup.seed)
+        self._delay = ActuatorDelay(setup.plant.actuator_delay_ticks, self.plant.initial_torque)
+        self.tick = 0
+        self.sample: Sample = self.plant.reset()
+        self.variance: Vector = self.control.variance
+        self.command: Vector = self.plant.initial_torque
+        self.history: deque[TickInputs] = deque(maxlen=HISTORY)
+
+    @property
+    def status(self) -> SupervisorStatus:
+        """
+        Return what the supervisor says of the newest answer.
+
+        Raises
+        ------
+        RunError
+            If there is no supervisor, or no answer yet.
+
+        """
+        if self.control.status is None:
+            raise RunError('closed loop: expected a supervisor that has answered, found none')
+        return self.control.status
+
+    @property
+    def true_forces(self) -> Vector:
+        """Return the true normal forces now, shape (r,) [N]."""
+        return self.sample.contact_force
+
+    def inputs(self) -> TickInputs:
+        """Return what is known at this tick if nothing is wrong with it: sample, and R before."""
+        h, k, sample = self.setup.controller.period, self.tick, self.sample
+        raw = self.setup.controller.wrench_input == 'raw'
+        return TickInputs(
+            time=k * h, joints=JointInput(k * h, sample.q, sample.qd, effort=sample.effort),
+            wrench=WrenchInput(k * h, sample.wrench if raw else sample.wrench_filtered),
+            variance=VarianceInput((k - 1) * h, self.variance) if k else None)
+
+    def answer(self, corrupt: Corruption | None = None) -> ControlOutput:
+        """
+        Let the control loop answer the sample, and the estimator what comes of it.
+
+        Parameters
+        ----------
+        corrupt
+            What becomes of the readings on their way from the sensors, if anything does.
+
+        Returns
+        -------
+        ControlOutput
+            The answer, whose torque is `command` now.
+
+        Raises
+        ------
+        MulticontactError
+            Without supervisor, if there is no torque for this posture.
+        RunError
+            In the safe behaviour, which has no answer to estimate R from.
+
+        """
+        inputs = self.inputs()
+        self.history.append(inputs)
+        self.command = self.control.answer(inputs if corrupt is None else corrupt(inputs))
+        output = self.control.output
+        if output is None:
+            raise RunError('closed loop: expected a controller at work, found its safe behaviour')
+        self.variance = estimate_variance(self._estimator, output)
+        return output
+
+    def act(self) -> None:
+        """Let the command act on the plant when its time has come, and take the next sample."""
+        self._delay.command(self.tick, self.command)
+        self.sample = self.plant.step(self._delay.torque_for(self.tick))
+        self.tick += 1
+
+    def advance(self, corrupt: Corruption | None = None) -> ControlOutput:
+        """Take one tick: `answer`, then `act`."""
+        output = self.answer(corrupt)
+        self.act()
+        return output
+
+    def close(self) -> None:
+        """Give the simulator's memory back."""
+        self.plant.close()
+
+
+def estimate_variance(estimator: NoiseEstimator, output: ControlOutput) -> Vector:
+    """Return what an estimator makes of an answer: the R of the next tick, shape (r,) [N^2]."""
+    return estimator.update(output.alpha_meas, Innovation(
+        output.innovation, output.prior_variance, output.variance_used)
+        if estimator.uses_innovation else None)

@@ -1,0 +1,1 @@
+"""Faults, what becomes of them, and whether that was safe."""

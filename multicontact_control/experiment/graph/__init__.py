@@ -1,0 +1,1 @@
+"""The ROS graph of a run: its processes, their life cycle, their domain."""

@@ -1,0 +1,213 @@
+"""The processes of a graph: started, watched, stopped."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+import contextlib
+import json
+import signal
+import subprocess
+import threading
+import time
+from typing import Any, IO
+
+from multicontact_control.errors import RunError
+from multicontact_control.experiment.graph.spec import (
+    CONTROLLER,
+    ESTIMATOR,
+    GraphSpec,
+    node_command,
+    node_environment,
+    RECORDER,
+    SIM,
+    START_ORDER,
+    timing_file,
+)
+
+STOP_ORDER = (SIM, CONTROLLER, ESTIMATOR, RECORDER)
+# A node that is interrupted sends what it has to send and waits until that has arrived; one that
+# is terminated closes its files, and waits for nobody.
+STOP_TIMEOUTS = ((signal.SIGINT, 6.0), (signal.SIGTERM, 2.0), (signal.SIGKILL, 2.0))
+ABORT_TIMEOUT = 1.0
+LOG_LINES = 12
+
+
+class NodeEndedError(RunError):
+    """A node has ended that should not have."""
+
+    def __init__(self, node_name: str, report: str) -> None:
+        self.node_name = node_name
+        super().__init__(report)
+
+
+class NodeProcesses:
+    """
+    The processes of one graph.
+
+    Parameters
+    ----------
+    spec
+        What to run.
+    domain_id
+        ROS domain it runs in.
+
+    """
+
+    def __init__(self, spec: GraphSpec, domain_id: int) -> None:
+        self._spec = spec
+        self._environment = node_environment(spec, domain_id)
+        self._running: dict[str, subprocess.Popen[bytes]] = {}
+        self._ends: list[subprocess.Popen[bytes]] = []  # in the order in which they ended
+        self._logs: dict[str, IO[bytes]] = {}
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the nodes that were started and not ended from here."""
+        return tuple(self._running)
+
+    def start_all(self) -> None:
+        """
+        Start every node.
+
+        Raises
+        ------
+        RunError
+            If one cannot be started.
+
+        """
+        for name in self._spec.node_names:
+            self._logs[name] = (self._spec.logs / f'{name}.log').open('wb')
+            self.start(name)
+
+    def start(self, name: str, parameters: Mapping[str, Any] | None = None) -> None:
+        """Start a node, again if it has ended, with parameters over those of the graph."""
+        try:
+            # In a session of its own a node does not get the terminal's Ctrl-C: it is
+            # stopped here, in order.
+            process = subprocess.Popen(
+                node_command(name, self._spec, parameters), stdin=subprocess.DEVNULL,
+                stdout=self._logs[name], stderr=subprocess.STDOUT, env=self._environment,
+                start_new_session=True)
+        except OSError as error:
+            raise RunError(f'{name}: cannot be started: {error}') from None
+        self._running[name] = process
+        threading.Thread(target=self._note_end, args=(process,), daemon=True).start()
+
+    def _note_end(self, process: subprocess.Popen[bytes]) -> None:
+        process.wait()
+        self._ends.append(process)
+
+    def signal(self, name: str, number: signal.Signals) -> None:
+        """Send a signal to a node."""
+        self._running[name].send_signal(number)
+
+    def kill(self, name: str) -> None:
+        """End a node at once; its end is then no failure."""
+        process = self._running.pop(name)
+        process.kill()
+        process.wait()
+
+    def end(self, name: str) -> int:
+        """End a node as a run does at its end; return its exit code."""
+        process = self._running.pop(name)
+        _stop([process])
+        return process.wait()
+
+    def ended(self, name: str) -> bool:
+        """Return whether a node has ended."""
+        return self._running[name] in self._ends
+
+    def raise_if_ended(self, *, at_its_end: bool = False) -> None:
+        """
+        Check that every node still runs, except those that were ended from here.
+
+        Parameters
+        ----------
+        at_its_end
+            Whether the run is at its end once the simulator has ended with exit code 0: then the
+            others may, too.
+
+        Raises
+        ------
+        NodeEndedError
+            About the one that ended first.
+
+        """
+        names = {process: name for name, process in self._running.items()}
+        for process in [process for process in self._ends if process in names]:
+            name, code = names[process], process.returncode
+            if at_its_end and code == 0 and self.ended(SIM):
+                continue
+            raise NodeEndedError(name, self.report(name, ending(code)))
+
+    def report(self, name: str, how: str) -> str:
+        """Return what happened to a node, with the end of its log."""
+        lines = self._log(name)[-LOG_LINES:]
+        tail = '\n'.join(f'  {line}' for line in lines) or '  (nothing)'
+        return f'{name} {how}; the end of {self._log_file(name)}:\n{tail}'
+
+    def last_line(self, name: str) -> str:
+        """Return what a node has said last, without time and name; empty if nothing yet."""
+        line = next((line for line in reversed(self._log(name)) if line.strip()), '')
+        return line.rpartition(f'[{name}]: ')[2]
+
+    def _log(self, name: str) -> list[str]:
+        return self._log_file(name).read_text(encoding='utf-8', errors='replace').splitlines()
+
+    def _log_file(self, name: str) -> Any:
+        return self._spec.logs / f'{name}.log'
+
+    def stop(self, *, abort: bool = False) -> None:
+        """
+        Stop what still runs.
+
+        Parameters
+        ----------
+        abort
+            Whether to end all at once, the recorder last, instead of one after the other, so
+            that every message that was sent is in the bag.
+
+        """
+        names = [x for x in (*STOP_ORDER, *self._spec.extra_nodes) if x in self._running]
+        if abort:
+            for group in ([x for x in names if x != RECORDER], [RECORDER]):
+                _stop([self._running[x] for x in group if x in names],
+                      ((signal.SIGTERM, ABORT_TIMEOUT), (signal.SIGKILL, ABORT_TIMEOUT)))
+        else:
+            for name in names:
+                _stop([self._running[name]])
+        for log in self._logs.values():
+            log.close()
+
+    def timing(self) -> dict[str, dict[str, Any]]:
+        """Return what each node wrote about its run; nothing for one that could not."""
+        result = {}
+        for name in START_ORDER:
+            try:
+                text = timing_file(self._spec, name).read_text(encoding='utf-8')
+                result[name] = dict(json.loads(text))
+            except (OSError, ValueError):
+                result[name] = {}
+        return result
+
+
+def _stop(
+    processes: list[subprocess.Popen[bytes]],
+    signals: tuple[tuple[signal.Signals, float], ...] = STOP_TIMEOUTS,
+) -> None:
+    """Send some processes one signal after the other, until they have ended."""
+    for process in processes:
+        process.send_signal(signal.SIGCONT)  # one that is halted would not hear of the others
+    for number, timeout in signals:
+        for process in processes:
+            process.send_signal(number)  # nothing to one that has ended
+        give_up = time.monotonic() + timeout
+        for process in processes:
+            with contextlib.suppress(subprocess.TimeoutExpired):  # the next signal, then
+                process.wait(max(0.0, give_up - time.monotonic()))
+
+
+def ending(code: int) -> str:
+    """Return how a process with an exit code has ended."""
+    return f'was killed by {signal.Signals(-code).name}' if code < 0 else (
+        f'ended with exit code {code}')

@@ -1,0 +1,112 @@
+"""What is run and measured in a job that is one run of a scenario."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Any, TYPE_CHECKING
+
+from multicontact_control.errors import MulticontactError
+from multicontact_control.experiment.claim_metrics import evidence_of
+from multicontact_control.experiment.disturbances import disturbance_summary
+from multicontact_control.experiment.recording import RunData
+from multicontact_control.experiment.results import finite
+from multicontact_control.experiment.study.jobs import JobResult, RunJob
+from multicontact_control.experiment.summary import summarise
+import numpy as np
+
+if TYPE_CHECKING:
+    from multicontact_control.experiment.loop import LoopResult
+    from multicontact_control.experiment.scenario import Setup
+
+LAST = 0.5  # s, the end of a run that tells whether it has settled
+SHORTEST = 2  # samples that a summary can be made of
+TRACES = {
+    'true': 'alpha_true', 'desired': 'alpha_des', 'estimated': 'alpha_est',
+    'variance': 'noise_variance'}
+
+
+def measure_run(job: RunJob) -> JobResult:
+    """
+    Run a job in this process and measure it.
+
+    A run that cannot go on to its end counts as unstable; it does not end the study.
+
+    Parameters
+    ----------
+    job
+        The run.
+
+    Returns
+    -------
+    JobResult
+        `metrics`: the content of ``summary.json`` under `summary`, the answers to disturbances
+        under `disturbances`, what claims rest on under `evidence`, and `final_error_share`.
+        `traces`: time and the forces
+        of every contact, shapes (m,) and (m, r).
+
+    """
+    # Only here: who gives out the work to others needs neither kernels nor simulator.
+    from multicontact_control.experiment.loop import run_in_process
+
+    setup = job.setup()
+    result = run_in_process(setup, supervised=job.supervised)
+    data = result.data
+    if data.ticks < SHORTEST:
+        raise MulticontactError(f'{job}: the run ended at once: {result.ended_early}')
+    summary = _summary(job, setup, result)
+    metrics = {
+        'summary': summary,
+        'disturbances': disturbance_summary(data, setup, bool(result.ended_early)),
+        'evidence': evidence_of(data, setup, summary),
+        'final_error_share': final_error_share(data)}
+    traces = {name: getattr(data, series) for name, series in TRACES.items()}
+    return JobResult(finite(metrics), {'time': data.time, **traces}, result.wall_time)
+
+
+def summarise_run(job: RunJob) -> JobResult:
+    """
+    Run a job in this process and summarise it, whatever happens in it.
+
+    Parameters
+    ----------
+    job
+        The run.
+
+    Returns
+    -------
+    JobResult
+        `metrics`: the content of ``summary.json`` under `summary`, None if there is none, and
+        why the run ended before its time under `error`, None if it did not.
+
+    """
+    from multicontact_control.experiment.loop import run_in_process
+
+    start = time.perf_counter()
+    summary = None
+    try:
+        setup = job.setup()
+        result = run_in_process(setup, supervised=job.supervised)
+        error = result.ended_early or None
+        if result.data.ticks >= SHORTEST:
+            summary = _summary(job, setup, result)
+    except Exception as problem:
+        # Whatever one combination does to the law or the simulator, the others shall be run.
+        error, summary = f'{type(problem).__name__}: {problem}', None
+    return JobResult(finite({'summary': summary, 'error': error}), {},
+                     time.perf_counter() - start)
+
+
+def _summary(job: RunJob, setup: Setup, result: LoopResult) -> dict[str, Any]:
+    return summarise(
+        result.data, setup, mode='in_process', timing={}, ended_early=result.ended_early,
+        events=result.events if job.supervised else None)
+
+
+def final_error_share(data: RunData) -> float:
+    """Return the largest force error of the last 0.5 s, relative to the command."""
+    last = data.time > data.time[-1] - LAST
+    desired = data.alpha_des[last]
+    if not (desired > 0.0).all():
+        return math.inf
+    return float(np.max(np.abs(data.alpha_true[last] - desired) / desired))

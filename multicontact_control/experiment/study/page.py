@@ -1,0 +1,113 @@
+"""The page of a study: what came out, the figure, and a section for each of its tables."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+
+import matplotlib
+from matplotlib.figure import Figure
+from multicontact_control.experiment.html_parts import image, write_page
+from multicontact_control.experiment.study.table import html_table, Listing
+
+matplotlib.use('Agg')
+
+DPI = 130  # of the figure
+
+
+@dataclass(frozen=True)
+class Section:
+    """
+    A part of a page.
+
+    Attributes
+    ----------
+    heading
+        Plain text; the title of the table in the terminal.
+    listing
+        Its table.
+    in_terminal
+        Whether the terminal shows the table, too.
+    before, after
+        HTML on either side of the table.
+
+    """
+
+    heading: str
+    listing: Listing | None = None
+    in_terminal: bool = True
+    before: str = ''
+    after: str = ''
+
+    def html(self) -> str:
+        """Return it as HTML."""
+        shown = html_table(self.listing) if self.listing is not None else ''
+        return f'<h2>{escape(self.heading)}</h2>{self.before}{shown}{self.after}'
+
+
+@dataclass(frozen=True)
+class Page:
+    """
+    What is shown of a study.
+
+    Attributes
+    ----------
+    title
+        Plain text.
+    sections
+        With its tables.
+    introduction
+        Paragraphs of plain text.
+    warnings, findings
+        Sentences in plain text: what is not as it should be, and what came out.
+    figure
+        Stands before the sections, and in a PNG file of its own.
+    script
+        JavaScript that runs when all is there.
+
+    """
+
+    title: str
+    sections: Sequence[Section]
+    introduction: Sequence[str] = ()
+    warnings: Sequence[str] = ()
+    findings: Sequence[str] = ()
+    figure: Figure | None = None
+    script: str = ''
+
+
+def write_study_page(page: Page, path: Path) -> list[Path]:
+    """
+    Write a page, which stands alone, and its figure.
+
+    Parameters
+    ----------
+    page
+        What is shown.
+    path
+        Without a suffix.
+
+    Returns
+    -------
+    list of Path
+        The files.
+
+    """
+    paths = []
+    body = [f'<p>{escape(text)}</p>' for text in page.introduction if text]
+    said = [f'<li class=no>{escape(text)}</li>' for text in page.warnings]
+    said += [f'<li>{escape(text)}</li>' for text in page.findings]
+    if said:
+        body.append(f'<h2>What came out</h2><ul>{"".join(said)}</ul>')
+    if page.figure is not None:
+        png = path.with_suffix('.png')
+        page.figure.savefig(png, dpi=DPI)
+        body.append(image(png, page.title))
+        paths.append(png)
+    body += [section.html() for section in page.sections]
+    if page.script:
+        body.append(f'<script>{page.script}</script>')
+    write_page(path.with_suffix('.html'), page.title, '\n'.join(body))
+    return [*paths, path.with_suffix('.html')]

@@ -1,0 +1,185 @@
+"""The matrix of `multicontact compare`: which estimator runs on which plant, and why."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, get_args
+
+from multicontact_control.config import (
+    NoiseEstimatorConfig,
+    read_parameters,
+    validate,
+)
+from multicontact_control.errors import ConfigError
+from multicontact_control.experiment.scenario import plant_path, PLANTS
+from multicontact_control.experiment.study.jobs import job_of, RunJob
+from multicontact_control.force.noise import lead_filter
+from multicontact_control.paths import config_dir
+from sim_bridge.config import PlantConfig
+
+SCENARIO = 'disturbance'
+RESCALED = 'window rescaled'
+ESTIMATORS: tuple[str, ...] = get_args(NoiseEstimatorConfig.model_fields['estimator'].annotation)
+LABELS = (*ESTIMATORS, RESCALED)
+QUICK_LABELS = ('lead_window', 'fixed', RESCALED, 'innovation')
+AOB, PLAIN = 'AOB', 'no active state'
+CAUSE, STIFFNESS = 'cause', 'stiffness'
+KINDS = (AOB, PLAIN, STIFFNESS, CAUSE)
+
+
+@dataclass(frozen=True)
+class Entry:
+    """
+    A job and its place in the matrix.
+
+    Attributes
+    ----------
+    label
+        Of the estimator, with what was changed besides.
+    kind
+        ``AOB`` or ``no active state``; ``cause`` and ``stiffness`` for the jobs beside the
+        matrix: why `fixed` blows up on flexible drives, and what a wrong stiffness does.
+    job
+        The run.
+
+    """
+
+    label: str
+    kind: str
+    job: RunJob
+
+
+def rescaling() -> float:
+    """
+    Return the factor on R of `window` that makes it agree with `lead_window` at rest.
+
+    The gain of the lead filter for the variance of white noise, 269 as configured.
+    """
+    values = read_parameters(config_dir() / 'noise_estimator.yaml')
+    config = validate(NoiseEstimatorConfig, values, 'noise_estimator.yaml')
+    return lead_filter(
+        config.zero_frequency, config.pole_frequency, config.rate).variance_factor()
+
+
+def estimator_values(label: str) -> dict[str, Any]:
+    """
+    Return the values of the noise estimator that a label stands for.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such label.
+
+    """
+    if label == RESCALED:
+        return {'estimator': 'window', 'variance_scale': rescaling()}
+    if label not in ESTIMATORS:
+        raise ConfigError('estimators', f'names among {", ".join(LABELS)}', f"'{label}'")
+    return {'estimator': label}
+
+
+def name_checks(
+    plants: Sequence[str], labels: Sequence[str],
+) -> list[Callable[[], object]]:
+    """Return what checks the names of plants and estimators, one by one."""
+    return [*(partial(plant_path, name) for name in plants),
+            *(partial(estimator_values, label) for label in labels)]
+
+
+def controller_values(plant: str) -> dict[str, Any]:
+    """
+    Return what the controller of a plant needs to differ from config/controller.yaml.
+
+    The friction compensation there is that of the plant `puma`. On joints without friction it
+    pushes the arm along, which makes a limit cycle at rest of 1.5 N at the board.
+    """
+    return {} if _plant(plant).joint_friction_scale > 0.0 else {
+        'friction': {'coulomb': [], 'viscous': []}}
+
+
+def _plant(name: str) -> PlantConfig:
+    return validate(PlantConfig, read_parameters(plant_path(name)), name)
+
+
+# Label, kind, and what is laid over the files of estimator, controller and plant.
+Variant = tuple[str, str, dict[str, Any], dict[str, Any], dict[str, Any]]
+
+
+def comparison_matrix(
+    plants: Sequence[str] = PLANTS, labels: Sequence[str] = LABELS, seeds: int = 3, *,
+    plain: bool = True, duration: float | None = None,
+) -> list[Entry]:
+    """
+    Return the matrix of plants, estimators, observers and seeds.
+
+    Parameters
+    ----------
+    plants
+        Presets or paths.
+    labels
+        Estimators, among `LABELS`.
+    seeds
+        How many, from 0.
+    plain
+        Whether every estimator is run without the active state too.
+    duration
+        Length of every run [s]; the scenario's own if not given.
+
+    """
+    orders: dict[str, dict[str, Any]] = {AOB: {}}
+    if plain:
+        orders[PLAIN] = {'force': {'active_state_order': 0}}
+    variants: list[Variant] = [(label, kind, estimator_values(label), order, {})
+                               for label in labels for kind, order in orders.items()]
+    return [entry for plant in plants for entry in _entries(plant, variants, seeds, duration)]
+
+
+def beside_the_matrix(
+    plants: Sequence[str] = PLANTS, seeds: int = 3, *, quick: bool = False,
+) -> list[Entry]:
+    """Return the runs that look for causes; with flexible drives, and with a wrong stiffness."""
+    entries = []
+    for plant in plants:
+        config = _plant(plant)
+        entries += _entries(plant, _stiffness_variants(config, quick), 1)
+        if config.drives == 'flexible':
+            entries += _entries(plant, _cause_variants(config, quick), seeds)
+    return entries
+
+
+def _entries(
+    plant: str, variants: Sequence[Variant], seeds: int, duration: float | None = None,
+) -> list[Entry]:
+    base = controller_values(plant)
+    return [Entry(label, kind, job_of(
+        SCENARIO, plant, seed, duration=duration, noise_estimator=estimator,
+        controller={**base, **controller}, plant_overrides=overrides))
+        for label, kind, estimator, controller, overrides in variants for seed in range(seeds)]
+
+
+def _stiffness_variants(config: PlantConfig, quick: bool) -> list[Variant]:
+    return [(f'lead_window, true stiffness x {ratio:g}', STIFFNESS, {'estimator': 'lead_window'},
+             {}, {'surfaces': {name: {'stiffness': ratio * surface.stiffness}
+                               for name, surface in config.surfaces.items()}})
+            for ratio in ((0.5, 2.0) if quick else (0.2, 0.5, 2.0, 5.0))]
+
+
+def _cause_variants(config: PlantConfig, quick: bool) -> list[Variant]:
+    smooth = {'sensor': {'noise': False, 'quantise': False}, 'surfaces': {
+        name: {'roughness_std': 0.0} for name in config.contact_names}}
+    variants: list[Variant] = [
+        ('fixed, no roughness, no sensor noise', CAUSE, {'estimator': 'fixed'}, {}, smooth)]
+    for variance in (2.0,) if quick else (2.0, 10.0, 100.0):
+        variants.append((f'fixed at {variance:g} N²', CAUSE,
+                         {'estimator': 'fixed', 'fixed_variance': variance}, {}, {}))
+    if quick:
+        return variants
+    return [*variants,
+            ('fixed, no actuator delay', CAUSE, {'estimator': 'fixed'}, {},
+             {'actuator_delay_ticks': 0}),
+            ('fixed, K_2 = 30 1/s', CAUSE, {'estimator': 'fixed'},
+             {'force': {'damping_rate': 30.0}}, {}),
+            ('fixed, T_d = 2 ms', CAUSE, {'estimator': 'fixed'},
+             {'force': {'input_delay': 0.002}}, {})]

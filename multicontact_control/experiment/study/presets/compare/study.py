@@ -1,0 +1,110 @@
+"""`multicontact compare`: every noise estimator on the disturbances of the paper."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from multicontact_control.errors import check_all, ConfigError
+from multicontact_control.experiment.html_parts import claims_table
+from multicontact_control.experiment.scenario import PLANTS
+from multicontact_control.experiment.study.cache import JobCache
+from multicontact_control.experiment.study.execute import JobRun
+from multicontact_control.experiment.study.jobs import RunJob
+from multicontact_control.experiment.study.measure import measure_run
+from multicontact_control.experiment.study.page import Page, Section
+from multicontact_control.experiment.study.presets.compare import forces, matrix
+from multicontact_control.experiment.study.presets.compare.findings import findings
+from multicontact_control.experiment.study.presets.compare.listing import comparison_listing
+from multicontact_control.experiment.study.presets.compare.rows import comparison_claims, row_of
+from multicontact_control.experiment.study.study import Study
+
+
+@dataclass(frozen=True)
+class ComparisonStudy(Study[RunJob, dict[str, Any]]):
+    """
+    Plants, estimators and seeds, with and without the active state.
+
+    Attributes
+    ----------
+    plants, estimators
+        Names; no estimators for all, or those of the quick matrix.
+    seeds
+        How many; None for 3, or 1 of the quick matrix.
+    quick
+        Whether the matrix is reduced.
+
+    """
+
+    plants: tuple[str, ...] = PLANTS
+    estimators: tuple[str, ...] = ()
+    seeds: int | None = None
+    quick: bool = False
+
+    title = 'compare'
+    name = 'comparison'
+    measure = staticmethod(measure_run)
+    takes_long = True
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Return the estimators that are compared."""
+        return self.estimators or (matrix.QUICK_LABELS if self.quick else matrix.LABELS)
+
+    @property
+    def seed_count(self) -> int:
+        """Return how many seeds there are."""
+        return self.seeds if self.seeds is not None else (1 if self.quick else 3)
+
+    def check(self) -> None:
+        """Check plants, estimators and seeds; ConfigError with all that are not acceptable."""
+        check_all(*matrix.name_checks(self.plants, self.labels), self._check_seeds)
+
+    def _check_seeds(self) -> None:
+        if self.seed_count < 1:
+            raise ConfigError('seeds', 'at least 1', self.seeds)
+
+    def grid(self) -> Mapping[str, Sequence[Any]]:
+        """Return plants, estimators and seeds, and what runs beside their matrix."""
+        beside = dict.fromkeys(entry.label for entry in self._beside())
+        return {'plants': self.plants, 'estimators': self.labels,
+                'observers': (matrix.AOB,) if self.quick else (matrix.AOB, matrix.PLAIN),
+                'seeds': range(self.seed_count), 'variants beside them': list(beside)}
+
+    def entries(self) -> list[matrix.Entry]:
+        """Return every run and its place in the matrix."""
+        return matrix.comparison_matrix(
+            self.plants, self.labels, self.seed_count, plain=not self.quick) + self._beside()
+
+    def _beside(self) -> list[matrix.Entry]:
+        return matrix.beside_the_matrix(self.plants, self.seed_count, quick=self.quick)
+
+    def jobs(self) -> list[RunJob]:
+        """Return the runs."""
+        return [entry.job for entry in self.entries()]
+
+    def content(self, run: JobRun[RunJob]) -> dict[str, Any]:
+        """Return the content of ``comparison.json``."""
+        rows = [row_of(entry, run.keys[entry.job], run.result(entry.job))
+                for entry in self.entries()]
+        return {'schema': 1, 'scenario': matrix.SCENARIO, 'rows': rows,
+                'claims': {plant: [claim.to_json() for claim in claims]
+                           for plant, claims in comparison_claims(rows).items()}}
+
+    def page(self, content: dict[str, Any], folder: Path) -> Page:
+        """Return tables, forces, findings and claims."""
+        rows, claims = content['rows'], comparison_claims(content['rows'])
+        sections = [
+            Section(f'Plant {plant}: worse contact, median over the seeds',
+                    comparison_listing(rows, plant), before='' if number else forces.NOTE,
+                    after=forces.forces_of_plant(rows, plant, number))
+            for number, plant in enumerate(self.plants)]
+        sections += [Section(f'Claims of the paper, plant {plant}', after=claims_table(found))
+                     for plant, found in claims.items()]
+        against = [f'does not hold on {plant}: {claim.claim}'
+                   for plant, found in claims.items() for claim in found if claim.holds is False]
+        return Page(f'Noise estimators compared: scenario {matrix.SCENARIO}', sections,
+                    warnings=against, findings=findings(rows),
+                    script=forces.forces_script(rows, JobCache(folder)))

@@ -1,0 +1,1 @@
+"""`multicontact faults`: every kind of fault in every situation."""

@@ -1,0 +1,148 @@
+"""Faults as jobs: a few in one situation, each in a copy of a process that has got there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from multiprocessing.connection import Connection, Pipe
+import os
+import signal
+import time
+import traceback
+from typing import Any, ClassVar, NoReturn
+
+from multicontact_control.experiment.closed_loop import ClosedLoop
+from multicontact_control.experiment.faults.in_process import (
+    FaultRow,
+    run_fault,
+    RUN_TICKS,
+)
+from multicontact_control.experiment.faults.vocabulary import (
+    APPROACH,
+    fault_kinds,
+    FaultKind,
+    REST,
+    SLIDING,
+)
+from multicontact_control.experiment.scenario import resolve, Setup
+from multicontact_control.experiment.study.jobs import content_key, JobResult, setup_content
+
+SCENARIO = 'quick'
+PHASE_TIMES = {APPROACH: 0.65, REST: 4.9, SLIDING: 8.2}  # s
+FAULT_TIMEOUT = 60.0  # s
+
+Fault = tuple[str, str, int]  # kind, input, seed
+
+
+@dataclass(frozen=True)
+class FaultJob:
+    """
+    Some faults in one situation.
+
+    Attributes
+    ----------
+    plant, phase
+        Where they happen.
+    first_seed
+        Of the plant.
+    faults
+        Kind, input and seed of each.
+
+    """
+
+    plant: str
+    phase: str
+    first_seed: int
+    faults: tuple[Fault, ...]
+
+    supervised: ClassVar[bool] = True
+
+    def setup(self) -> Setup:
+        """Return the scenario in which they happen."""
+        return resolve(SCENARIO, plant=self.plant, seed=self.first_seed)
+
+    def key(self) -> str:
+        """Return the hash of all that decides the outcome; see `Job.key`."""
+        return content_key('faults', {
+            **self.describe(), **setup_content(self.setup()), 'time': PHASE_TIMES[self.phase]})
+
+    def simulated_time(self) -> float:
+        """Return the time that the faults take, with the way there [s]."""
+        faults = len(self.faults) * RUN_TICKS / self.setup().controller.rate
+        return PHASE_TIMES[self.phase] + faults
+
+    def describe(self) -> dict[str, Any]:
+        """Return the situation and the faults."""
+        return {'plant': self.plant, 'phase': self.phase, 'first_seed': self.first_seed,
+                'faults': [list(fault) for fault in self.faults]}
+
+
+def run_fault_job(job: FaultJob) -> JobResult:
+    """
+    Run the faults of a job.
+
+    Returns
+    -------
+    JobResult
+        `metrics`: a row for each fault under `rows`.
+
+    """
+    start = time.perf_counter()
+    kinds = {(kind.kind, kind.input): kind for kind in fault_kinds()}
+    world = _world_at(job)
+    rows = [in_fork(world, kinds[kind, source], seed, job.phase).as_json()
+            for kind, source, seed in job.faults]
+    return JobResult({'rows': rows}, {}, time.perf_counter() - start)
+
+
+# The worlds of this process by plant: faults happen in copies of them, so that a later phase
+# goes on from an earlier one, and no fault costs the way there.
+_WORLDS: dict[str, ClosedLoop] = {}
+
+
+def _world_at(job: FaultJob) -> ClosedLoop:
+    setup = job.setup()
+    tick = round(PHASE_TIMES[job.phase] * setup.controller.rate)
+    world = _WORLDS.get(job.plant)
+    if world is None or world.tick > tick or world.setup != setup:
+        if world is not None:
+            world.plant.close()
+        world = _WORLDS[job.plant] = ClosedLoop(setup)
+    while world.tick < tick:
+        world.advance()
+    return world
+
+
+def in_fork(world: ClosedLoop, kind: FaultKind, seed: int, phase: str) -> FaultRow:
+    """Run one fault in a copy of this process; a copy that hangs or dies is not safe."""
+    ours, theirs = Pipe(duplex=False)
+    # By hand: a worker of Dask is not allowed to have children of `multiprocessing`.
+    child = os.fork()
+    if not child:
+        _end_with(partial(run_fault, world, kind, seed, phase), theirs)
+    theirs.close()
+    try:
+        if ours.poll(FAULT_TIMEOUT):
+            row: FaultRow = ours.recv()
+            return row
+        problem = 'hang'
+    except EOFError:
+        problem = 'died'
+    finally:
+        os.kill(child, signal.SIGKILL)  # it has said what it had to say
+        os.waitpid(child, 0)
+        ours.close()
+    return FaultRow(kind.kind, kind.input, seed, problem, -1.0, -1.0, -1.0, False,
+                    world.setup.plant_name, phase, problem)
+
+
+def _end_with(work: Callable[[], FaultRow], pipe: Connection) -> NoReturn:
+    """Send what the work returns, and end this process at once, whatever it raises."""
+    try:
+        pipe.send(work())
+        os._exit(0)
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        os._exit(1)

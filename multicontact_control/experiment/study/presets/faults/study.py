@@ -1,0 +1,139 @@
+"""`multicontact faults`: many faults in every situation, judged and tabled."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from multicontact_control.errors import ConfigError
+from multicontact_control.experiment.faults.in_process import FaultRow
+from multicontact_control.experiment.faults.vocabulary import fault_kinds, PHASES
+from multicontact_control.experiment.scenario import PLANTS
+from multicontact_control.experiment.study.execute import JobRun
+from multicontact_control.experiment.study.page import Page, Section
+from multicontact_control.experiment.study.presets.faults.jobs import (
+    Fault,
+    FaultJob,
+    PHASE_TIMES,
+    run_fault_job,
+)
+from multicontact_control.experiment.study.study import Study
+from multicontact_control.experiment.study.table import Column, Line, Listing
+
+SEEDS = 14
+FAULTS_PER_JOB = 12
+PLACES = {'process': 'in process', 'graph': 'over the graph'}
+COLUMNS = (
+    Column('input', number=False), Column('kind', number=False), Column('n'),
+    Column('reaction', number=False), Column('to safe [ms]'), Column('force [N]'),
+    Column('torque'), Column('safe', number=False))
+SAFE = 7  # place of that column
+
+
+def situation(number: int) -> tuple[str, str]:
+    """Return plant and phase of the number-th seed of a kind: all pairs in turn."""
+    return PLANTS[number % 2], PHASES[number // 2 % 3]
+
+
+@dataclass(frozen=True)
+class FaultStudy(Study[FaultJob, list[FaultRow]]):
+    """
+    Kinds of faults and seeds, in the situations in turn.
+
+    Attributes
+    ----------
+    seed
+        Seeds of the faults count from here.
+    quick
+        One fault of each kind instead of 14.
+    graph
+        Whether faults of a running graph come after these.
+
+    """
+
+    seed: int = 0
+    quick: bool = False
+    graph: bool = False
+
+    title = 'faults'
+    name = 'faults'
+    measure = staticmethod(run_fault_job)
+    unit = 'jobs'
+
+    def check(self) -> None:
+        """Check the seed; ConfigError if it is negative."""
+        if self.seed < 0:
+            raise ConfigError('seed', 'a whole number >= 0', self.seed)
+
+    def grid(self) -> Mapping[str, Sequence[Any]]:
+        """Return kinds, seeds and situations."""
+        found: dict[str, Sequence[Any]] = {
+            'kinds': [f'{kind.input} {kind.kind}' for kind in fault_kinds()],
+            'seeds': range(self.seed, self.seed + (1 if self.quick else SEEDS)),
+            'plants': PLANTS, 'phases': PHASES}
+        if self.graph:
+            from multicontact_control.experiment.faults.in_graph import graph_tasks  # needs ROS
+
+            found['faults over the graph, run anew each time'] = [
+                f'{plant} {fault.input} {fault.kind} {seed}'
+                for plant, tasks in graph_tasks(self.seed, quick=self.quick).items()
+                for fault, seed in tasks]
+        return found
+
+    def jobs(self) -> list[FaultJob]:
+        """
+        Return the faults, up to 12 in a job, early phases first.
+
+        In this order a worker that has got to one phase only has to go on to the next.
+        """
+        places: dict[tuple[str, str], list[Fault]] = {
+            (plant, phase): [] for phase in sorted(PHASE_TIMES, key=PHASE_TIMES.__getitem__)
+            for plant in PLANTS}
+        for index, kind in enumerate(fault_kinds()):
+            # One of each, yet in every situation.
+            for number in (index % 6,) if self.quick else range(SEEDS):
+                places[situation(number)].append((kind.kind, kind.input, self.seed + number))
+        return [FaultJob(plant, phase, self.seed, tuple(faults[i:i + FAULTS_PER_JOB]))
+                for (plant, phase), faults in places.items()
+                for i in range(0, len(faults), FAULTS_PER_JOB)]
+
+    def content(self, run: JobRun[FaultJob]) -> list[FaultRow]:
+        """Return what became of every fault, by kind and seed."""
+        rows = [FaultRow(**row) for job in self.jobs() for row in run.result(job).metrics['rows']]
+        order = {(kind.kind, kind.input): i for i, kind in enumerate(fault_kinds())}
+        return sorted(rows, key=lambda row: (order[row.kind, row.input], row.seed))
+
+    def tables(self, content: list[FaultRow], run: JobRun[FaultJob]) -> Mapping[str, Any]:
+        """Return ``faults.json``."""
+        return {f'{self.name}.json': {'faults': [row.as_json() for row in content]}}
+
+    def page(self, content: list[FaultRow], folder: Path) -> Page:
+        """Return a line for each kind, and every fault that was not safe."""
+        unsafe = [row for row in content if not row.safe]
+        kinds = {(row.where, row.input, row.kind) for row in content}
+        return Page(
+            'Faults of inputs, plant and graph', [Section('Faults by kind', _listing(content))],
+            warnings=[f'not safe: {row.where}, {row.plant}, {row.input} {row.kind}, seed '
+                      f'{row.seed}: {row.problems}' for row in unsafe],
+            findings=[f'{len(content)} faults of {len(kinds)} kinds, {len(unsafe)} unsafe'])
+
+
+def _listing(rows: Sequence[FaultRow]) -> Listing:
+    """Return one line per kind, by where it happened."""
+    groups: dict[tuple[str, str, str], list[FaultRow]] = {}
+    for row in rows:
+        groups.setdefault((row.where, row.input, row.kind), []).append(row)
+    lines = []
+    for (where, source, kind), group in groups.items():
+        never = any(row.time_to_safe_s < 0.0 for row in group)
+        unsafe = sum(not row.safe for row in group)
+        lines.append(Line([
+            source.removesuffix('_node'), kind, str(len(group)),
+            ', '.join(sorted({row.reaction for row in group})),
+            'never' if never else f'{1e3 * max(row.time_to_safe_s for row in group):.0f}',
+            f'{max(row.peak_force_n for row in group):.1f}',
+            f'{max(row.peak_torque_fraction for row in group):.2f}',
+            f'{unsafe} not' if unsafe else 'yes'], not unsafe, PLACES[where]))
+    return Listing(COLUMNS, lines, verdict=SAFE)

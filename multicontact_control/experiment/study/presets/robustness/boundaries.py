@@ -1,0 +1,243 @@
+"""
+How wrong the stiffness and the delay may be: simulated, and by the linear loop.
+
+The linear loop is that of `force.contact_loop`, with the mobility of this arm at its home. The
+plant of the paper's eq. 32 alone gives boundaries 30 to 40 % too low on the simulated arm, since
+it leaves out that the contact force moves the arm, that the surface damps, and that the sensor
+weighs the tool's inertia.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+import math
+from typing import Any
+
+from multicontact_control.arrays import Matrix
+from multicontact_control.contact.geometry import normal_space
+from multicontact_control.control.controller import Controller
+from multicontact_control.dynamics.operational_space import task_inertia
+from multicontact_control.experiment.scenario import Setup
+from multicontact_control.experiment.study.jobs import job_of, RunJob
+from multicontact_control.experiment.study.presets.compare.matrix import (
+    controller_values,
+    estimator_values,
+)
+from multicontact_control.force.contact_loop import closed_loop, LinearArmPlant, spectral_radius
+from multicontact_control.force.linear_loop import (
+    RealContact,
+    stability_boundary,
+    steady_gain,
+)
+from multicontact_control.force.observer import design_observer, ObserverDesign
+from multicontact_control.force.plant_model import design_force_loop
+import numpy as np
+
+SCENARIO = 'step'
+SETTLED = 0.1  # of the command: a larger error at the end of the run counts as unstable
+SMALLEST_RATIO, LARGEST_RATIO = 0.1, 20.0
+DELAYS = (0, 1, 2, 3)
+
+
+def map_job(
+    ratio: float, delay_ticks: int, label: str, *, plant: str = 'rigid', seed: int = 0,
+) -> RunJob:
+    """
+    Return a job of the robustness map.
+
+    Parameters
+    ----------
+    ratio
+        True stiffness over that of the model, both surfaces.
+    delay_ticks
+        Actuator delay; the model keeps its T_d.
+    label
+        Of the estimator, as in the comparison.
+    plant, seed
+        As everywhere.
+
+    """
+    base = job_of(SCENARIO, plant, seed).setup()
+    surfaces = {name: {'stiffness': ratio * base.controller.contacts[name].stiffness}
+                for name in base.controller.contact_names}
+    return job_of(
+        SCENARIO, plant, seed, noise_estimator=estimator_values(label),
+        controller=controller_values(plant),
+        plant_overrides={'actuator_delay_ticks': delay_ticks, 'surfaces': surfaces})
+
+
+def verdict(metrics: dict[str, Any]) -> tuple[bool, float | None]:
+    """Return whether a job of the map is stable, and its largest overshoot [%]."""
+    share = metrics['final_error_share']
+    stable = bool(share is not None and share <= SETTLED
+                  and not metrics['summary']['ended_early'])
+    overshoots = [contact['step_overshoot_percent']
+                  for contact in metrics['summary']['contacts'].values()
+                  if contact['step_overshoot_percent'] is not None]
+    return stable, max(overshoots) if overshoots else None
+
+
+def ratios(count: int) -> list[float]:
+    """Return stiffness ratios from 0.1 to 20, 1 among them, in even steps on either side of it."""
+    span = math.log(LARGEST_RATIO / SMALLEST_RATIO)
+    below = round((count - 1) * -math.log(SMALLEST_RATIO) / span)
+    grid = [*np.geomspace(SMALLEST_RATIO, 1.0, below + 1)[:-1],
+            *np.geomspace(1.0, LARGEST_RATIO, count - below)]
+    return [float(f'{ratio:.3g}') for ratio in grid]
+
+
+@dataclass(frozen=True)
+class ArmLoop:
+    """
+    The linear force loops of a setup at its home.
+
+    Attributes
+    ----------
+    setup
+        Where stiffness, damping, delay and controller come from.
+    mobility, tool_inertia
+        As in `LinearArmPlant`.
+
+    """
+
+    setup: Setup
+    mobility: Matrix
+    tool_inertia: Matrix
+
+    @property
+    def delay(self) -> float:
+        """Return the delay the loop really has: of actuators and sensor's low-pass [s]."""
+        controller = self.setup.controller
+        return (self.setup.plant.actuator_delay_ticks * controller.period
+                + controller.sensor.filter_delay(controller.rate))
+
+    def observer(self) -> ObserverDesign:
+        """Return the observer of the first contact; the others have the same model."""
+        controller = self.setup.controller
+        force = controller.force
+        loop = design_force_loop(
+            controller.contacts[controller.contact_names[0]].stiffness,
+            damping_rate=force.damping_rate, input_delay=controller.loop_delay,
+            period=controller.period, time_constant=force.time_constant,
+            second_pole_ratio=force.second_pole_ratio)
+        return design_observer(
+            loop, order=force.active_state_order, process_noise=force.process_noise,
+            initial_covariance=force.initial_covariance)
+
+    def paper_boundary(self, noise_variance: float) -> float:
+        """Return the largest stable stiffness ratio of eq. 32 with the real delay."""
+        controller = self.setup.controller
+        contact = RealContact(
+            stiffness=controller.contacts[controller.contact_names[0]].stiffness,
+            damping_rate=controller.force.damping_rate, period=controller.period,
+            input_delay=self.delay)
+        return stability_boundary(self.observer(), noise_variance, contact).upper
+
+    def radius(self, noise_variance: float) -> Callable[[float], float]:
+        """
+        Return the spectral radius of the closed loops as a function of the stiffness ratio.
+
+        The real delay counts in whole periods.
+
+        Parameters
+        ----------
+        noise_variance
+            R, held [N^2].
+
+        """
+        controller, plant = self.setup.controller, self.setup.plant
+        force, names = controller.force, controller.contact_names
+        stiffness = np.array([controller.contacts[name].stiffness for name in names])
+        damping = np.array([plant.surfaces[name].damping for name in names])
+        observer = self.observer()
+        gain = steady_gain(observer, noise_variance)
+
+        def of_ratio(ratio: float) -> float:
+            surroundings = LinearArmPlant(
+                mobility=self.mobility, stiffness=ratio * stiffness, damping=damping,
+                tool_inertia=self.tool_inertia,
+                delay_ticks=round(self.delay * controller.rate))
+            return spectral_radius(closed_loop(
+                surroundings, observer, gain, force.damping_rate, controller.period))
+
+        return of_ratio
+
+    def boundary(self, noise_variance: float) -> float:
+        """
+        Return the largest stiffness ratio up to which the loops are stable.
+
+        Scanned upwards from 0.1 in steps of 10 %, then bisected; 0 if not even the softest is
+        stable, infinity if all up to 100 are.
+        """
+        radius = self.radius(noise_variance)
+
+        def stable(ratio: float) -> bool:
+            return radius(ratio) < 1.0
+
+        grid = np.geomspace(SMALLEST_RATIO, 100.0, 73).tolist()
+        for low, high in zip([0.0, *grid[:-1]], grid):
+            if not stable(high):
+                return bisect(stable, low, high, 20) if low else 0.0
+        return math.inf
+
+
+def arm_loop(setup: Setup) -> ArmLoop:
+    """
+    Return the linear force loops of a setup, for `decoupled` allocation.
+
+    Parameters
+    ----------
+    setup
+        The contacts' geometry, the arm at the plant's home, and the tool.
+
+    """
+    config = setup.controller
+    controller = Controller.from_config(config, setup.reference(), setup.urdf_dir)
+    robot = controller.robot
+    state = robot.update(np.array(setup.plant.home), np.zeros(robot.joint_count))
+    N = normal_space(controller.contacts, state.pose.rotation_world)
+    mobility = N.T @ np.linalg.solve(task_inertia(state.mass_matrix, state.jacobian), N)
+    com = (state.sensor_pose.rotation_world @ np.array(config.tool.com_sensor)
+           + state.sensor_pose.position_world - state.pose.position_world)
+    x, y, z = com
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    inertia = config.tool.mass * np.block(
+        [[np.eye(3), -cross], [cross, -cross @ cross]])  # of a point mass at its centre
+    return ArmLoop(setup, mobility, np.linalg.pinv(N) @ inertia @ N @ np.linalg.inv(N.T @ N))
+
+
+def bisect(stable: Callable[[float], bool], low: float, high: float, steps: int) -> float:
+    """Return where a verdict changes from True at `low` to False at `high`, by ratios."""
+    for _ in range(steps):
+        middle = math.sqrt(low * high)
+        if stable(middle):
+            low = middle
+        else:
+            high = middle
+    return math.sqrt(low * high)
+
+
+def linear_boundaries(
+    plant: str, delays: Sequence[int], variances: Sequence[float],
+) -> list[dict[str, Any]]:
+    """
+    Return the boundaries to draw beside the simulation, as JSON values.
+
+    Parameters
+    ----------
+    plant
+        Preset or path.
+    delays
+        Of the actuator [periods].
+    variances
+        R held [N^2]; the first one for eq. 32 alone, too.
+
+    """
+    loops = [arm_loop(map_job(1.0, delay, 'fixed', plant=plant).setup()) for delay in delays]
+    lines = [{'label': f'linear loop of the arm, R = {variance:g} N²',
+              'largest_ratio': [loop.boundary(variance) for loop in loops]}
+             for variance in variances]
+    lines.append({'label': f'eq. 32 alone, R = {variances[0]:g} N²',
+                  'largest_ratio': [loop.paper_boundary(variances[0]) for loop in loops]})
+    return lines

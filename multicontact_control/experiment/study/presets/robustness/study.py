@@ -1,0 +1,151 @@
+"""`multicontact map`: how wrong stiffness and delay may be."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+import math
+from pathlib import Path
+from typing import Any
+
+from multicontact_control.errors import check_all
+from multicontact_control.experiment.results import finite
+from multicontact_control.experiment.scenario import PLANTS
+from multicontact_control.experiment.study.execute import JobRun
+from multicontact_control.experiment.study.jobs import RunJob
+from multicontact_control.experiment.study.measure import measure_run
+from multicontact_control.experiment.study.page import Page, Section
+from multicontact_control.experiment.study.presets.compare.matrix import LABELS, name_checks
+from multicontact_control.experiment.study.presets.robustness.boundaries import (
+    DELAYS,
+    linear_boundaries,
+    map_job,
+    ratios,
+    verdict,
+)
+from multicontact_control.experiment.study.presets.robustness.figure import draw_map
+from multicontact_control.experiment.study.study import Study
+from multicontact_control.experiment.study.table import Column, Line, Listing
+
+QUICK_PLANTS, QUICK_LABELS = ('rigid',), ('lead_window', 'fixed')
+RATIOS, QUICK_RATIOS = 13, 8  # how many
+VARIANCES = (0.6, 100.0)  # N^2, of the linear boundaries: at rest and in motion
+EXPLANATION = (
+    'Each square is one simulated force step at rest, with the true stiffness of both surfaces '
+    'over that of the model along the bottom and the delay of the '
+    'actuator in periods of 2 ms upwards; the model keeps its T_d. Colour: the largest overshoot; '
+    'crosses: not settled within 10 % of the command at the end. Lines: the boundary of the '
+    'linear loop with R held, which knows neither loss of contact nor the flexible drives.')
+
+Point = tuple[str, str, float, int]
+
+
+@dataclass(frozen=True)
+class RobustnessStudy(Study[RunJob, dict[str, Any]]):
+    """
+    Plants, estimators, true stiffness over that of the model, and actuator delay.
+
+    Attributes
+    ----------
+    plants, estimators
+        A panel each: plants downwards, estimators across.
+    ratios
+        True stiffness over the model's.
+    delays
+        Of the actuator [periods].
+
+    """
+
+    plants: tuple[str, ...]
+    estimators: tuple[str, ...]
+    ratios: tuple[float, ...]
+    delays: tuple[int, ...] = DELAYS
+
+    title = 'map'
+    name = 'robustness'
+    measure = staticmethod(measure_run)
+    takes_long = True
+
+    def check(self) -> None:
+        """Check plants and estimators; ConfigError with all that are not acceptable."""
+        check_all(*name_checks(self.plants, self.estimators))
+
+    def grid(self) -> Mapping[str, Sequence[Any]]:
+        """Return plants, estimators, ratios and delays: every combination is run."""
+        return {'plants': self.plants, 'estimators': self.estimators,
+                'stiffness ratios': self.ratios, 'delays': self.delays}
+
+    def points(self) -> dict[Point, RunJob]:
+        """Return the runs by plant, estimator, ratio and delay."""
+        return {(plant, label, ratio, delay): map_job(ratio, delay, label, plant=plant)
+                for plant in self.plants for label in self.estimators
+                for ratio in self.ratios for delay in self.delays}
+
+    def jobs(self) -> list[RunJob]:
+        """Return the runs."""
+        return list(self.points().values())
+
+    def content(self, run: JobRun[RunJob]) -> dict[str, Any]:
+        """Return the content of ``robustness.json``."""
+        points = []
+        for (plant, label, ratio, delay), job in self.points().items():
+            stable, overshoot = verdict(run.result(job).metrics)
+            points.append({
+                'plant': plant, 'estimator': label, 'ratio': ratio, 'delay_ticks': delay,
+                'stable': stable, 'overshoot_percent': overshoot, 'key': run.keys[job]})
+        content: dict[str, Any] = finite({
+            'schema': 1, 'plants': self.plants, 'estimators': self.estimators,
+            'ratios': self.ratios, 'delays': self.delays, 'points': points,
+            'linear': {plant: linear_boundaries(plant, self.delays, VARIANCES)
+                       for plant in self.plants}})
+        return content
+
+    def page(self, content: dict[str, Any], folder: Path) -> Page:
+        """Return the map and its stable ranges."""
+        return Page(
+            'How wrong stiffness and delay may be',
+            [Section(f'Plant {plant}: true/model stiffness that is stable, on the grid',
+                     _listing(content, plant)) for plant in self.plants],
+            introduction=[EXPLANATION], figure=draw_map(content))
+
+
+def robustness_study(
+    plants: tuple[str, ...] = (), estimators: tuple[str, ...] = (), *, quick: bool = False,
+) -> RobustnessStudy:
+    """Return the map of some plants and estimators, none for all, or those of the quick map."""
+    return RobustnessStudy(
+        plants or (QUICK_PLANTS if quick else PLANTS),
+        estimators or (QUICK_LABELS if quick else LABELS),
+        tuple(ratios(QUICK_RATIOS if quick else RATIOS)))
+
+
+def stable_range(
+    content: dict[str, Any], plant: str, label: str, delay: int,
+) -> tuple[float, float] | None:
+    """Return the smallest and largest stable ratio around 1, None if there is none."""
+    known = sorted((point['ratio'], point['stable']) for point in content['points']
+                   if (point['plant'], point['estimator'], point['delay_ticks'])
+                   == (plant, label, delay))
+    nearest = min(range(len(known)), key=lambda i: abs(math.log(known[i][0])))
+    if not known[nearest][1]:
+        return None
+    low = high = nearest
+    while low > 0 and known[low - 1][1]:
+        low -= 1
+    while high + 1 < len(known) and known[high + 1][1]:
+        high += 1
+    return known[low][0], known[high][0]
+
+
+def _listing(content: dict[str, Any], plant: str) -> Listing:
+    lines = []
+    for label in content['estimators']:
+        found = [stable_range(content, plant, label, delay) for delay in content['delays']]
+        lines.append(Line([label, *(
+            'none' if span is None else f'{span[0]:g} - {span[1]:g}' for span in found)]))
+    for line in content['linear'][plant]:
+        lines.append(Line([line['label'], *(
+            'up to ' + ('100' if limit is None else f'{limit:.2f}')
+            for limit in line['largest_ratio'])]))
+    delays = [Column(f'delay {delay}') for delay in content['delays']]
+    return Listing([Column('', number=False), *delays], lines)

@@ -1,0 +1,143 @@
+"""The runs of a study, in their order, each checked before anything is run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+from multicontact_control.errors import ConfigError
+from multicontact_control.experiment.scenario import resolve, Setup
+from multicontact_control.experiment.study.jobs import job_of, RunJob
+from multicontact_control.experiment.study.presets.sweep.config import StudyConfig
+from multicontact_control.experiment.study.presets.sweep.parameters import (
+    overrides_of,
+    unit_of,
+    value_of,
+)
+
+DURATION = 'scenario.duration'
+
+
+@dataclass(frozen=True)
+class SweepRun:
+    """
+    One run of a study.
+
+    Attributes
+    ----------
+    number
+        Its place, from 0.
+    plant, seed
+        Of the run.
+    values
+        Of every swept parameter, as scalars.
+    job
+        What is run.
+
+    """
+
+    number: int
+    plant: str
+    seed: int
+    values: Mapping[str, Any]
+    job: RunJob
+
+
+@dataclass(frozen=True)
+class SweepPlan:
+    """
+    The runs of a study.
+
+    Attributes
+    ----------
+    study
+        What they were made from.
+    runs
+        By plant, then by combination as in the file, then by seed.
+    units
+        Of every swept parameter.
+
+    """
+
+    study: StudyConfig
+    runs: tuple[SweepRun, ...]
+    units: Mapping[str, str]
+
+
+def plan_sweep(study: StudyConfig, source: str = '') -> SweepPlan:
+    """
+    Return the runs of a study.
+
+    Parameters
+    ----------
+    study
+        What is asked for.
+    source
+        File name for errors.
+
+    Raises
+    ------
+    ConfigError
+        With the first parameter or value that is not acceptable.
+
+    """
+    names = list(dict.fromkeys([*study.grid, *(name for point in study.points for name in point)]))
+    runs: list[SweepRun] = []
+    units: dict[str, str] = {}
+    seen: set[RunJob] = set()
+    for plant in study.plants:
+        base = _base(study, plant, names, source)
+        units = units or {name: unit_of(name, base) for name in names}
+        for field, combination in _combinations(study):
+            job, setup = _job(study, plant, base, field, combination, source)
+            values = {name: value_of(name, setup) for name in names}
+            if job in seen:  # a point of the grid, once more
+                continue
+            seen.add(job)
+            for seed in study.seeds:
+                runs.append(SweepRun(len(runs), plant, seed, values, RunJob(
+                    job.scenario, plant, seed, job.overrides, job.supervised)))
+    return SweepPlan(study, tuple(runs), units)
+
+
+def _combinations(study: StudyConfig) -> list[tuple[str, dict[str, Any]]]:
+    """Return every combination of values, with the field it comes from."""
+    found = [('grid', dict(zip(study.grid, values))) for values in product(*study.grid.values())
+             ] if study.grid or not study.points else []
+    return found + [(f'points.{i}', dict(point)) for i, point in enumerate(study.points)]
+
+
+def _base(study: StudyConfig, plant: str, names: Sequence[str], source: str) -> Setup:
+    """Return the setup on which all names of parameters are looked up, and look them up."""
+    try:
+        base = resolve(study.scenario, plant=plant, seed=study.seeds[0], duration=study.duration)
+        if study.duration is not None and DURATION in names:
+            raise ConfigError('duration', f'nothing, since {DURATION} is swept', study.duration)
+        overrides_of(study.fixed, base, 'fixed')
+        for field, values in [('grid', study.grid), *(
+                (f'points.{i}', point) for i, point in enumerate(study.points))]:
+            overrides_of(values, base, field)
+    except ConfigError as error:
+        raise ConfigError(error.field, error.expected, error.found, source) from None
+    return base
+
+
+def _job(
+    study: StudyConfig, plant: str, base: Setup, field: str, combination: Mapping[str, Any],
+    source: str,
+) -> tuple[RunJob, Setup]:
+    """Return the job of a combination for the first seed, and what it resolves to."""
+    overrides = overrides_of({**study.fixed, **combination}, base, field)
+    job = job_of(
+        study.scenario, plant, study.seeds[0], duration=study.duration,
+        noise_estimator=overrides.get('noise_estimator'), controller=overrides.get('controller'),
+        plant_overrides=overrides.get('plant'), scenario_overrides=overrides.get('scenario'),
+        supervised=study.supervised)
+    try:
+        return job, job.setup()
+    except ConfigError as error:
+        where = ', '.join(f'{name} = {value}' for name, value in combination.items())
+        raise ConfigError(f'{field} ({where}): {error.field}', error.expected, error.found,
+                          source) from None

@@ -1,0 +1,217 @@
+"""What a study is, and how any of them runs: grid, jobs, table, page."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Generic, TypeVar
+
+from multicontact_control.errors import check_all, ConfigError, RunError
+from multicontact_control.experiment.study.cache import prepare_job_folder
+from multicontact_control.experiment.study.cluster import DaskExecutor
+from multicontact_control.experiment.study.estimate import estimate_time
+from multicontact_control.experiment.study.execute import JobRun, run_jobs
+from multicontact_control.experiment.study.jobs import Executor, JobResult, JobT
+from multicontact_control.experiment.study.local import check_workers, LocalExecutor
+from multicontact_control.experiment.study.page import Page, write_study_page
+from multicontact_control.experiment.study.table import terminal_table, write_table
+from rich.console import Console
+from rich.markup import escape
+
+ContentT = TypeVar('ContentT')
+
+
+class Study(ABC, Generic[JobT, ContentT]):
+    """
+    A grid of jobs, what is measured in each, and what is shown of all of them.
+
+    Attributes
+    ----------
+    title
+        Left of the progress bar.
+    name
+        Of its page and its figure.
+    unit
+        What its jobs are called.
+    takes_long
+        Whether a few seconds spent on finding out how long it takes are worth it.
+
+    """
+
+    title: ClassVar[str]
+    name: ClassVar[str]
+    unit: ClassVar[str] = 'runs'
+    takes_long: ClassVar[bool] = False
+
+    def check(self) -> None:
+        """Check the options; ConfigError with all that are not acceptable."""
+
+    @abstractmethod
+    def grid(self) -> Mapping[str, Sequence[Any]]:
+        """Return what is varied, and its values."""
+
+    @abstractmethod
+    def jobs(self) -> list[JobT]:
+        """
+        Return every job; one may come twice.
+
+        Raises
+        ------
+        ConfigError
+            If what is to be run is not acceptable.
+
+        """
+
+    @staticmethod
+    @abstractmethod
+    def measure(job: Any) -> JobResult:
+        """Run a job; workers must be able to import what does."""
+
+    @abstractmethod
+    def content(self, run: JobRun[JobT]) -> ContentT:
+        """Return what came out, the same whatever ran the jobs."""
+
+    def tables(self, content: ContentT, run: JobRun[JobT]) -> Mapping[str, Any]:
+        """Return what is written, as for `write_table`, by file name; one JSON file if alone."""
+        return {f'{self.name}.json': content}
+
+    @abstractmethod
+    def page(self, content: ContentT, folder: Path) -> Page:
+        """Return what is shown; the finished jobs are in the folder."""
+
+    def folder(self) -> Path:
+        """Return where the results go unless the user says otherwise."""
+        return Path('runs') / self.title
+
+    def headline(self) -> str:
+        """Return in one line what is run."""
+        sizes = (f'{len(values)} {name if len(values) > 1 else name.removesuffix("s")}'
+                 for name, values in self.grid().items())
+        return f'{self.title}: {", ".join(sizes)}'
+
+
+@dataclass(frozen=True)
+class StudyOptions:
+    """
+    How a study is run.
+
+    Attributes
+    ----------
+    out
+        Folder of the results; None for the study's own.
+    jobs
+        How many run at once on this machine, 0 for every core.
+    dask
+        Address of a Dask scheduler to use instead, empty for none.
+    dry_run, overwrite
+        Whether only to say what would be run; whether finished jobs are run again.
+
+    """
+
+    out: Path | None = None
+    jobs: int = 0
+    dask: str = ''
+    dry_run: bool = False
+    overwrite: bool = False
+
+    def check(self) -> None:
+        """Check what can be checked without doing anything; ConfigError if it is bad."""
+        check_workers(self.jobs)
+        if self.dask and self.jobs:
+            raise ConfigError('jobs', 'nothing together with --dask, whose workers decide',
+                              self.jobs)
+
+    @contextmanager
+    def executor(self) -> Iterator[Executor]:
+        """Open what the jobs are run by."""
+        if self.dask:
+            with DaskExecutor(self.dask) as executor:
+                yield executor
+        else:
+            yield LocalExecutor(self.jobs)
+
+
+def run_study(
+    study: Study[JobT, ContentT], options: StudyOptions, console: Console | None = None,
+) -> ContentT | None:
+    """
+    Run a study, write its files and show what came out.
+
+    Parameters
+    ----------
+    study, options
+        What is run, and how.
+    console
+        Where it is shown.
+
+    Returns
+    -------
+    ContentT or None
+        What came out, None of a dry run.
+
+    Raises
+    ------
+    ConfigError
+        If study or options are not acceptable, before anything is run.
+    RunError
+        If jobs were lost.
+
+    """
+    console = console or Console()
+    run = run_study_jobs(study, options, console)
+    if run is None:
+        return None
+    content = study.content(run)
+    report_study(study, content, run, console)
+    return content
+
+
+def run_study_jobs(
+    study: Study[JobT, ContentT], options: StudyOptions, console: Console,
+) -> JobRun[JobT] | None:
+    """Run the jobs of a study that have no result yet; None of a dry run. See `run_study`."""
+    check_all(options.check, study.check)
+    jobs, folder = study.jobs(), options.out or study.folder()
+    with options.executor() as executor:
+        if not options.dry_run:
+            prepare_job_folder(folder, overwrite=options.overwrite,
+                               results=[f'{study.name}.json', f'{study.name}.html'])
+        workers = max(executor.workers, 1)
+        estimate = estimate_time(jobs, folder, workers, anew=options.overwrite,
+                                 probe=options.dry_run or study.takes_long)
+        console.print(study.headline(), highlight=False, markup=False)
+        if options.dry_run:
+            for name, values in study.grid().items():
+                console.print(f'  {name}: {", ".join(map(str, values))}', highlight=False,
+                              markup=False, soft_wrap=True)
+        console.print(estimate.sentence(workers, study.unit), highlight=False)
+        if options.dry_run:
+            return None
+        return run_jobs(jobs, folder, study.measure, executor=executor, console=console,
+                        title=study.title)
+
+
+def report_study(
+    study: Study[JobT, ContentT], content: ContentT, run: JobRun[JobT], console: Console,
+) -> None:
+    """Write the files of a study and show what came out; RunError if jobs were lost."""
+    folder = run.folder
+    paths = [write_table(table, folder / name)
+             for name, table in study.tables(content, run).items()]
+    page = study.page(content, folder)
+    for section in page.sections:
+        if section.listing is not None and section.in_terminal:
+            console.print(terminal_table(section.heading, section.listing, console.width))
+    for text in page.warnings:
+        console.print(f'[red]{escape(text)}[/red]', highlight=False)
+    for text in page.findings:
+        console.print(f'- {escape(text)}', highlight=False)
+    paths += write_study_page(page, folder / study.name)
+    for path in paths:
+        console.print(f'results in {path}', highlight=False, soft_wrap=True)
+    if run.lost:
+        raise RunError(f'{len(run.lost)} of {len(run.keys)} jobs were lost; the same command '
+                       'tries them again')

@@ -1,0 +1,181 @@
+"""The tables of a study: as files, in the terminal, and on its page."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import csv
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from multicontact_control.experiment.html_parts import table
+from multicontact_control.files import json_text, replacing
+import pyarrow.parquet as pq
+from rich.box import SIMPLE_HEAD
+from rich.markup import escape as plain
+from rich.table import Table
+import yaml
+
+WIDE = 110  # columns of a terminal that has room for every column of a table
+LONGEST = 1000  # lines of a table on a page
+
+
+def write_table(content: Any, path: Path) -> Path:
+    """
+    Write a table such that a reader sees the old file or the new one, never half of one.
+
+    Parameters
+    ----------
+    content
+        A `pyarrow.Table` for ``.parquet``; rows, that is mappings with the same keys, for
+        ``.csv``; JSON values for ``.json`` and ``.yaml``.
+    path
+        Its suffix says what is written.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    """
+    with replacing(path) as partial:
+        if path.suffix == '.parquet':
+            pq.write_table(content, partial, compression='zstd')
+        elif path.suffix == '.csv':
+            lines = [list(content[0]) if content else [], *(row.values() for row in content)]
+            with partial.open('w', encoding='utf-8', newline='') as file:
+                csv.writer(file, lineterminator='\n').writerows(lines)
+        elif path.suffix == '.yaml':
+            partial.write_text(yaml.safe_dump(content, sort_keys=False), encoding='utf-8')
+        else:
+            partial.write_text(json_text(content), encoding='utf-8')
+    return path
+
+
+@dataclass(frozen=True)
+class Column:
+    """
+    A column of what is shown.
+
+    Attributes
+    ----------
+    head, short
+        On the page, and in the terminal; the same if there is no `short`.
+    number
+        Whether it is set to the right.
+    spare
+        Whether a narrow terminal does without it.
+
+    """
+
+    head: str
+    short: str | None = None
+    number: bool = True
+    spare: bool = False
+
+
+@dataclass(frozen=True)
+class Line:
+    """
+    A line of what is shown.
+
+    Attributes
+    ----------
+    cells
+        Plain text.
+    good
+        Colours the cell that says so.
+    group
+        Stands above the first of the lines that have it in common.
+    html_attributes
+        Of its HTML element.
+
+    """
+
+    cells: Sequence[str]
+    good: bool | None = None
+    group: str = ''
+    html_attributes: str = ''
+
+
+@dataclass(frozen=True)
+class Listing:
+    """
+    A table to be looked at.
+
+    Attributes
+    ----------
+    columns, lines
+        Of the table.
+    verdict
+        Place of the cell that says whether a line is good.
+    caption
+        Below it in the terminal.
+
+    """
+
+    columns: Sequence[Column]
+    lines: Sequence[Line]
+    verdict: int = 1
+    caption: str = ''
+
+
+def terminal_table(title: str, listing: Listing, width: int) -> Table:
+    """
+    Return a listing for the terminal.
+
+    Parameters
+    ----------
+    title
+        Stands above it.
+    listing
+        The table.
+    width
+        Of the terminal; some columns are left out of a narrow one.
+
+    """
+    shown = [i for i, column in enumerate(listing.columns) if width >= WIDE or not column.spare]
+    found = Table(title=plain(title), box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False,
+                  caption=plain(listing.caption) or None)
+    for i in shown:
+        column = listing.columns[i]
+        found.add_column(plain(column.head if column.short is None else column.short),
+                         justify='right' if column.number else 'left', overflow='fold',
+                         no_wrap=column.number and column.short is not None)
+    group = ''
+    for line in listing.lines:
+        if line.group != group:
+            group = line.group
+            found.add_section()
+            found.add_row(f'[bold]{plain(group)}[/bold]')
+        cells = [plain(cell) for cell in line.cells]
+        if line.good is not None:
+            colour = 'green' if line.good else 'red'
+            cells[listing.verdict] = f'[{colour}]{cells[listing.verdict]}[/{colour}]'
+        found.add_row(*(cells[i] for i in shown))
+    return found
+
+
+def html_table(listing: Listing) -> str:
+    """Return a listing as HTML; of a very long one the beginning."""
+    rows: list[list[str]] = []
+    attributes: list[str] = []
+    group = ''
+    for line in listing.lines[:LONGEST]:
+        if line.group != group:
+            group = line.group
+            rows.append([f'<b>{escape(group)}</b>', *[''] * (len(listing.columns) - 1)])
+            attributes.append('')
+        cells = [escape(cell) for cell in line.cells]
+        if line.good is not None:
+            colour = 'yes' if line.good else 'no'
+            cells[listing.verdict] = f'<b class={colour}>{cells[listing.verdict]}</b>'
+        rows.append(cells)
+        attributes.append(line.html_attributes)
+    numbers = [i for i, column in enumerate(listing.columns) if column.number]
+    text = table([escape(column.head) for column in listing.columns], rows,
+                 numbers_from=numbers[0] if numbers else len(listing.columns),
+                 row_attributes=attributes)
+    left = len(listing.lines) - LONGEST
+    return text + (f'<p class=note>{left} more lines are left out.</p>' if left > 0 else '')

@@ -1,0 +1,328 @@
+"""
+The active observer (AOB) of a contact: a Kalman filter with an input-disturbance state.
+
+Its design, prediction, correction and command (P04 eqs 34-41). One record of `OBSERVER` per
+contact holds what is designed and what is known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import comb
+from typing import Any
+
+from multicontact_control.arrays import Matrix, Vector
+from multicontact_control.compiled import compiled
+from multicontact_control.errors import ConfigError
+from multicontact_control.force.plant_model import ForceLoop
+from multicontact_control.records import MAX_ORDER, OBSERVER, Records
+import numpy as np
+
+
+@dataclass(frozen=True, slots=True)
+class ObserverDesign:
+    """
+    State-space form of an active observer.
+
+    The state is [x_r, p_k, p_{k-1}, ...]: that of the delayed plant and the active states, the
+    newest of which is the disturbance p that adds to the input.
+
+    Attributes
+    ----------
+    loop
+        The plant and its state feedback.
+    order
+        Number of active states.
+    Phi_n, Phi_c
+        Transition of the open loop (P04 eq. 41) and of the closed one (eq. 37), shape (n, n).
+    Gamma
+        Input vector, shape (n,).
+    feedback
+        [L_r 1] of P04 eq. 36, shape (n,).
+    Q
+        Diagonal of the process noise's covariance, shape (n,).
+    P_0
+        Initial variance of every state.
+
+    """
+
+    loop: ForceLoop
+    order: int
+    Phi_n: Matrix
+    Phi_c: Matrix
+    Gamma: Vector
+    feedback: Vector
+    Q: Vector
+    P_0: float
+
+
+def design_observer(
+    loop: ForceLoop, *, order: int = 1, process_noise: float = 1e-3,
+    initial_covariance: float = 1e-3,
+) -> ObserverDesign:
+    """
+    Design an active observer (P04 eqs 34-37, 41).
+
+    Parameters
+    ----------
+    loop
+        The plant and its state feedback.
+    order
+        Order of the active state, 0 to 3; 1 is the paper's random walk, 0 leaves plain pole
+        placement on the Kalman estimate.
+    process_noise
+        Q = process_noise I over x_r and the newest p; older copies of p are exact.
+    initial_covariance
+        P_0 = initial_covariance I.
+
+    Raises
+    ------
+    ConfigError
+        If `order` is out of range or a covariance is not positive.
+
+    """
+    if not 0 <= order <= MAX_ORDER:
+        raise ConfigError('active_state_order', f'0 to {MAX_ORDER}', order)
+    for name, value in (('process_noise', process_noise),
+                        ('initial_covariance', initial_covariance)):
+        if not value > 0.0:
+            raise ConfigError(name, 'a positive number', value)
+    n = loop.plant.Phi.shape[0]
+    size = n + order
+    Phi_n, Phi_c = np.zeros((size, size)), np.zeros((size, size))
+    Phi_n[:n, :n], Phi_c[:n, :n] = loop.plant.Phi, loop.closed_loop
+    Phi_n[n:, n:] = Phi_c[n:, n:] = active_state_matrix(order)
+    feedback = np.concatenate([loop.L, np.zeros(order)])
+    if order:
+        Phi_n[:n, n] = loop.plant.Gamma
+        feedback[n] = 1.0
+    Q = np.zeros(size)
+    Q[:n + min(order, 1)] = process_noise
+    return ObserverDesign(
+        loop, order, Phi_n, Phi_c, np.concatenate([loop.plant.Gamma, np.zeros(order)]), feedback,
+        Q, float(initial_covariance))
+
+
+def active_state_matrix(order: int) -> Matrix:
+    """
+    Return the transition of [p_{k-1}, ..., p_{k-n}] to [p_k, ..., p_{k-n+1}].
+
+    p_k = sum_j (-1)^(j+1) binom(n, j) p_{k-j} + noise, a polynomial of degree n - 1.
+
+    Parameters
+    ----------
+    order
+        n; 1 gives the random walk of P04 eq. 34.
+
+    Returns
+    -------
+    Matrix
+        Shape (n, n).
+
+    """
+    matrix = np.zeros((order, order))
+    for j in range(1, order + 1):
+        matrix[0, j - 1] = (-1.0) ** (j + 1) * comb(order, j)
+    for j in range(1, order):
+        matrix[j, j - 1] = 1.0
+    return matrix
+
+
+def make_observers(designs: Sequence[ObserverDesign]) -> Records:
+    """Return one observer per contact that knows nothing yet, shape (r,)."""
+    observers = np.zeros(len(designs), dtype=OBSERVER)
+    for observer, design in zip(observers, designs):
+        n = design.Gamma.shape[0]
+        observer['states'], observer['order'], observer['P_0'] = n, design.order, design.P_0
+        for name in ('Phi_c', 'Phi_n'):
+            observer[name][:n, :n] = getattr(design, name)
+        for name in ('Gamma', 'feedback', 'Q'):
+            observer[name][:n] = getattr(design, name)
+    return observers
+
+
+def continue_from(observers: Records, others: Records) -> bool:
+    """
+    Take over what observers of another design know of the same contacts.
+
+    The input that acts is the one the others have commanded, so the first prediction is that
+    of the plant under the others' feedback.
+
+    Parameters
+    ----------
+    observers, others
+        Records of `OBSERVER`, shape (r,); the first are changed.
+
+    Returns
+    -------
+    bool
+        Whether the numbers of states agree; nothing is taken over otherwise.
+
+    """
+    if any((observers[name] != others[name]).any() for name in ('states', 'order')):
+        return False
+    for name in ('x_est', 'P', 'running'):
+        observers[name] = others[name]
+    difference = observers['feedback'] - others['feedback']
+    observers['command'] = others['command'] + np.einsum(
+        'ij,ij->i', difference, others['x_est'])
+    return True
+
+
+@compiled
+def start(observer: Any, force: float) -> None:
+    """Begin with a measured force [N] at rest: nothing leads to the first sample."""
+    n = observer.states
+    x_est, P = observer.x_est, observer.P
+    for i in range(n):
+        x_est[i] = 0.0
+        for j in range(n):
+            P[i, j] = observer.P_0 if i == j else 0.0
+    x_est[0] = force
+    observer.running = True
+
+
+@compiled
+def predict(observer: Any) -> None:
+    """
+    Predict state and covariance of the next sample.
+
+    x_1 = Phi_c x + Gamma r with the closed loop (P04 eqs 37-38), P_1 = Phi_n P Phi_n^T + Q with
+    the open one (eqs 40-41); P becomes P_1. It stays symmetric because only its upper triangle
+    is computed and then mirrored.
+
+    Parameters
+    ----------
+    observer
+        Record of `OBSERVER`, changed.
+
+    """
+    n = observer.states
+    Phi_c, Phi_n, P, half = observer.Phi_c, observer.Phi_n, observer.P, observer.Phi_n_P
+    x_est, x_1, Gamma, Q = observer.x_est, observer.x_1, observer.Gamma, observer.Q
+    for i in range(n):
+        total = Gamma[i] * observer.command
+        for j in range(n):
+            total += Phi_c[i, j] * x_est[j]
+            half[i, j] = 0.0
+        x_1[i] = total
+        for k in range(n):
+            factor = Phi_n[i, k]
+            if factor != 0.0:  # the shift register makes most of them zero
+                for j in range(n):
+                    half[i, j] += factor * P[k, j]
+    for i in range(n):
+        for j in range(i, n):
+            total = 0.0
+            for k in range(n):
+                if Phi_n[j, k] != 0.0:
+                    total += half[i, k] * Phi_n[j, k]
+            P[i, j] = total
+            P[j, i] = total
+        P[i, i] += Q[i]
+
+
+@compiled
+def correct(observer: Any, innovation: float, noise_variance: float) -> None:
+    """
+    Correct the prediction by the innovation.
+
+    K = P_1 C^T / (C P_1 C^T + R) with C = e_1^T, x = x_1 + K (y - C x_1), P = P_1 - K C P_1
+    (P04 eqs 37, 39, 40). The first row of P is written as R / (C P_1 C^T + R) times that of P_1,
+    the same thing as P_1 - K C P_1 without the difference of two nearly equal numbers: the
+    variance of the measured state stays positive however far R drops. What remains is the Schur
+    complement of the other states, where rounding is small against the process noise.
+
+    Parameters
+    ----------
+    observer
+        Record of `OBSERVER` after `predict`, changed.
+    innovation
+        y - C x_1 [N].
+    noise_variance
+        R_k [N^2].
+
+    """
+    n = observer.states
+    x_est, P, x_1, covariance = observer.x_est, observer.P, observer.x_1, observer.Phi_n_P[0]
+    total_variance = P[0, 0] + noise_variance
+    for i in range(n):
+        covariance[i] = P[0, i]
+    remainder = noise_variance / total_variance
+    for i in range(n):
+        gain = covariance[i] / total_variance
+        x_est[i] = x_1[i] + gain * innovation
+        P[0, i] = covariance[i] * remainder
+        P[i, 0] = P[0, i]
+        if i:
+            for j in range(i, n):
+                P[i, j] -= gain * covariance[j]
+                P[j, i] = P[i, j]
+
+
+@compiled
+def command(observer: Any, alpha_des: float) -> float:
+    """
+    Return the input that leads to the desired force.
+
+    u_k = L_1 f_des - [L_r 1] [x_est; p_est] (P04 eq. 36).
+
+    Parameters
+    ----------
+    observer
+        Record of `OBSERVER`; its command is set.
+    alpha_des
+        Desired force [N].
+
+    Returns
+    -------
+    float
+        Acceleration along the contact normal, without the damping K_2 [m/s^2].
+
+    """
+    feedback, x_est = observer.feedback, observer.x_est
+    observer.command = feedback[0] * alpha_des
+    total = observer.command
+    for j in range(observer.states):
+        total -= feedback[j] * x_est[j]
+    return total
+
+
+@compiled
+def observe_and_command(observers: Any, contacts: Any, inputs: Vector) -> None:
+    """
+    Take the measured force of every active contact into its observer, and work out its input.
+
+    A contact that has just become active starts from its measured force.
+
+    Parameters
+    ----------
+    observers, contacts
+        Records of `OBSERVER` and `CONTACT`, both changed, shape (r,).
+    inputs
+        Filled with u, 0 where not active, shape (r,) [m/s^2].
+
+    """
+    for i in range(contacts.shape[0]):
+        contact, observer = contacts[i], observers[i]
+        contact.innovation = 0.0
+        contact.prior_variance = 0.0
+        contact.variance_used = 0.0
+        if not contact.active:
+            observer.running = False
+            contact.alpha_est = 0.0
+            contact.alpha_rate_est = 0.0
+            inputs[i] = 0.0
+            continue
+        if observer.running:
+            predict(observer)
+            contact.prior_variance = observer.P[0, 0]
+            contact.innovation = contact.alpha_meas - observer.x_1[0]
+            contact.variance_used = contact.noise_variance
+            correct(observer, contact.innovation, contact.noise_variance)
+        else:
+            start(observer, contact.alpha_meas)
+        inputs[i] = command(observer, contact.alpha_des)
+        contact.alpha_est = observer.x_est[0]
+        contact.alpha_rate_est = observer.x_est[1]

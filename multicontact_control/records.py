@@ -1,0 +1,203 @@
+"""
+The records that compiled code works on: every field with its shape and unit.
+
+What belongs together is one record of a structured type, and records are handed over as arrays,
+one element per joint or contact, or a single element: numba takes an array of records in a third
+of the time of as many separate arrays, and a lone record in ten times that.
+"""
+
+from __future__ import annotations
+
+from multicontact_control.config import MAX_DELAY_PERIODS
+import numpy as np
+from numpy.typing import NDArray
+
+Records = NDArray[np.void]
+
+F, I, B = np.float64, np.int64, np.bool_
+
+MAX_ORDER = 3  # of an observer's active state
+# The most states an observer has: force, its rate, delayed inputs, active states.
+MAX_STATES = 2 + MAX_DELAY_PERIODS + MAX_ORDER
+
+# What is set for the control law; one.
+LAW = np.dtype([
+    ('k_p', F),  # position gain of the motion law [1/s^2]
+    ('k_v', F),  # velocity gain of the motion law [1/s]
+    ('K_2', F),  # damping of the force loops [1/s]
+    ('friction_speed', F),  # v_0 of the joints' Coulomb friction [rad/s]
+    ('nullspace_damping', F),  # d [1/s]
+    ('max_condition', F),  # largest accepted condition number of Lambda^-1
+    ('singular_mobility', F),  # eigenvalue up to which Lambda^-1 is damped, 0 for none [1/kg]
+    ('inertia_metric', B),  # whether motion is kept off the contacts in the metric of Lambda
+    ('decoupled', B),  # whether the contact points are driven, or the coordinates along N_i
+], align=True)
+
+# One joint: where it is, its terms of the arm's model, what is set for it, and its torque.
+JOINT = np.dtype([
+    ('q', F),  # position [rad]
+    ('velocity', F),  # [rad/s]
+    ('inertia', F),  # diagonal element of M [kg m^2]
+    ('bias_torque', F),  # element of C v + g [N m]
+    ('coulomb', F),  # Coulomb friction to compensate [N m]
+    ('viscous', F),  # viscous friction to compensate [N m s/rad]
+    ('torque_limit', F),  # [N m]
+    ('torque', F),  # Gamma, what the law answers [N m]
+], align=True)
+
+# The operational frame and the wrist sensor's, world axes; one.
+FRAME = np.dtype([
+    ('position', F, 3),  # operational point [m]
+    ('rotation', F, (3, 3)),  # axes of the operational frame as columns
+    ('twist', F, 6),  # theta = J v [m/s, rad/s]
+    ('sensor_position', F, 3),  # [m]
+    ('sensor_rotation', F, (3, 3)),  # axes of the sensor as columns
+], align=True)
+
+# What hangs on the wrist sensor; one.
+TOOL = np.dtype([
+    ('com_sensor', F, 3),  # centre of mass in the sensor frame [m]
+    ('weight', F, 3),  # m g, world axes [N]
+    ('bias', F, 6),  # the sensor's reading under no load, in its frame [N, N m]
+], align=True)
+
+# What the motion law is asked for, world axes; one.
+TASK = np.dtype([
+    ('position', F, 3),  # x_des [m]
+    ('rotation', F, (3, 3)),  # desired axes of the operational frame as columns
+    ('twist', F, 6),  # theta_des [m/s, rad/s]
+    ('acceleration', F, 6),  # a_des [m/s^2, rad/s^2]
+], align=True)
+
+# One contact, as the force law sees it.
+CONTACT = np.dtype([
+    ('normal', F, 3),  # unit normal INTO the surface, world axes
+    ('point', F, 3),  # contact point in the operational frame [m]
+    ('N', F, 6),  # column of N: the wrench of a unit force, world axes
+    ('active', B),  # whether its force is controlled
+    ('noise_variance', F),  # R_k [N^2]
+    ('alpha_meas', F),  # measured force [N]
+    ('alpha_des', F),  # desired force, 0 where not active [N]
+    ('alpha_est', F),  # estimated force, 0 where not active [N]
+    ('alpha_rate_est', F),  # its estimated rate, 0 where not active [N/s]
+    ('innovation', F),  # alpha_meas - C x_1, 0 where nothing was predicted [N]
+    ('prior_variance', F),  # C P_1 C^T, 0 there as well [N^2]
+    ('variance_used', F),  # R the observer worked with, 0 there as well [N^2]
+], align=True)
+
+# The active observer of one contact: its design, and what it knows. Of the matrices the first
+# `states` rows and columns are used.
+OBSERVER = np.dtype([
+    ('states', I),  # n
+    ('order', I),  # how many of them are active states
+    ('Phi_c', F, (MAX_STATES, MAX_STATES)),  # transition of the closed loop
+    ('Phi_n', F, (MAX_STATES, MAX_STATES)),  # transition of the open loop
+    ('Gamma', F, MAX_STATES),  # input vector
+    ('feedback', F, MAX_STATES),  # [L_r 1]
+    ('Q', F, MAX_STATES),  # diagonal of the process noise's covariance
+    ('P_0', F),  # initial variance of every state
+    ('running', B),  # whether there was a sample before
+    ('command', F),  # r = L_1 f_des of the sample before [m/s^2]
+    ('x_est', F, MAX_STATES),  # state estimate; the first is the force [N], then its rate [N/s]
+    ('P', F, (MAX_STATES, MAX_STATES)),  # its covariance
+    ('x_1', F, MAX_STATES),  # prediction of the state
+    ('Phi_n_P', F, (MAX_STATES, MAX_STATES)),  # Phi_n P, on the way to P_1
+], align=True)
+
+# What is set for an estimator over a window (P04 eqs 42-44); one.
+NOISE_WINDOW = np.dtype([
+    ('pole', F), ('zero', F), ('gain', F),  # a, c and b of the filter
+    ('dc_gain', F),  # of the filter
+    ('largest', F),  # what magnitudes of samples must be below [N]
+    ('scale', F),  # of the variances
+    ('floor', F), ('ceiling', F),  # of R [N^2]
+    ('count', I),  # samples so far
+], align=True)
+
+# What the filter of one contact remembers of the sample before.
+FILTER_STATE = np.dtype([('alpha', F), ('filtered', F)])  # [N]
+
+# The supervised state of one contact, and its passivity observer.
+CONTACT_STATE = np.dtype([
+    ('state', I),  # see `supervision.contacts`
+    ('losses', I),  # how often it was lost since it was first wanted
+    ('wanted', B),  # whether the task asks for it
+    ('asked', F),  # force the task asks for [N]
+    ('displacement', F),  # of the reference along the normal, relative to the task [m]
+    ('speed', F),  # of that displacement [m/s]
+    ('acceleration', F),  # of that displacement [m/s^2]
+    ('force_limit', F),  # upper limit of the desired force [N]
+    ('in_state', F),  # since when in this state [s]
+    ('below', F),  # since when less is felt than a contact that holds feels [s]
+    ('level', F),  # force it is held with, averaged [N]
+    ('origin', F),  # displacement at which the surface is, NaN if it was never met [m]
+    ('start', F),  # displacement at which the search began [m]
+    ('target', F),  # displacement to go to [m]
+    ('energy', F),  # work not stored and not yet forgotten [J]
+    ('stored', F),  # energy stored in the surface [J]
+    ('stiffness', F),  # modelled, of the surface [N/m]
+], align=True)
+
+# What is set for all contacts: the fields of `ContactStateConfig` of the same name; one.
+CONTACT_SETTINGS = np.dtype([('period', F), ('energy_keep', F), *((name, F) for name in (
+    'approach_speed', 'approach_ramp_time', 'approach_distance', 'search_distance',
+    'contact_threshold', 'release_threshold', 'release_fraction', 'escape_speed', 'preload',
+    'force_rate', 'impact_time', 'bounce_time', 'loss_time', 'lost_time', 'braking',
+    'force_ceiling', 'retract_distance', 'retract_speed', 'energy_limit', 'injected_damping'))])
+
+# Bounds of the reference, and what a pause has left; one.
+REFERENCE_LIMITS = np.dtype([
+    ('offset', F, 3),  # of the reference from the task, after a pause [m]
+    ('held_back', B),  # whether no contact may be force controlled in this tick
+    ('reach', F),  # largest distance of the reference from the arm [m]
+    ('turn', F),  # largest angle between them [rad]
+    ('box', F, (2, 3)),  # lower and upper corner of the workspace [m]
+], align=True)
+
+# What an answer of the law must be like; one.
+PLAUSIBILITY = np.dtype([
+    ('pull_threshold', F),  # pull of a surface that is believed [N]
+    ('inertia', F),  # what a lost contact may read more: the tool's inertia [N]
+    ('friction_bound', F),  # force across the normals, per force along them
+    ('friction_offset', F),  # and without any [N]
+    ('box', F, (2, 3)),  # where the operational point may be [m]
+    ('operational_speed', F),  # [m/s]
+    ('operational_turn', F),  # [rad/s]
+])
+
+# Limits of one joint at the last gate.
+JOINT_LIMITS = np.dtype([
+    ('torque', F),  # [N m]
+    ('step', F),  # of the torque, per period [N m]
+    ('lower', F),  # position not to be passed [rad]
+    ('upper', F),  # [rad]
+    ('speed', F),  # [rad/s]
+    ('last', F),  # torque commanded last [N m]
+])
+
+# Readings of one joint: the newest, the one before, the newest that is valid.
+JOINT_READING = np.dtype([(name, F) for name in (
+    'q', 'qd', 'last_q', 'last_qd', 'valid_q', 'valid_qd', 'speed_limit')])  # [rad, rad/s]
+
+# Readings of one axis of the wrist sensor, and from where on it is saturated [N or N m].
+AXIS_READING = np.dtype([(name, F) for name in ('new', 'last', 'valid', 'full_scale')])
+
+# R of one contact: the newest, and the newest that is valid, within its limits [N^2].
+VARIANCE_READING = np.dtype([(name, F) for name in ('new', 'valid')])
+
+# What is remembered of readings, and what of them is new in this tick; one.
+READING_MEMORY = np.dtype([
+    ('elapsed', F),  # since the newest valid joint state [s]
+    ('joint_repeats', I),  # joint states that repeated the one before
+    ('distrust', I),  # samples for which joints are not believed after a jump
+    ('wrench_repeats', I),  # wrenches that repeated the one before
+    ('joints_fresh', B), ('wrench_fresh', B), ('variance_fresh', B),
+    ('joints_before', B),  # whether there was a joint state before
+    ('joints_known', B),  # whether one was ever valid
+    ('wrench_before', B),
+], align=True)
+
+# Fields of `WatchdogConfig` of the same name, and `recovery_time` in samples; one.
+READING_SETTINGS = np.dtype([
+    ('period', F), ('position_jump', F), ('frozen_samples', I), ('recovery_samples', I),
+    ('variance_floor', F), ('variance_ceiling', F)])

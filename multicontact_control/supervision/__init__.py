@@ -1,0 +1,1 @@
+"""What surrounds the control law: which inputs are valid, contacts, limits, reactions."""

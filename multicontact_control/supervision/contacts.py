@@ -1,0 +1,293 @@
+"""
+The state of each contact: looked for, touched, held, lost, given up; and its passivity.
+
+One machine per contact decides which law drives the operational point along that contact's
+normal: the force law from touch to loss, the motion law before and after. In the motion law the
+tip advances along the normal by a displacement that is ramped, bounded and braked.
+
+free -> approaching -> impact -> holding -> lost -> approaching ..., given up once the tip has
+gone too far without a surface, retracting (then given up) beyond the force ceiling. Touch
+and loss have thresholds apart and least times, so that a bounce or a spike changes nothing.
+
+Every contact is one record of `CONTACT_STATE`; what is set for all of them is the one record of
+`CONTACT_SETTINGS`.
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+import math
+from typing import Any
+
+from multicontact_control.arrays import Mask
+from multicontact_control.compiled import compiled
+from multicontact_control.config import ContactStateConfig
+from multicontact_control.records import CONTACT_SETTINGS, CONTACT_STATE, Records
+import numpy as np
+
+# States in the order of `ContactState`; below LOST and above APPROACHING the force law acts.
+FREE, APPROACHING, IMPACT, HOLDING, LOST, RETRACTING, GIVEN_UP = range(7)
+LEVEL_TIME = 0.1  # s, over which the force a contact is held with is averaged
+TOUCH_SHARE = 0.5  # of the force before a loss, that counts as touch right after it
+POSITION_RATE = 20.0  # 1/s, of the way left: how a displacement settles
+
+
+class ContactState(Enum):
+    """What is known of a contact."""
+
+    FREE = 'free'
+    APPROACHING = 'approaching'
+    IMPACT = 'impact'
+    HOLDING = 'holding'
+    LOST = 'lost'
+    RETRACTING = 'retracting'
+    GIVEN_UP = 'given up'
+
+
+STATES = tuple(ContactState)
+
+
+def contact_settings(config: ContactStateConfig, period: float) -> Records:
+    """Return what is set for all contacts as one record of `CONTACT_SETTINGS`; h in [s]."""
+    others = {'period': period, 'energy_keep': math.exp(-period / config.energy_memory)}
+    settings = np.zeros(1, dtype=CONTACT_SETTINGS)
+    for name in settings.dtype.names or ():
+        settings[name] = others[name] if name in others else getattr(config, name)
+    return settings
+
+
+def contact_states(stiffness: list[float]) -> Records:
+    """Return contacts that are free, of surfaces of that stiffness [N/m], shape (r,)."""
+    states = np.zeros(len(stiffness), dtype=CONTACT_STATE)
+    states['stiffness'] = stiffness
+    states['origin'] = math.nan
+    return states
+
+
+def reset(states: Records, which: Mask | None = None) -> None:
+    """
+    Let contacts start anew, free; their energy is not forgotten.
+
+    Parameters
+    ----------
+    states
+        Records of `CONTACT_STATE`, changed, shape (r,).
+    which
+        Which of them, all if not given, shape (r,).
+
+    """
+    chosen = np.ones(states.shape, dtype=bool) if which is None else which
+    for name in states.dtype.names or ():
+        if name not in ('stiffness', 'energy', 'stored'):
+            states[name][chosen] = math.nan if name == 'origin' else 0
+
+
+@compiled
+def is_active(contact: Any) -> bool:
+    """Return whether the force law drives a contact."""
+    return contact.state == IMPACT or contact.state == HOLDING
+
+
+@compiled
+def enter(contact: Any, state: int) -> None:
+    """Begin a state."""
+    contact.state = state
+    contact.in_state = 0.0
+
+
+@compiled
+def leave_surface(contact: Any, place: float, speed: float) -> None:
+    """Give a contact back to the motion law, that is to lead it to where the surface was."""
+    contact.displacement = place
+    contact.speed = speed
+    contact.start = place if np.isnan(contact.origin) else contact.origin
+    contact.target = contact.start
+
+
+@compiled
+def watch_search(contact: Any, settings: Any, alpha: float) -> None:
+    """Touch, or give up, or begin to look for a lost surface."""
+    threshold = settings.contact_threshold
+    if contact.state == LOST:  # a tool that is being braked reads its own inertia
+        threshold = max(2.0 * threshold, TOUCH_SHARE * contact.level)
+    met_before = not np.isnan(contact.origin)
+    if alpha > threshold:
+        contact.force_limit = max(alpha, settings.preload) if met_before else settings.preload
+        contact.below = 0.0
+        contact.level = 0.0
+        enter(contact, IMPACT)
+    elif contact.state == LOST:
+        if contact.in_state >= settings.lost_time and (
+                abs(contact.target - contact.displacement) < 2e-4 and abs(contact.speed) < 2e-3):
+            contact.start = contact.displacement
+            enter(contact, APPROACHING)
+    elif contact.displacement - contact.start > (
+            settings.search_distance if met_before else settings.approach_distance):
+        contact.target = contact.start
+        enter(contact, GIVEN_UP)
+
+
+@compiled
+def watch_hold(
+    contact: Any, settings: Any, alpha: float, place: float, speed: float,
+) -> None:
+    """Notice a loss, or that a touch has lasted."""
+    h = settings.period
+    threshold = max(settings.release_threshold, settings.release_fraction * min(
+        contact.level, contact.asked, contact.force_limit))
+    if alpha >= threshold:
+        contact.below = 0.0
+        contact.origin = place - alpha / contact.stiffness  # where it would not press any more
+        contact.level += h / (LEVEL_TIME + h) * (alpha - contact.level)
+    else:
+        contact.below += h
+    patience = settings.loss_time
+    if contact.state == IMPACT:  # a bounce is no loss
+        patience = max(patience, settings.bounce_time)
+    if contact.below > patience + 1e-9 or speed > settings.escape_speed:
+        contact.losses += 1
+        leave_surface(contact, place, speed)
+        enter(contact, LOST)
+    elif contact.state == IMPACT and contact.below == 0.0 and (
+            contact.in_state >= settings.impact_time):
+        enter(contact, HOLDING)
+
+
+@compiled
+def switch_state(
+    contact: Any, settings: Any, alpha: float, place: float, speed: float,
+) -> None:
+    """Go to another state if it is time; see `advance_contact`."""
+    if alpha > settings.force_ceiling and contact.state != RETRACTING:
+        contact.displacement = place
+        contact.speed = speed
+        contact.target = place - settings.retract_distance
+        enter(contact, RETRACTING)
+    elif not contact.wanted:
+        if is_active(contact):
+            leave_surface(contact, place, speed)
+        if contact.state != FREE:
+            enter(contact, FREE)
+        contact.origin = np.nan
+        contact.target = 0.0
+    elif contact.state == FREE:
+        contact.start = contact.displacement
+        enter(contact, APPROACHING)
+    elif is_active(contact):
+        watch_hold(contact, settings, alpha, place, speed)
+    elif contact.state == RETRACTING:
+        if abs(contact.target - contact.displacement) < 1e-4:
+            enter(contact, GIVEN_UP)
+    elif contact.state != GIVEN_UP:
+        watch_search(contact, settings, alpha)
+
+
+@compiled
+def raise_force_limit(contact: Any, settings: Any) -> None:
+    """Let a contact that holds have what is asked for, at a bounded rate after a loss."""
+    if contact.state == HOLDING and contact.losses == 0:
+        contact.force_limit = max(contact.force_limit, contact.asked)
+    elif contact.state == HOLDING or not np.isnan(contact.origin) and contact.losses > 0:
+        step = settings.force_rate * settings.period
+        contact.force_limit += min(max(contact.asked - contact.force_limit, -step), step)
+
+
+@compiled
+def move(contact: Any, settings: Any) -> None:
+    """Advance the displacement by one period, its speed and acceleration bounded."""
+    h = settings.period
+    if contact.state == APPROACHING:
+        wanted = settings.approach_speed
+        change = settings.approach_speed / settings.approach_ramp_time
+    else:
+        limit = settings.approach_speed
+        if contact.state == RETRACTING:
+            limit = settings.retract_speed
+        wanted = min(max(
+            POSITION_RATE * (contact.target - contact.displacement), -limit), limit)
+        change = settings.braking
+    if abs(contact.speed) > settings.approach_speed:
+        change = max(change, settings.braking)
+    contact.acceleration = min(max((wanted - contact.speed) / h, -change), change)
+    contact.speed += contact.acceleration * h
+    contact.displacement += contact.speed * h
+
+
+@compiled
+def advance_contact(
+    contact: Any, settings: Any, alpha: float, place: float, speed: float,
+) -> None:
+    """
+    Take one tick into the state machine of a contact.
+
+    Parameters
+    ----------
+    contact, settings
+        Records of `CONTACT_STATE`, changed, and `CONTACT_SETTINGS`. `wanted` and `asked` say what
+        the task wants.
+    alpha
+        Measured force [N].
+    place, speed
+        Of the tip along the normal, relative to the task without displacement [m, m/s].
+
+    """
+    contact.in_state += settings.period
+    switch_state(contact, settings, alpha, place, speed)
+    if is_active(contact):
+        contact.acceleration = 0.0
+        raise_force_limit(contact, settings)
+    else:
+        move(contact, settings)
+
+
+@compiled
+def let_go(contact: Any, place: float, speed: float) -> None:
+    """
+    Give a contact back to the motion law, from where the tip is.
+
+    Parameters
+    ----------
+    contact
+        Record of `CONTACT_STATE`, changed.
+    place, speed
+        Of the tip along the normal, relative to the task [m, m/s].
+
+    """
+    if is_active(contact):
+        contact.losses += 1
+        leave_surface(contact, place, speed)
+        enter(contact, LOST)
+    else:
+        contact.displacement = place
+        contact.speed = 0.0
+
+
+@compiled
+def watch_energy(contact: Any, settings: Any, alpha: float, speed: float) -> float:
+    """
+    Take one tick into the passivity observer of a contact.
+
+    The robot does the work W = sum alpha v h on a surface, of which alpha^2 / (2 k) is stored in
+    it. What remains is turned into heat there, and a controller that keeps on delivering it feeds
+    a bouncing or an oscillation. The remainder is forgotten with a time constant; above a limit
+    the contact counts as active, and a damping force b v is to be taken from its command.
+
+    Parameters
+    ----------
+    contact, settings
+        Records of `CONTACT_STATE`, changed, and `CONTACT_SETTINGS`.
+    alpha, speed
+        Measured force [N], and speed of the contact point INTO the surface [m/s].
+
+    Returns
+    -------
+    float
+        Force to take from the command [N], 0 while the bound is kept.
+
+    """
+    pressed = max(alpha, 0.0)
+    stored = pressed * pressed / (2.0 * contact.stiffness)
+    work = alpha * speed * settings.period
+    contact.energy = settings.energy_keep * contact.energy + work - (stored - contact.stored)
+    contact.stored = stored
+    return 0.0 if contact.energy <= settings.energy_limit else settings.injected_damping * speed

@@ -1,0 +1,207 @@
+"""
+The last gate: what leaves it is finite, within every limit, and brakes before the stops.
+
+Every command passes here, whoever made it.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from multicontact_control.algebra import copy_vector
+from multicontact_control.arrays import Vector
+from multicontact_control.compiled import compiled
+from multicontact_control.config import ControllerConfig
+from multicontact_control.control.arm_state import ArmState
+from multicontact_control.records import JOINT, JOINT_LIMITS, Records
+from multicontact_control.supervision.plausibility import all_finite
+import numpy as np
+
+# What `gate_torque` returns, added up.
+NOT_FINITE, JOINT_STOP, TORQUE, TORQUE_RATE = 1, 2, 4, 8
+NAMES = (('not_finite', NOT_FINITE), ('joint', JOINT_STOP), ('torque', TORQUE),
+         ('torque_rate', TORQUE_RATE))
+ENFORCED = tuple(tuple(name for name, bit in NAMES if flags & bit) for flags in range(16))
+SPEED_GAIN = 50.0  # 1/s, how fast a joint is brought back to the speed it may have
+BRAKING_SHARE = 0.7  # of the speed a joint may have, from where on that is looked after
+
+
+@compiled
+def brake_joints(joints: Any, limits: Any, braking: float, torque: Vector) -> bool:
+    """
+    Bound a torque such that no joint passes a stop or its speed limit.
+
+    A joint may have the speed v_max = sqrt(2 a d) at a distance d from its stop.
+
+    Parameters
+    ----------
+    joints, limits
+        Records of `JOINT` and `JOINT_LIMITS`, shape (n,).
+    braking
+        a [rad/s^2].
+    torque
+        Changed if need be, shape (n,) [N m].
+
+    Returns
+    -------
+    bool
+        Whether it was.
+
+    """
+    n = torque.shape[0]
+    fastest, slowest = np.empty(n), np.empty(n)
+    slow = True
+    for j in range(n):
+        q, speed, limit = joints[j].q, joints[j].velocity, limits[j]
+        ahead = np.sqrt(2.0 * braking * np.maximum(limit.upper - q, 0.0))
+        behind = np.sqrt(2.0 * braking * np.maximum(q - limit.lower, 0.0))
+        fastest[j] = np.minimum(ahead, limit.speed)
+        slowest[j] = -np.minimum(behind, limit.speed)
+        slow = slow and speed < BRAKING_SHARE * fastest[j] and speed > BRAKING_SHARE * slowest[j]
+    if slow:
+        return False
+    braked = False
+    for j in range(n):
+        joint = joints[j]
+        gain = SPEED_GAIN * joint.inertia
+        highest = joint.bias_torque + gain * (fastest[j] - joint.velocity)
+        lowest = joint.bias_torque + gain * (slowest[j] - joint.velocity)
+        bounded = np.minimum(np.maximum(torque[j], lowest), highest)
+        if bounded != torque[j]:  # also if it is not a number
+            torque[j] = bounded if np.isfinite(bounded) else 0.0
+            braked = True
+    return braked
+
+
+@compiled
+def gate_torque(
+    torque: Vector, fallback: Vector, joints: Any, known: bool, limits: Any, braking: float,
+    started: bool, gated: Vector,
+) -> int:
+    """
+    Let a torque through as far as the limits allow; see `TorqueGate.apply`.
+
+    Parameters
+    ----------
+    torque, fallback
+        What is wanted, and what to do if that is not finite, shape (n,) [N m].
+    joints, known
+        Records of `JOINT`, shape (n,), and whether they are known.
+    limits, braking
+        As for `brake_joints`; `last` of the limits is overwritten.
+    started
+        Whether there was a last command.
+    gated
+        Filled: finite and within limits, whatever came in, shape (n,) [N m].
+
+    Returns
+    -------
+    int
+        Sum of the limits that were enforced.
+
+    """
+    enforced = 0
+    n = gated.shape[0]
+    if torque.shape[0] == n and all_finite(torque):
+        copy_vector(torque, gated)
+    else:
+        enforced = NOT_FINITE
+        for j in range(n):
+            gated[j] = fallback[j] if np.isfinite(fallback[j]) else 0.0
+    if known and brake_joints(joints, limits, braking, gated):
+        enforced |= JOINT_STOP
+    for j in range(n):
+        limit = limits[j]
+        clipped = min(max(gated[j], -limit.torque), limit.torque)
+        if clipped != gated[j]:
+            enforced |= TORQUE
+        if started:
+            slowed = min(max(clipped, limit.last - limit.step), limit.last + limit.step)
+            if slowed != clipped:
+                enforced |= TORQUE_RATE
+            clipped = slowed
+        gated[j] = clipped
+        limit.last = clipped
+    return enforced
+
+
+class GateResult(NamedTuple):
+    """A torque that may be commanded [N m], and which limits had to be enforced for it."""
+
+    torque: Vector
+    limits: tuple[str, ...]
+
+
+class TorqueGate:
+    """
+    Bounds torques.
+
+    In turn: numbers that are not finite are replaced by the fallback; near a stop or above its
+    speed a joint's torque is bounded so that it brakes, v_max = sqrt(2 a d) at a distance d; the
+    result is clipped to the torque limits and to their rate from the last command. The last two
+    hold whatever came in.
+
+    Parameters
+    ----------
+    config
+        Limits.
+    joints
+        Number of joints.
+
+    """
+
+    def __init__(self, config: ControllerConfig, joints: int) -> None:
+        self._limits: Any = joint_limits(config, joints)
+        self._last: Vector = self._limits['last']
+        self._braking = config.limits.joint_braking
+        self._nowhere = np.zeros(joints, dtype=JOINT)
+        self._started = False
+        nothing = np.zeros(joints)
+        self.apply(nothing, nothing, None)  # no tick is to wait for numba
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the last command: the next one may be anything within the limits."""
+        self._started = False
+
+    @property
+    def last(self) -> Vector | None:
+        """Return the last command, shape (n,) [N m]; None if there was none."""
+        return self._last.copy() if self._started else None
+
+    def apply(
+        self, torque: Vector, fallback: Vector, arm: ArmState | None,
+    ) -> GateResult:
+        """
+        Let a torque through as far as the limits allow.
+
+        Parameters
+        ----------
+        torque, fallback
+            What is wanted, and what to do if that is not finite, shape (n,) [N m].
+        arm
+            The arm as it is believed to be; None if that is not known.
+
+        Returns
+        -------
+        GateResult
+            Finite and within limits, whatever came in.
+
+        """
+        gated = np.empty(self._last.shape)
+        enforced = gate_torque(
+            torque, fallback, self._nowhere if arm is None else arm.joints, arm is not None,
+            self._limits, self._braking, self._started, gated)
+        self._started = True
+        return GateResult(gated, ENFORCED[enforced])
+
+
+def joint_limits(config: ControllerConfig, joints: int) -> Records:
+    """Return the limits as records of `JOINT_LIMITS`, shape (n,)."""
+    limits, records = config.limits, np.zeros(joints, dtype=JOINT_LIMITS)
+    records['torque'] = config.torque_limit or np.inf
+    records['step'] = np.array(limits.torque_rate or np.inf) * config.period
+    records['lower'] = np.array(limits.joint_lower or -np.inf) + limits.joint_margin
+    records['upper'] = np.array(limits.joint_upper or np.inf) - limits.joint_margin
+    records['speed'] = limits.joint_speed or np.inf
+    return records

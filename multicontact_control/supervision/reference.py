@@ -1,0 +1,248 @@
+"""A task made safe to follow: contacts are found first, and held only while they are there."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from multicontact_control.arrays import Codes, Mask, Matrix, Vector
+from multicontact_control.config import ControllerConfig
+from multicontact_control.control.controller import Controller
+from multicontact_control.control.reference import Reference, TaskSource
+from multicontact_control.dynamics.pose import Pose
+from multicontact_control.records import CONTACT, FRAME, REFERENCE_LIMITS, TASK
+from multicontact_control.supervision.contacts import (
+    contact_settings,
+    contact_states,
+    ContactState,
+    FREE,
+    is_active,
+    let_go,
+    reset,
+    STATES,
+)
+from multicontact_control.supervision.reference_limits import limit_reference
+import numpy as np
+
+RETURN_RATE = 2.0  # 1/s, of the way left, at which the task is caught up with after a pause
+
+
+class ContactReference:
+    """
+    A reference source that follows a task as far as the contacts and the limits allow.
+
+    Contacts the task asks for are approached along their normals, handed to the force law from
+    touch to loss, and sought again; see `supervision.contacts`. The pose is bounded: the motion
+    law never asks for more than the limits' speeds (k_p times the bounded error is at most k_v
+    times the speed), nor to leave the workspace box.
+
+    Parameters
+    ----------
+    config
+        Contacts, motion law, limits.
+    task
+        What is to be done.
+
+    Attributes
+    ----------
+    contact_states
+        Records of `CONTACT_STATE`, shape (r,).
+    limited
+        Whether a limit of the motion was enforced in the last tick.
+
+    """
+
+    def __init__(self, config: ControllerConfig, task: TaskSource) -> None:
+        contact_state = task.contact_state(config.contact_state)
+        self._config, self._task = config, task
+        self._settings = contact_settings(contact_state, config.period)
+        contacts = [config.contacts[name] for name in config.contact_names]
+        self.contact_states: Any = contact_states([contact.stiffness for contact in contacts])
+        self._contacts: Any = np.zeros(len(contacts), dtype=CONTACT)
+        self._contacts['normal'] = [contact.normal_world for contact in contacts]
+        self._contacts['point'] = [contact.point_operational for contact in contacts]
+        self._frames: Any = np.zeros(1, dtype=FRAME)
+        self._frames['rotation'] = np.eye(3)
+        self._tasks, self._wanted = np.zeros(1, dtype=TASK), np.zeros(1, dtype=TASK)
+        self._tasks['rotation'] = self._wanted['rotation'] = np.eye(3)
+        self._see()
+        self._limits: Any = np.zeros(1, dtype=REFERENCE_LIMITS)
+        self._offset: Vector = self._limits['offset'][0]
+        self._energy_limit = contact_state.energy_limit
+        self.retune(config)
+        limits = config.limits
+        self._limits['box'] = [limits.workspace_lower or [-np.inf] * 3,
+                               limits.workspace_upper or [np.inf] * 3]
+        self._observed = self._catching_up = False
+        self.limited = False
+        self._states: tuple[bytes, tuple[str, ...]] = (b'', ())
+        self._follow()  # no tick is to wait for numba
+        let_go(self.contact_states[0], 0.0, 0.0)
+        self._restart_contacts()
+
+    def _restart_contacts(self) -> None:
+        reset(self.contact_states)
+        self.contact_states['energy'] = self.contact_states['stored'] = 0.0
+
+    @property
+    def states(self) -> tuple[ContactState, ...]:
+        """State of each contact."""
+        return tuple(STATES[code] for code in self.state_codes.tolist())
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Names of these states; the same object as long as none changes."""
+        codes = self.state_codes.tobytes()
+        if codes != self._states[0]:
+            self._states = codes, tuple(state.value for state in self.states)
+        return self._states[1]
+
+    @property
+    def state_codes(self) -> Codes:
+        """States as `supervision.contacts` counts them, shape (r,)."""
+        codes: Codes = self.contact_states['state']
+        return codes
+
+    @property
+    def energies(self) -> Vector:
+        """Energy of each contact's passivity observer, shape (r,) [J]."""
+        energies: Vector = self.contact_states['energy'].copy()
+        return energies
+
+    @property
+    def energy_limits(self) -> Vector:
+        """Bound of that energy, shape (r,) [J]."""
+        return np.full(self.contact_states.shape, self._energy_limit)
+
+    def start(self, pose: Pose, normals_world: Vector) -> None:
+        """Begin from a pose at rest; see `ReferenceSource.start`."""
+        self._task.start(pose, normals_world)
+        self._contacts['normal'] = normals_world
+        self._restart_contacts()
+        self._offset[:] = 0.0
+        self._catching_up = False
+        self._limits['held_back'] = False
+        if not self._observed:
+            self._note(pose, np.zeros(6))
+
+    def observe(self, pose: Pose, twist_world: Vector) -> None:
+        """Take note of where the arm is, before `update`."""
+        self._note(pose, twist_world)
+        self._observed = True
+
+    def bind(self, controller: Controller) -> None:
+        """
+        Look at a controller's arm from now on, and make references in its arrays.
+
+        Then `observe` is not needed, and a reference is overwritten by the next but for its pose.
+        """
+        self._frames = controller.arm.frames
+        self._observed = True
+        self._tasks, self._contacts = controller.tasks, controller.contacts
+        self._see()
+
+    def _see(self) -> None:
+        """Keep views of what every tick reads or writes: looking up a field takes long."""
+        task, wanted = self._tasks[0], self._wanted[0]
+        self._position: Vector = task['position']
+        self._rotation: Matrix = task['rotation']
+        self._motion: tuple[Vector, Vector] = task['twist'], task['acceleration']
+        self._active: Mask = self._contacts['active']
+        self._alpha_des: Vector = self._contacts['alpha_des']
+        self._alpha_meas: Vector = self._contacts['alpha_meas']
+        self._position_wanted: Vector = wanted['position']
+        self._rotation_wanted: Matrix = wanted['rotation']
+        self._twist_wanted: Vector = wanted['twist']
+        self._acceleration_wanted: Vector = wanted['acceleration']
+        self._contacts_wanted: Mask = self.contact_states['wanted']
+        self._asked: Vector = self.contact_states['asked']
+
+    def _note(self, pose: Pose, twist_world: Vector) -> None:
+        frame = self._frames
+        frame['position'], frame['rotation'] = pose
+        frame['twist'] = twist_world
+
+    def release(self) -> None:
+        """Leave all contacts to the motion law; those still touched are taken up again."""
+        for state in self.contact_states:
+            let_go(state, state['displacement'], 0.0)
+
+    def sought_normals(self) -> Matrix:
+        """Return the normals of the contacts that are sought or held, shape (k, 3)."""
+        normals: Matrix = self._contacts['normal'][self.state_codes != FREE]
+        return normals
+
+    def retune(self, config: ControllerConfig) -> None:
+        """
+        Keep to the speed limits with the gains of another configuration.
+
+        The reference may be so far ahead of the arm that the motion law asks for these speeds.
+        """
+        motion, limits = config.motion, config.limits
+        lead = 2.0 * motion.damping_ratio / motion.natural_frequency  # k_v / k_p [s]
+        self._limits['reach'] = lead * limits.operational_speed
+        self._limits['turn'] = lead * limits.operational_turn
+
+    def stand_still(self, pose: Pose) -> Pose:
+        """
+        Stop looking for contacts, and keep those that are held.
+
+        Returns
+        -------
+        Pose
+            Where the task has to be for the arm to stay at `pose`.
+
+        """
+        position = pose.position_world.copy()
+        active = np.array([is_active(state) for state in self.contact_states], dtype=bool)
+        for state, normal in zip(
+                self.contact_states[active], self._contacts['normal'][active]):
+            position -= state['displacement'] * normal
+        reset(self.contact_states, ~active)
+        self._offset[:] = 0.0
+        self._catching_up = False
+        return Pose(position, pose.rotation_world)
+
+    def resume(self) -> None:
+        """Go on after a pause, from where the arm is: no contact counts as held any more."""
+        self._offset[:] = np.nan  # set at the next update
+        self._catching_up = True
+        self._limits['held_back'] = True
+
+    def update(self, time: float, alpha_meas: Vector) -> Reference:
+        """Return the reference of one tick; see `ReferenceSource.update`."""
+        task = self._task.task(time)
+        self._position_wanted[:], self._rotation_wanted[:] = task.pose_des
+        self._twist_wanted[:], self._acceleration_wanted[:] = task.twist_des, task.acceleration_des
+        self._contacts_wanted[:], self._asked[:] = task.active, task.alpha_des
+        if alpha_meas.base is not self._contacts:
+            self._alpha_meas[:] = alpha_meas
+        if self._catching_up:
+            self._return()
+        return self._follow()
+
+    def _follow(self) -> Reference:
+        """Advance the contacts and return the task with what comes of them."""
+        self.limited = limit_reference(
+            self._limits, self._wanted, self._frames, self._contacts, self.contact_states,
+            self._settings, self._tasks)
+        return Reference(
+            Pose(self._position.copy(), self._rotation.copy()), *self._motion, self._active,
+            self._alpha_des)
+
+    def _return(self) -> None:
+        """Let the offset that a pause has left go to zero."""
+        offset, normals = self._offset, self._contacts['normal']
+        if np.isnan(offset[0]):
+            # What lies along the normals belongs to the contacts, only the rest is caught up.
+            gap = self._frames['position'][0] - self._wanted['position'][0]
+            along = np.linalg.lstsq(normals.T, gap, rcond=None)[0]
+            for state, place in zip(self.contact_states, along):
+                let_go(state, float(place), 0.0)
+            offset[:] = gap - along @ normals
+        length = float(np.sqrt(offset @ offset))
+        if length > 0.0:
+            speed = min(RETURN_RATE * length, 0.2 * self._config.limits.operational_speed)
+            offset *= max(1.0 - speed * self._config.period / length, 0.0)
+        if length < 1e-6:
+            offset[:] = 0.0
+            self._catching_up = False

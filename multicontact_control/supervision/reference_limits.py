@@ -1,0 +1,210 @@
+"""
+From a task to a reference that may be followed, compiled; `ContactReference` says what it is for.
+
+The bounds and what a pause has left are one record of `REFERENCE_LIMITS`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from multicontact_control.algebra import copy_matrix, cross, dot, multiply
+from multicontact_control.arrays import Matrix, Vector
+from multicontact_control.compiled import compiled
+from multicontact_control.dynamics.rotations import rotation_vector
+from multicontact_control.supervision.contacts import advance_contact, is_active, watch_energy
+import numpy as np
+
+
+@compiled
+def follow_contacts(
+    limits: Any, wanted: Any, frame: Any, contacts: Any, states: Any, settings: Any,
+    damping: Vector,
+) -> None:
+    """
+    Advance the state machine and the passivity observer of every contact.
+
+    Parameters
+    ----------
+    limits, wanted, frame, settings
+        Records of `REFERENCE_LIMITS`, `TASK` (what the task asks for), `FRAME` and
+        `CONTACT_SETTINGS`.
+    contacts, states
+        Records of `CONTACT` and `CONTACT_STATE` (changed), shape (r,).
+    damping
+        Filled with the forces that passivity takes from the command, shape (r,) [N].
+
+    """
+    count = contacts.shape[0]
+    twist = frame.twist
+    moved = np.empty(count)
+    for i in range(count):
+        moved[i] = states[i].displacement
+    lever = np.empty(3)
+    for i in range(count):
+        normal = contacts[i].normal
+        place, speed = 0.0, 0.0
+        for k in range(3):
+            gap = frame.position[k] - wanted.position[k] - limits.offset[k]
+            place += normal[k] * gap
+            speed += normal[k] * (twist[k] - wanted.twist[k])
+        others = 0.0
+        for j in range(count):
+            if j != i:
+                others += dot(normal, contacts[j].normal) * moved[j]
+        multiply(frame.rotation, contacts[i].point, lever)
+        # v + w x l, along the normal
+        point_speed = (
+            normal[0] * (twist[0] + twist[4] * lever[2] - twist[5] * lever[1])
+            + normal[1] * (twist[1] + twist[5] * lever[0] - twist[3] * lever[2])
+            + normal[2] * (twist[2] + twist[3] * lever[1] - twist[4] * lever[0]))
+        alpha = contacts[i].alpha_meas
+        damping[i] = watch_energy(states[i], settings, alpha, point_speed)
+        advance_contact(states[i], settings, alpha, place - others, speed)
+
+
+@compiled
+def add_displacements(limits: Any, wanted: Any, contacts: Any, states: Any, task: Any) -> None:
+    """
+    Fill in the task with the contacts' displacements and motions added to it.
+
+    Parameters
+    ----------
+    limits, wanted, contacts, states
+        As for `follow_contacts`.
+    task
+        Record of `TASK`, filled.
+
+    """
+    copy_matrix(wanted.rotation, task.rotation)
+    for k in range(3):
+        shift, velocity, change = limits.offset[k], 0.0, 0.0
+        for i in range(contacts.shape[0]):
+            shift += states[i].displacement * contacts[i].normal[k]
+            if not is_active(states[i]):
+                velocity += states[i].speed * contacts[i].normal[k]
+                change += states[i].acceleration * contacts[i].normal[k]
+        task.position[k] = wanted.position[k] + shift
+        task.twist[k] = wanted.twist[k] + velocity
+        task.acceleration[k] = wanted.acceleration[k] + change
+        task.twist[3 + k] = wanted.twist[3 + k]
+        task.acceleration[3 + k] = wanted.acceleration[3 + k]
+
+
+@compiled
+def rotate_by(vector: Vector, rotation: Matrix, turned: Matrix) -> None:
+    """
+    Fill in a rotation turned by a rotation vector (Rodrigues).
+
+    Parameters
+    ----------
+    vector
+        World axes, shape (3,) [rad].
+    rotation, turned
+        Before and after, shape (3, 3); not the same array.
+
+    """
+    angle = np.sqrt(vector[0] * vector[0] + vector[1] * vector[1] + vector[2] * vector[2])
+    if angle < 1e-12:
+        copy_matrix(rotation, turned)
+        return
+    axis, column, once, twice = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    for i in range(3):
+        axis[i] = vector[i] / angle
+    for j in range(3):
+        for i in range(3):
+            column[i] = rotation[i, j]
+        cross(axis, column, once)
+        cross(axis, once, twice)
+        for i in range(3):
+            turned[i, j] = column[i] + np.sin(angle) * once[i] + (1.0 - np.cos(angle)) * twice[i]
+
+
+@compiled
+def bound_task(limits: Any, frame: Any, task: Any) -> bool:
+    """
+    Bring a task within the box and within reach of the arm.
+
+    Parameters
+    ----------
+    limits, frame
+        Records of `REFERENCE_LIMITS` and `FRAME`.
+    task
+        Record of `TASK`, changed if need be.
+
+    Returns
+    -------
+    bool
+        Whether anything was changed.
+
+    """
+    limited = False
+    position = task.position
+    for k in range(3):
+        inside = min(max(position[k], limits.box[0, k]), limits.box[1, k])
+        if inside != position[k]:
+            position[k] = inside
+            task.twist[k] = 0.0
+            task.acceleration[k] = 0.0
+            limited = True
+    length = 0.0
+    for k in range(3):
+        length += (position[k] - frame.position[k]) ** 2
+    length = np.sqrt(length)
+    if length > limits.reach:
+        for k in range(3):
+            position[k] = frame.position[k] + (position[k] - frame.position[k]) * (
+                limits.reach / length)
+        for k in range(6):
+            task.twist[k] = 0.0
+            task.acceleration[k] = 0.0
+        limited = True
+    turn = np.empty(3)
+    rotation_vector(task.rotation, frame.rotation, turn)
+    angle = np.sqrt(turn[0] * turn[0] + turn[1] * turn[1] + turn[2] * turn[2])
+    if angle > limits.turn:
+        for k in range(3):
+            turn[k] *= limits.turn / angle
+        rotate_by(turn, frame.rotation, task.rotation)
+        limited = True
+    return limited
+
+
+@compiled
+def limit_reference(
+    all_limits: Any, all_wanted: Any, frames: Any, contacts: Any, states: Any, all_settings: Any,
+    tasks: Any,
+) -> bool:
+    """
+    Work out the reference of one tick; see `ContactReference.update`.
+
+    Parameters
+    ----------
+    all_limits, all_wanted, frames, all_settings
+        One record each of `REFERENCE_LIMITS`, `TASK` (what the task asks for), `FRAME` and
+        `CONTACT_SETTINGS`.
+    contacts, states
+        Records of `CONTACT`, `active` and `alpha_des` of which are filled in, and
+        `CONTACT_STATE`, changed, shape (r,).
+    tasks
+        One record of `TASK`, filled.
+
+    Returns
+    -------
+    bool
+        Whether a limit of the motion was enforced.
+
+    """
+    limits, wanted, frame = all_limits[0], all_wanted[0], frames[0]
+    settings, task = all_settings[0], tasks[0]
+    damping = np.empty(contacts.shape[0])
+    follow_contacts(limits, wanted, frame, contacts, states, settings, damping)
+    for i in range(contacts.shape[0]):
+        contact, state = contacts[i], states[i]
+        contact.active = is_active(state) and not limits.held_back
+        contact.alpha_des = 0.0
+        if contact.active:
+            contact.alpha_des = max(min(state.asked, state.force_limit) - damping[i], 0.0)
+    limits.held_back = False
+    add_displacements(limits, wanted, contacts, states, task)
+    return bound_task(limits, frame, task)

@@ -1,0 +1,59 @@
+"""What a supervisor says of every tick."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from multicontact_control.arrays import Vector
+from multicontact_control.control.tick import ControlOutput
+from multicontact_control.dynamics.pose import Pose
+from multicontact_control.records import CONTACT
+import numpy as np
+
+
+class SupervisorStatus(NamedTuple):
+    """
+    What the supervisor did in a tick, and why.
+
+    Attributes
+    ----------
+    reaction
+        ``none``, ``inflate`` (R), or instead of the control law ``hold``, ``float``, ``damp``.
+    causes
+        What called for it.
+    rejected
+        What was wrong with readings, whether it called for a reaction or not.
+    limits
+        Limits that were enforced.
+    contact_states
+        State of each contact.
+    energy, energy_limit
+        Of each contact's passivity observer, shape (r,) [J].
+    task_time
+        Time of the task, which stands still during a reaction [s].
+
+    """
+
+    reaction: str
+    causes: tuple[str, ...]
+    rejected: tuple[str, ...]
+    limits: tuple[str, ...]
+    contact_states: tuple[str, ...]
+    energy: Vector
+    energy_limit: Vector
+    task_time: float
+
+
+class SupervisorOutput(NamedTuple):
+    """The answer to one tick: `output.torque` is finite and within limits, always."""
+
+    output: ControlOutput
+    status: SupervisorStatus
+
+
+def no_answer(joints: int, contacts: int) -> ControlOutput:
+    """Return the answer before anything is known."""
+    pose = Pose(np.zeros(3), np.eye(3))
+    return ControlOutput(
+        torque=np.zeros(joints), contacts=np.zeros(contacts, dtype=CONTACT), pose=pose,
+        pose_des=pose)

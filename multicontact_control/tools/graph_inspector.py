@@ -1,0 +1,96 @@
+"""A node that looks at a graph without taking part in it."""
+
+from __future__ import annotations
+
+import os
+import time
+from types import TracebackType
+
+from multicontact_control.errors import RunError
+from multicontact_control.nodes.guest import GuestNode
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.topic_endpoint_info import TopicEndpointInfo
+
+DISCOVERY_POLL = 0.02
+POLL_PERIOD = 0.005
+
+
+class GraphInspector:
+    """
+    A hidden node; to be used in a with statement.
+
+    Parameters
+    ----------
+    domain_id
+        ROS domain; that of the environment by default.
+
+    """
+
+    def __init__(self, domain_id: int | None = None) -> None:
+        self._guest = GuestNode(f'_multicontact_{os.getpid()}', domain_id)
+        self.node = self._guest.node
+
+    def __enter__(self) -> GraphInspector:
+        """Return the onlooker itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Leave the graph."""
+        self._guest.close()
+
+    def topics(self) -> dict[str, list[str]]:
+        """Return the types by topic, of those that are not hidden and that someone publishes."""
+        return {
+            name: types for name, types in sorted(self.node.get_topic_names_and_types())
+            if not any(part.startswith('_') for part in name.split('/'))}
+
+    def publishers(self, name: str) -> list[TopicEndpointInfo]:
+        """Return what is known of the publishers of a topic."""
+        return list(self.node.get_publishers_info_by_topic(name))
+
+    def wait_for_publisher(self, name: str, timeout: float, stop: object = False) -> None:
+        """
+        Wait until a topic is published, `timeout` [s] at most, or until `stop` is true.
+
+        Raises
+        ------
+        RunError
+            If it is not, naming the topics there are.
+
+        """
+        give_up = time.monotonic() + timeout
+        while not (self.publishers(name) or stop):
+            if time.monotonic() > give_up:
+                known = ', '.join(self.topics()) or 'none; is ROS_DOMAIN_ID that of the graph?'
+                raise RunError(f'{name}: expected a publisher within {timeout:g} s, found none '
+                               f'(topics: {known})')
+            time.sleep(DISCOVERY_POLL)
+
+
+def full_name(topic: str) -> str:
+    """Return the name of a topic with its leading slash."""
+    return '/' + topic.strip('/')
+
+
+def matching_profile(publishers: list[TopicEndpointInfo], depth: int) -> QoSProfile:
+    """
+    Return the best quality of service that all publishers of a topic can give.
+
+    Parameters
+    ----------
+    publishers
+        What is known of them.
+    depth
+        Messages to keep until they are looked at.
+
+    """
+    offered = [info.qos_profile for info in publishers]
+    reliable = all(x.reliability == ReliabilityPolicy.RELIABLE for x in offered)
+    latched = all(x.durability == DurabilityPolicy.TRANSIENT_LOCAL for x in offered)
+    return QoSProfile(
+        depth=depth, history=HistoryPolicy.KEEP_LAST,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE)

@@ -1,0 +1,168 @@
+"""
+The paper's equations as they stand, in full matrices.
+
+This file imports nothing of what it is held against.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+
+def contact_normals(normals_world, levers_world):
+    """Return N, N_i = [n_i; n_i x l_i] (P04 eq. 5)."""
+    return np.vstack([normals_world.T, np.cross(normals_world, levers_world).T])
+
+
+def free_motions(N):
+    """Return T with N^T T = 0 and T^T T = 1 (P04 eqs 4, 6)."""
+    return np.linalg.svd(N)[0][:, N.shape[1]:] if N.shape[1] else np.eye(N.shape[0])
+
+
+def contact_coordinates(N, vector):
+    """Return N^+ f (P04 eqs 2, 7)."""
+    return np.linalg.pinv(N) @ vector
+
+
+@dataclass
+class Projections:
+    Omega_f: np.ndarray
+    Omega_m: np.ndarray
+
+    @property
+    def Omega_c(self):
+        return np.eye(len(self.Omega_m)) - self.Omega_m
+
+
+def general_projections(N, T, N_prime, T_prime):
+    """Omega_f = N (T'^T N)^-1 T'^T, Omega_m = T (N'^T T)^-1 N'^T (P04 eqs 7-12)."""
+    return Projections(N @ np.linalg.solve(T_prime.T @ N, T_prime.T),
+                       T @ np.linalg.solve(N_prime.T @ T, N_prime.T))
+
+
+def euclidean_projections(N):
+    """Return those of N' = T, T' = N (P04 eqs 11-13)."""
+    T = free_motions(N)
+    return general_projections(N, T, T, N)
+
+
+def inertia_projections(N, Lambda):
+    """Return those of N' = Lambda T, T' = Lambda^-1 N."""
+    T = free_motions(N)
+    return general_projections(N, T, Lambda @ T, np.linalg.solve(Lambda, N))
+
+
+def allocate_force(N, alpha_star, allocation):
+    """Return N alpha* (P04 eq. 30), or N (N^T N)^-1 alpha* for `decoupled`."""
+    return N @ alpha_star if allocation == 'paper' else np.linalg.pinv(N).T @ alpha_star
+
+
+def contact_rates(N, twist, allocation):
+    """Return N^+ theta, or N^T theta for `decoupled`."""
+    return np.linalg.pinv(N) @ twist if allocation == 'paper' else N.T @ twist
+
+
+def rotation_error(rotation_des, rotation):
+    """Return log(R_des R^T)."""
+    return Rotation.from_matrix(rotation_des @ rotation.T).as_rotvec()
+
+
+def motion_acceleration(config, reference, pose, twist):
+    """Return a_des + k_v (theta_des - theta) + k_p (x_des - x) (P04 sec. 3.1)."""
+    omega, zeta = config.natural_frequency, config.damping_ratio
+    error = np.concatenate([
+        reference.pose_des.position_world - pose.position_world,
+        rotation_error(reference.pose_des.rotation_world, pose.rotation_world)])
+    return reference.acceleration_des + 2.0 * zeta * omega * (
+        reference.twist_des - twist) + omega ** 2 * error
+
+
+def contact_wrench(reading, sensor_pose, position, tool, gravity):
+    """Take off bias and weight, turn to world axes, move to the operational point."""
+    R = sensor_pose.rotation_world
+    force, moment = np.reshape(reading - np.array(tool.bias_sensor), (2, 3))
+    weight = tool.mass * gravity
+    force = R @ force + weight
+    return np.concatenate([force, R @ moment + np.cross(R @ np.array(tool.com_sensor), weight)
+                           + np.cross(sensor_pose.position_world - position, force)])
+
+
+def mobility_damping(smallest, singular_mobility):
+    """Return e_0 / 2 (1 - e / e_0)^2 for a smallest eigenvalue e below e_0, else 0."""
+    if smallest >= singular_mobility:
+        return 0.0
+    return 0.5 * singular_mobility * (1.0 - smallest / singular_mobility) ** 2
+
+
+@dataclass
+class OperationalSpace:
+    Lambda: np.ndarray
+    J_bar: np.ndarray
+    mu: np.ndarray
+    p: np.ndarray
+
+
+def operational_space(state, singular_mobility=0.0):
+    """Lambda = (J M^-1 J^T)^-1, J_bar = M^-1 J^T Lambda, mu and p (P04 eq. 23)."""
+    M, J = state.mass_matrix, state.jacobian
+    mobility = J @ np.linalg.solve(M, J.T)
+    smallest = np.linalg.eigvalsh(mobility)[0]
+    if singular_mobility:
+        mobility = mobility + mobility_damping(smallest, singular_mobility) * np.eye(6)
+    Lambda = np.linalg.inv(mobility)
+    J_bar = np.linalg.solve(M, J.T @ Lambda)
+    return OperationalSpace(Lambda, J_bar, J_bar.T @ state.coriolis - Lambda @ (
+        state.jacobian_drift), J_bar.T @ state.gravity)
+
+
+def joint_torque(wrench, state, space, nullspace_damping=0.0):
+    """Return J^T F + (1 - J^T J_bar^T)(C v + g - d M v) (P04 sec. 3)."""
+    J = state.jacobian
+    free = state.coriolis + state.gravity - nullspace_damping * (
+        state.mass_matrix @ state.velocity)
+    return J.T @ wrench + free - J.T @ (space.J_bar.T @ free)
+
+
+class Observer:
+    """
+    The active observer, with full matrices and P04's own form of the update (eqs 34-41).
+
+    Phi, Gamma, L are those of the delayed plant and its state feedback.
+    """
+
+    def __init__(self, Phi, Gamma, L, *, order, process_noise, initial_covariance):
+        n = len(Gamma)
+        binomial = {0: [], 1: [1.0], 2: [2.0, -1.0], 3: [3.0, -3.0, 1.0]}[order]
+        Phi_p = np.vstack([binomial, np.eye(order)[:-1]]) if order else np.zeros((0, 0))
+        newest = np.eye(order)[:1]  # the disturbance that acts
+        across = np.outer(Gamma, newest) if order else np.zeros((n, 0))
+        zero = np.zeros((order, n))
+        self.Phi_n = np.block([[Phi, across], [zero, Phi_p]])
+        self.Phi_c = np.block([[Phi - np.outer(Gamma, L), 0.0 * across], [zero, Phi_p]])
+        self.Gamma, self.feedback = np.append(Gamma, np.zeros(order)), np.append(L, newest)
+        self.Q = process_noise * np.diag([1.0] * (n + min(order, 1)) + [0.0] * (order - 1))
+        self.P_0 = initial_covariance * np.eye(n + order)
+        self.reset(0.0)
+
+    def reset(self, force):
+        self.x_est, self.P = force * np.eye(len(self.Gamma))[0], self.P_0
+        self.r, self.fresh = 0.0, True
+        self.innovation = self.prior_variance = self.variance_used = 0.0
+
+    def update(self, force, variance):
+        if self.fresh:
+            self.fresh = False
+            return
+        C = np.eye(len(self.Gamma))[:1]
+        x_1 = self.Phi_c @ self.x_est + self.Gamma * self.r
+        P_1 = self.Phi_n @ self.P @ self.Phi_n.T + self.Q
+        K = P_1 @ C.T / (C @ P_1 @ C.T + variance)
+        self.innovation, self.prior_variance = force - x_1[0], P_1[0, 0]
+        self.variance_used = variance
+        self.x_est = x_1 + K[:, 0] * self.innovation
+        self.P = P_1 - K @ C @ P_1
+
+    def command(self, force_des):
+        self.r = self.feedback[0] * force_des
+        return self.r - self.feedback @ self.x_est

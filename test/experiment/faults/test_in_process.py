@@ -1,0 +1,62 @@
+"""Faults in process: how they are answered and judged, and that the judge can say no."""
+
+from multicontact_control.experiment.closed_loop import ClosedLoop
+from multicontact_control.experiment.faults.in_process import RUN_TICKS
+from multicontact_control.experiment.faults.vocabulary import fault_kinds
+from multicontact_control.experiment.scenario import resolve
+from multicontact_control.experiment.study.presets.faults.jobs import in_fork
+from multicontact_control.supervision.validation import ValidatedInputs, Watchdog
+import numpy as np
+import pytest
+
+KINDS = {(kind.kind, kind.input): kind for kind in fault_kinds()}
+
+
+@pytest.fixture(scope='module')
+def world():
+    """Return a rigid plant at the approach."""
+    world = ClosedLoop(resolve('quick', plant='rigid', seed=0))
+    while world.tick < 330:
+        world.advance()
+    return world
+
+
+@pytest.mark.parametrize(('kind', 'reaction'), [
+    (('nan', 'wrench'), 'hold'), (('dropped', 'joints'), 'float'),
+    (('delayed', 'variance'), 'inflate'), (('duplicated', 'wrench'), 'none'),
+    (('restarted', 'clock'), 'hold'), (('surface_gone', 'plant'), 'none')])
+def test_fault_is_answered_as_declared(world, kind, reaction):
+    row = in_fork(world, KINDS[kind], 1, 'approach')
+    assert (row.reaction, row.safe, row.problems) == (reaction, True, '')
+    assert 0.0 <= row.time_to_safe_s <= 0.004
+
+
+def test_same_seed_same_row(world):
+    rows = [in_fork(world, KINDS['biased', 'wrench'], seed, 'approach') for seed in (5, 5, 6)]
+    assert rows[0] == rows[1]
+    assert rows[0] != rows[2]
+
+
+def test_fault_that_nobody_notices_is_not_safe(world, monkeypatch):
+    """The judge judges: with a watchdog that believes everything, NaN reaches the law."""
+    def believe(self, inputs):
+        return ValidatedInputs(np.array(inputs.joints.q), np.array(inputs.joints.qd),
+                               np.array(inputs.wrench.wrench),
+                               np.array(inputs.variance.variance), (), ())
+    monkeypatch.setattr(Watchdog, 'validate', believe)
+    row = in_fork(world, KINDS['delayed', 'wrench'], 1, 'approach')
+    assert not row.safe
+    assert row.problems == 'declared reaction late'
+    row = in_fork(world, KINDS['delayed', 'joints'], 1, 'approach')
+    assert not row.safe
+
+
+def test_fault_that_kills_its_process_is_not_safe(world, monkeypatch):
+    monkeypatch.setattr(ClosedLoop, 'advance', lambda self, corrupt=None: 1 / 0)
+    row = in_fork(world, KINDS['nan', 'wrench'], 1, 'approach')
+    assert (row.safe, row.problems) == (False, 'died')
+
+
+def test_run_is_long_enough_to_recover_in():
+    """The longest fault and the recovery time fit into it."""
+    assert RUN_TICKS >= 150 + 25 + 100

@@ -1,0 +1,222 @@
+"""Two graphs in one domain, each with its description, its markers and its /tf."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+from multicontact_control.errors import ConfigError
+from multicontact_control.experiment.graph.domain import check_namespace, reserve_domain
+from multicontact_control.experiment.graph.spec import CONTROLLER, GraphSpec, node_command
+from multicontact_control.nodes import qos
+from multicontact_control.nodes.guest import GuestNode
+from multicontact_control.paths import config_dir
+import numpy as np
+import pytest
+from ros_graph import end_of, ROOT, wait_for
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import get_typestore, Stores
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray, String
+
+pytestmark = pytest.mark.ros
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+SIDES = ('left', 'arms/right')
+TICKS = 500
+
+RUN = """
+import sys
+from pathlib import Path
+from multicontact_control.experiment.graph.run import GraphSpec, run_graph
+from multicontact_control.experiment.scenario import resolve
+folder, namespace, seed = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3])
+setup = resolve('quick', plant='rigid', seed=seed, duration=float(sys.argv[4]) / 500.0)
+config = folder / 'config'
+setup.write(config)
+run_graph(GraphSpec(
+    out=folder, ticks=int(sys.argv[4]), rate=500.0, seed=seed, namespace=namespace, lockstep=True,
+    reference_file=config / 'reference.yaml', domain_id=int(sys.argv[5]),
+    extra_parameters={'controller_node': {'effort_output_topic': 'effort_controller/commands'}},
+    parameter_files={'controller_node': config / 'controller.yaml',
+                     'sim_node': config / 'plant.yaml',
+                     'noise_estimator_node': config / 'noise_estimator.yaml'}))
+"""
+
+
+class Listener:
+    """A node that hears some topics of both graphs."""
+
+    def __init__(self, domain_id):
+        self._guest = GuestNode('listener', domain_id)
+        self.node = self._guest.node
+
+    def subscribe(self, message, name, profile):
+        subscription = self.node.create_subscription(message, name, lambda _: None, profile)
+        received = []
+
+        def newest():
+            handle = subscription.handle
+            with handle:
+                while (taken := handle.take_message(message, False)) is not None:
+                    received.append(taken[0])
+            return received
+        return newest
+
+    def close(self):
+        self._guest.close()
+
+
+@pytest.fixture(scope='module')
+def two_runs(tmp_path_factory):
+    """Run two graphs at once in one domain; return their folders and what was heard."""
+    folders = {side: tmp_path_factory.mktemp(side.replace('/', '_')) for side in SIDES}
+    with reserve_domain() as domain_id:
+        listener = Listener(domain_id)
+        heard = {side: {
+            'efforts': listener.subscribe(
+                Float64MultiArray, f'/{side}/effort_controller/commands', qos.RECORDING),
+            'commands': listener.subscribe(
+                JointState, f'/{side}/joint_effort_command', qos.RECORDING)} for side in SIDES}
+        runs = [subprocess.Popen(
+            [sys.executable, '-c', RUN, str(folders[side]), side, str(seed), str(TICKS),
+             str(domain_id)], cwd=ROOT, stderr=subprocess.PIPE, text=True)
+            for seed, side in enumerate(SIDES)]
+
+        def wait_for_both(what, hears):
+            def heard_or_failed():
+                for run in runs:
+                    assert not run.poll(), end_of(run)[1]
+                return hears()
+            return wait_for(heard_or_failed, what)
+
+        try:
+            late = {}
+            for side in SIDES:
+                wait_for_both(f'{side} started', heard[side]['commands'])
+                # The description was said long before this subscription.
+                late[side] = listener.subscribe(
+                    String, f'/{side}/robot_description', qos.LATCHED)
+            for side in SIDES:
+                wait_for_both(f'the description of {side}', late[side])
+            for run in runs:
+                _, errors = end_of(run)
+                assert run.returncode == 0, errors
+            result = {side: {'description': late[side]()[-1].data,
+                             'efforts': heard[side]['efforts'](),
+                             'commands': heard[side]['commands']()} for side in SIDES}
+        finally:
+            for run in runs:
+                if run.poll() is None:
+                    run.terminate()
+                    run.communicate()
+            listener.close()
+    yield folders, result
+
+
+def read(folder, topic):
+    with Reader(folder / 'bag') as reader:
+        connections = [x for x in reader.connections if x.topic == topic]
+        return [STORE.deserialize_cdr(data, x.msgtype)
+                for x, _, data in reader.messages(connections)]
+
+
+def test_each_graph_records_its_own_topics_only(two_runs):
+    folders, _ = two_runs
+    for side in SIDES:
+        with Reader(folders[side] / 'bag') as reader:
+            counts = {x.topic: x.msgcount for x in reader.connections}
+        assert set(counts) - {'/tf', '/clock'} == {x for x in counts if x.startswith(f'/{side}/')}
+        assert counts[f'/{side}/joint_states'] == TICKS
+        assert counts[f'/{side}/joint_effort_command'] == TICKS
+    positions = [read(folders[side], f'/{side}/ft_sensor/wrench')[-1].wrench.force.z
+                 for side in SIDES]
+    assert positions[0] != positions[1]  # the seeds differ, and so do the graphs
+
+
+def test_late_subscriber_gets_the_description(two_runs):
+    folders, heard = two_runs
+    expected = (config_dir() / 'puma560.urdf').read_text(encoding='utf-8')
+    for side in SIDES:
+        assert heard[side]['description'] == expected
+        assert [x.data for x in read(folders[side], f'/{side}/robot_description')] == [expected]
+
+
+def test_bag_has_markers_and_transforms_at_their_rates(two_runs):
+    folders, _ = two_runs
+    for side in SIDES:
+        markers = read(folders[side], f'/{side}/contact_markers')
+        assert len(markers) == 25 * TICKS // 500
+        assert all(len(message.markers) == 2 for message in markers)
+        transforms = read(folders[side], '/tf')
+        assert abs(len(transforms) - 50 * TICKS // 500) <= 1
+
+
+def test_transforms_in_the_bag_lead_to_the_operational_point(two_runs):
+    folders, _ = two_runs
+    side = SIDES[0]
+    poses = {(x.header.stamp.sec, x.header.stamp.nanosec): x.pose.position
+             for x in read(folders[side], f'/{side}/operational_point/pose')}
+    checked = 0
+    for message in read(folders[side], '/tf'):
+        stamp = message.transforms[0].header.stamp
+        found = position_of(message.transforms, 'wrist_point')
+        pose = poses[stamp.sec, stamp.nanosec]
+        np.testing.assert_allclose(found, [pose.x, pose.y, pose.z], atol=1e-9)
+        checked += 1
+    assert checked > 0
+
+
+def position_of(transforms, link):
+    """Return where a link is, by following its parents."""
+    by_child = {x.child_frame_id: x for x in transforms}
+    position = np.zeros(3)
+    while link in by_child:
+        step = by_child[link]
+        x, y, z, w = (getattr(step.transform.rotation, name) for name in 'xyzw')
+        axis = np.array([x, y, z])
+        position = position + 2.0 * np.cross(axis, np.cross(axis, position) + w * position)
+        origin = step.transform.translation
+        position = position + [origin.x, origin.y, origin.z]
+        link = step.header.frame_id
+    return position
+
+
+def test_bare_efforts_are_those_of_the_command(two_runs):
+    _, heard = two_runs
+    for side in SIDES:
+        efforts = [tuple(message.data) for message in heard[side]['efforts']]
+        commands = [tuple(message.effort) for message in heard[side]['commands']]
+        # Nobody waits for who listens: of either the first ones may be missing.
+        count = min(len(efforts), len(commands))
+        assert 0 < count <= TICKS
+        assert efforts[-count:] == commands[-count:]
+
+
+def test_bare_efforts_are_in_the_bag(two_runs):
+    folders, _ = two_runs
+    for side in SIDES:
+        efforts = [tuple(x.data) for x in read(
+            folders[side], f'/{side}/effort_controller/commands')]
+        commands = [tuple(x.effort) for x in read(
+            folders[side], f'/{side}/joint_effort_command')]
+        # Nobody waits for who listens to it: the first ones may be missing.
+        assert 0 < len(efforts) <= TICKS
+        assert efforts == commands[-len(efforts):]
+
+
+def test_node_command_leaves_the_names_alone_without_a_namespace(tmp_path):
+    spec = GraphSpec(out=tmp_path, parameter_files={}, ticks=1, rate=500.0)
+    assert '-r' not in node_command(CONTROLLER, spec)
+
+
+@pytest.mark.parametrize(('namespace', 'bare'), [
+    ('', ''), ('/', ''), ('left', 'left'), ('/arms/right/', 'arms/right')])
+def test_check_namespace_strips_slashes(namespace, bare):
+    assert check_namespace(namespace) == bare
+
+
+@pytest.mark.parametrize('namespace', ['1st', 'a b', 'a//b', 'ä', 'a-b'])
+def test_check_namespace_refuses_what_ros_would(namespace):
+    with pytest.raises(ConfigError, match='namespace: expected names of letters'):
+        check_namespace(namespace)

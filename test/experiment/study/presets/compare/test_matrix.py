@@ -1,0 +1,73 @@
+from typing import get_args
+
+from multicontact_control.config import NoiseEstimatorConfig
+from multicontact_control.errors import ConfigError
+from multicontact_control.experiment.study.presets.compare.matrix import (
+    AOB,
+    beside_the_matrix,
+    comparison_matrix,
+    estimator_values,
+    LABELS,
+    PLAIN,
+    RESCALED,
+)
+from multicontact_control.experiment.study.presets.compare.study import ComparisonStudy
+import pytest
+
+
+def test_matrix_covers_every_estimator_plant_observer_and_seed():
+    entries = comparison_matrix()
+    names = get_args(NoiseEstimatorConfig.model_fields['estimator'].annotation)
+    assert set(LABELS) == {*names, RESCALED}
+    found = {(entry.job.plant, entry.label, entry.kind, entry.job.seed) for entry in entries}
+    assert found == {(plant, label, kind, seed) for plant in ('rigid', 'puma')
+                     for label in LABELS for kind in (AOB, PLAIN) for seed in range(3)}
+    assert len({entry.job.key() for entry in entries}) == len(entries)
+
+
+def test_matrix_runs_each_cell_with_what_its_label_says():
+    for entry in comparison_matrix(('puma',), ('fixed', RESCALED), 1):
+        setup = entry.job.setup()
+        assert setup.controller.force.active_state_order == (1 if entry.kind == AOB else 0)
+        rescaled = entry.label == RESCALED
+        assert setup.noise_estimator.estimator == ('window' if rescaled else 'fixed')
+        assert setup.noise_estimator.variance_scale == pytest.approx(
+            268.65 if rescaled else 1.0, abs=0.01)
+
+
+def test_matrix_compensates_no_friction_where_there_is_none():
+    rigid, puma = (comparison_matrix((plant,), ('fixed',), 1)[0].job.setup()
+                   for plant in ('rigid', 'puma'))
+    assert rigid.controller.friction.coulomb == ()
+    assert puma.controller.friction.coulomb != ()
+
+
+def test_quick_matrix_covers_both_plants_and_the_estimators_that_decide():
+    entries = ComparisonStudy(quick=True).entries()
+    assert {(entry.job.plant, entry.label) for entry in entries if entry.kind == AOB} == {
+        (plant, label) for plant in ('rigid', 'puma')
+        for label in ('lead_window', 'fixed', RESCALED, 'innovation')}
+    assert len(entries) < 20
+
+
+def test_causes_are_looked_for_only_with_flexible_drives():
+    assert not [entry for entry in beside_the_matrix(('rigid',), 1) if entry.kind == 'cause']
+    smooth = next(entry for entry in beside_the_matrix(('puma',), 1) if 'noise' in entry.label)
+    plant = smooth.job.setup().plant
+    assert not plant.sensor.noise
+    assert all(surface.roughness_std == 0.0 for surface in plant.surfaces.values())
+
+
+@pytest.mark.parametrize('changes, match', [
+    ({'estimators': ('kalman',)}, "^estimators: .*lead_window.*'kalman'$"),
+    ({'plants': ('ur5',)}, "^plant: .*'ur5'$"), ({'seeds': 0}, '^seeds: expected at least 1'),
+    ({'plants': ('ur5',), 'estimators': ('kalman',), 'seeds': -1},
+     "^plant: .*'ur5'; estimators: .*'kalman'; seeds: expected at least 1, found -1$")])
+def test_bad_study_says_all_that_is_expected(changes, match):
+    with pytest.raises(ConfigError, match=match):
+        ComparisonStudy(**changes).check()
+
+
+def test_unknown_label_is_refused():
+    with pytest.raises(ConfigError, match='lead_window'):
+        estimator_values('nothing')

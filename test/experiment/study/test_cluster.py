@@ -1,0 +1,83 @@
+"""Jobs on a real Dask scheduler with two worker processes, which get killed."""
+
+import socket
+import sys
+
+from mortal_jobs import kill_task, make_jobs, starts
+from multicontact_control.errors import ConfigError, RunError
+from multicontact_control.experiment.study.cluster import DaskExecutor
+from multicontact_control.experiment.study.execute import run_jobs
+import pytest
+from rich.console import Console
+
+pytest.importorskip('distributed')
+
+
+def run(tmp_path, jobs, executor):
+    with (tmp_path / 'terminal.txt').open('w') as file:
+        done = run_jobs(jobs, tmp_path / 'out', kill_task, executor=executor,
+                        console=Console(file=file, width=200))
+    return done, (tmp_path / 'terminal.txt').read_text()
+
+
+@pytest.mark.slow
+def test_killed_workers_lose_nothing_and_a_deadly_job_is_given_up(tmp_path, dask_cluster):
+    jobs = make_jobs(tmp_path, [0] * 6 + [1] + [0] * 6 + [99] + [0] * 2)
+    with DaskExecutor(dask_cluster.address) as executor:
+        assert executor.workers == 2
+        done, text = run(tmp_path, jobs, executor)
+    assert done.lost == {jobs[13]: 'the workers that were to run it died'}
+    assert 'run by itself' in text
+    for job in jobs:
+        if job is not jobs[13]:
+            assert done.result(job).metrics['number'] == job.number
+    assert len(starts(jobs[6])) == 2
+    workers = {path.name.split('-')[1] for job in jobs for path in starts(job)}
+    assert len(workers) >= 2
+
+
+@pytest.mark.slow
+def test_worker_with_other_code_is_refused(tmp_path, dask_cluster, monkeypatch):
+    """The key stands for code and configuration: a worker must come to the same."""
+    jobs = make_jobs(tmp_path, [0])
+    monkeypatch.setattr(type(jobs[0]), 'key', lambda self: 'of other code')
+    with DaskExecutor(dask_cluster.address) as executor:
+        with pytest.raises(RunError, match='other code, libraries or configuration files'):
+            run(tmp_path, jobs, executor)
+    assert starts(jobs[0]) == []
+
+
+@pytest.mark.slow
+def test_scheduler_that_dies_ends_the_run_with_one_line(tmp_path, dask_cluster):
+    """What came before is kept."""
+    jobs = make_jobs(tmp_path, [0] * 200)
+    seen = []
+    with pytest.raises(RunError, match='the Dask scheduler is gone'):
+        with DaskExecutor(dask_cluster.address) as executor:
+            for job, _ in executor.results(kill_task, jobs, print):
+                if not seen:
+                    dask_cluster.scheduler.kill()
+                seen.append(job)
+    assert 1 <= len(seen) < 200
+
+
+def test_address_that_does_not_answer_is_refused(monkeypatch):
+    monkeypatch.setattr('multicontact_control.experiment.study.cluster.CONNECT_TIMEOUT', 1.0)
+    with socket.socket() as unused:  # bound, so that nobody else answers; and not listening
+        unused.bind(('127.0.0.1', 0))
+        address = f'tcp://127.0.0.1:{unused.getsockname()[1]}'
+        with pytest.raises(ConfigError, match=f'dask: expected .* answers.*found {address}'):
+            DaskExecutor(address)
+
+
+@pytest.mark.parametrize('address', ['nonsense://x:1', 'localhost:notaport', ''])
+def test_address_that_is_none_is_refused(address, monkeypatch):
+    monkeypatch.setattr('multicontact_control.experiment.study.cluster.CONNECT_TIMEOUT', 1.0)
+    with pytest.raises(ConfigError, match='dask: expected the address'):
+        DaskExecutor(address)
+
+
+def test_missing_package_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, 'distributed', None)
+    with pytest.raises(RunError, match=r'needs `distributed`.*multicontact_control\[dask\]'):
+        DaskExecutor('tcp://127.0.0.1:1')

@@ -1,0 +1,73 @@
+"""What all studies have in common: options, dry run, folder, resuming."""
+
+import io
+
+from multicontact_control.errors import ConfigError
+from multicontact_control.experiment.study.presets.compare.study import ComparisonStudy
+from multicontact_control.experiment.study.presets.faults.study import FaultStudy
+from multicontact_control.experiment.study.presets.robustness.study import RobustnessStudy
+from multicontact_control.experiment.study.presets.sweep.study import sweep_study
+from multicontact_control.experiment.study.study import run_study, StudyOptions
+import pytest
+from rich.console import Console
+
+SMALL = RobustnessStudy(('rigid',), ('fixed',), (1.0, 20.0), (1,))
+
+
+def shown_of(study, options):
+    shown = io.StringIO()
+    run_study(study, options, Console(file=shown, width=160))
+    return shown.getvalue()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(('study', 'jobs', 'words'), [
+    (ComparisonStudy(('rigid',), ('fixed',), 2), 8, [
+        'compare: 1 plant, 1 estimator, 2 observers, 2 seeds', '  estimators: fixed\n',
+        '  seeds: 0, 1\n', 'lead_window, true stiffness x 5', 'will take about']),
+    (SMALL, 2, ['map: 1 plant, 1 estimator, 2 stiffness ratios, 1 delay\n', '  delays: 1\n',
+                'will take about']),
+    (sweep_study('delay'), None, ['study delay: ', 'controller.force.input_delay [s]: ']),
+    (FaultStudy(7, quick=True), None, [
+        'kinds', '  seeds: 7\n', 'joints nan_q, ', 'will take about'])])
+def test_dry_run_says_what_would_be_run_and_leaves_nothing(tmp_path, study, jobs, words):
+    text = shown_of(study, StudyOptions(tmp_path / 'out', dry_run=True))
+    for word in words:
+        assert word in text
+    assert f'{jobs or len(study.jobs())} {study.unit}, 0 of them finished before' in text
+    assert not (tmp_path / 'out').exists()
+
+
+@pytest.mark.slow
+def test_second_start_takes_from_the_cache_and_gives_the_same_files(tmp_path):
+    options = StudyOptions(tmp_path, jobs=1)
+    assert '2 runs, 0 of them finished before; the other 2' in shown_of(SMALL, options)
+    content = (tmp_path / 'robustness.json').read_bytes()
+    ages = {path: path.stat().st_mtime_ns for path in tmp_path.glob('cells/*')}
+    assert len(ages) == 4  # and their traces
+    assert '2 runs, 2 of them finished before' in shown_of(SMALL, options)
+    assert {path: path.stat().st_mtime_ns for path in tmp_path.glob('cells/*')} == ages
+    assert (tmp_path / 'robustness.json').read_bytes() == content
+    anew = StudyOptions(tmp_path, jobs=1, dry_run=True, overwrite=True)
+    assert '2 runs, 0 of them finished before; the other 2' in shown_of(SMALL, anew)
+    assert {path: path.stat().st_mtime_ns for path in tmp_path.glob('cells/*')} == ages
+
+
+@pytest.mark.slow
+def test_cluster_gives_the_same_as_this_machine(tmp_path, dask_cluster):
+    for name, options in (('here', {'jobs': 1}), ('dask', {'dask': dask_cluster.address})):
+        shown_of(SMALL, StudyOptions(tmp_path / name, **options))
+    files = [(tmp_path / name / 'robustness.json').read_bytes() for name in ('here', 'dask')]
+    assert files[0] == files[1]
+
+
+@pytest.mark.parametrize(('options', 'message'), [
+    ({'jobs': -2}, '^jobs: expected a whole number >= 0, found -2; plant: '),
+    ({'jobs': 2, 'dask': 'tcp://127.0.0.1:1'},
+     "^jobs: expected nothing together with --dask, .*; plant: .*'ur5'; estimators: ")])
+def test_all_that_is_wrong_is_said_before_the_folder_is_made(tmp_path, options, message):
+    study = ComparisonStudy(('ur5',), ('kalman',))
+    with pytest.raises(ConfigError, match=message) as error:
+        run_study(study, StudyOptions(tmp_path / 'out', **options), Console(quiet=True))
+    assert '\n' not in str(error.value)
+    assert not (tmp_path / 'out').exists()

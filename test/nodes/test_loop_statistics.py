@@ -1,0 +1,35 @@
+"""Rates, jitter and ages from times that are known."""
+
+from multicontact_control.nodes.loop_statistics import Freshness, LoopStatistics
+import pytest
+
+MS = 1_000_000
+
+
+def test_report_gives_jitter_and_latency_of_known_times():
+    watch = LoopStatistics(500.0)
+    for k in range(101):
+        watch.add_period(1 + k * 2 * MS + (k % 2) * MS // 10)  # 0.1 ms early and late in turn
+        watch.add_latency(300_000 + k * 1000)
+    values = watch.report()
+    assert values['jitter_us_p50'] == pytest.approx(100.0)
+    assert values['latency_us_p50'] == pytest.approx(350.0)
+    assert values['latency_us_max'] == pytest.approx(400.0)
+
+
+def test_report_starts_anew_but_counts_misses_in_all():
+    watch = LoopStatistics(500.0)
+    watch.missed = 3
+    assert (watch.report()['deadline_misses'], watch.report()['deadline_misses']) == (3, 0)
+    watch.missed = 2
+    assert watch.report()['deadline_misses_in_all'] == 5
+    assert watch.report()['latency_us_p50'] is None
+
+
+def test_freshness_knows_what_never_came():
+    fresh = Freshness()
+    fresh.expect('a', 'b')
+    fresh.note('a')
+    ages = fresh.ages()
+    assert ages['a'] >= 0.0
+    assert ages['b'] is None

@@ -1,0 +1,243 @@
+"""The push test: what is wrong is always refused and named, what is right passes."""
+
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from multicontact_control.config import validate
+from multicontact_control.errors import ConfigError, ShapeError
+from multicontact_control.sensor.push_config import PushTestConfig
+from multicontact_control.sensor.push_test import PushPhase, PushTest
+from multicontact_control.sensor.push_verdict import fit_mounting, judge_pushes
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+RATE = 100.0
+LEVER = np.array([0.1, -0.16, -0.19])
+QUARTER_TURNS = [
+    Rotation.from_rotvec(sign * np.pi / 2 * np.eye(3)[axis]).as_matrix()
+    for axis in range(3) for sign in (1.0, -1.0)]
+SIX = ('+x', '-x', '+y', '-y', '+z', '-z')
+seeds = st.integers(0, 2 ** 32 - 1)
+rotations = seeds.map(
+    lambda seed: Rotation.random(rng=np.random.default_rng(seed)).as_matrix())
+
+
+def read(mounting, sensor_rotation, force_world, torque_world):
+    """Return what a wrongly mounted sensor makes of a wrench at its own origin, world axes."""
+    M = sensor_rotation @ mounting @ sensor_rotation.T
+    return np.concatenate((M @ force_world, M @ torque_world))
+
+
+def pushes(mounting, config, *, sensor=None, rng=None, hand=0.0, noise=0.0, torque_sign=1.0):
+    """Return readings under pushes by a hand off by up to `hand` rad and as much of the force."""
+    rng = rng or np.random.default_rng(0)
+    sensor = np.eye(3) if sensor is None else sensor
+    rows = []
+    for direction in config.directions_world:
+        axis = np.cross(direction, rng.standard_normal(3))
+        axis *= hand * rng.uniform() / np.linalg.norm(axis)
+        force = -config.force * (1.0 + hand * rng.uniform(-1, 1)) * (
+            Rotation.from_rotvec(axis).as_matrix() @ direction)
+        rows.append(read(mounting, sensor, force, torque_sign * np.cross(LEVER, force))
+                    + noise * rng.standard_normal(6))
+    return np.array(rows)
+
+
+def judge(mounting, config=None, *, rest=None, lever=LEVER, **changes):
+    config = config or PushTestConfig()
+    return judge_pushes(
+        pushes(mounting, config, **changes), np.zeros(6) if rest is None else rest, config,
+        sensor_rotation_world=changes.get('sensor'), lever_world=lever)
+
+
+@given(rotations, seeds, st.sampled_from([('+x', '+y', '+z'), ('-z', '+y', '-x'), SIX]))
+def test_right_sensor_passes_with_an_unsteady_hand_in_any_pose(sensor, seed, directions):
+    result = judge(np.eye(3), PushTestConfig(directions=directions), sensor=sensor, hand=0.1,
+                   noise=0.02, rng=np.random.default_rng(seed))
+    assert result.passed, result.message
+    assert result.findings == ()
+    assert result.sign == 1
+    assert result.scale == pytest.approx(1.0, abs=0.12)
+
+
+@given(rotations, seeds, st.sampled_from([*range(6)]), st.sampled_from([1.0, -1.0]),
+       st.floats(0.2, 5.0), st.sampled_from([('+x', '+y', '+z'), SIX]))
+@settings(max_examples=300)
+def test_quarter_turns_and_flips_are_always_refused(
+        sensor, seed, turn, sign, scale, directions):
+    """About each axis, both ways, both signs, in any pose, at any scale, by any hand."""
+    result = judge(sign * scale * QUARTER_TURNS[turn], PushTestConfig(directions=directions),
+                   sensor=sensor, hand=0.2, noise=0.05, rng=np.random.default_rng(seed))
+    assert not result.passed
+    assert result.findings
+
+
+@given(rotations, rotations, seeds, st.sampled_from([1.0, -1.0]), st.floats(0.5, 2.0))
+@settings(max_examples=300)
+def test_every_flip_and_every_large_rotation_is_refused(sensor, mounting, seed, sign, scale):
+    """Any orthogonal mounting but a small rotation, the tolerance and the hand apart."""
+    config = PushTestConfig()
+    angle = np.linalg.norm(Rotation.from_matrix(mounting).as_rotvec())
+    # Two of the three pushes see at least sqrt(2/3) of the rotation's sine; a flip needs none.
+    assume(sign < 0.0 or angle > 2.0 * config.max_angle + 0.2)
+    result = judge(sign * scale * mounting, config, sensor=sensor, hand=0.1, noise=0.02,
+                   rng=np.random.default_rng(seed))
+    assert not result.passed, result
+
+
+@given(seeds)
+def test_no_linear_fault_beyond_the_tolerances_passes(seed):
+    """Cross-talk, dead or swapped channels: any matrix that turns or scales one push too much."""
+    rng, config = np.random.default_rng(seed), PushTestConfig()
+    M = np.eye(3) + rng.standard_normal((3, 3)) * rng.uniform(0.0, 1.0)
+    sizes = np.linalg.norm(M, axis=0)
+    angles = np.arccos(np.clip(np.diag(M) / sizes, -1.0, 1.0))
+    bad = (np.abs(sizes - 1.0) > config.scale_tolerance).any() or (
+        angles > config.max_angle).any()
+    assume(bad)
+    assert not judge(M).passed
+
+
+@pytest.mark.parametrize(('mounting', 'message'), [
+    (-np.eye(3), 'push test failed: sign flipped'),
+    (QUARTER_TURNS[0], "push test failed: rotated by 90 deg about the sensor's x"),
+    (QUARTER_TURNS[3], "push test failed: rotated by -90 deg about the sensor's y"),
+    (-QUARTER_TURNS[4], "push test failed: sign flipped; rotated by 90 deg about the sensor's z"),
+    (np.diag([-1.0, -1.0, 1.0]), "push test failed: rotated by 180 deg about the sensor's z"),
+    (np.diag([1.0, -1.0, 1.0]), "push test failed: sign of the sensor's y alone flipped"),
+    (0.5 * np.eye(3), 'push test failed: scale 0.5'),
+    (4.45 * QUARTER_TURNS[4],
+     "push test failed: rotated by 90 deg about the sensor's z; scale 4.5"),
+    (Rotation.from_rotvec([1.0, 1.0, 0.0]).as_matrix(),
+     "push test failed: rotated by 81 deg about the axis (0.71, 0.71, 0.00) of the sensor's "
+     'axes'),
+    (np.diag([1.0, 1.0, 0.7]), 'push test failed: push along -z read as 7 N instead of 10 N'),
+    (np.eye(3), 'push test passed: sign and frame right, scale 1.00')])
+def test_verdict_names_what_it_found_in_the_sensors_axes(mounting, message):
+    sensor = Rotation.from_euler('x', np.pi).as_matrix()
+    config = PushTestConfig(directions=('+x', '+y', '-z'))
+    assert judge(mounting, config, sensor=sensor).message == message
+
+
+def test_verdict_names_world_axes_if_it_knows_no_other():
+    assert judge(QUARTER_TURNS[4]).message.endswith('rotated by 90 deg about world z')
+
+
+def test_flipped_torque_channels_are_found_where_the_push_has_a_lever():
+    assert 'torque of the push along +' in judge(np.eye(3), torque_sign=-1.0).message
+    assert judge(np.eye(3), torque_sign=-1.0, lever=None).passed
+    assert judge(np.eye(3), lever=0.01 * LEVER).passed
+
+
+def test_force_read_at_rest_is_refused():
+    config = PushTestConfig()
+    rest = np.array([0.0, 0.0, 3.0, 0.0, 0.0, 0.0])
+    result = judge_pushes(pushes(np.eye(3), config) + rest, rest, config)
+    assert result.message == (
+        'push test failed: 3.0 N read with nothing touching the tool: tare or identify it')
+
+
+@given(rotations, st.sampled_from([1, -1]), st.floats(0.1, 10.0), seeds)
+def test_fit_recovers_any_mounting_exactly(rotation, sign, scale, seed):
+    expected = np.random.default_rng(seed).standard_normal((5, 3))
+    found = fit_mounting(expected @ (sign * scale * rotation).T, expected)
+    assert found[0] == sign
+    np.testing.assert_allclose(found[1], rotation, atol=1e-8)
+    assert found[2] == pytest.approx(scale)
+
+
+def test_verdict_refuses_another_number_of_pushes():
+    with pytest.raises(ShapeError, match='wrenches'):
+        judge_pushes(np.zeros((2, 6)), np.zeros(6), PushTestConfig())
+
+
+def run(test, hand, mounting=None, seconds=60.0):
+    """Let a hand follow the test's instructions; `hand` turns a direction into a force."""
+    rng, said = np.random.default_rng(0), []
+    mounting = np.eye(3) if mounting is None else mounting
+    for _ in range(round(seconds * RATE)):
+        if not said or said[-1] != test.instruction:
+            said.append(test.instruction)
+        if test.result is not None:
+            break
+        force = -mounting @ hand(test.direction)
+        test.update(np.concatenate((force, np.zeros(3))) + 0.02 * rng.standard_normal(6))
+    return test.result, said
+
+
+def obedient(direction):
+    if direction is None:
+        return np.zeros(3)
+    return 10.0 * float(f'{direction[0]}1') * np.eye(3)['xyz'.index(direction[1])]
+
+
+def test_push_test_guides_through_the_pushes_and_passes():
+    result, said = run(PushTest(PushTestConfig(), RATE), obedient)
+    assert result.passed
+    assert said == [
+        'keep off the tool',
+        'push the tool along world +x with 10 N and hold', 'let go of the tool',
+        'push the tool along world +y with 10 N and hold', 'let go of the tool',
+        'push the tool along world +z with 10 N and hold', 'let go of the tool',
+        'push test passed: sign and frame right, scale 1.00']
+
+
+@pytest.mark.parametrize('mounting', [-np.eye(3), *QUARTER_TURNS, 0.5 * np.eye(3)])
+def test_push_test_refuses_a_wrong_sensor(mounting):
+    result, _ = run(PushTest(PushTestConfig(), RATE), obedient, mounting)
+    assert not result.passed
+
+
+@pytest.mark.parametrize(('hand', 'message'), [
+    (lambda direction: np.zeros(3), 'no push along +x of more than 2 N felt within 2 s'),
+    (lambda direction: np.random.default_rng().standard_normal(3) * 5.0, 'no rest within 2 s'),
+    (lambda direction: np.full(3, np.nan) if direction else np.zeros(3), 'not a finite number')])
+def test_push_test_ends_when_nothing_comes(hand, message):
+    result, _ = run(PushTest(PushTestConfig(timeout=2.0), RATE), hand)
+    assert not result.passed
+    assert message in result.message
+    assert np.isnan(result.scale)
+
+
+def test_push_test_waits_for_the_hand_to_let_go():
+    held = []
+
+    def clinging(direction):
+        held.append(direction is not None)
+        return obedient('+x') if any(held) else np.zeros(3)
+
+    result, _ = run(PushTest(PushTestConfig(timeout=2.0), RATE), clinging)
+    assert 'did not return to that at rest' in result.message
+
+
+def test_push_that_is_let_go_too_soon_is_asked_for_again():
+    test, count = PushTest(PushTestConfig(), RATE), 0
+    while test.direction is None:
+        test.update(np.zeros(6))
+    for _ in range(40):
+        count += 1
+        test.update(np.array([-10.0, 0, 0, 0, 0, 0]))
+    assert test.update(np.zeros(6)) is PushPhase.PUSH
+    result, _ = run(test, obedient)
+    assert result.passed
+
+
+def test_push_test_keeps_its_verdict():
+    test = PushTest(PushTestConfig(), RATE)
+    test.update(np.full(6, np.inf))
+    result = test.result
+    assert test.update(np.zeros(6)) is PushPhase.DONE
+    assert test.result is result
+    with pytest.raises(ShapeError, match='wrench_world'):
+        test.update(np.zeros(3))
+
+
+@pytest.mark.parametrize(('values', 'message'), [
+    ({'directions': ['+x', '-x', '+y']}, 'push_test.directions: expected each of x, y and z'),
+    ({'directions': ['x']}, 'directions.0: expected'),
+    ({'detect_force': 10.0}, 'push_test.detect_force: expected from release_force 1 N to below'),
+    ({'max_angle': 1.0}, 'max_angle: expected'),
+    ({'scale_tolerance': 0.5}, 'scale_tolerance: expected')])
+def test_push_test_configuration_is_checked(values, message):
+    with pytest.raises(ConfigError, match=message):
+        validate(PushTestConfig, values)

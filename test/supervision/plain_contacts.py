@@ -1,0 +1,342 @@
+"""Contacts, observers and reference in plain Python: what the compiled ones must equal."""
+
+import math
+
+from equations import rotation_error
+from multicontact_control.control.reference import Reference
+from multicontact_control.dynamics.pose import Pose
+from multicontact_control.supervision.contacts import ContactState
+import numpy as np
+
+LEVEL_TIME, TOUCH_SHARE, POSITION_RATE, RETURN_RATE = 0.1, 0.5, 20.0, 2.0
+ACTIVE = (ContactState.IMPACT, ContactState.HOLDING)
+
+
+class PlainMachine:
+
+    def __init__(self, config, period, stiffness=math.inf):
+        self._config = config
+        self._period, self._stiffness = period, stiffness
+        self.reset()
+
+    def reset(self):
+        self.state = ContactState.FREE
+        self.displacement = self.speed = self.acceleration = 0.0
+        self.force_limit = 0.0
+        self.losses = 0
+        self._in_state = 0.0
+        self._below = self._level = 0.0
+        self._origin = None  # where the surface was, if it was ever met
+        self._start = 0.0
+        self._target = 0.0
+
+    @property
+    def active(self):
+        return self.state in ACTIVE
+
+    @property
+    def approach_speed(self):
+        return self._config.approach_speed
+
+    def let_go(self, place, speed=0.0):
+        if self.active:
+            self.losses += 1
+            self._leave_surface(place, speed)
+            self._enter(ContactState.LOST)
+        else:
+            self.displacement, self.speed = place, 0.0
+
+    def update(self, wanted, alpha, alpha_des, place,
+               speed):
+        self._in_state += self._period
+        self._switch(wanted, alpha, alpha_des, place, speed)
+        if self.active:
+            self.acceleration = 0.0
+            self._raise_force_limit(alpha_des)
+        else:
+            self._move()
+
+    def _switch(
+        self, wanted, alpha, alpha_des, place, speed,
+    ):
+        config, state = self._config, self.state
+        if alpha > config.force_ceiling and state is not ContactState.RETRACTING:
+            self._retract(place, speed)
+        elif not wanted:
+            self._stop_wanting(place, speed)
+        elif state is ContactState.FREE:
+            self._approach(self.displacement)
+        elif self.active:
+            self._watch_hold(alpha, alpha_des, place, speed)
+        elif state is ContactState.RETRACTING:
+            if abs(self._target - self.displacement) < 1e-4:
+                self._enter(ContactState.GIVEN_UP)
+        elif state is not ContactState.GIVEN_UP:
+            self._watch_search(alpha)
+
+    def _watch_search(self, alpha):
+        config, threshold = self._config, self._config.contact_threshold
+        if self.state is ContactState.LOST:  # a tool that is being braked reads its own inertia
+            threshold = max(2.0 * threshold, TOUCH_SHARE * self._level)
+        if alpha > threshold:
+            again = self._origin is not None
+            self.force_limit = max(alpha, config.preload) if again else config.preload
+            self._below = self._level = 0.0
+            self._enter(ContactState.IMPACT)
+        elif self.state is ContactState.LOST:
+            if self._in_state >= config.lost_time and (
+                    abs(self._target - self.displacement) < 2e-4 and abs(self.speed) < 2e-3):
+                self._approach(self.displacement)
+        elif self.displacement - self._start > (
+                config.approach_distance if self._origin is None else config.search_distance):
+            self._target = self._start
+            self._enter(ContactState.GIVEN_UP)
+
+    def _watch_hold(
+        self, alpha, alpha_des, place, speed,
+    ):
+        config, h = self._config, self._period
+        threshold = max(config.release_threshold,
+                        config.release_fraction * min(self._level, alpha_des, self.force_limit))
+        if alpha >= threshold:
+            self._below = 0.0
+            self._origin = place - alpha / self._stiffness
+            self._level += h / (LEVEL_TIME + h) * (alpha - self._level)
+        else:
+            self._below += h
+        patience = config.loss_time if self.state is ContactState.HOLDING else max(
+            config.loss_time, config.bounce_time)
+        if self._below > patience + 1e-9 or speed > config.escape_speed:
+            self.losses += 1
+            self._leave_surface(place, speed)
+            self._enter(ContactState.LOST)
+        elif self.state is ContactState.IMPACT and self._below == 0.0 and (
+                self._in_state >= config.impact_time):
+            self._enter(ContactState.HOLDING)
+
+    def _stop_wanting(self, place, speed):
+        if self.active:
+            self._leave_surface(place, speed)
+        if self.state is not ContactState.FREE:
+            self._enter(ContactState.FREE)
+        self._origin = None
+        self._target = 0.0
+
+    def _leave_surface(self, place, speed):
+        self.displacement, self.speed = place, speed
+        self._target = self._start = place if self._origin is None else self._origin
+
+    def _approach(self, start):
+        self._start = start
+        self._enter(ContactState.APPROACHING)
+
+    def _retract(self, place, speed):
+        self.displacement, self.speed = place, speed
+        self._target = place - self._config.retract_distance
+        self._enter(ContactState.RETRACTING)
+
+    def _enter(self, state: ContactState):
+        self.state = state
+        self._in_state = 0.0
+
+    def _raise_force_limit(self, alpha_des):
+        if self.state is ContactState.HOLDING and self.losses == 0:
+            self.force_limit = max(self.force_limit, alpha_des)
+        elif self.state is ContactState.HOLDING or self._origin is not None and self.losses:
+            step = self._config.force_rate * self._period
+            self.force_limit += min(max(alpha_des - self.force_limit, -step), step)
+
+    def _move(self):
+        config, h = self._config, self._period
+        if self.state is ContactState.APPROACHING:
+            wanted = config.approach_speed
+            change = config.approach_speed / config.approach_ramp_time
+        else:
+            limit = config.retract_speed if self.state is ContactState.RETRACTING else (
+                config.approach_speed)
+            wanted = min(max(POSITION_RATE * (self._target - self.displacement), -limit), limit)
+            change = config.braking
+        if abs(self.speed) > config.approach_speed:
+            change = max(change, config.braking)
+        self.acceleration = min(max((wanted - self.speed) / h, -change), change)
+        self.speed += self.acceleration * h
+        self.displacement += self.speed * h
+
+
+class PlainObserver:
+
+    def __init__(self, config, stiffness, period):
+        self._stiffness, self._period = stiffness, period
+        self._keep = math.exp(-period / config.energy_memory)
+        self._damping = config.injected_damping
+        self.limit = config.energy_limit
+        self.reset()
+
+    def reset(self):
+        self.energy = 0.0
+        self._stored = 0.0
+
+    @property
+    def passive(self):
+        return self.energy <= self.limit
+
+    def update(self, alpha, speed):
+        stored = max(alpha, 0.0) ** 2 / (2.0 * self._stiffness)
+        work = alpha * speed * self._period
+        self.energy = self._keep * self.energy + work - (stored - self._stored)
+        self._stored = stored
+        return 0.0 if self.passive else self._damping * speed
+
+
+class PlainReference:
+
+    def __init__(self, config, task):
+        contact_state = task.contact_state(config.contact_state)
+        self._config, self._task = config, task
+        self.machines = [
+            PlainMachine(contact_state, config.period, config.contacts[name].stiffness)
+            for name in config.contact_names]
+        self.observers = [
+            PlainObserver(contact_state, config.contacts[name].stiffness, config.period)
+            for name in config.contact_names]
+        self._points = np.array(
+            [config.contacts[name].point_operational for name in config.contact_names])
+        motion, limits = config.motion, config.limits
+        lead = 2.0 * motion.damping_ratio / motion.natural_frequency  # k_v / k_p [s]
+        self._reach = lead * limits.operational_speed
+        self._turn = lead * limits.operational_turn
+        self._box = (np.array(limits.workspace_lower), np.array(limits.workspace_upper))
+        self._pose = None
+        self._twist = np.zeros(6)
+        self._offset = np.zeros(3)
+        self._catching_up = self._held_back = False
+        self.limited = False
+
+    @property
+    def states(self):
+        return tuple(machine.state for machine in self.machines)
+
+    def start(self, pose, normals_world):
+        self._task.start(pose, normals_world)
+        self._normals = normals_world
+        self._normal_lists = normals_world.tolist()
+        self._overlap = (normals_world @ normals_world.T).tolist()
+        for machine, observer in zip(self.machines, self.observers):
+            machine.reset()
+            observer.reset()
+        self._offset = np.zeros(3)
+        self._catching_up = self._held_back = False
+        if self._pose is None:
+            self._pose = pose
+
+    def observe(self, pose, twist_world):
+        self._pose, self._twist = pose, twist_world
+
+    def release(self):
+        for machine in self.machines:
+            machine.let_go(machine.displacement)
+
+    def resume(self):
+        self._offset = np.full(3, np.nan)  # set at the next update
+        self._catching_up = self._held_back = True
+
+    def update(self, time, alpha_meas):
+        task = self._task.task(time)
+        pose = task.pose_des if self._pose is None else self._pose
+        gap = pose.position_world - task.pose_des.position_world
+        if self._catching_up:
+            self._return(gap)
+            gap = gap - self._offset
+        damping = self._follow_contacts(task, gap, alpha_meas, pose)
+        shift, velocity, change = self._offset.tolist(), [0.0] * 3, [0.0] * 3
+        alpha_des, active = np.zeros(len(self.machines)), np.zeros(len(self.machines), dtype=bool)
+        for i, machine in enumerate(self.machines):
+            held = machine.active
+            if held and not self._held_back:
+                active[i] = True
+                alpha_des[i] = max(
+                    min(float(task.alpha_des[i]), machine.force_limit) - damping[i], 0.0)
+            for axis, component in enumerate(self._normal_lists[i]):
+                shift[axis] += machine.displacement * component
+                if not held:
+                    velocity[axis] += machine.speed * component
+                    change[axis] += machine.acceleration * component
+        self._held_back = False
+        return self._bounded(Reference(
+            Pose(task.pose_des.position_world + np.array(shift), task.pose_des.rotation_world),
+            task.twist_des + np.array(velocity + [0.0] * 3),
+            task.acceleration_des + np.array(change + [0.0] * 3), active, alpha_des), pose)
+
+    def _return(self, gap):
+        if np.isnan(self._offset[0]):
+            # What lies along the normals belongs to the contacts, only the rest is caught up.
+            along = np.linalg.lstsq(self._normals.T, gap, rcond=None)[0]
+            for machine, place in zip(self.machines, along):
+                machine.let_go(float(place))
+            self._offset = gap - along @ self._normals
+        length = float(np.sqrt(self._offset @ self._offset))
+        if length > 0.0:
+            speed = min(RETURN_RATE * length, 0.2 * self._config.limits.operational_speed)
+            self._offset *= max(1.0 - speed * self._config.period / length, 0.0)
+        if length < 1e-6:
+            self._offset, self._catching_up = np.zeros(3), False
+
+    def _follow_contacts(
+        self, task, gap, alpha_meas, pose,
+    ):
+        displacements = [machine.displacement for machine in self.machines]
+        places = (self._normals @ gap).tolist()
+        speeds = (self._normals @ (self._twist[:3] - task.twist_des[:3])).tolist()
+        levers = (self._points @ pose.rotation_world.T).tolist()
+        vx, vy, vz, wx, wy, wz = self._twist.tolist()
+        wanted, forces, desired = task.active.tolist(), alpha_meas.tolist(), (
+            task.alpha_des.tolist())
+        damping = []
+        for i, machine in enumerate(self.machines):
+            nx, ny, nz = self._normal_lists[i]
+            lx, ly, lz = levers[i]
+            speed = (nx * (vx + wy * lz - wz * ly) + ny * (vy + wz * lx - wx * lz)
+                     + nz * (vz + wx * ly - wy * lx))
+            damping.append(self.observers[i].update(forces[i], speed))
+            others = sum(self._overlap[i][j] * other for j, other in enumerate(displacements)
+                         if j != i)
+            machine.update(wanted[i], forces[i], desired[i], places[i] - others, speeds[i])
+        return damping
+
+    def _bounded(self, reference, pose):
+        position = reference.pose_des.position_world
+        rotation = reference.pose_des.rotation_world
+        twist, acceleration = reference.twist_des, reference.acceleration_des
+        self.limited = False
+        if self._box[0].size:
+            inside = np.minimum(np.maximum(position, self._box[0]), self._box[1])
+            outward = inside != position
+            if outward.any():
+                twist, acceleration = twist.copy(), acceleration.copy()
+                twist[:3][outward] = acceleration[:3][outward] = 0.0
+                position, self.limited = inside, True
+        error = position - pose.position_world
+        length = float(np.sqrt(error @ error))
+        if length > self._reach:
+            position = pose.position_world + error * (self._reach / length)
+            twist, acceleration = np.zeros(6), np.zeros(6)
+            self.limited = True
+        turn = rotation_error(rotation, pose.rotation_world)
+        angle = float(np.sqrt(turn @ turn))
+        if angle > self._turn:
+            rotation = rotation_of(turn * (self._turn / angle)) @ pose.rotation_world
+            self.limited = True
+        if not self.limited:
+            return reference
+        return Reference(Pose(position, rotation), twist, acceleration, reference.active,
+                         reference.alpha_des)
+
+
+def rotation_of(vector):
+    angle = float(np.sqrt(vector @ vector))
+    if angle < 1e-12:
+        return np.eye(3)
+    x, y, z = vector / angle
+    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    rotation = np.eye(3) + np.sin(angle) * K + (1.0 - np.cos(angle)) * (K @ K)
+    return rotation

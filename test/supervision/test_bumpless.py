@@ -1,0 +1,165 @@
+"""The controller without jumps: at its start, when it is retuned, and when it gives up."""
+
+from arms import controller_config, HOME
+from multicontact_control.control.controller import Controller, Measurement
+from multicontact_control.control.reference import CommandedReference
+from multicontact_control.errors import ConfigError
+from multicontact_control.paths import config_dir
+from multicontact_control.sensor.weight import weight_reading
+from multicontact_control.supervision.bumpless import BumplessController
+import numpy as np
+import pytest
+
+R = np.full(2, 0.6)
+REST = np.zeros(6)
+EFFORT = np.array([1.0, -30.0, 5.0, 0.5, 0.5, 0.1])
+
+
+def make(**changes):
+    config = controller_config(**changes)
+    reference = CommandedReference(config.contact_names)
+    return BumplessController.from_config(config, reference, config_dir()), reference
+
+
+def sample(controller, k=0, *, effort=None, q=HOME, qd=REST):
+    """Return a sample without contact."""
+    state = controller.controller.robot.update(q, qd)
+    config = controller.config
+    wrench = weight_reading(
+        state.sensor_pose.rotation_world, config.tool, np.array(config.robot.gravity_world))
+    return Measurement(k * config.period, np.array(q), np.array(qd), wrench, effort)
+
+
+def gravity(controller):
+    return controller.controller.robot.update(HOME, REST).gravity
+
+
+def test_first_command_is_the_measured_effort():
+    controller, _ = make()
+    output = controller.step(sample(controller, effort=EFFORT), R)
+    np.testing.assert_array_equal(output.torque, EFFORT)
+
+
+@pytest.mark.parametrize('effort', [None, np.full(6, np.nan)])
+def test_first_command_without_measured_effort_compensates_gravity(effort):
+    controller, _ = make()
+    output = controller.step(sample(controller, effort=effort), R)
+    np.testing.assert_array_equal(output.torque, gravity(controller))
+
+
+def test_torque_is_that_of_the_law_after_the_blend():
+    controller, _ = make(transition={'blend_time': 0.02, 'torque_rate': 1e5})
+    law = Controller.from_config(
+        controller.config, CommandedReference(controller.config.contact_names), config_dir())
+    for k in range(12):
+        output = controller.step(sample(controller, k, effort=EFFORT), R)
+        expected = law.step(sample(controller, k), R)
+        equal = np.array_equal(output.torque, expected.torque)
+        assert equal == (k >= 10), k
+
+
+def test_reset_starts_from_the_measured_effort_again():
+    controller, _ = make()
+    for _ in range(2):
+        for k in range(5):
+            controller.step(sample(controller, k, effort=EFFORT), R)
+        controller.reset()
+    output = controller.step(sample(controller, effort=-EFFORT), R)
+    np.testing.assert_array_equal(output.torque, -EFFORT)
+
+
+def test_reconfigure_repeats_the_last_command_and_then_keeps_to_the_rate():
+    controller, _ = make(transition={'torque_rate': 50.0, 'blend_time': 0.0})
+    away = HOME + 0.01  # from the pose at the start, which is held
+    controller.step(sample(controller), R)
+    for k in range(1, 2000):
+        before = controller.step(sample(controller, k, q=away), R)
+    stiffer = controller_config(
+        transition={'torque_rate': 50.0, 'blend_time': 0.0}, motion={'natural_frequency': 60.0})
+    controller.reconfigure(stiffer)
+    after = [controller.step(sample(controller, k, q=away), R).torque for k in range(2000, 9000)]
+    np.testing.assert_array_equal(after[0], before.torque)
+    steps = np.abs(np.diff([before.torque, *after], axis=0))
+    assert 0.0 < steps.max() <= 50.0 * controller.config.period * (1.0 + 1e-9)
+    assert np.abs(after[-1] - before.torque).max() > 1.0
+
+
+def test_reconfigure_keeps_what_the_observers_know():
+    controller, reference = make()
+    for k in range(50):
+        if k == 1:
+            reference.set_forces({'table': 5.0})
+        controller.step(sample(controller, k), R)
+    known = controller.controller._observers
+    assert known['x_est'][0].any()
+    controller.reconfigure(controller_config(force={'time_constant': 0.04}))
+    new = controller.controller._observers
+    np.testing.assert_array_equal(known['x_est'], new['x_est'])
+    np.testing.assert_array_equal(known['P'], new['P'])
+    np.testing.assert_array_equal(known['running'], new['running'])
+    assert (new['feedback'][:, 0] < 0.5 * known['feedback'][:, 0]).all()
+    # The input under way is still the one that was commanded.
+    np.testing.assert_allclose(
+        new['command'] - np.sum(new['feedback'] * new['x_est'], axis=1),
+        known['command'] - np.sum(known['feedback'] * known['x_est'], axis=1),
+        rtol=1e-9, atol=1e-12)
+
+
+def test_reconfigure_to_a_state_of_another_size_starts_the_observers_anew():
+    controller, reference = make()
+    for k in range(50):
+        if k == 1:
+            reference.set_forces({'table': 5.0})
+        controller.step(sample(controller, k), R)
+    old = controller.controller._observers
+    controller.reconfigure(controller_config(force={'active_state_order': 0}))
+    new = controller.controller._observers
+    assert (new['states'] == old['states'] - 1).all()
+    assert not new['running'].any() and not new['x_est'].any()
+
+
+@pytest.mark.parametrize('changes', [
+    {'rate': 400.0}, {'contact_names': ['table']}, {'robot': {'gravity_world': [0, 0, -1.0]}}])
+def test_reconfigure_refuses_another_task_and_leaves_everything(changes):
+    controller, _ = make()
+    controller.step(sample(controller), R)
+    config = controller.config
+    with pytest.raises(ConfigError, match=f'^{next(iter(changes))}: expected .* while in use'):
+        controller.reconfigure(controller_config(**changes))
+    assert controller.config is config
+
+
+@pytest.mark.parametrize('kind', ['gravity_compensation', 'zero_torque', 'hold_position'])
+def test_safe_step_goes_from_the_last_command_to_the_declared_behaviour(kind):
+    controller, _ = make(safe_behaviour={'kind': kind})
+    last = controller.step(sample(controller, effort=EFFORT), R).torque
+    torques = [controller.safe_step(sample(controller, k)) for k in range(1, 2500)]
+    np.testing.assert_array_equal(torques[0], last)
+    rate = controller.config.transition.torque_rate
+    assert np.abs(np.diff(torques, axis=0)).max() <= rate * 0.002 * (1.0 + 1e-9)
+    expected = 0.0 * EFFORT if kind == 'zero_torque' else gravity(controller)
+    np.testing.assert_allclose(torques[-1], expected, atol=1e-9)
+
+
+def test_safe_step_answers_a_push_as_declared():
+    """A joint that is pushed away is braked, and pulled back only if the posture is held."""
+    for kind, pulls in (('gravity_compensation', False), ('hold_position', True)):
+        controller, _ = make(safe_behaviour={'kind': kind}, transition={'blend_time': 0.0})
+        for k in range(3):
+            controller.safe_step(sample(controller, k))
+        moved = HOME + np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.05])
+        back = controller.safe_step(sample(controller, 3, q=moved))[5]
+        weight = controller.controller.robot.update(moved, REST).gravity[5]
+        assert (back < weight - 0.1) == pulls
+        moving = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+        assert controller.safe_step(sample(controller, 4, qd=moving))[5] < -0.1
+
+
+def test_step_after_safe_steps_starts_the_law_anew_from_their_torque():
+    controller, _ = make(safe_behaviour={'kind': 'zero_torque'})
+    controller.step(sample(controller, effort=EFFORT), R)
+    for k in range(1, 2500):
+        last = controller.safe_step(sample(controller, k))
+    output = controller.step(sample(controller, 2500), R)
+    np.testing.assert_array_equal(output.torque, last)
+    assert not last.any()

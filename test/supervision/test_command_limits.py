@@ -1,0 +1,38 @@
+"""Commands beyond the limits are refused by name."""
+
+from multicontact_control.config import LimitsConfig
+from multicontact_control.errors import CommandError
+from multicontact_control.supervision.command_limits import check_position, CommandLimits
+import numpy as np
+import pytest
+
+
+def test_check_forces_takes_what_is_within():
+    assert CommandLimits(force_ceiling=10.0).check_forces({'a': 0.0, 'b': 10.0}) is None
+
+
+@pytest.mark.parametrize('force', [10.1, -0.1, float('nan'), float('inf')])
+def test_check_forces_names_the_contact(force):
+    with pytest.raises(CommandError, match='force on b: expected 0 to 10 N'):
+        CommandLimits(force_ceiling=10.0).check_forces({'a': 1.0, 'b': force})
+
+
+def test_check_position_names_the_axis():
+    limits = LimitsConfig(workspace_lower=(-1.0,) * 3, workspace_upper=(1.0, 1.0, 1.5))
+    check_position(np.array([0.5, -0.5, 1.0]), limits)
+    for bad in (-1.1, float('nan')):
+        with pytest.raises(CommandError, match='position y: expected -1 to 1 m'):
+            check_position(np.array([0.5, bad, 1.0]), limits)
+
+
+def test_check_position_takes_every_one_without_a_box():
+    assert check_position(np.array([50.0, 0.0, 1.0]), LimitsConfig()) is None
+
+
+def test_command_error_has_one_cause_for_all_values():
+    causes = set()
+    for force in (50.0, 60.0):
+        with pytest.raises(CommandError) as caught:
+            CommandLimits().check_forces({'a': force})
+        causes.add(caught.value.cause)
+    assert len(causes) == 1

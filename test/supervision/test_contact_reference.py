@@ -1,0 +1,76 @@
+"""The reference around a task: box, reach, pauses."""
+
+from arms import controller_config
+from equations import rotation_error
+from multicontact_control.control.reference import CommandedReference
+from multicontact_control.dynamics.pose import Pose
+from multicontact_control.supervision.reference import ContactReference
+from multicontact_control.supervision.reference_limits import rotate_by
+import numpy as np
+import pytest
+
+NORMALS = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+POSE = Pose(np.array([0.0, 0.55, 0.64]), np.eye(3))
+STILL = np.zeros(6)
+
+
+def make(**limits):
+    config = controller_config(limits=limits)
+    task = CommandedReference(config.contact_names)
+    reference = ContactReference(config, task)
+    reference.start(POSE, NORMALS)
+    reference.observe(POSE, STILL)
+    return reference, task
+
+
+def test_pose_outside_the_box_is_not_asked_for():
+    reference, task = make(operational_speed=10.0)
+    task.set_motion(np.array([0.0, 5.0, -5.0]), np.array([0, 0, 0, 1.0]), np.ones(6), STILL)
+    reference.observe(Pose(np.array([0.0, 0.8, 0.4]), np.eye(3)), STILL)
+    out = reference.update(0.0, np.zeros(2))
+    np.testing.assert_allclose(out.pose_des.position_world, [0.0, 0.9, 0.3])
+    np.testing.assert_array_equal(out.twist_des[1:3], 0.0)
+    assert out.twist_des[0] == 1.0
+    assert reference.limited
+
+
+def test_turn_asked_for_is_within_reach():
+    reference, task = make(operational_turn=1.0)
+    task.set_motion(POSE.position_world, np.array([1.0, 0, 0, 0]), STILL, STILL)
+    out = reference.update(0.0, np.zeros(2))
+    turn = rotation_error(out.pose_des.rotation_world, POSE.rotation_world)
+    assert np.linalg.norm(turn) == pytest.approx(2.0 / 30.0)
+
+
+def test_rotation_of_a_vector_is_undone_by_its_logarithm():
+    for vector in (np.zeros(3), np.array([0.3, -0.2, 0.9])):
+        turned = np.empty((3, 3))
+        rotate_by(vector, np.eye(3), turned)
+        np.testing.assert_allclose(rotation_error(turned, np.eye(3)), vector, atol=1e-12)
+
+
+def test_commanded_force_is_approached_before_it_is_controlled():
+    reference, task = make()
+    task.set_forces({'table': 5.0})
+    runs = [reference.update(k * 0.002, np.zeros(2)) for k in range(300)]
+    assert not any(out.active.any() for out in runs)
+    assert runs[-1].twist_des[2] == pytest.approx(-0.02)
+    out = reference.update(0.6, np.array([2.0, 2.0]))
+    assert out.active.tolist() == [True, False]
+
+
+def test_task_is_caught_up_with_slowly_after_a_pause():
+    """The reference starts where the arm is, and comes back below a fifth of the speed limit."""
+    reference, _ = make()
+    reference.update(0.0, np.zeros(2))
+    away = Pose(POSE.position_world + np.array([0.05, 0.0, 0.0]), np.eye(3))
+    reference.observe(away, STILL)
+    reference.resume()
+    places = []
+    for k in range(1, 2500):
+        out = reference.update(k * 0.002, np.zeros(2))
+        reference.observe(out.pose_des, STILL)
+        places.append(out.pose_des.position_world[0])
+    assert places[0] == pytest.approx(0.05, abs=3e-4)
+    assert np.abs(np.diff(places)).max() <= 0.1 * 0.002 + 1e-9
+    assert abs(places[-1]) < 1e-4

@@ -1,0 +1,59 @@
+"""CONTRIBUTING's recipes, followed: what they say is enough."""
+
+from typing import Literal
+
+from multicontact_control.config import NoiseEstimatorConfig
+from multicontact_control.experiment.loop import run_in_process
+from multicontact_control.experiment.scenario import resolve
+from multicontact_control.force.noise import ESTIMATORS
+from multicontact_control.force.noise.estimator import InnovationEstimator
+import numpy as np
+import pytest
+
+# Files are laid over those of config/, as a user's own would be.
+WALL = {'normal_world': [1.0, 0.0, 0.0], 'point_operational': [0.0, 0.0, 0.24],
+        'stiffness': 6000.0}
+NAMES = ['table', 'board', 'wall']
+
+
+@pytest.mark.slow
+def test_new_contact_takes_no_code():
+    """A third surface, to the side of the first tip, pressed by 10 N like the others."""
+    setup = resolve(
+        'quick', plant='rigid', duration=6.0,
+        controller={'contact_names': NAMES, 'contacts': {'wall': WALL}},
+        noise_estimator={'contact_names': NAMES},
+        plant_overrides={'contact_names': NAMES, 'surfaces': {'wall': {
+            'tip_link': 'tip_table', 'point_world': [0.006, 0.55, 0.41],
+            'normal_world': [1.0, 0.0, 0.0], 'friction': 0.1}}},
+        scenario_overrides={'reference': {'force_steps': [
+            {'time': 2.5, 'forces': dict.fromkeys(NAMES, 10.0)}]}})
+    result = run_in_process(setup, supervised=True)
+    assert not result.ended_early
+    late = result.data.time > 5.0
+    np.testing.assert_allclose(
+        result.data.alpha_true[late].mean(axis=0), [10.0] * 3, atol=0.3)
+
+
+class HalfInnovation(InnovationEstimator):
+    """Half of the last residual squared, as a recipe's file of its own."""
+
+    def _forget(self):
+        pass
+
+    def _estimate_from(self, innovation):
+        return 0.5 * innovation.residual ** 2, innovation.valid
+
+
+def test_new_noise_estimator_is_one_class_and_its_name(monkeypatch):
+    class Config(NoiseEstimatorConfig):
+        estimator: Literal['half']
+
+    monkeypatch.setitem(ESTIMATORS, 'half', HalfInnovation)
+    setup = resolve('quick', plant='rigid', duration=3.0)
+    values = {**setup.noise_estimator.model_dump(), 'estimator': 'half'}
+    object.__setattr__(setup, 'noise_estimator', Config.model_validate(values))
+    data = run_in_process(setup, supervised=True).data
+    late = data.noise_variance[data.time > 2.0]
+    assert len(np.unique(late)) > 100
+    assert (late >= setup.noise_estimator.variance_floor).all()

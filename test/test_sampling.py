@@ -1,0 +1,119 @@
+"""Pairing by stamp, the clock of the ticks, and when a sample is no longer waited for."""
+
+from hypothesis import given
+from hypothesis import strategies as st
+from multicontact_control.sampling import (
+    JointReading,
+    SampleClock,
+    SamplePairing,
+    SampleTimeout,
+    WrenchReading,
+)
+import numpy as np
+import pytest
+
+H = 0.002
+PERIOD = 2_000_000
+
+
+def joints(stamp):
+    return JointReading(stamp, np.full(2, float(stamp)), np.zeros(2))
+
+
+def wrench(stamp):
+    return WrenchReading(stamp, np.full(6, float(stamp)))
+
+
+@pytest.mark.parametrize('joints_first', [True, False])
+def test_pairing_gives_each_pair_once_in_either_order(joints_first):
+    pairing = SamplePairing()
+    for stamp in (1, 2, 3):
+        if joints_first:
+            assert pairing.add_joints(joints(stamp)) is None
+            pair = pairing.add_wrench(wrench(stamp))
+        else:
+            assert pairing.add_wrench(wrench(stamp)) is None
+            pair = pairing.add_joints(joints(stamp))
+        assert pair is not None
+        assert (pair.stamp, pair.q[0], pair.wrench_sensor[0]) == (stamp, stamp, stamp)
+    assert pairing.unpaired == 0
+
+
+def test_pairing_never_mixes_stamps():
+    pairing = SamplePairing()
+    assert pairing.add_joints(joints(1)) is None
+    assert pairing.add_wrench(wrench(2)) is None
+    assert pairing.add_wrench(wrench(3)) is None
+    pair = pairing.add_joints(joints(3))
+    assert pair is not None
+    assert pair.stamp == 3
+    assert pairing.unpaired == 2
+
+
+@given(st.integers(-2 ** 31 * 10 ** 9, 2 ** 31 * 10 ** 9))
+def test_where_a_clock_starts_does_not_matter(origin):
+    clock = SampleClock(H)
+    for k in range(5):
+        assert clock.take(origin + k * PERIOD) == pytest.approx(k * H, abs=1e-12)
+
+
+def test_a_gap_is_counted_on_and_left_behind_when_samples_come_again():
+    """Samples that are late by three periods, as those of a simulator that has slipped."""
+    clock = SampleClock(H)
+    clock.take(0)
+    assert clock.count_on(2) == pytest.approx(2 * H)
+    assert clock.count_on(1) == pytest.approx(3 * H)
+    times = [clock.take(k * PERIOD) for k in (1, 2, 3)]
+    assert times == pytest.approx([4 * H, 5 * H, 6 * H])
+
+
+def test_a_gap_in_the_stamps_themselves_is_no_reason_to_shift():
+    clock = SampleClock(H)
+    clock.take(0)
+    clock.count_on(2)
+    assert clock.take(7 * PERIOD) == pytest.approx(7 * H)
+
+
+def test_a_clock_that_is_set_back_is_seen_to_be():
+    clock = SampleClock(H)
+    clock.take(100 * PERIOD)
+    assert clock.take(0) == pytest.approx(-0.2)
+
+
+def ticks_at(timeout, *periods):
+    return [timeout.missed(round(x * PERIOD)) for x in periods]
+
+
+def test_late_sample_gets_one_more_period_and_then_every_period_is_counted():
+    timeout = SampleTimeout(1.5, PERIOD)
+    assert timeout.due == 0
+    timeout.start(0)
+    assert timeout.due == 1.5 * PERIOD
+    assert ticks_at(timeout, 1.5) == [0]
+    assert timeout.due == 2.5 * PERIOD
+    assert ticks_at(timeout, 2.5, 3.5, 4.6) == [2, 1, 1]
+    assert timeout.due == 5.5 * PERIOD
+
+
+def test_what_was_slept_through_is_counted_once():
+    timeout = SampleTimeout(1.5, PERIOD)
+    timeout.start(0)
+    assert ticks_at(timeout, 50.9, 51.5) == [50, 1]
+
+
+def test_halves_are_waited_for_on_the_grid_of_the_samples():
+    timeout = SampleTimeout(1.5, PERIOD)
+    timeout.start(0)
+    for k in (1, 2, 3):
+        timeout.half_used(timeout.due)
+        assert timeout.due == (k + 1.5) * PERIOD
+
+
+def test_nothing_is_due_without_samples_or_without_end_of_timeout():
+    timeout = SampleTimeout(0.0, PERIOD)
+    timeout.start(0)
+    assert timeout.due == 0
+    timeout = SampleTimeout(1.5, PERIOD)
+    timeout.start(0)
+    timeout.stop()
+    assert timeout.due == 0
