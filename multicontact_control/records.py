@@ -154,6 +154,10 @@ REFERENCE_LIMITS = np.dtype([
     ('box', F, (2, 3)),  # lower and upper corner of the workspace [m]
 ], align=True)
 
+# What a reference is made of besides arm and contacts; one.
+CONTACT_REFERENCE = np.dtype([
+    ('limits', REFERENCE_LIMITS), ('wanted', TASK), ('settings', CONTACT_SETTINGS)], align=True)
+
 # What an answer of the law must be like; one.
 PLAUSIBILITY = np.dtype([
     ('pull_threshold', F),  # pull of a surface that is believed [N]
@@ -228,3 +232,8 @@ READING_SETTINGS = np.dtype([
     ('position_jump', F), ('frozen_samples', I),
     ('recovery_samples', I),  # `recovery_time`
     ('variance_growth', F), ('variance_floor', F), ('variance_ceiling', F)])
+
+# All of these that are one; fewer arguments make a call shorter.
+WATCH = np.dtype([
+    ('arrival', ARRIVAL), ('verdict', VERDICT), ('memory', READING_MEMORY),
+    ('settings', READING_SETTINGS)], align=True)

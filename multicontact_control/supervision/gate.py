@@ -6,7 +6,7 @@ Every command passes here, whoever made it.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 from multicontact_control.algebra import copy_vector
 from multicontact_control.arrays import Vector
@@ -125,13 +125,6 @@ def gate_torque(
     return enforced
 
 
-class GateResult(NamedTuple):
-    """A torque that may be commanded [N m], and which limits had to be enforced for it."""
-
-    torque: Vector
-    limits: tuple[str, ...]
-
-
 class TorqueGate:
     """
     Bounds torques.
@@ -171,7 +164,7 @@ class TorqueGate:
 
     def apply(
         self, torque: Vector, fallback: Vector, arm: ArmState | None,
-    ) -> GateResult:
+    ) -> tuple[Vector, tuple[str, ...]]:
         """
         Let a torque through as far as the limits allow.
 
@@ -184,8 +177,10 @@ class TorqueGate:
 
         Returns
         -------
-        GateResult
-            Finite and within limits, whatever came in.
+        torque : Vector
+            That may be commanded: finite and within limits, whatever came in, shape (n,) [N m].
+        limits : tuple of str
+            Names of the limits that had to be enforced for it.
 
         """
         gated = np.empty(self._last.shape)
@@ -193,7 +188,7 @@ class TorqueGate:
             torque, fallback, self._nowhere if arm is None else arm.joints, arm is not None,
             self._limits, self._braking, self._started, gated)
         self._started = True
-        return GateResult(gated, ENFORCED[enforced])
+        return gated, ENFORCED[enforced]
 
 
 def joint_limits(config: ControllerConfig, joints: int) -> Records:

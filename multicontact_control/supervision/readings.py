@@ -252,15 +252,15 @@ def check_arrival(which: int, arrival: Any, memory: Any, settings: Any) -> int:
 
 
 @compiled
-def check_contents(
-    arrival: Any, joints: Any, axes: Any, variances: Any, memory: Any, settings: Any, verdict: Any,
-) -> None:
+def check_contents(watch: Any, joints: Any, axes: Any, variances: Any) -> None:
     """
     Check the numbers of the readings that are new; see `check_inputs`.
 
     A frozen reading is as old as its value.
     """
-    h, stamp, valid, problem = settings.period, arrival.stamp, memory.valid, verdict.problem
+    memory, settings = watch.memory, watch.settings
+    h, stamp, valid, problem = (
+        settings.period, watch.arrival.stamp, memory.valid, watch.verdict.problem)
     memory.blind_ticks += 1
     if problem[JOINTS] == FINE:
         elapsed = h if np.isnan(valid[JOINTS]) else stamp[JOINTS] - valid[JOINTS]
@@ -284,8 +284,9 @@ def check_contents(
 
 
 @compiled
-def check_ages(variances: Any, memory: Any, settings: Any, verdict: Any) -> None:
+def check_ages(watch: Any, variances: Any) -> None:
     """Find readings that are too old, and inflate R while it is; see `check_inputs`."""
+    memory, settings, verdict = watch.memory, watch.settings, watch.verdict
     for i in range(3):
         age = memory.time - memory.valid[i]
         verdict.stale[i] = age > settings.max_age[i] or (np.isnan(age) and i != VARIANCE)
@@ -300,24 +301,17 @@ def check_ages(variances: Any, memory: Any, settings: Any, verdict: Any) -> None
 
 
 @compiled
-def check_inputs(
-    arrivals: Any, joints: Any, axes: Any, variances: Any, memories: Any, all_settings: Any,
-    verdicts: Any,
-) -> bool:
+def check_inputs(watches: Any, joints: Any, axes: Any, variances: Any) -> bool:
     """
     Check the inputs of a tick, and keep what is valid of them.
 
     Parameters
     ----------
-    arrivals
-        One record of `ARRIVAL`.
+    watches
+        One record of `WATCH`, of which memory is changed and verdict filled.
     joints, axes, variances
         Records of `JOINT_READING`, shape (n,), `AXIS_READING`, shape (6,), and
         `VARIANCE_READING`, shape (r,), with the newest numbers in place; changed.
-    memories, all_settings
-        One record each of `READING_MEMORY`, changed, and `READING_SETTINGS`.
-    verdicts
-        One record of `VERDICT`, filled.
 
     Returns
     -------
@@ -325,9 +319,9 @@ def check_inputs(
         Whether all is well: every input is known and valid, or young enough to go on with.
 
     """
-    arrival, memory, settings = arrivals[0], memories[0], all_settings[0]
-    verdict = verdicts[0]
-    clock = check_clock(arrival.time, memory, settings)
+    watch = watches[0]
+    arrival, memory, verdict = watch.arrival, watch.memory, watch.verdict
+    clock = check_clock(arrival.time, memory, watch.settings)
     verdict.repeated = False
     if clock == CLOCK_STILL:
         stamp, seen = arrival.stamp[JOINTS], memory.seen[JOINTS]
@@ -339,9 +333,9 @@ def check_inputs(
         clock = CLOCK_FROZEN
     verdict.clock = clock
     for i in range(3):
-        verdict.problem[i] = check_arrival(i, arrival, memory, settings)
-    check_contents(arrival, joints, axes, variances, memory, settings, verdict)
-    check_ages(variances, memory, settings, verdict)
+        verdict.problem[i] = check_arrival(i, arrival, memory, watch.settings)
+    check_contents(watch, joints, axes, variances)
+    check_ages(watch, variances)
     verdict.blind = memory.blind_ticks > 1
     well = clock == CLOCK_FINE and not verdict.blind
     for i in range(3):

@@ -9,7 +9,7 @@ from multicontact_control.config import ControllerConfig
 from multicontact_control.control.controller import Controller
 from multicontact_control.control.reference import Reference, TaskSource
 from multicontact_control.dynamics.pose import Pose
-from multicontact_control.records import CONTACT, FRAME, REFERENCE_LIMITS, TASK
+from multicontact_control.records import CONTACT, CONTACT_REFERENCE, FRAME, TASK
 from multicontact_control.supervision.contacts import (
     contact_settings,
     contact_states,
@@ -54,7 +54,9 @@ class ContactReference:
     def __init__(self, config: ControllerConfig, task: TaskSource) -> None:
         contact_state = task.contact_state(config.contact_state)
         self._config, self._task = config, task
-        self._settings = contact_settings(contact_state, config.period)
+        self._record: Any = np.zeros(1, dtype=CONTACT_REFERENCE)
+        self._record['settings'] = contact_settings(contact_state, config.period)
+        self._limits, self._wanted = self._record['limits'], self._record['wanted']
         contacts = [config.contacts[name] for name in config.contact_names]
         self.contact_states: Any = contact_states([contact.stiffness for contact in contacts])
         self._contacts: Any = np.zeros(len(contacts), dtype=CONTACT)
@@ -62,10 +64,9 @@ class ContactReference:
         self._contacts['point'] = [contact.point_operational for contact in contacts]
         self._frames: Any = np.zeros(1, dtype=FRAME)
         self._frames['rotation'] = np.eye(3)
-        self._tasks, self._wanted = np.zeros(1, dtype=TASK), np.zeros(1, dtype=TASK)
+        self._tasks: Any = np.zeros(1, dtype=TASK)
         self._tasks['rotation'] = self._wanted['rotation'] = np.eye(3)
         self._see()
-        self._limits: Any = np.zeros(1, dtype=REFERENCE_LIMITS)
         self._offset: Vector = self._limits['offset'][0]
         self._energy_limit = contact_state.energy_limit
         self.retune(config)
@@ -223,8 +224,7 @@ class ContactReference:
     def _follow(self) -> Reference:
         """Advance the contacts and return the task with what comes of them."""
         self.limited = limit_reference(
-            self._limits, self._wanted, self._frames, self._contacts, self.contact_states,
-            self._settings, self._tasks)
+            self._record, self._frames, self._contacts, self.contact_states, self._tasks)
         return Reference(
             Pose(self._position.copy(), self._rotation.copy()), *self._motion, self._active,
             self._alpha_des)

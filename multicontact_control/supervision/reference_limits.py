@@ -1,7 +1,7 @@
 """
 From a task to a reference that may be followed, compiled; `ContactReference` says what it is for.
 
-The bounds and what a pause has left are one record of `REFERENCE_LIMITS`.
+Bounds, what the task wants and the contacts' settings are one record of `CONTACT_REFERENCE`.
 """
 
 from __future__ import annotations
@@ -172,17 +172,15 @@ def bound_task(limits: Any, frame: Any, task: Any) -> bool:
 
 @compiled
 def limit_reference(
-    all_limits: Any, all_wanted: Any, frames: Any, contacts: Any, states: Any, all_settings: Any,
-    tasks: Any,
+    references: Any, frames: Any, contacts: Any, states: Any, tasks: Any,
 ) -> bool:
     """
     Work out the reference of one tick; see `ContactReference.update`.
 
     Parameters
     ----------
-    all_limits, all_wanted, frames, all_settings
-        One record each of `REFERENCE_LIMITS`, `TASK` (what the task asks for), `FRAME` and
-        `CONTACT_SETTINGS`.
+    references, frames
+        One record each of `CONTACT_REFERENCE` and `FRAME`.
     contacts, states
         Records of `CONTACT`, `active` and `alpha_des` of which are filled in, and
         `CONTACT_STATE`, changed, shape (r,).
@@ -195,8 +193,8 @@ def limit_reference(
         Whether a limit of the motion was enforced.
 
     """
-    limits, wanted, frame = all_limits[0], all_wanted[0], frames[0]
-    settings, task = all_settings[0], tasks[0]
+    limits, wanted, settings = references[0].limits, references[0].wanted, references[0].settings
+    frame, task = frames[0], tasks[0]
     damping = np.empty(contacts.shape[0])
     follow_contacts(limits, wanted, frame, contacts, states, settings, damping)
     for i in range(contacts.shape[0]):

@@ -333,11 +333,11 @@ class Supervisor(BumplessController):
         """Blend, pass the gate, report."""
         blended = self._transition.apply(law, output.torque)
         fallback = np.zeros_like(blended) if self._arm is None else self._arm.bias_torque
-        gated = self._gate.apply(blended, fallback, self._arm)
-        self._transition.commanded(gated.torque)
-        self._output = ControlOutput(gated.torque, *output[1:])
+        torque, enforced = self._gate.apply(blended, fallback, self._arm)
+        self._transition.commanded(torque)
+        self._output = ControlOutput(torque, *output[1:])
         self._status = SupervisorStatus(
-            reaction, causes, rejected, limits + gated.limits, self.reference.state_names,
+            reaction, causes, rejected, limits + enforced, self.reference.state_names,
             self.reference.energies, self._energy_limits, self._task_time())
         return TickOutput(self._output, self._status)
 

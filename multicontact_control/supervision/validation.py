@@ -8,14 +8,11 @@ from typing import Any, NamedTuple
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.records import (
-    ARRIVAL,
     AXIS_READING,
     JOINT_READING,
-    READING_MEMORY,
-    READING_SETTINGS,
     Records,
     VARIANCE_READING,
-    VERDICT,
+    WATCH,
 )
 from multicontact_control.supervision.inputs import (
     JointInput,
@@ -134,16 +131,13 @@ class Watchdog:
         self._axes['full_scale'] = 0.999 * np.array(watch.wrench_full_scale or np.inf)
         self._variances: Any = np.zeros(r, dtype=VARIANCE_READING)
         self._initial_variance = min(config.initial_noise_variance, watch.variance_ceiling)
-        self._arrivals: Any = np.zeros(1, dtype=ARRIVAL)
-        self._memory: Any = np.zeros(1, dtype=READING_MEMORY)
-        self._verdicts: Any = np.zeros(1, dtype=VERDICT)
-        self._records = (
-            self._arrivals, self._joints, self._axes, self._variances, self._memory,
-            reading_settings(config), self._verdicts)
+        self._watch = watch_record(config)
+        self._arguments = self._watch, self._joints, self._axes, self._variances
         # Views of what every tick fills in: looking up a field takes long.
-        self._time: Vector = self._arrivals['time']
-        self._stamps: Vector = self._arrivals['stamp'][0]
-        self._contents: Vector = self._arrivals['content'][0]
+        arrival = self._watch['arrival']
+        self._time: Vector = arrival['time']
+        self._stamps: Vector = arrival['stamp'][0]
+        self._contents: Vector = arrival['content'][0]
         self._new_q: Vector = self._joints['q']
         self._new_qd: Vector = self._joints['qd']
         self._new_wrench: Vector = self._axes['new']
@@ -151,15 +145,16 @@ class Watchdog:
         self._all_well = ValidatedInputs(
             self._joints['valid_q'], self._joints['valid_qd'], self._axes['valid'],
             self._variances['used'], (), ())
-        check_inputs(*self._records)  # no tick is to wait for numba
+        check_inputs(*self._arguments)  # no tick is to wait for numba
         self.reset()
 
     def reset(self) -> None:
         """Forget everything; the next tick is the first."""
-        self._memory[:] = np.zeros(1, dtype=READING_MEMORY)
+        memory: Any = self._watch['memory']
+        memory[:] = np.zeros_like(memory)
         for name in ('time', 'seen', 'valid'):
-            self._memory[name] = math.nan
-        self._memory['inflation'] = 1.0
+            memory[name] = math.nan
+        memory['inflation'] = 1.0
         self._variances['valid'] = self._variances['used'] = self._initial_variance
 
     def validate(self, inputs: TickInputs) -> ValidatedInputs:
@@ -172,7 +167,7 @@ class Watchdog:
             WRENCH, wrench, self._new_wrench)
         contents[VARIANCE] = ABSENT if variance is None else self._take(
             VARIANCE, variance, self._new_variance)
-        return self._all_well if check_inputs(*self._records) else self._report()
+        return self._all_well if check_inputs(*self._arguments) else self._report()
 
     def _take_joints(self, reading: JointInput) -> int:
         """Put a joint state in place; return what is wrong with it so far."""
@@ -207,7 +202,8 @@ class Watchdog:
 
     def _report(self) -> ValidatedInputs:
         """Return what is valid of a tick in which not all is well."""
-        verdict, memory, newest = self._verdicts[0], self._memory[0], self._all_well
+        verdict, memory = self._watch['verdict'][0], self._watch['memory'][0]
+        newest = self._all_well
         joints_known = memory['joints_known']
         valid = ValidatedInputs(
             newest.q if joints_known else None, newest.qd if joints_known else None,
@@ -224,10 +220,11 @@ class Watchdog:
             f'{key}_{problem}' for key, problem in zip(INPUTS, problems) if problem))
 
 
-def reading_settings(config: ControllerConfig) -> Records:
-    """Return what readings must be like as one record of `READING_SETTINGS`."""
+def watch_record(config: ControllerConfig) -> Records:
+    """Return what readings must be like in one record of `WATCH`, the rest of it empty."""
     watch, h = config.watchdog, config.period
-    settings = np.zeros(1, dtype=READING_SETTINGS)
+    record = np.zeros(1, dtype=WATCH)
+    settings = record['settings']
     for name in ('position_jump', 'frozen_samples', 'variance_growth', 'variance_floor',
                  'variance_ceiling'):
         settings[name] = getattr(watch, name)
@@ -236,4 +233,4 @@ def reading_settings(config: ControllerConfig) -> Records:
     settings['max_age'] = 1e-3 * h + np.array(
         [watch.joint_max_age, watch.wrench_max_age, watch.variance_max_age])
     settings['recovery_samples'] = round(watch.recovery_time * config.rate)
-    return settings
+    return record

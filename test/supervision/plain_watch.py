@@ -50,7 +50,7 @@ class PlainGate:
                 limits.append('torque_rate')
             clipped = slowed
         self.last = clipped.copy()
-        return SimpleNamespace(torque=clipped, limits=tuple(limits))
+        return clipped, tuple(limits)
 
     def _braked(self, torque, arm):
         speed, q = arm.velocity, arm.q
