@@ -130,7 +130,7 @@ class ControlLoop:
         self._front_end.reset()
         self._clock.reset()
         self.push_gate.restart()
-        self._trust()
+        self._expect_pushes()
         self.output: ControlOutput | None = None
         self.status: SupervisorStatus | None = None
         self.events = EventLog()
@@ -280,10 +280,10 @@ class ControlLoop:
             if self.push_gate.open:
                 self._reference.unlock()
                 self.controller.go_on()
-            self._trust()
+            self._expect_pushes()
 
-    def _trust(self) -> None:
-        """Let the wrench be doubted again, or not, as the reference has come to be."""
+    def _expect_pushes(self) -> None:
+        """Tell the supervisor whether pushes are expected: while the reference is locked."""
         if self.supervisor is not None:
             self.supervisor.expects_pushes = self._reference.locked
 
@@ -307,7 +307,7 @@ class ControlLoop:
         self.push_gate.start(config, point_sensor)
         pose = self.output.pose if self.output is not None else None
         self._reference.lock(None if pose is None else self.controller.stand_still(pose))
-        self._trust()
+        self._expect_pushes()
         return self.push_gate.instruction
 
     def set_forces(self, forces: dict[str, float]) -> None:

@@ -160,7 +160,7 @@ CONTACT_REFERENCE = np.dtype([
 
 # What an answer of the law must be like; one.
 PLAUSIBILITY = np.dtype([
-    ('pull_threshold', F),  # pull of a surface that is believed [N]
+    ('pull_threshold', F),  # largest accepted pull of a surface [N]
     ('inertia', F),  # what a lost contact may read more: the tool's inertia [N]
     ('friction_bound', F),  # force across the normals, per force along them
     ('friction_offset', F),  # and without any [N]

@@ -1,4 +1,4 @@
-"""Which inputs are believed, and what is done when they are not."""
+"""Which inputs are valid, and the reactions to those that are not."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Reaction = Literal['hold', 'float', 'damp']
 
 
 class WatchdogConfig(Config):
-    """When an input is no longer believed, and what happens then."""
+    """Limits of valid inputs, and the reactions beyond them."""
 
     joint_max_age: Real = parameter(
         0.003, 'Largest age of a joint state.', unit='s', gt=0.0, le=1.0)
@@ -26,11 +26,11 @@ class WatchdogConfig(Config):
         0.1, 'Smallest R that is used: a smaller one makes the observer faster than the drives.',
         unit='N^2', gt=0.0)
     variance_ceiling: Real = parameter(
-        1e3, 'Where that growth ends, and the largest R that is believed.', unit='N^2', gt=0.0)
+        1e3, 'Where that growth ends, and the largest R that is used.', unit='N^2', gt=0.0)
     on_joint_fault: Reaction = parameter(
-        'float', 'Reaction to a joint state that is missing, stale or not believed.')
+        'float', 'Reaction to a joint state that is missing, stale or invalid.')
     on_wrench_fault: Reaction = parameter(
-        'hold', 'Reaction to a wrench that is missing, stale or not believed.')
+        'hold', 'Reaction to a wrench that is missing, stale or invalid.')
     on_clock_fault: Reaction = parameter(
         'hold', 'Reaction to time that runs backwards or at a wrong rate.')
     on_motion_fault: Reaction = parameter(
@@ -47,16 +47,16 @@ class WatchdogConfig(Config):
         (), 'Reading of each axis at which the sensor saturates; empty if unknown.',
         unit='N, N m')
     pull_threshold: Real = parameter(
-        4.0, 'Measured pull of a surface that makes the wrench unbelievable.', unit='N', gt=0.0)
+        4.0, 'Measured pull of a surface beyond which the wrench is refused.', unit='N', gt=0.0)
     loss_acceleration: Real = parameter(
         20.0, 'Acceleration of the tool, braked after a contact is lost, whose inertia may be '
         'read as a pull of that contact beyond pull_threshold.', unit='m/s^2', ge=0.0, le=200.0)
     friction_bound: Real = parameter(
-        0.8, 'Largest believable ratio of sideways to normal forces.', gt=0.0, le=10.0)
+        0.8, 'Largest accepted ratio of sideways to normal forces.', gt=0.0, le=10.0)
     friction_offset: Real = parameter(
-        5.0, 'Sideways force that is always believed.', unit='N', gt=0.0)
+        5.0, 'Sideways force that is always accepted.', unit='N', gt=0.0)
     position_jump: Real = parameter(
-        0.01, 'Largest believable difference between a joint angle and the one its speeds lead '
+        0.01, 'Largest accepted difference between a joint angle and the one its speeds lead '
         'to.', unit='rad', gt=0.0)
     hold_frequency: Real = parameter(
         10.0, 'Natural frequency of the joints while the posture is held.', unit='rad/s',

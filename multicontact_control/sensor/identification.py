@@ -21,7 +21,7 @@ NOTHING_HANGS = 3.0  # standard errors below which a mass is none
 
 
 class IdentificationConfig(Config):
-    """When an identification is believed."""
+    """Limits within which an identification is accepted."""
 
     min_poses: int = parameter(4, 'Smallest number of poses.', ge=3)
     max_condition: Real = parameter(
@@ -105,7 +105,7 @@ def identify_tool(
     gravity_world
         g, shape (3,) [m/s^2].
     config
-        When to believe the result.
+        When to accept the result.
 
     Returns
     -------
@@ -133,7 +133,7 @@ def identify_tool(
             f'poses: expected orientations that tilt the tool differently (condition number at '
             f'most {config.max_condition:g}), found {condition:.3g}')
     x: Vector = np.linalg.lstsq(A, b, rcond=None)[0].astype(float)
-    return _believed(x, A, b, condition, scale, len(readings), config)
+    return _accepted(x, A, b, condition, scale, len(readings), config)
 
 
 def _equations(readings: Sequence[PoseReading], down_world: Vector) -> tuple[Matrix, Vector]:
@@ -154,7 +154,7 @@ def _equations(readings: Sequence[PoseReading], down_world: Vector) -> tuple[Mat
     return A.reshape(-1, UNKNOWNS), b.ravel()
 
 
-def _believed(
+def _accepted(
     x: Vector, A: Matrix, b: Vector, condition: float, scale: float, poses: int,
     config: IdentificationConfig,
 ) -> Identification:

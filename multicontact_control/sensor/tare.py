@@ -27,7 +27,7 @@ def tare_bias(
     Return the bias for `ToolConfig.bias_sensor`, in any pose.
 
     The weight of the tool is kept apart, so that the bias holds in every other pose too. What
-    touches the tool meanwhile is taken for bias: nobody can tell from one pose.
+    touches the tool meanwhile is taken for bias: one pose cannot tell them apart.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What the arm does while it must not be controlled."""
+"""Torques of the reactions that replace the control law after a fault."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ class Reactions:
 
     `hold`: gravity compensated, the joints sprung to where they were when it began,
     Gamma = C v + g + diag(M) (w^2 (q_0 - q) - 2 w v). `float`: the joint state is not known;
-    gravity of the last posture, and the last motion brought to rest open loop. `damp`: no model
-    at all is trusted; zero torque with damping, Gamma = -c diag(M) v.
+    gravity of the last posture, and the last motion brought to rest open loop. `damp`: uses no
+    model but diag(M); zero torque with damping, Gamma = -c diag(M) v.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ class Reactions:
         reaction
             `HOLD`, `FLOAT` or `DAMP`.
         arm
-            As it was last believed to be; None if it never was.
+            At its last valid state; None if there was none.
 
         """
         self._since += 1

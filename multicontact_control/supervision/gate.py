@@ -1,7 +1,7 @@
 """
 The last gate: what leaves it is finite, within every limit, and brakes before the stops.
 
-Every command passes here, whoever made it.
+Every command passes here.
 """
 
 from __future__ import annotations
@@ -173,7 +173,7 @@ class TorqueGate:
         torque, fallback
             What is wanted, and what to do if that is not finite, shape (n,) [N m].
         arm
-            The arm as it is believed to be; None if that is not known.
+            The arm at its last valid state; None if there was none.
 
         Returns
         -------

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 class JointInput(NamedTuple):
     """
-    A joint state as it came in; nothing of it is believed yet.
+    A joint state as it came in, not validated.
 
     Attributes
     ----------

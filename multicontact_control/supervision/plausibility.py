@@ -1,4 +1,4 @@
-"""What the arm and an answer of the control law must be like to be believed."""
+"""Limits on the speed of the arm, and on what an answer of the control law may say."""
 
 from __future__ import annotations
 
@@ -93,9 +93,9 @@ def check_plausibility(
 
     """
     frame, tool, bounds = frames[0], tools[0], all_bounds[0]
-    doubts = 0
+    found = 0
     if not all_finite(torque):
-        doubts = NOT_FINITE
+        found = NOT_FINITE
     pressed = 0.0
     for i in range(contacts.shape[0]):
         contact = contacts[i]
@@ -103,13 +103,13 @@ def check_plausibility(
                 contact.alpha_meas + contact.alpha_des + contact.alpha_est
                 + contact.alpha_rate_est + contact.innovation + contact.prior_variance
                 + contact.variance_used):
-            doubts |= NOT_FINITE
+            found |= NOT_FINITE
         pressed += abs(contact.alpha_meas)
         allowed = bounds.pull_threshold
         if states[i].state == LOST:
             allowed += bounds.inertia
         if contact.alpha_meas < -allowed:
-            doubts |= PULL
+            found |= PULL
     sideways = 0.0
     for k in range(3):
         force = tool.weight[k]
@@ -119,11 +119,11 @@ def check_plausibility(
             force -= contacts[i].alpha_meas * contacts[i].normal[k]
         sideways += force * force
         if frame.position[k] < bounds.box[0, k] or frame.position[k] > bounds.box[1, k]:
-            doubts |= OUTSIDE
+            found |= OUTSIDE
     bound = bounds.friction_offset + bounds.friction_bound * pressed
     if sideways > bound * bound:
-        doubts |= SIDEWAYS
-    return doubts
+        found |= SIDEWAYS
+    return found
 
 
 def plausibility_limits(config: ControllerConfig) -> Records:

@@ -1,4 +1,4 @@
-"""What an arm is told to do while nobody controls its contacts."""
+"""Torque commanded while the contacts are not controlled."""
 
 from __future__ import annotations
 

@@ -77,7 +77,7 @@ class Supervisor(BumplessController):
     controller, reference
         The control law, and what it is asked for.
     expects_pushes
-        Whether somebody is about to push the tool, whose force no contact can explain.
+        Whether forces are expected that no contact can explain, from pushes on the tool.
 
     """
 
@@ -154,7 +154,7 @@ class Supervisor(BumplessController):
         Parameters
         ----------
         inputs
-            The newest readings, however old; none of them is trusted unseen.
+            The newest readings, however old, not validated.
 
         Returns
         -------

@@ -47,7 +47,7 @@ class QuinticBlend:
         self._from = np.array(torque, dtype=float)
 
     def cancel(self) -> None:
-        """Let whatever difference is left go at once; somebody else sees to the jump."""
+        """Drop what is left of the difference at once; the caller handles the jump."""
         self._from = self._difference = None
 
     def apply(self, torque: Vector) -> Vector:
@@ -116,7 +116,7 @@ class ExponentialBlend:
         self.cancel()
 
     def cancel(self) -> None:
-        """Let the offset go at once; somebody else sees to the jump."""
+        """Drop the offset at once; the caller handles the jump."""
         self._offset: Vector | None = None
 
     def apply(self, law: object, torque: Vector, last: Vector | None) -> Vector:

@@ -13,7 +13,7 @@ class TorqueTransition:
     """
     Two blends in a row, each with its own pace.
 
-    What somebody asks for (a start, other gains, a hold) goes over as `transition` says, which
+    What is commanded (a start, other gains, a hold) goes over as `transition` says, which
     may take a second. What happens by itself (a contact that comes or goes, a reaction) goes over
     within `contact_state.blend_time`, a few milliseconds; a reaction ends the slow one. Where
     there is only one law, the fast one has nothing to do.

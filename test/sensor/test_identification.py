@@ -1,4 +1,4 @@
-"""Payload and bias from a few poses: exact without noise, believed only when well posed."""
+"""Payload and bias from a few poses: exact without noise, accepted only when well posed."""
 
 from hypothesis import given
 from hypothesis import strategies as st

@@ -212,7 +212,7 @@ def test_frozen_wrench_is_noticed_at_its_second_repetition():
     assert reactions == ['none', 'hold', 'hold', 'hold']
 
 
-def test_pulling_surface_is_not_believed():
+def test_pulling_surface_is_refused():
     """A sign-flipped sensor reads what no surface can do."""
     supervisor = make()
     for k in range(5):

@@ -47,7 +47,7 @@ class HoldableReference:
 
     @property
     def held(self) -> bool:
-        """Whether it is held, by whoever wanted that."""
+        """Whether it is held on command."""
         return self._held is not None and not self.locked
 
     def start(self, pose: Pose, normals_world: Vector) -> None:
