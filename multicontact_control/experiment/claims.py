@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass
 from statistics import median
 from typing import Any
 
-from multicontact_control.experiment.verdict import verdict_text
+from multicontact_control.experiment.judge import verdict_text
 
 REST_FACTOR = 2.0  # R at rest agrees with the paper's within this factor,
 MOVING_FACTOR = 3.0  # R in motion within this one

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, Protocol, TYPE_CHECKING
 
-from multicontact_control.experiment.verdict import (
+from multicontact_control.experiment.judge import (
     HELD,
     HOPELESS,
     NOT_STABLE,

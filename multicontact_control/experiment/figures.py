@@ -10,10 +10,10 @@ from textwrap import shorten
 import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from multicontact_control.experiment.judge import STABLE
 from multicontact_control.experiment.metrics import windows
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.scenario import Setup
-from multicontact_control.experiment.verdict import STABLE
 import numpy as np
 
 matplotlib.use('Agg')

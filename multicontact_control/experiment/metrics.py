@@ -108,11 +108,6 @@ def step_responses(data: RunData, setup: Setup, contact: int) -> list[StepRespon
     return responses
 
 
-def longest_run(mask: Mask) -> int:
-    """Return the length of the longest run of True."""
-    return max((end - begin for begin, end in zip(*stretches(mask))), default=0)
-
-
 def losses(
     data: RunData, setup: Setup, contact: int, judged: Mask,
 ) -> tuple[list[int], list[int]]:

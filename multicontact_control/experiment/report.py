@@ -11,6 +11,7 @@ from multicontact_control.experiment.claim_metrics import evidence_of
 from multicontact_control.experiment.claims import Claim, judge_claims
 from multicontact_control.experiment.figures import draw_figures
 from multicontact_control.experiment.html_parts import claims_table, table, write_page
+from multicontact_control.experiment.judge import STABLE, verdict_text
 from multicontact_control.experiment.load import LoadedRun
 from multicontact_control.experiment.report_figures import interactive_figures
 from multicontact_control.experiment.run import FIGURE_FOLDER
@@ -18,7 +19,6 @@ from multicontact_control.experiment.study.presets.compare.findings import findi
 from multicontact_control.experiment.study.presets.compare.listing import comparison_listing
 from multicontact_control.experiment.study.presets.compare.rows import claim_rows
 from multicontact_control.experiment.study.table import html_table
-from multicontact_control.experiment.verdict import STABLE, verdict_text
 import yaml
 
 REPORT_FILE = 'report.html'

@@ -19,14 +19,13 @@ from multicontact_control.experiment.display import (
     verdict_lines,
 )
 from multicontact_control.experiment.figures import draw_figures
+from multicontact_control.experiment.judge import REAL_TIME, verdict_text
 from multicontact_control.experiment.loop import run_in_process
 from multicontact_control.experiment.metrics import percentiles
-from multicontact_control.experiment.real_time import REAL_TIME
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.results import CONFIG_FOLDER, SUMMARY_FILE
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.experiment.summary import summarise
-from multicontact_control.experiment.verdict import verdict_text
 from multicontact_control.files import write_json
 from rich.console import Console
 

@@ -1,12 +1,11 @@
 """The loop in process: repeatable, and in contact as commanded on both plants."""
 
 from multicontact_control.experiment.figures import draw_figures, figure_set
-from multicontact_control.experiment.judge import judge
+from multicontact_control.experiment.judge import judge, NOT_STABLE
 from multicontact_control.experiment.loop import run_in_process
 from multicontact_control.experiment.metrics import contact_summary
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.scenario import resolve
-from multicontact_control.experiment.verdict import NOT_STABLE
 import numpy as np
 import pytest
 

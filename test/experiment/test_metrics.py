@@ -4,7 +4,6 @@ from dataclasses import replace
 
 from multicontact_control.experiment.metrics import (
     contact_summary,
-    longest_run,
     losses,
     motion_summary,
     orientation_error,
@@ -140,14 +139,6 @@ def test_torque_summary_finds_the_joint_nearest_to_its_limit(setup, data):
     summary = torque_summary(data, setup)
     assert summary['max_fraction_of_limit'] == pytest.approx(0.5)
     assert summary['saturated_fraction'] == 0.0
-
-
-@pytest.mark.parametrize(('mask', 'length'), [
-    ([], 0), ([False], 0), ([True], 1), ([True, True, False, True], 2),
-    ([False, True, True, True], 3)])
-def test_longest_run(mask, length):
-    """Also at the ends."""
-    assert longest_run(np.array(mask, dtype=bool)) == length
 
 
 def test_percentiles_of_known_values():
