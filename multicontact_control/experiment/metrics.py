@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 import math
 from typing import Any
@@ -197,17 +198,37 @@ def _hold_summary(
 
 
 def _window_summary(data: RunData, contact: int, window: Mask) -> dict[str, float | None]:
-    names = ('true_error_rms_n', 'estimate_error_rms_n', 'noise_variance_median_n2',
-             'contact_loss_fraction')
-    if not window.any():
-        return dict.fromkeys(names)
-    true = data.alpha_true[window, contact]
-    values = (
-        _rms(true - data.alpha_des[window, contact]),
-        _rms(data.alpha_est[window, contact] - true),
-        float(np.nanmedian(data.noise_variance[window, contact])),
-        float((true <= 0.0).mean()))
-    return dict(zip(names, values))
+    true = data.alpha_true[:, contact]
+    return {
+        'true_error_rms_n': rms_in(window, true - data.alpha_des[:, contact]),
+        'estimate_error_rms_n': rms_in(window, data.alpha_est[:, contact] - true),
+        'noise_variance_median_n2': median_in(window, data.noise_variance[:, contact]),
+        'contact_loss_fraction': mean_in(window, true <= 0.0)}
+
+
+def value_in(
+    window: Mask, values: Any, statistic: Callable[[Any], Any],
+) -> float | None:
+    """Return a statistic of a series within a window, None where nothing is known of it."""
+    chosen = values[window]
+    known = chosen[~np.isnan(chosen)]
+    return float(statistic(known)) if known.size else None
+
+
+def mean_in(window: Mask, values: Any) -> float | None:
+    """Return the mean of a series, of a mask the share, within a window."""
+    return value_in(window, values, np.mean)
+
+
+def median_in(window: Mask, values: Vector) -> float | None:
+    """Return the median of a series within a window."""
+    return value_in(window, values, np.median)
+
+
+def rms_in(window: Mask, values: Vector) -> float | None:
+    """Return the root mean square of a series within a window."""
+    square = mean_in(window, values * values)
+    return None if square is None else math.sqrt(square)
 
 
 def motion_summary(data: RunData, setup: Setup) -> dict[str, float | None]:
@@ -249,7 +270,3 @@ def percentiles(values: Vector) -> dict[str, float]:
     p50, p99, p999 = np.percentile(values, [50.0, 99.0, 99.9])
     return {'p50': float(p50), 'p99': float(p99), 'p999': float(p999),
             'max': float(np.max(values))}
-
-
-def _rms(values: Vector) -> float:
-    return float(np.sqrt(np.nanmean(values * values)))

@@ -7,8 +7,7 @@ import time
 from typing import Any, TYPE_CHECKING
 
 from multicontact_control.errors import MulticontactError
-from multicontact_control.experiment.claim_metrics import evidence_of
-from multicontact_control.experiment.disturbances import disturbance_summary
+from multicontact_control.experiment.claim_metrics import disturbance_summary, evidence_of
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.results import finite
 from multicontact_control.experiment.study.jobs import JobResult, RunJob
@@ -57,7 +56,7 @@ def measure_run(job: RunJob) -> JobResult:
     summary = _summary(job, setup, result)
     metrics = {
         'summary': summary,
-        'disturbances': disturbance_summary(data, setup, bool(result.ended_early)),
+        'disturbances': disturbance_summary(data, setup, summary['unstable_at_s']),
         'evidence': evidence_of(data, setup, summary),
         'final_error_share': final_error_share(data)}
     traces = {name: getattr(data, series) for name, series in TRACES.items()}
