@@ -9,11 +9,10 @@ from typing import Any
 
 from multicontact_control.experiment.claim_metrics import evidence_of
 from multicontact_control.experiment.claims import Claim, judge_claims
-from multicontact_control.experiment.figures import draw_figures
+from multicontact_control.experiment.figures import draw_figures, interactive_figures
 from multicontact_control.experiment.html_parts import claims_table, table, write_page
 from multicontact_control.experiment.judge import STABLE, verdict_text
 from multicontact_control.experiment.load import LoadedRun
-from multicontact_control.experiment.report_figures import interactive_figures
 from multicontact_control.experiment.run import FIGURE_FOLDER
 from multicontact_control.experiment.study.presets.compare.findings import findings
 from multicontact_control.experiment.study.presets.compare.listing import comparison_listing
@@ -99,7 +98,7 @@ def _run_section(run: LoadedRun, number: int, comparison: dict[str, Any] | None)
         f'{escape(summary["mode"])}</h2><p>{verdict}. '
         f'Torques sha256 {escape(summary["trajectory_sha256"][:16])}.</p>',
         '<h3>Claims of the paper</h3>', claims_table(run_claims(run, comparison)),
-        '<h3>Figures 3 to 6 of the paper</h3>', interactive_figures(run, number),
+        '<h3>Figures 3 to 6 of the paper</h3>', interactive_figures(run.data, run.setup, number),
         '<h3>Numbers</h3>', _numbers(summary), '<h3>Timing</h3>', _timing(summary),
         '<h3>Configuration</h3>', _configuration(run)]
     return '\n'.join(parts)

@@ -1,6 +1,6 @@
 """The loop in process: repeatable, and in contact as commanded on both plants."""
 
-from multicontact_control.experiment.figures import draw_figures, figure_set
+from multicontact_control.experiment.figures import draw_figures, run_figures
 from multicontact_control.experiment.judge import judge, NOT_STABLE
 from multicontact_control.experiment.loop import run_in_process
 from multicontact_control.experiment.metrics import contact_summary
@@ -95,7 +95,8 @@ def test_figures_are_drawn_for_every_contact(runs, tmp_path):
     paths = draw_figures(result.data, setup, tmp_path)
     assert [path.stem for path in paths] == [
         'fig3_force_table', 'fig4_force_board', 'fig5_motion', 'fig6_noise_variance']
-    assert list(figure_set(result.data)) == [path.stem for path in paths]
+    assert [figure.file for figure in run_figures(result.data, setup)] == [
+        path.stem for path in paths]
     for path in paths:
         assert path.read_bytes().startswith(b'\x89PNG')
         assert path.stat().st_size > 20000
