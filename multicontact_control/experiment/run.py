@@ -11,6 +11,7 @@ from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.experiment.bag import BagContent, read_bag
 from multicontact_control.experiment.claim_metrics import evidence_of
 from multicontact_control.experiment.claims import judge_claims
+from multicontact_control.experiment.closed_loop import run_in_process
 from multicontact_control.experiment.compilation import ensure_compiled
 from multicontact_control.experiment.display import (
     PaceNotice,
@@ -20,7 +21,6 @@ from multicontact_control.experiment.display import (
 )
 from multicontact_control.experiment.figures import draw_figures
 from multicontact_control.experiment.judge import REAL_TIME, verdict_text
-from multicontact_control.experiment.loop import run_in_process
 from multicontact_control.experiment.metrics import percentiles
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.results import CONFIG_FOLDER, SUMMARY_FILE

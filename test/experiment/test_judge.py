@@ -1,5 +1,6 @@
 """What a run is called: by recordings made by hand, and by short runs that went wrong."""
 
+from multicontact_control.experiment.closed_loop import run_in_process
 from multicontact_control.experiment.judge import (
     again_at,
     HELD,
@@ -12,7 +13,6 @@ from multicontact_control.experiment.judge import (
     UNJUDGED,
     verdict_text,
 )
-from multicontact_control.experiment.loop import run_in_process
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.supervision.event_log import CAPACITY, read_event
 import numpy as np

@@ -15,7 +15,7 @@ from multicontact_control.experiment.bench.timing import (
     rounded_percentiles,
     spread,
 )
-from multicontact_control.experiment.loop import run_in_process
+from multicontact_control.experiment.closed_loop import run_in_process
 from multicontact_control.experiment.scenario import resolve
 import numpy as np
 import pybullet

@@ -17,8 +17,7 @@ from multicontact_control.experiment.bench.timing import (
     spread,
     stopwatch,
 )
-from multicontact_control.experiment.closed_loop import estimate_variance
-from multicontact_control.experiment.loop import run_in_process
+from multicontact_control.experiment.closed_loop import estimate_variance, run_in_process
 from multicontact_control.experiment.scenario import resolve, Setup
 from multicontact_control.force.noise import make_noise_estimator, NoiseEstimator
 from multicontact_control.sampling import PairedSample

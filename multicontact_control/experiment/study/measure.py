@@ -15,7 +15,7 @@ from multicontact_control.experiment.summary import summarise
 import numpy as np
 
 if TYPE_CHECKING:
-    from multicontact_control.experiment.loop import LoopResult
+    from multicontact_control.experiment.closed_loop import LoopResult
     from multicontact_control.experiment.scenario import Setup
 
 LAST = 0.5  # s, the end of a run that tells whether it has settled
@@ -46,7 +46,7 @@ def measure_run(job: RunJob) -> JobResult:
 
     """
     # Only here: who gives out the work to others needs neither kernels nor simulator.
-    from multicontact_control.experiment.loop import run_in_process
+    from multicontact_control.experiment.closed_loop import run_in_process
 
     setup = job.setup()
     result = run_in_process(setup, supervised=job.supervised)
@@ -79,7 +79,7 @@ def summarise_run(job: RunJob) -> JobResult:
         why the run ended before its time under `error`, None if it did not.
 
     """
-    from multicontact_control.experiment.loop import run_in_process
+    from multicontact_control.experiment.closed_loop import run_in_process
 
     start = time.perf_counter()
     summary = None
