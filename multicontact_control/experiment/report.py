@@ -12,8 +12,7 @@ from multicontact_control.experiment.claims import Claim, judge_claims
 from multicontact_control.experiment.figures import draw_figures, interactive_figures
 from multicontact_control.experiment.html_parts import claims_table, table, write_page
 from multicontact_control.experiment.judge import STABLE, verdict_text
-from multicontact_control.experiment.load import LoadedRun
-from multicontact_control.experiment.run import FIGURE_FOLDER
+from multicontact_control.experiment.results import FIGURE_FOLDER, LoadedRun
 from multicontact_control.experiment.study.presets.compare.findings import findings
 from multicontact_control.experiment.study.presets.compare.listing import comparison_listing
 from multicontact_control.experiment.study.presets.compare.rows import claim_rows

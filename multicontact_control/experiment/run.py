@@ -23,7 +23,7 @@ from multicontact_control.experiment.figures import draw_figures
 from multicontact_control.experiment.judge import REAL_TIME, verdict_text
 from multicontact_control.experiment.metrics import percentiles
 from multicontact_control.experiment.recording import RunData
-from multicontact_control.experiment.results import CONFIG_FOLDER, SUMMARY_FILE
+from multicontact_control.experiment.results import CONFIG_FOLDER, FIGURE_FOLDER, SUMMARY_FILE
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.experiment.summary import summarise
 from multicontact_control.files import write_json
@@ -32,7 +32,6 @@ from rich.console import Console
 if TYPE_CHECKING:
     from multicontact_control.experiment.graph.progress import GraphProgress
 
-FIGURE_FOLDER = 'figures'
 # Periods: a robot moves on while its samples are late, the simulated one has stood still, and a
 # busy machine is no fault of its sensors.
 SIMULATION_PATIENCE = 25.0

@@ -9,9 +9,9 @@ from typing import Any, TYPE_CHECKING
 from multicontact_control.errors import MulticontactError
 from multicontact_control.experiment.claim_metrics import disturbance_summary, evidence_of
 from multicontact_control.experiment.recording import RunData
-from multicontact_control.experiment.results import finite
 from multicontact_control.experiment.study.jobs import JobResult, RunJob
 from multicontact_control.experiment.summary import summarise
+from multicontact_control.files import finite
 import numpy as np
 
 if TYPE_CHECKING:

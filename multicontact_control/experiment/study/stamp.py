@@ -12,8 +12,7 @@ from pathlib import Path
 WITHOUT = ('cli', 'client.py', 'nodes', 'tools')
 DECISIVE = (
     'claim_metrics.py', 'closed_loop.py', 'faults/in_process.py', 'faults/vocabulary.py',
-    'judge.py', 'metrics.py', 'oscillation.py',
-    'recording.py', 'results.py', 'scenario.py', 'study/jobs.py',
+    'judge.py', 'metrics.py', 'oscillation.py', 'recording.py', 'scenario.py', 'study/jobs.py',
     'study/measure.py', 'study/presets/faults/jobs.py', 'summary.py')
 LIBRARIES = ('numba', 'numpy', 'pin', 'pybullet', 'scipy')
 
