@@ -205,8 +205,7 @@ def run_in_process(
 
     """
     config = setup.controller
-    data = empty_run_data(
-        setup.ticks, config.rate, config.contact_names, config.robot.joint_names)
+    data = empty_run_data(setup.ticks, config)
     tick_us = np.zeros(setup.ticks)
     ended_early = ''
     done = setup.ticks

@@ -137,7 +137,7 @@ def _exercises() -> Mapping[str, Callable[[], object]]:
 
     def calibration() -> None:
         puma = setup('puma')
-        arm = ServoedPlant(puma.controller, puma.plant, 0, puma.urdf_dir)
+        arm = ServoedPlant(puma)
         arm.hold(puma.controller.period)
         arm.close()
 

@@ -64,50 +64,22 @@ LATE = ('stale', 'order', 'stamp')  # what is wrong with a sample that is late
 
 @dataclass(frozen=True)
 class Finding:
-    """
-    A limit that was passed.
-
-    Attributes
-    ----------
-    text
-        Which one and by how much.
-    time
-        When [s]; None for what was missed throughout the run.
-    always
-        Whether it counts however busy the machine was.
-
-    """
+    """A limit that was passed: which one, and by how much."""
 
     text: str
-    time: float | None = None
-    always: bool = False
+    time: float | None = None  # when [s]; None for what was missed throughout the run
+    always: bool = False  # however busy the machine was
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """
-    What a run is called, and why.
+    """What a run is called, and why."""
 
-    Attributes
-    ----------
-    name
-        `STABLE`, `HELD`, `NOT_STABLE` or `UNJUDGED`.
-    reasons
-        Nothing if it was stable; of a run that is not judged, what was seen all the same.
-    unstable_at
-        When the first limit was passed [s], None if none was or it has no time.
-    timeliness
-        How the machine kept up.
-    judged_share
-        Share of the time under load that the arm answers for.
-
-    """
-
-    name: str
-    reasons: tuple[str, ...]
-    unstable_at: float | None
+    name: str  # `STABLE`, `HELD`, `NOT_STABLE` or `UNJUDGED`
+    reasons: tuple[str, ...]  # of a run that is not judged, what was seen all the same
+    unstable_at: float | None  # when the first limit was passed [s], if one was that has a time
     timeliness: Timeliness
-    judged_share: float
+    judged_share: float  # of the time under load, that the arm answers for
 
 
 @dataclass(frozen=True)
@@ -115,37 +87,19 @@ class Timeliness:
     """
     How the machine kept up with a run.
 
-    Attributes
-    ----------
-    kept
-        Whether it did; None for a run without deadlines.
-    reactions
-        How often the supervisor held the arm because samples were late or missing.
-    judged
-        Samples that the arm answers for, shape (m,). All, if real time was kept. Otherwise not
-        those from two unanswered samples in a row, or from such a reaction, until 1 s after it.
-    hopeless
-        Whether so many deadlines were missed that the run cannot be judged.
-
+    The arm answers for all samples, if real time was kept. Otherwise not for those from two
+    unanswered samples in a row, or from a reaction to late ones, until 1 s after it.
     """
 
-    kept: bool | None
-    reactions: int
-    judged: Mask
-    hopeless: bool = False
+    kept: bool | None  # None for a run without deadlines
+    reactions: int  # how often the supervisor held the arm because samples were late or missing
+    judged: Mask  # samples that the arm answers for, shape (m,)
+    hopeless: bool = False  # so many deadlines were missed that the run cannot be judged
 
 
 def verdict_text(summary: Mapping[str, Any]) -> str:
-    """
-    Return the verdict of a run and its reasons.
-
-    Parameters
-    ----------
-    summary
-        Of `summarise`, or what took its verdict from there; `verdict` may be missing in a file
-        from before verdicts had names.
-
-    """
+    """Return the verdict of a run and its reasons, as its summary has them."""
+    # In a file from before verdicts had names there is none.
     name: str = summary.get('verdict', STABLE if summary['stable'] else NOT_STABLE)
     if name == UNJUDGED:
         return '; seen: '.join([UNJUDGED_TEXT, *(
@@ -208,15 +162,7 @@ def findings(
     lost for more than 0.1 s, nor more than 5 times within 10 s, and no force that oscillates
     (`oscillation`); no force beyond 5 times its command and half the force ceiling.
 
-    Parameters
-    ----------
-    data, setup
-        The run.
-    judged
-        Samples that count, shape (m,); all if not given.
-    ended_early
-        Why the run ended before its time, if it did.
-
+    Of the samples, those that are `judged` count, all if not given.
     """
     judged = np.ones(data.ticks, dtype=bool) if judged is None else judged
     found = [Finding(ended_early, float(data.time[-1]))] if ended_early else []
@@ -270,16 +216,6 @@ def interventions(
     (lost, retracting, given up), and when the last gate begins to enforce a limit. Contacts that
     are sought, touched and pressed are the task; so is a reference that is kept within the
     speeds allowed.
-
-    Parameters
-    ----------
-    data, setup
-        The run.
-    events
-        What the supervisor did.
-    judged
-        Samples that count, shape (m,).
-
     """
     loaded = judged & windows(setup.scenario.reference, data.time).loaded
     if not loaded.any():
@@ -363,16 +299,6 @@ def timeliness(
 
     It did not if more than 1 % of the deadlines were missed or of the samples not answered, or
     if the supervisor held the arm even once because samples did not come.
-
-    Parameters
-    ----------
-    data
-        The recording.
-    mode, timing
-        As in ``summary.json``.
-    events
-        What the supervisor did.
-
     """
     everything = np.ones(data.ticks, dtype=bool)
     if mode != REAL_TIME:

@@ -25,34 +25,15 @@ SETTLE_AFTER_START = 2.0  # s, the start of the window `moving` after the motion
 
 @dataclass(frozen=True)
 class Windows:
-    """
-    The stretches of a run that are judged.
+    """The stretches of a run that are judged: masks of samples, shape (m,)."""
 
-    Attributes
-    ----------
-    rest, moving, loaded
-        Masks of samples, shape (m,): at rest under the last force step, in motion, and from the
-        first force step on.
-
-    """
-
-    rest: Mask
+    rest: Mask  # under the last force step
     moving: Mask
-    loaded: Mask
+    loaded: Mask  # from the first force step on
 
 
 def windows(reference: ReferenceConfig, time: Vector) -> Windows:
-    """
-    Return the judged stretches of a scenario.
-
-    Parameters
-    ----------
-    reference
-        The scenario's commands.
-    time
-        Time of the samples, shape (m,) [s].
-
-    """
+    """Return the judged stretches of a scenario at the times of samples, shape (m,) [s]."""
     steps = reference.force_steps
     start = reference.motion.start_time if reference.motion else math.inf
     first = steps[0].time if steps else math.inf
@@ -65,24 +46,12 @@ def windows(reference: ReferenceConfig, time: Vector) -> Windows:
 
 @dataclass(frozen=True)
 class StepResponse:
-    """
-    The answer of one contact to one commanded step.
+    """The answer of one contact to one commanded step."""
 
-    Attributes
-    ----------
-    time, size
-        When [s] and how large [N].
-    rise_63
-        From the command to the first true force beyond 63 % of the step [s]; None if never.
-    overshoot_percent
-        Of the step, until the next command.
-
-    """
-
-    time: float
-    size: float
-    rise_63: float | None
-    overshoot_percent: float
+    time: float  # s
+    size: float  # N
+    rise_63: float | None  # from command to true force beyond 63 % of the step [s]; None: never
+    overshoot_percent: float  # of the step, until the next command
 
 
 def step_responses(data: RunData, setup: Setup, contact: int) -> list[StepResponse]:
@@ -119,20 +88,7 @@ def losses(
     (`contact_state.loss_time`): a tool that leaves the ground for one sample of 2 ms on a rough
     surface has not lost it.
 
-    Parameters
-    ----------
-    data, setup
-        The run.
-    contact
-        Its column.
-    judged
-        Samples to look at, shape (m,).
-
-    Returns
-    -------
-    tuple
-        The first sample of every loss, and the sample after its last.
-
+    Returns, of the samples `judged`, the first of every loss, and that after its last.
     """
     force = bridged(data.alpha_true[:, contact], data.rate)
     least = setup.controller.contact_state.loss_time * data.rate - 1e-9

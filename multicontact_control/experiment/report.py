@@ -30,20 +30,12 @@ bandwidth against a mode of the drives (42 to 48 Hz), not the noise itself: it i
 roughness and sensor noise too, and a larger R, whether estimated or fixed, cures it by slowing
 the observer down. At rest stiction hides it.</p>
 """
+NO_COMPARISON = ('<p class=note>From the trials of this project, not from these runs; '
+                 'give <code>--comparison</code> for the numbers.</p>')
 
 
 def run_claims(run: LoadedRun, comparison: dict[str, Any] | None = None) -> list[Claim]:
-    """
-    Judge the paper's claims by a run.
-
-    Parameters
-    ----------
-    run
-        What was recorded.
-    comparison
-        Content of ``comparison.json``, for the claims that compare estimators.
-
-    """
+    """Judge the paper's claims by a run, and those that compare by a ``comparison.json``."""
     evidence = evidence_of(run.data, run.setup, run.summary)
     return judge_claims(evidence, claim_rows(comparison['rows']) if comparison else ())
 
@@ -70,13 +62,8 @@ def write_report(
 
     """
     out.mkdir(parents=True, exist_ok=True)
-    paths, parts = [], []
-    if comparison is None:
-        parts.append(BACKGROUND)
-        parts.append('<p class=note>From the trials of this project, not from these runs; '
-                     'give <code>--comparison</code> for the numbers.</p>')
-    else:
-        parts += [BACKGROUND, _comparison_section(comparison)]
+    paths, parts = [], [BACKGROUND, NO_COMPARISON if comparison is None else (
+        _comparison_section(comparison))]
     for number, run in enumerate(runs):
         folder = out / FIGURE_FOLDER / (run.folder.resolve().name if len(runs) > 1 else '')
         paths += draw_figures(run.data, run.setup, folder, verdict=verdict_text(run.summary),

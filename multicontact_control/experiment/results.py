@@ -149,10 +149,7 @@ def load_run(folder: Path) -> LoadedRun:
     """
     setup = load_setup(folder)
     if (folder / BAG_FOLDER).is_dir():
-        data = read_bag(
-            folder / BAG_FOLDER, rate=setup.controller.rate,
-            contact_names=setup.controller.contact_names,
-            joint_names=setup.controller.robot.joint_names).data
+        data = read_bag(folder / BAG_FOLDER, setup.controller).data
     elif (folder / SERIES_FILE).is_file():
         data = RunData.load(folder)
     else:

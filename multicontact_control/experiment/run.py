@@ -43,22 +43,8 @@ def run_simulate(
     """
     Run a scenario in this process and leave its results in a folder.
 
-    Parameters
-    ----------
-    setup
-        The run.
-    folder
-        Where the series, ``summary.json``, the figures and the configuration go.
-    supervised
-        Whether contact states, watchdogs and limits are around the control law.
-    console
-        Where progress and the table are shown.
-
-    Returns
-    -------
-    dict
-        The content of ``summary.json``.
-
+    They are the series, ``summary.json``, whose content is returned, figures and configuration.
+    Without supervision there are no contact states, watchdogs and limits around the control law.
     """
     console = console or Console()
     refuse_push_test(setup)
@@ -91,20 +77,12 @@ def run_real_time(
 
     Parameters
     ----------
-    setup
-        The run.
-    folder
-        Where the bag, the logs, ``summary.json``, the figures and the configuration go.
+    setup, folder, supervised, console
+        As for `run_simulate`; the bag and the logs are in the folder, too.
     lockstep
         Whether the nodes wait for each other instead of for the wall clock.
-    domain_id
-        ROS_DOMAIN_ID of the graph.
-    namespace
-        Namespace of the graph.
-    supervised
-        Whether contact states, watchdogs and limits are around the control law.
-    console
-        Where progress and the table are shown.
+    domain_id, namespace
+        ROS_DOMAIN_ID and namespace of the graph.
 
     Returns
     -------
@@ -126,14 +104,12 @@ def run_real_time(
     config = folder / CONFIG_FOLDER
     refuse_push_test(setup)
     ensure_compiled(console)
-    setup.write(config)
     spec = GraphSpec(
         out=folder, ticks=setup.ticks, rate=setup.controller.rate, lockstep=lockstep,
         seed=setup.seed, reference_file=config / 'reference.yaml', domain_id=domain_id,
         namespace=namespace, extra_parameters={'controller_node': {
-            'supervised': supervised, 'patience': SIMULATION_PATIENCE}}, parameter_files={
-            'controller_node': config / 'controller.yaml', 'sim_node': config / 'plant.yaml',
-            'noise_estimator_node': config / 'noise_estimator.yaml'})
+            'supervised': supervised, 'patience': SIMULATION_PATIENCE}},
+        parameter_files=setup.write(config))
     with progress_bar(f'run {setup.scenario.name}', setup.scenario.duration, console,
                       'starting the nodes') as show:
         pace = PaceNotice(console, lockstep=lockstep)
@@ -151,9 +127,7 @@ def run_real_time(
                 highlight=False))
         if result.interrupted is None:
             show(setup.scenario.duration, {})
-    content = read_bag(
-        result.bag, rate=setup.controller.rate, contact_names=setup.controller.contact_names,
-        joint_names=setup.controller.robot.joint_names)
+    content = read_bag(result.bag, setup.controller)
     events = result.timing.get('controller_node', {}).get('events', [])
     summary = summarise(
         content.data, setup, mode='lockstep' if lockstep else REAL_TIME,

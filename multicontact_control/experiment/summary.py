@@ -25,10 +25,8 @@ def summarise(
 
     Parameters
     ----------
-    data
-        The recorded series.
-    setup
-        The configuration of the run.
+    data, setup
+        The run.
     mode
         ``in_process``, ``lockstep`` or ``real_time``.
     timing

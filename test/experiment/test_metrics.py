@@ -17,8 +17,6 @@ from multicontact_control.experiment.scenario import resolve
 import numpy as np
 import pytest
 
-RATE = 500.0
-
 
 @pytest.fixture(scope='module')
 def setup():
@@ -28,9 +26,7 @@ def setup():
 @pytest.fixture
 def data(setup):
     """Return a perfect run of `quick`: every force at its command, 1 N of noise variance."""
-    ticks = setup.ticks
-    data = empty_run_data(ticks, RATE, setup.controller.contact_names,
-                          setup.controller.robot.joint_names)
+    data = empty_run_data(setup.ticks, setup.controller)
     for series, value in ((data.q, 0.0), (data.qd, 0.0), (data.torque, 5.0),
                           (data.position, 0.1), (data.position_des, 0.1),
                           (data.noise_variance, 1.0), (data.alpha_rate_est, 0.0)):

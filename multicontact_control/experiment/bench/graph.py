@@ -59,12 +59,9 @@ def _run(folder: Path, duration: float, *, lockstep: bool) -> dict[str, Any]:
     """Run the scenario `quick` and return what each node counted."""
     setup = resolve('quick', plant='rigid', seed=0, duration=duration)
     config = folder / 'config'
-    setup.write(config)
     result = run_graph(GraphSpec(
         out=folder, ticks=setup.ticks, rate=setup.controller.rate, lockstep=lockstep,
-        reference_file=config / 'reference.yaml', parameter_files={
-            'controller_node': config / 'controller.yaml', 'sim_node': config / 'plant.yaml',
-            'noise_estimator_node': config / 'noise_estimator.yaml'}))
+        reference_file=config / 'reference.yaml', parameter_files=setup.write(config)))
     return dict(result.timing)
 
 
