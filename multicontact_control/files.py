@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 import json
+import math
 from pathlib import Path
 from typing import Any
+
+from multicontact_control.errors import ConfigError
 
 
 @contextmanager
@@ -39,3 +42,24 @@ def json_text(content: Any) -> str:
 def write_json(path: Path, content: Any) -> None:
     """Write JSON values as `json_text`; a reader sees the old file or the new one."""
     write_text(path, json_text(content))
+
+
+def read_json(path: Path) -> Any:
+    """Read JSON; ConfigError if the file cannot be read or is not JSON."""
+    try:
+        return json.loads(path.read_text(encoding='utf-8'))
+    except OSError as error:
+        raise ConfigError(str(path), 'a readable file', error.strerror or error) from None
+    except ValueError as error:
+        raise ConfigError(str(path), 'valid JSON', error) from None
+
+
+def finite(value: Any) -> Any:
+    """Return JSON values with None for every number that is not finite."""
+    if isinstance(value, dict):
+        return {name: finite(entry) for name, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [finite(entry) for entry in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

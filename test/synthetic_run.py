@@ -17,9 +17,7 @@ def disturbance_setup(plant: str = 'rigid', **changes) -> Setup:
 
 def perfect_run(setup: Setup) -> RunData:
     """Return a run of the scenario in which every force is its command, at once."""
-    config = setup.controller
-    data = empty_run_data(
-        setup.ticks, config.rate, config.contact_names, config.robot.joint_names)
+    data = empty_run_data(setup.ticks, setup.controller)
     reference = setup.scenario.reference
     desired = np.full((data.ticks, len(data.contact_names)), reference.approach.preload)
     for step in reference.force_steps:

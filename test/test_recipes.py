@@ -3,7 +3,7 @@
 from typing import Literal
 
 from multicontact_control.config import NoiseEstimatorConfig
-from multicontact_control.experiment.loop import run_in_process
+from multicontact_control.experiment.closed_loop import run_in_process
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.force.noise import ESTIMATORS
 from multicontact_control.force.noise.estimator import InnovationEstimator

@@ -1,11 +1,15 @@
-"""Options that several commands have."""
+"""Options that several commands have, and what `run` and `simulate` make of theirs."""
 
 from __future__ import annotations
 
+from datetime import datetime
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TYPE_CHECKING
 
 import typer
+
+if TYPE_CHECKING:
+    from multicontact_control.experiment.scenario import Setup
 
 Scenario = Annotated[str, typer.Option(
     help='Scenario: a name from config/scenarios (paper, quick) or the path of a YAML file.')]
@@ -50,3 +54,26 @@ Estimators = Annotated[str, typer.Option(
 def split_list(text: str) -> tuple[str, ...]:
     """Return the parts of a list with commas between, without the empty ones."""
     return tuple(part.strip() for part in text.split(',') if part.strip())
+
+
+def prepare(
+    scenario: str, plant: str, seed: int, duration: float | None, noise_estimator: str | None,
+    out: Path | None, overwrite: bool,
+) -> tuple[Setup, Path]:
+    """
+    Check everything a run needs, then make its folder.
+
+    Raises
+    ------
+    MulticontactError
+        With the first value that is not acceptable; there is no new folder then.
+
+    """
+    from multicontact_control.experiment.results import prepare_folder
+    from multicontact_control.experiment.scenario import resolve
+
+    setup = resolve(
+        scenario, plant=plant, seed=seed, duration=duration,
+        noise_estimator={'estimator': noise_estimator} if noise_estimator else None)
+    return setup, prepare_folder(
+        out, setup.scenario.name, overwrite=overwrite, now=datetime.now())

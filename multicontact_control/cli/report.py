@@ -18,8 +18,8 @@ def report(
         help='Folder for report.html and the figures; the first run if not given.')] = None,
 ) -> None:
     """Judge recorded runs by the claims of the paper: report.html, and figures as PNG and PDF."""
-    from multicontact_control.experiment.load import load_run
     from multicontact_control.experiment.report import write_report
+    from multicontact_control.experiment.results import load_run
     from multicontact_control.experiment.study.presets.compare.rows import read_comparison
 
     with errors_in_one_line():

@@ -10,10 +10,10 @@ from multicontact_control.cli.options import (
     Out,
     Overwrite,
     Plant,
+    prepare,
     Scenario,
     Seed,
 )
-from multicontact_control.cli.preparation import prepare
 
 
 def simulate(

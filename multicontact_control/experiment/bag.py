@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,36 +10,21 @@ from typing import Any
 from mcap.exceptions import McapError
 from mcap.reader import make_reader, NonSeekingReader
 from mcap_ros2.decoder import DecoderFactory
-from multicontact_control.arrays import Vector
+from multicontact_control.config import ControllerConfig
 from multicontact_control.errors import RunError
 from multicontact_control.experiment.recording import empty_run_data, RunData
 import numpy as np
 
-RATE_WINDOW = 1.0  # s
+Reading = Callable[[Any, Sequence[str]], Sequence[float]]
 
 
 @dataclass(frozen=True)
 class BagContent:
-    """
-    A bag read back.
-
-    Attributes
-    ----------
-    data
-        The series, by sample stamp.
-    topic_rates
-        Messages per second of every topic that has more than one message [Hz].
-    topic_counts
-        Messages per topic.
-    missing
-        Messages per topic that the samples call for and the bag does not hold.
-
-    """
+    """A bag read back: series by sample stamp, and what is known of every topic."""
 
     data: RunData
-    topic_rates: dict[str, float]
-    topic_counts: dict[str, int]
-    missing: dict[str, int]
+    topic_rates: dict[str, float]  # messages per second, of topics with more than one [Hz]
+    missing: dict[str, int]  # messages that the samples call for and the bag does not hold
 
 
 def bag_file(folder: Path) -> Path:
@@ -58,9 +43,7 @@ def bag_file(folder: Path) -> Path:
     return files[0]
 
 
-def read_bag(
-    folder: Path, *, rate: float, contact_names: tuple[str, ...], joint_names: tuple[str, ...],
-) -> BagContent:
+def read_bag(folder: Path, controller: ControllerConfig) -> BagContent:
     """
     Read a recording of the graph.
 
@@ -68,10 +51,8 @@ def read_bag(
     ----------
     folder
         The bag's folder. A file that a killed recorder left is read up to its last chunk.
-    rate
-        Samples per second [Hz].
-    contact_names, joint_names
-        Order of the columns.
+    controller
+        Rate, and the order of contacts and joints.
 
     Returns
     -------
@@ -97,10 +78,10 @@ def read_bag(
                 stamped[stamp.sec * 1_000_000_000 + stamp.nanosec] = message
     if not rows['joint_states']:
         raise RunError(f'{folder}: expected samples on joint_states, found none')
-    data, missing = _series(rows, rate, contact_names, joint_names)
+    data, missing = _series(rows, controller)
     rates = {topic: (counts[topic] - 1) / ((last - first) * 1e-9)
              for topic, (first, last) in spans.items() if last > first}
-    return BagContent(data=data, topic_rates=rates, topic_counts=counts, missing=missing)
+    return BagContent(data=data, topic_rates=rates, missing=missing)
 
 
 def _messages(path: Path) -> Iterator[tuple[str, int, Any]]:
@@ -121,77 +102,61 @@ def _messages(path: Path) -> Iterator[tuple[str, int, Any]]:
 
 
 def _series(
-    rows: dict[str, dict[int, Any]], rate: float, contact_names: tuple[str, ...],
-    joint_names: tuple[str, ...],
+    rows: dict[str, dict[int, Any]], controller: ControllerConfig,
 ) -> tuple[RunData, dict[str, int]]:
     stamps = np.array(sorted(rows['joint_states']))
-    ticks = np.rint((stamps - stamps[0]) * 1e-9 * rate).astype(int)
-    data = empty_run_data(int(ticks[-1]) + 1, rate, contact_names, joint_names)
+    ticks = np.rint((stamps - stamps[0]) * 1e-9 * controller.rate).astype(int)
+    data = empty_run_data(int(ticks[-1]) + 1, controller)
     tick_of = dict(zip(stamps.tolist(), ticks.tolist()))
     missing = {}
-    for topic, fill in SERIES.items():
-        found = 0
-        for stamp, message in rows[topic].items():
-            tick = tick_of.get(stamp)
-            if tick is not None:
-                fill(data, tick, message)
-                found += 1
-        missing[topic] = data.ticks - found
+    for topic, readings in SERIES.items():
+        names = data.joint_names if topic.startswith('joint') else data.contact_names
+        found = [(tick_of[stamp], message) for stamp, message in rows[topic].items()
+                 if stamp in tick_of]
+        for series, read in readings.items():
+            values = getattr(data, series)
+            for tick, message in found:
+                values[tick] = read(message, names)
+        missing[topic] = data.ticks - len(found)
     return data, missing
 
 
-def _named(values: Any, names: list[str], wanted: tuple[str, ...]) -> Vector:
-    by_name = dict(zip(names, values))
-    return np.array([by_name.get(name, np.nan) for name in wanted])
+def _field(name: str) -> Reading:
+    """Return what reads a field of a JointState in the order of some names."""
+    def read(message: Any, wanted: Sequence[str]) -> list[float]:
+        by_name = dict(zip(message.name, getattr(message, name)))
+        return [by_name.get(each, np.nan) for each in wanted]
+    return read
 
 
-def _joint_states(data: RunData, k: int, message: Any) -> None:
-    data.q[k] = _named(message.position, message.name, data.joint_names)
-    data.qd[k] = _named(message.velocity, message.name, data.joint_names)
-    data.effort[k] = _named(message.effort, message.name, data.joint_names)
+def _wrench(message: Any, _: Sequence[str]) -> tuple[float, ...]:
+    force, torque = message.wrench.force, message.wrench.torque
+    return force.x, force.y, force.z, torque.x, torque.y, torque.z
 
 
-def _torque(data: RunData, k: int, message: Any) -> None:
-    data.torque[k] = _named(message.effort, message.name, data.joint_names)
+def _position(message: Any, _: Sequence[str]) -> tuple[float, ...]:
+    p = message.pose.position
+    return p.x, p.y, p.z
 
 
-def _contacts(field: str) -> Callable[[RunData, int, Any], None]:
-    def fill(data: RunData, k: int, message: Any) -> None:
-        getattr(data, field)[k] = _named(message.effort, message.name, data.contact_names)
-    return fill
+def _quaternion(message: Any, _: Sequence[str]) -> tuple[float, ...]:
+    q = message.pose.orientation
+    return q.x, q.y, q.z, q.w
 
 
-def _estimated(data: RunData, k: int, message: Any) -> None:
-    data.alpha_est[k] = _named(message.effort, message.name, data.contact_names)
-    data.alpha_rate_est[k] = _named(message.velocity, message.name, data.contact_names)
-
-
-def _wrench(field: str) -> Callable[[RunData, int, Any], None]:
-    def fill(data: RunData, k: int, message: Any) -> None:
-        force, torque = message.wrench.force, message.wrench.torque
-        getattr(data, field)[k] = (
-            force.x, force.y, force.z, torque.x, torque.y, torque.z)
-    return fill
-
-
-def _pose(position: str, quaternion: str) -> Callable[[RunData, int, Any], None]:
-    def fill(data: RunData, k: int, message: Any) -> None:
-        p, q = message.pose.position, message.pose.orientation
-        getattr(data, position)[k] = (p.x, p.y, p.z)
-        getattr(data, quaternion)[k] = (q.x, q.y, q.z, q.w)
-    return fill
-
-
-SERIES: dict[str, Callable[[RunData, int, Any], None]] = {
-    'joint_states': _joint_states,
-    'ft_sensor/wrench': _wrench('wrench'),
-    'ft_sensor/wrench_filtered': _wrench('wrench_filtered'),
-    'joint_effort_command': _torque,
-    'contact_forces/measured': _contacts('alpha_meas'),
-    'contact_forces/estimated': _estimated,
-    'contact_forces/desired': _contacts('alpha_des'),
-    'contact_forces/innovation': _contacts('innovation'),
-    'contact_forces/noise_variance': _contacts('noise_variance'),
-    'ground_truth/contact_forces': _contacts('alpha_true'),
-    'operational_point/pose': _pose('position', 'quaternion'),
-    'operational_point/pose_desired': _pose('position_des', 'quaternion_des')}
+# What is read from the messages of a topic, by the series it goes to.
+SERIES: dict[str, dict[str, Reading]] = {
+    'joint_states': {
+        'q': _field('position'), 'qd': _field('velocity'), 'effort': _field('effort')},
+    'ft_sensor/wrench': {'wrench': _wrench},
+    'ft_sensor/wrench_filtered': {'wrench_filtered': _wrench},
+    'joint_effort_command': {'torque': _field('effort')},
+    'contact_forces/measured': {'alpha_meas': _field('effort')},
+    'contact_forces/estimated': {
+        'alpha_est': _field('effort'), 'alpha_rate_est': _field('velocity')},
+    'contact_forces/desired': {'alpha_des': _field('effort')},
+    'contact_forces/innovation': {'innovation': _field('effort')},
+    'contact_forces/noise_variance': {'noise_variance': _field('effort')},
+    'ground_truth/contact_forces': {'alpha_true': _field('effort')},
+    'operational_point/pose': {'position': _position, 'quaternion': _quaternion},
+    'operational_point/pose_desired': {'position_des': _position, 'quaternion_des': _quaternion}}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -61,17 +61,7 @@ class CalibrationConfig(Config):
 
 @dataclass(frozen=True)
 class Calibration:
-    """
-    What a simulated weighing found, and what there was to find.
-
-    Attributes
-    ----------
-    found
-        The identification.
-    truth
-        The simulation's own values.
-
-    """
+    """What a simulated weighing found, and what there was to find."""
 
     found: Identification
     truth: ToolConfig
@@ -112,28 +102,12 @@ def sensor_setup(plant: str, seed: int, **plant_overrides: object) -> Setup:
     if not any(sensor.bias):
         bias = np.random.default_rng(seed).uniform(-1.0, 1.0, 6) * BIAS_RANGE
         sensor = sensor.model_copy(update={'bias': tuple(bias.tolist())})
-    return Setup(
-        scenario=setup.scenario, controller=setup.controller,
-        noise_estimator=setup.noise_estimator,
-        plant=setup.plant.model_copy(update={'sensor': sensor}), plant_name=plant, seed=seed,
-        urdf_dir=setup.urdf_dir)
+    return replace(setup, plant=setup.plant.model_copy(update={'sensor': sensor}))
 
 
 def calibrate(setup: Setup, config: CalibrationConfig) -> Calibration:
     """
-    Weigh the tool.
-
-    Parameters
-    ----------
-    setup
-        From `sensor_setup`.
-    config
-        The poses.
-
-    Returns
-    -------
-    Calibration
-        Found and true values.
+    Weigh the tool of a setup from `sensor_setup`.
 
     Raises
     ------
@@ -146,7 +120,7 @@ def calibrate(setup: Setup, config: CalibrationConfig) -> Calibration:
     from multicontact_control.experiment.position_controlled_plant import ServoedPlant
 
     ensure_compiled()
-    arm = ServoedPlant(setup.controller, setup.plant, setup.seed, setup.urdf_dir)
+    arm = ServoedPlant(setup)
     try:
         readings = [_reading(arm, np.array(pose), config) for pose in config.poses]
     finally:
@@ -194,16 +168,15 @@ def calibration_table(calibration: Calibration, title: str) -> Table:
     for name in ('', 'identified', 'truth', 'error', 'std. error'):
         table.add_column(name, justify='left' if name == '' else 'right')
 
-    def row(name: str, value: float, true: float, digits: int, std: float | None = None) -> None:
+    rows = [
+        ('mass (kg)', found.mass, truth.mass, 5, found.mass_std),
+        *((f'centre of mass {axis} (mm)', 1e3 * found.com_sensor[i], 1e3 * truth.com_sensor[i],
+           3, 1e3 * found.com_std[i]) for i, axis in enumerate('xyz')),
+        *((f'{what} bias {axis} ({unit})', found.bias_sensor[start + i],
+           truth.bias_sensor[start + i], digits, None)
+          for what, unit, start, digits in (('force', 'N', 0, 4), ('torque', 'N m', 3, 5))
+          for i, axis in enumerate('xyz'))]
+    for name, value, true, digits, std in rows:
         table.add_row(name, f'{value:.{digits}f}', f'{true:.{digits}f}',
                       f'{value - true:+.{digits}f}', '' if std is None else f'{std:.{digits}f}')
-
-    row('mass (kg)', found.mass, truth.mass, 5, found.mass_std)
-    for i, axis in enumerate('xyz'):
-        row(f'centre of mass {axis} (mm)', 1e3 * found.com_sensor[i], 1e3 * truth.com_sensor[i],
-            3, 1e3 * found.com_std[i])
-    for i, axis in enumerate('xyz'):
-        row(f'force bias {axis} (N)', found.bias_sensor[i], truth.bias_sensor[i], 4)
-    for i, axis in enumerate('xyz', start=3):
-        row(f'torque bias {axis} (N m)', found.bias_sensor[i], truth.bias_sensor[i], 5)
     return table

@@ -1,4 +1,4 @@
-"""The numbers of one run that the paper's claims rest on."""
+"""What claims and comparisons rest on beyond ``summary.json``: answers to steps and pushes, R."""
 
 from __future__ import annotations
 
@@ -6,21 +6,33 @@ from collections.abc import Mapping
 import math
 from typing import Any
 
-from multicontact_control.arrays import Mask
+from multicontact_control.arrays import Mask, Vector
 from multicontact_control.config import ForceConfig
-from multicontact_control.experiment.disturbances import quiet_windows
 from multicontact_control.experiment.metrics import (
+    mean_in,
+    median_in,
     motion_summary,
+    rms_in,
     SETTLE_AFTER_START,
     step_responses,
     torque_summary,
+    value_in,
+    windows,
 )
+from multicontact_control.experiment.oscillation import spectrum
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.scenario import Setup
 import numpy as np
 from scipy.optimize import brentq
 
 AFTER_PUSH = 0.5  # s, in which the estimate of R is watched for a reaction
+BAND_OF_COMMAND = 0.05  # recovered: the error is within this share of the command ...
+BAND_OF_NOISE = 3.0  # ... or this many standard deviations of the error before the push,
+BAND_HELD = 0.1  # s, for this long
+LOOK_BACK = 1.0  # s, before a push, from which its noise is taken
+LASTING = 0.5  # s; a push this long is to be controlled out while it lasts
+GROWTH = 0.5  # s before instability in which its oscillation is looked for
+SETTLE_AFTER_PUSH = 1.0  # s, left out of `rest` and `moving`
 
 
 def designed_rise(force: ForceConfig) -> float:
@@ -47,17 +59,13 @@ def evidence_of(data: RunData, setup: Setup, summary: Mapping[str, Any]) -> dict
 
     Parameters
     ----------
-    data
-        The recording.
-    setup
-        Its configuration.
+    data, setup
+        The run.
     summary
         What `summarise` says of it.
 
     """
-    motion = setup.scenario.reference.motion
-    unstable_at = summary['unstable_at_s']
-    start = motion.start_time if motion else None
+    start = _motion_start(setup)
     return {
         'scenario': setup.scenario.name, 'plant': setup.plant_name, 'seed': setup.seed,
         'drives': setup.plant.drives, 'estimator': setup.noise_estimator.estimator,
@@ -66,80 +74,181 @@ def evidence_of(data: RunData, setup: Setup, summary: Mapping[str, Any]) -> dict
         'designed_rise_s': designed_rise(setup.controller.force),
         **{name: summary[name] for name in (
             'stable', 'verdict', 'instabilities', 'unstable_at_s', 'kept_real_time')},
-        'unstable_after_motion_s':
-            None if unstable_at is None or start is None else unstable_at - start,
-        'ran_in_motion': start is not None and float(data.time[-1]) > start + SETTLE_AFTER_START,
-        'contacts': {name: _contact(data, setup, i)
+        'unstable_after_motion_s': _after_motion(setup, summary['unstable_at_s']),
+        'ran_in_motion': float(data.time[-1]) > start + SETTLE_AFTER_START,
+        'contacts': {name: _contact_evidence(data, setup, i)
                      for i, name in enumerate(data.contact_names)},
         'motion': motion_summary(data, setup), 'torque': torque_summary(data, setup)}
 
 
-def _contact(data: RunData, setup: Setup, i: int) -> dict[str, Any]:
+def _motion_start(setup: Setup) -> float:
+    motion = setup.scenario.reference.motion
+    return motion.start_time if motion else math.inf
+
+
+def _after_motion(setup: Setup, unstable_at: float | None) -> float | None:
+    start = _motion_start(setup)
+    return None if unstable_at is None or start == math.inf else unstable_at - start
+
+
+def _contact_evidence(data: RunData, setup: Setup, i: int) -> dict[str, Any]:
     name = data.contact_names[i]
     rest, moving = quiet_windows(data, setup)
     error = data.alpha_true[:, i] - data.alpha_des[:, i]
     variance = data.noise_variance[:, i]
     steps = [step for step in step_responses(data, setup, i) if step.size > 0.0]
     true_stiffness = setup.plant.surfaces[name].stiffness
+    start = _motion_start(setup)
     return {
         'stiffness_ratio': true_stiffness / setup.controller.contacts[name].stiffness,
-        'variance_rest_n2': _median(variance, rest),
-        'variance_moving_n2': _median(variance, moving),
+        'variance_rest_n2': median_in(rest, variance),
+        'variance_moving_n2': median_in(moving, variance),
         'rises_s': [step.rise_63 for step in steps],
         'overshoot_percent': max((step.overshoot_percent for step in steps), default=None),
-        'rest_command_n': _median(data.alpha_des[:, i], rest),
-        'rest_mean_error_n': _mean(error, rest), 'rest_std_n': _std(error, rest),
-        'moving_command_n': _median(data.alpha_des[:, i], moving),
-        'moving_rms_n': _mean(error ** 2, moving, root=True),
-        'moving_lost': _mean((data.alpha_true[:, i] <= 0.0).astype(float), moving),
-        'start_peak_n': _largest(np.abs(error), _start(data, setup)),
-        'variance_peak_n2': _largest(variance, _pushed_at_rest(data, setup))}
-
-
-def _start(data: RunData, setup: Setup) -> Mask:
-    """Return the samples of the first 2 s of the motion."""
-    motion = setup.scenario.reference.motion
-    if motion is None:
-        return np.zeros(data.ticks, dtype=bool)
-    since = data.time - motion.start_time
-    return (since >= 0.0) & (since < SETTLE_AFTER_START)
+        'rest_command_n': median_in(rest, data.alpha_des[:, i]),
+        'rest_mean_error_n': mean_in(rest, error), 'rest_std_n': value_in(rest, error, np.std),
+        'moving_command_n': median_in(moving, data.alpha_des[:, i]),
+        'moving_rms_n': rms_in(moving, error),
+        'moving_lost': mean_in(moving, data.alpha_true[:, i] <= 0.0),
+        'start_peak_n': value_in(
+            (data.time >= start) & (data.time - start < SETTLE_AFTER_START), np.abs(error),
+            np.max),
+        'variance_peak_n2': value_in(_pushed_at_rest(data, setup), variance, np.max)}
 
 
 def _pushed_at_rest(data: RunData, setup: Setup) -> Mask:
     """Return the samples of the pushes at rest and of 0.5 s after each."""
-    motion = setup.scenario.reference.motion
-    until = motion.start_time if motion else math.inf
+    until = _motion_start(setup)
     mask = np.zeros(data.ticks, dtype=bool)
-    for start, duration in zip(setup.plant.push_start, setup.plant.push_duration):
+    for start, duration in _pushes(setup):
         if start < until:
             end = min(start + duration + AFTER_PUSH, until)
             mask |= (data.time >= start) & (data.time < end)
     return mask
 
 
-def _known(values: Any, window: Mask) -> Any:
-    chosen = values[window]
-    return chosen[np.isfinite(chosen)]
+def _pushes(setup: Setup) -> list[tuple[float, float]]:
+    """Return start and duration of the plant's pushes [s]."""
+    return list(zip(setup.plant.push_start, setup.plant.push_duration))
 
 
-def _median(values: Any, window: Mask) -> float | None:
-    known = _known(values, window)
-    return float(np.median(known)) if known.size else None
+def quiet_windows(data: RunData, setup: Setup) -> tuple[Mask, Mask]:
+    """Return the windows `rest` and `moving` without the pushes and 1 s after each."""
+    judged = windows(setup.scenario.reference, data.time)
+    quiet = np.ones(data.ticks, dtype=bool)
+    for start, duration in _pushes(setup):
+        quiet &= ~_between(data.time, start, start + duration + SETTLE_AFTER_PUSH)
+    return judged.rest & quiet, judged.moving & quiet
 
 
-def _mean(values: Any, window: Mask, *, root: bool = False) -> float | None:
-    known = _known(values, window)
-    if not known.size:
+def disturbance_summary(
+    data: RunData, setup: Setup, unstable_at: float | None,
+) -> dict[str, Any]:
+    """
+    Return what `compare` needs beyond ``summary.json``, as JSON values.
+
+    Parameters
+    ----------
+    data, setup
+        The run.
+    unstable_at
+        As in ``summary.json`` [s].
+
+    """
+    rest, moving = quiet_windows(data, setup)
+    contacts = {name: {
+        'rest': _errors(data, i, rest), 'moving': _errors(data, i, moving),
+        'recoveries': recoveries(data, setup, i, unstable_at)}
+        for i, name in enumerate(data.contact_names)}
+    return {
+        'contacts': contacts, 'unstable_at_s': unstable_at,
+        'oscillation_hz': None if unstable_at is None else growing_line(data, unstable_at),
+        'unstable_after_motion_s': _after_motion(setup, unstable_at)}
+
+
+def _errors(data: RunData, contact: int, window: Mask) -> dict[str, float | None]:
+    true = data.alpha_true[:, contact]
+    error = true - data.alpha_des[:, contact]
+    return {'rms_n': rms_in(window, error), 'mean_n': mean_in(window, error),
+            'std_n': value_in(window, error, np.std), 'lost': mean_in(window, true <= 0.0),
+            'variance_n2': median_in(window, data.noise_variance[:, contact])}
+
+
+def recoveries(
+    data: RunData, setup: Setup, contact: int, unstable_at: float | None = None,
+) -> list[dict[str, Any]]:
+    """
+    Return the answers of one contact to the pushes of the plant.
+
+    Parameters
+    ----------
+    data, setup
+        The run.
+    contact
+        Its column.
+    unstable_at
+        As in ``summary.json`` [s].
+
+    Returns
+    -------
+    list of dict
+        `start` and `duration` of the push [s], whether it comes `moving`; the largest error of
+        the true force until the next event, `peak` [N]; the error that counts as recovered,
+        `band` [N]; `recovery`, the time until the error is within the band and stays there for
+        0.1 s [s]: from the end of a short push, from the start of a lasting one (0.5 s or more).
+        0 if it never left the band, None if it did not come back before the next event, or the
+        run was unstable by then.
+
+    """
+    last = float(data.time[-1])
+    error = data.alpha_true[:, contact] - data.alpha_des[:, contact]
+    found = []
+    for start, duration in _pushes(setup):
+        lasting = duration >= LASTING
+        from_time = start if lasting else start + duration
+        until = min(_next_event(setup, start), last + 1.0 / data.rate,
+                    start + duration if lasting else math.inf)
+        before = _between(data.time, start - LOOK_BACK, start)
+        judged = _between(data.time, from_time, until)
+        if not (before.any() and judged.any()):
+            continue
+        band = max(BAND_OF_COMMAND * float(data.alpha_des[judged, contact][0]),
+                   BAND_OF_NOISE * float(np.std(error[before])))
+        after = _settled(np.abs(error[judged]) <= band, round(BAND_HELD * data.rate))
+        # The end of a run that ended before its time takes no recovery back.
+        lost = unstable_at is not None and unstable_at < min(until, last)
+        found.append({
+            'start': start, 'duration': duration, 'moving': start >= _motion_start(setup),
+            'peak': float(np.nanmax(np.abs(error[_between(data.time, start, until)]))),
+            'band': band, 'recovery': None if after is None or lost else after / data.rate})
+    return found
+
+
+def _between(time: Vector, start: float, end: float) -> Mask:
+    return (time >= start - 1e-9) & (time < end - 1e-9)
+
+
+def _next_event(setup: Setup, time: float) -> float:
+    """Return when the next push, force step or motion begins."""
+    events = [*setup.plant.push_start, _motion_start(setup),
+              *(step.time for step in setup.scenario.reference.force_steps)]
+    return min((event for event in events if event > time + 1e-9), default=math.inf)
+
+
+def _settled(inside: Mask, held: int) -> int | None:
+    """Return the first sample from which the next `held` are inside; None if there is none."""
+    if len(inside) < held:
         return None
-    mean = float(np.mean(known))
-    return math.sqrt(mean) if root else mean
+    counts = np.convolve(inside.astype(int), np.ones(held, dtype=int), 'valid')
+    first = np.flatnonzero(counts == held)
+    return int(first[0]) if first.size else None
 
 
-def _std(values: Any, window: Mask) -> float | None:
-    known = _known(values, window)
-    return float(np.std(known)) if known.size else None
-
-
-def _largest(values: Any, window: Mask) -> float | None:
-    known = _known(values, window)
-    return float(np.max(known)) if known.size else None
+def growing_line(data: RunData, unstable_at: float) -> float | None:
+    """Return the strongest frequency of the true forces over the 0.5 s before that [Hz]."""
+    window = _between(data.time, unstable_at - GROWTH, unstable_at)
+    forces = data.alpha_true[window]
+    if forces.shape[0] < GROWTH * data.rate - 1 or not np.isfinite(forces).all():
+        return None
+    frequencies, power = spectrum(forces.T, data.rate, padding=8)
+    return float(frequencies[int(np.argmax(power.sum(axis=0)))])

@@ -9,10 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from statistics import median
-from typing import Any
+from typing import Any, NamedTuple
 
-from multicontact_control.experiment.verdict import verdict_text
+from multicontact_control.experiment.judge import verdict_text
 
 REST_FACTOR = 2.0  # R at rest agrees with the paper's within this factor,
 MOVING_FACTOR = 3.0  # R in motion within this one
@@ -34,26 +35,12 @@ MAYBECK = 'innovation'
 
 @dataclass(frozen=True)
 class Claim:
-    """
-    One row of the claims table.
-
-    Attributes
-    ----------
-    claim, paper
-        What the paper says, and the figure it gives.
-    measured
-        What the data say.
-    holds
-        None if the data cannot tell.
-    why
-        One line.
-
-    """
+    """One row of the claims table: what the paper says, and what the data say of it."""
 
     claim: str
-    paper: str
+    paper: str  # the figure it gives
     measured: str
-    holds: bool | None
+    holds: bool | None  # None if the data cannot tell
     why: str
 
     def to_json(self) -> dict[str, Any]:
@@ -61,86 +48,66 @@ class Claim:
         return asdict(self)
 
 
-@dataclass(frozen=True)
-class Row:
-    """
-    The evidence of one cell of a comparison.
+class Row(NamedTuple):
+    """The evidence of one cell of a comparison."""
 
-    Attributes
-    ----------
-    label
-        Of the estimator and its variant, e.g. ``fixed`` or ``window rescaled``.
-    evidence
-        As from `evidence_of`.
-    recoveries
-        For each contact, the answers to the pushes, as from `disturbance_summary`.
-
-    """
-
-    label: str
-    evidence: Mapping[str, Any]
-    recoveries: Mapping[str, Sequence[Mapping[str, Any]]]
+    label: str  # of the estimator and its variant, e.g. `fixed` or `window rescaled`
+    evidence: Mapping[str, Any]  # as from `evidence_of`
+    recoveries: Mapping[str, Sequence[Mapping[str, Any]]]  # of each contact, from its pushes
 
 
 NOT_MEASURED = 'not measured by this run'
-Verdict = tuple[str, bool | None, str]
+Evidence = Mapping[str, Any]
+Rows = Sequence[Row]
+Verdict = tuple[str, bool | None, str]  # what was measured, whether the claim holds, why
 
 
-def judge_claims(
-    evidence: Mapping[str, Any], comparison: Sequence[Row] = (),
-) -> list[Claim]:
+def judge_claims(evidence: Evidence, comparison: Rows = ()) -> list[Claim]:
     """
-    Judge every claim.
+    Judge every claim by the evidence of a run, in the paper's order.
 
-    Parameters
-    ----------
-    evidence
-        Of the run.
-    comparison
-        Cells of a comparison; those of another plant, and those without the active state or
-        with a changed stiffness, are used only by the claims about these.
-
-    Returns
-    -------
-    list of Claim
-        In the paper's order.
-
+    Of the rows of a comparison, those of another plant, and those without the active state or
+    with a changed stiffness, are used only by the claims about these.
     """
     rows = [row for row in comparison if row.evidence['plant'] == evidence['plant']]
     return [Claim(claim, paper, *judge(evidence, rows)) for claim, paper, judge in CLAIMS]
 
 
-def _values(evidence: Mapping[str, Any], name: str) -> list[float]:
+def _values(evidence: Evidence, name: str) -> list[float]:
     return [contact[name] for contact in evidence['contacts'].values()
             if contact[name] is not None]
 
 
-def _each(evidence: Mapping[str, Any], name: str, digits: int, unit: str) -> str:
+def _unknown(why: str) -> Verdict:
+    return NOT_MEASURED, None, why
+
+
+def _each(evidence: Evidence, name: str, digits: int, unit: str) -> str:
     parts = [f'{contact} {values[name]:.{digits}f} {unit}'
              for contact, values in evidence['contacts'].items() if values[name] is not None]
     return ', '.join(parts)
 
 
-def _variance(name: str, paper: float, factor: float) -> Callable[..., Verdict]:
-    def judge(evidence: Mapping[str, Any], rows: Sequence[Row]) -> Verdict:
-        if evidence['estimator'] != PAPER_ESTIMATOR:
-            return (NOT_MEASURED, None,
-                    f'R came from `{evidence["estimator"]}`, not from the paper\'s filter')
-        values = _values(evidence, name)
-        if not values:
-            return NOT_MEASURED, None, 'the run has no such stretch'
-        holds = all(paper / factor <= value <= paper * factor for value in values)
-        return (_each(evidence, name, 2, 'N²'), holds,
-                f'medians {"all" if holds else "not all"} within a factor {factor:g} of it; '
-                'the filter has a gain of 19 at high frequency: R is 269 times the raw variance')
-    return judge
+def _variance(
+    evidence: Evidence, rows: Rows, *, name: str, paper: float, factor: float,
+) -> Verdict:
+    if evidence['estimator'] != PAPER_ESTIMATOR:
+        return _unknown(
+            f'R came from `{evidence["estimator"]}`, not from the paper\'s filter')
+    values = _values(evidence, name)
+    if not values:
+        return _unknown('the run has no such stretch')
+    holds = all(paper / factor <= value <= paper * factor for value in values)
+    return (_each(evidence, name, 2, 'N²'), holds,
+            f'medians {"all" if holds else "not all"} within a factor {factor:g} of it; '
+            'the filter has a gain of 19 at high frequency: R is 269 times the raw variance')
 
 
-def _rises(evidence: Mapping[str, Any], rows: Sequence[Row]) -> Verdict:
+def _rises(evidence: Evidence, rows: Rows) -> Verdict:
     wanted = evidence['designed_rise_s']
     rises = {name: contact['rises_s'] for name, contact in evidence['contacts'].items()}
     if not any(rises.values()):
-        return NOT_MEASURED, None, 'the run has no force step at rest'
+        return _unknown('the run has no force step at rest')
     holds = all(rise is not None and abs(rise / wanted - 1.0) <= RISE_TOLERANCE
                 for answers in rises.values() for rise in answers)
     text = '; '.join(
@@ -151,10 +118,10 @@ def _rises(evidence: Mapping[str, Any], rows: Sequence[Row]) -> Verdict:
             f'{"all" if holds else "not all"} steps within {100 * RISE_TOLERANCE:.0f} % of that')
 
 
-def _start_disturbs(evidence: Mapping[str, Any], rows: Sequence[Row]) -> Verdict:
+def _start_disturbs(evidence: Evidence, rows: Rows) -> Verdict:
     contacts = evidence['contacts'].values()
     if any(c['start_peak_n'] is None or c['rest_std_n'] is None for c in contacts):
-        return NOT_MEASURED, None, 'the run has no start of motion after a stretch at rest'
+        return _unknown('the run has no start of motion after a stretch at rest')
     holds = all(c['start_peak_n'] > START_FACTOR * c['rest_std_n'] for c in contacts)
     return (f"largest error {_each(evidence, 'start_peak_n', 1, 'N')} in the first 2 s, against "
             f"a standard deviation of {_each(evidence, 'rest_std_n', 3, 'N')} at rest", holds,
@@ -162,14 +129,14 @@ def _start_disturbs(evidence: Mapping[str, Any], rows: Sequence[Row]) -> Verdict
             'deviations at rest')
 
 
-def _moving(evidence: Mapping[str, Any], rows: Sequence[Row]) -> Verdict:
+def _moving(evidence: Evidence, rows: Rows) -> Verdict:
     if evidence['stable'] is None:
-        return NOT_MEASURED, None, verdict_text(evidence)
+        return _unknown(verdict_text(evidence))
     contacts = evidence['contacts'].values()
     if any(c['moving_rms_n'] is None for c in contacts):
         if evidence['unstable_after_motion_s'] is not None:
-            return 'unstable before the motion was under way', False, _reasons(evidence)
-        return NOT_MEASURED, None, 'the run has no motion'
+            return 'unstable before the motion was under way', False, verdict_text(evidence)
+        return _unknown('the run has no motion')
     holds = evidence['stable'] and all(
         c['moving_rms_n'] <= LARGEST_MOVING_SHARE * c['moving_command_n']
         and not c['moving_lost'] for c in contacts)
@@ -178,61 +145,56 @@ def _moving(evidence: Mapping[str, Any], rows: Sequence[Row]) -> Verdict:
             f'{100.0 * lost:.1f} % of the time', holds,
             f'{"within" if holds else "not within"} {100 * LARGEST_MOVING_SHARE:.0f} % of the '
             'command with no contact lost' + ('' if evidence['stable'] else
-                                              f'; {_reasons(evidence)}'))
+                                              f'; {verdict_text(evidence)}'))
 
 
-def _reasons(evidence: Mapping[str, Any]) -> str:
-    return verdict_text(evidence)
-
-
-def _online(evidence: Mapping[str, Any], rows: Sequence[Row]) -> Verdict:
+def _online(evidence: Evidence, rows: Rows) -> Verdict:
     if evidence['estimator'] != PAPER_ESTIMATOR:
-        return NOT_MEASURED, None, f'R came from `{evidence["estimator"]}`'
+        return _unknown(f'R came from `{evidence["estimator"]}`')
     if not evidence['ran_in_motion'] and evidence['stable']:
-        return NOT_MEASURED, None, 'the run has no motion'
+        return _unknown('the run has no motion')
     if evidence['stable'] is not False and evidence.get('kept_real_time') is False:
-        return NOT_MEASURED, None, verdict_text(evidence)
+        return _unknown(verdict_text(evidence))
     if evidence['stable']:
         return 'stable at rest and in motion', True, 'no limit of the verdict `stable` was passed'
-    return _unstable_text(evidence), False, _reasons(evidence)
+    return _unstable_text(evidence), False, verdict_text(evidence)
 
 
-def _unstable_text(evidence: Mapping[str, Any]) -> str:
+def _unstable_text(evidence: Evidence) -> str:
     after = evidence['unstable_after_motion_s']
     if after is None or after < 0.0:
-        return f'before any motion {_reasons(evidence)}'
+        return f'before any motion {verdict_text(evidence)}'
     return f'unstable {after:.2f} s after the motion began'
 
 
-def _tracking(evidence: Mapping[str, Any], rows: Sequence[Row]) -> Verdict:
+def _tracking(evidence: Evidence, rows: Rows) -> Verdict:
     position = evidence['motion']['position_rms_m']
     turn = evidence['motion']['orientation_max_rad']
     if position is None or not evidence['ran_in_motion']:
-        return NOT_MEASURED, None, 'the run has no motion'
+        return _unknown('the run has no motion')
     holds = position <= LARGEST_TRACKING_ERROR and turn <= LARGEST_TURN
     return (f'{1e3 * position:.2f} mm rms, orientation within {turn:.4f} rad', holds,
             f'limits {1e3 * LARGEST_TRACKING_ERROR:g} mm and {LARGEST_TURN:g} rad')
 
 
-def _standard(rows: Sequence[Row], label: str) -> list[Row]:
+def _standard(rows: Rows, label: str) -> list[Row]:
     """Return the runs of one estimator with active state and the right stiffness."""
     return [row for row in rows if row.label == label
             and row.evidence['active_state_order'] > 0
             and not _mismatched(row.evidence)]
 
 
-def _mismatched(evidence: Mapping[str, Any]) -> bool:
+def _mismatched(evidence: Evidence) -> bool:
     return any(abs(ratio - 1.0) > MISMATCH for ratio in _values(evidence, 'stiffness_ratio'))
 
 
-def _stiffness(evidence: Mapping[str, Any], rows: Sequence[Row]) -> Verdict:
+def _stiffness(evidence: Evidence, rows: Rows) -> Verdict:
     judged = [entry for entry in [evidence, *(row.evidence for row in rows if row.label.startswith(
         PAPER_ESTIMATOR) and row.evidence['active_state_order'] > 0)]
         if entry['stable'] is not None and _mismatched(entry)]
     if not judged:
-        return (NOT_MEASURED, None,
-                'the simulated stiffness is that of the model; see the cells `stiffness` of '
-                '`multicontact compare`')
+        return _unknown('the simulated stiffness is that of the model; see the cells `stiffness` '
+                        'of `multicontact compare`')
     static, dynamic, parts = True, True, []
     for entry in judged:
         ratio = max(_values(entry, 'stiffness_ratio'))
@@ -252,14 +214,14 @@ def _stiffness(evidence: Mapping[str, Any], rows: Sequence[Row]) -> Verdict:
     return '; '.join(parts), static and dynamic, why
 
 
-def _fixed(evidence: Mapping[str, Any], rows: Sequence[Row]) -> Verdict:
+def _fixed(evidence: Evidence, rows: Rows) -> Verdict:
     judged = [row.evidence for row in _standard(rows, FIXED)]
     if evidence['estimator'] == FIXED and not judged:
         judged = [evidence]
     judged = [entry for entry in judged if entry['stable'] is not None and (
         entry['ran_in_motion'] or not entry['stable'])]
     if not judged:
-        return NOT_MEASURED, None, 'needs runs with the estimator `fixed` in motion'
+        return _unknown('needs runs with the estimator `fixed` in motion')
     in_motion = [entry['unstable_after_motion_s'] for entry in judged
                  if not entry['stable'] and (entry['unstable_after_motion_s'] or -1.0) >= 0.0]
     holds = len(in_motion) == len(judged)
@@ -279,11 +241,11 @@ def _fixed(evidence: Mapping[str, Any], rows: Sequence[Row]) -> Verdict:
     return text, holds, why
 
 
-def _unfiltered(evidence: Mapping[str, Any], rows: Sequence[Row]) -> Verdict:
+def _unfiltered(evidence: Evidence, rows: Rows) -> Verdict:
     lead = _recovery(_standard(rows, PAPER_ESTIMATOR), lasting=True)
     slow = _recovery(_standard(rows, UNFILTERED), lasting=True)
     if lead is None or slow is None:
-        return NOT_MEASURED, None, f'needs cells of `{PAPER_ESTIMATOR}` and `{UNFILTERED}`'
+        return _unknown(f'needs cells of `{PAPER_ESTIMATOR}` and `{UNFILTERED}`')
     short = [_recovery(_standard(rows, label), lasting=False)
              for label in (PAPER_ESTIMATOR, UNFILTERED)]
     holds = slow[0] >= SLOWER_FACTOR * lead[0]
@@ -295,7 +257,7 @@ def _unfiltered(evidence: Mapping[str, Any], rows: Sequence[Row]) -> Verdict:
             'Without rescaling R is 269 times smaller and the observer only gets faster')
 
 
-def _recovery(rows: Sequence[Row], *, lasting: bool) -> tuple[float, float] | None:
+def _recovery(rows: Rows, *, lasting: bool) -> tuple[float, float] | None:
     """Return the median over runs of the slower contact's recovery [s] and larger peak [N]."""
     slowest, peaks = [], []
     for row in rows:
@@ -308,12 +270,12 @@ def _recovery(rows: Sequence[Row], *, lasting: bool) -> tuple[float, float] | No
     return (median(slowest), median(peaks)) if slowest else None
 
 
-def _maybeck(evidence: Mapping[str, Any], rows: Sequence[Row]) -> Verdict:
+def _maybeck(evidence: Evidence, rows: Rows) -> Verdict:
     lead = _reaction(_standard(rows, PAPER_ESTIMATOR))
     judged = _standard(rows, MAYBECK)
     other = _reaction(judged)
     if lead is None or other is None:
-        return NOT_MEASURED, None, f'needs cells of `{PAPER_ESTIMATOR}` and `{MAYBECK}`'
+        return _unknown(f'needs cells of `{PAPER_ESTIMATOR}` and `{MAYBECK}`')
     unstable = sum(not row.evidence['stable'] for row in judged)
     return (f'pushes at rest lift R to {other:.1f} times its value at rest, against {lead:.1f} '
             f'times with the filter; unstable in {unstable} of {len(judged)} runs',
@@ -322,7 +284,7 @@ def _maybeck(evidence: Mapping[str, Any], rows: Sequence[Row]) -> Verdict:
             'too sensitive')
 
 
-def _reaction(rows: Sequence[Row]) -> float | None:
+def _reaction(rows: Rows) -> float | None:
     ratios = []
     for row in rows:
         contacts = row.evidence['contacts'].values()
@@ -340,9 +302,9 @@ CLAIMS: tuple[tuple[str, str, Callable[..., Verdict]], ...] = (
      'time constant 0.02 s (Figs 3, 4)', _rises),
     ('The motion is tracked while the orientation stays fixed', 'Fig. 5', _tracking),
     ('The noise variance is about 0.6 N² at rest', '0.6 N² (Fig. 6)',
-     _variance('variance_rest_n2', 0.6, REST_FACTOR)),
+     partial(_variance, name='variance_rest_n2', paper=0.6, factor=REST_FACTOR)),
     ('It rises to about 100 N² when the arm moves', '100 N² (Fig. 6)',
-     _variance('variance_moving_n2', 100.0, MOVING_FACTOR)),
+     partial(_variance, name='variance_moving_n2', paper=100.0, factor=MOVING_FACTOR)),
     ('On-line estimation of R keeps the control working in motion', 'Figs 3-6', _online),
     ('The contact forces are not too affected by the motion', 'Figs 3, 4', _moving),
     ('Starting the motion disturbs both contact forces significantly',

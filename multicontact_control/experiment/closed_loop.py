@@ -1,14 +1,21 @@
-"""Plant, control loop and noise estimator, advanced tick by tick in one process, without ROS."""
+"""
+Plant, control loop and noise estimator in one process, without ROS.
+
+`ClosedLoop` is advanced tick by tick; `run_in_process` takes it through a whole scenario.
+"""
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
+import time
 
 from multicontact_control.arrays import Vector
 from multicontact_control.control.controller import ControlOutput
 from multicontact_control.control_loop import ControlLoop
-from multicontact_control.errors import RunError
+from multicontact_control.errors import ContactGeometryError, RunError, SingularTaskError
+from multicontact_control.experiment.recording import empty_run_data, RunData
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.force.noise import Innovation, make_noise_estimator, NoiseEstimator
 from multicontact_control.supervision.command_limits import CommandLimits
@@ -19,10 +26,15 @@ from multicontact_control.supervision.inputs import (
     WrenchInput,
 )
 from multicontact_control.supervision.status import SupervisorStatus
+import numpy as np
 from sim_bridge.actuator_delay import ActuatorDelay
 from sim_bridge.pybullet_plant import PybulletPlant, Sample
 
 HISTORY = 65  # ticks
+PROGRESS_TICKS = 100
+# Of a recording, what the sample and the answer say.
+SAMPLED = ('q', 'qd', 'effort', 'wrench', 'wrench_filtered')
+ANSWERED = ('torque', 'alpha_meas', 'alpha_est', 'alpha_rate_est', 'alpha_des', 'innovation')
 
 Corruption = Callable[[TickInputs], TickInputs]
 
@@ -156,3 +168,82 @@ def estimate_variance(estimator: NoiseEstimator, output: ControlOutput) -> Vecto
     return estimator.update(output.alpha_meas, Innovation(
         output.innovation, output.prior_variance, output.variance_used)
         if estimator.uses_innovation else None)
+
+
+@dataclass(frozen=True)
+class LoopResult:
+    """What a run in process leaves."""
+
+    data: RunData
+    tick_us: Vector  # wall time of controller and estimator in each tick, shape (m,)
+    wall_time: float  # of the whole run [s]
+    ended_early: str = ''  # why, if it did
+    events: tuple[tuple[float, str], ...] = ()  # of the supervisor: time [s] and what changed
+
+
+def run_in_process(
+    setup: Setup, on_progress: Callable[[float, Vector], None] | None = None, *,
+    supervised: bool = False,
+) -> LoopResult:
+    """
+    Run a scenario as fast as it goes.
+
+    Parameters
+    ----------
+    setup
+        The run.
+    on_progress
+        Called every 100 ticks with the time [s] and the measured forces [N].
+    supervised
+        Whether contact states, watchdogs and limits are put around the control law. Without, it
+        runs bare but for its start.
+
+    Returns
+    -------
+    LoopResult
+        The series up to the end, or up to where the arm could no longer be controlled.
+
+    """
+    config = setup.controller
+    data = empty_run_data(setup.ticks, config)
+    tick_us = np.zeros(setup.ticks)
+    ended_early = ''
+    done = setup.ticks
+    loop = ClosedLoop(setup, supervised=supervised)
+    start = time.perf_counter()
+    try:
+        for k in range(setup.ticks):
+            before = time.perf_counter_ns()
+            try:
+                output = loop.answer()
+            except (SingularTaskError, ContactGeometryError, np.linalg.LinAlgError) as error:
+                ended_early, done = f'tick {k}: {error}', k
+                break
+            tick_us[k] = (time.perf_counter_ns() - before) * 1e-3
+            _record(data, loop, output)
+            if not np.isfinite(output.torque).all():
+                ended_early, done = f'tick {k}: the commanded torque is not finite', k + 1
+                break
+            if k + 1 < setup.ticks:
+                loop.act()
+            if on_progress is not None and k % PROGRESS_TICKS == 0:
+                on_progress(k * config.period, output.alpha_meas)
+    finally:
+        loop.close()
+    return LoopResult(
+        data=data.truncated(done), tick_us=tick_us[:done],
+        wall_time=time.perf_counter() - start, ended_early=ended_early,
+        events=tuple(loop.control.events.events))
+
+
+def _record(data: RunData, loop: ClosedLoop, output: ControlOutput) -> None:
+    k = loop.tick
+    for names, source in ((SAMPLED, loop.sample), (ANSWERED, output)):
+        for name in names:
+            getattr(data, name)[k] = getattr(source, name)
+    data.alpha_true[k] = loop.sample.contact_force
+    data.noise_variance[k] = loop.variance
+    data.position[k] = output.pose.position_world
+    data.quaternion[k] = output.pose.quaternion_xyzw
+    data.position_des[k] = output.pose_des.position_world
+    data.quaternion_des[k] = output.pose_des.quaternion_xyzw

@@ -120,7 +120,7 @@ def _compile_all(folder: Path, console: Console) -> int:
 
 def _exercises() -> Mapping[str, Callable[[], object]]:
     """Return what makes numba compile all that there is, by what it is."""
-    from multicontact_control.experiment.loop import run_in_process
+    from multicontact_control.experiment.closed_loop import run_in_process
     from multicontact_control.experiment.position_controlled_plant import ServoedPlant
     from multicontact_control.experiment.scenario import resolve, Setup
     from multicontact_control.force.noise import ESTIMATORS, make_noise_estimator
@@ -137,7 +137,7 @@ def _exercises() -> Mapping[str, Callable[[], object]]:
 
     def calibration() -> None:
         puma = setup('puma')
-        arm = ServoedPlant(puma.controller, puma.plant, 0, puma.urdf_dir)
+        arm = ServoedPlant(puma)
         arm.hold(puma.controller.period)
         arm.close()
 
@@ -148,6 +148,9 @@ def _exercises() -> Mapping[str, Callable[[], object]]:
         'rigid drives': lambda: run_in_process(setup('rigid')),
         'rigid drives with friction': lambda: run_in_process(
             setup('rigid', joint_friction_scale=0.25)),
+        'hand that pushes the tool': lambda: run_in_process(setup(
+            'rigid', tool_push_start=[0.0], tool_push_duration=[1.0],
+            tool_push_force_world=[1.0, 0.0, 0.0])),
         'calibration': calibration}
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, Protocol, TYPE_CHECKING
 
-from multicontact_control.experiment.verdict import (
+from multicontact_control.experiment.judge import (
     HELD,
     HOPELESS,
     NOT_STABLE,
@@ -46,19 +46,10 @@ def progress_bar(
     title: str, duration: float, console: Console, waiting: str = '',
 ) -> Iterator[ShowProgress]:
     """
-    Show a bar with the live forces for the time of a run.
+    Show a bar with the live forces for the time of a run [s].
 
-    Parameters
-    ----------
-    title
-        What runs.
-    duration
-        Length of the run [s].
-    console
-        Where to show it; nothing moves where that is not a terminal.
-    waiting
-        What is said until the first samples come.
-
+    Nothing moves where the console is not a terminal; `waiting` is what is said until the first
+    samples come.
     """
     columns = (TextColumn('{task.description}'), BarColumn(),
                TextColumn('{task.completed:5.1f} / {task.total:.1f} s'), TimeRemainingColumn(),
@@ -86,13 +77,7 @@ class PaceNotice:
     """
     Says once, from the first second on, that the machine is too busy for real time.
 
-    Parameters
-    ----------
-    console
-        Where it is said.
-    lockstep
-        Whether the run has no deadlines: then there is nothing to say.
-
+    In `lockstep` there are no deadlines and nothing to say.
     """
 
     def __init__(self, console: Console, *, lockstep: bool) -> None:

@@ -1,19 +1,21 @@
-"""The paper's Figures 3-6, drawn from a recording."""
+"""The paper's Figures 3-6 of a recording: as files, and to move about in on a page."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from pathlib import Path
 from textwrap import shorten
+from typing import Any, NamedTuple
 
 import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from multicontact_control.arrays import Vector
+from multicontact_control.experiment.html_parts import corners, envelope, figure
+from multicontact_control.experiment.judge import STABLE
 from multicontact_control.experiment.metrics import windows
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.scenario import Setup
-from multicontact_control.experiment.verdict import STABLE
 import numpy as np
 
 matplotlib.use('Agg')
@@ -24,6 +26,92 @@ COMMANDED = '#222222'
 TRUE = '#e45756'
 WINDOW = '#f2f2f2'
 TITLE_WIDTH = 110  # characters of the second line that fit
+BUCKETS = 1500  # that a series is thinned out to on a page
+PAPER_VARIANCE = ((0.6, 'paper, at rest'), (100.0, 'paper, moving'))  # N^2
+
+
+class Trace(NamedTuple):
+    """A series as a line; a page chooses a colour if there is none, and has one width."""
+
+    label: str
+    values: Vector  # shape (m,)
+    colour: str | None = MEASURED
+    width: float = 0.5
+    dashed: bool = False
+    faint: bool = False
+    steps: bool = False  # constant but for its steps
+
+
+class Panel(NamedTuple):
+    """Lines over time on common axes, logarithmic if levels are named."""
+
+    label: str  # of the vertical axis
+    traces: Sequence[Trace]
+    limits: tuple[float, float] | None = None  # those of the data if not given
+    levels: Sequence[tuple[float, str]] = ()  # horizontal lines and what they stand for
+    height: float = 1.0  # relative to the other panels
+
+
+class RunFigure(NamedTuple):
+    """One figure of a run: in a file, several panels with a title; on a page, one."""
+
+    file: str
+    title: str
+    panels: Sequence[Panel]
+    name: str
+    heading: str
+    page: Panel
+
+
+def run_figures(data: RunData, setup: Setup) -> list[RunFigure]:
+    """Return the figures of a run: Figures 3 and 4 for each contact, 5 and 6."""
+    forces = [_force(data, i) for i in range(len(data.contact_names))]
+    return [*forces, _motion(data, setup), _noise_variance(data)]
+
+
+def _force(data: RunData, i: int) -> RunFigure:
+    """Measured and estimated force of one contact (P04 Figs 3, 4)."""
+    name, desired, seen = data.contact_names[i], data.alpha_des[:, i], data.alpha_meas[:, i]
+    measured = Trace('measured', seen)
+    true = Trace('true', data.alpha_true[:, i], TRUE, 0.4, faint=True)
+    estimated = Trace('estimated (AOB)', data.alpha_est[:, i], ESTIMATED)
+    commanded = Trace('commanded', desired, COMMANDED, 1.0, dashed=True, steps=True)
+    largest = float(np.nanmax(desired))
+    limits = (min(-2.0, float(np.nanmin(seen, initial=0.0))),
+              max(1.6 * largest, 5.0, 1.1 * float(np.nanmax(seen, initial=0.0))))
+    label = 'force [N]'
+    return RunFigure(
+        f'fig{3 + i if i < 2 else f"3_{i + 1}"}_force_{name}', f'Contact force {name}',
+        (Panel(label, (measured, commanded), limits),
+         Panel(label, (estimated, commanded, true), limits)),
+        f'force{i}', f'Fig. {3 + i if i < 2 else "3/4"}: contact force {name}',
+        Panel(label, (measured, true, estimated, commanded), (-2.0, 1.6 * max(largest, 5.0))))
+
+
+def _motion(data: RunData, setup: Setup) -> RunFigure:
+    """The wrist's translation along the motion's direction and its error (P04 Fig. 5)."""
+    motion = setup.scenario.reference.motion
+    direction = np.asarray(motion.direction_world if motion else (1.0, 0.0, 0.0))
+    axis = 'xyz'[int(np.argmax(np.abs(direction)))]
+    travelled, wanted = data.position @ direction, data.position_des @ direction
+    both = Panel(f'{axis} [m]', (
+        Trace('measured', travelled, width=1.2),
+        Trace('commanded', wanted, COMMANDED, 1.0, dashed=True)), height=3.0)
+    error = Panel('error [mm]', (Trace('', 1e3 * (travelled - wanted), TRUE, 0.7),))
+    return RunFigure('fig5_motion', f'Wrist motion along {axis}', (both, error), 'motion',
+                     f'Fig. 5: wrist motion along {axis}', both)
+
+
+def _noise_variance(data: RunData) -> RunFigure:
+    """The estimated noise variance of every contact on a log axis (P04 Fig. 6)."""
+    series = list(zip(data.contact_names, data.noise_variance.T))
+    return RunFigure(
+        'fig6_noise_variance', 'Estimated noise variance R',
+        [Panel(f'{name} [N$^2$]', (Trace('', values, width=0.7),), levels=PAPER_VARIANCE)
+         for name, values in series],
+        'variance', 'Fig. 6: estimated noise variance',
+        Panel('R [N²]', [Trace(name, values, None) for name, values in series],
+              levels=PAPER_VARIANCE))
 
 
 def draw_figures(
@@ -35,10 +123,8 @@ def draw_figures(
 
     Parameters
     ----------
-    data
-        The recording.
-    setup
-        The configuration, for names and the judged windows.
+    data, setup
+        The run.
     folder
         Where the files go.
     verdict
@@ -57,99 +143,97 @@ def draw_figures(
     if verdict != STABLE:
         title += '\n' + shorten(verdict, TITLE_WIDTH, placeholder=' ...')
     folder.mkdir(parents=True, exist_ok=True)
+    shaded = _judged(data, setup)
     paths = []
-    for name, draw in figure_set(data).items():
-        figure = Figure(figsize=(9.0, 6.0), layout='constrained')
-        draw(figure, data, setup)
-        figure.suptitle(f'{figure.get_suptitle()}\n{title}', fontsize=10)
+    for drawn in run_figures(data, setup):
+        sheet = Figure(figsize=(9.0, 6.0), layout='constrained')
+        sheet.suptitle(f'{drawn.title}\n{title}', fontsize=10)
+        all_axes = np.atleast_1d(sheet.subplots(
+            len(drawn.panels), 1, sharex=True, height_ratios=[p.height for p in drawn.panels],
+            sharey=len({panel.height for panel in drawn.panels}) == 1))
+        for panel, axes in zip(drawn.panels, all_axes):
+            _draw_panel(axes, panel, data.time, shaded)
+        all_axes[-1].set_xlabel('time [s]')
         for ending in formats:
-            paths.append(folder / f'{name}.{ending}')
-            figure.savefig(paths[-1], dpi=130)
+            paths.append(folder / f'{drawn.file}.{ending}')
+            sheet.savefig(paths[-1], dpi=130)
     return paths
 
 
-def figure_set(data: RunData) -> dict[str, Callable[[Figure, RunData, Setup], None]]:
-    """Return the figures of a run by file name: Figures 3 and 4 for each contact, 5 and 6."""
-    figures: dict[str, Callable[[Figure, RunData, Setup], None]] = {}
-    for i, contact in enumerate(data.contact_names):
-        number = 3 + i if i < 2 else f'3_{i + 1}'
-        figures[f'fig{number}_force_{contact}'] = partial(draw_force, contact=i)
-    figures['fig5_motion'] = draw_motion
-    figures['fig6_noise_variance'] = draw_noise_variance
-    return figures
-
-
-def draw_force(figure: Figure, data: RunData, setup: Setup, contact: int) -> None:
-    """Draw measured and estimated force of one contact (P04 Figs 3, 4)."""
-    name = data.contact_names[contact]
-    upper, lower = figure.subplots(2, 1, sharex=True, sharey=True)
-    figure.suptitle(f'Contact force {name}')
-    for axes, series, label, colour in (
-            (upper, data.alpha_meas, 'measured', MEASURED),
-            (lower, data.alpha_est, 'estimated (AOB)', ESTIMATED)):
-        _shade(axes, data, setup)
-        axes.plot(data.time, series[:, contact], color=colour, linewidth=0.5, label=label)
-        axes.plot(data.time, data.alpha_des[:, contact], color=COMMANDED, linewidth=1.0,
-                  linestyle='--', label='commanded')
-        axes.set_ylabel('force [N]')
-        axes.grid(alpha=0.3)
-        axes.legend(loc='upper left', fontsize=8)
-    lower.plot(data.time, data.alpha_true[:, contact], color=TRUE, linewidth=0.4, alpha=0.6,
-               label='true', zorder=1.5)
-    lower.legend(loc='upper left', fontsize=8)
-    top = max(1.6 * float(np.nanmax(data.alpha_des[:, contact])), 5.0)
-    seen = float(np.nanmax(data.alpha_meas[:, contact], initial=0.0))
-    upper.set_ylim(min(-2.0, float(np.nanmin(data.alpha_meas[:, contact], initial=0.0))),
-                   max(top, 1.1 * seen))
-    lower.set_xlabel('time [s]')
-
-
-def draw_motion(figure: Figure, data: RunData, setup: Setup) -> None:
-    """Draw the wrist's translation along the motion's direction and its error (P04 Fig. 5)."""
-    motion = setup.scenario.reference.motion
-    direction = np.asarray(motion.direction_world if motion else (1.0, 0.0, 0.0))
-    axis = 'xyz'[int(np.argmax(np.abs(direction)))] if motion else 'x'
-    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
-    figure.suptitle(f'Wrist motion along {axis}')
-    travelled = data.position @ direction
-    commanded = data.position_des @ direction
-    for axes in (upper, lower):
-        _shade(axes, data, setup)
-        axes.grid(alpha=0.3)
-    upper.plot(data.time, travelled, color=MEASURED, linewidth=1.2, label='measured')
-    upper.plot(data.time, commanded, color=COMMANDED, linewidth=1.0, linestyle='--',
-               label='commanded')
-    upper.set_ylabel(f'{axis} [m]')
-    upper.legend(loc='upper left', fontsize=8)
-    lower.plot(data.time, 1e3 * (travelled - commanded), color=TRUE, linewidth=0.7)
-    lower.set_ylabel('error [mm]')
-    lower.set_xlabel('time [s]')
-
-
-def draw_noise_variance(figure: Figure, data: RunData, setup: Setup) -> None:
-    """Draw the estimated noise variance of every contact on a log axis (P04 Fig. 6)."""
-    figure.suptitle('Estimated noise variance R')
-    axes_list = np.atleast_1d(
-        figure.subplots(len(data.contact_names), 1, sharex=True, sharey=True))
-    for i, (name, axes) in enumerate(zip(data.contact_names, axes_list)):
-        _shade(axes, data, setup)
-        axes.semilogy(data.time, data.noise_variance[:, i], color=MEASURED, linewidth=0.7)
-        for level, text in ((0.6, 'paper, at rest'), (100.0, 'paper, moving')):
-            axes.axhline(level, color=COMMANDED, linewidth=0.7, linestyle=':')
-            axes.annotate(text, (1.0, level), xycoords=('axes fraction', 'data'), fontsize=7,
-                          ha='right', va='bottom')
-        axes.set_ylabel(f'{name} [N$^2$]')
-        axes.grid(alpha=0.3, which='both')
-    axes_list[-1].set_xlabel('time [s]')
-
-
-def _shade(axes: Axes, data: RunData, setup: Setup) -> None:
-    """Shade the windows that the numbers of ``summary.json`` are taken from."""
+def _judged(data: RunData, setup: Setup) -> dict[str, tuple[float, float]]:
+    """Return the windows that the numbers of ``summary.json`` are taken from [s]."""
     judged = windows(setup.scenario.reference, data.time)
-    for window, label in ((judged.rest, 'rest'), (judged.moving, 'moving')):
-        if window.any():
-            times = data.time[window]
-            axes.axvspan(times[0], times[-1], color=WINDOW, zorder=0)
-            axes.annotate(label, (times[0], 1.0), xycoords=('data', 'axes fraction'),
-                          fontsize=7, va='top', color='#777777', xytext=(2, -2),
-                          textcoords='offset points')
+    found = {name: data.time[mask] for name, mask in (
+        ('rest', judged.rest), ('moving', judged.moving))}
+    return {name: (float(times[0]), float(times[-1])) for name, times in found.items()
+            if times.size}
+
+
+def _draw_panel(
+    axes: Axes, panel: Panel, time: Vector, shaded: dict[str, tuple[float, float]],
+) -> None:
+    for name, (start, end) in shaded.items():
+        axes.axvspan(start, end, color=WINDOW, zorder=0)
+        axes.annotate(name, (start, 1.0), xycoords=('data', 'axes fraction'), fontsize=7,
+                      va='top', color='#777777', xytext=(2, -2), textcoords='offset points')
+    if panel.levels:
+        axes.set_yscale('log')
+    for trace in panel.traces:
+        style: dict[str, Any] = {'alpha': 0.6, 'zorder': 1.5} if trace.faint else {}
+        axes.plot(time, trace.values, color=trace.colour, linewidth=trace.width,
+                  linestyle='--' if trace.dashed else '-', label=trace.label, **style)
+    for level, text in panel.levels:
+        axes.axhline(level, color=COMMANDED, linewidth=0.7, linestyle=':')
+        axes.annotate(text, (1.0, level), xycoords=('axes fraction', 'data'), fontsize=7,
+                      ha='right', va='bottom')
+    axes.set_ylabel(panel.label)
+    axes.grid(alpha=0.3, which='both' if panel.levels else 'major')
+    if len(panel.traces) > 1:
+        axes.legend(loc='upper left', fontsize=8)
+    if panel.limits is not None:
+        axes.set_ylim(*panel.limits)
+
+
+def interactive_figures(data: RunData, setup: Setup, number: int) -> str:
+    """
+    Return the figures of a run as HTML.
+
+    Parameters
+    ----------
+    data, setup
+        The run.
+    number
+        Of the run on the page, for the names of the figures.
+
+    """
+    shaded = _judged(data, setup)
+    return '\n'.join(
+        figure(f'run{number}-{drawn.name}', [_line(data.time, t) for t in drawn.page.traces],
+               _layout(drawn.heading, drawn.page, shaded)) for drawn in run_figures(data, setup))
+
+
+def _line(time: Vector, trace: Trace) -> dict[str, Any]:
+    x, y = corners(time, trace.values) if trace.steps else envelope(time, trace.values, BUCKETS)
+    style = {'width': 1, **({'color': trace.colour} if trace.colour else {}),
+             **({'dash': 'dash'} if trace.dashed else {})}
+    return {'x': x, 'y': y, 'name': trace.label, 'mode': 'lines', 'line': style}
+
+
+def _layout(
+    heading: str, panel: Panel, shaded: dict[str, tuple[float, float]],
+) -> dict[str, Any]:
+    shapes: list[dict[str, Any]] = [
+        {'type': 'rect', 'yref': 'paper', 'y0': 0, 'y1': 1, 'x0': start, 'x1': end,
+         'fillcolor': WINDOW, 'line': {'width': 0}, 'layer': 'below'}
+        for start, end in shaded.values()]
+    shapes += [
+        {'type': 'line', 'xref': 'paper', 'x0': 0, 'x1': 1, 'y0': level, 'y1': level,
+         'line': {'color': COMMANDED, 'width': 1, 'dash': 'dot'}} for level, _ in panel.levels]
+    axis: dict[str, Any] = {'title': {'text': panel.label}}
+    if panel.limits is not None:
+        axis['range'] = list(panel.limits)
+    if panel.levels:
+        axis['type'] = 'log'
+    return {'title': {'text': heading, 'font': {'size': 14}}, 'height': 340, 'hovermode': 'x',
+            'margin': {'t': 40, 'b': 40, 'l': 60, 'r': 10}, 'shapes': shapes, 'yaxis': axis,
+            'xaxis': {'title': {'text': 'time [s]'}}}

@@ -33,17 +33,7 @@ img { max-width: 100%; }
 
 
 def page(title: str, body: str) -> str:
-    """
-    Return a page, with plotly.js in it if it draws anything.
-
-    Parameters
-    ----------
-    title
-        Plain text.
-    body
-        HTML.
-
-    """
+    """Return a page of a plain title and a body in HTML, with plotly.js if it draws anything."""
     script = ''
     if 'Plotly.' in body:
         from plotly.offline import get_plotlyjs

@@ -1,9 +1,11 @@
 """
-Whether a run was stable: against what the scenario asked for, and with what help.
+What a run is called: against what the scenario asked for, with what help, on what machine.
 
 *Not stable* is a run with anything of `findings`. *Held by the supervisor* is one without, in
 which the supervisor had to step in again and again: bounds that are kept because something else
-than the control law keeps them are no sign of stability. All others are *stable*.
+than the control law keeps them are no sign of stability. *Not judged* is one that missed so many
+of its deadlines that the loop had another delay than its own: what came of that cannot be told
+from what the arm did. All others are *stable*.
 """
 
 from __future__ import annotations
@@ -16,24 +18,24 @@ from typing import Any
 from multicontact_control.arrays import Mask, Vector
 from multicontact_control.experiment.metrics import (
     force_oscillations,
-    longest_run,
     losses,
     saturation,
+    SETTLE_AFTER_STEP,
     windows,
 )
 from multicontact_control.experiment.oscillation import stretches
-from multicontact_control.experiment.real_time import (
-    REAL_TIME,
-    replaces,
-    Timeliness,
-    timeliness,
-)
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.scenario import Setup
-from multicontact_control.experiment.verdict import HELD, NOT_STABLE, STABLE, UNJUDGED
 from multicontact_control.supervision.contacts import ContactState
-from multicontact_control.supervision.event_log import Event
+from multicontact_control.supervision.event_log import CAPACITY, Event
+from multicontact_control.supervision.fallback import INFLATE, NONE
 import numpy as np
+
+STABLE, HELD, NOT_STABLE, UNJUDGED = (
+    'stable', 'held by the supervisor', 'not stable', 'not judged')
+UNJUDGED_TEXT = 'not judged: the machine could not keep real time'
+# Of a run whose machine was too busy for it: what went wrong with the samples is not judged.
+AS_FAR_AS_KNOWN = 'stable as far as it could be judged: the machine could not keep real time'
 
 LONGEST_LOSS = 0.1  # s, of contact or to saturation: five time constants of the designed loop
 LARGEST_GAP = 0.1  # share of samples without an answer that still lets a run be judged
@@ -51,53 +53,60 @@ LARGEST_HELD_SHARE = 0.05  # of the time under load, in which reactions replace 
 WHOLE = (ContactState.IMPACT.value, ContactState.HOLDING.value)
 GONE = (ContactState.LOST.value, ContactState.RETRACTING.value, ContactState.GIVEN_UP.value)
 
+REAL_TIME = 'real_time'  # the mode with deadlines
+HOPELESS = 0.1  # share of the deadlines missed, from which on a run is not judged
+LARGEST_MISS = 0.01  # share of deadlines missed, or samples unanswered, that is still real time
+SHORTEST_GAP = 2  # samples; one that is missing is bridged, and nobody reacts to it
+AFTERMATH = SETTLE_AFTER_STEP  # s after a gap; contacts are sought and loaded anew, as by a step
+RECOVERING = 'recovering'
+LATE = ('stale', 'order', 'stamp')  # what is wrong with a sample that is late
+
 
 @dataclass(frozen=True)
 class Finding:
-    """
-    A limit that was passed.
-
-    Attributes
-    ----------
-    text
-        Which one and by how much.
-    time
-        When [s]; None for what was missed throughout the run.
-    always
-        Whether it counts however busy the machine was.
-
-    """
+    """A limit that was passed: which one, and by how much."""
 
     text: str
-    time: float | None = None
-    always: bool = False
+    time: float | None = None  # when [s]; None for what was missed throughout the run
+    always: bool = False  # however busy the machine was
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """
-    What a run is called, and why.
+    """What a run is called, and why."""
 
-    Attributes
-    ----------
-    name
-        `STABLE`, `HELD`, `NOT_STABLE` or `UNJUDGED`.
-    reasons
-        Nothing if it was stable; of a run that is not judged, what was seen all the same.
-    unstable_at
-        When the first limit was passed [s], None if none was or it has no time.
-    timeliness
-        How the machine kept up.
-    judged_share
-        Share of the time under load that the arm answers for.
-
-    """
-
-    name: str
-    reasons: tuple[str, ...]
-    unstable_at: float | None
+    name: str  # `STABLE`, `HELD`, `NOT_STABLE` or `UNJUDGED`
+    reasons: tuple[str, ...]  # of a run that is not judged, what was seen all the same
+    unstable_at: float | None  # when the first limit was passed [s], if one was that has a time
     timeliness: Timeliness
-    judged_share: float
+    judged_share: float  # of the time under load, that the arm answers for
+
+
+@dataclass(frozen=True)
+class Timeliness:
+    """
+    How the machine kept up with a run.
+
+    The arm answers for all samples, if real time was kept. Otherwise not for those from two
+    unanswered samples in a row, or from a reaction to late ones, until 1 s after it.
+    """
+
+    kept: bool | None  # None for a run without deadlines
+    reactions: int  # how often the supervisor held the arm because samples were late or missing
+    judged: Mask  # samples that the arm answers for, shape (m,)
+    hopeless: bool = False  # so many deadlines were missed that the run cannot be judged
+
+
+def verdict_text(summary: Mapping[str, Any]) -> str:
+    """Return the verdict of a run and its reasons, as its summary has them."""
+    # In a file from before verdicts had names there is none.
+    name: str = summary.get('verdict', STABLE if summary['stable'] else NOT_STABLE)
+    if name == UNJUDGED:
+        return '; seen: '.join([UNJUDGED_TEXT, *(
+            ['; '.join(summary['instabilities'])] if summary['instabilities'] else [])])
+    if name != STABLE:
+        return f"{name}: {'; '.join(summary['instabilities'])}"
+    return AS_FAR_AS_KNOWN if summary.get('kept_real_time') is False else STABLE
 
 
 def judge(
@@ -153,27 +162,15 @@ def findings(
     lost for more than 0.1 s, nor more than 5 times within 10 s, and no force that oscillates
     (`oscillation`); no force beyond 5 times its command and half the force ceiling.
 
-    Parameters
-    ----------
-    data, setup
-        The run.
-    judged
-        Samples that count, shape (m,); all if not given.
-    ended_early
-        Why the run ended before its time, if it did.
-
+    Of the samples, those that are `judged` count, all if not given.
     """
     judged = np.ones(data.ticks, dtype=bool) if judged is None else judged
     found = [Finding(ended_early, float(data.time[-1]))] if ended_early else []
     series = (data.q, data.qd, data.torque, data.alpha_true, data.alpha_meas)
     infinite = np.any([np.isinf(values).any(axis=1) for values in series], axis=0)
     if infinite.any():
-        found.append(Finding('a number is not finite', _when(data, infinite, 1), always=True))
-    saturated = judged & saturation(data, setup)
-    lasting = math.floor(LONGEST_LOSS * data.rate) + 1
-    if longest_run(saturated) >= lasting:
-        found.append(Finding(f'torque saturated for {longest_run(saturated) / data.rate:.2f} s',
-                             _when(data, saturated, lasting)))
+        found.append(Finding('a number is not finite', _first(data, infinite), always=True))
+    found += _lasting(data, 'torque saturated', *stretches(judged & saturation(data, setup)))
     for contact, name in enumerate(data.contact_names):
         found += [Finding(f'{name}: {finding.text}', finding.time)
                   for finding in _contact_findings(data, setup, contact, judged)]
@@ -185,15 +182,9 @@ def _contact_findings(
 ) -> list[Finding]:
     if not (data.alpha_des[:, contact] > 0.0).any():
         return [Finding('no contact was made')]
-    found = []
     loaded = judged & windows(setup.scenario.reference, data.time).loaded
-    lasting = math.floor(LONGEST_LOSS * data.rate) + 1
     begins, ends = losses(data, setup, contact, loaded)
-    long = [(begin, end) for begin, end in zip(begins, ends) if end - begin >= lasting]
-    if long:
-        longest = max(end - begin for begin, end in long) / data.rate
-        found.append(Finding(f'contact lost for {longest:.2f} s',
-                             float(data.time[long[0][0] + lasting - 1])))
+    found = _lasting(data, 'contact lost', begins, ends)
     again = again_at(data.time[begins])
     if again is not None:
         found.append(Finding(f'contact lost {len(begins)} times', again))
@@ -211,7 +202,7 @@ def _contact_findings(
         worst_at = int(np.argmax(np.where(beyond, force, 0.0)))
         found.append(Finding(
             f'force of {force[worst_at]:.0f} N at a command of {command[worst_at]:.3g} N',
-            _when(data, beyond, 1)))
+            _first(data, beyond)))
     return found
 
 
@@ -225,16 +216,6 @@ def interventions(
     (lost, retracting, given up), and when the last gate begins to enforce a limit. Contacts that
     are sought, touched and pressed are the task; so is a reference that is kept within the
     speeds allowed.
-
-    Parameters
-    ----------
-    data, setup
-        The run.
-    events
-        What the supervisor did.
-    judged
-        Samples that count, shape (m,).
-
     """
     loaded = judged & windows(setup.scenario.reference, data.time).loaded
     if not loaded.any():
@@ -255,7 +236,7 @@ def interventions(
         enough = np.cumsum(held & loaded) > LARGEST_HELD_SHARE * loaded.sum()
         found.append(Finding(
             f'the supervisor held the arm for {100.0 * share:.0f} % of the time under load',
-            _when(data, enough, 1)))
+            _first(data, enough)))
     return found
 
 
@@ -275,13 +256,82 @@ def again_at(times: Vector) -> float | None:
     return float(known[0]) if known.size else None
 
 
-def _when(data: RunData, mask: Mask, lasting: int) -> float:
-    """Return when something had first been so for a number of samples on end [s]."""
-    begin = next(begin for begin, end in zip(*stretches(mask)) if end - begin >= lasting)
-    return float(data.time[begin + lasting - 1])
+def _first(data: RunData, mask: Mask) -> float:
+    """Return when something was first so [s]."""
+    return float(data.time[np.argmax(mask)])
+
+
+def _lasting(
+    data: RunData, what: str, begins: Sequence[int], ends: Sequence[int],
+) -> list[Finding]:
+    """Return what lasted for more than 0.1 s, at most, and when it first had."""
+    lasting = math.floor(LONGEST_LOSS * data.rate) + 1
+    long = [(begin, end) for begin, end in zip(begins, ends) if end - begin >= lasting]
+    if not long:
+        return []
+    longest = max(end - begin for begin, end in long) / data.rate
+    return [Finding(f'{what} for {longest:.2f} s', float(data.time[long[0][0] + lasting - 1]))]
 
 
 def _missing(data: RunData) -> float:
     """Return the largest share of samples that a series lacks."""
     return max(float(np.isnan(values).any(axis=1).mean()) for values in (
         data.q, data.qd, data.torque, data.alpha_true, data.alpha_meas))
+
+
+def replaces(reaction: str) -> bool:
+    """Return whether a reaction is there instead of the control law; a larger R is not."""
+    return reaction not in (NONE, INFLATE)
+
+
+def is_late(event: Event) -> bool:
+    """Return whether all that a supervisor reacted to is samples that were late or missing."""
+    causes = [cause for cause in event.causes if cause != RECOVERING]
+    return bool(causes) and all(
+        cause.startswith('clock_') or cause.endswith(LATE) for cause in causes)
+
+
+def timeliness(
+    data: RunData, mode: str, timing: Mapping[str, Any], events: Sequence[Event],
+) -> Timeliness:
+    """
+    Find out whether a run kept real time.
+
+    It did not if more than 1 % of the deadlines were missed or of the samples not answered, or
+    if the supervisor held the arm even once because samples did not come.
+    """
+    everything = np.ones(data.ticks, dtype=bool)
+    if mode != REAL_TIME:
+        return Timeliness(None, 0, everything)
+    missing = np.asarray(np.isnan(data.torque).any(axis=1))
+    held = late_reactions(events, float(data.time[-1]))
+    misses = int(timing.get('deadline_misses', 0))
+    if not held and max(misses, missing.sum()) <= LARGEST_MISS * data.ticks:
+        return Timeliness(True, 0, everything)
+    gaps = [(begin / data.rate, end / data.rate) for begin, end in zip(*stretches(missing))
+            if end - begin >= SHORTEST_GAP]
+    judged = everything
+    for begin, end in gaps + held:
+        judged &= ~((data.time >= begin) & (data.time < end + AFTERMATH))
+    return Timeliness(False, len(held), judged, misses > HOPELESS * data.ticks)
+
+
+def late_reactions(events: Sequence[Event], until: float) -> list[tuple[float, float]]:
+    """
+    Return from when to when the arm was held because samples were late or missing [s].
+
+    As long as nothing else calls for it, and up to `until`, or the end of a log that is full.
+    """
+    found: list[tuple[float, float]] = []
+    begin: float | None = None
+    for event in events:
+        held = replaces(event.reaction)
+        if begin is None and held and is_late(event):
+            begin = event.time
+        elif begin is not None and not (
+                held and (is_late(event) or event.causes == (RECOVERING,))):
+            found.append((begin, event.time))
+            begin = None
+    if begin is None:
+        return found
+    return [*found, (begin, until if len(events) < CAPACITY else events[-1].time)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 import math
 from typing import Any
@@ -24,34 +25,15 @@ SETTLE_AFTER_START = 2.0  # s, the start of the window `moving` after the motion
 
 @dataclass(frozen=True)
 class Windows:
-    """
-    The stretches of a run that are judged.
+    """The stretches of a run that are judged: masks of samples, shape (m,)."""
 
-    Attributes
-    ----------
-    rest, moving, loaded
-        Masks of samples, shape (m,): at rest under the last force step, in motion, and from the
-        first force step on.
-
-    """
-
-    rest: Mask
+    rest: Mask  # under the last force step
     moving: Mask
-    loaded: Mask
+    loaded: Mask  # from the first force step on
 
 
 def windows(reference: ReferenceConfig, time: Vector) -> Windows:
-    """
-    Return the judged stretches of a scenario.
-
-    Parameters
-    ----------
-    reference
-        The scenario's commands.
-    time
-        Time of the samples, shape (m,) [s].
-
-    """
+    """Return the judged stretches of a scenario at the times of samples, shape (m,) [s]."""
     steps = reference.force_steps
     start = reference.motion.start_time if reference.motion else math.inf
     first = steps[0].time if steps else math.inf
@@ -64,24 +46,12 @@ def windows(reference: ReferenceConfig, time: Vector) -> Windows:
 
 @dataclass(frozen=True)
 class StepResponse:
-    """
-    The answer of one contact to one commanded step.
+    """The answer of one contact to one commanded step."""
 
-    Attributes
-    ----------
-    time, size
-        When [s] and how large [N].
-    rise_63
-        From the command to the first true force beyond 63 % of the step [s]; None if never.
-    overshoot_percent
-        Of the step, until the next command.
-
-    """
-
-    time: float
-    size: float
-    rise_63: float | None
-    overshoot_percent: float
+    time: float  # s
+    size: float  # N
+    rise_63: float | None  # from command to true force beyond 63 % of the step [s]; None: never
+    overshoot_percent: float  # of the step, until the next command
 
 
 def step_responses(data: RunData, setup: Setup, contact: int) -> list[StepResponse]:
@@ -108,11 +78,6 @@ def step_responses(data: RunData, setup: Setup, contact: int) -> list[StepRespon
     return responses
 
 
-def longest_run(mask: Mask) -> int:
-    """Return the length of the longest run of True."""
-    return max((end - begin for begin, end in zip(*stretches(mask))), default=0)
-
-
 def losses(
     data: RunData, setup: Setup, contact: int, judged: Mask,
 ) -> tuple[list[int], list[int]]:
@@ -123,20 +88,7 @@ def losses(
     (`contact_state.loss_time`): a tool that leaves the ground for one sample of 2 ms on a rough
     surface has not lost it.
 
-    Parameters
-    ----------
-    data, setup
-        The run.
-    contact
-        Its column.
-    judged
-        Samples to look at, shape (m,).
-
-    Returns
-    -------
-    tuple
-        The first sample of every loss, and the sample after its last.
-
+    Returns, of the samples `judged`, the first of every loss, and that after its last.
     """
     force = bridged(data.alpha_true[:, contact], data.rate)
     least = setup.controller.contact_state.loss_time * data.rate - 1e-9
@@ -202,17 +154,37 @@ def _hold_summary(
 
 
 def _window_summary(data: RunData, contact: int, window: Mask) -> dict[str, float | None]:
-    names = ('true_error_rms_n', 'estimate_error_rms_n', 'noise_variance_median_n2',
-             'contact_loss_fraction')
-    if not window.any():
-        return dict.fromkeys(names)
-    true = data.alpha_true[window, contact]
-    values = (
-        _rms(true - data.alpha_des[window, contact]),
-        _rms(data.alpha_est[window, contact] - true),
-        float(np.nanmedian(data.noise_variance[window, contact])),
-        float((true <= 0.0).mean()))
-    return dict(zip(names, values))
+    true = data.alpha_true[:, contact]
+    return {
+        'true_error_rms_n': rms_in(window, true - data.alpha_des[:, contact]),
+        'estimate_error_rms_n': rms_in(window, data.alpha_est[:, contact] - true),
+        'noise_variance_median_n2': median_in(window, data.noise_variance[:, contact]),
+        'contact_loss_fraction': mean_in(window, true <= 0.0)}
+
+
+def value_in(
+    window: Mask, values: Any, statistic: Callable[[Any], Any],
+) -> float | None:
+    """Return a statistic of a series within a window, None where nothing is known of it."""
+    chosen = values[window]
+    known = chosen[~np.isnan(chosen)]
+    return float(statistic(known)) if known.size else None
+
+
+def mean_in(window: Mask, values: Any) -> float | None:
+    """Return the mean of a series, of a mask the share, within a window."""
+    return value_in(window, values, np.mean)
+
+
+def median_in(window: Mask, values: Vector) -> float | None:
+    """Return the median of a series within a window."""
+    return value_in(window, values, np.median)
+
+
+def rms_in(window: Mask, values: Vector) -> float | None:
+    """Return the root mean square of a series within a window."""
+    square = mean_in(window, values * values)
+    return None if square is None else math.sqrt(square)
 
 
 def motion_summary(data: RunData, setup: Setup) -> dict[str, float | None]:
@@ -254,7 +226,3 @@ def percentiles(values: Vector) -> dict[str, float]:
     p50, p99, p999 = np.percentile(values, [50.0, 99.0, 99.9])
     return {'p50': float(p50), 'p99': float(p99), 'p999': float(p999),
             'max': float(np.max(values))}
-
-
-def _rms(values: Vector) -> float:
-    return float(np.sqrt(np.nanmean(values * values)))

@@ -39,27 +39,13 @@ LONGEST_BRIDGE = 0.01  # s of missing samples that are interpolated; a tenth of 
 
 @dataclass(frozen=True)
 class Oscillation:
-    """
-    A stretch in which a force oscillates.
+    """A stretch in which a force oscillates."""
 
-    Attributes
-    ----------
-    start, end
-        Of the stretch [s].
-    known
-        When it had lasted 2 s [s].
-    frequency
-        Of its line [Hz].
-    rms
-        Of its line [N].
-
-    """
-
-    start: float
+    start: float  # s
     end: float
-    known: float
-    frequency: float
-    rms: float
+    known: float  # when it had lasted 2 s [s]
+    frequency: float  # of its line [Hz]
+    rms: float  # of its line [N]
 
     @property
     def duration(self) -> float:

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from multicontact_control.arrays import Vector
-from multicontact_control.config import ControllerConfig
 from multicontact_control.dynamics.robot import RobotModel, RobotState
+from multicontact_control.experiment.scenario import Setup
 import numpy as np
 from sim_bridge.actuator_delay import ActuatorDelay
-from sim_bridge.config import PlantConfig
 from sim_bridge.pybullet_plant import PybulletPlant, Sample
 
 NATURAL_FREQUENCY = 30.0  # rad/s, as the controller's motion loop
@@ -19,17 +16,6 @@ class ServoedPlant:
     """
     Plant, actuator delay and servo: tau = M (qdd_des + 2 w e' + w^2 e) + c + g.
 
-    Parameters
-    ----------
-    controller
-        The arm's model and the rate.
-    plant
-        The plant.
-    seed
-        Of its noise and roughness.
-    urdf_dir
-        Folder that ``controller.robot.urdf`` is relative to.
-
     Attributes
     ----------
     sample, state
@@ -37,13 +23,11 @@ class ServoedPlant:
 
     """
 
-    def __init__(
-        self, controller: ControllerConfig, plant: PlantConfig, seed: int, urdf_dir: Path,
-    ) -> None:
-        self._robot = RobotModel(controller.robot, urdf_dir)
-        self._plant = PybulletPlant(plant, rate=controller.rate, seed=seed)
-        self._delay = ActuatorDelay(plant.actuator_delay_ticks, self._plant.initial_torque)
-        self._period = controller.period
+    def __init__(self, setup: Setup) -> None:
+        self._robot = RobotModel(setup.controller.robot, setup.urdf_dir)
+        self._plant = PybulletPlant(setup.plant, rate=setup.controller.rate, seed=setup.seed)
+        self._delay = ActuatorDelay(setup.plant.actuator_delay_ticks, self._plant.initial_torque)
+        self._period = setup.controller.period
         self._tick = 0
         self._take(self._plant.reset())
         self._q_des = self.sample.q.copy()

@@ -82,17 +82,10 @@ def run_push_test(
 
     Parameters
     ----------
-    setup
-        From `push_setup`.
-    config
-        The test.
+    setup, config
+        From `push_setup`, and the test.
     on_instruction
         Called with what the user would be told, whenever it changes.
-
-    Returns
-    -------
-    PushTestResult
-        The verdict.
 
     Raises
     ------

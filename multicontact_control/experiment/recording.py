@@ -9,6 +9,7 @@ from typing import Any
 import zipfile
 
 from multicontact_control.arrays import Matrix, Vector
+from multicontact_control.config import ControllerConfig
 from multicontact_control.errors import RunError
 import numpy as np
 
@@ -113,20 +114,17 @@ class RunData:
                       'joint_names': tuple(str(name) for name in values['joint_names'])})
 
 
-def empty_run_data(
-    ticks: int, rate: float, contact_names: tuple[str, ...], joint_names: tuple[str, ...],
-) -> RunData:
+def empty_run_data(ticks: int, controller: ControllerConfig) -> RunData:
     """Return series of NaN to be filled in, with the time axis set."""
-    n, r = len(joint_names), len(contact_names)
-
-    def series(columns: int) -> Matrix:
-        return np.full((ticks, columns), np.nan)
-
+    joints, contacts = controller.robot.joint_names, controller.contact_names
+    columns = {
+        **dict.fromkeys(('q', 'qd', 'effort', 'torque'), len(joints)),
+        **dict.fromkeys(('wrench', 'wrench_filtered'), 6),
+        **dict.fromkeys(('alpha_true', 'alpha_meas', 'alpha_est', 'alpha_rate_est', 'alpha_des',
+                         'noise_variance', 'innovation'), len(contacts)),
+        **dict.fromkeys(('position', 'position_des'), 3),
+        **dict.fromkeys(('quaternion', 'quaternion_des'), 4)}
     return RunData(
-        rate=rate, contact_names=contact_names, joint_names=joint_names,
-        time=np.arange(ticks) / rate, q=series(n), qd=series(n), effort=series(n),
-        torque=series(n), wrench=series(6), wrench_filtered=series(6), alpha_true=series(r),
-        alpha_meas=series(r), alpha_est=series(r), alpha_rate_est=series(r),
-        alpha_des=series(r), noise_variance=series(r), innovation=series(r),
-        position=series(3), quaternion=series(4), position_des=series(3),
-        quaternion_des=series(4))
+        rate=controller.rate, contact_names=contacts, joint_names=joints,
+        time=np.arange(ticks) / controller.rate,
+        **{name: np.full((ticks, count), np.nan) for name, count in columns.items()})

@@ -9,16 +9,14 @@ from typing import Any
 
 from multicontact_control.experiment.claim_metrics import evidence_of
 from multicontact_control.experiment.claims import Claim, judge_claims
-from multicontact_control.experiment.figures import draw_figures
+from multicontact_control.experiment.figures import draw_figures, interactive_figures
 from multicontact_control.experiment.html_parts import claims_table, table, write_page
-from multicontact_control.experiment.load import LoadedRun
-from multicontact_control.experiment.report_figures import interactive_figures
-from multicontact_control.experiment.run import FIGURE_FOLDER
+from multicontact_control.experiment.judge import STABLE, verdict_text
+from multicontact_control.experiment.results import FIGURE_FOLDER, LoadedRun
 from multicontact_control.experiment.study.presets.compare.findings import findings
 from multicontact_control.experiment.study.presets.compare.listing import comparison_listing
 from multicontact_control.experiment.study.presets.compare.rows import claim_rows
 from multicontact_control.experiment.study.table import html_table
-from multicontact_control.experiment.verdict import STABLE, verdict_text
 import yaml
 
 REPORT_FILE = 'report.html'
@@ -32,20 +30,12 @@ bandwidth against a mode of the drives (42 to 48 Hz), not the noise itself: it i
 roughness and sensor noise too, and a larger R, whether estimated or fixed, cures it by slowing
 the observer down. At rest stiction hides it.</p>
 """
+NO_COMPARISON = ('<p class=note>From the trials of this project, not from these runs; '
+                 'give <code>--comparison</code> for the numbers.</p>')
 
 
 def run_claims(run: LoadedRun, comparison: dict[str, Any] | None = None) -> list[Claim]:
-    """
-    Judge the paper's claims by a run.
-
-    Parameters
-    ----------
-    run
-        What was recorded.
-    comparison
-        Content of ``comparison.json``, for the claims that compare estimators.
-
-    """
+    """Judge the paper's claims by a run, and those that compare by a ``comparison.json``."""
     evidence = evidence_of(run.data, run.setup, run.summary)
     return judge_claims(evidence, claim_rows(comparison['rows']) if comparison else ())
 
@@ -72,13 +62,8 @@ def write_report(
 
     """
     out.mkdir(parents=True, exist_ok=True)
-    paths, parts = [], []
-    if comparison is None:
-        parts.append(BACKGROUND)
-        parts.append('<p class=note>From the trials of this project, not from these runs; '
-                     'give <code>--comparison</code> for the numbers.</p>')
-    else:
-        parts += [BACKGROUND, _comparison_section(comparison)]
+    paths, parts = [], [BACKGROUND, NO_COMPARISON if comparison is None else (
+        _comparison_section(comparison))]
     for number, run in enumerate(runs):
         folder = out / FIGURE_FOLDER / (run.folder.resolve().name if len(runs) > 1 else '')
         paths += draw_figures(run.data, run.setup, folder, verdict=verdict_text(run.summary),
@@ -99,7 +84,7 @@ def _run_section(run: LoadedRun, number: int, comparison: dict[str, Any] | None)
         f'{escape(summary["mode"])}</h2><p>{verdict}. '
         f'Torques sha256 {escape(summary["trajectory_sha256"][:16])}.</p>',
         '<h3>Claims of the paper</h3>', claims_table(run_claims(run, comparison)),
-        '<h3>Figures 3 to 6 of the paper</h3>', interactive_figures(run, number),
+        '<h3>Figures 3 to 6 of the paper</h3>', interactive_figures(run.data, run.setup, number),
         '<h3>Numbers</h3>', _numbers(summary), '<h3>Timing</h3>', _timing(summary),
         '<h3>Configuration</h3>', _configuration(run)]
     return '\n'.join(parts)

@@ -1,19 +1,33 @@
-"""The folder a run leaves: making it, filling it, keeping what is already there."""
+"""The folder a run leaves: making it, keeping what is already there, reading it back."""
 
 from __future__ import annotations
 
 from datetime import datetime
-import json
-import math
 import os
 from pathlib import Path
 import shutil
-from typing import Any
+from typing import Any, NamedTuple, TypeVar
 
-from multicontact_control.errors import ConfigError
+from multicontact_control.config import (
+    Config,
+    ControllerConfig,
+    NoiseEstimatorConfig,
+    read_parameters,
+    read_yaml,
+    validate,
+)
+from multicontact_control.errors import ConfigError, RunError
+from multicontact_control.experiment.bag import read_bag
+from multicontact_control.experiment.recording import RunData, SERIES_FILE
+from multicontact_control.experiment.scenario import ScenarioConfig, Setup
+from multicontact_control.experiment.summary import summarise_again
+from multicontact_control.files import read_json
+from sim_bridge.config import PlantConfig
 
 SUMMARY_FILE = 'summary.json'
-CONFIG_FOLDER = 'config'
+CONFIG_FOLDER, BAG_FOLDER, FIGURE_FOLDER = 'config', 'bag', 'figures'
+
+SomeConfig = TypeVar('SomeConfig', bound=Config)
 
 
 def prepare_folder(out: Path | None, scenario: str, *, overwrite: bool, now: datetime) -> Path:
@@ -24,12 +38,10 @@ def prepare_folder(out: Path | None, scenario: str, *, overwrite: bool, now: dat
     ----------
     out
         The folder; None for ``runs/<date>-<time>-<scenario>``.
-    scenario
-        Name of the scenario.
+    scenario, now
+        For that name.
     overwrite
         Whether a run that is already in `out` may be replaced.
-    now
-        Date and time for the name.
 
     Returns
     -------
@@ -72,30 +84,76 @@ def point_latest(folder: Path) -> None:
     fresh.replace(link)
 
 
-def read_json(path: Path) -> Any:
+class LoadedRun(NamedTuple):
+    """A run read back: configuration, series, and the content of ``summary.json``."""
+
+    folder: Path
+    setup: Setup
+    data: RunData
+    summary: dict[str, Any]
+
+
+def load_setup(folder: Path) -> Setup:
     """
-    Read JSON.
+    Rebuild what a run was made with.
+
+    Parameters
+    ----------
+    folder
+        Of `multicontact run` or `simulate`.
 
     Raises
     ------
     ConfigError
-        If the file cannot be read or is not JSON.
+        If a file is missing or not acceptable.
 
     """
+    if not (folder / CONFIG_FOLDER).is_dir():
+        raise ConfigError('run', 'a folder of `multicontact run` or `simulate`', folder)
+    config = folder / CONFIG_FOLDER
+    summary = read_json(folder / SUMMARY_FILE)
     try:
-        return json.loads(path.read_text(encoding='utf-8'))
-    except OSError as error:
-        raise ConfigError(str(path), 'a readable file', error.strerror or error) from None
-    except ValueError as error:
-        raise ConfigError(str(path), 'valid JSON', error) from None
+        plant, seed = str(summary['plant']), int(summary['seed'])
+    except (KeyError, TypeError, ValueError):
+        raise ConfigError(str(folder / SUMMARY_FILE), 'the summary of a run',
+                          'no plant and seed') from None
+
+    def parameters(model: type[SomeConfig], name: str) -> SomeConfig:
+        return validate(model, read_parameters(config / name), str(config / name))
+
+    path = config / 'scenario.yaml'
+    return Setup(
+        scenario=validate(ScenarioConfig, read_yaml(path), str(path)),
+        controller=parameters(ControllerConfig, 'controller.yaml'),
+        noise_estimator=parameters(NoiseEstimatorConfig, 'noise_estimator.yaml'),
+        plant=parameters(PlantConfig, 'plant.yaml'),
+        plant_name=plant, seed=seed, urdf_dir=config)
 
 
-def finite(value: Any) -> Any:
-    """Return JSON values with None for every number that is not finite."""
-    if isinstance(value, dict):
-        return {name: finite(entry) for name, entry in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [finite(entry) for entry in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+def load_run(folder: Path) -> LoadedRun:
+    """
+    Read a run, from its bag if it has one, from ``samples.npz`` otherwise.
+
+    Parameters
+    ----------
+    folder
+        Of `multicontact run` or `simulate`.
+
+    Raises
+    ------
+    ConfigError
+        If it is not such a folder.
+    RunError
+        If the recording cannot be read.
+
+    """
+    setup = load_setup(folder)
+    if (folder / BAG_FOLDER).is_dir():
+        data = read_bag(folder / BAG_FOLDER, setup.controller).data
+    elif (folder / SERIES_FILE).is_file():
+        data = RunData.load(folder)
+    else:
+        raise RunError(f'{folder}: expected {BAG_FOLDER}/ or {SERIES_FILE}, found neither')
+    # By today's definitions: the summary may be of older code, and a verdict is to be trusted.
+    summary = summarise_again(data, setup, read_json(folder / SUMMARY_FILE))
+    return LoadedRun(folder, setup, data, summary)

@@ -11,6 +11,7 @@ from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.experiment.bag import BagContent, read_bag
 from multicontact_control.experiment.claim_metrics import evidence_of
 from multicontact_control.experiment.claims import judge_claims
+from multicontact_control.experiment.closed_loop import run_in_process
 from multicontact_control.experiment.compilation import ensure_compiled
 from multicontact_control.experiment.display import (
     PaceNotice,
@@ -19,21 +20,18 @@ from multicontact_control.experiment.display import (
     verdict_lines,
 )
 from multicontact_control.experiment.figures import draw_figures
-from multicontact_control.experiment.loop import run_in_process
+from multicontact_control.experiment.judge import REAL_TIME, verdict_text
 from multicontact_control.experiment.metrics import percentiles
-from multicontact_control.experiment.real_time import REAL_TIME
 from multicontact_control.experiment.recording import RunData
-from multicontact_control.experiment.results import CONFIG_FOLDER, SUMMARY_FILE
+from multicontact_control.experiment.results import CONFIG_FOLDER, FIGURE_FOLDER, SUMMARY_FILE
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.experiment.summary import summarise
-from multicontact_control.experiment.verdict import verdict_text
 from multicontact_control.files import write_json
 from rich.console import Console
 
 if TYPE_CHECKING:
     from multicontact_control.experiment.graph.progress import GraphProgress
 
-FIGURE_FOLDER = 'figures'
 # Periods: a robot moves on while its samples are late, the simulated one has stood still, and a
 # busy machine is no fault of its sensors.
 SIMULATION_PATIENCE = 25.0
@@ -45,22 +43,8 @@ def run_simulate(
     """
     Run a scenario in this process and leave its results in a folder.
 
-    Parameters
-    ----------
-    setup
-        The run.
-    folder
-        Where the series, ``summary.json``, the figures and the configuration go.
-    supervised
-        Whether contact states, watchdogs and limits are around the control law.
-    console
-        Where progress and the table are shown.
-
-    Returns
-    -------
-    dict
-        The content of ``summary.json``.
-
+    They are the series, ``summary.json``, whose content is returned, figures and configuration.
+    Without supervision there are no contact states, watchdogs and limits around the control law.
     """
     console = console or Console()
     refuse_push_test(setup)
@@ -93,20 +77,12 @@ def run_real_time(
 
     Parameters
     ----------
-    setup
-        The run.
-    folder
-        Where the bag, the logs, ``summary.json``, the figures and the configuration go.
+    setup, folder, supervised, console
+        As for `run_simulate`; the bag and the logs are in the folder, too.
     lockstep
         Whether the nodes wait for each other instead of for the wall clock.
-    domain_id
-        ROS_DOMAIN_ID of the graph.
-    namespace
-        Namespace of the graph.
-    supervised
-        Whether contact states, watchdogs and limits are around the control law.
-    console
-        Where progress and the table are shown.
+    domain_id, namespace
+        ROS_DOMAIN_ID and namespace of the graph.
 
     Returns
     -------
@@ -128,14 +104,12 @@ def run_real_time(
     config = folder / CONFIG_FOLDER
     refuse_push_test(setup)
     ensure_compiled(console)
-    setup.write(config)
     spec = GraphSpec(
         out=folder, ticks=setup.ticks, rate=setup.controller.rate, lockstep=lockstep,
         seed=setup.seed, reference_file=config / 'reference.yaml', domain_id=domain_id,
         namespace=namespace, extra_parameters={'controller_node': {
-            'supervised': supervised, 'patience': SIMULATION_PATIENCE}}, parameter_files={
-            'controller_node': config / 'controller.yaml', 'sim_node': config / 'plant.yaml',
-            'noise_estimator_node': config / 'noise_estimator.yaml'})
+            'supervised': supervised, 'patience': SIMULATION_PATIENCE}},
+        parameter_files=setup.write(config))
     with progress_bar(f'run {setup.scenario.name}', setup.scenario.duration, console,
                       'starting the nodes') as show:
         pace = PaceNotice(console, lockstep=lockstep)
@@ -153,9 +127,7 @@ def run_real_time(
                 highlight=False))
         if result.interrupted is None:
             show(setup.scenario.duration, {})
-    content = read_bag(
-        result.bag, rate=setup.controller.rate, contact_names=setup.controller.contact_names,
-        joint_names=setup.controller.robot.joint_names)
+    content = read_bag(result.bag, setup.controller)
     events = result.timing.get('controller_node', {}).get('events', [])
     summary = summarise(
         content.data, setup, mode='lockstep' if lockstep else REAL_TIME,

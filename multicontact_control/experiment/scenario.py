@@ -45,29 +45,15 @@ class ScenarioConfig(Config):
 
 @dataclass(frozen=True)
 class Setup:
-    """
-    Everything a run needs, resolved and checked.
-
-    Attributes
-    ----------
-    scenario, controller, noise_estimator, plant
-        The frozen configurations.
-    plant_name
-        Preset or path of the plant.
-    seed
-        Of every random number of the plant.
-    urdf_dir
-        Folder that ``controller.robot.urdf`` is relative to.
-
-    """
+    """Everything a run needs, resolved and checked."""
 
     scenario: ScenarioConfig
     controller: ControllerConfig
     noise_estimator: NoiseEstimatorConfig
     plant: PlantConfig
-    plant_name: str
-    seed: int
-    urdf_dir: Path
+    plant_name: str  # preset or path
+    seed: int  # of every random number of the plant
+    urdf_dir: Path  # that `controller.robot.urdf` is relative to
 
     @property
     def ticks(self) -> int:
@@ -101,51 +87,34 @@ class Setup:
         commanded: Matrix = table[np.searchsorted(steps, time + 1e-9, side='right')]
         return commanded
 
-    def write(self, folder: Path) -> None:
-        """Write the exact configuration into a folder, such that the nodes can be run on it."""
+    def write(self, folder: Path) -> dict[str, Path]:
+        """Write the exact configuration into a folder, and return the file of each node."""
         folder.mkdir(parents=True, exist_ok=True)
         urdf = Path(self.controller.robot.urdf)
         shutil.copyfile(self.urdf_dir / urdf, folder / urdf.name)
         robot = self.controller.robot.model_copy(update={'urdf': urdf.name})
-        write_parameters(folder / 'controller.yaml',
-                         self.controller.model_copy(update={'robot': robot}))
-        write_parameters(folder / 'noise_estimator.yaml', self.noise_estimator)
-        write_parameters(folder / 'plant.yaml', self.plant)
+        nodes = {
+            'controller_node': ('controller.yaml',
+                                self.controller.model_copy(update={'robot': robot})),
+            'noise_estimator_node': ('noise_estimator.yaml', self.noise_estimator),
+            'sim_node': ('plant.yaml', self.plant)}
+        for name, config in nodes.values():
+            write_parameters(folder / name, config)
         for name, config in (('reference.yaml', self.scenario.reference),
                              ('scenario.yaml', self.scenario)):
             (folder / name).write_text(
                 yaml.safe_dump(config.model_dump(mode='json'), sort_keys=False),
                 encoding='utf-8')
+        return {node: folder / name for node, (name, _) in nodes.items()}
 
 
 def scenario_path(name: str) -> Path:
-    """
-    Return the file of a scenario.
-
-    Parameters
-    ----------
-    name
-        Name of a file in config/scenarios, or a path.
-
-    Raises
-    ------
-    ConfigError
-        If there is neither.
-
-    """
+    """Return the file of a scenario in config/scenarios, or at a path; ConfigError without."""
     return named_file('scenario', 'scenarios', name)
 
 
 def plant_path(name: str) -> Path:
-    """
-    Return the parameter file of a plant preset, or the path given instead of one.
-
-    Raises
-    ------
-    ConfigError
-        If there is neither.
-
-    """
+    """Return the parameter file of a plant preset, or the path given; ConfigError without."""
     if name in PLANTS:
         return config_dir() / f'plant_{name}.yaml'
     path = Path(name)

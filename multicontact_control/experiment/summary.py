@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from multicontact_control.experiment.judge import judge
+from multicontact_control.experiment.judge import judge, STABLE, UNJUDGED
 from multicontact_control.experiment.metrics import (
     contact_summary,
     motion_summary,
@@ -13,7 +13,6 @@ from multicontact_control.experiment.metrics import (
 )
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.scenario import Setup
-from multicontact_control.experiment.verdict import STABLE, UNJUDGED
 from multicontact_control.supervision.event_log import read_event
 
 
@@ -26,10 +25,8 @@ def summarise(
 
     Parameters
     ----------
-    data
-        The recorded series.
-    setup
-        The configuration of the run.
+    data, setup
+        The run.
     mode
         ``in_process``, ``lockstep`` or ``real_time``.
     timing

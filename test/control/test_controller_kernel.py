@@ -15,9 +15,9 @@ from multicontact_control.errors import (
     ShapeError,
     SingularTaskError,
 )
-from multicontact_control.experiment.loop import run_in_process
+from multicontact_control.experiment.bench.scaling import synthetic_setup
+from multicontact_control.experiment.closed_loop import run_in_process
 from multicontact_control.experiment.scenario import resolve
-from multicontact_control.experiment.synthetic import synthetic_setup
 from multicontact_control.paths import config_dir
 import numpy as np
 import pytest

@@ -7,7 +7,7 @@ import subprocess
 import sys
 
 from multicontact_control.experiment.bench.scaling import bench_scaling
-from multicontact_control.experiment.bench.spread import load_notes, noise_notes, spread
+from multicontact_control.experiment.bench.timing import load_notes, noise_notes, spread
 import numpy as np
 import pytest
 

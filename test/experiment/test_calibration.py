@@ -51,7 +51,7 @@ def test_calibration_finds_tool_and_bias_of_the_noisy_sensor(tmp_path, plant, se
 def test_no_bar_reaches_a_surface_in_any_pose():
     setup, config = sensor_setup('rigid', 0), calibration_config()
     tips = []
-    arm = ServoedPlant(setup.controller, setup.plant, 0, setup.urdf_dir)
+    arm = ServoedPlant(setup)
     for pose in config.poses:
         arm.move(np.array(pose), 1.0)
         assert not arm.sample.contact_force.any()
@@ -108,7 +108,7 @@ def test_servoed_arm_reads_nothing_with_the_right_tool_in_every_pose():
     """The configured tool is the plant's: compensated readings vanish, up to the noise."""
     setup = sensor_setup('rigid', 0, sensor={'noise': False, 'bias': [1.0] * 6})
     tool = setup.controller.tool.model_copy(update={'bias_sensor': (1.0,) * 6})
-    arm = ServoedPlant(setup.controller, setup.plant, 0, setup.urdf_dir)
+    arm = ServoedPlant(setup)
     for pose in calibration_config().poses[:3]:
         arm.move(np.array(pose), 0.8)
         sample, state = arm.hold(0.4)[-1]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from multicontact_control.experiment.loop import run_in_process
+from multicontact_control.experiment.closed_loop import run_in_process
 from multicontact_control.experiment.scenario import resolve
 import numpy as np
 import pytest

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 from multicontact_control.experiment.metrics import (
     contact_summary,
-    longest_run,
     losses,
     motion_summary,
     orientation_error,
@@ -18,8 +17,6 @@ from multicontact_control.experiment.scenario import resolve
 import numpy as np
 import pytest
 
-RATE = 500.0
-
 
 @pytest.fixture(scope='module')
 def setup():
@@ -29,9 +26,7 @@ def setup():
 @pytest.fixture
 def data(setup):
     """Return a perfect run of `quick`: every force at its command, 1 N of noise variance."""
-    ticks = setup.ticks
-    data = empty_run_data(ticks, RATE, setup.controller.contact_names,
-                          setup.controller.robot.joint_names)
+    data = empty_run_data(setup.ticks, setup.controller)
     for series, value in ((data.q, 0.0), (data.qd, 0.0), (data.torque, 5.0),
                           (data.position, 0.1), (data.position_des, 0.1),
                           (data.noise_variance, 1.0), (data.alpha_rate_est, 0.0)):
@@ -140,14 +135,6 @@ def test_torque_summary_finds_the_joint_nearest_to_its_limit(setup, data):
     summary = torque_summary(data, setup)
     assert summary['max_fraction_of_limit'] == pytest.approx(0.5)
     assert summary['saturated_fraction'] == 0.0
-
-
-@pytest.mark.parametrize(('mask', 'length'), [
-    ([], 0), ([False], 0), ([True], 1), ([True, True, False, True], 2),
-    ([False, True, True, True], 3)])
-def test_longest_run(mask, length):
-    """Also at the ends."""
-    assert longest_run(np.array(mask, dtype=bool)) == length
 
 
 def test_percentiles_of_known_values():

@@ -4,8 +4,8 @@ import json
 
 from multicontact_control.cli import app
 from multicontact_control.errors import ConfigError, RunError
-from multicontact_control.experiment.load import load_run, load_setup
 from multicontact_control.experiment.report import run_claims
+from multicontact_control.experiment.results import load_run, load_setup
 from multicontact_control.experiment.summary import summarise
 from multicontact_control.files import write_json
 import pytest

@@ -6,11 +6,16 @@ import os
 from pathlib import Path
 import subprocess
 import sys
-from time import perf_counter, perf_counter_ns
+from time import perf_counter
 from typing import Any
 
-from multicontact_control.experiment.bench.spread import median, percentiles, spread
-from multicontact_control.experiment.loop import run_in_process
+from multicontact_control.experiment.bench.timing import (
+    median,
+    race,
+    rounded_percentiles,
+    spread,
+)
+from multicontact_control.experiment.closed_loop import run_in_process
 from multicontact_control.experiment.scenario import resolve
 import numpy as np
 import pybullet
@@ -37,23 +42,22 @@ def bench_plant(ticks: int) -> dict[str, Any]:
     plant, bare = (PybulletPlant(config, rate=500.0, seed=0) for _ in range(2))
     substeps = config.substeps(500.0)
     client = bare.arm.client
-    times, floor = np.zeros(ticks), np.zeros(ticks)
-    for k in range(ticks):
-        if k % RESTART == 0:
-            plant.reset()
-            bare.reset()
-        start = perf_counter_ns()
-        plant.step(plant.initial_torque)
-        done = perf_counter_ns()
+
+    def reset() -> None:
+        plant.reset()
+        bare.reset()
+
+    def floor(_: int) -> None:
         for _ in range(substeps):
             pybullet.stepSimulation(physicsClientId=client)
-        end = perf_counter_ns()
-        times[k], floor[k] = done - start, end - done
+
+    times, floors = race(
+        lambda _: plant.step(plant.initial_torque), floor, ticks, restart=reset, lap=RESTART)
     plant.close()
     bare.close()
     return {
-        'plant_us': percentiles(1e-3 * times), 'pybullet_us': percentiles(1e-3 * floor),
-        'substeps': substeps, 'ratio': median([float(np.median(times) / np.median(floor))])}
+        'plant_us': rounded_percentiles(times), 'pybullet_us': rounded_percentiles(floors),
+        'substeps': substeps, 'ratio': median([float(np.median(times) / np.median(floors))])}
 
 
 def bench_in_process(

@@ -10,8 +10,8 @@ from multicontact_control.experiment.bench.plant import (
     bench_plant,
 )
 from multicontact_control.experiment.bench.scaling import bench_scaling
-from multicontact_control.experiment.bench.spread import describe_machine, load_notes
 from multicontact_control.experiment.bench.tick import bench_tick
+from multicontact_control.experiment.bench.timing import describe_machine, load_notes
 from multicontact_control.experiment.compilation import ensure_compiled
 from multicontact_control.process import settle_process
 from rich.console import Console
@@ -25,22 +25,10 @@ def run_bench(
     *, ticks: int | None = None, quick: bool = False, graph: bool = True,
 ) -> dict[str, Any]:
     """
-    Measure everything against its floor.
+    Measure everything against its floor: what `multicontact bench --json` prints.
 
-    Parameters
-    ----------
-    ticks
-        Ticks of the controller per repeat; 20 000, or 2 000 if `quick`, by default.
-    quick
-        Shorter: enough to see a ratio that is wrong by a factor.
-    graph
-        Whether to run the ROS 2 graph, too.
-
-    Returns
-    -------
-    dict
-        See `multicontact bench --json`.
-
+    `ticks` are those of the controller per repeat, 20 000 by default, or 2 000 if `quick`, which
+    is enough to see a ratio that is wrong by a factor.
     """
     ensure_compiled()
     machine = describe_machine()  # before this adds to the load itself

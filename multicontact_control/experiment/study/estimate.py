@@ -94,8 +94,8 @@ def estimate_time(
 def _probe(job: Job) -> float:
     """Return the wall time for a simulated second of a job, from its beginning."""
     # Only here: who needs no probe needs neither kernels nor simulator.
+    from multicontact_control.experiment.closed_loop import run_in_process
     from multicontact_control.experiment.compilation import ensure_compiled
-    from multicontact_control.experiment.loop import run_in_process
 
     ensure_compiled()
     setup = job.setup()

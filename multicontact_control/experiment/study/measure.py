@@ -7,16 +7,15 @@ import time
 from typing import Any, TYPE_CHECKING
 
 from multicontact_control.errors import MulticontactError
-from multicontact_control.experiment.claim_metrics import evidence_of
-from multicontact_control.experiment.disturbances import disturbance_summary
+from multicontact_control.experiment.claim_metrics import disturbance_summary, evidence_of
 from multicontact_control.experiment.recording import RunData
-from multicontact_control.experiment.results import finite
 from multicontact_control.experiment.study.jobs import JobResult, RunJob
 from multicontact_control.experiment.summary import summarise
+from multicontact_control.files import finite
 import numpy as np
 
 if TYPE_CHECKING:
-    from multicontact_control.experiment.loop import LoopResult
+    from multicontact_control.experiment.closed_loop import LoopResult
     from multicontact_control.experiment.scenario import Setup
 
 LAST = 0.5  # s, the end of a run that tells whether it has settled
@@ -47,7 +46,7 @@ def measure_run(job: RunJob) -> JobResult:
 
     """
     # Only here: who gives out the work to others needs neither kernels nor simulator.
-    from multicontact_control.experiment.loop import run_in_process
+    from multicontact_control.experiment.closed_loop import run_in_process
 
     setup = job.setup()
     result = run_in_process(setup, supervised=job.supervised)
@@ -57,7 +56,7 @@ def measure_run(job: RunJob) -> JobResult:
     summary = _summary(job, setup, result)
     metrics = {
         'summary': summary,
-        'disturbances': disturbance_summary(data, setup, bool(result.ended_early)),
+        'disturbances': disturbance_summary(data, setup, summary['unstable_at_s']),
         'evidence': evidence_of(data, setup, summary),
         'final_error_share': final_error_share(data)}
     traces = {name: getattr(data, series) for name, series in TRACES.items()}
@@ -80,7 +79,7 @@ def summarise_run(job: RunJob) -> JobResult:
         why the run ended before its time under `error`, None if it did not.
 
     """
-    from multicontact_control.experiment.loop import run_in_process
+    from multicontact_control.experiment.closed_loop import run_in_process
 
     start = time.perf_counter()
     summary = None

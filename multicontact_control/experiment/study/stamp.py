@@ -11,10 +11,9 @@ from pathlib import Path
 # experiment/ only this does.
 WITHOUT = ('cli', 'client.py', 'nodes', 'tools')
 DECISIVE = (
-    'claim_metrics.py', 'closed_loop.py', 'disturbances.py', 'faults/in_process.py',
-    'faults/vocabulary.py', 'judge.py', 'loop.py', 'metrics.py', 'oscillation.py',
-    'real_time.py', 'recording.py', 'results.py', 'scenario.py', 'study/jobs.py',
-    'study/measure.py', 'study/presets/faults/jobs.py', 'summary.py', 'verdict.py')
+    'claim_metrics.py', 'closed_loop.py', 'faults/in_process.py', 'faults/vocabulary.py',
+    'judge.py', 'metrics.py', 'oscillation.py', 'recording.py', 'scenario.py', 'study/jobs.py',
+    'study/measure.py', 'study/presets/faults/jobs.py', 'summary.py')
 LIBRARIES = ('numba', 'numpy', 'pin', 'pybullet', 'scipy')
 
 

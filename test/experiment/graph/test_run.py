@@ -13,6 +13,7 @@ import sys
 import threading
 
 from multicontact_control.errors import RunError
+from multicontact_control.experiment.closed_loop import run_in_process
 from multicontact_control.experiment.graph.domain import domain_in_use, reserve_domain
 from multicontact_control.experiment.graph.run import run_graph
 from multicontact_control.experiment.graph.spec import (
@@ -23,7 +24,6 @@ from multicontact_control.experiment.graph.spec import (
     RECORDER,
     SIM,
 )
-from multicontact_control.experiment.loop import run_in_process
 from multicontact_control.experiment.run import run_real_time
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.nodes.topics import (

@@ -2,12 +2,12 @@ from dataclasses import dataclass, field
 import json
 
 from multicontact_control.errors import ConfigError, RunError
-from multicontact_control.experiment.results import finite
 from multicontact_control.experiment.study.cache import JobCache
 from multicontact_control.experiment.study.execute import run_jobs
 from multicontact_control.experiment.study.jobs import job_of, JobResult, LostJob
 from multicontact_control.experiment.study.local import LocalExecutor
 from multicontact_control.experiment.study.measure import measure_run
+from multicontact_control.files import finite
 import numpy as np
 import pytest
 

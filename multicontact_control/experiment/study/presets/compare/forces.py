@@ -8,10 +8,10 @@ from typing import Any
 
 from multicontact_control.errors import RunError
 from multicontact_control.experiment.html_parts import corners, envelope, figure, script_json
+from multicontact_control.experiment.judge import verdict_text
 from multicontact_control.experiment.study.cache import JobCache
 from multicontact_control.experiment.study.jobs import JobResult
 from multicontact_control.experiment.study.presets.compare.matrix import AOB, PLAIN
-from multicontact_control.experiment.verdict import verdict_text
 
 FORCE_BUCKETS = 250
 VARIANCE_BUCKETS = 80

@@ -8,9 +8,9 @@ from typing import Any
 
 from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.claims import Claim, judge_claims, PAPER_ESTIMATOR, Row
-from multicontact_control.experiment.results import read_json
 from multicontact_control.experiment.study.jobs import JobResult
 from multicontact_control.experiment.study.presets.compare.matrix import AOB, Entry, KINDS
+from multicontact_control.files import read_json
 
 COMPARISON_FILE = 'comparison.json'
 

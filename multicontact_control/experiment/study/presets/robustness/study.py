@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from multicontact_control.errors import check_all
-from multicontact_control.experiment.results import finite
 from multicontact_control.experiment.scenario import PLANTS
 from multicontact_control.experiment.study.execute import JobRun
 from multicontact_control.experiment.study.jobs import RunJob
@@ -26,6 +25,7 @@ from multicontact_control.experiment.study.presets.robustness.boundaries import 
 from multicontact_control.experiment.study.presets.robustness.figure import draw_map
 from multicontact_control.experiment.study.study import Study
 from multicontact_control.experiment.study.table import Column, Line, Listing
+from multicontact_control.files import finite
 
 QUICK_PLANTS, QUICK_LABELS = ('rigid',), ('lead_window', 'fixed')
 RATIOS, QUICK_RATIOS = 13, 8  # how many

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from multicontact_control.experiment.judge import HELD
 from multicontact_control.experiment.study.execute import JobRun
 from multicontact_control.experiment.study.jobs import RunJob
 from multicontact_control.experiment.study.measure import summarise_run
@@ -26,7 +27,6 @@ from multicontact_control.experiment.study.presets.sweep.table import (
     TABLE_FILE,
 )
 from multicontact_control.experiment.study.study import Study
-from multicontact_control.experiment.verdict import HELD
 import pyarrow as pa
 
 STUDY_FILE = 'study.yaml'

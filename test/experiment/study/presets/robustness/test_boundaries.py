@@ -1,8 +1,8 @@
 import math
 
-from multicontact_control.experiment.disturbances import instability_time, quiet_windows
+from multicontact_control.experiment.claim_metrics import quiet_windows
+from multicontact_control.experiment.closed_loop import run_in_process
 from multicontact_control.experiment.judge import judge
-from multicontact_control.experiment.loop import run_in_process
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.experiment.study.jobs import job_of
 from multicontact_control.experiment.study.measure import final_error_share
@@ -136,7 +136,7 @@ def test_estimator_in_motion_on_flexible_drives(label):
     job = comparison_matrix(('puma',), (label,), 1, plain=False, duration=13.0)[0].job
     setup = job.setup()
     data = run_in_process(setup).data
-    found = instability_time(data, setup)
+    found = judge(data, setup).unstable_at
     if label == 'fixed':
         assert found is not None and 0.0 < found - 9.0 < 5.0
         return

@@ -3,7 +3,7 @@
 import csv
 
 from multicontact_control.errors import ConfigError
-from multicontact_control.experiment import loop
+from multicontact_control.experiment import closed_loop
 from multicontact_control.experiment.study.presets.sweep.study import sweep_study
 from multicontact_control.experiment.study.study import run_study, StudyOptions
 import pyarrow.parquet as pq
@@ -78,14 +78,14 @@ def test_dry_run_leaves_nothing(sweep, tmp_path):
 @pytest.mark.slow
 def test_run_that_raises_is_a_row(sweep, tmp_path, monkeypatch):
     """Whatever one combination does, the others are run."""
-    real = loop.run_in_process
+    real = closed_loop.run_in_process
 
     def fail(setup, **options):
         if setup.plant.surfaces['table'].stiffness == 6.0e5:
             raise ZeroDivisionError('in the law')
         return real(setup, **options)
 
-    monkeypatch.setattr(loop, 'run_in_process', fail)
+    monkeypatch.setattr(closed_loop, 'run_in_process', fail)
     shown = sweep('out', jobs=1)
     assert 'of which 2 ended early' in shown
     rows = pq.read_table(tmp_path / 'out' / 'sweep.parquet').to_pylist()
