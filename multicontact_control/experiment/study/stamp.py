@@ -12,9 +12,10 @@ from pathlib import Path
 WITHOUT = ('cli', 'client.py', 'nodes', 'tools')
 DECISIVE = (
     'claim_metrics.py', 'closed_loop.py', 'disturbances.py', 'faults/in_process.py',
-    'faults/vocabulary.py', 'judge.py', 'loop.py', 'metrics.py', 'oscillation.py',
-    'real_time.py', 'recording.py', 'results.py', 'scenario.py', 'study/jobs.py',
-    'study/measure.py', 'study/presets/faults/jobs.py', 'summary.py', 'verdict.py')
+    'faults/judge.py', 'faults/vocabulary.py', 'judge.py', 'loop.py', 'metrics.py',
+    'oscillation.py', 'real_time.py', 'recording.py', 'results.py', 'scenario.py',
+    'study/jobs.py', 'study/measure.py', 'study/presets/faults/jobs.py', 'summary.py',
+    'verdict.py')
 LIBRARIES = ('numba', 'numpy', 'pin', 'pybullet', 'scipy')
 
 

@@ -8,22 +8,34 @@ import os
 import signal
 import threading
 
-from multicontact_control.experiment.faults import graph_session
-from multicontact_control.experiment.faults.graph_streams import (
-    DELIVERY,
-    INPUTS,
-    stream_faults,
-    StreamContext,
+from multicontact_control.experiment.faults import graph_session, vocabulary
+from multicontact_control.experiment.faults.graph_relay import Distortion, INPUTS, stream_faults
+from multicontact_control.experiment.faults.graph_watch import (
+    busy_share,
+    GraphWatch,
+    observe,
+    ReceivedMessage,
+    Report,
+    Window,
 )
-from multicontact_control.experiment.faults.graph_vocabulary import (
+from multicontact_control.experiment.faults.in_graph import graph_tasks, GraphCampaign
+from multicontact_control.experiment.faults.judge import judge
+from multicontact_control.experiment.faults.vocabulary import (
+    Delivery,
+    faults_of,
     general_kind,
-    graph_faults,
+    GRAPH,
+    NodeChange,
     quick_faults,
 )
-from multicontact_control.experiment.faults.graph_watch import GraphWatch, ReceivedMessage, Report
-from multicontact_control.experiment.faults.in_graph import graph_tasks, GraphCampaign
-from multicontact_control.experiment.faults.judge import busy_share, Judge, Window
-from multicontact_control.experiment.graph.spec import CONTROLLER, ESTIMATOR, RECORDER, SIM
+from multicontact_control.experiment.graph.lifecycle import GOALS
+from multicontact_control.experiment.graph.spec import (
+    CONTROLLER,
+    ESTIMATOR,
+    RECORDER,
+    SIM,
+    START_ORDER,
+)
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.guest import GuestNode
@@ -35,7 +47,7 @@ from ros_graph import wait_for
 pytestmark = pytest.mark.ros
 
 JOINTS = [f'joint{i}' for i in range(1, 7)]
-FAULTS = {(fault.kind, fault.input): fault for fault in graph_faults()}
+FAULTS = faults_of(GRAPH)
 WANTED = {'table': 10.0, 'board': 10.0}
 
 
@@ -59,24 +71,20 @@ def message_of(source, k):
 def passed_on(source, kind, count=60, seed=3):
     """Return what becomes of `count` messages after 40 good ones, and those messages."""
     stream = 'joints' if source == 'clock' else source
-    what = stream_faults()[source][kind]
-    history = deque(maxlen=64)
-    context = None
+    history = deque(maxlen=512)
+    distortion = None
     sent, out = [], []
     for k in range(40 + count):
         data = serialize_message(message_of(stream, k))
         history.append(data)
         if k < 40:
             continue
-        if context is None:
-            random = np.random.default_rng(seed)
-            context = StreamContext(
-                random, INPUTS[stream].message, history, (40 + 1000) * 2_000_000,
-                random.random(4).tolist(), [])
-        context.first = context.first or data
+        distortion = distortion or Distortion(
+            FAULTS[kind, source], np.random.default_rng(seed), INPUTS[stream].message, history,
+            (40 + 1000) * 2_000_000)
         sent.append(data)
         out.append([deserialize_message(x, INPUTS[stream].message)
-                    for x in what(context, k - 40, data)])
+                    for x in distortion.passed_on(data)])
     return [deserialize_message(x, INPUTS[stream].message) for x in sent], out
 
 
@@ -89,7 +97,7 @@ def flat(out):
 
 
 @pytest.mark.parametrize(('source', 'kind'), [
-    (source, kind) for source, kinds in stream_faults().items() for kind in kinds])
+    (source, kind) for kind, source in stream_faults()])
 def test_graph_faults_change_every_stream(source, kind):
     sent, out = passed_on(source, kind)
     assert out != [[x] for x in sent]
@@ -97,10 +105,12 @@ def test_graph_faults_change_every_stream(source, kind):
 
 def test_graph_faults_of_delivery_deliver_as_they_say():
     now = list(range(40, 100))
-    delivered = {kind: [stamps(x) for x in passed_on('wrench', kind)[1]] for kind in DELIVERY}
+    delivered = {kind: [stamps(x) for x in passed_on('wrench', kind)[1]]
+                 for (kind, source), fault in FAULTS.items()
+                 if source == 'wrench' and isinstance(fault.action, Delivery)}
     assert delivered['dropped'] == [[] for _ in now]
     assert delivered['delayed'] == [[k - 10] for k in now]
-    assert delivered['stuck'] == [[40] for _ in now]
+    assert delivered['stuck'] == [[39] for _ in now]
     assert delivered['duplicated'] == [[k, k] for k in now]
     assert delivered['reordered'] == [[] if k % 2 == 0 else [k, k - 1] for k in now]
     assert delivered['out_of_order'] == [[k, k - 25] for k in now]
@@ -124,14 +134,20 @@ def test_graph_faults_of_values_leave_the_stamps_and_those_of_stamps_the_values(
 
 
 def test_graph_faults_have_every_kind_in_short_and_each_once_per_seed():
-    keys = [(fault.kind, fault.input) for fault in graph_faults()]
-    assert len(set(keys)) == len(keys) >= 80
-    assert {general_kind(fault) for fault in graph_faults()} == {
-        general_kind(fault) for fault in quick_faults(0)}
-    assert len(quick_faults(0)) == len(set(map(general_kind, quick_faults(0)))) < 60
-    assert {fault.input for seed in range(3) for fault in quick_faults(seed)} == {
-        source for _, source in keys}
+    assert len(FAULTS) == sum(GRAPH in fault.where for fault in vocabulary.FAULTS) >= 80
+    quick = quick_faults(GRAPH, 0)
+    assert set(map(general_kind, FAULTS.values())) == set(map(general_kind, quick))
+    assert len(quick) == len(set(map(general_kind, quick))) < 60
+    assert {fault.input for seed in range(3) for fault in quick_faults(GRAPH, seed)} == {
+        source for _, source in FAULTS}
     assert graph_tasks(5) == graph_tasks(5) != graph_tasks(6)
+
+
+def test_graph_faults_know_the_nodes_and_their_transitions():
+    changes = [fault for fault in FAULTS.values() if isinstance(fault.action, NodeChange)]
+    assert {fault.input for fault in changes} == set(START_ORDER)
+    assert {step for fault in changes for step in fault.action.steps} <= {
+        'kill', 'halt', *GOALS}
 
 
 @pytest.fixture(scope='module')
@@ -158,7 +174,8 @@ def judged(watch, fault=('stuck', 'variance'), *, change=None, problems=(), reco
         watch.said[topic] = deque(found)
     setup = resolve('quick', plant='rigid', seed=0)
     window = Window(100.0, 101.0, recovered if recovered < 0.0 else 100.0 + recovered)
-    return Judge(setup, watch, WANTED).row(FAULTS[fault], 7, window, problems)
+    seen = observe(watch, setup, WANTED, window, problems)
+    return judge(FAULTS[fault], 7, setup, seen, where=GRAPH)
 
 
 def test_graph_faults_judge_finds_nothing_wrong_with_what_is_good(watch):
@@ -183,7 +200,7 @@ def remove(topic, places):
 
 
 @pytest.mark.parametrize(('change', 'problem'), [
-    (put(topics.EFFORT_COMMAND, float('nan')), 'joint_effort_command not finite'),
+    (put(topics.EFFORT_COMMAND, float('nan')), 'command not finite'),
     (put(topics.DESIRED_FORCES, float('inf')), 'contact_forces/desired not finite'),
     (put(topics.EFFORT_COMMAND, 21.0, name='joint5'), 'torque beyond its limit'),
     (put(topics.EFFORT_COMMAND, 12.0, name='joint5'), 'torque rate beyond its limit'),
