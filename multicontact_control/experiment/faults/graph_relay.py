@@ -77,7 +77,7 @@ class Distortion:
     ) -> None:
         self._action, self._message, self._history = fault.action, message, history
         self._begin, self._random, self._choice = begin, random, random.random(4)
-        self._first: Any = None
+        self._first: dict[str, Any] = {}
         self._passed = 0
 
     def passed_on(self, data: bytes) -> list[bytes]:
@@ -89,17 +89,13 @@ class Distortion:
             return [self._history[max(0, last - age)] for age in action.ages(self._random, n)]
         message = deserialize_message(data, self._message)
         if isinstance(action, Edit):
-            self._edit(message, action)
+            now = {name: read_field(message, name) for name in action.fields}
+            self._first = self._first or now
+            for name, values in action.values(now, self._first, self._choice).items():
+                _write_field(message, name, values)
         elif isinstance(action, ClockShift):
             self._shift(message, action)
         return [serialize_message(message)]
-
-    def _edit(self, message: Any, action: Edit) -> None:
-        if self._first is None:
-            self._first = {name: _read(message, name) for name in action.fields}
-        for name in action.fields:
-            _write(message, name, self._first[name] if action.change is None else action.change(
-                _read(message, name), self._choice))
 
     def _shift(self, message: Any, clock: ClockShift) -> None:
         stamp = messages.stamp_to_ns(message.header.stamp)
@@ -107,7 +103,7 @@ class Distortion:
         message.header.stamp = messages.ns_to_stamp(stamp + round(max(-stamp, 1e9 * shift)))
 
 
-def _read(message: Any, name: str) -> Any:
+def read_field(message: Any, name: str) -> Any:
     """Return a field of a reading from its message."""
     if name == 'wrench':
         force, torque = message.wrench.force, message.wrench.torque
@@ -116,7 +112,7 @@ def _read(message: Any, name: str) -> Any:
     return list(values) if name == 'names' else np.array(values)
 
 
-def _write(message: Any, name: str, values: Any) -> None:
+def _write_field(message: Any, name: str, values: Any) -> None:
     """Put a field of a reading into its message."""
     if name == 'wrench':
         force, torque = message.wrench.force, message.wrench.torque

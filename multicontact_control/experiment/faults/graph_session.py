@@ -287,10 +287,9 @@ class FaultSession:
 
     def wait_for_report(self, since: float, timeout: float) -> None:
         """Wait for diagnostics of the controller from after a time, `timeout` [s] at most."""
-        give_up = time.monotonic() + timeout
-        while time.monotonic() < give_up and not any(
-                report.node == CONTROLLER for report in self.watch.reports_since(since)):
-            self.spin(POLL_PERIOD)
+        with contextlib.suppress(NotRecoveredError):
+            self.wait(lambda: any(report.node == CONTROLLER and report.time >= since
+                                  for report in self.watch.reports), 'a report', timeout)
 
     def _state(self, name: str) -> str:
         """

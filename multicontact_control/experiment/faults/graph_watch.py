@@ -9,12 +9,11 @@ import math
 import time
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticStatus
 from multicontact_control.arrays import Vector
 from multicontact_control.experiment.faults.judge import Observation, SILENCE
 from multicontact_control.experiment.graph.spec import CONTROLLER, SIM
 from multicontact_control.experiment.scenario import Setup
-from multicontact_control.nodes import messages, qos, topics
+from multicontact_control.nodes import qos, topics
 from multicontact_control.supervision.fallback import SEVERITY
 import numpy as np
 from rclpy.node import Node
@@ -29,32 +28,19 @@ Span = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class ReceivedMessage:
-    """
-    One named list of numbers as it was published.
-
-    Attributes
-    ----------
-    time
-        When it was sent, on the wall clock [s].
-    stamp
-        Of the sample it belongs to [ns].
-    values
-        Efforts by name, in the order of the message.
-
-    """
+    """One named list of efforts, and when it was sent, on the wall clock [s]."""
 
     time: float
-    stamp: int
     values: dict[str, float]
 
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """Diagnostics of one node as they came: when [s], and by part level, message and values."""
+    """Diagnostics of one node as they came: when [s], and the values of all its parts."""
 
     time: float
     node: str
-    parts: dict[str, tuple[int, str, dict[str, str]]]
+    values: dict[str, str]
 
 
 class GraphWatch:
@@ -89,11 +75,12 @@ class GraphWatch:
                     self.pose = message
                 else:
                     self.said[topic].append(ReceivedMessage(
-                        sent, messages.stamp_to_ns(message.header.stamp),
-                        dict(zip(message.name, message.effort))))
+                        sent, dict(zip(message.name, message.effort))))
         for message, sent in _taken(self._diagnostics, topics.DIAGNOSTICS.message):
             if message.status:
-                self.reports.append(_report(message, sent))
+                node = message.status[0].name.partition(': ')[0].rsplit('/', 1)[-1]
+                self.reports.append(Report(sent, node, {
+                    x.key: x.value for status in message.status for x in status.values}))
 
     def since(self, topic: topics.Topic, start: float) -> list[ReceivedMessage]:
         """Return what was sent on a topic from a time on."""
@@ -103,21 +90,6 @@ class GraphWatch:
                 break
             found.append(said)
         return found[::-1]
-
-    def reports_since(self, start: float) -> Iterable[Report]:
-        """Return the diagnostics since a time."""
-        return (report for report in self.reports if report.time >= start)
-
-
-def _report(message: Any, sent: float) -> Report:
-    status: DiagnosticStatus
-    parts = {}
-    node = ''
-    for status in message.status:
-        node, _, part = status.name.partition(': ')
-        level = status.level[0] if isinstance(status.level, bytes) else int(status.level)
-        parts[part] = (level, status.message, {x.key: x.value for x in status.values})
-    return Report(sent, node.rsplit('/', 1)[-1], parts)
 
 
 def _taken(subscription: Subscription, message: Any) -> Iterable[tuple[Any, float]]:
@@ -135,15 +107,7 @@ def _ignore(_message: Any) -> None:
 
 @dataclass(frozen=True)
 class Window:
-    """
-    The time of one fault.
-
-    Attributes
-    ----------
-    begin, end, recovered
-        When it began and ended, and when all was well again [s]; -1 if it never was.
-
-    """
+    """When a fault began and ended, and when all was well again [s]; -1 if it never was."""
 
     begin: float
     end: float
@@ -231,8 +195,8 @@ def _told(reports: Iterable[Report], window: Window) -> Counter[str]:
     for report in reports:
         if report.node != CONTROLLER:
             continue
-        counts = {name: int(values[key]) for _, _, values in report.parts.values()
-                  for name in SEVERITY[1:] if (key := f'ticks with {name}') in values}
+        counts = {name: int(report.values[key]) for name in SEVERITY[1:]
+                  if (key := f'ticks with {name}') in report.values}
         if report.time >= window.begin:
             for name, ticks in counts.items():
                 known = before.get(name, 0)
@@ -251,7 +215,7 @@ def busy_share(reports: Iterable[Report], period: float) -> float:
     That is, in which half of the commands came later than half a period after their samples, as
     the simulator's diagnostics have it.
     """
-    latencies = [float(text) for report in reports if report.node == SIM
-                 for _, _, values in report.parts.values()
-                 if (text := values.get('latency_us_p50', 'none')) != 'none']
+    latencies = [
+        float(text) for report in reports if report.node == SIM
+        if (text := report.values.get('latency_us_p50', 'none')) != 'none']
     return float(np.mean(np.array(latencies) > 0.5e6 * period)) if latencies else 0.0

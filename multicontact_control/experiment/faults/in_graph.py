@@ -35,8 +35,6 @@ SCENARIO = 'quick'  # what is not commanded over topics: limits, estimator
 FOLDER = 'graphs'
 
 OnProgress = Callable[[int, int], None]
-
-
 Task = tuple[Fault, int]  # and its seed
 
 

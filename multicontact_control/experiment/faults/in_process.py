@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from multicontact_control.arrays import Vector
-from multicontact_control.experiment.closed_loop import ClosedLoop, Corruption
+from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.faults.judge import FaultRow, judge, Observation
 from multicontact_control.experiment.faults.vocabulary import (
     ClockShift,
@@ -38,37 +38,29 @@ class Corruptor:
 
     def __init__(self, fault: Fault, random: Random, loop: ClosedLoop) -> None:
         self._fault, self._random = fault, random
-        self._names = loop.setup.controller.robot.joint_names
+        # What a message would say, and a reading in process need not.
+        self._names = {'names': loop.setup.controller.robot.joint_names}
         self._first, self._history = loop.inputs(), list(loop.history)
+        self._passed = 0
         self.choice: Vector = random.random(4)
 
-    def corruption(self, n: int) -> Corruption | None:
-        """Return what the n-th tick of the fault does to the readings."""
-        if isinstance(self._fault.action, PlantEdit):
-            return None
-        return lambda inputs: self._corrupt(inputs, n)
-
-    def _corrupt(self, inputs: TickInputs, n: int) -> TickInputs:
+    def corrupt(self, inputs: TickInputs) -> TickInputs:
+        """Return what becomes of the inputs of the next tick."""
+        n, source, action = self._passed, self._fault.input, self._fault.action
+        self._passed += 1
         self._history.append(inputs)
-        source, action = self._fault.input, self._fault.action
         if isinstance(action, ClockShift):
             return self._shifted(inputs, action)
-        reading: Any = None
         if isinstance(action, Delivery):
-            if ages := (action.sampled or action.ages)(self._random, n):
-                reading = getattr(self._history[-1 - ages[-1]], source)
-        elif isinstance(action, Edit):
-            reading = getattr(inputs, source)
-            reading = reading._replace(**{
-                name: self._value(action, reading, name) for name in action.fields})
-        return inputs._replace(**{source: reading})
-
-    def _value(self, action: Edit, reading: Any, name: str) -> Any:
-        if action.change is None:
-            return getattr(getattr(self._first, self._fault.input), name)
-        value = getattr(reading, name)
-        return action.change(self._names if name == 'names' and value is None else value,
-                             self.choice)
+            ages = (action.sampled or action.ages)(self._random, n)
+            delivered: Any = getattr(self._history[-1 - ages[-1]], source) if ages else None
+            return inputs._replace(**{source: delivered})
+        if isinstance(action, Edit):
+            reading, first = getattr(inputs, source), getattr(self._first, source)
+            values = action.values(
+                reading._asdict() | self._names, first._asdict() | self._names, self.choice)
+            return inputs._replace(**{source: reading._replace(**values)})
+        return inputs
 
     def _shifted(self, inputs: TickInputs, clock: ClockShift) -> TickInputs:
         begin = self._first.time
@@ -108,7 +100,7 @@ def run_fault(loop: ClosedLoop, fault: Fault, seed: int, phase: str) -> FaultRow
     for n in range(RUN_TICKS):
         if n == length and plant is not None and plant.end is not None:
             plant.end(loop.plant, corruptor.choice)
-        loop.advance(corruptor.corruption(n) if n < length else None)
+        loop.advance(corruptor.corrupt if n < length else None)
         torques.append(loop.command.copy())
         forces.append(float(loop.true_forces.max()))
         reactions.append(loop.status.reaction)

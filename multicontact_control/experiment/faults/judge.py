@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
-from typing import Any
+from dataclasses import dataclass, field
 
 from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.experiment.faults.vocabulary import CONTROLLER, Fault, INF
@@ -64,10 +63,6 @@ class FaultRow:
     phase: str
     problems: str = ''
     where: str = 'process'
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the row as plain values."""
-        return asdict(self)
 
 
 @dataclass

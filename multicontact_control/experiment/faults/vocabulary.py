@@ -7,7 +7,7 @@ Actions work on numbers, names and times; `in_process` applies them to the readi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 import math
 from typing import Any, TYPE_CHECKING
@@ -77,6 +77,13 @@ class Edit:
 
     fields: tuple[str, ...]
     change: Change | None
+
+    def values(
+        self, now: Mapping[str, Any], first: Mapping[str, Any], choice: Vector,
+    ) -> dict[str, Any]:
+        """Return what the fields become, from a reading and the first one during the fault."""
+        return {name: first[name] if self.change is None else self.change(now[name], choice)
+                for name in self.fields}
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,15 @@ import math
 import os
 import signal
 import threading
+from types import SimpleNamespace
 
 from multicontact_control.experiment.faults import graph_session, vocabulary
-from multicontact_control.experiment.faults.graph_relay import Distortion, INPUTS, stream_faults
+from multicontact_control.experiment.faults.graph_relay import (
+    Distortion,
+    INPUTS,
+    read_field,
+    stream_faults,
+)
 from multicontact_control.experiment.faults.graph_watch import (
     busy_share,
     GraphWatch,
@@ -19,13 +25,16 @@ from multicontact_control.experiment.faults.graph_watch import (
     Window,
 )
 from multicontact_control.experiment.faults.in_graph import graph_tasks, GraphCampaign
+from multicontact_control.experiment.faults.in_process import Corruptor
 from multicontact_control.experiment.faults.judge import judge
 from multicontact_control.experiment.faults.vocabulary import (
     Delivery,
+    Edit,
     faults_of,
     general_kind,
     GRAPH,
     NodeChange,
+    PROCESS,
     quick_faults,
 )
 from multicontact_control.experiment.graph.lifecycle import GOALS
@@ -39,6 +48,12 @@ from multicontact_control.experiment.graph.spec import (
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.guest import GuestNode
+from multicontact_control.supervision.inputs import (
+    JointInput,
+    TickInputs,
+    VarianceInput,
+    WrenchInput,
+)
 import numpy as np
 import pytest
 from rclpy.serialization import deserialize_message, serialize_message
@@ -133,6 +148,33 @@ def test_graph_faults_of_values_leave_the_stamps_and_those_of_stamps_the_values(
     assert [x.position for x in flat(out)] == [x.position for x in sent]
 
 
+@pytest.mark.parametrize('fault', [
+    fault for fault in FAULTS.values()
+    if PROCESS in fault.where and isinstance(fault.action, Edit)],
+    ids=lambda fault: f'{fault.input}-{fault.kind}')
+def test_graph_faults_of_values_are_those_in_process(fault):
+    """The same change, of a message on its way and of a reading of a tick."""
+    def reading(k):
+        message = message_of(fault.input, k)
+        if fault.input == 'wrench':
+            return WrenchInput(0.0, np.arange(1.0, 7.0) + k)
+        if fault.input == 'variance':
+            return VarianceInput(0.0, np.array(message.effort))
+        return JointInput(0.0, np.array(message.position), np.array(message.velocity))
+
+    def tick(k):
+        return TickInputs(0.0)._replace(**{fault.input: reading(k)})
+    loop = SimpleNamespace(
+        inputs=lambda: tick(40), history=[],
+        setup=SimpleNamespace(controller=SimpleNamespace(
+            robot=SimpleNamespace(joint_names=JOINTS))))
+    corruptor = Corruptor(fault, np.random.default_rng(3), loop)
+    for k, (message,) in enumerate(passed_on(fault.input, fault.kind, 5)[1], 40):
+        found = getattr(corruptor.corrupt(tick(k)), fault.input)
+        for name in fault.action.fields:
+            np.testing.assert_array_equal(getattr(found, name), read_field(message, name))
+
+
 def test_graph_faults_have_every_kind_in_short_and_each_once_per_seed():
     assert len(FAULTS) == sum(GRAPH in fault.where for fault in vocabulary.FAULTS) >= 80
     quick = quick_faults(GRAPH, 0)
@@ -161,11 +203,11 @@ def judged(watch, fault=('stuck', 'variance'), *, change=None, problems=(), reco
     """Return the row of two good seconds, changed."""
     said = {topic: [] for topic in watch.said}
     for k in range(1000):
-        time, stamp = 100.0 + 0.002 * k, 2_000_000 * k
+        time = 100.0 + 0.002 * k
         said[topics.EFFORT_COMMAND].append(
-            ReceivedMessage(time, stamp, {name: 1.0 + 1e-3 * k for name in JOINTS}))
-        said[topics.TRUE_FORCES].append(ReceivedMessage(time, stamp, dict(WANTED)))
-        said[topics.DESIRED_FORCES].append(ReceivedMessage(time, stamp, dict(WANTED)))
+            ReceivedMessage(time, {name: 1.0 + 1e-3 * k for name in JOINTS}))
+        said[topics.TRUE_FORCES].append(ReceivedMessage(time, dict(WANTED)))
+        said[topics.DESIRED_FORCES].append(ReceivedMessage(time, dict(WANTED)))
     reports = []
     if change is not None:
         change(said, reports)
@@ -221,8 +263,7 @@ def test_graph_faults_judge_allows_what_is_declared(watch):
 
     def greeted(said, reports):  # the successor, until it had all its inputs
         silent(said, reports)
-        reports.append(Report(101.5, CONTROLLER, {'supervisor': (1, '', {
-            'ticks with float': '30'})}))
+        reports.append(Report(101.5, CONTROLLER, {'ticks with float': '30'}))
     assert judged(watch, ('killed', CONTROLLER), change=greeted).reaction == 'silent'
     short = judged(watch, change=put(topics.TRUE_FORCES, 80.0, slice(500, 520)))
     assert (short.safe, short.time_to_safe_s) == (True, 1.038)
@@ -249,14 +290,14 @@ def test_graph_faults_judge_takes_the_reaction_from_diagnostics_if_they_tell(wat
         for at, counts in ((99.5, {'damp': 9}), (100.5, {'damp': 9, 'hold': 3}),
                            (101.2, {'damp': 9, 'hold': 3, 'inflate': 2}),
                            (102.2, {'damp': 10, 'hold': 3, 'inflate': 2})):
-            reports.append(Report(at, CONTROLLER, {'supervisor': (1, '', {
-                f'ticks with {name}': str(n) for name, n in counts.items()})}))
+            reports.append(Report(at, CONTROLLER, {
+                f'ticks with {name}': str(n) for name, n in counts.items()}))
     assert judged(watch, change=told).reaction == 'hold'
 
 
 def test_graph_faults_know_a_machine_that_is_too_busy():
     def told(node, latency):
-        return Report(1.0, node, {'loop': (0, '', {'latency_us_p50': latency})})
+        return Report(1.0, node, {'latency_us_p50': latency})
     assert busy_share([], 0.002) == 0.0
     reports = [told(SIM, '999'), told(SIM, '1001'), told(SIM, 'none'), told(CONTROLLER, '5000'),
                told(SIM, '300'), told(SIM, '200')]

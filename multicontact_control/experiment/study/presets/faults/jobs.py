@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from multiprocessing.connection import Connection, Pipe
 import os
@@ -87,7 +87,7 @@ def run_fault_job(job: FaultJob) -> JobResult:
     start = time.perf_counter()
     known = faults_of(PROCESS)
     world = _world_at(job)
-    rows = [in_fork(world, known[kind, source], seed, job.phase).as_json()
+    rows = [asdict(in_fork(world, known[kind, source], seed, job.phase))
             for kind, source, seed in job.faults]
     return JobResult({'rows': rows}, {}, time.perf_counter() - start)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -106,7 +106,7 @@ class FaultStudy(Study[FaultJob, list[FaultRow]]):
 
     def tables(self, content: list[FaultRow], run: JobRun[FaultJob]) -> Mapping[str, Any]:
         """Return ``faults.json``."""
-        return {f'{self.name}.json': {'faults': [row.as_json() for row in content]}}
+        return {f'{self.name}.json': {'faults': [asdict(row) for row in content]}}
 
     def page(self, content: list[FaultRow], folder: Path) -> Page:
         """Return a line for each kind, and every fault that was not safe."""
