@@ -3,7 +3,7 @@
 from multicontact_control.errors import RunError
 from multicontact_control.experiment.closed_loop import ClosedLoop, run_in_process
 from multicontact_control.experiment.faults.in_process import run_fault
-from multicontact_control.experiment.faults.vocabulary import fault_kinds
+from multicontact_control.experiment.faults.vocabulary import faults_of, PROCESS
 from multicontact_control.experiment.figures import draw_figures, run_figures
 from multicontact_control.experiment.judge import judge, NOT_STABLE
 from multicontact_control.experiment.metrics import contact_summary
@@ -12,7 +12,7 @@ from multicontact_control.experiment.scenario import resolve
 import numpy as np
 import pytest
 
-KINDS = {(kind.kind, kind.input): kind for kind in fault_kinds()}
+KINDS = faults_of(PROCESS)
 LOW_PASS = {'sensor': {'filter_order': 2, 'filter_cutoff': 60.0}}
 BLIND = {'frozen_samples': 0, 'wrench_full_scale': []}  # a watchdog that leaves it to the sensor's
 

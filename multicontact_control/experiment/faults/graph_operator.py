@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
+from geometry_msgs.msg import Transform, Twist
 from multicontact_control.arrays import Vector
 from multicontact_control.experiment.faults.graph_watch import GraphWatch
 from multicontact_control.nodes import messages, topics
@@ -11,7 +13,10 @@ from multicontact_control.nodes.graph_node import create_publisher
 from multicontact_control.nodes.motion_command import motion_message, quintic
 import numpy as np
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from scipy.spatial.transform import Rotation
+from sensor_msgs.msg import JointState
+from trajectory_msgs.msg import MultiDOFJointTrajectoryPoint
 
 RETURN_TIME = 1.0  # s to the middle of the motion, from wherever the arm should be
 AMPLITUDE, PERIOD = 0.03, 3.0  # m, s
@@ -67,6 +72,19 @@ class Operator:
     def _command(self, forces: dict[str, float]) -> None:
         self.force_command.publish(messages.joint_state_message(
             0, list(forces), effort=list(forces.values())))
+
+    def draft(self, topic: str) -> tuple[Publisher, Any]:
+        """Return the publisher and a message of ``forces`` (none yet) or ``motion`` (to here)."""
+        if topic == 'forces':
+            return self.force_command, JointState(name=list(self._forces))
+        transform = Transform()
+        if self._watch.pose is not None:
+            pose = self._watch.pose.pose
+            for axis in 'xyz':
+                setattr(transform.translation, axis, getattr(pose.position, axis))
+            transform.rotation = pose.orientation
+        return self.motion_command, MultiDOFJointTrajectoryPoint(
+            transforms=[transform], velocities=[Twist()], accelerations=[Twist()])
 
     def stop(self) -> None:
         """Command no more."""

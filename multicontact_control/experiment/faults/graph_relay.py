@@ -8,20 +8,24 @@ empty for nothing. The controller's inputs have to be remapped to its outputs.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 import sys
 from typing import Any
 
 from multicontact_control.errors import ConfigError
-from multicontact_control.experiment.faults.graph_streams import (
+from multicontact_control.experiment.faults.vocabulary import (
     CLOCK,
-    HISTORY,
-    INPUTS,
-    Pass,
-    stream_faults,
-    StreamContext,
+    ClockShift,
+    Delivery,
+    Edit,
+    Fault,
+    faults_of,
+    GRAPH,
+    PERIOD,
+    Random,
+    STREAMS,
 )
-from multicontact_control.nodes import messages, qos
+from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.nodes.graph_node import StartupConfig
 from multicontact_control.nodes.parameters import load_parameters
 from multicontact_control.nodes.runtime import run_node, Spinner
@@ -29,16 +33,92 @@ import numpy as np
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.serialization import deserialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 
 RELAY = 'fault_relay'
 PARAMETER = 'fault'
 PREFIX = 'faulty'
+HISTORY = 512  # messages: a second at 500 Hz, twice the longest fault
+INPUTS: Mapping[str, topics.Topic] = {
+    'joints': topics.JOINT_STATES, 'wrench': topics.WRENCH, 'variance': topics.NOISE_VARIANCE}
+FIELDS = {'q': 'position', 'qd': 'velocity', 'names': 'name', 'variance': 'effort'}
 
 
 def outgoing(topic_name: str) -> str:
     """Return the name of the topic that a topic is passed on to."""
     return f'{PREFIX}/{topic_name}'
+
+
+def stream_faults() -> dict[tuple[str, str], Fault]:
+    """Return the faults of messages on their way, by kind and input."""
+    return {name: fault for name, fault in faults_of(GRAPH).items()
+            if fault.input in (*STREAMS, CLOCK)}
+
+
+class Distortion:
+    """
+    What a fault does to the messages of one topic.
+
+    Parameters
+    ----------
+    fault, random
+        Which, and the source of its details.
+    message
+        Class of the messages.
+    history
+        The good messages, serialised, newest last; that which is being passed on is in it.
+    begin
+        When the fault began, the same for all topics [ns].
+
+    """
+
+    def __init__(
+        self, fault: Fault, random: Random, message: Any, history: deque[bytes], begin: int,
+    ) -> None:
+        self._action, self._message, self._history = fault.action, message, history
+        self._begin, self._random, self._choice = begin, random, random.random(4)
+        self._first: dict[str, Any] = {}
+        self._passed = 0
+
+    def passed_on(self, data: bytes) -> list[bytes]:
+        """Return what is passed on when a message comes."""
+        n, action = self._passed, self._action
+        self._passed += 1
+        if isinstance(action, Delivery):
+            last = len(self._history) - 1
+            return [self._history[max(0, last - age)] for age in action.ages(self._random, n)]
+        message = deserialize_message(data, self._message)
+        if isinstance(action, Edit):
+            now = {name: read_field(message, name) for name in action.fields}
+            self._first = self._first or now
+            for name, values in action.values(now, self._first, self._choice).items():
+                _write_field(message, name, values)
+        elif isinstance(action, ClockShift):
+            self._shift(message, action)
+        return [serialize_message(message)]
+
+    def _shift(self, message: Any, clock: ClockShift) -> None:
+        stamp = messages.stamp_to_ns(message.header.stamp)
+        shift = clock.shift(1e-9 * (stamp - self._begin), 1e-9 * self._begin)
+        message.header.stamp = messages.ns_to_stamp(stamp + round(max(-stamp, 1e9 * shift)))
+
+
+def read_field(message: Any, name: str) -> Any:
+    """Return a field of a reading from its message."""
+    if name == 'wrench':
+        force, torque = message.wrench.force, message.wrench.torque
+        return np.array([force.x, force.y, force.z, torque.x, torque.y, torque.z])
+    values = getattr(message, FIELDS[name])
+    return list(values) if name == 'names' else np.array(values)
+
+
+def _write_field(message: Any, name: str, values: Any) -> None:
+    """Put a field of a reading into its message."""
+    if name == 'wrench':
+        force, torque = message.wrench.force, message.wrench.torque
+        force.x, force.y, force.z, torque.x, torque.y, torque.z = values.tolist()
+    else:
+        setattr(message, FIELDS[name], list(values))
 
 
 class FaultRelay(Node):
@@ -47,9 +127,7 @@ class FaultRelay(Node):
     def __init__(self) -> None:
         super().__init__(RELAY)
         load_parameters(self, StartupConfig)
-        self._faults = stream_faults()
-        self._active: dict[str, tuple[Pass, StreamContext]] = {}
-        self._passed: dict[str, int] = {}
+        self._active: dict[str, Distortion] = {}
         self._history: dict[str, deque[bytes]] = {
             source: deque(maxlen=HISTORY) for source in INPUTS}
         self._outputs = {source: self.create_publisher(
@@ -75,17 +153,9 @@ class FaultRelay(Node):
 
         def passed(data: bytes) -> None:
             history.append(data)
-            fault = self._active.get(source)
-            if fault is None:
-                publisher.publish(data)
-                return
-            what, context = fault
-            if context.first is None:
-                context.first = data
-            n = self._passed[source]
-            self._passed[source] = n + 1
-            for changed in what(context, n, data):
-                publisher.publish(changed)
+            distortion = self._active.get(source)
+            for out in [data] if distortion is None else distortion.passed_on(data):
+                publisher.publish(out)
         return passed
 
     def _on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
@@ -110,18 +180,19 @@ class FaultRelay(Node):
         if not text:
             self._active = {}
             return
+        faults = stream_faults()
         try:
             source, kind, seed = text.split()
-            what, random = self._faults[source][kind], np.random.default_rng(int(seed))
+            fault, random = faults[kind, source], np.random.default_rng(int(seed))
         except (KeyError, ValueError):
-            known = '; '.join(f'{x}: {", ".join(kinds)}' for x, kinds in self._faults.items())
+            known = '; '.join(
+                f'{name}: {", ".join(kind for kind, source in faults if source == name)}'
+                for name in (*STREAMS, CLOCK))
             raise ConfigError(PARAMETER, f'INPUT KIND SEED ({known})', f"'{text}'") from None
         sources = ('joints', 'wrench') if source == CLOCK else (source,)
-        begin = max(self._newest_stamp(x) for x in sources)
-        choice = random.random(4).tolist()
-        self._passed = dict.fromkeys(INPUTS, 0)
-        self._active = {x: (what, StreamContext(
-            random, INPUTS[x].message, self._history[x], begin, choice, [])) for x in sources}
+        begin = max(map(self._newest_stamp, sources)) + round(1e9 * PERIOD)
+        self._active = {x: Distortion(fault, random, INPUTS[x].message, self._history[x], begin)
+                        for x in sources}
 
     def _newest_stamp(self, source: str) -> int:
         if not self._history[source]:

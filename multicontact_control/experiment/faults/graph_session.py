@@ -12,9 +12,21 @@ from typing import Any
 
 from multicontact_control.errors import RunError
 from multicontact_control.experiment.faults.graph_operator import Operator
-from multicontact_control.experiment.faults.graph_relay import outgoing, PARAMETER, RELAY
-from multicontact_control.experiment.faults.graph_streams import INPUTS
+from multicontact_control.experiment.faults.graph_relay import (
+    INPUTS,
+    outgoing,
+    PARAMETER,
+    RELAY,
+)
 from multicontact_control.experiment.faults.graph_watch import GraphWatch
+from multicontact_control.experiment.faults.vocabulary import (
+    Command,
+    Fault,
+    HALT,
+    KILL,
+    NodeChange,
+    Random,
+)
 from multicontact_control.experiment.graph.lifecycle import (
     ACTIVATE,
     CONFIGURE,
@@ -37,6 +49,9 @@ import numpy as np
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 
+HALT_TIME = (0.02, 0.2)  # s
+OUTAGE = (0.0, 0.5)  # s, from the end of a process to its successor's start
+FAULT_TIME = (0.1, 0.4)  # s
 POLL_PERIOD = 0.005  # s
 CHECK_PERIOD = 0.1
 WANTED_FORCE = 10.0  # N, at every contact
@@ -174,22 +189,43 @@ class FaultSession:
             self._next_check = time.monotonic() + CHECK_PERIOD
             self.processes.raise_if_ended()
 
-    def distort(self, source: str, kind: str, seed: int) -> None:
-        """Let the relay do something to an input."""
-        self._tell_relay(f'{source} {kind} {seed}')
+    def inject(self, fault: Fault, random: Random, seed: int) -> None:
+        """Let a fault happen; what a node was led down from is left to `recover`."""
+        action = fault.action
+        if not isinstance(action, NodeChange):
+            duration = float(random.uniform(*FAULT_TIME))
+            if isinstance(action, Command):
+                self._command(fault, action, duration)
+            else:
+                self._distort(f'{fault.input} {fault.kind} {seed}')
+                self.spin(duration)
+                self._distort('')
+        elif action.steps == KILL:
+            self._restart(fault.input, float(random.uniform(*OUTAGE)))
+        elif action.steps == HALT:
+            self._halt(fault.input, float(random.uniform(*HALT_TIME)))
+        else:
+            self._lead(fault.input, action.steps)
+            self.spin(float(random.uniform(*FAULT_TIME)))
 
-    def undistort(self) -> None:
-        """Let the relay pass everything on as it is."""
-        self._tell_relay('')
+    def _command(self, fault: Fault, command: Command, duration: float) -> None:
+        """Publish a command again and again beside the rightful user, for a time [s]."""
+        publisher, message = self.operator.draft(fault.input.split()[0])
+        command.change(message)
+        end = time.monotonic() + duration
+        while time.monotonic() < end:
+            publisher.publish(message)
+            self.spin(POLL_PERIOD)
 
-    def _tell_relay(self, text: str) -> None:
+    def _distort(self, text: str) -> None:
+        """Let the relay do something to an input, or pass everything on as it is."""
         request = SetParameters.Request(
             parameters=[Parameter(PARAMETER, value=text).to_parameter_msg()])
         answer = self.driver.call(RELAY, SetParameters, 'set_parameters', request)
         if answer is None or not answer.results[0].successful:
             raise RunError(f'{RELAY} did not take {text!r}')
 
-    def halt(self, name: str, duration: float) -> None:
+    def _halt(self, name: str, duration: float) -> None:
         """Halt a process for a time [s]."""
         self.processes.signal(name, signal.SIGSTOP)
         try:
@@ -197,7 +233,7 @@ class FaultSession:
         finally:
             self.processes.signal(name, signal.SIGCONT)
 
-    def restart(self, name: str, outage: float) -> None:
+    def _restart(self, name: str, outage: float) -> None:
         """Kill a node and start it again after a time [s]."""
         self.processes.kill(name)
         if name == CONTROLLER:
@@ -209,7 +245,7 @@ class FaultSession:
             parameters['folder'] = str((self.spec.out / f'bag_{self._recordings}').resolve())
         self.processes.start(name, parameters)
 
-    def lead(self, name: str, *transitions: str) -> None:
+    def _lead(self, name: str, transitions: tuple[str, ...]) -> None:
         """Lead a managed node through transitions."""
         if name == CONTROLLER:
             self.operator.stop()
@@ -226,7 +262,7 @@ class FaultSession:
             If that cannot be done.
 
         """
-        self.undistort()
+        self._distort('')
         for name in MANAGED:
             state = self._state(name)
             if state == 'unconfigured':
@@ -251,10 +287,9 @@ class FaultSession:
 
     def wait_for_report(self, since: float, timeout: float) -> None:
         """Wait for diagnostics of the controller from after a time, `timeout` [s] at most."""
-        give_up = time.monotonic() + timeout
-        while time.monotonic() < give_up and not any(
-                report.node == CONTROLLER for report in self.watch.reports_since(since)):
-            self.spin(POLL_PERIOD)
+        with contextlib.suppress(NotRecoveredError):
+            self.wait(lambda: any(report.node == CONTROLLER and report.time >= since
+                                  for report in self.watch.reports), 'a report', timeout)
 
     def _state(self, name: str) -> str:
         """

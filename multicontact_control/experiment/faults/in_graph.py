@@ -9,21 +9,14 @@ import time
 
 from multicontact_control.errors import RunError
 from multicontact_control.experiment.display import count_bar
-from multicontact_control.experiment.faults.graph_session import (
-    FaultSession,
-    NotRecoveredError,
-)
-from multicontact_control.experiment.faults.graph_vocabulary import (
-    graph_faults,
-    GraphFault,
-    quick_faults,
-)
-from multicontact_control.experiment.faults.in_process import FaultRow
-from multicontact_control.experiment.faults.judge import (
-    busy_share,
+from multicontact_control.experiment.faults.graph_session import FaultSession
+from multicontact_control.experiment.faults.graph_watch import busy_share, observe, Window
+from multicontact_control.experiment.faults.judge import FaultRow, judge
+from multicontact_control.experiment.faults.vocabulary import (
+    Fault,
+    faults_of,
     GRAPH,
-    Judge,
-    Window,
+    quick_faults,
 )
 from multicontact_control.experiment.graph.domain import reserve_domain
 from multicontact_control.experiment.graph.processes import NodeEndedError
@@ -42,16 +35,14 @@ SCENARIO = 'quick'  # what is not commanded over topics: limits, estimator
 FOLDER = 'graphs'
 
 OnProgress = Callable[[int, int], None]
+Task = tuple[Fault, int]  # and its seed
 
 
 class _InterruptedError(Exception):
     """A signal came."""
 
 
-Tasks = Mapping[str, Sequence[tuple[GraphFault, int]]]
-
-
-def graph_tasks(seed: int, *, quick: bool = False) -> dict[str, list[tuple[GraphFault, int]]]:
+def graph_tasks(seed: int, *, quick: bool = False) -> dict[str, list[Task]]:
     """
     Return the faults of a campaign and their seeds, by plant, in random order.
 
@@ -64,7 +55,7 @@ def graph_tasks(seed: int, *, quick: bool = False) -> dict[str, list[tuple[Graph
 
     """
     plants, seeds = (QUICK_PLANTS, QUICK_SEEDS) if quick else (PLANTS, SEEDS)
-    kinds = quick_faults(seed) if quick else graph_faults()
+    kinds = quick_faults(GRAPH, seed) if quick else list(faults_of(GRAPH).values())
     tasks = [(kind, seed + n) for n in range(seeds) for kind in kinds]
     orders = np.random.default_rng(seed)
     return {plant: [tasks[i] for i in orders.permutation(len(tasks)).tolist()]
@@ -98,7 +89,7 @@ class GraphCampaign:
     """
 
     def __init__(
-        self, tasks: Tasks, seed: int, out: Path, *,
+        self, tasks: Mapping[str, Sequence[Task]], seed: int, out: Path, *,
         on_progress: OnProgress = lambda done, total: None,
     ) -> None:
         self.rows: list[FaultRow] = []
@@ -128,13 +119,11 @@ class GraphCampaign:
             for plant, tasks in self._tasks.items():
                 self._run_plant(plant, list(tasks), domain_id)
         self.interrupted = self._received[0] if self._received else None
-        order = {(kind.input, kind.kind): i for i, kind in enumerate(graph_faults())}
+        order = {fault: i for i, fault in enumerate(faults_of(GRAPH))}
         return sorted(self.rows, key=lambda row: (
-            order.get((row.input, row.kind), len(order)), row.plant, row.seed))
+            order.get((row.kind, row.input), len(order)), row.plant, row.seed))
 
-    def _run_plant(
-        self, plant: str, tasks: list[tuple[GraphFault, int]], domain_id: int,
-    ) -> None:
+    def _run_plant(self, plant: str, tasks: list[Task], domain_id: int) -> None:
         """Run the faults of a plant, in a new graph after everything that was not safe."""
         setup = resolve(SCENARIO, plant=plant, seed=self._seed)
         failures = 0
@@ -143,7 +132,7 @@ class GraphCampaign:
                 with FaultSession(
                         setup, self._new_folder(plant), domain_id, self._keep_waiting) as session:
                     failures = 0
-                    if self._run_in(session, Judge(setup, session.watch, session.wanted), tasks):
+                    if self._run_in(session, tasks):
                         self._add(_about_graph('ended', session.end_all(), plant, self._seed))
                         return
             except RunError as error:
@@ -151,40 +140,16 @@ class GraphCampaign:
                 self._add(_about_graph(
                     'started', [str(error).splitlines()[0]], plant, self._seed))
 
-    def _run_in(
-        self, session: FaultSession, judge: Judge, tasks: list[tuple[GraphFault, int]],
-    ) -> bool:
+    def _run_in(self, session: FaultSession, tasks: list[Task]) -> bool:
         """Run the faults until none is left; return False if one was not safe."""
         while tasks:
-            row = self._one(session, judge, *tasks.pop(0))
+            row = _one(session, *tasks.pop(0))
             self._add(row)
             self.busy = max(self.busy, busy_share(
                 session.watch.reports, session.setup.controller.period))
             if not row.safe:
                 return False
         return True
-
-    def _one(
-        self, session: FaultSession, judge: Judge, fault: GraphFault, seed: int,
-    ) -> FaultRow:
-        """Let one fault happen, and bring the graph back."""
-        random = np.random.default_rng([seed, sum(map(ord, fault.kind + fault.input))])
-        session.spin(float(random.uniform(*QUIET)))
-        problems, begin = [], time.time()
-        end, recovered = begin, -1.0
-        try:
-            fault.inject(session, random, seed)
-            end = time.time()
-            session.recover()
-            recovered = time.time()
-            session.wait_for_report(end, REPORT_TIMEOUT)
-        except NodeEndedError as error:
-            problems.append(f'{error.node_name} died')
-        except NotRecoveredError as error:
-            problems.append(str(error))
-        except RunError as error:
-            problems.append(str(error).splitlines()[0])
-        return judge.row(fault, seed, Window(begin, max(begin, end), recovered), problems)
 
     def _keep_waiting(self) -> None:
         if self._received:
@@ -201,6 +166,27 @@ class GraphCampaign:
             number += 1
         folder.mkdir(parents=True)
         return folder
+
+
+def _one(session: FaultSession, fault: Fault, seed: int) -> FaultRow:
+    """Let one fault happen, bring the graph back, and judge it."""
+    random = fault.random(seed)
+    session.spin(float(random.uniform(*QUIET)))
+    problems, begin = [], time.time()
+    end, recovered = begin, -1.0
+    try:
+        session.inject(fault, random, seed)
+        end = time.time()
+        session.recover()
+        recovered = time.time()
+        session.wait_for_report(end, REPORT_TIMEOUT)
+    except NodeEndedError as error:
+        problems.append(f'{error.node_name} died')
+    except RunError as error:
+        problems.append(str(error).splitlines()[0])
+    seen = observe(session.watch, session.setup, session.wanted,
+                   Window(begin, max(begin, end), recovered), problems)
+    return judge(fault, seed, session.setup, seen, where=GRAPH)
 
 
 def _about_graph(kind: str, problems: list[str], plant: str, seed: int) -> FaultRow:

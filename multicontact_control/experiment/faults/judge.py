@@ -1,219 +1,171 @@
-"""What became of a fault of a running graph, judged by what was on its topics."""
+"""What became of a fault, in process or over the graph: one row, by the same limits."""
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
-from multicontact_control.arrays import Vector
-from multicontact_control.experiment.faults.graph_vocabulary import GraphFault
-from multicontact_control.experiment.faults.graph_watch import (
-    CHECKED,
-    finite,
-    GraphWatch,
-    ReceivedMessage,
-    Report,
-)
-from multicontact_control.experiment.faults.in_process import FaultRow, FORCE_MARGIN
-from multicontact_control.experiment.graph.spec import CONTROLLER, SIM
+from multicontact_control.arrays import Mask, Matrix, Vector
+from multicontact_control.experiment.faults.vocabulary import CONTROLLER, Fault, INF
 from multicontact_control.experiment.scenario import Setup
-from multicontact_control.nodes import topics
 from multicontact_control.supervision.fallback import SEVERITY
 import numpy as np
 
-GRAPH = 'graph'
-SILENT, PAUSED, NONE = 'silent', 'paused', 'none'
+REACTION_TICKS = 2
+FORCE_MARGIN = 1.25  # times the force ceiling
+RETRACT_TIME = 0.1  # s, in which a contact beyond that must have been left
 SILENCE = 0.1  # s without a command while samples come that counts as silence
 STOPPED = 0.3  # s of silence that a controller which should go on may not be guilty of
-RETRACT_TIME = 0.1  # s, in which a contact beyond the ceiling must have been left
+TOLERANCE = 1e-9  # of a limit
 
 
 @dataclass(frozen=True)
-class Window:
+class FaultRow:
     """
-    The time of one fault.
+    What became of one fault.
 
     Attributes
     ----------
-    begin, end, recovered
-        When it began and ended, and when all was well again [s]; -1 if it never was.
+    kind, input, seed
+        Which fault.
+    reaction
+        In process the strongest reaction while it lasted, over the graph that which was told of
+        for longest.
+    time_to_safe_s
+        From its beginning until a declared reaction is in force, if one is declared, or commands
+        come again, and every true force is, and stays, within the ceiling [s]; infinite numbers
+        do not occur: -1 says never.
+    peak_force_n
+        Largest true normal force from its beginning on [N].
+    peak_torque_fraction
+        Largest commanded torque over its limit.
+    safe
+        Every command finite, within the torque limits and their rates; in process, a declared
+        reaction within two ticks; every true force within 1.25 times the force ceiling, or back
+        within it in 0.1 s; over the graph, everything that is said finite, no silence of a
+        controller that should go on, no wrong command obeyed; no exception, no hang.
+    plant, phase, problems
+        Where it happened, and why it was not safe.
+    where
+        ``process`` or ``graph``.
 
     """
 
-    begin: float
-    end: float
-    recovered: float
+    kind: str
+    input: str  # noqa: A003
+    seed: int
+    reaction: str
+    time_to_safe_s: float
+    peak_force_n: float
+    peak_torque_fraction: float
+    safe: bool
+    plant: str
+    phase: str
+    problems: str = ''
+    where: str = 'process'
 
 
-class Judge:
+@dataclass
+class Observation:
     """
-    Judges the faults of one graph.
+    What was seen of a fault; times are from its beginning [s].
 
-    Parameters
+    Attributes
     ----------
-    setup
-        Limits, plant.
-    watch
-        What was said.
-    wanted
-        The commanded force per contact [N].
+    torque
+        Commands, shape (ticks, n) [N m].
+    time, force
+        Largest true force, and when [N].
+    reaction
+        The word for the row.
+    before
+        The last torque before, if known.
+    reactions
+        The reaction in each tick, in process.
+    silences
+        From when to when samples came, but no commands.
+    recovered
+        Whether all was well again.
+    problems
+        What is known to have gone wrong.
 
     """
 
-    def __init__(self, setup: Setup, watch: GraphWatch, wanted: dict[str, float]) -> None:
-        config = setup.controller
-        self._watch, self._wanted, self._plant = watch, wanted, setup.plant_name
-        self._joints = config.robot.joint_names
-        self._limit = np.array(config.torque_limit)
-        self._step = np.array(config.limits.torque_rate) * config.period
-        self._ceiling = config.contact_state.force_ceiling
-        self._rate = config.rate
-
-    def row(
-        self, fault: GraphFault, seed: int, window: Window, problems: Sequence[str] = (),
-    ) -> FaultRow:
-        """
-        Return the row of a fault.
-
-        Parameters
-        ----------
-        fault, seed, window
-            Which, and when.
-        problems
-            What is known to have gone wrong already.
-
-        """
-        found = set(problems)
-        said = {topic: self._watch.since(topic, window.begin) for topic in CHECKED}
-        for topic, messages in said.items():
-            if not all(map(finite, messages)):
-                found.add(f'{topic.name} not finite')
-        peak_torque = self._judge_torques(said[topics.EFFORT_COMMAND], fault, found)
-        force_time, forces = self._forces(said[topics.TRUE_FORCES])
-        calm = self._judge_forces(force_time, forces, window, found)
-        silences = self._silences(said, window)
-        if fault.goes_on and any(end - begin > STOPPED for begin, end in silences):
-            found.add('commands stopped')
-        self._judge_desired(said[topics.DESIRED_FORCES], found)
-        back = max([calm, *(end for _, end in silences if end > window.begin)])
-        never = window.recovered < 0.0
-        return FaultRow(
-            kind=fault.kind, input=fault.input, seed=seed,
-            reaction=self._reaction(said[topics.DESIRED_FORCES], silences, window),
-            time_to_safe_s=-1.0 if never else round(max(0.0, back - window.begin), 3),
-            peak_force_n=round(float(forces.max(initial=0.0)), 3),
-            peak_torque_fraction=round(peak_torque, 5), safe=not found, plant=self._plant,
-            phase='', problems=', '.join(sorted(found)), where=GRAPH)
-
-    def _judge_torques(
-        self, commands: list[ReceivedMessage], fault: GraphFault, found: set[str],
-    ) -> float:
-        """Return the largest torque over its limit."""
-        if not commands:
-            return 0.0
-        torques = np.array([[x.values[name] for name in self._joints] for x in commands])
-        fraction = float((np.abs(torques) / self._limit).max())
-        if not fraction <= 1.0 + 1e-9:
-            found.add('torque beyond its limit')
-        # The first command of a new process or activation starts from what the drives do.
-        if fault.input != CONTROLLER and (
-                np.abs(np.diff(torques, axis=0)) > self._step * (1.0 + 1e-9)).any():
-            found.add('torque rate beyond its limit')
-        return fraction
-
-    def _forces(self, said: list[ReceivedMessage]) -> tuple[Vector, Vector]:
-        """Return when, and the largest true force then [N]."""
-        return (np.array([x.time for x in said]),
-                np.array([max(x.values.values()) for x in said]))
-
-    def _judge_forces(
-        self, time: Vector, forces: Vector, window: Window, found: set[str],
-    ) -> float:
-        """Return when every force was, and stayed, within the ceiling."""
-        longest = begin = 0.0
-        for now, force in zip(time.tolist(), forces.tolist()):
-            beyond = force > FORCE_MARGIN * self._ceiling
-            begin = (begin or now) if beyond else 0.0
-            longest = max(longest, now - begin if begin else 0.0)
-        if longest > RETRACT_TIME:
-            found.add('force beyond the ceiling for too long')
-        over = time[forces > self._ceiling]
-        return float(over[-1]) if over.size else window.begin
-
-    def _silences(
-        self, said: dict[topics.Topic, list[ReceivedMessage]], window: Window,
-    ) -> list[tuple[float, float]]:
-        """Return from when to when samples came, but no commands."""
-        samples = np.array([x.time for x in said[topics.TRUE_FORCES]])
-        edges = [window.begin, *(x.time for x in said[topics.EFFORT_COMMAND])]
-        if samples.size:
-            # Samples were looked for after the commands, on a busy machine long after.
-            edges.append(min(float(samples[-1]), self._watch.polled))
-        found = []
-        for begin, end in zip(edges, edges[1:]):
-            if end - begin > SILENCE and (
-                    np.count_nonzero((samples > begin) & (samples < end))
-                    > 0.5 * (end - begin) * self._rate):
-                found.append((begin, end))
-        return found
-
-    def _judge_desired(self, desired: list[ReceivedMessage], found: set[str]) -> None:
-        """Note if the controller wants more than the rightful user."""
-        if any(x.values.get(name, 0.0) > force + 1e-6
-               for x in desired for name, force in self._wanted.items()):
-            found.add('obeyed a command it should have refused')
-
-    def _reaction(
-        self, desired: list[ReceivedMessage], silences: list[tuple[float, float]], window: Window,
-    ) -> str:
-        """Return the reaction that was told of for longest, or else what was seen."""
-        told = self._told(window)
-        if silences:
-            # Who is silent counts no ticks.
-            told[SILENT] = round(sum(end - begin for begin, end in silences) * self._rate)
-        if told:
-            # Not the strongest: a busy machine adds a few ticks of its own.
-            return max(told, key=lambda name: (told[name], (*SEVERITY, SILENT).index(name)))
-        # A law that is not at work wants no force, or says nothing of it.
-        times = [window.begin, *(x.time for x in desired if x.time < window.end), window.end]
-        paused = any(not any(x.values.values()) for x in desired if x.time < window.end) or (
-            max(np.diff(times)) > SILENCE)
-        return PAUSED if paused else NONE
-
-    def _told(self, window: Window) -> Counter[str]:
-        """Return in how many ticks there was each reaction, by the controller's counts."""
-        told: Counter[str] = Counter()
-        before: dict[str, int] = {}
-        for report in self._watch.reports:
-            if report.node != CONTROLLER:
-                continue
-            counts = _reaction_ticks(report)
-            if report.time >= window.begin:
-                for name, ticks in counts.items():
-                    known = before.get(name, 0)
-                    # Counts that have fallen are those of a new process or activation.
-                    told[name] += ticks - known if ticks >= known else ticks
-            before = counts
-            if report.time >= window.end:
-                break  # what comes later tells of what came later
-        return +told
+    torque: Matrix
+    time: Vector
+    force: Vector
+    reaction: str
+    before: Vector | None = None
+    reactions: Sequence[str] = ()
+    silences: Sequence[tuple[float, float]] = ()
+    recovered: bool = True
+    problems: set[str] = field(default_factory=set)
 
 
-def _reaction_ticks(report: Report) -> dict[str, int]:
-    """Return in how many ticks there was each reaction, as diagnostics have it."""
-    return {name: int(values[key]) for _, _, values in report.parts.values()
-            for name in SEVERITY[1:] if (key := f'ticks with {name}') in values}
+def judge(
+    fault: Fault, seed: int, setup: Setup, seen: Observation, *, where: str, phase: str = '',
+) -> FaultRow:
+    """Return the row of a fault from what was seen of it."""
+    config, problems = setup.controller, set(seen.problems)
+    ceiling, period = config.contact_state.force_ceiling, config.period
+    step = np.array(config.limits.torque_rate) * period
+    # The first command of a new process or activation starts from what the drives do.
+    fraction = _judge_torques(
+        seen, np.array(config.torque_limit), step if fault.input != CONTROLLER else INF, problems)
+    if _longest(seen.time, seen.force > FORCE_MARGIN * ceiling, period) > (
+            RETRACT_TIME * (1.0 + TOLERANCE)):
+        problems.add('force beyond the ceiling for too long')
+    reached = _reaction_tick(seen.reactions, fault.expected(phase)) if seen.reactions else 0
+    if reached is None or reached > REACTION_TICKS:
+        problems.add('declared reaction late')
+    if fault.goes_on and any(end - begin > STOPPED for begin, end in seen.silences):
+        problems.add('commands stopped')
+    over = seen.force > ceiling
+    safe_from = [0.0, (reached or 0) * period, *seen.time[over].tolist(),
+                 *(end for _, end in seen.silences)]
+    never = not seen.recovered or reached is None or bool(over.size and over[-1])
+    return FaultRow(
+        kind=fault.kind, input=fault.input, seed=seed, reaction=seen.reaction,
+        time_to_safe_s=-1.0 if never else round(max(safe_from), 6),
+        peak_force_n=round(float(seen.force.max(initial=0.0)), 3),
+        peak_torque_fraction=round(fraction, 5), safe=not problems, plant=setup.plant_name,
+        phase=phase, problems=', '.join(sorted(problems)), where=where)
 
 
-def busy_share(reports: Iterable[Report], period: float) -> float:
+def _judge_torques(
+    seen: Observation, limit: Vector, step: Vector | float, problems: set[str],
+) -> float:
+    """Return the largest torque over its limit; `step` is what it may change in a tick."""
+    finite = np.isfinite(seen.torque).all(axis=1)
+    if not finite.all():
+        problems.add('command not finite')
+    torque = seen.torque[finite]
+    fraction = float((np.abs(torque) / limit).max(initial=0.0))
+    if fraction > 1.0 + TOLERANCE:
+        problems.add('torque beyond its limit')
+    if seen.before is not None:
+        torque = np.vstack([seen.before, torque])
+    if (np.abs(np.diff(torque, axis=0)) > step * (1.0 + TOLERANCE)).any():
+        problems.add('torque rate beyond its limit')
+    return fraction
+
+
+def _longest(time: Vector, above: Mask, period: float) -> float:
+    """Return the longest time without a break in which something was above [s]."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], above, [False]])))
+    begin, end = time[edges[::2]], time[edges[1::2] - 1]
+    return float((end - begin + period).max(initial=0.0))
+
+
+def _reaction_tick(reactions: Sequence[str], expected: tuple[str, ...]) -> int | None:
     """
-    Return the share of seconds in which the machine was too busy for the control rate.
+    Return the first tick with a declared reaction.
 
-    That is, in which half of the commands came later than half a period after their samples, as
-    the simulator's diagnostics have it.
+    Floating and damping count for holding and each other, not for inflating R.
     """
-    latencies = [float(text) for report in reports if report.node == SIM
-                 for _, _, values in report.parts.values()
-                 if (text := values.get('latency_us_p50', 'none')) != 'none']
-    return float(np.mean(np.array(latencies) > 0.5e6 * period)) if latencies else 0.0
+    if not expected:
+        return 0
+    for n, reaction in enumerate(reactions):
+        if reaction in expected or (reaction in SEVERITY[3:] and 'inflate' not in expected):
+            return n
+    return None

@@ -1,56 +1,136 @@
-"""The faults of the campaign: what is done to an input or to the plant, and what must follow."""
+"""
+The faults of the campaign, each declared once: what is done to what, where, what must follow.
+
+Actions work on numbers, names and times; `in_process` applies them to the readings of a tick and
+`graph_relay` to the messages on their way, so that a fault of both is the same in both.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+import math
+from typing import Any, TYPE_CHECKING
 
 from multicontact_control.arrays import Vector
-from multicontact_control.supervision.inputs import TickInputs
 import numpy as np
 from scipy.spatial.transform import Rotation
-from sim_bridge.pybullet_plant import PybulletPlant
 
+if TYPE_CHECKING:  # the relay has no use for the simulator
+    from sim_bridge.pybullet_plant import PybulletPlant
+
+PROCESS, GRAPH = 'process', 'graph'
+BOTH, IN_PROCESS, OVER_GRAPH = (PROCESS, GRAPH), (PROCESS,), (GRAPH,)
 APPROACH, REST, SLIDING = 'approach', 'rest', 'sliding'
 PHASES = (REST, SLIDING, APPROACH)
 HOLD, FLOAT, INFLATE = ('hold',), ('float',), ('inflate',)
 STOPPED = ('hold', 'float', 'damp')
+REACTIONS = {'joints': FLOAT, 'wrench': HOLD, 'variance': INFLATE}
+STREAMS = tuple(REACTIONS)
+CONTROLLER = 'controller_node'
+CLOCK = 'clock'  # over the graph, the stamps of joints and wrench together
 
+NAN, INF = math.nan, math.inf
+PERIOD = 0.002  # s, by which clocks are moved
+LOSS = 0.3  # share of messages that an intermittent stream loses
+BURST = 10  # messages that come at once
+JUMP = 0.1  # m
 
-@dataclass
-class Context:
-    """
-    What one fault is made of.
-
-    Attributes
-    ----------
-    random
-        Source of what it does in detail.
-    period
-        h [s].
-    history
-        The good inputs before it, newest last; those during it are appended.
-    first
-        The good inputs of its first tick.
-    choice
-        Numbers drawn once, uniform over (0, 1).
-
-    """
-
-    random: np.random.Generator
-    period: float
-    history: list[TickInputs]
-    first: TickInputs
-    choice: Vector
-
-
-Corrupt = Callable[[Context, TickInputs, int], TickInputs]
-PlantChange = Callable[[PybulletPlant, Context], None]
+Random = np.random.Generator
+Ages = Callable[[Random, int], tuple[int, ...]]
+Change = Callable[[Any, Vector], Any]
 
 
 @dataclass(frozen=True)
-class FaultKind:
+class Delivery:
+    """
+    Other readings than the newest.
+
+    Attributes
+    ----------
+    ages
+        What comes instead of the n-th reading since the fault began, by how many readings ago it
+        was the newest. A tick in process takes in the last of them.
+    sampled
+        The same in process, where that is not what ticks would see.
+
+    """
+
+    ages: Ages
+    sampled: Ages | None = None
+
+
+@dataclass(frozen=True)
+class Edit:
+    """
+    Other values in some fields of a reading (``q qd names wrench variance``).
+
+    Attributes
+    ----------
+    fields
+        Which.
+    change
+        Makes the new values of the old ones and of four numbers drawn once, uniform over (0, 1);
+        none keeps those of the first reading, while stamps go on.
+
+    """
+
+    fields: tuple[str, ...]
+    change: Change | None
+
+    def values(
+        self, now: Mapping[str, Any], first: Mapping[str, Any], choice: Vector,
+    ) -> dict[str, Any]:
+        """Return what the fields become, from a reading and the first one during the fault."""
+        return {name: first[name] if self.change is None else self.change(now[name], choice)
+                for name in self.fields}
+
+
+@dataclass(frozen=True)
+class ClockShift:
+    """
+    A clock that goes wrong.
+
+    Attributes
+    ----------
+    shift
+        By how much, from the time since the fault began and the time when it did [s].
+    stamps
+        Whether, in process, the stamps of the readings go with it; over the graph only they do.
+
+    """
+
+    shift: Callable[[float, float], float]
+    stamps: bool = True
+
+
+PlantChange = Callable[['PybulletPlant', Vector], None]
+
+
+@dataclass(frozen=True)
+class PlantEdit:
+    """What is done to the plant at the beginning and at the end; numbers as for `Edit`."""
+
+    begin: PlantChange
+    end: PlantChange | None = None
+
+
+@dataclass(frozen=True)
+class NodeChange:
+    """What is done to a node: ``kill``, ``halt``, or the transitions that it is led through."""
+
+    steps: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command that nobody asked for: a change of a rightful message of that topic."""
+
+    change: Callable[[Any], None]
+
+
+@dataclass(frozen=True)
+class Fault:
     """
     One kind of fault.
 
@@ -58,236 +138,294 @@ class FaultKind:
     ----------
     kind, input
         Name, and what it befalls.
-    corrupt
-        What becomes of the inputs of a tick, the n-th since the fault began.
-    begin, end
-        What is done to the plant.
+    action
+        What is done.
     declared
-        Reactions of which one must be in force two ticks after the beginning; none if the fault
-        cannot be told from a good input or is bridged.
+        Reactions of which one must be in force two ticks after the beginning, in process; none if
+        the fault cannot be told from a good input or is bridged.
     phases
         Phases in which it can be told at all.
+    where
+        Where it can happen.
+    goes_on
+        Whether the controller of a graph must go on commanding meanwhile.
 
     """
 
     kind: str
     input: str  # noqa: A003
-    corrupt: Corrupt | None = None
-    begin: PlantChange | None = None
-    end: PlantChange | None = None
+    action: Delivery | Edit | ClockShift | PlantEdit | NodeChange | Command
     declared: tuple[str, ...] = ()
     phases: tuple[str, ...] = PHASES
+    where: tuple[str, ...] = BOTH
+    goes_on: bool = True
 
     def expected(self, phase: str) -> tuple[str, ...]:
         """Return the declared reactions in a phase."""
         return self.declared if phase in self.phases else ()
 
+    def random(self, seed: int) -> Random:
+        """Return the source of the details of this fault."""
+        return np.random.default_rng([seed, sum(map(ord, self.kind + self.input))])
 
-def _element(values: Any, context: Context) -> tuple[Vector, int]:
+
+def _deliveries() -> list[Fault]:
+    """Return the faults of delivery, for every stream."""
+    ways: list[tuple[str, Delivery, bool]] = [
+        ('dropped', Delivery(lambda random, n: ()), True),
+        # Longer over the graph, where the limits of age are longer.
+        ('delayed', Delivery(lambda random, n: (10,), lambda random, n: (4,)), True),
+        ('stuck', Delivery(lambda random, n: (n + 1,)), True),
+        ('out_of_order', Delivery(lambda random, n: (0, 25)), True),
+        ('duplicated', Delivery(lambda random, n: (0, 0), lambda random, n: (n % 2,)), False),
+        ('reordered', Delivery(lambda random, n: (0, 1) if n % 2 else (),
+                               lambda random, n: ((1, 0, 2, 0)[n % 4],)), False),
+        ('intermittent', Delivery(lambda random, n: () if random.random() < LOSS else (0,)),
+         False)]
+    burst = Delivery(
+        lambda random, n: tuple(range(BURST))[::-1] if n % BURST == BURST - 1 else ())
+    return [Fault(kind, stream, delivery, REACTIONS[stream] if told else ())
+            for stream in STREAMS for kind, delivery, told in ways] + [
+        Fault('burst', stream, burst, where=OVER_GRAPH) for stream in STREAMS]
+
+
+def _place(values: Any, choice: Vector) -> tuple[Vector, int]:
     vector = np.array(values, dtype=float)
-    return vector, int(context.choice[0] * vector.size)
+    return vector, int(choice[0] * vector.size)
 
 
-def _put(number: float) -> Callable[[Any, Context], Any]:
+def _sign(choice: Vector) -> float:
+    return 1.0 if choice[1] < 0.5 else -1.0
+
+
+def _put(number: float) -> Change:
     """Return a change that puts a number in a random place."""
-    def change(values: Any, context: Context) -> Any:
-        vector, place = _element(values, context)
+    def change(values: Any, choice: Vector) -> Vector:
+        vector, place = _place(values, choice)
         vector[place] = number
         return vector
     return change
 
 
-def _add(size: float) -> Callable[[Any, Context], Any]:
+def _add(size: float) -> Change:
     """Return a change that adds an offset in a random place, of a random sign."""
-    def change(values: Any, context: Context) -> Any:
-        vector, place = _element(values, context)
-        vector[place] += size * (1.0 if context.choice[1] < 0.5 else -1.0)
+    def change(values: Any, choice: Vector) -> Vector:
+        vector, place = _place(values, choice)
+        vector[place] += size * _sign(choice)
         return vector
     return change
 
 
-def _shorter(values: Any, _context: Context) -> Any:
-    return np.array(values, dtype=float)[:-1]
+def _scale(factor: float) -> Change:
+    return lambda values, choice: factor * np.array(values, dtype=float)
 
 
-def _scaled(factor: float) -> Callable[[Any, Context], Any]:
-    return lambda values, _context: factor * np.array(values, dtype=float)
+def _shorten(values: Any, _choice: Vector) -> Any:
+    return values[:-1]
 
 
-def _turned(values: Any, context: Context) -> Any:
-    axis = np.eye(3)[int(3 * context.choice[0])] * (1.0 if context.choice[1] < 0.5 else -1.0)
+def _turn(values: Any, choice: Vector) -> Vector:
+    """Turn force and torque by 90 degrees about a random axis."""
+    axis = np.eye(3)[int(3 * choice[0])] * _sign(choice)
     rotation = Rotation.from_rotvec(0.5 * np.pi * axis).as_matrix()
     vector = np.array(values, dtype=float)
     return np.concatenate([rotation @ vector[:3], rotation @ vector[3:]])
 
 
-def _with(inputs: TickInputs, source: str, reading: Any) -> TickInputs:
-    """Return the inputs with another reading in the place of one."""
-    readings: dict[str, Any] = {source: reading}
-    return inputs._replace(**readings)
+def _rename(names: Sequence[str], _choice: Vector) -> list[str]:
+    return [f'other_{name}' for name in names]
 
 
-def change_field(source: str, field: str, change: Callable[[Any, Context], Any]) -> Corrupt:
-    """Return a fault that changes one field of one reading."""
-    def corrupt(context: Context, inputs: TickInputs, _n: int) -> TickInputs:
-        reading: Any = getattr(inputs, source)
-        changed = reading._replace(**{field: change(getattr(reading, field), context)})
-        return _with(inputs, source, changed)
-    return corrupt
+def _double(names: Sequence[str], _choice: Vector) -> list[str]:
+    return [names[0], *names[:-1]]
 
 
-def freeze_field(source: str, *names: str) -> Corrupt:
-    """Return a fault in which values stand still while stamps go on."""
-    def corrupt(context: Context, inputs: TickInputs, _n: int) -> TickInputs:
-        before: Any = getattr(context.first, source)
-        values = {name: getattr(before, name) for name in names}
-        return _with(inputs, source, getattr(inputs, source)._replace(**values))
-    return corrupt
+def _edit(
+    stream: str, fields: str, kind: str, change: Change | None, *, told: bool = True,
+    phases: tuple[str, ...] = PHASES, where: tuple[str, ...] = BOTH,
+) -> Fault:
+    """Return a fault of what a reading says; `told` if the stream's reaction must follow."""
+    return Fault(kind, stream, Edit(tuple(fields.split()), change),
+                 REACTIONS[stream] if told else (), phases, where)
 
 
-def pick(source: str, which: Callable[[Context, int], int | None]) -> Corrupt:
-    """Return a fault that delivers another reading than the newest: `which` ticks ago, or none."""
-    def corrupt(context: Context, inputs: TickInputs, n: int) -> TickInputs:
-        ago = which(context, n)
-        reading = None if ago is None else getattr(context.history[-1 - ago], source)
-        return _with(inputs, source, reading)
-    return corrupt
-
-
-def _names(names: list[str]) -> Callable[[Any, Context], Any]:
-    return lambda _values, _context: names
-
-
-def warp_clock(warp: Callable[[Context, int, float], float], *, stamps: bool) -> Corrupt:
-    """Return a fault of the clock; the stamps follow it or not."""
-    def corrupt(context: Context, inputs: TickInputs, n: int) -> TickInputs:
-        time = warp(context, n, inputs.time)
-        if not stamps or inputs.joints is None or inputs.wrench is None or (
-                inputs.variance is None):
-            return inputs._replace(time=time)
-        shift = time - inputs.time
-        return TickInputs(
-            time, inputs.joints._replace(stamp=inputs.joints.stamp + shift),
-            inputs.wrench._replace(stamp=inputs.wrench.stamp + shift),
-            inputs.variance._replace(stamp=inputs.variance.stamp + shift))
-    return corrupt
-
-
-def _contact(context: Context) -> int:
-    return int(2 * context.choice[0])
-
-
-def _streams() -> list[FaultKind]:
-    """Return the faults of delivery, for every input."""
-    ways: list[tuple[str, Callable[[Context, int], int | None], bool]] = [
-        ('dropped', lambda context, n: None, True),
-        ('delayed', lambda context, n: 4, True),
-        ('stuck', lambda context, n: n + 1, True),
-        ('out_of_order', lambda context, n: 25, True),
-        ('duplicated', lambda context, n: n % 2, False),
-        ('reordered', lambda context, n: (1, 0, 2, 0)[n % 4], False),
-        ('intermittent', lambda context, n: None if context.random.random() < 0.3 else 0, False)]
-    reactions = {'joints': FLOAT, 'wrench': HOLD, 'variance': INFLATE}
+def _numbers() -> list[Fault]:
+    changes = {'nan': _put(NAN), 'infinite': _put(INF), 'huge': _put(1e30),
+               'wrong_count': _shorten}
     return [
-        FaultKind(kind, source, pick(source, which), declared=reactions[source] if told else ())
-        for source in reactions for kind, which, told in ways]
+        *(_edit('joints', field, f'{kind}_{field}', change)
+          for field in ('q', 'qd') for kind, change in changes.items()),
+        _edit('wrench', 'wrench', 'nan', _put(NAN)),
+        _edit('wrench', 'wrench', 'infinite', _put(-INF)),
+        _edit('wrench', 'wrench', 'huge', _put(1e30)),
+        # A message always has six numbers.
+        _edit('wrench', 'wrench', 'wrong_count', _shorten, where=IN_PROCESS),
+        _edit('wrench', 'wrench', 'saturated', _put(200.0)),
+        _edit('wrench', 'wrench', 'biased', _add(5.0), told=False),
+        _edit('wrench', 'wrench', 'sign_flipped', _scale(-1.0), phases=(REST, SLIDING)),
+        _edit('wrench', 'wrench', 'rotated', _turn, told=False),
+        _edit('wrench', 'wrench', 'scaled_x3', _scale(3.0), told=False, where=IN_PROCESS),
+        _edit('wrench', 'wrench', 'half', _scale(0.5), told=False),
+        _edit('variance', 'variance', 'nan', _put(NAN)),
+        _edit('variance', 'variance', 'infinite', _put(INF)),
+        _edit('variance', 'variance', 'zero', _put(0.0)),
+        _edit('variance', 'variance', 'negative', _put(-1.0)),
+        _edit('variance', 'variance', 'wrong_count', _shorten),
+        _edit('variance', 'variance', 'huge', _put(1e30), told=False),
+        _edit('variance', 'variance', 'tiny', _put(1e-30), told=False),
+        _edit('joints', 'q', 'biased_q', _add(0.05)),
+        _edit('joints', 'qd', 'biased_qd', _add(0.2), told=False),
+        _edit('joints', 'qd', 'saturated_qd', _put(50.0), where=IN_PROCESS)]
 
 
-def _values() -> list[FaultKind]:
-    """Return the faults of what a reading says."""
-    nan, inf = float('nan'), float('inf')
-    joints = [
-        FaultKind(f'{kind}_{field}', 'joints', change_field('joints', field, change),
-                  declared=declared)
-        for field in ('q', 'qd') for kind, change, declared in (
-            ('nan', _put(nan), FLOAT), ('infinite', _put(inf), FLOAT),
-            ('huge', _put(1e30), FLOAT), ('wrong_count', _shorter, FLOAT))]
-    wrench = [
-        FaultKind(kind, 'wrench', change_field('wrench', 'wrench', change), declared=declared,
-                  phases=phases)
-        for kind, change, declared, phases in (
-            ('nan', _put(nan), HOLD, PHASES), ('infinite', _put(-inf), HOLD, PHASES),
-            ('huge', _put(1e30), HOLD, PHASES), ('wrong_count', _shorter, HOLD, PHASES),
-            ('saturated', _put(200.0), HOLD, PHASES), ('biased', _add(5.0), (), PHASES),
-            ('sign_flipped', _scaled(-1.0), HOLD, (REST, SLIDING)),
-            ('rotated', _turned, (), PHASES), ('scaled_x3', _scaled(3.0), (), PHASES),
-            ('half', _scaled(0.5), (), PHASES))]
-    variance = [
-        FaultKind(kind, 'variance', change_field('variance', 'variance', change),
-                  declared=declared)
-        for kind, change, declared in (
-            ('nan', _put(nan), INFLATE), ('infinite', _put(inf), INFLATE),
-            ('zero', _put(0.0), INFLATE), ('negative', _put(-1.0), INFLATE),
-            ('wrong_count', _shorter, INFLATE), ('huge', _put(1e30), ()),
-            ('tiny', _put(1e-30), ()))]
-    return joints + wrench + variance + [
-        FaultKind('biased_q', 'joints', change_field('joints', 'q', _add(0.05)), declared=FLOAT),
-        FaultKind('biased_qd', 'joints', change_field('joints', 'qd', _add(0.2))),
-        FaultKind('saturated_qd', 'joints', change_field('joints', 'qd', _put(50.0)),
-                  declared=FLOAT),
-        FaultKind('wrong_names', 'joints', change_field(
-            'joints', 'names', _names(['a', 'b', 'c', 'd', 'e', 'f'])), declared=FLOAT),
-        FaultKind('missing_name', 'joints', change_field(
-            'joints', 'names', _names([f'joint{i}' for i in range(1, 6)])), declared=FLOAT),
-        FaultKind('frozen', 'joints', freeze_field('joints', 'q', 'qd'), declared=FLOAT,
-                  phases=(SLIDING, APPROACH)),
-        FaultKind('frozen_q', 'joints', freeze_field('joints', 'q'), declared=FLOAT,
-                  phases=(SLIDING, APPROACH)),
-        FaultKind('frozen_qd', 'joints', freeze_field('joints', 'qd'), declared=FLOAT,
-                  phases=(SLIDING, APPROACH)),
-        FaultKind('frozen', 'wrench', freeze_field('wrench', 'wrench'), declared=HOLD),
-        FaultKind('frozen', 'variance', freeze_field('variance', 'variance'))]
-
-
-def _clocks() -> list[FaultKind]:
+def _names() -> list[Fault]:
+    """Return the faults of the names in a message; in process a variance has none."""
     return [
-        FaultKind('backwards', 'clock', warp_clock(
-            lambda c, n, t: t - 0.05, stamps=False), declared=STOPPED),
-        FaultKind('restarted', 'clock', warp_clock(
-            lambda c, n, t: t - c.first.time, stamps=True), declared=STOPPED),
-        FaultKind('nan', 'clock', warp_clock(
-            lambda c, n, t: float('nan'), stamps=False), declared=STOPPED),
-        FaultKind('stands_still', 'clock', warp_clock(
-            lambda c, n, t: c.first.time, stamps=False), declared=STOPPED),
-        FaultKind('too_fast', 'clock', warp_clock(
-            lambda c, n, t: t + 3.0 * (n + 1) * c.period, stamps=True), declared=STOPPED),
-        FaultKind('too_slow', 'clock', warp_clock(
-            lambda c, n, t: t - 0.8 * (n + 1) * c.period, stamps=True), declared=STOPPED),
-        FaultKind('jump_ahead', 'clock', warp_clock(
-            lambda c, n, t: t + 0.1, stamps=True))]
+        _edit('joints', 'names', 'wrong_names', _rename),
+        _edit('joints', 'names', 'missing_name', _shorten),
+        _edit('joints', 'names', 'doubled_name', _double, where=OVER_GRAPH),
+        _edit('variance', 'names', 'wrong_names', _rename, where=OVER_GRAPH),
+        _edit('variance', 'names', 'missing_name', _shorten, where=OVER_GRAPH),
+        _edit('variance', 'names', 'doubled_name', _double, where=OVER_GRAPH)]
 
 
-def _plants() -> list[FaultKind]:
-    def surface(method: str, there: float, back: float | None) -> tuple[
-            PlantChange, PlantChange | None]:
-        def begin(plant: PybulletPlant, context: Context) -> None:
-            getattr(plant.contacts, method)(_contact(context), there)
+def _frozen() -> list[Fault]:
+    """Return the faults in which values stand still while stamps go on."""
+    moving = (SLIDING, APPROACH)
+    return [
+        _edit('joints', 'q qd', 'frozen', None, phases=moving),
+        _edit('joints', 'q', 'frozen_q', None, phases=moving, where=IN_PROCESS),
+        _edit('joints', 'qd', 'frozen_qd', None, phases=moving, where=IN_PROCESS),
+        _edit('wrench', 'wrench', 'frozen', None),
+        _edit('variance', 'variance', 'frozen', None, told=False)]
 
-        def end(plant: PybulletPlant, context: Context) -> None:
-            getattr(plant.contacts, method)(_contact(context), back)
-        return begin, None if back is None else end
 
-    def plant_kind(kind: str, *change: Any) -> FaultKind:
-        begin, end = surface(*change)
-        return FaultKind(kind, 'plant', begin=begin, end=end)
+def _clocks() -> list[Fault]:
+    def fault(kind: str, shift: Callable[[float, float], float], *, stamps: bool = True,
+              declared: tuple[str, ...] = STOPPED, where: tuple[str, ...] = BOTH) -> Fault:
+        return Fault(kind, CLOCK, ClockShift(shift, stamps), declared, where=where)
 
     return [
-        plant_kind('stiffness_x20', 'scale_stiffness', 20.0, 1.0 / 20.0),
-        plant_kind('stiffness_x5', 'scale_stiffness', 5.0, 1.0 / 5.0),
-        plant_kind('stiffness_x0.2', 'scale_stiffness', 0.2, 5.0),
-        plant_kind('surface_removed', 'shift', 1.0, -1.0),
-        plant_kind('surface_gone', 'shift', 1.0, None),
-        plant_kind('surface_jump_2mm_up', 'shift', -2e-3, None),
-        plant_kind('surface_jump_2mm_down', 'shift', 2e-3, None),
-        plant_kind('friction_x5', 'scale_friction', 5.0, 0.2),
-        FaultKind('torque_limit_halved', 'plant',
-                  begin=lambda plant, context: plant.scale_torque_limit(0.5),
-                  end=lambda plant, context: plant.scale_torque_limit(2.0)),
-        FaultKind('torque_limit_to_a_fifth', 'plant',
-                  begin=lambda plant, context: plant.scale_torque_limit(0.2),
-                  end=lambda plant, context: plant.scale_torque_limit(5.0))]
+        fault('backwards', lambda since, begin: -0.05, stamps=False),
+        fault('restarted', lambda since, begin: 2.0 * PERIOD - begin),
+        fault('nan', lambda since, begin: NAN, stamps=False, where=IN_PROCESS),
+        fault('stands_still', lambda since, begin: -since, stamps=False),
+        fault('too_fast', lambda since, begin: 3.0 * (since + PERIOD)),
+        fault('too_slow', lambda since, begin: -0.8 * (since + PERIOD), where=IN_PROCESS),
+        fault('jump_ahead', lambda since, begin: 0.1, declared=(), where=IN_PROCESS),
+        fault('ahead', lambda since, begin: 0.1, where=OVER_GRAPH),
+        fault('zero', lambda since, begin: -INF, where=OVER_GRAPH)]
 
 
-def fault_kinds() -> list[FaultKind]:
-    """Return all kinds of faults, in the order of the table."""
-    return _streams() + _values() + _clocks() + _plants()
+def _plants() -> list[Fault]:
+    def surface(method: str, there: float, back: float | None) -> PlantEdit:
+        def change(value: float) -> PlantChange:
+            return lambda plant, choice: getattr(plant.contacts, method)(int(2 * choice[0]), value)
+
+        return PlantEdit(change(there), None if back is None else change(back))
+
+    def torque_limit(there: float, back: float) -> PlantEdit:
+        return PlantEdit(lambda plant, choice: plant.scale_torque_limit(there),
+                         lambda plant, choice: plant.scale_torque_limit(back))
+
+    edits = {
+        'stiffness_x20': surface('scale_stiffness', 20.0, 1.0 / 20.0),
+        'stiffness_x5': surface('scale_stiffness', 5.0, 1.0 / 5.0),
+        'stiffness_x0.2': surface('scale_stiffness', 0.2, 5.0),
+        'surface_removed': surface('shift', 1.0, -1.0),
+        'surface_gone': surface('shift', 1.0, None),
+        'surface_jump_2mm_up': surface('shift', -2e-3, None),
+        'surface_jump_2mm_down': surface('shift', 2e-3, None),
+        'friction_x5': surface('scale_friction', 5.0, 0.2),
+        'torque_limit_halved': torque_limit(0.5, 2.0),
+        'torque_limit_to_a_fifth': torque_limit(0.2, 5.0)}
+    return [Fault(kind, 'plant', edit, where=IN_PROCESS) for kind, edit in edits.items()]
+
+
+KILL, HALT = ('kill',), ('halt',)
+
+
+def _nodes() -> list[Fault]:
+    """Return the faults of nodes and processes, by their names in a graph."""
+    estimator, controller, recorder = 'noise_estimator_node', CONTROLLER, 'recorder_node'
+    down, twice = ('deactivate',), ('deactivate', 'activate') * 2
+    anew = ('deactivate', 'cleanup', 'configure')
+    faults = [
+        ('killed', estimator, KILL, True), ('killed', controller, KILL, False),
+        ('killed', recorder, KILL, True), ('halted', estimator, HALT, True),
+        ('halted', controller, HALT, False), ('halted', recorder, HALT, True),
+        ('halted', 'sim_node', HALT, False), ('deactivated', estimator, down, True),
+        ('deactivated', controller, down, True), ('reactivated', controller, twice, True),
+        ('cleaned_up', estimator, anew, True), ('cleaned_up', controller, anew, False)]
+    return [Fault(kind, node, NodeChange(steps), where=OVER_GRAPH, goes_on=goes_on)
+            for kind, node, steps, goes_on in faults]
+
+
+def _efforts(*efforts: float, names: Sequence[str] | None = None) -> Callable[[Any], None]:
+    """Return a change of a command of forces, of the first contacts or under other names."""
+    def change(message: Any) -> None:
+        message.name = list(message.name[:max(1, len(efforts))] if names is None else names)
+        message.effort = list(efforts)
+    return change
+
+
+def _set(path: str, value: float, *, add: bool = False) -> Callable[[Any], None]:
+    """Return a change of one number of a message, by the names that lead to it."""
+    *way, last = path.split('.')
+
+    def change(message: Any) -> None:
+        part = message
+        for name in way:
+            part = part[int(name)] if name.isdigit() else getattr(part, name)
+        setattr(part, last, value + (getattr(part, last) if add else 0.0))
+    return change
+
+
+def _poses(count: int) -> Callable[[Any], None]:
+    def change(message: Any) -> None:
+        message.transforms = (list(message.transforms) * count)[:count]
+    return change
+
+
+def _commands() -> list[Fault]:
+    forces = {
+        'nan': _efforts(NAN, 5.0), 'infinite': _efforts(5.0, INF), 'negative': _efforts(-5.0),
+        'beyond_ceiling': _efforts(1000.0), 'wrong_count': _efforts(5.0, 5.0, names=['table']),
+        'unknown_contact': _efforts(5.0, names=['nowhere']), 'empty': _efforts(names=[])}
+    motions = {
+        'nan': _set('transforms.0.translation.x', NAN),
+        'nan_twist': _set('velocities.0.linear.y', NAN),
+        'infinite': _set('accelerations.0.linear.z', INF),
+        'no_pose': _poses(0), 'two_poses': _poses(2),
+        'no_rotation': _set('transforms.0.rotation.w', 5.0),
+        'outside_box': _set('transforms.0.translation.z', 50.0),
+        'jump': _set('transforms.0.translation.x', JUMP, add=True)}
+    return [Fault(kind, f'{topic} command', Command(change), where=OVER_GRAPH)
+            for topic, changes in (('forces', forces), ('motion', motions))
+            for kind, change in changes.items()]
+
+
+FAULTS = (*_nodes(), *_deliveries(), *_numbers(), *_names(), *_frozen(), *_clocks(), *_plants(),
+          *_commands())
+
+
+def faults_of(where: str) -> dict[tuple[str, str], Fault]:
+    """Return all faults of a place by kind and input, in the order of the table."""
+    return {(fault.kind, fault.input): fault for fault in FAULTS if where in fault.where}
+
+
+def general_kind(fault: Fault) -> str:
+    """Return what is done, whatever input it is done to; a node is not like another, though."""
+    if fault.input not in (*STREAMS, CLOCK):
+        return f'{fault.kind} {fault.input}'
+    kind, _, field = fault.kind.rpartition('_')
+    return kind if field in ('q', 'qd') else fault.kind
+
+
+def quick_faults(where: str, seed: int) -> list[Fault]:
+    """Return one fault of every kind: what can befall several inputs befalls one of them."""
+    by_kind: dict[str, list[Fault]] = {}
+    for fault in faults_of(where).values():
+        by_kind.setdefault(general_kind(fault), []).append(fault)
+    return [faults[(seed + number) % len(faults)]
+            for number, faults in enumerate(by_kind.values())]

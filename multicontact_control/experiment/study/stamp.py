@@ -11,9 +11,10 @@ from pathlib import Path
 # experiment/ only this does.
 WITHOUT = ('cli', 'client.py', 'nodes', 'tools')
 DECISIVE = (
-    'claim_metrics.py', 'closed_loop.py', 'faults/in_process.py', 'faults/vocabulary.py',
-    'judge.py', 'metrics.py', 'oscillation.py', 'recording.py', 'scenario.py', 'study/jobs.py',
-    'study/measure.py', 'study/presets/faults/jobs.py', 'summary.py')
+    'claim_metrics.py', 'closed_loop.py', 'faults/in_process.py', 'faults/judge.py',
+    'faults/vocabulary.py', 'judge.py', 'metrics.py', 'oscillation.py', 'recording.py',
+    'scenario.py', 'study/jobs.py', 'study/measure.py', 'study/presets/faults/jobs.py',
+    'summary.py')
 LIBRARIES = ('numba', 'numpy', 'pin', 'pybullet', 'scipy')
 
 

@@ -7,26 +7,53 @@ import math
 import os
 import signal
 import threading
+from types import SimpleNamespace
 
-from multicontact_control.experiment.faults import graph_session
-from multicontact_control.experiment.faults.graph_streams import (
-    DELIVERY,
+from multicontact_control.experiment.faults import graph_session, vocabulary
+from multicontact_control.experiment.faults.graph_relay import (
+    Distortion,
     INPUTS,
+    read_field,
     stream_faults,
-    StreamContext,
 )
-from multicontact_control.experiment.faults.graph_vocabulary import (
+from multicontact_control.experiment.faults.graph_watch import (
+    busy_share,
+    GraphWatch,
+    observe,
+    ReceivedMessage,
+    Report,
+    Window,
+)
+from multicontact_control.experiment.faults.in_graph import graph_tasks, GraphCampaign
+from multicontact_control.experiment.faults.in_process import Corruptor
+from multicontact_control.experiment.faults.judge import judge
+from multicontact_control.experiment.faults.vocabulary import (
+    Delivery,
+    Edit,
+    faults_of,
     general_kind,
-    graph_faults,
+    GRAPH,
+    NodeChange,
+    PROCESS,
     quick_faults,
 )
-from multicontact_control.experiment.faults.graph_watch import GraphWatch, ReceivedMessage, Report
-from multicontact_control.experiment.faults.in_graph import graph_tasks, GraphCampaign
-from multicontact_control.experiment.faults.judge import busy_share, Judge, Window
-from multicontact_control.experiment.graph.spec import CONTROLLER, ESTIMATOR, RECORDER, SIM
+from multicontact_control.experiment.graph.lifecycle import GOALS
+from multicontact_control.experiment.graph.spec import (
+    CONTROLLER,
+    ESTIMATOR,
+    RECORDER,
+    SIM,
+    START_ORDER,
+)
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.guest import GuestNode
+from multicontact_control.supervision.inputs import (
+    JointInput,
+    TickInputs,
+    VarianceInput,
+    WrenchInput,
+)
 import numpy as np
 import pytest
 from rclpy.serialization import deserialize_message, serialize_message
@@ -35,7 +62,7 @@ from ros_graph import wait_for
 pytestmark = pytest.mark.ros
 
 JOINTS = [f'joint{i}' for i in range(1, 7)]
-FAULTS = {(fault.kind, fault.input): fault for fault in graph_faults()}
+FAULTS = faults_of(GRAPH)
 WANTED = {'table': 10.0, 'board': 10.0}
 
 
@@ -59,24 +86,20 @@ def message_of(source, k):
 def passed_on(source, kind, count=60, seed=3):
     """Return what becomes of `count` messages after 40 good ones, and those messages."""
     stream = 'joints' if source == 'clock' else source
-    what = stream_faults()[source][kind]
-    history = deque(maxlen=64)
-    context = None
+    history = deque(maxlen=512)
+    distortion = None
     sent, out = [], []
     for k in range(40 + count):
         data = serialize_message(message_of(stream, k))
         history.append(data)
         if k < 40:
             continue
-        if context is None:
-            random = np.random.default_rng(seed)
-            context = StreamContext(
-                random, INPUTS[stream].message, history, (40 + 1000) * 2_000_000,
-                random.random(4).tolist(), [])
-        context.first = context.first or data
+        distortion = distortion or Distortion(
+            FAULTS[kind, source], np.random.default_rng(seed), INPUTS[stream].message, history,
+            (40 + 1000) * 2_000_000)
         sent.append(data)
         out.append([deserialize_message(x, INPUTS[stream].message)
-                    for x in what(context, k - 40, data)])
+                    for x in distortion.passed_on(data)])
     return [deserialize_message(x, INPUTS[stream].message) for x in sent], out
 
 
@@ -89,7 +112,7 @@ def flat(out):
 
 
 @pytest.mark.parametrize(('source', 'kind'), [
-    (source, kind) for source, kinds in stream_faults().items() for kind in kinds])
+    (source, kind) for kind, source in stream_faults()])
 def test_graph_faults_change_every_stream(source, kind):
     sent, out = passed_on(source, kind)
     assert out != [[x] for x in sent]
@@ -97,10 +120,12 @@ def test_graph_faults_change_every_stream(source, kind):
 
 def test_graph_faults_of_delivery_deliver_as_they_say():
     now = list(range(40, 100))
-    delivered = {kind: [stamps(x) for x in passed_on('wrench', kind)[1]] for kind in DELIVERY}
+    delivered = {kind: [stamps(x) for x in passed_on('wrench', kind)[1]]
+                 for (kind, source), fault in FAULTS.items()
+                 if source == 'wrench' and isinstance(fault.action, Delivery)}
     assert delivered['dropped'] == [[] for _ in now]
     assert delivered['delayed'] == [[k - 10] for k in now]
-    assert delivered['stuck'] == [[40] for _ in now]
+    assert delivered['stuck'] == [[39] for _ in now]
     assert delivered['duplicated'] == [[k, k] for k in now]
     assert delivered['reordered'] == [[] if k % 2 == 0 else [k, k - 1] for k in now]
     assert delivered['out_of_order'] == [[k, k - 25] for k in now]
@@ -123,15 +148,48 @@ def test_graph_faults_of_values_leave_the_stamps_and_those_of_stamps_the_values(
     assert [x.position for x in flat(out)] == [x.position for x in sent]
 
 
+@pytest.mark.parametrize('fault', [
+    fault for fault in FAULTS.values()
+    if PROCESS in fault.where and isinstance(fault.action, Edit)],
+    ids=lambda fault: f'{fault.input}-{fault.kind}')
+def test_graph_faults_of_values_are_those_in_process(fault):
+    """The same change, of a message on its way and of a reading of a tick."""
+    def reading(k):
+        message = message_of(fault.input, k)
+        if fault.input == 'wrench':
+            return WrenchInput(0.0, np.arange(1.0, 7.0) + k)
+        if fault.input == 'variance':
+            return VarianceInput(0.0, np.array(message.effort))
+        return JointInput(0.0, np.array(message.position), np.array(message.velocity))
+
+    def tick(k):
+        return TickInputs(0.0)._replace(**{fault.input: reading(k)})
+    loop = SimpleNamespace(
+        inputs=lambda: tick(40), history=[],
+        setup=SimpleNamespace(controller=SimpleNamespace(
+            robot=SimpleNamespace(joint_names=JOINTS))))
+    corruptor = Corruptor(fault, np.random.default_rng(3), loop)
+    for k, (message,) in enumerate(passed_on(fault.input, fault.kind, 5)[1], 40):
+        found = getattr(corruptor.corrupt(tick(k)), fault.input)
+        for name in fault.action.fields:
+            np.testing.assert_array_equal(getattr(found, name), read_field(message, name))
+
+
 def test_graph_faults_have_every_kind_in_short_and_each_once_per_seed():
-    keys = [(fault.kind, fault.input) for fault in graph_faults()]
-    assert len(set(keys)) == len(keys) >= 80
-    assert {general_kind(fault) for fault in graph_faults()} == {
-        general_kind(fault) for fault in quick_faults(0)}
-    assert len(quick_faults(0)) == len(set(map(general_kind, quick_faults(0)))) < 60
-    assert {fault.input for seed in range(3) for fault in quick_faults(seed)} == {
-        source for _, source in keys}
+    assert len(FAULTS) == sum(GRAPH in fault.where for fault in vocabulary.FAULTS) >= 80
+    quick = quick_faults(GRAPH, 0)
+    assert set(map(general_kind, FAULTS.values())) == set(map(general_kind, quick))
+    assert len(quick) == len(set(map(general_kind, quick))) < 60
+    assert {fault.input for seed in range(3) for fault in quick_faults(GRAPH, seed)} == {
+        source for _, source in FAULTS}
     assert graph_tasks(5) == graph_tasks(5) != graph_tasks(6)
+
+
+def test_graph_faults_know_the_nodes_and_their_transitions():
+    changes = [fault for fault in FAULTS.values() if isinstance(fault.action, NodeChange)]
+    assert {fault.input for fault in changes} == set(START_ORDER)
+    assert {step for fault in changes for step in fault.action.steps} <= {
+        'kill', 'halt', *GOALS}
 
 
 @pytest.fixture(scope='module')
@@ -145,11 +203,11 @@ def judged(watch, fault=('stuck', 'variance'), *, change=None, problems=(), reco
     """Return the row of two good seconds, changed."""
     said = {topic: [] for topic in watch.said}
     for k in range(1000):
-        time, stamp = 100.0 + 0.002 * k, 2_000_000 * k
+        time = 100.0 + 0.002 * k
         said[topics.EFFORT_COMMAND].append(
-            ReceivedMessage(time, stamp, {name: 1.0 + 1e-3 * k for name in JOINTS}))
-        said[topics.TRUE_FORCES].append(ReceivedMessage(time, stamp, dict(WANTED)))
-        said[topics.DESIRED_FORCES].append(ReceivedMessage(time, stamp, dict(WANTED)))
+            ReceivedMessage(time, {name: 1.0 + 1e-3 * k for name in JOINTS}))
+        said[topics.TRUE_FORCES].append(ReceivedMessage(time, dict(WANTED)))
+        said[topics.DESIRED_FORCES].append(ReceivedMessage(time, dict(WANTED)))
     reports = []
     if change is not None:
         change(said, reports)
@@ -158,7 +216,8 @@ def judged(watch, fault=('stuck', 'variance'), *, change=None, problems=(), reco
         watch.said[topic] = deque(found)
     setup = resolve('quick', plant='rigid', seed=0)
     window = Window(100.0, 101.0, recovered if recovered < 0.0 else 100.0 + recovered)
-    return Judge(setup, watch, WANTED).row(FAULTS[fault], 7, window, problems)
+    seen = observe(watch, setup, WANTED, window, problems)
+    return judge(FAULTS[fault], 7, setup, seen, where=GRAPH)
 
 
 def test_graph_faults_judge_finds_nothing_wrong_with_what_is_good(watch):
@@ -183,7 +242,7 @@ def remove(topic, places):
 
 
 @pytest.mark.parametrize(('change', 'problem'), [
-    (put(topics.EFFORT_COMMAND, float('nan')), 'joint_effort_command not finite'),
+    (put(topics.EFFORT_COMMAND, float('nan')), 'command not finite'),
     (put(topics.DESIRED_FORCES, float('inf')), 'contact_forces/desired not finite'),
     (put(topics.EFFORT_COMMAND, 21.0, name='joint5'), 'torque beyond its limit'),
     (put(topics.EFFORT_COMMAND, 12.0, name='joint5'), 'torque rate beyond its limit'),
@@ -204,8 +263,7 @@ def test_graph_faults_judge_allows_what_is_declared(watch):
 
     def greeted(said, reports):  # the successor, until it had all its inputs
         silent(said, reports)
-        reports.append(Report(101.5, CONTROLLER, {'supervisor': (1, '', {
-            'ticks with float': '30'})}))
+        reports.append(Report(101.5, CONTROLLER, {'ticks with float': '30'}))
     assert judged(watch, ('killed', CONTROLLER), change=greeted).reaction == 'silent'
     short = judged(watch, change=put(topics.TRUE_FORCES, 80.0, slice(500, 520)))
     assert (short.safe, short.time_to_safe_s) == (True, 1.038)
@@ -232,14 +290,14 @@ def test_graph_faults_judge_takes_the_reaction_from_diagnostics_if_they_tell(wat
         for at, counts in ((99.5, {'damp': 9}), (100.5, {'damp': 9, 'hold': 3}),
                            (101.2, {'damp': 9, 'hold': 3, 'inflate': 2}),
                            (102.2, {'damp': 10, 'hold': 3, 'inflate': 2})):
-            reports.append(Report(at, CONTROLLER, {'supervisor': (1, '', {
-                f'ticks with {name}': str(n) for name, n in counts.items()})}))
+            reports.append(Report(at, CONTROLLER, {
+                f'ticks with {name}': str(n) for name, n in counts.items()}))
     assert judged(watch, change=told).reaction == 'hold'
 
 
 def test_graph_faults_know_a_machine_that_is_too_busy():
     def told(node, latency):
-        return Report(1.0, node, {'loop': (0, '', {'latency_us_p50': latency})})
+        return Report(1.0, node, {'latency_us_p50': latency})
     assert busy_share([], 0.002) == 0.0
     reports = [told(SIM, '999'), told(SIM, '1001'), told(SIM, 'none'), told(CONTROLLER, '5000'),
                told(SIM, '300'), told(SIM, '200')]

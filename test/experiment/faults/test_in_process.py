@@ -2,14 +2,14 @@
 
 from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.faults.in_process import RUN_TICKS
-from multicontact_control.experiment.faults.vocabulary import fault_kinds
+from multicontact_control.experiment.faults.vocabulary import faults_of, PROCESS
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.experiment.study.presets.faults.jobs import in_fork
 from multicontact_control.supervision.validation import ValidatedInputs, Watchdog
 import numpy as np
 import pytest
 
-KINDS = {(kind.kind, kind.input): kind for kind in fault_kinds()}
+KINDS = faults_of(PROCESS)
 
 
 @pytest.fixture(scope='module')

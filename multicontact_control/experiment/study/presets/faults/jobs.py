@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from multiprocessing.connection import Connection, Pipe
 import os
@@ -13,15 +13,13 @@ import traceback
 from typing import Any, ClassVar, NoReturn
 
 from multicontact_control.experiment.closed_loop import ClosedLoop
-from multicontact_control.experiment.faults.in_process import (
-    FaultRow,
-    run_fault,
-    RUN_TICKS,
-)
+from multicontact_control.experiment.faults.in_process import run_fault, RUN_TICKS
+from multicontact_control.experiment.faults.judge import FaultRow
 from multicontact_control.experiment.faults.vocabulary import (
     APPROACH,
-    fault_kinds,
-    FaultKind,
+    Fault,
+    faults_of,
+    PROCESS,
     REST,
     SLIDING,
 )
@@ -31,8 +29,6 @@ from multicontact_control.experiment.study.jobs import content_key, JobResult, s
 SCENARIO = 'quick'
 PHASE_TIMES = {APPROACH: 0.65, REST: 4.9, SLIDING: 8.2}  # s
 FAULT_TIMEOUT = 60.0  # s
-
-Fault = tuple[str, str, int]  # kind, input, seed
 
 
 @dataclass(frozen=True)
@@ -54,7 +50,7 @@ class FaultJob:
     plant: str
     phase: str
     first_seed: int
-    faults: tuple[Fault, ...]
+    faults: tuple[tuple[str, str, int], ...]
 
     supervised: ClassVar[bool] = True
 
@@ -89,9 +85,9 @@ def run_fault_job(job: FaultJob) -> JobResult:
 
     """
     start = time.perf_counter()
-    kinds = {(kind.kind, kind.input): kind for kind in fault_kinds()}
+    known = faults_of(PROCESS)
     world = _world_at(job)
-    rows = [in_fork(world, kinds[kind, source], seed, job.phase).as_json()
+    rows = [asdict(in_fork(world, known[kind, source], seed, job.phase))
             for kind, source, seed in job.faults]
     return JobResult({'rows': rows}, {}, time.perf_counter() - start)
 
@@ -114,13 +110,13 @@ def _world_at(job: FaultJob) -> ClosedLoop:
     return world
 
 
-def in_fork(world: ClosedLoop, kind: FaultKind, seed: int, phase: str) -> FaultRow:
+def in_fork(world: ClosedLoop, fault: Fault, seed: int, phase: str) -> FaultRow:
     """Run one fault in a copy of this process; a copy that hangs or dies is not safe."""
     ours, theirs = Pipe(duplex=False)
     # By hand: a worker of Dask is not allowed to have children of `multiprocessing`.
     child = os.fork()
     if not child:
-        _end_with(partial(run_fault, world, kind, seed, phase), theirs)
+        _end_with(partial(run_fault, world, fault, seed, phase), theirs)
     theirs.close()
     try:
         if ours.poll(FAULT_TIMEOUT):
@@ -133,7 +129,7 @@ def in_fork(world: ClosedLoop, kind: FaultKind, seed: int, phase: str) -> FaultR
         os.kill(child, signal.SIGKILL)  # it has said what it had to say
         os.waitpid(child, 0)
         ours.close()
-    return FaultRow(kind.kind, kind.input, seed, problem, -1.0, -1.0, -1.0, False,
+    return FaultRow(fault.kind, fault.input, seed, problem, -1.0, -1.0, -1.0, False,
                     world.setup.plant_name, phase, problem)
 
 

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from multicontact_control.errors import ConfigError
-from multicontact_control.experiment.faults.in_process import FaultRow
-from multicontact_control.experiment.faults.vocabulary import fault_kinds, PHASES
+from multicontact_control.experiment.faults.judge import FaultRow
+from multicontact_control.experiment.faults.vocabulary import faults_of, GRAPH, PHASES, PROCESS
 from multicontact_control.experiment.scenario import PLANTS
 from multicontact_control.experiment.study.execute import JobRun
 from multicontact_control.experiment.study.page import Page, Section
 from multicontact_control.experiment.study.presets.faults.jobs import (
-    Fault,
     FaultJob,
     PHASE_TIMES,
     run_fault_job,
@@ -24,7 +23,7 @@ from multicontact_control.experiment.study.table import Column, Line, Listing
 
 SEEDS = 14
 FAULTS_PER_JOB = 12
-PLACES = {'process': 'in process', 'graph': 'over the graph'}
+PLACES = {PROCESS: 'in process', GRAPH: 'over the graph'}
 COLUMNS = (
     Column('input', number=False), Column('kind', number=False), Column('n'),
     Column('reaction', number=False), Column('to safe [ms]'), Column('force [N]'),
@@ -70,7 +69,7 @@ class FaultStudy(Study[FaultJob, list[FaultRow]]):
     def grid(self) -> Mapping[str, Sequence[Any]]:
         """Return kinds, seeds and situations."""
         found: dict[str, Sequence[Any]] = {
-            'kinds': [f'{kind.input} {kind.kind}' for kind in fault_kinds()],
+            'kinds': [f'{source} {kind}' for kind, source in faults_of(PROCESS)],
             'seeds': range(self.seed, self.seed + (1 if self.quick else SEEDS)),
             'plants': PLANTS, 'phases': PHASES}
         if self.graph:
@@ -88,13 +87,13 @@ class FaultStudy(Study[FaultJob, list[FaultRow]]):
 
         In this order a worker that has got to one phase only has to go on to the next.
         """
-        places: dict[tuple[str, str], list[Fault]] = {
+        places: dict[tuple[str, str], list[tuple[str, str, int]]] = {
             (plant, phase): [] for phase in sorted(PHASE_TIMES, key=PHASE_TIMES.__getitem__)
             for plant in PLANTS}
-        for index, kind in enumerate(fault_kinds()):
+        for index, fault in enumerate(faults_of(PROCESS)):
             # One of each, yet in every situation.
             for number in (index % 6,) if self.quick else range(SEEDS):
-                places[situation(number)].append((kind.kind, kind.input, self.seed + number))
+                places[situation(number)].append((*fault, self.seed + number))
         return [FaultJob(plant, phase, self.seed, tuple(faults[i:i + FAULTS_PER_JOB]))
                 for (plant, phase), faults in places.items()
                 for i in range(0, len(faults), FAULTS_PER_JOB)]
@@ -102,12 +101,12 @@ class FaultStudy(Study[FaultJob, list[FaultRow]]):
     def content(self, run: JobRun[FaultJob]) -> list[FaultRow]:
         """Return what became of every fault, by kind and seed."""
         rows = [FaultRow(**row) for job in self.jobs() for row in run.result(job).metrics['rows']]
-        order = {(kind.kind, kind.input): i for i, kind in enumerate(fault_kinds())}
+        order = {fault: i for i, fault in enumerate(faults_of(PROCESS))}
         return sorted(rows, key=lambda row: (order[row.kind, row.input], row.seed))
 
     def tables(self, content: list[FaultRow], run: JobRun[FaultJob]) -> Mapping[str, Any]:
         """Return ``faults.json``."""
-        return {f'{self.name}.json': {'faults': [row.as_json() for row in content]}}
+        return {f'{self.name}.json': {'faults': [asdict(row) for row in content]}}
 
     def page(self, content: list[FaultRow], folder: Path) -> Page:
         """Return a line for each kind, and every fault that was not safe."""
