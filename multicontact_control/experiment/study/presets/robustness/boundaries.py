@@ -1,7 +1,7 @@
 """
 How wrong the stiffness and the delay may be: simulated, and by the linear loop.
 
-The linear loop is that of `force.contact_loop`, with the mobility of this arm at its home. The
+The linear loop is that of `force.linear_loop`, with the mobility of this arm at its home. The
 plant of the paper's eq. 32 alone gives boundaries 30 to 40 % too low on the simulated arm, since
 it leaves out that the contact force moves the arm, that the surface damps, and that the sensor
 weighs the tool's inertia.
@@ -24,10 +24,11 @@ from multicontact_control.experiment.study.presets.compare.matrix import (
     controller_values,
     estimator_values,
 )
-from multicontact_control.force.contact_loop import closed_loop, LinearArmPlant, spectral_radius
 from multicontact_control.force.linear_loop import (
-    RealContact,
-    stability_boundary,
+    closed_loop,
+    last_stable,
+    LinearArmPlant,
+    spectral_radius,
     steady_gain,
 )
 from multicontact_control.force.observer import design_observer, ObserverDesign
@@ -38,6 +39,9 @@ SCENARIO = 'step'
 SETTLED = 0.1  # of the command: a larger error at the end of the run counts as unstable
 SMALLEST_RATIO, LARGEST_RATIO = 0.1, 20.0
 DELAYS = (0, 1, 2, 3)
+# Where boundaries are looked for, upwards: of the arm in steps of 10 %, of eq. 32 of 5 %.
+ARM_RATIOS = tuple(np.geomspace(SMALLEST_RATIO, 100.0, 73).tolist())
+PAPER_RATIOS = tuple(np.cumprod([1.0, *[1.05] * 94]).tolist())
 
 
 def map_job(
@@ -126,60 +130,46 @@ class ArmLoop:
             initial_covariance=force.initial_covariance)
 
     def paper_boundary(self, noise_variance: float) -> float:
-        """Return the largest stable stiffness ratio of eq. 32 with the real delay."""
+        """Return the largest stable stiffness ratio of eq. 32 with the real delay, 0 for none."""
         controller = self.setup.controller
-        contact = RealContact(
-            stiffness=controller.contacts[controller.contact_names[0]].stiffness,
-            damping_rate=controller.force.damping_rate, period=controller.period,
-            input_delay=self.delay)
-        return stability_boundary(self.observer(), noise_variance, contact).upper
+        model = controller.contacts[controller.contact_names[0]].stiffness
+        observer, none = self.observer(), np.zeros((1, 1))
+        gain = steady_gain(observer, noise_variance)
+
+        def stable(ratio: float) -> bool:
+            plant = LinearArmPlant(none, np.array([ratio * model]), none[0], none, self.delay,
+                                   controller.force.damping_rate)
+            return spectral_radius(
+                closed_loop(plant, observer, gain, 0.0, controller.period)) < 1.0
+
+        return last_stable(stable, PAPER_RATIOS, 1e-4)[0]
 
     def radius(self, noise_variance: float) -> Callable[[float], float]:
         """
         Return the spectral radius of the closed loops as a function of the stiffness ratio.
 
-        The real delay counts in whole periods.
-
-        Parameters
-        ----------
-        noise_variance
-            R, held [N^2].
-
+        With R held at `noise_variance` [N^2]. The real delay counts in whole periods.
         """
         controller, plant = self.setup.controller, self.setup.plant
-        force, names = controller.force, controller.contact_names
+        names = controller.contact_names
         stiffness = np.array([controller.contacts[name].stiffness for name in names])
         damping = np.array([plant.surfaces[name].damping for name in names])
         observer = self.observer()
         gain = steady_gain(observer, noise_variance)
+        delay = round(self.delay * controller.rate) * controller.period
 
         def of_ratio(ratio: float) -> float:
-            surroundings = LinearArmPlant(
-                mobility=self.mobility, stiffness=ratio * stiffness, damping=damping,
-                tool_inertia=self.tool_inertia,
-                delay_ticks=round(self.delay * controller.rate))
             return spectral_radius(closed_loop(
-                surroundings, observer, gain, force.damping_rate, controller.period))
+                LinearArmPlant(self.mobility, ratio * stiffness, damping, self.tool_inertia, delay),
+                observer, gain, controller.force.damping_rate, controller.period))
 
         return of_ratio
 
     def boundary(self, noise_variance: float) -> float:
-        """
-        Return the largest stiffness ratio up to which the loops are stable.
-
-        Scanned upwards from 0.1 in steps of 10 %, then bisected; 0 if not even the softest is
-        stable, infinity if all up to 100 are.
-        """
+        """Return the largest ratio up to which the loops are stable, 0 for none; infinity."""
         radius = self.radius(noise_variance)
-
-        def stable(ratio: float) -> bool:
-            return radius(ratio) < 1.0
-
-        grid = np.geomspace(SMALLEST_RATIO, 100.0, 73).tolist()
-        for low, high in zip([0.0, *grid[:-1]], grid):
-            if not stable(high):
-                return bisect(stable, low, high, 20) if low else 0.0
-        return math.inf
+        return math.sqrt(math.prod(
+            last_stable(lambda ratio: radius(ratio) < 1.0, ARM_RATIOS, 1e-7)))
 
 
 def arm_loop(setup: Setup) -> ArmLoop:
@@ -205,17 +195,6 @@ def arm_loop(setup: Setup) -> ArmLoop:
     inertia = config.tool.mass * np.block(
         [[np.eye(3), -cross], [cross, -cross @ cross]])  # of a point mass at its centre
     return ArmLoop(setup, mobility, np.linalg.pinv(N) @ inertia @ N @ np.linalg.inv(N.T @ N))
-
-
-def bisect(stable: Callable[[float], bool], low: float, high: float, steps: int) -> float:
-    """Return where a verdict changes from True at `low` to False at `high`, by ratios."""
-    for _ in range(steps):
-        middle = math.sqrt(low * high)
-        if stable(middle):
-            low = middle
-        else:
-            high = middle
-    return math.sqrt(low * high)
 
 
 def linear_boundaries(
