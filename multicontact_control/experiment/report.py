@@ -14,9 +14,11 @@ from multicontact_control.experiment.html_parts import claims_table, table, writ
 from multicontact_control.experiment.load import LoadedRun
 from multicontact_control.experiment.report_figures import interactive_figures
 from multicontact_control.experiment.run import FIGURE_FOLDER
-from multicontact_control.experiment.study.presets.compare.findings import findings
-from multicontact_control.experiment.study.presets.compare.listing import comparison_listing
-from multicontact_control.experiment.study.presets.compare.rows import claim_rows
+from multicontact_control.experiment.study.presets.compare.results import (
+    claim_rows,
+    comparison_listing,
+    findings,
+)
 from multicontact_control.experiment.study.table import html_table
 from multicontact_control.experiment.verdict import STABLE, verdict_text
 import yaml

@@ -48,19 +48,10 @@ def map_job(
     ratio: float, delay_ticks: int, label: str, *, plant: str = 'rigid', seed: int = 0,
 ) -> RunJob:
     """
-    Return a job of the robustness map.
+    Return a job of the map, with the estimator of a label of the comparison.
 
-    Parameters
-    ----------
-    ratio
-        True stiffness over that of the model, both surfaces.
-    delay_ticks
-        Actuator delay; the model keeps its T_d.
-    label
-        Of the estimator, as in the comparison.
-    plant, seed
-        As everywhere.
-
+    `ratio` is the true stiffness over that of the model, on both surfaces; the model keeps its
+    T_d whatever the delay of the actuator.
     """
     base = job_of(SCENARIO, plant, seed).setup()
     surfaces = {name: {'stiffness': ratio * base.controller.contacts[name].stiffness}
@@ -159,9 +150,10 @@ class ArmLoop:
         delay = round(self.delay * controller.rate) * controller.period
 
         def of_ratio(ratio: float) -> float:
+            arm = LinearArmPlant(
+                self.mobility, ratio * stiffness, damping, self.tool_inertia, delay)
             return spectral_radius(closed_loop(
-                LinearArmPlant(self.mobility, ratio * stiffness, damping, self.tool_inertia, delay),
-                observer, gain, controller.force.damping_rate, controller.period))
+                arm, observer, gain, controller.force.damping_rate, controller.period))
 
         return of_ratio
 
@@ -173,15 +165,7 @@ class ArmLoop:
 
 
 def arm_loop(setup: Setup) -> ArmLoop:
-    """
-    Return the linear force loops of a setup, for `decoupled` allocation.
-
-    Parameters
-    ----------
-    setup
-        The contacts' geometry, the arm at the plant's home, and the tool.
-
-    """
+    """Return the linear force loops of a setup at its plant's home, for `decoupled` allocation."""
     config = setup.controller
     controller = Controller.from_config(config, setup.reference(), setup.urdf_dir)
     robot = controller.robot
@@ -203,15 +187,8 @@ def linear_boundaries(
     """
     Return the boundaries to draw beside the simulation, as JSON values.
 
-    Parameters
-    ----------
-    plant
-        Preset or path.
-    delays
-        Of the actuator [periods].
-    variances
-        R held [N^2]; the first one for eq. 32 alone, too.
-
+    A point for every delay of the actuator [periods], a line for every R held [N^2]; the first
+    one for eq. 32 alone, too.
     """
     loops = [arm_loop(map_job(1.0, delay, 'fixed', plant=plant).setup()) for delay in delays]
     lines = [{'label': f'linear loop of the arm, R = {variance:g} N²',
