@@ -17,17 +17,7 @@ PROBE = 1.5  # s of simulated time that a plant's speed is taken from
 
 @dataclass(frozen=True)
 class Estimate:
-    """
-    What is to be done.
-
-    Attributes
-    ----------
-    runs, finished
-        All runs, and those that are finished already.
-    seconds
-        Wall time that the others will take [s]; None if that is not known.
-
-    """
+    """All runs, those that are finished, and the wall time of the others [s] if it is known."""
 
     runs: int
     finished: int
@@ -53,21 +43,8 @@ def estimate_time(
     """
     Return how long the jobs that are not finished will take.
 
-    From the finished jobs of the same plant, or from a short run of it.
-
-    Parameters
-    ----------
-    jobs
-        Of a study; a job may come twice.
-    folder
-        Where finished jobs are.
-    workers
-        How many run at once.
-    probe
-        Whether to make short runs where nothing is finished.
-    anew
-        Whether finished jobs are to be run again; they still tell the speed.
-
+    From the finished jobs of the same plant, or with `probe` from a short run of it. Finished
+    jobs that are to be run `anew` still tell the speed.
     """
     cache = JobCache(folder)
     known: dict[str, list[float]] = {}  # wall time for a simulated second, by plant

@@ -12,13 +12,8 @@ from multicontact_control.errors import RunError
 from multicontact_control.experiment.compilation import ensure_compiled
 from multicontact_control.experiment.display import count_bar
 from multicontact_control.experiment.study.cache import JobCache
-from multicontact_control.experiment.study.jobs import (
-    Executor,
-    JobResult,
-    JobT,
-    LostJob,
-)
-from multicontact_control.experiment.study.local import LocalExecutor
+from multicontact_control.experiment.study.executors import Executor, LocalExecutor, LostJob
+from multicontact_control.experiment.study.jobs import JobResult, JobT
 from rich.console import Console
 
 
@@ -44,15 +39,7 @@ class JobRun(Generic[JobT]):
     lost: Mapping[JobT, str]
 
     def result(self, job: JobT) -> JobResult:
-        """
-        Return the result of a job.
-
-        Raises
-        ------
-        RunError
-            If it has none.
-
-        """
+        """Return the result of a job; RunError if it has none."""
         result = self.cache.load(self.keys[job])
         if result is None:
             why = self.lost.get(job, 'it was changed meanwhile')
@@ -66,27 +53,18 @@ def run_jobs(
     executor: Executor | None = None, console: Console | None = None, title: str = 'jobs',
 ) -> JobRun[JobT]:
     """
-    Run every job that is not finished yet.
+    Run every job that is not finished yet, one that comes twice once.
 
     Parameters
     ----------
-    jobs
-        Of a study; a job that comes twice is run once.
-    folder
-        Where results are kept, and looked for.
+    jobs, folder
+        Of a study.
     task
         What a job is run with: an importable function.
     executor
         Who runs them; all cores of this machine if not given.
-    console
-        Where the progress bar is shown, with the time left.
-    title
-        Left of the bar.
-
-    Returns
-    -------
-    JobRun
-        Access to the results.
+    console, title
+        Where the progress bar is shown, with the time left, and what is said beside it.
 
     Raises
     ------

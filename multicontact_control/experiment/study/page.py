@@ -79,22 +79,7 @@ class Page:
 
 
 def write_study_page(page: Page, path: Path) -> list[Path]:
-    """
-    Write a page, which stands alone, and its figure.
-
-    Parameters
-    ----------
-    page
-        What is shown.
-    path
-        Without a suffix.
-
-    Returns
-    -------
-    list of Path
-        The files.
-
-    """
+    """Write a page, which stands alone, and its figure, to a path without suffix."""
     paths = []
     body = [f'<p>{escape(text)}</p>' for text in page.introduction if text]
     said = [f'<li class=no>{escape(text)}</li>' for text in page.warnings]

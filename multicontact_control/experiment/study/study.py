@@ -11,11 +11,15 @@ from typing import Any, ClassVar, Generic, TypeVar
 
 from multicontact_control.errors import check_all, ConfigError, RunError
 from multicontact_control.experiment.study.cache import prepare_job_folder
-from multicontact_control.experiment.study.cluster import DaskExecutor
 from multicontact_control.experiment.study.estimate import estimate_time
 from multicontact_control.experiment.study.execute import JobRun, run_jobs
-from multicontact_control.experiment.study.jobs import Executor, JobResult, JobT
-from multicontact_control.experiment.study.local import check_workers, LocalExecutor
+from multicontact_control.experiment.study.executors import (
+    check_workers,
+    DaskExecutor,
+    Executor,
+    LocalExecutor,
+)
+from multicontact_control.experiment.study.jobs import JobResult, JobT
 from multicontact_control.experiment.study.page import Page, write_study_page
 from multicontact_control.experiment.study.table import terminal_table, write_table
 from rich.console import Console
@@ -138,19 +142,7 @@ def run_study(
     study: Study[JobT, ContentT], options: StudyOptions, console: Console | None = None,
 ) -> ContentT | None:
     """
-    Run a study, write its files and show what came out.
-
-    Parameters
-    ----------
-    study, options
-        What is run, and how.
-    console
-        Where it is shown.
-
-    Returns
-    -------
-    ContentT or None
-        What came out, None of a dry run.
+    Run a study, write its files, and show and return what came out; None of a dry run.
 
     Raises
     ------

@@ -5,8 +5,8 @@ from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.experiment.results import finite
 from multicontact_control.experiment.study.cache import JobCache
 from multicontact_control.experiment.study.execute import run_jobs
-from multicontact_control.experiment.study.jobs import job_of, JobResult, LostJob
-from multicontact_control.experiment.study.local import LocalExecutor
+from multicontact_control.experiment.study.executors import LocalExecutor, LostJob
+from multicontact_control.experiment.study.jobs import job_of, JobResult
 from multicontact_control.experiment.study.measure import measure_run
 import numpy as np
 import pytest
