@@ -18,23 +18,19 @@ SMALL_EXPONENT = 0.1
 @dataclass(frozen=True, slots=True)
 class DelayedPlant:
     """
-    x_k = Phi x_{k-1} + Gamma u_{k-1}, y_k = C x_k (P04 eq. 33).
+    x_k = Phi x_{k-1} + Gamma u_{k-1}, y_k = alpha_k (P04 eq. 33).
 
     x = [alpha, dalpha/dt, v_{k-d}, ..., v_{k-1}], where v = u + p is what acts on the plant.
 
     Attributes
     ----------
-    Phi, Gamma, C
-        Shapes (2 + d, 2 + d), (2 + d,), (2 + d,).
-    delay_steps
-        d, the number of inputs under way.
+    Phi, Gamma
+        Shapes (2 + d, 2 + d) and (2 + d,), d the number of inputs under way.
 
     """
 
     Phi: Matrix
     Gamma: Vector
-    C: Vector
-    delay_steps: int
 
 
 def delayed_plant(
@@ -57,11 +53,6 @@ def delayed_plant(
     period
         h [s].
 
-    Returns
-    -------
-    DelayedPlant
-        Input in [m/s^2], output in [N].
-
     Raises
     ------
     ConfigError
@@ -79,9 +70,7 @@ def delayed_plant(
     A = np.array([[0.0, 1.0], [0.0, -damping_rate]])
     B = np.array([[0.0], [stiffness]])
     Phi, Gamma = delayed_hold(A, B, input_delay, period)
-    C = np.zeros(Phi.shape[0])
-    C[0] = 1.0
-    return DelayedPlant(Phi=Phi, Gamma=Gamma[:, 0], C=C, delay_steps=Phi.shape[0] - 2)
+    return DelayedPlant(Phi, Gamma[:, 0])
 
 
 def delayed_hold(
@@ -255,11 +244,6 @@ def design_force_loop(
     second_pole_ratio
         How much faster the second pole is; 1 gives two equal ones.
 
-    Returns
-    -------
-    ForceLoop
-        The plant and its feedback.
-
     Raises
     ------
     ConfigError
@@ -269,5 +253,5 @@ def design_force_loop(
     plant = delayed_plant(stiffness, damping_rate, input_delay, period)
     poles = [math.exp(-period / time_constant),
              math.exp(-period * second_pole_ratio / time_constant)]
-    poles += [0.0] * plant.delay_steps
+    poles += [0.0] * (len(plant.Gamma) - len(poles))
     return ForceLoop(plant, ackermann(plant.Phi, plant.Gamma, poles))

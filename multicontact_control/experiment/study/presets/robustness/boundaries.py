@@ -16,7 +16,7 @@ from typing import Any
 
 from multicontact_control.arrays import Matrix
 from multicontact_control.contact.geometry import normal_space
-from multicontact_control.control.controller import Controller
+from multicontact_control.control.controller import Controller, design_observers
 from multicontact_control.dynamics.operational_space import task_inertia
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.experiment.study.jobs import job_of, RunJob
@@ -31,8 +31,7 @@ from multicontact_control.force.linear_loop import (
     spectral_radius,
     steady_gain,
 )
-from multicontact_control.force.observer import design_observer, ObserverDesign
-from multicontact_control.force.plant_model import design_force_loop
+from multicontact_control.force.observer import ObserverDesign
 import numpy as np
 
 SCENARIO = 'step'
@@ -91,12 +90,15 @@ class ArmLoop:
     ----------
     setup
         Where stiffness, damping, delay and controller come from.
+    observer
+        That of the first contact; the others have the same model.
     mobility, tool_inertia
         As in `LinearArmPlant`.
 
     """
 
     setup: Setup
+    observer: ObserverDesign
     mobility: Matrix
     tool_inertia: Matrix
 
@@ -107,31 +109,18 @@ class ArmLoop:
         return (self.setup.plant.actuator_delay_ticks * controller.period
                 + controller.sensor.filter_delay(controller.rate))
 
-    def observer(self) -> ObserverDesign:
-        """Return the observer of the first contact; the others have the same model."""
-        controller = self.setup.controller
-        force = controller.force
-        loop = design_force_loop(
-            controller.contacts[controller.contact_names[0]].stiffness,
-            damping_rate=force.damping_rate, input_delay=controller.loop_delay,
-            period=controller.period, time_constant=force.time_constant,
-            second_pole_ratio=force.second_pole_ratio)
-        return design_observer(
-            loop, order=force.active_state_order, process_noise=force.process_noise,
-            initial_covariance=force.initial_covariance)
-
     def paper_boundary(self, noise_variance: float) -> float:
         """Return the largest stable stiffness ratio of eq. 32 with the real delay, 0 for none."""
         controller = self.setup.controller
         model = controller.contacts[controller.contact_names[0]].stiffness
-        observer, none = self.observer(), np.zeros((1, 1))
-        gain = steady_gain(observer, noise_variance)
+        none = np.zeros((1, 1))
+        gain = steady_gain(self.observer, noise_variance)
 
         def stable(ratio: float) -> bool:
             plant = LinearArmPlant(none, np.array([ratio * model]), none[0], none, self.delay,
                                    controller.force.damping_rate)
             return spectral_radius(
-                closed_loop(plant, observer, gain, 0.0, controller.period)) < 1.0
+                closed_loop(plant, self.observer, gain, 0.0, controller.period)) < 1.0
 
         return last_stable(stable, PAPER_RATIOS, 1e-4)[0]
 
@@ -145,15 +134,14 @@ class ArmLoop:
         names = controller.contact_names
         stiffness = np.array([controller.contacts[name].stiffness for name in names])
         damping = np.array([plant.surfaces[name].damping for name in names])
-        observer = self.observer()
-        gain = steady_gain(observer, noise_variance)
+        gain = steady_gain(self.observer, noise_variance)
         delay = round(self.delay * controller.rate) * controller.period
 
         def of_ratio(ratio: float) -> float:
             arm = LinearArmPlant(
                 self.mobility, ratio * stiffness, damping, self.tool_inertia, delay)
             return spectral_radius(closed_loop(
-                arm, observer, gain, controller.force.damping_rate, controller.period))
+                arm, self.observer, gain, controller.force.damping_rate, controller.period))
 
         return of_ratio
 
@@ -178,7 +166,9 @@ def arm_loop(setup: Setup) -> ArmLoop:
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     inertia = config.tool.mass * np.block(
         [[np.eye(3), -cross], [cross, -cross @ cross]])  # of a point mass at its centre
-    return ArmLoop(setup, mobility, np.linalg.pinv(N) @ inertia @ N @ np.linalg.inv(N.T @ N))
+    observer = design_observers(config, state.pose.rotation_world)[0]
+    tool_inertia = np.linalg.pinv(N) @ inertia @ N @ np.linalg.inv(N.T @ N)
+    return ArmLoop(setup, observer, mobility, tool_inertia)
 
 
 def linear_boundaries(

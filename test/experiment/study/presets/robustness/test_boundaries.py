@@ -70,7 +70,7 @@ def test_observer_of_the_linear_loop_is_the_controllers():
     for sensor, under_way in (({}, 1), (LOW_PASS, 3)):
         setup = low_passed_cell(1.0, sensor)
         assert math.ceil(setup.controller.loop_delay * 500.0 - 1e-9) == under_way
-        assert arm_loop(setup).observer().feedback.shape == (2 + under_way + 1,)
+        assert arm_loop(setup).observer.feedback.shape == (2 + under_way + 1,)
 
 
 @pytest.mark.slow
