@@ -11,8 +11,7 @@ from typing import Any, ClassVar, Generic, TypeVar
 
 from multicontact_control.errors import check_all, ConfigError, RunError
 from multicontact_control.experiment.study.cache import prepare_job_folder
-from multicontact_control.experiment.study.estimate import estimate_time
-from multicontact_control.experiment.study.execute import JobRun, run_jobs
+from multicontact_control.experiment.study.execute import estimate_time, JobRun, run_jobs
 from multicontact_control.experiment.study.executors import (
     check_workers,
     DaskExecutor,
