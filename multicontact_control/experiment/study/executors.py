@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 import concurrent.futures
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import closing, suppress
+from contextlib import AbstractContextManager, closing, suppress
 from dataclasses import dataclass
 import os
 import signal
@@ -166,7 +166,7 @@ def usable_cores() -> int:
     return len(affinity(0)) if affinity else os.cpu_count() or 1
 
 
-class DaskExecutor:
+class DaskExecutor(AbstractContextManager['DaskExecutor']):
     """
     Whatever workers a Dask scheduler has; use it as a context manager.
 
@@ -201,9 +201,6 @@ class DaskExecutor:
             reason = ' '.join(str(error).split()) or type(error).__name__
             raise ConfigError('dask', 'the address of a Dask scheduler that answers, e.g. '
                               'tcp://127.0.0.1:8786', f'{address} ({reason})') from None
-
-    def __enter__(self) -> DaskExecutor:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self._client.close()

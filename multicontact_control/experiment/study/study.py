@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar
@@ -127,14 +127,9 @@ class StudyOptions:
             raise ConfigError('jobs', 'nothing together with --dask, whose workers decide',
                               self.jobs)
 
-    @contextmanager
-    def executor(self) -> Iterator[Executor]:
+    def executor(self) -> AbstractContextManager[Executor]:
         """Open what the jobs are run by."""
-        if self.dask:
-            with DaskExecutor(self.dask) as executor:
-                yield executor
-        else:
-            yield LocalExecutor(self.jobs)
+        return DaskExecutor(self.dask) if self.dask else nullcontext(LocalExecutor(self.jobs))
 
 
 def run_study(

@@ -21,6 +21,10 @@ from multicontact_control.experiment.study.presets.compare.matrix import (
 from multicontact_control.experiment.study.table import Column, Line, Listing
 
 COMPARISON_FILE = 'comparison.json'
+INSTABILITY = ('unstable_at_s', 'unstable_after_motion_s', 'oscillation_hz')
+WORST = (  # of the contacts: window and number
+    ('rest', 'rms_n'), ('moving', 'rms_n'), ('moving', 'lost'), ('rest', 'variance_n2'),
+    ('moving', 'variance_n2'))
 CLEAN = 'fixed, no roughness, no sensor noise'
 CAPTION = ('fails: after the start of the motion; rest, move: rms error of the true force; lost: '
            'contact in motion; R [N²]; push: recovery [s]; torq: largest share of the limit')
@@ -43,14 +47,8 @@ def row_of(entry: Entry, key: str, result: JobResult) -> dict[str, Any]:
         'label': entry.label, 'kind': entry.kind, 'plant': entry.job.plant,
         'seed': entry.job.seed, 'key': key, 'stable': summary['stable'],
         'verdict': summary['verdict'], 'instabilities': summary['instabilities'],
-        'unstable_at_s': metrics['disturbances']['unstable_at_s'],
-        'unstable_after_motion_s': metrics['disturbances']['unstable_after_motion_s'],
-        'oscillation_hz': metrics['disturbances']['oscillation_hz'],
-        'rest_rms_n': _worst(answers, 'rest', 'rms_n'),
-        'moving_rms_n': _worst(answers, 'moving', 'rms_n'),
-        'moving_lost': _worst(answers, 'moving', 'lost'),
-        'rest_variance_n2': _worst(answers, 'rest', 'variance_n2'),
-        'moving_variance_n2': _worst(answers, 'moving', 'variance_n2'),
+        **{name: metrics['disturbances'][name] for name in INSTABILITY},
+        **{f'{window}_{name}': _worst(answers, window, name) for window, name in WORST},
         'pushes': _pushes(answers),
         'torque_max_fraction': summary['torque']['max_fraction_of_limit'],
         'torque_saturated_fraction': summary['torque']['saturated_fraction'],
