@@ -7,12 +7,9 @@ from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 
-import matplotlib
 from matplotlib.figure import Figure
 from multicontact_control.experiment.html_parts import image, write_page
 from multicontact_control.experiment.study.table import html_table, Listing
-
-matplotlib.use('Agg')
 
 DPI = 130  # of the figure
 

@@ -109,47 +109,45 @@ class ArmLoop:
         return (self.setup.plant.actuator_delay_ticks * controller.period
                 + controller.sensor.filter_delay(controller.rate))
 
-    def paper_boundary(self, noise_variance: float) -> float:
-        """Return the largest stable stiffness ratio of eq. 32 with the real delay, 0 for none."""
-        controller = self.setup.controller
+    def _arm(self, ratio: float) -> LinearArmPlant:
+        """Return the arm on its surfaces; the real delay counts in whole periods."""
+        controller, names = self.setup.controller, self.setup.controller.contact_names
+        return LinearArmPlant(
+            self.mobility,
+            ratio * np.array([controller.contacts[name].stiffness for name in names]),
+            np.array([self.setup.plant.surfaces[name].damping for name in names]),
+            self.tool_inertia, round(self.delay * controller.rate) * controller.period)
+
+    def _paper(self, ratio: float) -> LinearArmPlant:
+        """Return the plant of eq. 32 with the real delay."""
+        controller, none = self.setup.controller, np.zeros((1, 1))
         model = controller.contacts[controller.contact_names[0]].stiffness
-        none = np.zeros((1, 1))
-        gain = steady_gain(self.observer, noise_variance)
+        return LinearArmPlant(none, np.array([ratio * model]), none[0], none, self.delay,
+                              controller.force.damping_rate)
 
-        def stable(ratio: float) -> bool:
-            plant = LinearArmPlant(none, np.array([ratio * model]), none[0], none, self.delay,
-                                   controller.force.damping_rate)
-            return spectral_radius(
-                closed_loop(plant, self.observer, gain, 0.0, controller.period)) < 1.0
-
-        return last_stable(stable, PAPER_RATIOS, 1e-4)[0]
-
-    def radius(self, noise_variance: float) -> Callable[[float], float]:
+    def radius(self, noise_variance: float, *, paper: bool = False) -> Callable[[float], float]:
         """
         Return the spectral radius of the closed loops as a function of the stiffness ratio.
 
-        With R held at `noise_variance` [N^2]. The real delay counts in whole periods.
+        With R held at `noise_variance` [N^2], on the arm, or on the plant of eq. 32 if `paper`.
         """
-        controller, plant = self.setup.controller, self.setup.plant
-        names = controller.contact_names
-        stiffness = np.array([controller.contacts[name].stiffness for name in names])
-        damping = np.array([plant.surfaces[name].damping for name in names])
+        controller = self.setup.controller
         gain = steady_gain(self.observer, noise_variance)
-        delay = round(self.delay * controller.rate) * controller.period
-
-        def of_ratio(ratio: float) -> float:
-            arm = LinearArmPlant(
-                self.mobility, ratio * stiffness, damping, self.tool_inertia, delay)
-            return spectral_radius(closed_loop(
-                arm, self.observer, gain, controller.force.damping_rate, controller.period))
-
-        return of_ratio
+        plant, damping_rate = (
+            (self._paper, 0.0) if paper else (self._arm, controller.force.damping_rate))
+        return lambda ratio: spectral_radius(
+            closed_loop(plant(ratio), self.observer, gain, damping_rate, controller.period))
 
     def boundary(self, noise_variance: float) -> float:
         """Return the largest ratio up to which the loops are stable, 0 for none; infinity."""
         radius = self.radius(noise_variance)
         return math.sqrt(math.prod(
             last_stable(lambda ratio: radius(ratio) < 1.0, ARM_RATIOS, 1e-7)))
+
+    def paper_boundary(self, noise_variance: float) -> float:
+        """Return the largest ratio up to which eq. 32 is stable, 0 for none; infinity."""
+        radius = self.radius(noise_variance, paper=True)
+        return last_stable(lambda ratio: radius(ratio) < 1.0, PAPER_RATIOS, 1e-4)[0]
 
 
 def arm_loop(setup: Setup) -> ArmLoop:

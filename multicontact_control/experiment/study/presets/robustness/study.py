@@ -8,7 +8,6 @@ import math
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
@@ -30,8 +29,6 @@ from multicontact_control.experiment.study.presets.robustness.boundaries import 
 from multicontact_control.experiment.study.study import Study
 from multicontact_control.experiment.study.table import Column, Line, Listing
 import numpy as np
-
-matplotlib.use('Agg')
 
 QUICK_PLANTS, QUICK_LABELS = ('rigid',), ('lead_window', 'fixed')
 RATIOS, QUICK_RATIOS = 13, 8  # how many

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Mapping, Sequence
 import json
 from typing import Any
 
-import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from multicontact_control import __version__
@@ -15,8 +14,6 @@ from multicontact_control.experiment.study.presets.sweep.plan import EVERY, Swee
 from multicontact_control.experiment.study.table import Column, Line, Listing
 import numpy as np
 import pyarrow as pa
-
-matplotlib.use('Agg')
 
 # Of summary.json: what is told elsewhere in the row, is no result, or depends on the machine.
 LEFT_OUT = ('claims', 'ended_early', 'instabilities', 'kept_real_time', 'mode',
