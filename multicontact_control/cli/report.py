@@ -20,7 +20,7 @@ def report(
     """Judge recorded runs by the claims of the paper: report.html, and figures as PNG and PDF."""
     from multicontact_control.experiment.report import write_report
     from multicontact_control.experiment.results import load_run
-    from multicontact_control.experiment.study.presets.compare.rows import read_comparison
+    from multicontact_control.experiment.study.presets.compare.results import read_comparison
 
     with errors_in_one_line():
         content = read_comparison(comparison) if comparison is not None else None

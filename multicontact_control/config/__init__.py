@@ -7,7 +7,6 @@ parameter files that these models validate, and both report a bad value in the s
 """
 
 from multicontact_control.config.base import Config, parameter, Real, UnitVector3, Vector, Vector3
-from multicontact_control.config.contact_state import ContactStateConfig
 from multicontact_control.config.controller import ControllerConfig, MAX_DELAY_PERIODS
 from multicontact_control.config.estimator import NoiseEstimatorConfig
 from multicontact_control.config.files import (
@@ -25,10 +24,13 @@ from multicontact_control.config.law import (
     SafeBehaviourConfig,
     TransitionConfig,
 )
-from multicontact_control.config.limits import LimitsConfig
-from multicontact_control.config.robot import RobotConfig, ToolConfig
-from multicontact_control.config.sensor import SensorFrontEndConfig
-from multicontact_control.config.watchdog import Reaction, WatchdogConfig
+from multicontact_control.config.robot import RobotConfig, SensorFrontEndConfig, ToolConfig
+from multicontact_control.config.supervision import (
+    ContactStateConfig,
+    LimitsConfig,
+    Reaction,
+    WatchdogConfig,
+)
 
 __all__ = [
     'Config', 'ContactConfig', 'ContactStateConfig', 'ControllerConfig', 'ForceConfig',

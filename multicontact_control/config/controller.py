@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Literal
 
 from multicontact_control.config.base import Config, parameter, Real, Vector
-from multicontact_control.config.contact_state import ContactStateConfig
 from multicontact_control.config.law import (
     ContactConfig,
     ForceConfig,
@@ -14,10 +13,12 @@ from multicontact_control.config.law import (
     SafeBehaviourConfig,
     TransitionConfig,
 )
-from multicontact_control.config.limits import LimitsConfig
-from multicontact_control.config.robot import RobotConfig, ToolConfig
-from multicontact_control.config.sensor import SensorFrontEndConfig
-from multicontact_control.config.watchdog import WatchdogConfig
+from multicontact_control.config.robot import RobotConfig, SensorFrontEndConfig, ToolConfig
+from multicontact_control.config.supervision import (
+    ContactStateConfig,
+    LimitsConfig,
+    WatchdogConfig,
+)
 from multicontact_control.errors import ConfigError
 from pydantic import model_validator
 

@@ -18,26 +18,12 @@ ModelT = TypeVar('ModelT', bound='Config')
 
 def validate(model: type[ModelT], values: Mapping[str, Any], source: str = '') -> ModelT:
     """
-    Build a configuration from plain values.
-
-    Parameters
-    ----------
-    model
-        The configuration class.
-    values
-        Nested plain values, as a YAML file gives them.
-    source
-        File name for the error message.
-
-    Returns
-    -------
-    Config
-        The frozen configuration.
+    Build a configuration from nested plain values, as a YAML file gives them.
 
     Raises
     ------
     ConfigError
-        With the first field that is not acceptable.
+        With the first field that is not acceptable, and the file name `source`.
 
     """
     try:

@@ -1,6 +1,8 @@
-"""Where the arm comes from, and what hangs on it."""
+"""Where the arm comes from, what hangs on it, and its wrist sensor."""
 
 from __future__ import annotations
+
+import math
 
 from multicontact_control.config.base import Config, parameter, Real, Vector, Vector3, WRENCH_SIZE
 from multicontact_control.errors import ConfigError
@@ -38,3 +40,45 @@ class ToolConfig(Config):
         if len(self.bias_sensor) != WRENCH_SIZE:
             raise ConfigError('tool.bias_sensor', '6 values', len(self.bias_sensor))
         return self
+
+
+class SensorFrontEndConfig(Config):
+    """What is done to the wrist sensor's readings before anything else sees them."""
+
+    filter_order: int = parameter(
+        0, 'Order of the low-pass on the readings: 0 for none, 1, or 2 (Butterworth).', ge=0, le=2)
+    filter_cutoff: Real = parameter(
+        125.0, 'Cut-off of that low-pass; its delay is added to force.input_delay.', unit='Hz',
+        gt=0.0)
+    full_scale: Vector = parameter(
+        (), 'Largest reading of each axis, force first; empty where it is not known, and then '
+        'saturation is not detected.', unit='N, N m')
+    saturation_fraction: Real = parameter(
+        0.99, 'Share of full scale from which a reading counts as saturated.', gt=0.0, le=1.0)
+    frozen_ticks: int = parameter(
+        0, 'Identical readings in a row that mean a frozen sensor; 0 to not look for one.', ge=0)
+    require_push_test: bool = parameter(
+        False, 'Whether force control stays disabled until a push test has proved sign, frame '
+        'and scale of the sensor.')
+
+    @model_validator(mode='after')
+    def _check(self) -> SensorFrontEndConfig:
+        if self.full_scale and len(self.full_scale) != WRENCH_SIZE:
+            raise ConfigError('sensor.full_scale', '6 values or none', len(self.full_scale))
+        if min(self.full_scale, default=1.0) <= 0.0:
+            raise ConfigError('sensor.full_scale', 'values above 0', min(self.full_scale))
+        if self.frozen_ticks == 1:
+            raise ConfigError('sensor.frozen_ticks', '0 or at least 2', 1)
+        return self
+
+    def filter_delay(self, rate: float) -> float:
+        """
+        Return by how much the low-pass delays what changes slowly [s], at a rate [Hz].
+
+        Its group delay at 0 Hz, exact for the bilinear transform: with K = tan(pi f_c / f_s),
+        1 / (2 K) samples for order 1 and 1 / (sqrt(2) K) for order 2.
+        """
+        if self.filter_order == 0:
+            return 0.0
+        samples = 1.0 / math.tan(math.pi * self.filter_cutoff / rate)
+        return samples / ((2.0 if self.filter_order == 1 else math.sqrt(2.0)) * rate)

@@ -9,7 +9,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from multicontact_control.algebra import cholesky, multiply_transposed, solve_cholesky
+from multicontact_control.algebra import (
+    cholesky,
+    multiply,
+    multiply_transposed,
+    solve_cholesky,
+)
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 
@@ -91,18 +96,8 @@ def coordinates(rows: Matrix, factor: Matrix, vector: Vector, alpha: Vector) -> 
         Filled, shape (r,).
 
     """
-    rates(rows, vector, alpha)
+    multiply(rows, vector, alpha)
     solve_cholesky(factor, alpha)
-
-
-@compiled
-def rates(rows: Matrix, twist: Vector, speeds: Vector) -> None:
-    """Fill in N^T theta, the speeds of the contact points along their normals, shape (r,)."""
-    for i in range(rows.shape[0]):
-        total = 0.0
-        for k in range(6):
-            total += rows[i, k] * twist[k]
-        speeds[i] = total
 
 
 @compiled
@@ -131,7 +126,7 @@ def compose_acceleration(
     for k in range(6):
         acceleration[k] = f_t[k] - f_c[k]
     beta = rows[:, 0].copy()
-    rates(rows, acceleration, beta)
+    multiply(rows, acceleration, beta)
     solve_cholesky(weighted_factor, beta)
     for k in range(6):
         total = f_t[k]

@@ -13,7 +13,6 @@ from multicontact_control.contact.projections import (
     compose_acceleration,
     coordinates,
     factorise_contacts,
-    rates,
 )
 from multicontact_control.control.motion import motion_law
 from multicontact_control.dynamics.operational_space import (
@@ -55,7 +54,7 @@ def force_law(
     """
     alpha_star = np.empty(inputs.shape[0])
     if law.decoupled:
-        rates(rows, twist, alpha_star)
+        multiply(rows, twist, alpha_star)
     else:
         coordinates(rows, factor, twist, alpha_star)
     for i in range(inputs.shape[0]):

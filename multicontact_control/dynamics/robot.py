@@ -102,7 +102,6 @@ class RobotModel:
 
     def __init__(self, config: RobotConfig, base_dir: Path = Path()) -> None:
         path = base_dir / config.urdf
-        self.urdf_path = path
         self._model = _load(path)
         names = list(self._model.names)[1:]
         if names != list(config.joint_names):

@@ -13,9 +13,11 @@ from multicontact_control.experiment.figures import draw_figures, interactive_fi
 from multicontact_control.experiment.html_parts import claims_table, table, write_page
 from multicontact_control.experiment.judge import STABLE, verdict_text
 from multicontact_control.experiment.results import FIGURE_FOLDER, LoadedRun
-from multicontact_control.experiment.study.presets.compare.findings import findings
-from multicontact_control.experiment.study.presets.compare.listing import comparison_listing
-from multicontact_control.experiment.study.presets.compare.rows import claim_rows
+from multicontact_control.experiment.study.presets.compare.results import (
+    claim_rows,
+    comparison_listing,
+    findings,
+)
 from multicontact_control.experiment.study.table import html_table
 import yaml
 

@@ -1,102 +1,75 @@
-"""Stability of one force loop whose real contact is not the one that the observer models."""
+"""
+The force loops of an arm together: linear, sampled, and not only on what the observer models.
+
+P04 eq. 32 takes the contact for k e^(-s T_d) / (s (s + K_2)). On the arm of eqs 23-26 more is
+added to it: the contact force itself accelerates the arm, and only its delayed estimate
+is fed forward against it (eq. 24); the damping K_2 acts on the measured motion, and so is delayed
+too; the surface damps; the contacts act on each other through the arm; and the wrist sensor
+weighs the inertia of the tool with the contact force, which on the PUMA decides as much as the
+rest.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 import math
-from typing import Literal
 
-from multicontact_control.arrays import Matrix, Vector
+from multicontact_control.arrays import Matrix, require_shape, Vector
 from multicontact_control.errors import ConfigError
 from multicontact_control.force.observer import ObserverDesign
 from multicontact_control.force.plant_model import delayed_hold
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
-SEARCH_STEP = 1.05
 
-
-@dataclass(frozen=True, slots=True)
-class RealContact:
+@dataclass(frozen=True)
+class LinearArmPlant:
     """
-    What the force loop really acts on.
+    The plant that the force loops meet.
 
-    alpha = k z + c dz/dt, d^2z/dt^2 = u(t - T) - K_2 dz/dt + (alpha_est(t - T) - alpha) / m,
-    where z is the way of the contact point into the surface; measured is alpha + m_t d^2z/dt^2.
-    With c = 0, m infinite and m_t = 0 it is G(s) of P04 eq. 32. The term in m is what the
-    compensation of the contact force by its estimate (P04 eq. 24) leaves over; m_t is carried
-    by a wrist sensor, which weighs it away but reads its inertia.
+    d^2z/dt^2 = u(t - T) - K dz/dt - B alpha with alpha = k z + c dz/dt, where z are the ways of
+    the contact points into their surfaces; measured is alpha + M_t d^2z/dt^2. With K = K_2 and
+    without B, c and M_t each contact is G(s) of P04 eq. 32.
 
     Attributes
     ----------
-    stiffness
-        k [N/m].
+    mobility
+        B = N^T Lambda^-1 N: acceleration of the contact points along their normals for a unit
+        of contact force, shape (r, r) [1/kg].
+    stiffness, damping
+        k and c of the surfaces, shape (r,) [N/m], [N s/m].
+    tool_inertia
+        M_t: what the sensor reads along the normals for a unit of acceleration of the contact
+        points, shape (r, r) [kg].
+    delay
+        T, from a sample to the torque that answers it [s]: the actuator's ticks and all else.
     damping_rate
-        K_2 [1/s].
-    input_delay
-        T, from the sample to the torque that answers it [s]: the actuator's ticks and all else.
-    period
-        h [s].
-    damping
-        Where K_2 acts (paper notes 13). `plant`: on the motion of the contact as it is, without
-        delay, as eq. 32 and the observer have it. `commanded`: on the motion measured in the
-        same sample as the force, held and delayed by T with the rest of the command, as a
-        controller in discrete time does it.
-    contact_damping
-        c of the surface [N s/m].
-    effective_mass
-        m, the inertia felt at the contact along its normal, 1 / (N_i^T Lambda^-1 N_i) [kg]. Two
-        equal contacts move together: with D = N^T Lambda^-1 N the loop that gives way first is
-        that of D's smallest eigenvalue 1/m.
-    carried_mass
-        m_t, what hangs on the sensor [kg].
+        K, damping of the motion that is there without being commanded [1/s].
 
     """
 
-    stiffness: float
-    damping_rate: float
-    input_delay: float
-    period: float
-    damping: Literal['plant', 'commanded'] = 'plant'
-    contact_damping: float = 0.0
-    effective_mass: float = math.inf
-    carried_mass: float = 0.0
+    mobility: Matrix
+    stiffness: Vector
+    damping: Vector
+    tool_inertia: Matrix
+    delay: float
+    damping_rate: float = 0.0
 
-
-@dataclass(frozen=True, slots=True)
-class StabilityRange:
-    """
-    Ratios of real to modelled stiffness around 1 with which a loop is stable.
-
-    Attributes
-    ----------
-    lower, upper
-        Ends of the range; those of the search if the loop is stable up to there, NaN if it is
-        not even stable with the modelled stiffness.
-
-    """
-
-    lower: float
-    upper: float
+    def __post_init__(self) -> None:
+        square = (len(self.stiffness), len(self.stiffness))
+        require_shape('mobility', self.mobility, square)
+        require_shape('tool_inertia', self.tool_inertia, square)
+        require_shape('damping', self.damping, square[:1])
+        if not self.delay >= 0.0:
+            raise ConfigError('delay', 'a number >= 0', self.delay)
 
 
 def steady_gain(observer: ObserverDesign, noise_variance: float) -> Vector:
     """
-    Return the gain K that an observer settles at with a constant R.
+    Return the gain K, shape (n,), that an observer settles at with a constant R [N^2].
 
     From the stabilising solution P_1 of the discrete Riccati equation of P04 eqs 39-40.
-
-    Parameters
-    ----------
-    observer
-        Its model and Q.
-    noise_variance
-        R [N^2].
-
-    Returns
-    -------
-    Vector
-        K, shape (n,).
 
     Raises
     ------
@@ -114,116 +87,97 @@ def steady_gain(observer: ObserverDesign, noise_variance: float) -> Vector:
     return gain
 
 
-def closed_loop_matrix(observer: ObserverDesign, gain: Vector, contact: RealContact) -> Matrix:
+def closed_loop(
+    plant: LinearArmPlant, observer: ObserverDesign, kalman_gain: Vector, damping_rate: float,
+    period: float,
+) -> Matrix:
     """
-    Return the transition of [z, dz/dt, inputs under way, x_est] from one tick to the next.
+    Return the matrix of one period of all force loops together.
 
-    With s the state of the contact, w = -F x_est the acceleration that is commanded at a tick
-    (F the observer's feedback, with the terms of `contact` added) and y' = C s' + m_t a', a'
-    the acceleration at the end of the period: s' = Phi s + Gamma w,
-    x_est' = (1 - K C) Phi_c x_est + K y' (P04 eqs 36-38). References and disturbances only add
-    to it.
+    Of the state [z, dz/dt, inputs under way, x_est of every contact after its correction], with
+    the commanded forces 0. A sample is answered by w = -L x_est - K_2 dz/dt + B alpha_est, and
+    x_est' = (1 - K C) Phi_c x_est + K y' (P04 eqs 36-38).
 
     Parameters
     ----------
+    plant
+        What the loops meet.
     observer
-        The AOB with its model and feedback.
-    gain
-        K, shape (n,).
-    contact
-        What it works on.
+        Model and feedback, the same for every contact.
+    kalman_gain
+        K, held, as from `steady_gain`.
+    damping_rate
+        K_2 on the measured motion [1/s]; 0 where the plant itself has it.
+    period
+        h [s].
 
     Returns
     -------
     Matrix
-        Shape (2 + d + n, 2 + d + n).
+        Square; the loops are stable if all its eigenvalues are inside the unit circle.
 
     """
-    k, c, m = contact.stiffness, contact.contact_damping, contact.effective_mass
-    damping_rate = contact.damping_rate if contact.damping == 'plant' else 0.0
-    A = np.array([[0.0, 1.0], [-k / m, -damping_rate - c / m]])
-    Phi, Gamma = delayed_hold(A, np.array([0.0, 1.0]), contact.input_delay, contact.period)
-    real, estimated = Phi.shape[0], gain.shape[0]
-    command = np.zeros(real + estimated)  # w as a row
-    if contact.damping == 'commanded':
-        command[1] = -contact.damping_rate
-    command[real:] = -observer.feedback
-    command[real] += 1.0 / m
-    matrix = np.zeros((real + estimated, real + estimated))
-    matrix[:real, :real] = Phi
-    matrix[:real] += np.outer(Gamma, command)
-    measured = (np.array([k, c]) + contact.carried_mass * A[1]) @ matrix[:2]
-    measured += contact.carried_mass * _acting_input(contact, command, real)
-    correction = np.eye(estimated)
-    correction[:, 0] -= gain
-    matrix[real:, real:] = correction @ observer.Phi_c
-    matrix[real:] += np.outer(gain, measured)
-    return matrix
+    r, n = len(plant.stiffness), len(kalman_gain)
+    zero, one = np.zeros((r, r)), np.eye(r)
+    force = np.hstack([np.diag(plant.stiffness), np.diag(plant.damping)])  # alpha of z and dz/dt
+    acceleration = -plant.mobility @ force
+    acceleration[:, r:] -= plant.damping_rate * one
+    Phi, Gamma = delayed_hold(np.vstack([np.hstack([zero, one]), acceleration]),
+                              np.vstack([zero, one]), plant.delay, period)
+    real = len(Phi)  # states of the plant, with the inputs under way
+    estimate = np.kron(one, np.eye(1, n))
+    answer = np.zeros((r, real + n * r))
+    answer[:, r:2 * r] = -damping_rate * one
+    answer[:, real:] = plant.mobility @ estimate - np.kron(one, observer.feedback)
+    loop = np.zeros((real + n * r, real + n * r))
+    loop[:real] = Gamma @ answer
+    loop[:real, :real] += Phi
+    motion = loop[:2 * r]
+    reading = force @ motion + plant.tool_inertia @ (
+        acceleration @ motion + _acting_input(plant, answer, real, period))
+    correction = np.eye(n)
+    correction[:, 0] -= kalman_gain
+    loop[real:] = np.kron(one, kalman_gain[:, None]) @ reading
+    loop[real:, real:] += np.kron(one, correction @ observer.Phi_c)
+    return loop
 
 
-def _acting_input(contact: RealContact, command: Vector, real: int) -> Vector:
-    """Return, as a row, the input that acts at the end of the period."""
-    waiting = contact.input_delay / contact.period
-    first = math.floor(waiting + 1e-9) == math.ceil(waiting - 1e-9)  # still the oldest
-    position = 2 if first else 3
-    if position >= real:
-        return command
-    row = np.zeros_like(command)
-    row[position] = 1.0
-    return row
+def _acting_input(plant: LinearArmPlant, answer: Matrix, real: int, period: float) -> Matrix:
+    """Return, as rows, the inputs that act at the end of the period."""
+    waiting, r = plant.delay / period, len(answer)
+    whole = math.floor(waiting + 1e-9) == math.ceil(waiting - 1e-9)  # still the oldest
+    first = (2 if whole else 3) * r
+    return np.eye(answer.shape[1])[first:first + r] if first < real else answer
 
 
-def is_stable(matrix: Matrix) -> bool:
-    """Return whether every eigenvalue of a transition matrix lies within the unit circle."""
-    return bool(np.abs(np.linalg.eigvals(matrix)).max() < 1.0)
+def spectral_radius(matrix: Matrix) -> float:
+    """Return the largest magnitude of the eigenvalues."""
+    return float(np.abs(np.linalg.eigvals(matrix)).max())
 
 
-def stability_boundary(
-    observer: ObserverDesign, noise_variance: float, modelled: RealContact, *,
-    lowest: float = 0.01, highest: float = 100.0, tolerance: float = 1e-4,
-) -> StabilityRange:
+def last_stable(
+    stable: Callable[[float], bool], ratios: Sequence[float], tolerance: float,
+) -> tuple[float, float]:
     """
-    Return how wrong the modelled stiffness may be.
+    Return a stable and an unstable ratio next to each other, the first from below.
 
-    Walks from the ratio 1 up and down in steps of 5 % to the first unstable one and bisects
-    the last step. Stable islands beyond it do not count.
-
-    Parameters
-    ----------
-    observer
-        The AOB, designed for the stiffness of `modelled`.
-    noise_variance
-        R, which the observer has settled at [N^2].
-    modelled
-        The contact for a ratio of 1. Its other values are what they really are.
-    lowest, highest
-        Where the search ends.
-    tolerance
-        Relative accuracy of the ends.
-
-    Returns
-    -------
-    StabilityRange
-        Real over modelled stiffness.
-
+    Walks up the ratios to the first unstable one, then halves the step to a relative
+    `tolerance`. Stable islands beyond it do not count. (0, 0) if not even the first is stable,
+    infinities if all are.
     """
-    gain = steady_gain(observer, noise_variance)
+    low = 0.0
+    for high in ratios:
+        if not stable(high):
+            return bisect(stable, low, high, tolerance) if low else (0.0, 0.0)
+        low = high
+    return math.inf, math.inf
 
-    def stable(ratio: float) -> bool:
-        contact = replace(modelled, stiffness=ratio * modelled.stiffness)
-        return is_stable(closed_loop_matrix(observer, gain, contact))
 
-    if not stable(1.0):
-        return StabilityRange(math.nan, math.nan)
-    ends = []
-    for step, limit in ((1.0 / SEARCH_STEP, lowest), (SEARCH_STEP, highest)):
-        good = bad = 1.0
-        while bad == good != limit:
-            bad = max(good * step, limit) if step < 1.0 else min(good * step, limit)
-            if stable(bad):
-                good = bad
-        while abs(bad / good - 1.0) > tolerance:
-            middle = math.sqrt(good * bad)
-            good, bad = (middle, bad) if stable(middle) else (good, middle)
-        ends.append(good)
-    return StabilityRange(lower=ends[0], upper=ends[1])
+def bisect(
+    stable: Callable[[float], bool], low: float, high: float, tolerance: float,
+) -> tuple[float, float]:
+    """Return where a verdict changes from True at `low` to False at `high`, by ratios."""
+    while high / low - 1.0 > tolerance:
+        middle = math.sqrt(low * high)
+        low, high = (middle, high) if stable(middle) else (low, middle)
+    return low, high

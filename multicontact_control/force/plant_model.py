@@ -18,23 +18,19 @@ SMALL_EXPONENT = 0.1
 @dataclass(frozen=True, slots=True)
 class DelayedPlant:
     """
-    x_k = Phi x_{k-1} + Gamma u_{k-1}, y_k = C x_k (P04 eq. 33).
+    x_k = Phi x_{k-1} + Gamma u_{k-1}, y_k = alpha_k (P04 eq. 33).
 
     x = [alpha, dalpha/dt, v_{k-d}, ..., v_{k-1}], where v = u + p is what acts on the plant.
 
     Attributes
     ----------
-    Phi, Gamma, C
-        Shapes (2 + d, 2 + d), (2 + d,), (2 + d,).
-    delay_steps
-        d, the number of inputs under way.
+    Phi, Gamma
+        Shapes (2 + d, 2 + d) and (2 + d,), d the number of inputs under way.
 
     """
 
     Phi: Matrix
     Gamma: Vector
-    C: Vector
-    delay_steps: int
 
 
 def delayed_plant(
@@ -57,11 +53,6 @@ def delayed_plant(
     period
         h [s].
 
-    Returns
-    -------
-    DelayedPlant
-        Input in [m/s^2], output in [N].
-
     Raises
     ------
     ConfigError
@@ -77,23 +68,21 @@ def delayed_plant(
         raise ConfigError('input_delay', f'0 to {MAX_DELAY_PERIODS} periods '
                           f'({MAX_DELAY_PERIODS * period:g} s)', f'{input_delay:g} s')
     A = np.array([[0.0, 1.0], [0.0, -damping_rate]])
-    B = np.array([0.0, stiffness])
+    B = np.array([[0.0], [stiffness]])
     Phi, Gamma = delayed_hold(A, B, input_delay, period)
-    C = np.zeros(Phi.shape[0])
-    C[0] = 1.0
-    return DelayedPlant(Phi=Phi, Gamma=Gamma, C=C, delay_steps=Phi.shape[0] - 2)
+    return DelayedPlant(Phi, Gamma[:, 0])
 
 
 def delayed_hold(
-    A: Matrix, B: Vector, input_delay: float, period: float,
-) -> tuple[Matrix, Vector]:
+    A: Matrix, B: Matrix, input_delay: float, period: float,
+) -> tuple[Matrix, Matrix]:
     """
     Discretise dx/dt = A x + B u(t - T_d) with a zero-order hold.
 
     Parameters
     ----------
     A, B
-        Continuous system, shapes (n, n) and (n,).
+        Continuous system, shapes (n, n) and (n, r).
     input_delay
         T_d [s].
     period
@@ -102,11 +91,11 @@ def delayed_hold(
     Returns
     -------
     tuple
-        Phi, shape (n + d, n + d), and Gamma, shape (n + d,), of the state
+        Phi, shape (n + d r, n + d r), and Gamma, shape (n + d r, r), of the state
         [x, u_{k-d}, ..., u_{k-1}].
 
     """
-    n = B.shape[0]
+    n, r = B.shape
     # The tolerance keeps 0.006 / 0.002 at three periods in spite of rounding.
     d = math.ceil(input_delay / period - 1e-9)
     late = input_delay - (d - 1) * period if d else 0.0  # tau'
@@ -114,38 +103,32 @@ def delayed_hold(
     Phi_h, _ = _zero_order_hold(A, B, period)
     after, recent = _zero_order_hold(A, B, period - late)
     _, early = _zero_order_hold(A, B, late)
-    Phi = np.zeros((n + d, n + d))
-    Gamma = np.zeros(n + d)
-    Phi[:n, :n] = Phi_h
-    inputs = np.zeros((n, d + 1))  # columns: u_{k-1-d}, ..., u_{k-1}
-    inputs[:, 0] = after @ early
-    inputs[:, min(1, d)] += recent
-    Phi[:n, n:] = inputs[:, :d]
-    Gamma[:n] = inputs[:, d]
-    for i in range(d - 1):
-        Phi[n + i, n + 1 + i] = 1.0
-    if d:
-        Gamma[-1] = 1.0
-    return Phi, Gamma
+    # All states and the new input, one after the other: what is under way moves up.
+    moved = np.eye(n + d * r, n + (d + 1) * r, k=r)
+    moved[:n] = 0.0
+    moved[:n, :n] = Phi_h
+    moved[:n, n:n + r] = after @ early
+    second = n + min(1, d) * r
+    moved[:n, second:second + r] += recent
+    return moved[:, :n + d * r], moved[:, n + d * r:]
 
 
-def _zero_order_hold(A: Matrix, B: Vector, duration: float) -> tuple[Matrix, Vector]:
+def _zero_order_hold(A: Matrix, B: Matrix, duration: float) -> tuple[Matrix, Matrix]:
     """Return exp(A t) and the integral of exp(A s) B over s from 0 to t."""
-    n = A.shape[0]
-    if n == 2 and A[0].tolist() == [0.0, 1.0] and A[1, 0] == 0.0 and B[0] == 0.0:
-        return _damped_hold(float(B[1]), -float(A[1, 1]), duration)
-    augmented = np.zeros((n + 1, n + 1))
-    augmented[:n, :n] = A
-    augmented[:n, n] = B
+    n, r = B.shape
+    if B.shape == (2, 1) and A[0].tolist() == [0.0, 1.0] and A[1, 0] == 0.0 and B[0, 0] == 0.0:
+        return _damped_hold(float(B[1, 0]), -float(A[1, 1]), duration)
+    augmented = np.zeros((n + r, n + r))
+    augmented[:n] = np.hstack([A, B])
     exponential = expm(augmented * duration)
-    return exponential[:n, :n], exponential[:n, n]
+    return exponential[:n, :n], exponential[:n, n:]
 
 
 def _damped_hold(
     stiffness: float, damping_rate: float, duration: float,
-) -> tuple[Matrix, Vector]:
+) -> tuple[Matrix, Matrix]:
     """
-    Return the same for A = [[0, 1], [0, -K_2]], B = [0, k], in closed form.
+    Return the same for A = [[0, 1], [0, -K_2]], B = [[0], [k]], in closed form.
 
     A general matrix exponential may keep a control tick waiting for the threads of its BLAS, for
     tens of milliseconds.
@@ -156,7 +139,7 @@ def _damped_hold(
     second = (1.0 - first) / x if x > SMALL_EXPONENT else sum(
         (-x) ** n / math.factorial(n + 2) for n in range(10))
     Phi = np.array([[1.0, duration * first], [0.0, math.exp(-x)]])
-    return Phi, stiffness * duration * np.array([duration * second, first])
+    return Phi, stiffness * duration * np.array([[duration * second], [first]])
 
 
 def ackermann(Phi: Matrix, Gamma: Vector, poles: Sequence[float]) -> Vector:
@@ -261,11 +244,6 @@ def design_force_loop(
     second_pole_ratio
         How much faster the second pole is; 1 gives two equal ones.
 
-    Returns
-    -------
-    ForceLoop
-        The plant and its feedback.
-
     Raises
     ------
     ConfigError
@@ -275,5 +253,5 @@ def design_force_loop(
     plant = delayed_plant(stiffness, damping_rate, input_delay, period)
     poles = [math.exp(-period / time_constant),
              math.exp(-period * second_pole_ratio / time_constant)]
-    poles += [0.0] * plant.delay_steps
+    poles += [0.0] * (len(plant.Gamma) - len(poles))
     return ForceLoop(plant, ackermann(plant.Phi, plant.Gamma, poles))

@@ -1,6 +1,7 @@
 """What the compiled contact functions do, as the matrices that they never form."""
 
 from equations import Projections
+from multicontact_control.algebra import multiply
 from multicontact_control.contact import projections as executed
 from multicontact_control.contact.geometry import normal_space
 from multicontact_control.records import CONTACT
@@ -50,7 +51,7 @@ def contact_rates(N, twist, allocation):
     rows, _, factor = _factorised(N)
     rates = np.empty(len(rows))
     if allocation == 'decoupled':
-        executed.rates(rows, twist, rates)
+        multiply(rows, twist, rates)
     else:
         executed.coordinates(rows, factor, twist, rates)
     return rates

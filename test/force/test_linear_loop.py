@@ -1,14 +1,13 @@
 """The linear loop's stability against Riccati, the paper notes and the loop run in time."""
 
-from dataclasses import replace
-
 from force_loop import H, observer_of
-from multicontact_control.errors import ConfigError
+from multicontact_control.errors import ConfigError, ShapeError
 from multicontact_control.force.linear_loop import (
-    closed_loop_matrix,
-    is_stable,
-    RealContact,
-    stability_boundary,
+    bisect,
+    closed_loop,
+    last_stable,
+    LinearArmPlant,
+    spectral_radius,
     steady_gain,
 )
 import numpy as np
@@ -18,17 +17,32 @@ K = 6000.0
 DELAY_TICKS = 3
 
 
-def _contact(damping_rate=20.0, **values):
-    return RealContact(**{
-        'stiffness': K, 'damping_rate': damping_rate, 'input_delay': DELAY_TICKS * H,
-        'period': H, **values})
+def _plant(
+    ratio=1.0, damping_rate=20.0, damping=0.0, mobility=0.0, tool=0.0, delay=DELAY_TICKS * H,
+):
+    """Return one contact; by itself that of eq. 32."""
+    return LinearArmPlant(
+        np.array([[mobility]]), np.array([ratio * K]), np.array([damping]), np.array([[tool]]),
+        delay, damping_rate)
+
+
+def _radius(observer, gain, ratio, damping_rate=20.0, commanded=False, **values):
+    own, measured = (0.0, damping_rate) if commanded else (damping_rate, 0.0)
+    return spectral_radius(
+        closed_loop(_plant(ratio, own, **values), observer, gain, measured, H))
+
+
+def _boundary(observer, variance, damping_rate=20.0, **values):
+    gain = steady_gain(observer, variance)
+    return last_stable(
+        lambda ratio: _radius(observer, gain, ratio, damping_rate, **values) < 1.0,
+        np.geomspace(1.0, 100.0, 95).tolist(), 1e-4)[0]
 
 
 def _stable_ratios(damping_rate, noise_variance, ratios):
     observer = observer_of(damping_rate=damping_rate)
     gain = steady_gain(observer, noise_variance)
-    return np.array([is_stable(closed_loop_matrix(
-        observer, gain, _contact(damping_rate, stiffness=ratio * K))) for ratio in ratios])
+    return np.array([_radius(observer, gain, ratio, damping_rate) < 1.0 for ratio in ratios])
 
 
 @pytest.mark.parametrize('order', range(4))
@@ -47,13 +61,13 @@ def test_closed_loop_with_the_right_model_separates(order):
     """Its eigenvalues are those of the feedback and of the filter, (1 - K C) Phi_n."""
     observer = observer_of(order)
     gain = steady_gain(observer, 0.6)
-    matrix = closed_loop_matrix(observer, gain, _contact())
+    matrix = closed_loop(_plant(), observer, gain, 0.0, H)
     n = observer.Phi_n.shape[0]
     correction = np.eye(n) - np.outer(gain, np.eye(n)[0])
     expected = np.polymul(
         np.poly(observer.loop.closed_loop), np.poly(correction @ observer.Phi_n))
     np.testing.assert_allclose(np.poly(matrix), expected, atol=1e-6)
-    assert is_stable(matrix)
+    assert spectral_radius(matrix) < 1.0
 
 
 @pytest.mark.parametrize(('damping_rate', 'at_rest', 'in_motion'), [
@@ -70,9 +84,8 @@ def test_stable_ratios_are_those_of_the_paper_notes(damping_rate, at_rest, in_mo
         stable = _stable_ratios(damping_rate, variance, grid)
         last = np.flatnonzero(~stable)[0] - 1
         assert grid[last] == pytest.approx(noted, abs=0.005)
-        found = stability_boundary(observer, variance, _contact(damping_rate))
-        assert grid[last] <= found.upper < grid[last + 1]
-        assert found.lower == 0.01
+        assert stable[:last].all()
+        assert grid[last] <= _boundary(observer, variance, damping_rate) < grid[last + 1]
 
 
 def test_stable_ratios_without_damping_have_both_ends():
@@ -81,23 +94,23 @@ def test_stable_ratios_without_damping_have_both_ends():
     stable = np.flatnonzero(_stable_ratios(0.0, 0.6, grid))
     assert grid[stable[0]] == pytest.approx(0.41, abs=0.005)
     assert grid[stable[-1]] == pytest.approx(1.72, abs=0.005)
-    found = stability_boundary(observer_of(damping_rate=0.0), 0.6, _contact(0.0))
-    assert grid[stable[0] - 1] < found.lower <= grid[stable[0]]
-    assert grid[stable[-1]] <= found.upper < grid[stable[-1] + 1]
+    found = _boundary(observer_of(damping_rate=0.0), 0.6, 0.0)
+    assert grid[stable[-1]] <= found < grid[stable[-1] + 1]
 
 
-def _growth(observer, variance, contact):
+def _growth(observer, variance, plant, measured_rate):
     """
     Run the loop in time and return how its force grows from one half of the run to the other.
 
     The contact is integrated by Runge-Kutta in quarters of a period, and the observer is the one
     that the controller runs: nothing here is shared with the matrix.
     """
-    k_s, c, m = contact.stiffness, contact.contact_damping, contact.effective_mass
-    rate = contact.damping_rate if contact.damping == 'plant' else 0.0
+    k_s, c, mobility, tool = (float(value.item()) for value in (
+        plant.stiffness, plant.damping, plant.mobility, plant.tool_inertia))
 
     def derivative(s, acceleration):
-        return np.array([s[1], acceleration - rate * s[1] - (k_s * s[0] + c * s[1]) / m])
+        return np.array([s[1], acceleration - plant.damping_rate * s[1]
+                         - mobility * (k_s * s[0] + c * s[1])])
 
     for _ in range(5000):  # settle the gain first
         observer.update(0.0, variance)
@@ -106,7 +119,7 @@ def _growth(observer, variance, contact):
     s = np.array([1.0 / k_s, 0.0])
     forces, commands = [], []
     steps, dt = 4, H / 4
-    waiting = round(contact.input_delay / dt)
+    waiting = round(plant.delay / dt)
 
     def acting(step):
         index = (step - waiting) // steps
@@ -114,13 +127,11 @@ def _growth(observer, variance, contact):
 
     for k in range(4000):
         force = (k_s * s[0] + c * s[1]
-                 + contact.carried_mass * derivative(s, acting(steps * k - 1))[1])
+                 + tool * derivative(s, acting(steps * k - 1))[1])
         forces.append(force)
         observer.update(force, variance)
-        command = observer.command(0.0) + observer.x_est[0] / m
-        if contact.damping == 'commanded':
-            command -= contact.damping_rate * s[1]
-        commands.append(command)
+        commands.append(observer.command(0.0) + mobility * observer.x_est[0]
+                        - measured_rate * s[1])
         for step in range(steps * k, steps * (k + 1)):
             u = acting(step)
             k1 = derivative(s, u)
@@ -133,50 +144,91 @@ def _growth(observer, variance, contact):
 
 
 @pytest.mark.parametrize('values', [
-    {}, {'damping': 'commanded'}, {'contact_damping': 30.0}, {'effective_mass': 20.0},
-    {'carried_mass': 0.2}, {'input_delay': 2.5 * H, 'carried_mass': 0.2},
-    {'input_delay': 0.5 * H, 'carried_mass': 0.2},
-    {'damping': 'commanded', 'contact_damping': 30.0, 'effective_mass': 20.0,
-     'carried_mass': 0.2}])
+    {}, {'commanded': True}, {'damping': 30.0}, {'mobility': 0.05}, {'tool': 0.2},
+    {'delay': 2.5 * H, 'tool': 0.2}, {'delay': 0.5 * H, 'tool': 0.2},
+    {'commanded': True, 'damping': 30.0, 'mobility': 0.05, 'tool': 0.2}])
 @pytest.mark.parametrize(('damping_rate', 'variance'), [(20.0, 0.6), (60.0, 100.0)])
 def test_boundary_is_where_the_loop_in_time_begins_to_grow(damping_rate, variance, values):
     """Three percent inside it dies away, three percent outside it grows."""
-    contact = _contact(damping_rate, **values)
-    upper = stability_boundary(
-        observer_of(damping_rate=damping_rate), variance, contact).upper
+    upper = _boundary(observer_of(damping_rate=damping_rate), variance, damping_rate, **values)
     assert 1.0 < upper < 100.0
+    own = {**values}
+    rates = (0.0, damping_rate) if own.pop('commanded', False) else (damping_rate, 0.0)
     for ratio, grows in ((0.97 * upper, False), (1.03 * upper, True)):
         growth = _growth(observer_of(damping_rate=damping_rate), variance,
-                         replace(contact, stiffness=ratio * K))
+                         _plant(ratio, rates[0], **own), rates[1])
         assert (growth > 1.0) == grows
 
 
 def test_boundary_depends_on_where_the_damping_acts():
     """Delayed damping helps less with little of it (paper notes 13)."""
     observer = observer_of()
-    plant, commanded = (stability_boundary(
-        observer, 0.6, _contact(damping=damping)).upper for damping in ('plant', 'commanded'))
-    assert commanded < 0.9 * plant
+    assert _boundary(observer, 0.6, commanded=True) < 0.9 * _boundary(observer, 0.6)
 
 
 def test_boundary_shrinks_with_a_delay_that_the_model_does_not_have():
     """Each tick of actuator delay beyond T_d costs stiffness."""
-    observer = observer_of()
-    uppers = [stability_boundary(observer, 0.6, _contact(input_delay=ticks * H)).upper
-              for ticks in range(2, 5)]
+    uppers = [_boundary(observer_of(), 0.6, delay=ticks * H) for ticks in range(2, 5)]
     assert uppers[0] > uppers[1] > uppers[2]
 
 
-def test_boundary_of_a_loop_that_is_never_stable_is_not_a_number():
-    """Far too much delay leaves nothing around a ratio of 1."""
-    found = stability_boundary(observer_of(), 0.6, _contact(input_delay=20 * H))
-    assert np.isnan(found.lower) and np.isnan(found.upper)
+def test_boundary_of_a_loop_that_is_never_stable_is_none():
+    """Far too much delay leaves nothing at a ratio of 1."""
+    assert _boundary(observer_of(), 0.6, delay=20 * H) == 0.0
 
 
-def test_boundary_ends_with_its_search():
-    """No further than asked for."""
-    found = stability_boundary(observer_of(), 0.6, _contact(), lowest=0.5, highest=1.2)
-    assert (found.lower, found.upper) == (0.5, 1.2)
+def test_last_stable_is_below_the_first_change_of_the_verdict():
+    low, high = last_stable(lambda ratio: ratio < 3.7 or ratio > 9.0, [1.0, 5.0, 20.0], 1e-6)
+    assert low < 3.7 <= high < low * (1.0 + 1e-6)
+    assert last_stable(lambda ratio: True, [1.0, 2.0], 0.1) == (np.inf, np.inf)
+    assert bisect(lambda ratio: ratio < 3.7, 1.0, 20.0, 1e-6) == pytest.approx((3.7, 3.7))
+
+
+def _arm(mobility, delay=1):
+    count = len(mobility)
+    return LinearArmPlant(np.array(mobility), np.full(count, 1.5 * K), np.full(count, 30.0),
+                          0.5 * np.eye(count), delay * H)
+
+
+def _arm_loop(plant, observer):
+    return closed_loop(plant, observer, steady_gain(observer, 0.6), 20.0, H)
+
+
+def test_loop_of_uncoupled_contacts_is_that_of_each():
+    both = _arm_loop(_arm(np.diag([0.1, 0.4])), observer_of())
+    each = [_arm_loop(_arm([[mobility]]), observer_of()) for mobility in (0.1, 0.4)]
+    assert spectral_radius(both) == pytest.approx(max(map(spectral_radius, each)))
+
+
+@pytest.mark.parametrize('delay', [0, 1, 2, 3])
+def test_loop_is_the_observer_on_the_coupled_contacts_in_time(delay):
+    """One period of the matrix is one tick of the AOBs on a finely integrated plant."""
+    B, aob = np.array([[0.3, 0.1], [0.1, 0.2]]), observer_of()
+    matrix, gain = _arm_loop(_arm(B, delay), aob), steady_gain(aob, 0.6)
+    state = np.random.default_rng(3).standard_normal(matrix.shape[0]) * 1e-3
+    x, line = state[:4], list(state[4:4 + 2 * delay].reshape(-1, 2))
+    estimates = state[4 + 2 * delay:].reshape(2, -1)
+    line.append(-estimates @ aob.feedback - 20.0 * x[2:] + B @ estimates[:, 0])
+    acting = line.pop(0)
+
+    def motion(x):
+        return np.concatenate([x[2:], acting - B @ (1.5 * K * x[:2] + 30.0 * x[2:])])
+
+    steps = 5000
+    for _ in range(steps):
+        x = x + H / steps * motion(x + 0.5 * H / steps * motion(x))
+    force = 1.5 * K * x[:2] + 30.0 * x[2:] + 0.5 * motion(x)[2:]
+    predicted = estimates @ aob.Phi_c.T
+    estimates = predicted + np.outer(force - predicted[:, 0], gain)
+    np.testing.assert_allclose(
+        matrix @ state, np.concatenate([x, *line, estimates.ravel()]), rtol=1e-6, atol=1e-9)
+
+
+def test_plant_of_the_wrong_shape_is_refused():
+    with pytest.raises(ShapeError, match='mobility'):
+        LinearArmPlant(np.eye(3), np.ones(2), np.ones(2), np.eye(2), H)
+    with pytest.raises(ConfigError, match='delay'):
+        LinearArmPlant(np.eye(2), np.ones(2), np.ones(2), np.eye(2), -H)
 
 
 @pytest.mark.parametrize('variance', [0.0, -1.0, float('nan'), float('inf')])

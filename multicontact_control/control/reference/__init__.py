@@ -1,14 +1,14 @@
 """What the controller is asked to do: by a scenario, or by a user's commands."""
 
 from multicontact_control.control.reference.commanded import CommandedReference
-from multicontact_control.control.reference.scenario import ScenarioReference
-from multicontact_control.control.reference.scenario_config import (
+from multicontact_control.control.reference.scenario import (
     ApproachConfig,
     ForceStepConfig,
     ReferenceConfig,
+    ScenarioReference,
+    sine_motion,
     SineConfig,
 )
-from multicontact_control.control.reference.sine import sine_motion
 from multicontact_control.control.reference.source import Reference, ReferenceSource, TaskSource
 
 __all__ = [

@@ -1,4 +1,4 @@
-"""The paper's experiment as a reference."""
+"""The paper's experiment as a reference: approach, force steps, a sinusoid blended in."""
 
 from __future__ import annotations
 
@@ -6,13 +6,80 @@ from bisect import bisect_right
 import math
 
 from multicontact_control.arrays import Mask, Vector
-from multicontact_control.config import ContactStateConfig
-from multicontact_control.control.reference.scenario_config import ReferenceConfig
-from multicontact_control.control.reference.sine import sine_motion
+from multicontact_control.config import Config, ContactStateConfig, parameter, Real, UnitVector3
 from multicontact_control.control.reference.source import Reference
 from multicontact_control.dynamics.pose import Pose
 from multicontact_control.errors import ConfigError
 import numpy as np
+from pydantic import model_validator
+
+STILL = [0.0] * 3, [0.0] * 3  # velocity and acceleration
+
+
+class ApproachConfig(Config):
+    """Guarded contact: towards every surface until it is felt."""
+
+    start_time: Real = parameter(0.5, 'When the approach starts.', unit='s', ge=0.0)
+    speed: Real = parameter(0.02, 'Approach speed.', unit='m/s', gt=0.0, le=0.25)
+    ramp_time: Real = parameter(0.5, 'Time to reach that speed.', unit='s', gt=0.0)
+    contact_threshold: Real = parameter(
+        1.5, 'Measured force that counts as contact.', unit='N', gt=0.0)
+    preload: Real = parameter(2.0, 'Desired force from contact to first step.', unit='N', gt=0.0)
+
+
+class ForceStepConfig(Config):
+    """A step of the desired forces."""
+
+    time: Real = parameter(..., 'When.', unit='s', ge=0.0)
+    forces: dict[str, Real] = parameter(..., 'Desired force per contact.', unit='N')
+
+
+class SineConfig(Config):
+    """A sinusoid along one direction, blended in."""
+
+    start_time: Real = parameter(..., 'When the motion starts.', unit='s', ge=0.0)
+    direction_world: UnitVector3 = parameter((1.0, 0.0, 0.0), 'Unit direction, world axes.')
+    amplitude: Real = parameter(0.15, 'Amplitude.', unit='m', ge=0.0)
+    period: Real = parameter(8.0, 'Period.', unit='s', gt=0.0)
+    blend_time: Real = parameter(2.0, 'Duration of the quintic blend-in.', unit='s', gt=0.0)
+
+
+class ReferenceConfig(Config):
+    """Approach, force steps at rest, motion (P04 sec. 5.2)."""
+
+    approach: ApproachConfig = ApproachConfig()
+    force_steps: tuple[ForceStepConfig, ...] = ()
+    motion: SineConfig | None = None
+
+    @model_validator(mode='after')
+    def _check_order(self) -> ReferenceConfig:
+        times = [step.time for step in self.force_steps]
+        if times != sorted(times):
+            raise ConfigError('reference.force_steps', 'times in rising order', times)
+        return self
+
+
+def sine_motion(config: SineConfig, time: float) -> tuple[float, float, float]:
+    """
+    Return displacement [m], speed [m/s] and acceleration [m/s^2] of the blended sinusoid.
+
+    s = A b(tau / t_b) sin(2 pi tau / T), b the quintic 10 x^3 - 15 x^4 + 6 x^5.
+    """
+    tau = time - config.start_time
+    if tau <= 0.0:
+        return 0.0, 0.0, 0.0
+    w = 2.0 * math.pi / config.period
+    sine, cosine = math.sin(w * tau), math.cos(w * tau)
+    x = tau / config.blend_time
+    if x >= 1.0:
+        b, db, ddb = 1.0, 0.0, 0.0
+    else:
+        b = x ** 3 * (10.0 + x * (-15.0 + 6.0 * x))
+        db = 30.0 * x ** 2 * (1.0 - x) ** 2 / config.blend_time
+        ddb = 60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / config.blend_time ** 2
+    A = config.amplitude
+    return (A * b * sine, A * (db * sine + b * w * cosine),
+            A * (ddb * sine + 2.0 * db * w * cosine - b * w * w * sine))
 
 
 class ScenarioReference:
@@ -75,20 +142,25 @@ class ScenarioReference:
 
         Written for speed: once all contacts are there, three small arrays are all that is made.
         """
-        approach: tuple[list[float], list[float]] = ([0.0] * 3, [0.0] * 3)
-        if not self._all_active:
-            approach = self._approach(time, alpha_meas)
+        approach = STILL if self._all_active else self._approach(time, alpha_meas)
+        return self._reference(
+            time, self._held, approach, self._active, self._desired_forces(time))
+
+    def _reference(
+        self, time: float, start: list[float], approach: tuple[list[float], list[float]],
+        active: Mask, alpha_des: Vector,
+    ) -> Reference:
+        """Return the motion from a position, beside velocity and acceleration of an approach."""
         s, ds, dds = 0.0, 0.0, 0.0
         if self._motion is not None:
             s, ds, dds = sine_motion(self._motion, time)
         x, y, z = self._direction
-        (px, py, pz), (vx, vy, vz), (ax, ay, az) = self._held, *approach
-        position = np.array((px + s * x, py + s * y, pz + s * z))
+        (px, py, pz), (vx, vy, vz), (ax, ay, az) = start, *approach
         return Reference(
-            Pose(position, self._pose.rotation_world),
+            Pose(np.array((px + s * x, py + s * y, pz + s * z)), self._pose.rotation_world),
             np.array((vx + ds * x, vy + ds * y, vz + ds * z, 0.0, 0.0, 0.0)),
             np.array((ax + dds * x, ay + dds * y, az + dds * z, 0.0, 0.0, 0.0)),
-            self._active, self._desired_forces(time))
+            active, alpha_des)
 
     def _approach(self, time: float, alpha_meas: Vector) -> tuple[list[float], list[float]]:
         """Move on towards the surfaces not felt yet; return velocity and acceleration."""
@@ -105,7 +177,7 @@ class ScenarioReference:
             self._advance[free] += speed * self._period
             self._held = (self._pose.position_world + self._advance @ self._normals).tolist()
             return (speed * direction).tolist(), (speed_rate * direction).tolist()
-        return [0.0] * 3, [0.0] * 3
+        return STILL
 
     def contact_state(self, default: ContactStateConfig) -> ContactStateConfig:
         """Return how contacts are to be made; what the scenario says of it goes first."""
@@ -127,15 +199,7 @@ class ScenarioReference:
             self._task_steps = done
             self._wanted: Mask = np.full(self._count, done >= 0)
             self._desired = self.forces_after(done) if done >= 0 else np.zeros(self._count)
-        s, ds, dds = 0.0, 0.0, 0.0
-        if self._motion is not None:
-            s, ds, dds = sine_motion(self._motion, time)
-        x, y, z = self._direction
-        px, py, pz = self._start
-        return Reference(
-            Pose(np.array((px + s * x, py + s * y, pz + s * z)), self._pose.rotation_world),
-            np.array((ds * x, ds * y, ds * z, 0.0, 0.0, 0.0)),
-            np.array((dds * x, dds * y, dds * z, 0.0, 0.0, 0.0)), self._wanted, self._desired)
+        return self._reference(time, self._start, STILL, self._wanted, self._desired)
 
     def forces_after(self, steps: int) -> Vector:
         """Return the desired forces after so many force steps, shape (r,) [N]."""

@@ -23,12 +23,6 @@ class JobCache:
 
     The JSON is written last and holds the hash of the traces, so a job that was cut off while
     being written does not count as finished.
-
-    Parameters
-    ----------
-    folder
-        Where ``cells/`` is, or will be.
-
     """
 
     def __init__(self, folder: Path) -> None:
@@ -81,19 +75,10 @@ def prepare_job_folder(
     """
     Make the folder of a study, keeping its finished jobs unless they shall go.
 
-    Parameters
-    ----------
-    folder
-        The folder.
-    overwrite
-        Whether finished jobs are run again.
-    results
-        Names of files that may be there without ``cells/``.
-
     Raises
     ------
     ConfigError
-        If it holds something else, or cannot be made.
+        If it cannot be made, or holds other files than `results` without any ``cells/``.
 
     """
     if folder.is_dir() and not (folder / JOB_FOLDER).is_dir() and any(

@@ -1,8 +1,8 @@
-"""What a job is, what it leaves, and who can carry it out."""
+"""What a job is, and what it leaves."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Hashable, Mapping, Sequence
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 import hashlib
 import json
@@ -78,64 +78,8 @@ class JobResult:
     wall_time: float
 
 
-@dataclass(frozen=True)
-class LostJob:
-    """
-    A job without a result, because whatever process ran it died.
-
-    Attributes
-    ----------
-    reason
-        What happened.
-
-    """
-
-    reason: str
-
-
-Outcome = JobResult | LostJob
-Notify = Callable[[str], None]
-
-
-class Executor(Protocol):
-    """Carries out jobs somewhere."""
-
-    @property
-    def workers(self) -> int:
-        """Return how many jobs run at once at present."""
-        ...
-
-    def results(
-        self, task: Callable[[JobT], JobResult], jobs: Sequence[JobT], notify: Notify,
-    ) -> Generator[tuple[JobT, Outcome], None, None]:
-        """
-        Yield the outcome of every job, in whatever order they come.
-
-        Parameters
-        ----------
-        task
-            An importable function.
-        jobs
-            What to call it with, each once.
-        notify
-            Is told in one line what the user should know, e.g. that a worker died.
-
-        """
-        ...
-
-
 def content_key(kind: str, content: Mapping[str, Any]) -> str:
-    """
-    Return the key of a job.
-
-    Parameters
-    ----------
-    kind
-        Of the work: the same content is another job for other work.
-    content
-        JSON values that decide the outcome together with the code.
-
-    """
+    """Return the key of a kind of work on JSON values, which with the code decide the outcome."""
     text = json.dumps({'schema': JOB_SCHEMA, 'kind': kind, 'code': code_stamp(), **content},
                       sort_keys=True, separators=(',', ':'))
     return hashlib.sha256(text.encode()).hexdigest()[:24]

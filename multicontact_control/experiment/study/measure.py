@@ -31,18 +31,12 @@ def measure_run(job: RunJob) -> JobResult:
 
     A run that cannot go on to its end counts as unstable; it does not end the study.
 
-    Parameters
-    ----------
-    job
-        The run.
-
     Returns
     -------
     JobResult
         `metrics`: the content of ``summary.json`` under `summary`, the answers to disturbances
         under `disturbances`, what claims rest on under `evidence`, and `final_error_share`.
-        `traces`: time and the forces
-        of every contact, shapes (m,) and (m, r).
+        `traces`: time and the forces of every contact, shapes (m,) and (m, r).
 
     """
     # Only here: who gives out the work to others needs neither kernels nor simulator.
@@ -66,11 +60,6 @@ def measure_run(job: RunJob) -> JobResult:
 def summarise_run(job: RunJob) -> JobResult:
     """
     Run a job in this process and summarise it, whatever happens in it.
-
-    Parameters
-    ----------
-    job
-        The run.
 
     Returns
     -------

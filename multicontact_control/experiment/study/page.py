@@ -7,12 +7,9 @@ from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 
-import matplotlib
 from matplotlib.figure import Figure
 from multicontact_control.experiment.html_parts import image, write_page
 from multicontact_control.experiment.study.table import html_table, Listing
-
-matplotlib.use('Agg')
 
 DPI = 130  # of the figure
 
@@ -79,22 +76,7 @@ class Page:
 
 
 def write_study_page(page: Page, path: Path) -> list[Path]:
-    """
-    Write a page, which stands alone, and its figure.
-
-    Parameters
-    ----------
-    page
-        What is shown.
-    path
-        Without a suffix.
-
-    Returns
-    -------
-    list of Path
-        The files.
-
-    """
+    """Write a page, which stands alone, and its figure, to a path without suffix."""
     paths = []
     body = [f'<p>{escape(text)}</p>' for text in page.introduction if text]
     said = [f'<li class=no>{escape(text)}</li>' for text in page.warnings]

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar
 
 from multicontact_control.errors import check_all, ConfigError, RunError
 from multicontact_control.experiment.study.cache import prepare_job_folder
-from multicontact_control.experiment.study.cluster import DaskExecutor
-from multicontact_control.experiment.study.estimate import estimate_time
-from multicontact_control.experiment.study.execute import JobRun, run_jobs
-from multicontact_control.experiment.study.jobs import Executor, JobResult, JobT
-from multicontact_control.experiment.study.local import check_workers, LocalExecutor
+from multicontact_control.experiment.study.execute import estimate_time, JobRun, run_jobs
+from multicontact_control.experiment.study.executors import (
+    check_workers,
+    DaskExecutor,
+    Executor,
+    LocalExecutor,
+)
+from multicontact_control.experiment.study.jobs import JobResult, JobT
 from multicontact_control.experiment.study.page import Page, write_study_page
 from multicontact_control.experiment.study.table import terminal_table, write_table
 from rich.console import Console
@@ -124,33 +127,16 @@ class StudyOptions:
             raise ConfigError('jobs', 'nothing together with --dask, whose workers decide',
                               self.jobs)
 
-    @contextmanager
-    def executor(self) -> Iterator[Executor]:
+    def executor(self) -> AbstractContextManager[Executor]:
         """Open what the jobs are run by."""
-        if self.dask:
-            with DaskExecutor(self.dask) as executor:
-                yield executor
-        else:
-            yield LocalExecutor(self.jobs)
+        return DaskExecutor(self.dask) if self.dask else nullcontext(LocalExecutor(self.jobs))
 
 
 def run_study(
     study: Study[JobT, ContentT], options: StudyOptions, console: Console | None = None,
 ) -> ContentT | None:
     """
-    Run a study, write its files and show what came out.
-
-    Parameters
-    ----------
-    study, options
-        What is run, and how.
-    console
-        Where it is shown.
-
-    Returns
-    -------
-    ContentT or None
-        What came out, None of a dry run.
+    Run a study, write its files, and show and return what came out; None of a dry run.
 
     Raises
     ------

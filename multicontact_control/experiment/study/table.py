@@ -33,11 +33,6 @@ def write_table(content: Any, path: Path) -> Path:
     path
         Its suffix says what is written.
 
-    Returns
-    -------
-    Path
-        The file.
-
     """
     with replacing(path) as partial:
         if path.suffix == '.parquet':
@@ -122,19 +117,7 @@ class Listing:
 
 
 def terminal_table(title: str, listing: Listing, width: int) -> Table:
-    """
-    Return a listing for the terminal.
-
-    Parameters
-    ----------
-    title
-        Stands above it.
-    listing
-        The table.
-    width
-        Of the terminal; some columns are left out of a narrow one.
-
-    """
+    """Return a listing for a terminal of some width; a narrow one does without some columns."""
     shown = [i for i, column in enumerate(listing.columns) if width >= WIDE or not column.spare]
     found = Table(title=plain(title), box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False,
                   caption=plain(listing.caption) or None)

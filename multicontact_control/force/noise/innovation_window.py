@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from multicontact_control.arrays import Mask, Vector
+from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.force.noise.estimator import InnovationEstimator
 from multicontact_control.force.noise.innovation import Innovation
-from multicontact_control.force.noise.windows import WindowedMean
+import numpy as np
 
 
 class InnovationWindow(InnovationEstimator):
@@ -27,3 +27,39 @@ class InnovationWindow(InnovationEstimator):
             terms = innovation.residual ** 2 + innovation.posterior_variance
         mean = self._window.update(terms, innovation.valid)
         return mean, self._window.full & innovation.valid
+
+
+class WindowedMean:
+    """
+    Mean over the last N samples of each of r contacts, which may miss samples.
+
+    Recomputed from the samples each time: a running sum would keep the rounding of every large
+    sample for ever.
+    """
+
+    def __init__(self, window: int, contacts: int) -> None:
+        self._samples: Matrix = np.zeros((window, contacts))
+        self._counts = np.zeros(contacts, dtype=int)
+
+    @property
+    def full(self) -> Mask:
+        """Which contacts have had N samples, shape (r,)."""
+        mask: Mask = self._counts >= self._samples.shape[0]
+        return mask
+
+    def update(self, samples: Vector, valid: Mask) -> Vector:
+        """
+        Take in one sample, shape (r,), of every contact that is `valid`.
+
+        Returns
+        -------
+        Vector
+            Mean of each contact's window as if empty places held 0, shape (r,).
+
+        """
+        contacts = np.flatnonzero(valid)
+        rows = self._counts[contacts] % self._samples.shape[0]
+        self._samples[rows, contacts] = samples[contacts]
+        self._counts[contacts] += 1
+        mean: Vector = self._samples.sum(axis=0) / self._samples.shape[0]
+        return mean

@@ -73,17 +73,7 @@ document.querySelectorAll('tr.first').forEach(row => row.click());
 
 
 def forces_script(rows: Sequence[dict[str, Any]], cache: JobCache) -> str:
-    """
-    Return the script that draws the forces of a line that is clicked, with the forces.
-
-    Parameters
-    ----------
-    rows
-        Of ``comparison.json``.
-    cache
-        Where the forces are.
-
-    """
+    """Return the script that draws the forces of a line that is clicked, with the forces."""
     return SCRIPT % script_json({row['key']: _forces(row, cache) for row in rows})
 
 

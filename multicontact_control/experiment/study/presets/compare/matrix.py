@@ -64,15 +64,7 @@ def rescaling() -> float:
 
 
 def estimator_values(label: str) -> dict[str, Any]:
-    """
-    Return the values of the noise estimator that a label stands for.
-
-    Raises
-    ------
-    ConfigError
-        If there is no such label.
-
-    """
+    """Return the values of the noise estimator that a label stands for; or a ConfigError."""
     if label == RESCALED:
         return {'estimator': 'window', 'variance_scale': rescaling()}
     if label not in ESTIMATORS:
@@ -114,19 +106,8 @@ def comparison_matrix(
     """
     Return the matrix of plants, estimators, observers and seeds.
 
-    Parameters
-    ----------
-    plants
-        Presets or paths.
-    labels
-        Estimators, among `LABELS`.
-    seeds
-        How many, from 0.
-    plain
-        Whether every estimator is run without the active state too.
-    duration
-        Length of every run [s]; the scenario's own if not given.
-
+    Seeds count from 0; `plain` runs every estimator without the active state too, and `duration`
+    [s] goes before that of the scenario.
     """
     orders: dict[str, dict[str, Any]] = {AOB: {}}
     if plain:

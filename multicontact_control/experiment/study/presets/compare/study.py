@@ -16,9 +16,12 @@ from multicontact_control.experiment.study.jobs import RunJob
 from multicontact_control.experiment.study.measure import measure_run
 from multicontact_control.experiment.study.page import Page, Section
 from multicontact_control.experiment.study.presets.compare import forces, matrix
-from multicontact_control.experiment.study.presets.compare.findings import findings
-from multicontact_control.experiment.study.presets.compare.listing import comparison_listing
-from multicontact_control.experiment.study.presets.compare.rows import comparison_claims, row_of
+from multicontact_control.experiment.study.presets.compare.results import (
+    comparison_claims,
+    comparison_listing,
+    findings,
+    row_of,
+)
 from multicontact_control.experiment.study.study import Study
 
 

@@ -1,7 +1,7 @@
 """
 How wrong the stiffness and the delay may be: simulated, and by the linear loop.
 
-The linear loop is that of `force.contact_loop`, with the mobility of this arm at its home. The
+The linear loop is that of `force.linear_loop`, with the mobility of this arm at its home. The
 plant of the paper's eq. 32 alone gives boundaries 30 to 40 % too low on the simulated arm, since
 it leaves out that the contact force moves the arm, that the surface damps, and that the sensor
 weighs the tool's inertia.
@@ -16,7 +16,7 @@ from typing import Any
 
 from multicontact_control.arrays import Matrix
 from multicontact_control.contact.geometry import normal_space
-from multicontact_control.control.controller import Controller
+from multicontact_control.control.controller import Controller, design_observers
 from multicontact_control.dynamics.operational_space import task_inertia
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.experiment.study.jobs import job_of, RunJob
@@ -24,39 +24,33 @@ from multicontact_control.experiment.study.presets.compare.matrix import (
     controller_values,
     estimator_values,
 )
-from multicontact_control.force.contact_loop import closed_loop, LinearArmPlant, spectral_radius
 from multicontact_control.force.linear_loop import (
-    RealContact,
-    stability_boundary,
+    closed_loop,
+    last_stable,
+    LinearArmPlant,
+    spectral_radius,
     steady_gain,
 )
-from multicontact_control.force.observer import design_observer, ObserverDesign
-from multicontact_control.force.plant_model import design_force_loop
+from multicontact_control.force.observer import ObserverDesign
 import numpy as np
 
 SCENARIO = 'step'
 SETTLED = 0.1  # of the command: a larger error at the end of the run counts as unstable
 SMALLEST_RATIO, LARGEST_RATIO = 0.1, 20.0
 DELAYS = (0, 1, 2, 3)
+# Where boundaries are looked for, upwards: of the arm in steps of 10 %, of eq. 32 of 5 %.
+ARM_RATIOS = tuple(np.geomspace(SMALLEST_RATIO, 100.0, 73).tolist())
+PAPER_RATIOS = tuple(np.cumprod([1.0, *[1.05] * 94]).tolist())
 
 
 def map_job(
     ratio: float, delay_ticks: int, label: str, *, plant: str = 'rigid', seed: int = 0,
 ) -> RunJob:
     """
-    Return a job of the robustness map.
+    Return a job of the map, with the estimator of a label of the comparison.
 
-    Parameters
-    ----------
-    ratio
-        True stiffness over that of the model, both surfaces.
-    delay_ticks
-        Actuator delay; the model keeps its T_d.
-    label
-        Of the estimator, as in the comparison.
-    plant, seed
-        As everywhere.
-
+    `ratio` is the true stiffness over that of the model, on both surfaces; the model keeps its
+    T_d whatever the delay of the actuator.
     """
     base = job_of(SCENARIO, plant, seed).setup()
     surfaces = {name: {'stiffness': ratio * base.controller.contacts[name].stiffness}
@@ -96,12 +90,15 @@ class ArmLoop:
     ----------
     setup
         Where stiffness, damping, delay and controller come from.
+    observer
+        That of the first contact; the others have the same model.
     mobility, tool_inertia
         As in `LinearArmPlant`.
 
     """
 
     setup: Setup
+    observer: ObserverDesign
     mobility: Matrix
     tool_inertia: Matrix
 
@@ -112,86 +109,49 @@ class ArmLoop:
         return (self.setup.plant.actuator_delay_ticks * controller.period
                 + controller.sensor.filter_delay(controller.rate))
 
-    def observer(self) -> ObserverDesign:
-        """Return the observer of the first contact; the others have the same model."""
-        controller = self.setup.controller
-        force = controller.force
-        loop = design_force_loop(
-            controller.contacts[controller.contact_names[0]].stiffness,
-            damping_rate=force.damping_rate, input_delay=controller.loop_delay,
-            period=controller.period, time_constant=force.time_constant,
-            second_pole_ratio=force.second_pole_ratio)
-        return design_observer(
-            loop, order=force.active_state_order, process_noise=force.process_noise,
-            initial_covariance=force.initial_covariance)
+    def _arm(self, ratio: float) -> LinearArmPlant:
+        """Return the arm on its surfaces; the real delay counts in whole periods."""
+        controller, names = self.setup.controller, self.setup.controller.contact_names
+        return LinearArmPlant(
+            self.mobility,
+            ratio * np.array([controller.contacts[name].stiffness for name in names]),
+            np.array([self.setup.plant.surfaces[name].damping for name in names]),
+            self.tool_inertia, round(self.delay * controller.rate) * controller.period)
 
-    def paper_boundary(self, noise_variance: float) -> float:
-        """Return the largest stable stiffness ratio of eq. 32 with the real delay."""
-        controller = self.setup.controller
-        contact = RealContact(
-            stiffness=controller.contacts[controller.contact_names[0]].stiffness,
-            damping_rate=controller.force.damping_rate, period=controller.period,
-            input_delay=self.delay)
-        return stability_boundary(self.observer(), noise_variance, contact).upper
+    def _paper(self, ratio: float) -> LinearArmPlant:
+        """Return the plant of eq. 32 with the real delay."""
+        controller, none = self.setup.controller, np.zeros((1, 1))
+        model = controller.contacts[controller.contact_names[0]].stiffness
+        return LinearArmPlant(none, np.array([ratio * model]), none[0], none, self.delay,
+                              controller.force.damping_rate)
 
-    def radius(self, noise_variance: float) -> Callable[[float], float]:
+    def radius(self, noise_variance: float, *, paper: bool = False) -> Callable[[float], float]:
         """
         Return the spectral radius of the closed loops as a function of the stiffness ratio.
 
-        The real delay counts in whole periods.
-
-        Parameters
-        ----------
-        noise_variance
-            R, held [N^2].
-
+        With R held at `noise_variance` [N^2], on the arm, or on the plant of eq. 32 if `paper`.
         """
-        controller, plant = self.setup.controller, self.setup.plant
-        force, names = controller.force, controller.contact_names
-        stiffness = np.array([controller.contacts[name].stiffness for name in names])
-        damping = np.array([plant.surfaces[name].damping for name in names])
-        observer = self.observer()
-        gain = steady_gain(observer, noise_variance)
-
-        def of_ratio(ratio: float) -> float:
-            surroundings = LinearArmPlant(
-                mobility=self.mobility, stiffness=ratio * stiffness, damping=damping,
-                tool_inertia=self.tool_inertia,
-                delay_ticks=round(self.delay * controller.rate))
-            return spectral_radius(closed_loop(
-                surroundings, observer, gain, force.damping_rate, controller.period))
-
-        return of_ratio
+        controller = self.setup.controller
+        gain = steady_gain(self.observer, noise_variance)
+        plant, damping_rate = (
+            (self._paper, 0.0) if paper else (self._arm, controller.force.damping_rate))
+        return lambda ratio: spectral_radius(
+            closed_loop(plant(ratio), self.observer, gain, damping_rate, controller.period))
 
     def boundary(self, noise_variance: float) -> float:
-        """
-        Return the largest stiffness ratio up to which the loops are stable.
-
-        Scanned upwards from 0.1 in steps of 10 %, then bisected; 0 if not even the softest is
-        stable, infinity if all up to 100 are.
-        """
+        """Return the largest ratio up to which the loops are stable, 0 for none; infinity."""
         radius = self.radius(noise_variance)
+        return math.sqrt(math.prod(
+            last_stable(lambda ratio: radius(ratio) < 1.0, ARM_RATIOS, 1e-7)))
 
-        def stable(ratio: float) -> bool:
-            return radius(ratio) < 1.0
-
-        grid = np.geomspace(SMALLEST_RATIO, 100.0, 73).tolist()
-        for low, high in zip([0.0, *grid[:-1]], grid):
-            if not stable(high):
-                return bisect(stable, low, high, 20) if low else 0.0
-        return math.inf
+    def paper_boundary(self, noise_variance: float) -> float:
+        """Return the largest ratio up to which eq. 32 is stable, 0 for none; infinity."""
+        radius = self.radius(noise_variance, paper=True)
+        return last_stable(lambda ratio: radius(ratio) < 1.0, PAPER_RATIOS, 1e-4)[0]
 
 
 def arm_loop(setup: Setup) -> ArmLoop:
-    """
-    Return the linear force loops of a setup, for `decoupled` allocation.
-
-    Parameters
-    ----------
-    setup
-        The contacts' geometry, the arm at the plant's home, and the tool.
-
-    """
+    """Return the linear force loops of a setup at its plant's home, for `decoupled` allocation."""
     config = setup.controller
     controller = Controller.from_config(config, setup.reference(), setup.urdf_dir)
     robot = controller.robot
@@ -204,18 +164,9 @@ def arm_loop(setup: Setup) -> ArmLoop:
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     inertia = config.tool.mass * np.block(
         [[np.eye(3), -cross], [cross, -cross @ cross]])  # of a point mass at its centre
-    return ArmLoop(setup, mobility, np.linalg.pinv(N) @ inertia @ N @ np.linalg.inv(N.T @ N))
-
-
-def bisect(stable: Callable[[float], bool], low: float, high: float, steps: int) -> float:
-    """Return where a verdict changes from True at `low` to False at `high`, by ratios."""
-    for _ in range(steps):
-        middle = math.sqrt(low * high)
-        if stable(middle):
-            low = middle
-        else:
-            high = middle
-    return math.sqrt(low * high)
+    observer = design_observers(config, state.pose.rotation_world)[0]
+    tool_inertia = np.linalg.pinv(N) @ inertia @ N @ np.linalg.inv(N.T @ N)
+    return ArmLoop(setup, observer, mobility, tool_inertia)
 
 
 def linear_boundaries(
@@ -224,15 +175,8 @@ def linear_boundaries(
     """
     Return the boundaries to draw beside the simulation, as JSON values.
 
-    Parameters
-    ----------
-    plant
-        Preset or path.
-    delays
-        Of the actuator [periods].
-    variances
-        R held [N^2]; the first one for eq. 32 alone, too.
-
+    A point for every delay of the actuator [periods], a line for every R held [N^2]; the first
+    one for eq. 32 alone, too.
     """
     loops = [arm_loop(map_job(1.0, delay, 'fixed', plant=plant).setup()) for delay in delays]
     lines = [{'label': f'linear loop of the arm, R = {variance:g} N²',

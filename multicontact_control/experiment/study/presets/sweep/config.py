@@ -110,40 +110,12 @@ def _values(field: str, given: Any) -> tuple[Any, ...]:
 
 
 def study_path(name: str) -> Path:
-    """
-    Return the file of a study.
-
-    Parameters
-    ----------
-    name
-        Name of a file in config/studies, or a path.
-
-    Raises
-    ------
-    ConfigError
-        If there is neither.
-
-    """
+    """Return the file of a study: of a name in config/studies, or a path; or a ConfigError."""
     return named_file('study', 'studies', name)
 
 
 def read_study(path: Path, *, seeds: tuple[int, ...] | None = None) -> StudyConfig:
-    """
-    Read and check a study.
-
-    Parameters
-    ----------
-    path
-        The file.
-    seeds
-        Instead of the study's own.
-
-    Raises
-    ------
-    ConfigError
-        With the first field that is not acceptable.
-
-    """
+    """Read and check a study, with other seeds if they are given; ConfigError if it is bad."""
     values = read_yaml(path)
     return validate(
         StudyConfig, values if seeds is None else {**values, 'seeds': seeds}, str(path))

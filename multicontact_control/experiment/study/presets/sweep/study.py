@@ -13,24 +13,18 @@ from multicontact_control.experiment.study.jobs import RunJob
 from multicontact_control.experiment.study.measure import summarise_run
 from multicontact_control.experiment.study.page import Page, Section
 from multicontact_control.experiment.study.presets.sweep.config import read_study, study_path
-from multicontact_control.experiment.study.presets.sweep.figure import draw_sweep
-from multicontact_control.experiment.study.presets.sweep.groups import (
-    chosen_metrics,
-    groups_of,
-    sweep_listing,
-)
 from multicontact_control.experiment.study.presets.sweep.plan import plan_sweep, SweepPlan
-from multicontact_control.experiment.study.presets.sweep.table import (
+from multicontact_control.experiment.study.presets.sweep.results import (
+    chosen_metrics,
+    draw_sweep,
     Row,
     row_of,
+    sweep_listing,
     sweep_table,
-    TABLE_FILE,
 )
 from multicontact_control.experiment.study.study import Study
 import pyarrow as pa
 
-STUDY_FILE = 'study.yaml'
-TIMINGS_FILE = 'timings.csv'
 SHOWN = 40  # lines of the table over the seeds that still fit a terminal
 NOTE = ('Every line stands for the runs that differ in their seed only: how many were stable, and '
         'the median of the stable ones; a star is the worst contact. Every single run is in '
@@ -39,15 +33,7 @@ NOTE = ('Every line stands for the runs that differ in their seed only: how many
 
 @dataclass(frozen=True)
 class SweepStudy(Study[RunJob, pa.Table]):
-    """
-    The runs of a study's file; made by `sweep_study`.
-
-    Attributes
-    ----------
-    plan
-        The runs.
-
-    """
+    """The runs of a study's file; made by `sweep_study`."""
 
     plan: SweepPlan
 
@@ -61,9 +47,9 @@ class SweepStudy(Study[RunJob, pa.Table]):
 
     def headline(self) -> str:
         """Return how many combinations and seeds there are."""
-        study = self.plan.study
-        return (f'study {study.name}: {len(groups_of(self.plan))} combinations with '
-                f'{len(study.seeds)} seeds')
+        study, seeds = self.plan.study, len(self.plan.study.seeds)
+        return (f'study {study.name}: {len(self.plan.runs) // seeds} combinations with '
+                f'{seeds} seeds')
 
     def grid(self) -> Mapping[str, Sequence[Any]]:
         """Return plants, seeds, and the values of every parameter that is swept."""
@@ -91,8 +77,8 @@ class SweepStudy(Study[RunJob, pa.Table]):
         walls = [{'run': one.number, 'key': run.keys[one.job],
                   'wall_s': f'{run.result(one.job).wall_time:.4f}'}
                  for one in self.plan.runs if one.job not in run.lost]
-        return {TABLE_FILE: content, TIMINGS_FILE: walls,
-                STUDY_FILE: self.plan.study.model_dump(mode='json')}
+        return {'sweep.parquet': content, 'timings.csv': walls,
+                'study.yaml': self.plan.study.model_dump(mode='json')}
 
     def page(self, content: pa.Table, folder: Path) -> Page:
         """Return the medians over the seeds, and the picture of them."""
@@ -122,11 +108,6 @@ def sweep_study(name: str, seeds: tuple[int, ...] | None = None) -> SweepStudy:
         Name of a file in config/studies, or a path.
     seeds
         Instead of the study's; None for those.
-
-    Raises
-    ------
-    ConfigError
-        If the study is not acceptable.
 
     """
     path = study_path(name)

@@ -1,7 +1,7 @@
 """Faults as jobs: what one gives does not depend on what ran before, nor on where."""
 
-from multicontact_control.experiment.study.cluster import DaskExecutor
 from multicontact_control.experiment.study.execute import run_jobs
+from multicontact_control.experiment.study.executors import DaskExecutor
 from multicontact_control.experiment.study.presets.faults.jobs import (
     FaultJob,
     PHASE_TIMES,

@@ -1,0 +1,181 @@
+"""What surrounds the law: contact states, limits, valid inputs and reactions."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from multicontact_control.config.base import Config, parameter, Real, Vector, WRENCH_SIZE
+from multicontact_control.errors import ConfigError
+from pydantic import model_validator
+
+Reaction = Literal['hold', 'float', 'damp']
+
+
+class ContactStateConfig(Config):
+    """When a contact counts as made, held or lost, and how it is looked for."""
+
+    approach_speed: Real = parameter(
+        0.02, 'Largest speed along a normal towards a surface that is not felt; what a scenario '
+        'says of its approach goes before.', unit='m/s', gt=0.0, le=0.25)
+    approach_ramp_time: Real = parameter(
+        0.5, 'Time to reach that speed.', unit='s', gt=0.0, le=10.0)
+    approach_distance: Real = parameter(
+        0.1, 'A surface not met over this distance is given up.', unit='m', gt=0.0, le=2.0)
+    search_distance: Real = parameter(
+        0.01, 'A lost surface not met this far beyond where it was is given up.', unit='m',
+        gt=0.0, le=0.5)
+    contact_threshold: Real = parameter(
+        1.5, 'Measured force that counts as touch.', unit='N', gt=0.0, le=100.0)
+    release_threshold: Real = parameter(
+        0.5, 'Measured force below which a contact may be lost.', unit='N', ge=0.0, le=100.0)
+    release_fraction: Real = parameter(
+        0.3, 'The same relative to the force it was held with or is to have, whichever is less: '
+        'a tool that falls after its surface reads its own inertia.', ge=0.0, lt=1.0)
+    escape_speed: Real = parameter(
+        0.1, 'Speed of the contact point into its surface that only a lost one reaches.',
+        unit='m/s', gt=0.0, le=5.0)
+    preload: Real = parameter(
+        2.0, 'Desired force from touch until the contact holds.', unit='N', gt=0.0, le=100.0)
+    force_rate: Real = parameter(
+        100.0, 'Rise of the desired force of a contact that was lost, from touch on.',
+        unit='N/s', gt=0.0, le=1e4)
+    impact_time: Real = parameter(
+        0.05, 'Least time in contact from touch to holding.', unit='s', ge=0.0, le=1.0)
+    bounce_time: Real = parameter(
+        0.01, 'The same as loss_time, between touch and holding.', unit='s', ge=0.0, le=1.0)
+    loss_time: Real = parameter(
+        0.004, 'Time below the release threshold until a contact is lost.', unit='s', ge=0.0,
+        le=1.0)
+    lost_time: Real = parameter(
+        0.05, 'Least time from loss to a new approach.', unit='s', ge=0.0, le=10.0)
+    braking: Real = parameter(
+        5.0, 'Acceleration that brakes a tip that has lost its surface, or pulls it back.',
+        unit='m/s^2', gt=0.0, le=50.0)
+    force_ceiling: Real = parameter(
+        60.0, 'Measured force at which a contact is left.', unit='N', gt=0.0, le=1000.0)
+    retract_distance: Real = parameter(
+        0.01, 'Way back from a surface that is left.', unit='m', gt=0.0, le=0.2)
+    retract_speed: Real = parameter(
+        0.05, 'Speed on that way.', unit='m/s', gt=0.0, le=0.25)
+    blend_time: Real = parameter(
+        0.003, 'Time constant by which a change of active contacts, or of the law, is blended.',
+        unit='s', gt=0.0, le=1.0)
+    energy_limit: Real = parameter(
+        0.5, 'Energy a contact may take up beyond what it stores, within energy_memory.',
+        unit='J', gt=0.0, le=100.0)
+    energy_memory: Real = parameter(
+        1.0, 'Time constant by which that energy is forgotten.', unit='s', gt=0.0, le=100.0)
+    injected_damping: Real = parameter(
+        0.0, 'Force per speed taken from the command while that limit is passed; 0 for none.',
+        unit='N s/m', ge=0.0, le=1e4)
+
+    @model_validator(mode='after')
+    def _check_across_fields(self) -> ContactStateConfig:
+        if not self.release_threshold < self.contact_threshold < self.force_ceiling:
+            raise ConfigError(
+                'contact_state.contact_threshold',
+                f'above release_threshold {self.release_threshold:g} N and below force_ceiling '
+                f'{self.force_ceiling:g} N', f'{self.contact_threshold:g} N')
+        return self
+
+
+class LimitsConfig(Config):
+    """What no command and no motion may exceed; an empty list is no limit."""
+
+    joint_lower: Vector = parameter((), 'Lower stop of each joint.', unit='rad')
+    joint_upper: Vector = parameter((), 'Upper stop of each joint.', unit='rad')
+    joint_margin: Real = parameter(
+        0.02, 'How far before its stop a joint is to stand still.', unit='rad', ge=0.0, le=1.0)
+    joint_speed: Vector = parameter((), 'Largest speed of each joint.', unit='rad/s')
+    joint_braking: Real = parameter(
+        5.0, 'Deceleration counted on before a stop.', unit='rad/s^2', gt=0.0, le=500.0)
+    torque_rate: Vector = parameter((), 'Largest rate of each torque.', unit='N m/s')
+    operational_speed: Real = parameter(
+        0.5, 'Largest speed of the operational point.', unit='m/s', gt=0.0, le=10.0)
+    operational_turn: Real = parameter(
+        2.0, 'Largest angular speed of the operational frame.', unit='rad/s', gt=0.0, le=50.0)
+    workspace_lower: Vector = parameter(
+        (), 'Lower corner of the box the operational point stays in.', unit='m')
+    workspace_upper: Vector = parameter((), 'Upper corner of that box.', unit='m')
+    singular_mobility: Real = parameter(
+        0.004, 'Smallest eigenvalue of J M^-1 J^T up to which Lambda is damped, 0 for never.',
+        unit='1/kg', ge=0.0, le=1.0)
+
+    @model_validator(mode='after')
+    def _check_across_fields(self) -> LimitsConfig:
+        for kind in ('joint', 'workspace'):
+            lower, upper = getattr(self, f'{kind}_lower'), getattr(self, f'{kind}_upper')
+            if len(lower) != len(upper) or any(a >= b for a, b in zip(lower, upper)):
+                raise ConfigError(
+                    f'limits.{kind}_lower', f'one value below each of {kind}_upper', list(lower))
+        if len(self.workspace_lower) not in (0, 3):
+            raise ConfigError('limits.workspace_lower', '3 values', len(self.workspace_lower))
+        for name in ('joint_speed', 'torque_rate'):
+            if min(getattr(self, name), default=1.0) <= 0.0:
+                raise ConfigError(f'limits.{name}', 'values above 0', min(getattr(self, name)))
+        return self
+
+
+class WatchdogConfig(Config):
+    """Limits of valid inputs, and the reactions beyond them."""
+
+    joint_max_age: Real = parameter(
+        0.003, 'Largest age of a joint state.', unit='s', gt=0.0, le=1.0)
+    wrench_max_age: Real = parameter(0.003, 'Largest age of a wrench.', unit='s', gt=0.0, le=1.0)
+    variance_max_age: Real = parameter(
+        0.005, 'Largest age of R, which is one period old when all is well.', unit='s', gt=0.0,
+        le=10.0)
+    variance_growth: Real = parameter(
+        1.1, 'Factor per period on an R that is not renewed.', ge=1.0, le=10.0)
+    variance_floor: Real = parameter(
+        0.1, 'Smallest R that is used: a smaller one makes the observer faster than the drives.',
+        unit='N^2', gt=0.0)
+    variance_ceiling: Real = parameter(
+        1e3, 'Where that growth ends, and the largest R that is used.', unit='N^2', gt=0.0)
+    on_joint_fault: Reaction = parameter(
+        'float', 'Reaction to a joint state that is missing, stale or invalid.')
+    on_wrench_fault: Reaction = parameter(
+        'hold', 'Reaction to a wrench that is missing, stale or invalid.')
+    on_clock_fault: Reaction = parameter(
+        'hold', 'Reaction to time that runs backwards or at a wrong rate.')
+    on_motion_fault: Reaction = parameter(
+        'hold', 'Reaction to a speed beyond its limit.')
+    on_law_fault: Reaction = parameter(
+        'damp', 'Reaction to a control law that raises or gives no finite torque.')
+    rate_band: Real = parameter(
+        2.5, 'Twice in a row a period beyond 1 / rate_band to rate_band times the right one is '
+        'a fault.', gt=1.0, le=100.0)
+    frozen_samples: int = parameter(
+        2, 'Repetitions, bit by bit, that make a reading frozen; 0 for a sensor without noise.',
+        ge=0, le=1000)
+    wrench_full_scale: Vector = parameter(
+        (), 'Reading of each axis at which the sensor saturates; empty if unknown.',
+        unit='N, N m')
+    pull_threshold: Real = parameter(
+        4.0, 'Measured pull of a surface beyond which the wrench is refused.', unit='N', gt=0.0)
+    loss_acceleration: Real = parameter(
+        20.0, 'Acceleration of the tool, braked after a contact is lost, whose inertia may be '
+        'read as a pull of that contact beyond pull_threshold.', unit='m/s^2', ge=0.0, le=200.0)
+    friction_bound: Real = parameter(
+        0.8, 'Largest accepted ratio of sideways to normal forces.', gt=0.0, le=10.0)
+    friction_offset: Real = parameter(
+        5.0, 'Sideways force that is always accepted.', unit='N', gt=0.0)
+    position_jump: Real = parameter(
+        0.01, 'Largest accepted difference between a joint angle and the one its speeds lead '
+        'to.', unit='rad', gt=0.0)
+    hold_frequency: Real = parameter(
+        10.0, 'Natural frequency of the joints while the posture is held.', unit='rad/s',
+        gt=0.0, le=100.0)
+    damping_rate: Real = parameter(
+        5.0, 'Damping of the joints over their inertia, of the reaction `damp`.', unit='1/s',
+        gt=0.0, le=100.0)
+    recovery_time: Real = parameter(
+        0.05, 'How long all inputs must be good before control resumes.', unit='s', ge=0.0,
+        le=60.0)
+
+    @model_validator(mode='after')
+    def _check_lengths(self) -> WatchdogConfig:
+        if len(self.wrench_full_scale) not in (0, WRENCH_SIZE):
+            raise ConfigError(
+                'watchdog.wrench_full_scale', '6 values', len(self.wrench_full_scale))
+        return self
