@@ -11,12 +11,10 @@ import pinocchio as pin
 from sim_bridge.bullet_arm import BulletArm
 from sim_bridge.config import PlantConfig
 from sim_bridge.contacts import Contacts
-from sim_bridge.drives import FlexibleDrives
+from sim_bridge.drives import FlexibleDrives, RigidDrives
 from sim_bridge.joint_friction import joint_friction
 from sim_bridge.puma560 import load_robot, RobotData, SENSOR_FRAME, urdf_text
-from sim_bridge.rigid_drives import RigidDrives
-from sim_bridge.timed_pushes import push_at
-from sim_bridge.tool_push import ToolPush
+from sim_bridge.pushes import push_at, ToolPush
 from sim_bridge.wrench_sensor import WrenchSensor
 
 
