@@ -21,7 +21,7 @@ from geometry_msgs.msg import PoseStamped
 from multicontact_control.arrays import Vector
 from multicontact_control.errors import RunError
 from multicontact_control.nodes import messages, topics
-from multicontact_control.nodes.controller_link import ControllerLink
+from multicontact_control.nodes.link import ControllerLink
 from multicontact_control.nodes.motion_command import finite_vector, motion_message, quintic
 import numpy as np
 from numpy.typing import ArrayLike
@@ -154,8 +154,7 @@ class MultiContactClient:
             If the controller does not answer or refuses.
 
         """
-        self._require_success('hold', self._link.call(
-            SetBool, f'{topics.CONTROLLER}/hold', SetBool.Request(data=on)))
+        self._ask('hold', SetBool, SetBool.Request(data=on))
 
     def tare(self) -> None:
         """
@@ -167,11 +166,10 @@ class MultiContactClient:
             If the controller does not answer or refuses.
 
         """
-        self._require_success('tare', self._link.call(
-            Trigger, f'{topics.CONTROLLER}/tare', Trigger.Request()))
+        self._ask('tare', Trigger, Trigger.Request())
 
-    @staticmethod
-    def _require_success(what: str, answer: Any) -> None:
+    def _ask(self, what: str, service: Any, request: Any) -> None:
+        answer = self._link.require(topics.CONTROLLER, service, what, request)
         if not answer.success:
             raise RunError(f'{topics.CONTROLLER}: {what} refused: {answer.message}')
 

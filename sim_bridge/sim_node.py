@@ -38,10 +38,14 @@ from multicontact_control.nodes.graph_node import (
     StartupConfig,
     StartupGate,
 )
-from multicontact_control.nodes.loop_statistics import Freshness, LoopStatistics
+from multicontact_control.nodes.loop_statistics import (
+    DurationLog,
+    Freshness,
+    LoopStatistics,
+    NANOSECONDS,
+)
 from multicontact_control.nodes.parameters import load_parameters
 from multicontact_control.nodes.runtime import run_node, Spinner
-from multicontact_control.nodes.timing import DurationLog
 import numpy as np
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
@@ -58,7 +62,6 @@ RESENDS = 5  # times that a sample is sent in lockstep within answer_timeout
 WAIT_FRACTION = 0.5
 STALE_PERIODS = 25
 REMEMBERED = 1024  # samples whose time of publication is known
-NANOSECONDS = 1_000_000_000
 
 
 class SimNodeConfig(StartupConfig):

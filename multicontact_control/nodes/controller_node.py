@@ -28,11 +28,15 @@ from multicontact_control.nodes.graph_node import (
     create_subscription,
     StartupGate,
 )
-from multicontact_control.nodes.loop_statistics import Freshness, LoopStatistics, NANOSECONDS
+from multicontact_control.nodes.loop_statistics import (
+    DurationLog,
+    Freshness,
+    LoopStatistics,
+    NANOSECONDS,
+)
 from multicontact_control.nodes.managed_node import ACTIVE, ManagedNode
 from multicontact_control.nodes.runtime import run_node, Spinner
 from multicontact_control.nodes.state_output import StateOutput, WORLD_FRAME
-from multicontact_control.nodes.timing import DurationLog
 from multicontact_control.sampling import PairedSample, SamplePairing, SampleTimeout
 import numpy as np
 from rclpy.publisher import Publisher

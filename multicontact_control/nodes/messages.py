@@ -19,13 +19,13 @@ from geometry_msgs.msg import PoseStamped, WrenchStamped
 from multicontact_control.arrays import Vector
 from multicontact_control.errors import MulticontactError
 from multicontact_control.force.noise import Innovation
+from multicontact_control.nodes.loop_statistics import NANOSECONDS
 from multicontact_control.sampling import JointReading, MotionReading, WrenchReading
 import numpy as np
 from numpy.typing import ArrayLike
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import MultiDOFJointTrajectoryPoint
 
-NANOSECONDS = 1_000_000_000
 LAST_SECOND = 2 ** 31 - 1
 UNIT_QUATERNION_TOLERANCE = 1e-3
 

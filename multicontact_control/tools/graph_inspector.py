@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import os
 import time
-from types import TracebackType
 
 from multicontact_control.errors import RunError
-from multicontact_control.nodes.guest import GuestNode
+from multicontact_control.nodes.link import GuestNode
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
@@ -15,7 +14,7 @@ DISCOVERY_POLL = 0.02
 POLL_PERIOD = 0.005
 
 
-class GraphInspector:
+class GraphInspector(GuestNode):
     """
     A hidden node; to be used in a with statement.
 
@@ -27,19 +26,7 @@ class GraphInspector:
     """
 
     def __init__(self, domain_id: int | None = None) -> None:
-        self._guest = GuestNode(f'_multicontact_{os.getpid()}', domain_id)
-        self.node = self._guest.node
-
-    def __enter__(self) -> GraphInspector:
-        """Return the onlooker itself."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Leave the graph."""
-        self._guest.close()
+        super().__init__(f'_multicontact_{os.getpid()}', domain_id)
 
     def topics(self) -> dict[str, list[str]]:
         """Return the types by topic, of those that are not hidden and that someone publishes."""

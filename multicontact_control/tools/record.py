@@ -19,7 +19,7 @@ from multicontact_control.tools.graph_inspector import (
 )
 
 DEPTH = 1000
-DISCOVERY_PERIOD, FLUSH_PERIOD = 0.1, 0.5
+DISCOVERY_PERIOD = 0.1
 
 
 def record(
@@ -63,16 +63,13 @@ def record(
         recording = RawRecording(onlooker.node, writer)
         search = _Search(onlooker, recording, topics, say)
         say('Recording... Press Ctrl-C to stop.')
-        next_look = next_flush = time.monotonic()
+        next_look = time.monotonic()
         while not stop:
             now = time.monotonic()
             if now >= next_look:
                 search.look()
                 next_look = now + DISCOVERY_PERIOD
             recording.drain()
-            if now >= next_flush:
-                writer.flush()
-                next_flush = now + FLUSH_PERIOD
             time.sleep(POLL_PERIOD)
         recording.drain()  # what came before the interrupt; others may publish for ever
         for stream in recording.streams.values():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from multicontact_control.config import Config, ControllerConfig, parameter, Real, Vector
 from multicontact_control.errors import ConfigError
-from multicontact_control.nodes.guest import GuestNode
+from multicontact_control.nodes.link import GuestNode
 from multicontact_control.nodes.parameter_set import ParameterSet
 from multicontact_control.paths import config_dir
 import pytest

@@ -14,7 +14,7 @@ from multicontact_control.config import (
     write_parameters,
 )
 from multicontact_control.errors import ConfigError
-from multicontact_control.nodes.guest import GuestNode
+from multicontact_control.nodes.link import GuestNode
 from multicontact_control.nodes.parameters import load_parameters, nested, parameter_specs
 from multicontact_control.paths import config_dir
 import pytest

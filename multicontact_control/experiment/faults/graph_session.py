@@ -15,12 +15,6 @@ from multicontact_control.experiment.faults.graph_operator import Operator
 from multicontact_control.experiment.faults.graph_relay import outgoing, PARAMETER, RELAY
 from multicontact_control.experiment.faults.graph_streams import INPUTS
 from multicontact_control.experiment.faults.graph_watch import GraphWatch
-from multicontact_control.experiment.graph.lifecycle import (
-    ACTIVATE,
-    CONFIGURE,
-    LifecycleDriver,
-    NoAnswerError,
-)
 from multicontact_control.experiment.graph.processes import NodeProcesses
 from multicontact_control.experiment.graph.spec import (
     CONTROLLER,
@@ -32,7 +26,13 @@ from multicontact_control.experiment.graph.spec import (
 )
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.nodes import topics
-from multicontact_control.nodes.guest import GuestNode
+from multicontact_control.nodes.link import (
+    ACTIVATE,
+    CONFIGURE,
+    GuestNode,
+    LifecycleDriver,
+    NoAnswerError,
+)
 import numpy as np
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter

@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 from multicontact_control.experiment.faults.graph_commands import FORCES, MOTIONS, publish_for
 from multicontact_control.experiment.faults.graph_session import FaultSession
 from multicontact_control.experiment.faults.graph_streams import stream_faults
-from multicontact_control.experiment.graph.lifecycle import (
+from multicontact_control.experiment.graph.spec import CONTROLLER, ESTIMATOR, RECORDER, SIM
+from multicontact_control.nodes.link import (
     ACTIVATE,
     CLEAN_UP,
     CONFIGURE,
     DEACTIVATE,
 )
-from multicontact_control.experiment.graph.spec import CONTROLLER, ESTIMATOR, RECORDER, SIM
 import numpy as np
 
 HALT = (0.02, 0.2)  # s

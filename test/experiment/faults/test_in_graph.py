@@ -26,7 +26,7 @@ from multicontact_control.experiment.faults.judge import busy_share, Judge, Wind
 from multicontact_control.experiment.graph.spec import CONTROLLER, ESTIMATOR, RECORDER, SIM
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.nodes import messages, topics
-from multicontact_control.nodes.guest import GuestNode
+from multicontact_control.nodes.link import GuestNode
 import numpy as np
 import pytest
 from rclpy.serialization import deserialize_message, serialize_message
