@@ -16,13 +16,13 @@ from multicontact_control.nodes import qos
 from multicontact_control.nodes.bag_writer import BagWriter
 from multicontact_control.nodes.loop_statistics import NANOSECONDS
 from multicontact_control.nodes.message_definitions import TF_TYPE
+from multicontact_control.nodes.topics import WORLD_FRAME
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 TF_TOPIC = '/tf'
-WORLD_FRAME = 'world'
 CDR_LITTLE_ENDIAN = b'\x00\x01\x00\x00'
 
 
