@@ -19,10 +19,10 @@ from typing import Any
 
 from geometry_msgs.msg import PoseStamped
 from multicontact_control.arrays import Vector
+from multicontact_control.control.reference.sine import quintic
 from multicontact_control.errors import RunError
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.link import ControllerLink
-from multicontact_control.nodes.motion_command import finite_vector, motion_message, quintic
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
@@ -224,11 +224,11 @@ class MultiContactClient:
             If a number is not finite.
 
         """
-        goal = finite_vector(position_world, 3, 'position_world')
+        goal = messages.finite_array(position_world, 3, 'position_world')
         start, = self._link.fresh(topics.POSE_DESIRED)
         position, turn = _pose_of(start)
         last = turn if quaternion_xyzw is None else Rotation.from_quat(
-            finite_vector(quaternion_xyzw, 4, 'quaternion_xyzw'))
+            messages.finite_array(quaternion_xyzw, 4, 'quaternion_xyzw'))
         rotation_vector = (last * turn.inv()).as_rotvec()
         first_stamp, elapsed = messages.stamp_to_ns(start.header.stamp), 0.0
         while elapsed < duration:
@@ -236,7 +236,7 @@ class MultiContactClient:
             elapsed = (messages.stamp_to_ns(sample.header.stamp) - first_stamp) * 1e-9
             s, ds, dds = quintic(min(elapsed, duration), duration)
             change = np.concatenate([goal - position, rotation_vector])
-            self._link.publish(self._motion_publisher, motion_message(
+            self._link.publish(self._motion_publisher, messages.motion_message(
                 position + s * change[:3],
                 (Rotation.from_rotvec(s * rotation_vector) * turn).as_quat(),
                 ds * change, dds * change))

@@ -29,6 +29,7 @@ from multicontact_control.nodes.diagnostics import (
     Diagnostics,
     input_status,
     message_status,
+    STALE_PERIODS,
     Status,
 )
 from multicontact_control.nodes.graph_node import (
@@ -60,7 +61,6 @@ MAX_LATE_PERIODS = 2
 RESEND_PERIOD, RESEND_PERIOD_GATED = 1.0, 10.0
 RESENDS = 5  # times that a sample is sent in lockstep within answer_timeout
 WAIT_FRACTION = 0.5
-STALE_PERIODS = 25
 REMEMBERED = 1024  # samples whose time of publication is known
 
 

@@ -21,7 +21,12 @@ from multicontact_control.nodes.controller_status import (
     sensor_status,
     SupervisorReport,
 )
-from multicontact_control.nodes.diagnostics import input_status, message_status, Status
+from multicontact_control.nodes.diagnostics import (
+    input_status,
+    message_status,
+    STALE_PERIODS,
+    Status,
+)
 from multicontact_control.nodes.graph_node import create_subscription, StartupGate
 from multicontact_control.nodes.loop_statistics import (
     DurationLog,
@@ -35,8 +40,6 @@ from multicontact_control.sampling import PairedSample, SamplePairing, SampleTim
 import numpy as np
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
-
-STALE_PERIODS = 25
 
 
 class ControllerNode(ManagedNode):

@@ -14,6 +14,7 @@ from multicontact_control.nodes.loop_statistics import Freshness
 from rclpy.node import Node
 
 PERIOD = 1_000_000_000  # ns
+STALE_PERIODS = 25  # from which an input at the control rate is stale
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
 

@@ -10,7 +10,8 @@ tells how many are missing.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from operator import itemgetter
 import time
 from typing import Any
 
@@ -65,15 +66,6 @@ class Stream:
         elif sequence > self.last_sequence:
             self.lost += sequence - self.last_sequence - 1
         self.last_sequence = sequence
-
-
-@dataclass(order=True)
-class _Message:
-    log_time: int
-    stream: Stream = field(compare=False)
-    data: bytes = field(compare=False)
-    publish_time: int = field(compare=False)
-    sequence: int = field(compare=False)
 
 
 class RawRecording:
@@ -147,14 +139,12 @@ class RawRecording:
                     self.fresh.note(stream.name)
                 received = info['received_timestamp'] or time.time_ns()
                 sent = info['source_timestamp'] or received
-                messages.append(_Message(received, stream, data, sent, sequence or 0))
-        messages.sort()
-        for message in messages:
-            self._writer.write(
-                message.stream.name, message.data, message.log_time, message.publish_time,
-                message.sequence & 0xFFFFFFFF)
-            if message.stream.on_message is not None:
-                message.stream.on_message(message.data, message.log_time, message.publish_time)
+                messages.append((received, sent, (sequence or 0) & 0xFFFFFFFF, data, stream))
+        messages.sort(key=itemgetter(0))
+        for received, sent, sequence, data, stream in messages:
+            self._writer.write(stream.name, data, received, sent, sequence)
+            if stream.on_message is not None:
+                stream.on_message(data, received, sent)
         if time.monotonic() >= self._next_flush:
             self._writer.flush()
             self._next_flush = time.monotonic() + FLUSH_PERIOD
