@@ -72,7 +72,9 @@ class FlexibleDrives:
         self.q[:] = q + torque / self._drives['stiffness']
         self.qd[:] = 0.0
 
-    def advance(self, torque: Vector, q: Vector, qd: Vector, joint_torque: Vector) -> None:
+    def advance(
+        self, torque: Vector, _load: Vector, q: Vector, qd: Vector, joint_torque: Vector,
+    ) -> None:
         """Advance the rotors by one step; see `advance_drives`."""
         advance_drives(
             torque, q, qd, self._drives, self._friction, self._step, joint_torque)
@@ -137,11 +139,14 @@ class RigidDrives:
         self._frictionless = not any(
             friction[name].any() for name in ('viscous', 'coulomb_positive', 'coulomb_negative'))
 
-    def torque(
+    def reset(self, _q: Vector, _torque: Vector) -> None:
+        """Rest: nothing is remembered."""
+
+    def advance(
         self, torque: Vector, load: Vector, q: Vector, qd: Vector, joint_torque: Vector,
     ) -> None:
         """
-        Fill in what to apply to the links.
+        Fill in what to apply to the links for one step.
 
         Parameters
         ----------

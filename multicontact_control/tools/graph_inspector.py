@@ -6,8 +6,9 @@ import os
 import time
 
 from multicontact_control.errors import RunError
+from multicontact_control.nodes import qos
 from multicontact_control.nodes.link import GuestNode
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 DISCOVERY_POLL = 0.02
@@ -77,7 +78,4 @@ def matching_profile(publishers: list[TopicEndpointInfo], depth: int) -> QoSProf
     offered = [info.qos_profile for info in publishers]
     reliable = all(x.reliability == ReliabilityPolicy.RELIABLE for x in offered)
     latched = all(x.durability == DurabilityPolicy.TRANSIENT_LOCAL for x in offered)
-    return QoSProfile(
-        depth=depth, history=HistoryPolicy.KEEP_LAST,
-        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE)
+    return qos.profile(depth, reliable=reliable, latched=latched)

@@ -18,7 +18,7 @@ def test_flexible_drives_conserve_energy_without_damping():
     q, qd, torque = np.zeros(2), np.array([0.5, -0.5]), np.zeros(2)
     energy, momentum = [], []
     for _ in range(20000):
-        drives.advance(np.zeros(2), q, qd, torque)
+        drives.advance(np.zeros(2), np.zeros(2), q, qd, torque)
         qd += step * torque / wheel
         q += step * qd
         twist = drives.q - q
@@ -36,7 +36,7 @@ def test_flexible_drives_rest_with_springs_wound_up():
     q, load, torque = np.array([0.3, -0.2]), np.array([30.0, -5.0]), np.zeros(2)
     drives.reset(q, load)
     for _ in range(100):
-        drives.advance(load, q, np.zeros(2), torque)
+        drives.advance(load, np.zeros(2), q, np.zeros(2), torque)
     np.testing.assert_allclose(torque, load, rtol=1e-9)
     np.testing.assert_allclose(drives.qd, 0.0, atol=1e-12)
 
@@ -66,7 +66,7 @@ def test_rigid_drives_make_bare_links_accelerate_as_with_rotors(robot, arm_with_
     for _ in range(5):
         q, qd, torque, load = rng.uniform(-1, 1, (4, 6))
         applied = np.empty(6)
-        drives.torque(torque, load, q, qd, applied)
+        drives.advance(torque, load, q, qd, applied)
         found = pin.aba(bare, bare.createData(), q, qd, applied + load)
         expected = pin.aba(model, model.createData(), q, qd, torque + load)
         np.testing.assert_allclose(found, expected, atol=1e-9)
@@ -92,7 +92,7 @@ def test_rigid_drives_with_friction_brake_like_the_implicit_solution(
     bare.armature = np.zeros(6)
     q, qd, torque = rng.uniform(-1, 1, (3, 6))
     applied = np.empty(6)
-    drives.torque(torque, np.zeros(6), q, qd, applied)
+    drives.advance(torque, np.zeros(6), q, qd, applied)
     speed = qd + STEP * pin.aba(bare, bare.createData(), q, qd, applied)
     friction = [friction_torque(v, row) for v, row in zip(speed, table, strict=True)]
     expected = qd + STEP * pin.aba(
