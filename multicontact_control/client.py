@@ -14,7 +14,6 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 import time
-from types import TracebackType
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped
@@ -103,10 +102,7 @@ class MultiContactClient:
         """Return the client itself."""
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_error: object) -> None:
         """Leave the graph; the controller goes on with its last commands."""
         self.close()
 
