@@ -18,10 +18,10 @@ from typing import Any
 
 from geometry_msgs.msg import PoseStamped
 from multicontact_control.arrays import Vector
-from multicontact_control.control.reference.sine import quintic
 from multicontact_control.errors import RunError
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.link import ControllerLink
+from multicontact_control.quintic import quintic
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation

@@ -1,4 +1,4 @@
-"""A sinusoid that is blended in by a quintic."""
+"""A sinusoid that is blended in."""
 
 from __future__ import annotations
 
@@ -7,25 +7,11 @@ import math
 from multicontact_control.control.reference.scenario_config import SineConfig
 
 
-def quintic(elapsed: float, duration: float) -> tuple[float, float, float]:
-    """
-    Return a path from 0 to 1 at rest at both ends, its speed and its acceleration.
-
-    10 x^3 - 15 x^4 + 6 x^5, x = elapsed / duration.
-    """
-    if elapsed >= duration:
-        return 1.0, 0.0, 0.0
-    x = max(0.0, elapsed / duration)
-    return (x ** 3 * (10.0 + x * (-15.0 + 6.0 * x)),
-            30.0 * x ** 2 * (1.0 - x) ** 2 / duration,
-            60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / duration ** 2)
-
-
 def sine_motion(config: SineConfig, time: float) -> tuple[float, float, float]:
     """
     Return displacement, speed and acceleration of the blended sinusoid.
 
-    s = A b(tau / t_b) sin(2 pi tau / T), b the quintic.
+    s = A b(tau / t_b) sin(2 pi tau / T), b the quintic 10 x^3 - 15 x^4 + 6 x^5.
 
     Parameters
     ----------
@@ -45,7 +31,13 @@ def sine_motion(config: SineConfig, time: float) -> tuple[float, float, float]:
         return 0.0, 0.0, 0.0
     w = 2.0 * math.pi / config.period
     sine, cosine = math.sin(w * tau), math.cos(w * tau)
-    b, db, ddb = quintic(tau, config.blend_time)
+    x = tau / config.blend_time
+    if x >= 1.0:
+        b, db, ddb = 1.0, 0.0, 0.0
+    else:
+        b = x ** 3 * (10.0 + x * (-15.0 + 6.0 * x))
+        db = 30.0 * x ** 2 * (1.0 - x) ** 2 / config.blend_time
+        ddb = 60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / config.blend_time ** 2
     A = config.amplitude
     return (A * b * sine, A * (db * sine + b * w * cosine),
             A * (ddb * sine + 2.0 * db * w * cosine - b * w * w * sine))

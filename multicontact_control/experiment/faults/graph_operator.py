@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 from multicontact_control.arrays import Vector
-from multicontact_control.control.reference.sine import quintic
 from multicontact_control.experiment.faults.graph_watch import GraphWatch
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.graph_node import create_publisher
+from multicontact_control.quintic import quintic
 import numpy as np
 from rclpy.node import Node
 from scipy.spatial.transform import Rotation
