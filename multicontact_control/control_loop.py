@@ -13,7 +13,7 @@ from pathlib import Path
 
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
-from multicontact_control.control.controller import ControlOutput, Measurement
+from multicontact_control.control.controller import ControlOutput
 from multicontact_control.control.reference import CommandedReference
 from multicontact_control.control.reference.holdable import HeldSource, HoldableReference
 from multicontact_control.errors import CommandError
@@ -28,7 +28,7 @@ from multicontact_control.sensor.front_end import SensorFrontEnd
 from multicontact_control.sensor.push_config import PushTestConfig
 from multicontact_control.sensor.push_gate import PushGate
 from multicontact_control.sensor.tare import tare_bias, TareConfig
-from multicontact_control.supervision.bumpless import BumplessController
+from multicontact_control.supervision.bumpless import BumplessController, not_supervised
 from multicontact_control.supervision.command_limits import check_position, CommandLimits
 from multicontact_control.supervision.event_log import EventLog
 from multicontact_control.supervision.inputs import (
@@ -101,7 +101,7 @@ class ControlLoop:
             scenario or self._commanded,  # type: ignore[arg-type]
             locked=config.sensor.require_push_test)
         self.supervisor: Supervisor | None = None
-        self.controller: BumplessController | Supervisor
+        self.controller: BumplessController
         if supervised:
             self.controller = self.supervisor = Supervisor.from_config(
                 config, self._reference, base_dir)
@@ -223,13 +223,14 @@ class ControlLoop:
         seen = TickInputs(
             inputs.time, joints, None if wrench is None else self._filtered, inputs.variance,
             self.sensor_fault)
-        if self.supervisor is not None:
-            torque = self._supervise(self.supervisor, seen)
-        else:
-            torque = self._control(self.controller, seen)  # type: ignore[arg-type]
+        controller = self.controller
+        output, status = controller.safe_step(seen) if self.safe else controller.step(seen)
+        self.output, self.status = None if self.safe else output, status
+        if status is not None:
+            self._note(inputs.time, status)
         if new and joints is not None and wrench is not None and joints.stamp == wrench.stamp:
             self._push(joints, self._readings[-1])
-        return torque
+        return output.torque
 
     @property
     def expected_stamp(self) -> int:
@@ -255,39 +256,22 @@ class ControlLoop:
             self._filtered = reading  # for the watchdog to refuse
             return False
         self._readings.append(raw)
-        result = self._front_end.update(raw)
-        self.sensor_fault = result.health.fault
-        self._filtered = WrenchInput(reading.stamp, result.wrench_sensor)
+        wrench, self.sensor_fault = self._front_end.update(raw)
+        self._filtered = WrenchInput(reading.stamp, wrench)
         return True
 
     def _require_supervisor(self) -> None:
         if self.supervisor is None:
-            raise _incomplete()
+            raise not_supervised()
 
-    def _supervise(self, supervisor: Supervisor, inputs: TickInputs) -> Vector:
-        result = supervisor.safe_step(inputs) if self.safe else supervisor.step(inputs)
-        status = result.status
-        self.output, self.status = None if self.safe else result.output, status
-        self.events.note(inputs.time, status)
+    def _note(self, time: float, status: SupervisorStatus) -> None:
+        """Count what the supervisor did."""
+        self.events.note(time, status)
         self.reactions[status.reaction] += 1
         if status.rejected:
             self.rejected.update(status.rejected)
         if status.limits:
             self.limited.update(status.limits)
-        return result.output.torque
-
-    def _control(self, controller: BumplessController, inputs: TickInputs) -> Vector:
-        joints, wrench = inputs.joints, inputs.wrench
-        if joints is None or wrench is None:
-            raise _incomplete()
-        measurement = Measurement(
-            inputs.time, joints.q, joints.qd, wrench.wrench, joints.effort)
-        if self.safe:
-            self.output = None
-            return controller.safe_step(measurement)
-        self.output = controller.step(
-            measurement, self.variance if inputs.variance is None else inputs.variance.variance)
-        return self.output.torque
 
     def _push(self, joints: JointInput, wrench_sensor: Vector) -> None:
         """Lead on with a push test, if there is one, and obey its verdict."""
@@ -417,7 +401,3 @@ class ControlLoop:
         pose = self.controller.controller.robot.update(joints.q, joints.qd).sensor_pose
         return tare_bias(readings, pose.rotation_world, model.tool,
                          np.array(model.robot.gravity_world), config)
-
-
-def _incomplete() -> CommandError:
-    return CommandError('supervised', 'true, to go on without a sample', 'false')

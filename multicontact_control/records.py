@@ -175,6 +175,22 @@ JOINT_LIMITS = np.dtype([
     ('last', F),  # torque commanded last [N m]
 ])
 
+# What comes in at a tick: of joints, wrench and R, in this order, stamp and readability; one.
+ARRIVAL = np.dtype([
+    ('time', F),  # now, NaN if it is no number [s]
+    ('stamp', F, 3),  # NaN if it is no number [s]
+    ('content', I, 3),  # what is wrong with it before its numbers are; see `supervision.readings`
+], align=True)
+
+# What is wrong with the inputs of a tick, as `supervision.readings` counts it; one.
+VERDICT = np.dtype([
+    ('clock', I),  # with the time
+    ('problem', I, 3),  # with each reading
+    ('stale', np.uint8, 3),  # whether the last valid one is too old
+    ('repeated', B),  # whether this is the tick before once more
+    ('blind', B),  # whether joints were valid neither in this tick nor in the one before
+], align=True)
+
 # Readings of one joint: the newest, the one before, the newest that is valid.
 JOINT_READING = np.dtype([(name, F) for name in (
     'q', 'qd', 'last_q', 'last_qd', 'valid_q', 'valid_qd', 'speed_limit')])  # [rad, rad/s]
@@ -182,22 +198,33 @@ JOINT_READING = np.dtype([(name, F) for name in (
 # Readings of one axis of the wrist sensor, and from where on it is saturated [N or N m].
 AXIS_READING = np.dtype([(name, F) for name in ('new', 'last', 'valid', 'full_scale')])
 
-# R of one contact: the newest, and the newest that is valid, within its limits [N^2].
-VARIANCE_READING = np.dtype([(name, F) for name in ('new', 'valid')])
+# R of one contact: the newest, the newest that is valid, within its limits, and the one to use,
+# inflated where it is not renewed [N^2].
+VARIANCE_READING = np.dtype([(name, F) for name in ('new', 'valid', 'used')])
 
-# What is remembered of readings, and what of them is new in this tick; one.
+# What is remembered of inputs; one.
 READING_MEMORY = np.dtype([
-    ('elapsed', F),  # since the newest valid joint state [s]
+    ('time', F),  # of the tick before, NaN if there was none [s]
+    ('seen', F, 3),  # newest stamp of each reading, NaN if there was none [s]
+    ('valid', F, 3),  # stamp of the newest valid one, NaN likewise [s]
+    ('odd_periods', I),  # periods in a row that are too long or too short
+    ('same_times', I),  # ticks in a row with the time of the one before
+    ('blind_ticks', I),  # ticks in a row without valid joints
     ('joint_repeats', I),  # joint states that repeated the one before
-    ('distrust', I),  # samples for which joints are not believed after a jump
     ('wrench_repeats', I),  # wrenches that repeated the one before
-    ('joints_fresh', B), ('wrench_fresh', B), ('variance_fresh', B),
+    ('distrust', I),  # samples for which joints are refused after a jump
+    ('inflation', F),  # of R, 1 while it is renewed
     ('joints_before', B),  # whether there was a joint state before
-    ('joints_known', B),  # whether one was ever valid
     ('wrench_before', B),
+    ('joints_known', B),  # whether one was ever valid
+    ('wrench_known', B),
 ], align=True)
 
-# Fields of `WatchdogConfig` of the same name, and `recovery_time` in samples; one.
+# Fields of `WatchdogConfig` of the same name, and what follows from them; one.
 READING_SETTINGS = np.dtype([
-    ('period', F), ('position_jump', F), ('frozen_samples', I), ('recovery_samples', I),
-    ('variance_floor', F), ('variance_ceiling', F)])
+    ('period', F),
+    ('shortest', F), ('longest', F),  # periods that are not odd [s]
+    ('max_age', F, 3),  # of each reading [s]
+    ('position_jump', F), ('frozen_samples', I),
+    ('recovery_samples', I),  # `recovery_time`
+    ('variance_growth', F), ('variance_floor', F), ('variance_ceiling', F)])

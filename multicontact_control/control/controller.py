@@ -58,6 +58,8 @@ class Controller:
         Where the arm is.
     contacts
         Records of `CONTACT`, shape (r,), which every step overwrites.
+    active
+        Which of them are force controlled, in these records, shape (r,).
     tasks
         One record of `TASK`: what the motion law is asked for.
     wrench_sensor
@@ -83,7 +85,7 @@ class Controller:
         self.contacts: Any = np.zeros(count, dtype=CONTACT)
         self.tasks: Any = np.zeros(1, dtype=TASK)
         self.tasks['rotation'] = np.eye(3)
-        self._active: Mask = self.contacts['active']
+        self.active: Mask = self.contacts['active']
         self._alpha_meas: Vector = self.contacts['alpha_meas']
         self._noise_variance: Vector = self.contacts['noise_variance']
         self._torque: Vector = self.arm.joints['torque']
@@ -214,9 +216,9 @@ class Controller:
             raise SingularTaskError(
                 "the arm's dynamics: expected finite numbers, found others at joint positions "
                 f'{self.arm.q.tolist()} and velocities {self.arm.velocity.tolist()}')
-        if wrench_sensor.shape != (6,) or noise_variance.shape != self._active.shape:
+        if wrench_sensor.shape != (6,) or noise_variance.shape != self.active.shape:
             require_shape('wrench_sensor', wrench_sensor, (6,))
-            require_shape('noise_variance', noise_variance, self._active.shape)
+            require_shape('noise_variance', noise_variance, self.active.shape)
         self.wrench_sensor[:] = wrench_sensor
         self._noise_variance[:] = noise_variance
         self._measure()

@@ -3,15 +3,28 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TypeVar
 
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
-from multicontact_control.control.controller import Controller, ControlOutput, Measurement
+from multicontact_control.control.controller import Controller
 from multicontact_control.control.reference import ReferenceSource
+from multicontact_control.control.reference.holdable import HeldSource
 from multicontact_control.dynamics.pose import Pose
+from multicontact_control.dynamics.robot import RobotModel
+from multicontact_control.errors import CommandError
+from multicontact_control.supervision.inputs import (
+    JointInput,
+    TickInputs,
+    VarianceInput,
+    WrenchInput,
+)
 from multicontact_control.supervision.safe_behaviour import SafeBehaviour
+from multicontact_control.supervision.status import no_answer, TickOutput
 from multicontact_control.supervision.transition import TorqueTransition
 import numpy as np
+
+ControllerT = TypeVar('ControllerT', bound='BumplessController')
 
 LAW = None  # to the blends all is one law: only what is asked for goes over
 
@@ -20,25 +33,43 @@ class BumplessController:
     """
     A controller whose torque starts where the arm is held and changes laws smoothly.
 
+    The first command is the measured effort, or gravity compensation where there is none; from
+    there, and from one configuration to the next, the torque goes over as `transition` says.
+
     Parameters
     ----------
+    config
+        Everything tunable.
+    robot
+        The arm.
+    reference
+        What to do.
+
+    Attributes
+    ----------
+    config
+        The configuration in force.
     controller
         The control law.
 
     """
 
-    def __init__(self, controller: Controller) -> None:
-        config = controller.config
-        self._controller = controller
+    def __init__(
+        self, config: ControllerConfig, robot: RobotModel, reference: ReferenceSource,
+    ) -> None:
+        self.controller = Controller(config, robot, reference)
         self._transition = TorqueTransition(config)
-        self._safe = SafeBehaviour(config.safe_behaviour, controller.robot)
-        self._limit = _torque_limit(config)
-        self.reset()
+        self._safe = SafeBehaviour(config.safe_behaviour, robot)
+        self._safe_running = False
+        self._idle = no_answer(robot.joint_count, len(config.contact_names))
+        self._initial_variance = np.full(
+            len(config.contact_names), config.initial_noise_variance)
+        self._adopt(config)
 
     @classmethod
     def from_config(
-        cls, config: ControllerConfig, reference: ReferenceSource, base_dir: Path,
-    ) -> BumplessController:
+        cls: type[ControllerT], config: ControllerConfig, reference: HeldSource, base_dir: Path,
+    ) -> ControllerT:
         """
         Build a controller with the arm its configuration names.
 
@@ -48,21 +79,19 @@ class BumplessController:
             If the URDF cannot be read or does not match the names.
 
         """
-        return cls(Controller.from_config(config, reference, base_dir))
+        return cls(config, RobotModel(config.robot, base_dir), reference)
 
-    @property
-    def config(self) -> ControllerConfig:
-        """Return the configuration in force."""
-        return self._controller.config
-
-    @property
-    def controller(self) -> Controller:
-        """Return the control law."""
-        return self._controller
+    def _adopt(self, config: ControllerConfig) -> None:
+        """Set what follows from the values that may change while the arm is controlled."""
+        self.config = config
+        self._transition.adopt(config)
+        self._safe.config = config.safe_behaviour
+        self._limit = np.broadcast_to(
+            config.torque_limit or np.inf, (self.controller.robot.joint_count,))
 
     def reset(self) -> None:
         """Forget everything measured and commanded; the next sample starts anew."""
-        self._controller.reset()
+        self.controller.reset()
         self._transition.reset()
         self._safe_running = False
 
@@ -76,7 +105,7 @@ class BumplessController:
             If not.
 
         """
-        self._controller.redesign(config)
+        self.controller.redesign(config)
 
     def reconfigure(self, config: ControllerConfig) -> None:
         """
@@ -88,10 +117,9 @@ class BumplessController:
             If that cannot be done; everything is as it was then.
 
         """
-        self._controller.reconfigure(config)
-        self._transition.adopt(config)
-        self._safe.config = config.safe_behaviour
-        self._limit = _torque_limit(config)
+        self.check(config)
+        self.controller.reconfigure(config)
+        self._adopt(config)
         self.restart_from_last()
 
     def restart_from_last(self) -> None:
@@ -107,56 +135,82 @@ class BumplessController:
         """Go on with the reference after `stand_still`."""
         self.restart_from_last()
 
-    def step(self, measurement: Measurement, noise_variance: Vector) -> ControlOutput:
+    def step(self, inputs: TickInputs) -> TickOutput:
         """
-        Answer one sample; see `Controller.step`.
+        Answer one tick.
 
-        The first command is the measured effort, or gravity compensation where there is none.
+        Parameters
+        ----------
+        inputs
+            Joints and wrench of one sample, and the newest R if there is one.
+
+        Raises
+        ------
+        MulticontactError
+            If a reading is missing, or the control law has no torque for this posture.
+
         """
-        output = self._controller.step(measurement, noise_variance)
+        joints, wrench, variance = require_complete(inputs)
+        law = self.controller
+        law.arm.update(joints.q, joints.qd)
+        output = law.answer(
+            inputs.time, wrench.wrench,
+            self._initial_variance if variance is None else variance.variance)
         if self._safe_running or not self._transition.begun:
-            self._transition.begin(lambda: self._held(measurement))
+            self._transition.begin(lambda: self._held(joints.effort, joints.q))
         self._safe_running = False
         torque = self._transition.apply(LAW, output.torque)
         if torque is not output.torque:
             torque = np.clip(torque, -self._limit, self._limit)
             output = output._replace(torque=torque)
         self._transition.commanded(torque)
-        return output
+        return TickOutput(output, None)
 
-    def safe_step(self, measurement: Measurement) -> Vector:
+    def safe_step(self, inputs: TickInputs) -> TickOutput:
         """
-        Answer one sample by the declared safe behaviour, reached without a jump.
+        Answer one tick by the declared safe behaviour, reached without a jump; see `step`.
 
         The control law is forgotten: a later `step` starts it anew, from the torque that acts
         then.
-
-        Returns
-        -------
-        Vector
-            Joint torque, shape (n,) [N m].
-
         """
+        joints, _, _ = require_complete(inputs)
         if not self._safe_running:
             self._safe_running = True
             self._safe.start()
-            self._controller.reset()
-            self._transition.begin(lambda: self._held(measurement))
+            self.controller.reset()
+            self._transition.begin(lambda: self._held(joints.effort, joints.q))
         torque: Vector = np.clip(
-            self._transition.apply(LAW, self._safe.torque(measurement.q, measurement.qd)),
+            self._transition.apply(LAW, self._safe.torque(joints.q, joints.qd)),
             -self._limit, self._limit)
         self._transition.commanded(torque)
-        return torque
+        return TickOutput(self._idle._replace(torque=torque), None)
 
-    def _held(self, measurement: Measurement) -> Vector:
+    def _held(self, effort: Vector | None, q: Vector | None) -> Vector:
         """Return the torque that acts before any command, shape (n,) [N m]."""
-        effort = measurement.effort
         if effort is not None and np.isfinite(effort).all():
             return effort
-        return self._controller.robot.update(
-            measurement.q, np.zeros_like(measurement.qd)).gravity
+        if q is None:
+            return np.zeros_like(self._limit)
+        return self.controller.robot.update(q, np.zeros_like(q)).gravity
 
 
-def _torque_limit(config: ControllerConfig) -> Vector:
-    return np.array(config.torque_limit) if config.torque_limit else np.full(
-        len(config.robot.joint_names), np.inf)
+def require_complete(
+    inputs: TickInputs,
+) -> tuple[JointInput, WrenchInput, VarianceInput | None]:
+    """
+    Return the readings of a tick.
+
+    Raises
+    ------
+    CommandError
+        If there is no joint state or no wrench.
+
+    """
+    if inputs.joints is None or inputs.wrench is None:
+        raise not_supervised()
+    return inputs.joints, inputs.wrench, inputs.variance
+
+
+def not_supervised() -> CommandError:
+    """Return the error of a tick that only a supervisor can answer."""
+    return CommandError('supervised', 'true, to go on without a sample', 'false')

@@ -1,4 +1,8 @@
-"""What the numbers of a reading must be like to be valid, compiled."""
+"""
+What makes an input valid, compiled: its time, its age, its numbers.
+
+Inputs are joints, wrench and R, in this order.
+"""
 
 from __future__ import annotations
 
@@ -7,9 +11,14 @@ from typing import Any
 from multicontact_control.compiled import compiled
 import numpy as np
 
-# What is wrong with a reading; the first is nothing. `check_readings` returns one per input.
-FINE, INVALID, IMPLAUSIBLE, JUMP, FROZEN, SATURATED = range(6)
-VERDICTS = 6  # how many there are
+JOINTS, WRENCH, VARIANCE = range(3)
+# What is wrong with a reading; ABSENT: none has come, FINE: nothing.
+ABSENT = -1
+FINE, INVALID, IMPLAUSIBLE, JUMP, FROZEN, SATURATED, STAMP, ORDER, NAMES = range(9)
+# What is wrong with the time of a tick.
+CLOCK_FINE, CLOCK_INVALID, CLOCK_BACKWARDS, CLOCK_RATE, CLOCK_FROZEN, CLOCK_STILL = range(6)
+LATEST = 1e12  # s, of a time that makes sense
+INFLATED = 1e12  # times R, at most
 STILL = 1e-4  # rad/s; below it a joint reading may repeat itself
 FARTHEST, HARDEST = 1e3, 1e6  # rad and N or N m; beyond them no reading makes sense
 LARGEST = np.finfo(np.float64).max  # finite numbers are within it
@@ -17,7 +26,7 @@ LONGEST = 0.1  # s, that speeds are extrapolated over
 
 
 @compiled
-def has_jumped(joints: Any, from_valid: bool, memory: Any, settings: Any) -> bool:
+def has_jumped(joints: Any, from_valid: bool, elapsed: float, settings: Any) -> bool:
     """
     Return whether a joint has moved as its speeds do not say.
 
@@ -27,13 +36,14 @@ def has_jumped(joints: Any, from_valid: bool, memory: Any, settings: Any) -> boo
         Records of `JOINT_READING`, shape (n,).
     from_valid
         Whether the newest joint state is compared with the newest valid one, otherwise with the
-        one before; these follow each other.
-    memory, settings
-        Records of `READING_MEMORY` and `READING_SETTINGS`.
+        one before.
+    elapsed
+        Since that one [s].
+    settings
+        Record of `READING_SETTINGS`.
 
     """
     h = settings.period
-    elapsed = memory.elapsed if from_valid else h
     limit = settings.position_jump * max(1.0, elapsed / h / 5.0)
     for j in range(joints.shape[0]):
         joint = joints[j]
@@ -46,7 +56,7 @@ def has_jumped(joints: Any, from_valid: bool, memory: Any, settings: Any) -> boo
 
 
 @compiled
-def check_joints(joints: Any, memory: Any, settings: Any) -> int:
+def check_joints(joints: Any, elapsed: float, memory: Any, settings: Any) -> int:
     """
     Check a joint state, and keep it if nothing is wrong with it.
 
@@ -54,13 +64,15 @@ def check_joints(joints: Any, memory: Any, settings: Any) -> int:
     ----------
     joints
         Records of `JOINT_READING`, changed, shape (n,).
+    elapsed
+        Since the newest valid one [s].
     memory, settings
         Records of `READING_MEMORY`, changed, and `READING_SETTINGS`.
 
     Returns
     -------
     int
-        A verdict.
+        What is wrong with it.
 
     """
     plausible, still = True, True
@@ -78,9 +90,9 @@ def check_joints(joints: Any, memory: Any, settings: Any) -> int:
         return IMPLAUSIBLE
     jumped = False
     if memory.distrust > 0:
-        jumped = memory.joints_before and has_jumped(joints, False, memory, settings)
+        jumped = memory.joints_before and has_jumped(joints, False, settings.period, settings)
     elif memory.joints_known:
-        jumped = has_jumped(joints, True, memory, settings)
+        jumped = has_jumped(joints, True, elapsed, settings)
     same = memory.joints_before and not still and (same_q or same_qd)
     for j in range(joints.shape[0]):
         joints[j].last_q = joints[j].q
@@ -117,7 +129,7 @@ def check_wrench(axes: Any, memory: Any, settings: Any) -> int:
     Returns
     -------
     int
-        A verdict.
+        What is wrong with it.
 
     """
     same, saturated = memory.wrench_before, False
@@ -136,6 +148,7 @@ def check_wrench(axes: Any, memory: Any, settings: Any) -> int:
         return FROZEN
     for i in range(axes.shape[0]):
         axes[i].valid = axes[i].new
+    memory.wrench_known = True
     return FINE
 
 
@@ -154,7 +167,7 @@ def check_variances(variances: Any, settings: Any) -> int:
     Returns
     -------
     int
-        A verdict.
+        What is wrong with it.
 
     """
     for i in range(variances.shape[0]):
@@ -167,32 +180,170 @@ def check_variances(variances: Any, settings: Any) -> int:
 
 
 @compiled
-def check_readings(
-    joints: Any, axes: Any, variances: Any, memories: Any, all_settings: Any,
-) -> int:
+def check_clock(time: float, memory: Any, settings: Any) -> int:
     """
-    Check the readings of a tick that are new.
+    Check the time of a tick, and keep it, or one period more than the last if it is not finite.
 
     Parameters
     ----------
-    joints, axes, variances
-        As for `check_joints`, `check_wrench` and `check_variances`.
-    memories, all_settings
-        One record each of `READING_MEMORY`, which says what is new, and `READING_SETTINGS`.
+    time
+        [s].
+    memory, settings
+        As for `check_joints`.
 
     Returns
     -------
     int
-        The verdicts on joints, wrench and R as digits to the base of their number, the first
-        the lowest; 0 if nothing is wrong.
+        What is wrong with it; CLOCK_STILL if it is that of the tick before.
 
     """
-    memory, settings = memories[0], all_settings[0]
-    verdicts = 0
-    if memory.joints_fresh:
-        verdicts += check_joints(joints, memory, settings)
-    if memory.wrench_fresh:
-        verdicts += VERDICTS * check_wrench(axes, memory, settings)
-    if memory.variance_fresh:
-        verdicts += VERDICTS ** 2 * check_variances(variances, settings)
-    return verdicts
+    before = memory.time
+    if not abs(time) <= LATEST:
+        memory.time = 0.0 if np.isnan(before) else before + settings.period
+        return CLOCK_INVALID
+    memory.time = time
+    if np.isnan(before):
+        return CLOCK_FINE
+    step = time - before
+    if step == 0.0:
+        memory.same_times += 1
+        return CLOCK_STILL
+    memory.same_times = 0
+    if step < 0.0:
+        for i in range(3):
+            memory.seen[i] = np.nan
+            memory.valid[i] = np.nan
+        memory.odd_periods = 0
+        return CLOCK_BACKWARDS
+    odd = not settings.shortest <= step <= settings.longest
+    memory.odd_periods = memory.odd_periods + 1 if odd else 0
+    return CLOCK_RATE if memory.odd_periods >= 2 else CLOCK_FINE
+
+
+@compiled
+def check_arrival(which: int, arrival: Any, memory: Any, settings: Any) -> int:
+    """
+    Check the stamp of a reading.
+
+    Parameters
+    ----------
+    which
+        JOINTS, WRENCH or VARIANCE.
+    arrival
+        Record of `ARRIVAL`.
+    memory, settings
+        As for `check_joints`.
+
+    Returns
+    -------
+    int
+        What is wrong with it: FINE if its numbers are to be looked at, ABSENT if it is not new.
+
+    """
+    stamp, before = arrival.stamp[which], memory.seen[which]
+    if arrival.content[which] == ABSENT:
+        return ABSENT
+    if not -np.inf < stamp <= memory.time + 0.5 * settings.period:
+        return STAMP
+    if stamp <= before:
+        return ORDER if stamp < before else ABSENT
+    memory.seen[which] = stamp
+    return int(arrival.content[which])
+
+
+@compiled
+def check_contents(
+    arrival: Any, joints: Any, axes: Any, variances: Any, memory: Any, settings: Any, verdict: Any,
+) -> None:
+    """
+    Check the numbers of the readings that are new; see `check_inputs`.
+
+    A frozen reading is as old as its value.
+    """
+    h, stamp, valid, problem = settings.period, arrival.stamp, memory.valid, verdict.problem
+    memory.blind_ticks += 1
+    if problem[JOINTS] == FINE:
+        elapsed = h if np.isnan(valid[JOINTS]) else stamp[JOINTS] - valid[JOINTS]
+        problem[JOINTS] = check_joints(joints, elapsed, memory, settings)
+        if problem[JOINTS] == FINE:
+            valid[JOINTS] = stamp[JOINTS]
+            memory.blind_ticks = 0
+        elif problem[JOINTS] == FROZEN:
+            valid[JOINTS] = stamp[JOINTS] - h * memory.joint_repeats
+    if problem[WRENCH] == FINE:
+        problem[WRENCH] = check_wrench(axes, memory, settings)
+        if problem[WRENCH] == FINE:
+            valid[WRENCH] = stamp[WRENCH]
+        elif problem[WRENCH] == FROZEN:
+            valid[WRENCH] = stamp[WRENCH] - h * memory.wrench_repeats
+    if problem[VARIANCE] == FINE:
+        problem[VARIANCE] = check_variances(variances, settings)
+        if problem[VARIANCE] == FINE:
+            valid[VARIANCE] = stamp[VARIANCE]
+            memory.inflation = 1.0
+
+
+@compiled
+def check_ages(variances: Any, memory: Any, settings: Any, verdict: Any) -> None:
+    """Find readings that are too old, and inflate R while it is; see `check_inputs`."""
+    for i in range(3):
+        age = memory.time - memory.valid[i]
+        verdict.stale[i] = age > settings.max_age[i] or (np.isnan(age) and i != VARIANCE)
+    if verdict.stale[VARIANCE]:
+        memory.inflation *= settings.variance_growth
+    for i in range(variances.shape[0]):
+        variance = variances[i]
+        variance.used = variance.valid
+        if memory.inflation != 1.0:
+            variance.used = min(variance.valid * memory.inflation, settings.variance_ceiling)
+    memory.inflation = min(memory.inflation, INFLATED)
+
+
+@compiled
+def check_inputs(
+    arrivals: Any, joints: Any, axes: Any, variances: Any, memories: Any, all_settings: Any,
+    verdicts: Any,
+) -> bool:
+    """
+    Check the inputs of a tick, and keep what is valid of them.
+
+    Parameters
+    ----------
+    arrivals
+        One record of `ARRIVAL`.
+    joints, axes, variances
+        Records of `JOINT_READING`, shape (n,), `AXIS_READING`, shape (6,), and
+        `VARIANCE_READING`, shape (r,), with the newest numbers in place; changed.
+    memories, all_settings
+        One record each of `READING_MEMORY`, changed, and `READING_SETTINGS`.
+    verdicts
+        One record of `VERDICT`, filled.
+
+    Returns
+    -------
+    bool
+        Whether all is well: every input is known and valid, or young enough to go on with.
+
+    """
+    arrival, memory, settings = arrivals[0], memories[0], all_settings[0]
+    verdict = verdicts[0]
+    clock = check_clock(arrival.time, memory, settings)
+    verdict.repeated = False
+    if clock == CLOCK_STILL:
+        stamp, seen = arrival.stamp[JOINTS], memory.seen[JOINTS]
+        same = arrival.content[JOINTS] == ABSENT or stamp == seen or (
+            np.isnan(seen) and not np.isfinite(stamp))
+        verdict.repeated = same and memory.same_times < 2
+        if verdict.repeated:
+            return False
+        clock = CLOCK_FROZEN
+    verdict.clock = clock
+    for i in range(3):
+        verdict.problem[i] = check_arrival(i, arrival, memory, settings)
+    check_contents(arrival, joints, axes, variances, memory, settings, verdict)
+    check_ages(variances, memory, settings, verdict)
+    verdict.blind = memory.blind_ticks > 1
+    well = clock == CLOCK_FINE and not verdict.blind
+    for i in range(3):
+        well = well and not verdict.stale[i] and verdict.problem[i] <= FINE
+    return bool(well)

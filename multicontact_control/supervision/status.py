@@ -44,11 +44,11 @@ class SupervisorStatus(NamedTuple):
     task_time: float
 
 
-class SupervisorOutput(NamedTuple):
-    """The answer to one tick: `output.torque` is finite and within limits, always."""
+class TickOutput(NamedTuple):
+    """The answer to one tick, and what a supervisor says of it, None without one."""
 
     output: ControlOutput
-    status: SupervisorStatus
+    status: SupervisorStatus | None
 
 
 def no_answer(joints: int, contacts: int) -> ControlOutput:

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.control.arm_state import ArmState
-from multicontact_control.control.controller import Controller, ControlOutput
+from multicontact_control.control.controller import ControlOutput
 from multicontact_control.control.reference import TaskSource
 from multicontact_control.control.wrench import tool_record
 from multicontact_control.dynamics.pose import Pose
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import ConfigError
+from multicontact_control.supervision.bumpless import BumplessController
 from multicontact_control.supervision.fallback import (
     DAMP,
     FLOAT,
@@ -37,13 +37,11 @@ from multicontact_control.supervision.plausibility import (
     TOO_FAST,
 )
 from multicontact_control.supervision.reference import ContactReference
-from multicontact_control.supervision.safe_behaviour import SafeBehaviour
 from multicontact_control.supervision.status import (
     no_answer,
-    SupervisorOutput,
     SupervisorStatus,
+    TickOutput,
 )
-from multicontact_control.supervision.transition import TorqueTransition
 from multicontact_control.supervision.validation import (
     copy_numbers,
     finite_number,
@@ -52,19 +50,16 @@ from multicontact_control.supervision.validation import (
 )
 import numpy as np
 
-__all__ = ['Supervisor', 'SupervisorOutput', 'SupervisorStatus']
+__all__ = ['Supervisor', 'TickOutput', 'SupervisorStatus']
 
-DOUBTS = 2  # samples in a row that contradict the contacts, for the wrench not to be believed
+CONTRADICTIONS = 2  # samples in a row that contradict the contacts, for the wrench to be refused
 LONGEST_SKIP = 0.1  # s; the task's time does not follow a clock that has been set
 FIXED = ('torque_limit', 'sensor', 'contacts', 'contact_state', 'limits', 'watchdog')
 
 
-class Supervisor:
+class Supervisor(BumplessController):
     """
     Controller, contact states, watchdog, reactions and gate in one step that never raises.
-
-    The first command is the measured effort, or gravity compensation where there is none; from
-    there, and from one configuration to the next, the torque goes over as `transition` says.
 
     Parameters
     ----------
@@ -89,13 +84,10 @@ class Supervisor:
     def __init__(self, config: ControllerConfig, robot: RobotModel, task: TaskSource) -> None:
         self._robot, self._period = robot, config.period
         self.reference = ContactReference(config, task)
-        self.controller = Controller(config, robot, self.reference)
+        super().__init__(config, robot, self.reference)
         self._watchdog = Watchdog(config)
         self._gate = TorqueGate(config, robot.joint_count)
         self._reactions = Reactions(config.watchdog, robot, config.period)
-        self._transition = TorqueTransition(config)
-        self._safe = SafeBehaviour(config.safe_behaviour, robot)
-        self._adopt(config)
         self.expects_pushes = False
         self._speed_limit = np.broadcast_to(
             SPEED_EXCESS * np.array(config.limits.joint_speed or np.inf),
@@ -105,92 +97,45 @@ class Supervisor:
         self._warm_up()
         self.reset()
 
-    @classmethod
-    def from_config(
-        cls, config: ControllerConfig, task: TaskSource, base_dir: Path,
-    ) -> Supervisor:
-        """
-        Build a supervised controller with the arm its configuration names.
-
-        Raises
-        ------
-        ConfigError
-            If the URDF cannot be read or does not match the names.
-
-        """
-        return cls(config, RobotModel(config.robot, base_dir), task)
-
     def _adopt(self, config: ControllerConfig) -> None:
-        """Set what follows from the values that may change while the arm is controlled."""
-        self.config = config
+        super()._adopt(config)
+        self.reference.retune(config)
         self._plausibility = plausibility_limits(config)
         self._tools = tool_record(config.tool, np.array(config.robot.gravity_world))
-        self._transition.adopt(config)
-        self._safe.config = config.safe_behaviour
 
     def check(self, config: ControllerConfig) -> None:
-        """
-        Find out whether `reconfigure` would take a configuration.
-
-        Raises
-        ------
-        ConfigError
-            If not.
-
-        """
+        """Find out whether `reconfigure` would take a configuration; see `BumplessController`."""
         for name in FIXED:
             if getattr(config, name) != getattr(self.config, name):
                 raise ConfigError(name, 'what it is while in use', 'another value')
-        self.controller.redesign(config)
-
-    def reconfigure(self, config: ControllerConfig) -> None:
-        """
-        Go on with another configuration from the next tick on.
-
-        Raises
-        ------
-        ConfigError
-            If that cannot be done; everything is as it was then.
-
-        """
-        self.check(config)
-        self.controller.reconfigure(config)
-        self.reference.retune(config)
-        self._adopt(config)
-        self.restart_from_last()
-
-    def restart_from_last(self) -> None:
-        """Let the next command be the last one again: what is asked for is about to jump."""
-        self._transition.restart_from_last()
+        super().check(config)
 
     def stand_still(self, pose: Pose) -> Pose:
         """Keep the contacts that are held; return the pose of a task that leaves the arm there."""
-        self.restart_from_last()
-        return self.reference.stand_still(pose)
+        return self.reference.stand_still(super().stand_still(pose))
 
     def go_on(self) -> None:
         """Go on with the task after `stand_still`, from where the arm is."""
-        self.restart_from_last()
+        super().go_on()
         self.reference.resume()
 
     def reset(self) -> None:
         """Forget everything measured; the next tick starts anew."""
+        super().reset()
         self._restart_law()
         self._watchdog.reset()
         self._gate.reset()
         self._reactions.end()
-        self._transition.reset()
         self._arm: ArmState | None = None
         self._too_fast: tuple[str, ...] = ()
         self._output = no_answer(self._robot.joint_count, len(self.config.contact_names))
         self._status: SupervisorStatus | None = None
         self._effort: Vector | None = None
         self._time: float | None = None
-        self._is_safe = False
 
     def _restart_law(self) -> None:
         self.controller.reset()
-        self._task_ticks = self._good_ticks = self._doubts = 0
+        self._task_ticks = self._good_ticks = self._contradictions = 0
         self._paused = self._running = False
         self._last_reaction = DAMP
 
@@ -202,25 +147,25 @@ class Supervisor:
         self._check_speeds(arm)
         self._check_answer(nothing, np.zeros(6))
 
-    def step(self, inputs: TickInputs) -> SupervisorOutput:
+    def step(self, inputs: TickInputs) -> TickOutput:
         """
         Answer one tick, whatever came in.
 
         Parameters
         ----------
         inputs
-            The newest readings, however old; nothing of them is believed unseen.
+            The newest readings, however old; none of them is trusted unseen.
 
         Returns
         -------
-        SupervisorOutput
+        TickOutput
             A torque that may be commanded, and how it came about. A tick with the time of the
             one before gets the same answer again.
 
         """
         return self._survive(self._step, inputs)
 
-    def safe_step(self, inputs: TickInputs) -> SupervisorOutput:
+    def safe_step(self, inputs: TickInputs) -> TickOutput:
         """
         Answer one tick by the declared safe behaviour, reached without a jump.
 
@@ -230,19 +175,19 @@ class Supervisor:
         return self._survive(self._safe_step, inputs)
 
     def _survive(
-        self, answer: Callable[[ValidatedInputs], SupervisorOutput], inputs: TickInputs,
-    ) -> SupervisorOutput:
+        self, answer: Callable[[ValidatedInputs], TickOutput], inputs: TickInputs,
+    ) -> TickOutput:
         try:
-            believed = self._judge(inputs)
-            if believed.repeated and self._status is not None:
-                return SupervisorOutput(self._output, self._status)
-            self._update_state(believed)
-            return answer(believed)
+            valid = self._validate(inputs)
+            if valid.repeated and self._status is not None:
+                return TickOutput(self._output, self._status)
+            self._update_state(valid)
+            return answer(valid)
         except Exception as error:  # whatever it is, it must not stop the callback
             return self._last_resort(f'internal_{type(error).__name__}')
 
-    def _judge(self, inputs: TickInputs) -> ValidatedInputs:
-        """Return what is believed; take note of the time, and of the effort to start from."""
+    def _validate(self, inputs: TickInputs) -> ValidatedInputs:
+        """Return the valid inputs; take note of the time, and of the effort to start from."""
         now, before = finite_number(inputs.time), self._time
         skipped = 0.0 if now is None or before is None else now - before - self._period
         if self._running and not self._paused and 0.0 < skipped <= LONGEST_SKIP:
@@ -250,38 +195,32 @@ class Supervisor:
         self._time = now
         if not self._transition.begun and inputs.joints is not None:
             self._effort = np.zeros(self._robot.joint_count)
-            if not copy_numbers(inputs.joints.effort, self._effort) or not (
-                    np.isfinite(self._effort).all()):
+            if not copy_numbers(inputs.joints.effort, self._effort):
                 self._effort = None
         if not inputs.sensor_fault:
             return self._watchdog.validate(inputs)
-        believed = self._watchdog.validate(inputs._replace(wrench=None))
+        valid = self._watchdog.validate(inputs._replace(wrench=None))
         fault = f'wrench_{inputs.sensor_fault}'
-        return believed._replace(rejected=(*believed.rejected, fault), causes=tuple(
-            fault if cause == 'wrench_stale' else cause for cause in believed.causes))
+        return valid._replace(rejected=(*valid.rejected, fault), causes=tuple(
+            fault if cause == 'wrench_stale' else cause for cause in valid.causes))
 
-    def _safe_step(self, believed: ValidatedInputs) -> SupervisorOutput:
+    def _safe_step(self, valid: ValidatedInputs) -> TickOutput:
         arm = self._arm
-        if not self._is_safe:
+        if not self._safe_running:
             self._restart_law()
             self._safe.start()
-            self._transition.begin(self._held)
-        self._is_safe = True
-        if arm is None or believed.blind:
-            return self._react(believed.causes or ('joints_stale',), believed.rejected,
+            self._transition.begin(self._acting)
+        self._safe_running = True
+        if arm is None or valid.blind:
+            return self._react(valid.causes or ('joints_stale',), valid.rejected,
                                DAMP if arm is None else FLOAT)
         torque = self._safe.torque(arm.q, arm.velocity)
-        return self._finish(self._idle_output(torque), 'safe', believed.causes,
-                            believed.rejected, NONE, ())
+        return self._finish(self._idle_output(torque), 'safe', valid.causes,
+                            valid.rejected, NONE, ())
 
-    def _held(self) -> Vector:
+    def _acting(self) -> Vector:
         """Return the torque that acts before any command, shape (n,) [N m]."""
-        if self._effort is not None:
-            return self._effort
-        arm = self._arm
-        if arm is None:
-            return np.zeros(self._robot.joint_count)
-        return self._robot.update(arm.q, np.zeros_like(arm.velocity)).gravity
+        return self._held(self._effort, None if self._arm is None else self._arm.q)
 
     def _idle_output(self, torque: Vector) -> ControlOutput:
         """Return an answer of something else than the control law."""
@@ -289,25 +228,25 @@ class Supervisor:
         contacts['alpha_des'], contacts['active'] = 0.0, False
         return self._output._replace(torque=torque, contacts=contacts)
 
-    def _step(self, believed: ValidatedInputs) -> SupervisorOutput:
-        causes = believed.causes + self._too_fast
+    def _step(self, valid: ValidatedInputs) -> TickOutput:
+        causes = valid.causes + self._too_fast
         reaction = self._reaction_to(causes)
         if reaction in (NONE, INFLATE):
             self._good_ticks += 1
             if self._paused and self._good_ticks * self._period < (
                     self.config.watchdog.recovery_time):
-                return self._react(('recovering',), believed.rejected, self._last_reaction)
-            return self._control(believed, causes, reaction)
-        if reaction == HOLD and believed.blind:
+                return self._react(('recovering',), valid.rejected, self._last_reaction)
+            return self._control(valid, causes, reaction)
+        if reaction == HOLD and valid.blind:
             reaction = FLOAT  # what is not seen cannot be held
-        return self._react(causes, believed.rejected, reaction)
+        return self._react(causes, valid.rejected, reaction)
 
-    def _update_state(self, believed: ValidatedInputs) -> None:
+    def _update_state(self, valid: ValidatedInputs) -> None:
         """Work out where the arm is."""
-        if believed.q is None or believed.qd is None:
+        if valid.q is None or valid.qd is None:
             return
         arm = self.controller.arm
-        if arm.update(believed.q, believed.qd):
+        if arm.update(valid.q, valid.qd):
             self._arm = arm
             self._too_fast = TOO_FAST[self._check_speeds(arm)]
 
@@ -332,65 +271,65 @@ class Supervisor:
         return max(found, key=SEVERITY.index, default=NONE)
 
     def _control(
-        self, believed: ValidatedInputs, causes: tuple[str, ...], reaction: str,
-    ) -> SupervisorOutput:
+        self, valid: ValidatedInputs, causes: tuple[str, ...], reaction: str,
+    ) -> TickOutput:
         """Step the control law."""
-        if self._arm is None or believed.wrench is None:
-            return self._react(('joints_stale',), believed.rejected, DAMP)
+        if self._arm is None or valid.wrench is None:
+            return self._react(('joints_stale',), valid.rejected, DAMP)
         resumed = self._paused and self._running
         if resumed:
             self.reference.resume()
         try:
             output = self.controller.answer(
-                self._task_time(), believed.wrench, believed.variance)
+                self._task_time(), valid.wrench, valid.variance)
         except Exception as error:  # whatever it is, the arm needs an answer
             cause = f'law_{type(error).__name__}' if self.controller.arm.finite else (
                 'law_not_finite')
             return self._react(
-                (cause,), believed.rejected, self.config.watchdog.on_law_fault)
-        doubts = self._check_answer(output.torque, self.controller.wrench_sensor)
-        if doubts & NOT_FINITE:
-            return self._react(('law_not_finite',), believed.rejected,
+                (cause,), valid.rejected, self.config.watchdog.on_law_fault)
+        found = self._check_answer(output.torque, self.controller.wrench_sensor)
+        if found & NOT_FINITE:
+            return self._react(('law_not_finite',), valid.rejected,
                                self.config.watchdog.on_law_fault)
-        doubt = '' if self.expects_pushes else self._doubt(doubts)
-        if doubt:
-            return self._react((doubt,), believed.rejected, self.config.watchdog.on_wrench_fault)
-        if self._is_safe or not self._transition.begun:
-            self._transition.begin(self._held)
-        self._running, self._paused, self._is_safe = True, False, False
+        cause = '' if self.expects_pushes else self._contradiction(found)
+        if cause:
+            return self._react((cause,), valid.rejected, self.config.watchdog.on_wrench_fault)
+        if self._safe_running or not self._transition.begun:
+            self._transition.begin(self._acting)
+        self._running, self._paused, self._safe_running = True, False, False
         self._reactions.end()
         self._task_ticks += 1
-        if doubts & OUTSIDE:  # the contacts have led there; the reference leads back
+        if found & OUTSIDE:  # the contacts have led there; the reference leads back
             self.reference.release()
         limits = ('reference',) if self.reference.limited else ()
-        return self._finish(output, (NONE, output.active.tobytes(), resumed), causes,
-                            believed.rejected, reaction, limits)
+        return self._finish(output, (NONE, self.controller.active.tobytes(), resumed), causes,
+                            valid.rejected, reaction, limits)
 
-    def _doubt(self, doubts: int) -> str:
+    def _contradiction(self, found: int) -> str:
         """Return how the wrench contradicts what contacts can do, once it has done so twice."""
-        if not doubts & (PULL | SIDEWAYS):
-            self._doubts = 0
+        if not found & (PULL | SIDEWAYS):
+            self._contradictions = 0
             return ''
-        self._doubts += 1
-        doubt = 'wrench_pull' if doubts & PULL else 'wrench_sideways'
-        return doubt if self._doubts >= DOUBTS or self._paused else ''
+        self._contradictions += 1
+        cause = 'wrench_pull' if found & PULL else 'wrench_sideways'
+        return cause if self._contradictions >= CONTRADICTIONS or self._paused else ''
 
     def _react(
         self, causes: tuple[str, ...], rejected: tuple[str, ...], reaction: str,
-    ) -> SupervisorOutput:
+    ) -> TickOutput:
         """Answer without the control law."""
         if 'recovering' not in causes:
             self._good_ticks = 0
         self._paused, self._last_reaction = True, reaction
         with np.errstate(all='ignore'):  # numbers that are none are for the gate to find
             output = self._idle_output(self._reactions.torque(reaction, self._arm))
-            self._transition.drop_slow_blend(self._held)
+            self._transition.drop_slow_blend(self._acting)
             return self._finish(output, reaction, causes, rejected, reaction, ())
 
     def _finish(
         self, output: ControlOutput, law: object, causes: tuple[str, ...],
         rejected: tuple[str, ...], reaction: str, limits: tuple[str, ...],
-    ) -> SupervisorOutput:
+    ) -> TickOutput:
         """Blend, pass the gate, report."""
         blended = self._transition.apply(law, output.torque)
         fallback = np.zeros_like(blended) if self._arm is None else self._arm.bias_torque
@@ -400,9 +339,9 @@ class Supervisor:
         self._status = SupervisorStatus(
             reaction, causes, rejected, limits + gated.limits, self.reference.state_names,
             self.reference.energies, self._energy_limits, self._task_time())
-        return SupervisorOutput(self._output, self._status)
+        return TickOutput(self._output, self._status)
 
-    def _last_resort(self, cause: str) -> SupervisorOutput:
+    def _last_resort(self, cause: str) -> TickOutput:
         """Answer after something failed that should not: forget the arm, let go of it slowly."""
         self._paused, self._last_reaction, self._arm = True, DAMP, None
         self._too_fast, self._good_ticks = (), 0

@@ -1,7 +1,7 @@
 """Watchdog and gate in plain numpy: what the compiled ones must equal."""
 
-from multicontact_control.supervision.gate import GateResult
-from multicontact_control.supervision.validation import Watchdog
+from types import SimpleNamespace
+
 import numpy as np
 
 SPEED_GAIN, LONGEST, STILL = 50.0, 0.1, 1e-4
@@ -50,7 +50,7 @@ class PlainGate:
                 limits.append('torque_rate')
             clipped = slowed
         self.last = clipped.copy()
-        return GateResult(clipped, tuple(limits))
+        return SimpleNamespace(torque=clipped, limits=tuple(limits))
 
     def _braked(self, torque, arm):
         speed, q = arm.velocity, arm.q
@@ -66,91 +66,147 @@ class PlainGate:
         return torque if (bounded == torque).all() else bounded
 
 
-class PlainWatchdog(Watchdog):
-    """Stamps, names and times are looked at as the compiled one does; the numbers are not."""
+class PlainWatchdog:
+    """Every input of a tick, one after the other."""
 
-    def reset(self):
-        super().reset()
-        self._last_joints = self._last_wrench = None
-        self._joint_repeats = self._wrench_repeats = self._distrust = 0
+    def __init__(self, config):
+        self._watch, self._h, self._rate = config.watchdog, config.period, config.rate
+        self._fastest = 3.0 * np.array(config.limits.joint_speed)
+        self._full_scale = 0.999 * np.array(config.watchdog.wrench_full_scale or np.inf)
+        watch, slack = config.watchdog, 1e-3 * config.period
+        self._ages = {'joints': watch.joint_max_age + slack,
+                      'wrench': watch.wrench_max_age + slack,
+                      'variance': watch.variance_max_age + slack}
+        self._valid = {'joints': None, 'wrench': None, 'variance': np.full(
+            len(config.contact_names), config.initial_noise_variance)}
+        self._stamps, self._seen = dict.fromkeys(self._ages), dict.fromkeys(self._ages)
+        self._last, self._repeats = {}, {'joints': 0, 'wrench': 0}
+        self._time = None
+        self._odd = self._same = self._blind = self._distrust = 0
+        self._inflation = 1.0
 
-    def _judge_readings(self, inputs, time):
-        problems = {}
-        self._blind_ticks += 1
-        stamp = self._take_joints(inputs.joints, time, problems)
-        if stamp is not None:
-            self._judge_joints(self._new_q.copy(), self._new_qd.copy(), stamp, problems)
-        if inputs.wrench is not None:
-            stamp = self._take_numbers(
-                'wrench', *inputs.wrench, self._new_wrench, time, problems)
-            if stamp is not None:
-                self._judge_wrench(self._new_wrench.copy(), stamp, problems)
-        if inputs.variance is not None:
-            stamp = self._take_numbers(
-                'variance', *inputs.variance, self._new_variance, time, problems)
-            if stamp is not None:
-                self._judge_variance(self._new_variance.copy(), stamp, problems)
-        return problems
+    def validate(self, inputs):
+        causes, problems = [], {}
+        if not self._take_time(inputs, causes):
+            return self._result((), (), repeated=True)
+        self._blind += 1
+        for key in self._ages:
+            reading = getattr(inputs, key)
+            if reading is not None and self._is_new(key, reading.stamp, problems):
+                numbers = (reading.q, reading.qd) if key == 'joints' else tuple(reading[1:])
+                self._take(key, [np.array(each) for each in numbers], reading.stamp, problems)
+        for key, limit in self._ages.items():
+            stamp = self._stamps[key]
+            if key != 'variance' if stamp is None else self._time - stamp > limit:
+                causes.append(f"{key}_{problems.get(key, 'stale')}")
+                self._inflation *= self._watch.variance_growth if key == 'variance' else 1.0
+        return self._result(causes, [f'{key}_{problems[key]}' for key in self._ages
+                                     if key in problems], blind=self._blind > 1)
 
-    def _judge_joints(self, q, qd, stamp, problems):
-        problem = self._joint_problem(q, qd, stamp)
-        if not problem:
-            self._q, self._qd = q, qd
-            self._stamps['joints'], self._blind_ticks = stamp, 0
+    def _result(self, causes, rejected, *, repeated=False, blind=False):
+        joints, variance = self._valid['joints'], self._valid['variance']
+        if self._inflation != 1.0:
+            variance = np.minimum(variance * self._inflation, self._watch.variance_ceiling)
+        return SimpleNamespace(
+            q=joints and joints[0], qd=joints and joints[1], wrench=self._valid['wrench'],
+            variance=variance, causes=tuple(causes), rejected=tuple(rejected),
+            repeated=repeated, blind=blind)
+
+    def _take_time(self, inputs, causes):
+        time, before = inputs.time, self._time
+        if not abs(time) <= 1e12:
+            causes.append('clock_invalid')
+            self._time = 0.0 if before is None else before + self._h
+            return True
+        self._time = time
+        if before is None:
+            return True
+        if time == before:
+            self._same += 1
+            stamp = np.nan if inputs.joints is None else inputs.joints.stamp
+            same = (stamp if np.isfinite(stamp) else None) == self._seen['joints']
+            if self._same < 2 and (inputs.joints is None or same):
+                return False
+            causes.append('clock_frozen')
+            return True
+        self._same = 0
+        if time < before:
+            causes.append('clock_backwards')
+            self._stamps, self._seen = dict.fromkeys(self._ages), dict.fromkeys(self._ages)
+            self._odd = 0
+            return True
+        band = self._watch.rate_band
+        odd = not self._h / band <= time - before <= self._h * band
+        self._odd = self._odd + 1 if odd else 0
+        if self._odd >= 2:
+            causes.append('clock_rate')
+        return True
+
+    def _is_new(self, key, stamp, problems):
+        before = self._seen[key]
+        if not np.isfinite(stamp) or stamp > self._time + 0.5 * self._h:
+            problems[key] = 'stamp'
+            return False
+        if before is not None and stamp <= before:
+            if stamp < before:
+                problems[key] = 'order'
+            return False
+        self._seen[key] = stamp
+        return True
+
+    def _take(self, key, numbers, stamp, problems):
+        problem = getattr(self, f'_{key}_problem')(*numbers, stamp)
+        if problem:
+            problems[key] = problem
+            if problem == 'frozen':  # the reading is as old as its value
+                self._stamps[key] = stamp - self._repeats[key] * self._h
             return
-        problems['joints'] = problem
-        if problem == 'frozen':  # the reading is as old as its value
-            self._stamps['joints'] = stamp - self._joint_repeats * self._config.period
+        self._stamps[key] = stamp
+        if key == 'joints':
+            self._valid[key], self._blind = numbers, 0
+        elif key == 'wrench':
+            self._valid[key] = numbers[0]
+        else:
+            self._valid[key], self._inflation = np.clip(
+                numbers[0], self._watch.variance_floor, self._watch.variance_ceiling), 1.0
 
-    def _joint_problem(self, q, qd, stamp):
+    def _joints_problem(self, q, qd, stamp):
         if not (all_finite(q) and all_finite(qd)):
             return 'invalid'
-        if np.abs(q).max() > 1e3 or (np.abs(qd) > 3.0 * self._joints['speed_limit']).any():
+        if np.abs(q).max() > 1e3 or (np.abs(qd) > self._fastest).any():
             return 'implausible'
-        before, self._last_joints = self._last_joints, (q, qd)
+        before, self._last['joints'] = self._last.get('joints'), (q, qd)
         if self._jumped(q, qd, before, stamp):
-            self._distrust = round(self._watch.recovery_time * self._config.rate)
+            self._distrust = round(self._watch.recovery_time * self._rate)
             return 'jump'
         if self._distrust > 0:
             self._distrust -= 1
             return 'jump'
         same = before is not None and np.abs(qd).max() > STILL and bool(
             (q == before[0]).all() or (qd == before[1]).all())
-        self._joint_repeats = self._joint_repeats + 1 if same else 0
+        self._repeats['joints'] = self._repeats['joints'] + 1 if same else 0
         limit = self._watch.frozen_samples
-        return 'frozen' if limit and self._joint_repeats >= limit else ''
+        return 'frozen' if limit and self._repeats['joints'] >= limit else ''
 
     def _jumped(self, q, qd, before, stamp):
-        origin = before if self._distrust else (
-            None if self._q is None or self._qd is None else (self._q, self._qd))
+        origin = before if self._distrust else self._valid['joints']
         if origin is None:
             return False
-        believed, h = self._stamps['joints'], self._config.period
-        elapsed = h if self._distrust or believed is None else stamp - believed
+        valid, h = self._stamps['joints'], self._h
+        elapsed = h if self._distrust or valid is None else stamp - valid
         change = q - origin[0] - 0.5 * (qd + origin[1]) * min(elapsed, LONGEST)
         return bool(np.abs(change).max() > self._watch.position_jump * max(1.0, elapsed / h / 5.0))
 
-    def _judge_wrench(self, wrench, stamp, problems):
+    def _wrench_problem(self, wrench, stamp):
         if not all_finite(wrench) or np.abs(wrench).max() > 1e6:
-            problems['wrench'] = 'invalid'
-            return
-        same = self._last_wrench is not None and bool((wrench == self._last_wrench).all())
-        self._wrench_repeats = self._wrench_repeats + 1 if same else 0
-        self._last_wrench = wrench
+            return 'invalid'
+        before, self._last['wrench'] = self._last.get('wrench'), wrench
+        same = before is not None and bool((wrench == before).all())
+        self._repeats['wrench'] = self._repeats['wrench'] + 1 if same else 0
+        if (np.abs(wrench) >= self._full_scale).any():
+            return 'saturated'
         limit = self._watch.frozen_samples
-        if (np.abs(wrench) >= self._axes['full_scale']).any():
-            problems['wrench'] = 'saturated'
-        elif limit and self._wrench_repeats >= limit:
-            problems['wrench'] = 'frozen'
-            # Its first repetitions were not fresh either: the reading is as old as its value.
-            self._stamps['wrench'] = stamp - self._wrench_repeats * self._config.period
-        else:
-            self._wrench, self._stamps['wrench'] = wrench, stamp
+        return 'frozen' if limit and self._repeats['wrench'] >= limit else ''
 
-    def _judge_variance(self, variance, stamp, problems):
-        if not all_finite(variance) or not (variance > 0.0).all():
-            problems['variance'] = 'invalid'
-        else:
-            self._valid_variance[:] = np.clip(
-                variance, self._watch.variance_floor, self._watch.variance_ceiling)
-            self._stamps['variance'], self._inflation = stamp, 1.0
+    def _variance_problem(self, variance, stamp):
+        return '' if all_finite(variance) and (variance > 0.0).all() else 'invalid'

@@ -7,6 +7,12 @@ from multicontact_control.errors import ConfigError
 from multicontact_control.paths import config_dir
 from multicontact_control.sensor.weight import weight_reading
 from multicontact_control.supervision.bumpless import BumplessController
+from multicontact_control.supervision.inputs import (
+    JointInput,
+    TickInputs,
+    VarianceInput,
+    WrenchInput,
+)
 import numpy as np
 import pytest
 
@@ -27,7 +33,9 @@ def sample(controller, k=0, *, effort=None, q=HOME, qd=REST):
     config = controller.config
     wrench = weight_reading(
         state.sensor_pose.rotation_world, config.tool, np.array(config.robot.gravity_world))
-    return Measurement(k * config.period, np.array(q), np.array(qd), wrench, effort)
+    time = k * config.period
+    return TickInputs(time, JointInput(time, np.array(q), np.array(qd), effort=effort),
+                      WrenchInput(time, wrench), VarianceInput(time, R))
 
 
 def gravity(controller):
@@ -36,14 +44,14 @@ def gravity(controller):
 
 def test_first_command_is_the_measured_effort():
     controller, _ = make()
-    output = controller.step(sample(controller, effort=EFFORT), R)
+    output = controller.step(sample(controller, effort=EFFORT)).output
     np.testing.assert_array_equal(output.torque, EFFORT)
 
 
 @pytest.mark.parametrize('effort', [None, np.full(6, np.nan)])
 def test_first_command_without_measured_effort_compensates_gravity(effort):
     controller, _ = make()
-    output = controller.step(sample(controller, effort=effort), R)
+    output = controller.step(sample(controller, effort=effort)).output
     np.testing.assert_array_equal(output.torque, gravity(controller))
 
 
@@ -52,8 +60,9 @@ def test_torque_is_that_of_the_law_after_the_blend():
     law = Controller.from_config(
         controller.config, CommandedReference(controller.config.contact_names), config_dir())
     for k in range(12):
-        output = controller.step(sample(controller, k, effort=EFFORT), R)
-        expected = law.step(sample(controller, k), R)
+        output = controller.step(sample(controller, k, effort=EFFORT)).output
+        joints, wrench = sample(controller, k)[1:3]
+        expected = law.step(Measurement(joints.stamp, joints.q, joints.qd, wrench.wrench), R)
         equal = np.array_equal(output.torque, expected.torque)
         assert equal == (k >= 10), k
 
@@ -62,22 +71,23 @@ def test_reset_starts_from_the_measured_effort_again():
     controller, _ = make()
     for _ in range(2):
         for k in range(5):
-            controller.step(sample(controller, k, effort=EFFORT), R)
+            controller.step(sample(controller, k, effort=EFFORT))
         controller.reset()
-    output = controller.step(sample(controller, effort=-EFFORT), R)
+    output = controller.step(sample(controller, effort=-EFFORT)).output
     np.testing.assert_array_equal(output.torque, -EFFORT)
 
 
 def test_reconfigure_repeats_the_last_command_and_then_keeps_to_the_rate():
     controller, _ = make(transition={'torque_rate': 50.0, 'blend_time': 0.0})
     away = HOME + 0.01  # from the pose at the start, which is held
-    controller.step(sample(controller), R)
+    controller.step(sample(controller))
     for k in range(1, 2000):
-        before = controller.step(sample(controller, k, q=away), R)
+        before = controller.step(sample(controller, k, q=away)).output
     stiffer = controller_config(
         transition={'torque_rate': 50.0, 'blend_time': 0.0}, motion={'natural_frequency': 60.0})
     controller.reconfigure(stiffer)
-    after = [controller.step(sample(controller, k, q=away), R).torque for k in range(2000, 9000)]
+    after = [controller.step(sample(controller, k, q=away)).output.torque
+             for k in range(2000, 9000)]
     np.testing.assert_array_equal(after[0], before.torque)
     steps = np.abs(np.diff([before.torque, *after], axis=0))
     assert 0.0 < steps.max() <= 50.0 * controller.config.period * (1.0 + 1e-9)
@@ -89,7 +99,7 @@ def test_reconfigure_keeps_what_the_observers_know():
     for k in range(50):
         if k == 1:
             reference.set_forces({'table': 5.0})
-        controller.step(sample(controller, k), R)
+        controller.step(sample(controller, k))
     known = controller.controller._observers
     assert known['x_est'][0].any()
     controller.reconfigure(controller_config(force={'time_constant': 0.04}))
@@ -110,7 +120,7 @@ def test_reconfigure_to_a_state_of_another_size_starts_the_observers_anew():
     for k in range(50):
         if k == 1:
             reference.set_forces({'table': 5.0})
-        controller.step(sample(controller, k), R)
+        controller.step(sample(controller, k))
     old = controller.controller._observers
     controller.reconfigure(controller_config(force={'active_state_order': 0}))
     new = controller.controller._observers
@@ -122,7 +132,7 @@ def test_reconfigure_to_a_state_of_another_size_starts_the_observers_anew():
     {'rate': 400.0}, {'contact_names': ['table']}, {'robot': {'gravity_world': [0, 0, -1.0]}}])
 def test_reconfigure_refuses_another_task_and_leaves_everything(changes):
     controller, _ = make()
-    controller.step(sample(controller), R)
+    controller.step(sample(controller))
     config = controller.config
     with pytest.raises(ConfigError, match=f'^{next(iter(changes))}: expected .* while in use'):
         controller.reconfigure(controller_config(**changes))
@@ -132,8 +142,8 @@ def test_reconfigure_refuses_another_task_and_leaves_everything(changes):
 @pytest.mark.parametrize('kind', ['gravity_compensation', 'zero_torque', 'hold_position'])
 def test_safe_step_goes_from_the_last_command_to_the_declared_behaviour(kind):
     controller, _ = make(safe_behaviour={'kind': kind})
-    last = controller.step(sample(controller, effort=EFFORT), R).torque
-    torques = [controller.safe_step(sample(controller, k)) for k in range(1, 2500)]
+    last = controller.step(sample(controller, effort=EFFORT)).output.torque
+    torques = [controller.safe_step(sample(controller, k)).output.torque for k in range(1, 2500)]
     np.testing.assert_array_equal(torques[0], last)
     rate = controller.config.transition.torque_rate
     assert np.abs(np.diff(torques, axis=0)).max() <= rate * 0.002 * (1.0 + 1e-9)
@@ -148,18 +158,18 @@ def test_safe_step_answers_a_push_as_declared():
         for k in range(3):
             controller.safe_step(sample(controller, k))
         moved = HOME + np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.05])
-        back = controller.safe_step(sample(controller, 3, q=moved))[5]
+        back = controller.safe_step(sample(controller, 3, q=moved)).output.torque[5]
         weight = controller.controller.robot.update(moved, REST).gravity[5]
         assert (back < weight - 0.1) == pulls
         moving = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
-        assert controller.safe_step(sample(controller, 4, qd=moving))[5] < -0.1
+        assert controller.safe_step(sample(controller, 4, qd=moving)).output.torque[5] < -0.1
 
 
 def test_step_after_safe_steps_starts_the_law_anew_from_their_torque():
     controller, _ = make(safe_behaviour={'kind': 'zero_torque'})
-    controller.step(sample(controller, effort=EFFORT), R)
+    controller.step(sample(controller, effort=EFFORT))
     for k in range(1, 2500):
-        last = controller.safe_step(sample(controller, k))
-    output = controller.step(sample(controller, 2500), R)
+        last = controller.safe_step(sample(controller, k)).output.torque
+    output = controller.step(sample(controller, 2500)).output
     np.testing.assert_array_equal(output.torque, last)
     assert not last.any()

@@ -16,7 +16,7 @@ from multicontact_control.paths import config_dir
 from multicontact_control.supervision.contacts import let_go
 from multicontact_control.supervision.gate import gate_torque
 from multicontact_control.supervision.plausibility import check_plausibility, check_speeds
-from multicontact_control.supervision.readings import check_readings
+from multicontact_control.supervision.readings import check_inputs
 from multicontact_control.supervision.reference_limits import limit_reference
 from multicontact_control.supervision.supervisor import Supervisor
 from multicontact_control.supervision.validation import (
@@ -228,7 +228,7 @@ def test_pulling_surface_is_not_believed():
 
 def test_no_tick_compiles_anything():
     """Whatever the arrays of a message are like: numba would take seconds for another type."""
-    kernels = (let_go, limit_reference, check_readings, check_speeds, check_plausibility,
+    kernels = (let_go, limit_reference, check_inputs, check_speeds, check_plausibility,
                gate_torque, fill_joints, fill_frame, control_law, measure_contacts)
 
     def compiled():
