@@ -45,15 +45,7 @@ class Diagnostics:
     Publishes the state of a node when it has time for it.
 
     Not on a timer: it is the node's loop that knows when nobody waits for it, and a second is a
-    second whatever the node takes for its time.
-
-    Parameters
-    ----------
-    node
-        The node.
-    collect
-        Returns what there is to say.
-
+    second whatever the node takes for its time. `collect` returns what there is to say.
     """
 
     def __init__(self, node: Node, collect: Callable[[], Sequence[Status]]) -> None:

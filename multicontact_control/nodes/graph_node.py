@@ -83,15 +83,7 @@ def ready_topic(node_name: str) -> str:
 
 
 class Refusals:
-    """
-    Counts what was refused, and logs it once per cause.
-
-    Parameters
-    ----------
-    logger
-        Logger of the node.
-
-    """
+    """Counts what was refused, and logs it once per cause."""
 
     def __init__(self, logger: RcutilsLogger) -> None:
         self._logger = logger

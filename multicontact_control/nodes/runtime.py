@@ -69,17 +69,7 @@ class StopFlag:
 
 
 class Spinner:
-    """
-    Runs the callbacks of one node.
-
-    Parameters
-    ----------
-    node
-        The node.
-    stop
-        The flag that ends everything.
-
-    """
+    """Runs the callbacks of one node; `stop` is the flag that ends everything."""
 
     def __init__(self, node: Node, stop: StopFlag) -> None:
         self.stop = stop

@@ -16,15 +16,7 @@ POLL_PERIOD = 0.005
 
 
 class GraphInspector(GuestNode):
-    """
-    A hidden node; to be used in a with statement.
-
-    Parameters
-    ----------
-    domain_id
-        ROS domain; that of the environment by default.
-
-    """
+    """A hidden node; to be used in a with statement."""
 
     def __init__(self, domain_id: int | None = None) -> None:
         super().__init__(f'_multicontact_{os.getpid()}', domain_id)
@@ -64,17 +56,7 @@ def full_name(topic: str) -> str:
 
 
 def matching_profile(publishers: list[TopicEndpointInfo], depth: int) -> QoSProfile:
-    """
-    Return the best quality of service that all publishers of a topic can give.
-
-    Parameters
-    ----------
-    publishers
-        What is known of them.
-    depth
-        Messages to keep until they are looked at.
-
-    """
+    """Return the best quality of service that all publishers of a topic can give."""
     offered = [info.qos_profile for info in publishers]
     reliable = all(x.reliability == ReliabilityPolicy.RELIABLE for x in offered)
     latched = all(x.durability == DurabilityPolicy.TRANSIENT_LOCAL for x in offered)

@@ -38,17 +38,7 @@ class GraphProgress:
 
 
 class ProgressListener(GuestNode):
-    """
-    Reads the newest measured forces and reports when asked, and takes no time in between.
-
-    Parameters
-    ----------
-    domain_id
-        ROS domain of the graph.
-    namespace
-        Namespace of the graph.
-
-    """
+    """Reads the newest measured forces and reports when asked, and takes no time in between."""
 
     def __init__(self, domain_id: int, namespace: str = '') -> None:
         super().__init__('run_progress', domain_id, namespace)

@@ -98,13 +98,7 @@ def node_command(
     """
     Return the command line of a node: its installed script, or its module.
 
-    Parameters
-    ----------
-    name, spec
-        The node, and the graph it is of.
-    overrides
-        Parameters over those of the graph.
-
+    `overrides` are parameters over those of the graph.
     """
     script = Path(sys.executable).parent / name
     command = [str(script)] if os.access(script, os.X_OK) else (
