@@ -14,15 +14,14 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 import time
-from types import TracebackType
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped
 from multicontact_control.arrays import Vector
 from multicontact_control.errors import RunError
 from multicontact_control.nodes import messages, topics
-from multicontact_control.nodes.controller_link import ControllerLink
-from multicontact_control.nodes.motion_command import finite_vector, motion_message, quintic
+from multicontact_control.nodes.link import ControllerLink
+from multicontact_control.quintic import quintic
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
@@ -103,10 +102,7 @@ class MultiContactClient:
         """Return the client itself."""
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_error: object) -> None:
         """Leave the graph; the controller goes on with its last commands."""
         self.close()
 
@@ -154,8 +150,7 @@ class MultiContactClient:
             If the controller does not answer or refuses.
 
         """
-        self._require_success('hold', self._link.call(
-            SetBool, f'{topics.CONTROLLER}/hold', SetBool.Request(data=on)))
+        self._ask('hold', SetBool, SetBool.Request(data=on))
 
     def tare(self) -> None:
         """
@@ -167,11 +162,10 @@ class MultiContactClient:
             If the controller does not answer or refuses.
 
         """
-        self._require_success('tare', self._link.call(
-            Trigger, f'{topics.CONTROLLER}/tare', Trigger.Request()))
+        self._ask('tare', Trigger, Trigger.Request())
 
-    @staticmethod
-    def _require_success(what: str, answer: Any) -> None:
+    def _ask(self, what: str, service: Any, request: Any) -> None:
+        answer = self._link.require(topics.CONTROLLER, service, what, request)
         if not answer.success:
             raise RunError(f'{topics.CONTROLLER}: {what} refused: {answer.message}')
 
@@ -226,11 +220,11 @@ class MultiContactClient:
             If a number is not finite.
 
         """
-        goal = finite_vector(position_world, 3, 'position_world')
+        goal = messages.finite_array(position_world, 3, 'position_world')
         start, = self._link.fresh(topics.POSE_DESIRED)
         position, turn = _pose_of(start)
         last = turn if quaternion_xyzw is None else Rotation.from_quat(
-            finite_vector(quaternion_xyzw, 4, 'quaternion_xyzw'))
+            messages.finite_array(quaternion_xyzw, 4, 'quaternion_xyzw'))
         rotation_vector = (last * turn.inv()).as_rotvec()
         first_stamp, elapsed = messages.stamp_to_ns(start.header.stamp), 0.0
         while elapsed < duration:
@@ -238,7 +232,7 @@ class MultiContactClient:
             elapsed = (messages.stamp_to_ns(sample.header.stamp) - first_stamp) * 1e-9
             s, ds, dds = quintic(min(elapsed, duration), duration)
             change = np.concatenate([goal - position, rotation_vector])
-            self._link.publish(self._motion_publisher, motion_message(
+            self._link.publish(self._motion_publisher, messages.motion_message(
                 position + s * change[:3],
                 (Rotation.from_rotvec(s * rotation_vector) * turn).as_quat(),
                 ds * change, dds * change))

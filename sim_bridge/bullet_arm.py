@@ -67,14 +67,15 @@ class BulletArm:
 
     def push_tool(self, force: list[float], point: list[float]) -> None:
         """Apply a force [N] at a point [m] of the tool for one step, world axes."""
-        bullet.applyExternalForce(
-            self.body, self._tool, force, point, bullet.WORLD_FRAME, physicsClientId=self.client)
+        self._push(self._tool, force, point)
 
     def push_wrist(self, force: list[float], point: list[float]) -> None:
         """Apply a force [N] at a point [m] of the last link for one step, world axes."""
+        self._push(self._joints[-1], force, point)
+
+    def _push(self, link: int, force: list[float], point: list[float]) -> None:
         bullet.applyExternalForce(
-            self.body, self._joints[-1], force, point, bullet.WORLD_FRAME,
-            physicsClientId=self.client)
+            self.body, link, force, point, bullet.WORLD_FRAME, physicsClientId=self.client)
 
     def step(self, torque: list[float]) -> None:
         """Advance by one step under joint torques, shape (n,) [N m]."""

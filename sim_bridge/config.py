@@ -165,17 +165,7 @@ class PlantConfig(Config):
 
 def load_preset(name: str) -> PlantConfig:
     """
-    Read one of the plants that come with the package.
-
-    Parameters
-    ----------
-    name
-        ``puma`` or ``rigid``.
-
-    Returns
-    -------
-    PlantConfig
-        The validated configuration.
+    Read one of the plants that come with the package, ``puma`` or ``rigid``.
 
     Raises
     ------

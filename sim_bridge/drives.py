@@ -1,14 +1,29 @@
-"""Flexible drives: rotors as bodies of their own behind springs and dampers, compiled."""
+"""The drives: rotors behind springs, or rotors that turn with the links."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from multicontact_control.arrays import Vector
+from multicontact_control.algebra import (
+    cholesky,
+    copy_matrix,
+    copy_vector,
+    dot,
+    solve_cholesky,
+)
+from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.records import Records
 import numpy as np
-from sim_bridge.joint_friction import implicit_speed
+import pinocchio as pin
+from sim_bridge.joint_friction import (
+    friction_slope,
+    friction_torque,
+    implicit_speed,
+    NEWTON_STEPS,
+    NEWTON_TOLERANCE,
+)
+from sim_bridge.kinematics import mass_matrix
 
 # One drive: its rotor, over the gear, and the spring to its link.
 DRIVE = np.dtype([
@@ -57,7 +72,9 @@ class FlexibleDrives:
         self.q[:] = q + torque / self._drives['stiffness']
         self.qd[:] = 0.0
 
-    def advance(self, torque: Vector, q: Vector, qd: Vector, joint_torque: Vector) -> None:
+    def advance(
+        self, torque: Vector, _load: Vector, q: Vector, qd: Vector, joint_torque: Vector,
+    ) -> None:
         """Advance the rotors by one step; see `advance_drives`."""
         advance_drives(
             torque, q, qd, self._drives, self._friction, self._step, joint_torque)
@@ -95,3 +112,130 @@ def advance_drives(
         free = drive.qd + step / drive.inertia * (torque[joint] - twist)
         drive.qd = implicit_speed(free, step, drive.inertia, friction[joint])
         drive.q += step * drive.qd
+
+
+class RigidDrives:
+    """
+    The torque that makes links without rotors move as links with rotors do.
+
+    PyBullet knows no armature Ja. All forces being known, the acceleration with it is too
+    (pinocchio's articulated-body algorithm), and tau - Ja qdd makes PyBullet find the same.
+
+    Parameters
+    ----------
+    model
+        The arm with its armature.
+    friction
+        Records of `FRICTION`, shape (n,).
+    step
+        Integration step [s].
+
+    """
+
+    def __init__(self, model: pin.Model, friction: Records, step: float) -> None:
+        self._model, self._data = model, model.createData()
+        self._armature = np.array(model.armature)
+        self._friction, self._step = friction, step
+        self._frictionless = not any(
+            friction[name].any() for name in ('viscous', 'coulomb_positive', 'coulomb_negative'))
+
+    def reset(self, _q: Vector, _torque: Vector) -> None:
+        """Rest: nothing is remembered."""
+
+    def advance(
+        self, torque: Vector, load: Vector, q: Vector, qd: Vector, joint_torque: Vector,
+    ) -> None:
+        """
+        Fill in what to apply to the links for one step.
+
+        Parameters
+        ----------
+        torque
+            Motor torque, joint side, shape (n,) [N m].
+        load
+            What everything outside the arm does to the joints, gravity apart, shape (n,) [N m].
+        q, qd
+            State at the start of the step, shape (n,) [rad], [rad/s].
+        joint_torque
+            Filled with the torque on the links, shape (n,) [N m].
+
+        """
+        acceleration = pin.aba(self._model, self._data, q, qd, torque + load)
+        if self._frictionless:
+            joint_torque[:] = torque - self._armature * acceleration
+            return
+        inertia = mass_matrix(self._model, self._data, q)
+        speed = qd.copy()
+        implicit_joint_speed(
+            qd + self._step * acceleration, self._step, inertia, self._friction, speed)
+        slowed = (speed - qd) / self._step
+        friction = inertia @ (acceleration - slowed)
+        joint_torque[:] = torque - friction - self._armature * slowed
+
+
+@compiled
+def implicit_joint_speed(
+    free_speed: Vector, step: float, mass_matrix: Matrix, friction: Any, speed: Vector,
+) -> None:
+    """
+    Solve M (v - free_speed) + step f(v) = 0 for the speeds of joints that move each other.
+
+    The left side is the gradient of a convex function, so Newton's method with step halving
+    converges to its only zero.
+
+    Parameters
+    ----------
+    free_speed
+        Speeds at the end of the step without friction, shape (n,) [rad/s].
+    step
+        Length of the step [s].
+    mass_matrix
+        Joint inertia with armature, shape (n, n) [kg m^2].
+    friction
+        Records of `FRICTION`, shape (n,).
+    speed
+        First guess; replaced by the solution, shape (n,) [rad/s].
+
+    """
+    n = free_speed.shape[0]
+    residual, change, trial = np.empty(n), np.empty(n), np.empty(n)
+    factor = np.empty((n, n))
+    _friction_residual(speed, free_speed, step, mass_matrix, friction, residual)
+    for _ in range(NEWTON_STEPS):
+        copy_matrix(mass_matrix, factor)
+        for joint in range(n):
+            factor[joint, joint] += step * friction_slope(speed[joint], friction[joint])
+        cholesky(factor, factor, 0.0)  # positive definite, as M is and friction never pushes
+        copy_vector(residual, change)
+        solve_cholesky(factor, change)
+        share = 1.0
+        before = dot(residual, change)
+        for _ in range(30):
+            for joint in range(n):
+                trial[joint] = speed[joint] - share * change[joint]
+            _friction_residual(trial, free_speed, step, mass_matrix, friction, residual)
+            # The function still falls at the trial point, or hardly rises: not overshot.
+            if dot(residual, change) >= -0.5 * before:
+                break
+            share *= 0.5
+        copy_vector(trial, speed)
+        largest_change, largest_speed = 0.0, 0.0
+        for joint in range(n):
+            largest_change = max(largest_change, abs(change[joint]))
+            largest_speed = max(largest_speed, abs(speed[joint]))
+        if largest_change <= NEWTON_TOLERANCE * (1.0 + largest_speed):
+            return
+
+
+@compiled
+def _friction_residual(
+    speed: Vector, free_speed: Vector, step: float, mass_matrix: Matrix, friction: Any,
+    residual: Vector,
+) -> None:
+    """Fill in M (v - free_speed) + step f(v)."""
+    n = speed.shape[0]
+    for row in range(n):
+        residual[row] = 0.0
+        for column in range(n):
+            residual[row] += mass_matrix[row, column] * (speed[column] - free_speed[column])
+        residual[row] += step * friction_torque(speed[row], friction[row])

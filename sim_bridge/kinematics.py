@@ -29,6 +29,12 @@ def chain_of(model: pin.Model) -> Records:
     return links
 
 
+def mass_matrix(model: pin.Model, data: pin.Data, q: Vector) -> Matrix:
+    """Return the joint inertia at angles `q`, armature included, shape (n, n) [kg m^2]."""
+    upper = np.triu(pin.crba(model, data, q))  # crba fills the upper triangle only
+    return np.asarray(upper + np.triu(upper, 1).T)
+
+
 @compiled
 def forward_kinematics(q: Vector, links: Any, last_rotation: Matrix) -> None:
     """

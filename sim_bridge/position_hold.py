@@ -5,6 +5,7 @@ from __future__ import annotations
 from multicontact_control.arrays import Vector
 import numpy as np
 import pinocchio as pin
+from sim_bridge.kinematics import mass_matrix
 
 
 class PositionHold:
@@ -54,8 +55,5 @@ class PositionHold:
         acceleration = w * w * (self._posture - q) - 2.0 * w * qd
         still = np.zeros_like(q)
         gravity = pin.rnea(self._model, self._data, q, still, still)
-        # crba fills the upper triangle only.
-        upper = np.triu(pin.crba(self._model, self._data, q))
-        mass_matrix = upper + np.triu(upper, 1).T
-        torque: Vector = mass_matrix @ acceleration + gravity
+        torque: Vector = mass_matrix(self._model, self._data, q) @ acceleration + gravity
         return torque

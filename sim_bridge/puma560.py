@@ -111,17 +111,7 @@ class RobotData(Config):
 
 def load_robot(path: Path | None = None) -> RobotData:
     """
-    Read the arm's data.
-
-    Parameters
-    ----------
-    path
-        The data file; the package's own by default.
-
-    Returns
-    -------
-    RobotData
-        The validated data.
+    Read the arm's data, from the package's own file by default.
 
     Raises
     ------

@@ -11,12 +11,10 @@ import pinocchio as pin
 from sim_bridge.bullet_arm import BulletArm
 from sim_bridge.config import PlantConfig
 from sim_bridge.contacts import Contacts
-from sim_bridge.drives import FlexibleDrives
+from sim_bridge.drives import FlexibleDrives, RigidDrives
 from sim_bridge.joint_friction import joint_friction
 from sim_bridge.puma560 import load_robot, RobotData, SENSOR_FRAME, urdf_text
-from sim_bridge.rigid_drives import RigidDrives
-from sim_bridge.timed_pushes import push_at
-from sim_bridge.tool_push import ToolPush
+from sim_bridge.pushes import push_at, ToolPush
 from sim_bridge.wrench_sensor import WrenchSensor
 
 
@@ -103,7 +101,7 @@ class PybulletPlant:
             self._model, self._model.createData(), self._home, still, still).copy()
         self._model.armature = np.array(self._robot.exact_armature)
         self._limit = np.array(config.torque_limit or self._robot.torque_limit)
-        self._rigid, self._flexible = self._build_drives()
+        self._drives = self._build_drives()
         self.arm = BulletArm(self._robot, config.gravity_world, config.substep)
         self.reset()
 
@@ -125,8 +123,7 @@ class PybulletPlant:
         self._tool_push = ToolPush(config, self._model, self._rate)
         self._tick = 0
         self._q, self._qd = self._home.copy(), np.zeros(self._model.nv)
-        if self._flexible is not None:
-            self._flexible.reset(self._home, self.initial_torque)
+        self._drives.reset(self._home, self.initial_torque)
         self._wrench = self._static_wrench()
         self._joint_torque = np.zeros(self._model.nv)
         self.arm.reset(self._home)
@@ -183,13 +180,13 @@ class PybulletPlant:
         """Give the simulator's memory back."""
         self.arm.close()
 
-    def _build_drives(self) -> tuple[RigidDrives | None, FlexibleDrives | None]:
+    def _build_drives(self) -> RigidDrives | FlexibleDrives:
         config = self.config
         friction = joint_friction(
             self._robot, config.joint_friction_scale, config.joint_friction_speed)
         if config.drives == 'rigid':
-            return RigidDrives(self._model, friction, config.substep), None
-        return None, FlexibleDrives(
+            return RigidDrives(self._model, friction, config.substep)
+        return FlexibleDrives(
             np.array(self._model.armature), np.array(config.drive_stiffness),
             np.array(config.drive_damping), friction, config.substep)
 
@@ -199,10 +196,7 @@ class PybulletPlant:
         if self._tool_push.add_load(self._q, contacts.load):
             hand = self._tool_push
             arm.push_tool(hand.force_world.tolist(), hand.point_world.tolist())
-        if self._flexible is not None:
-            self._flexible.advance(torque, self._q, self._qd, joint_torque)
-        elif self._rigid is not None:
-            self._rigid.torque(torque, contacts.load, self._q, self._qd, joint_torque)
+        self._drives.advance(torque, contacts.load, self._q, self._qd, joint_torque)
         for i, alpha in enumerate(contacts.alpha.tolist()):
             if alpha > 0.0:
                 arm.push_tool((-contacts.forces_world[i]).tolist(),
@@ -225,8 +219,8 @@ class PybulletPlant:
 
     def _sample(self, effort: Vector, saturated: bool) -> Sample:
         q, qd = self._q, self._qd
-        if self._flexible is not None and self.config.joint_sensing == 'motor':
-            q, qd = self._flexible.q, self._flexible.qd
+        if isinstance(self._drives, FlexibleDrives) and self.config.joint_sensing == 'motor':
+            q, qd = self._drives.q, self._drives.qd
         return Sample(
             q=q.copy(), qd=qd.copy(), effort=effort.copy(), wrench=self._sensor.reading.copy(),
             wrench_filtered=self._sensor.filtered.copy(),

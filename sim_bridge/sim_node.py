@@ -29,6 +29,7 @@ from multicontact_control.nodes.diagnostics import (
     Diagnostics,
     input_status,
     message_status,
+    STALE_PERIODS,
     Status,
 )
 from multicontact_control.nodes.graph_node import (
@@ -38,10 +39,14 @@ from multicontact_control.nodes.graph_node import (
     StartupConfig,
     StartupGate,
 )
-from multicontact_control.nodes.loop_statistics import Freshness, LoopStatistics
+from multicontact_control.nodes.loop_statistics import (
+    DurationLog,
+    Freshness,
+    LoopStatistics,
+    NANOSECONDS,
+)
 from multicontact_control.nodes.parameters import load_parameters
 from multicontact_control.nodes.runtime import run_node, Spinner
-from multicontact_control.nodes.timing import DurationLog
 import numpy as np
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
@@ -56,9 +61,7 @@ MAX_LATE_PERIODS = 2
 RESEND_PERIOD, RESEND_PERIOD_GATED = 1.0, 10.0
 RESENDS = 5  # times that a sample is sent in lockstep within answer_timeout
 WAIT_FRACTION = 0.5
-STALE_PERIODS = 25
 REMEMBERED = 1024  # samples whose time of publication is known
-NANOSECONDS = 1_000_000_000
 
 
 class SimNodeConfig(StartupConfig):
@@ -123,7 +126,7 @@ class SimNode(Node):
         subscription = create_subscription(self, topics.EFFORT_COMMAND, self._on_command)
         self._gate = StartupGate(
             self, self._outputs, {topics.EFFORT_COMMAND: subscription}, config)
-        self._set_origin(0)
+        self._origin = 0  # stamp of sample 0 [ns]
 
     def run(self, spinner: Spinner) -> None:
         """
@@ -160,16 +163,11 @@ class SimNode(Node):
             'saturated_ticks': self._saturated, 'saturated_fraction':
             self._saturated / samples, 'refused': dict(self._refusals.counts)})
 
-    def _set_origin(self, stamp: int) -> None:
-        """Set the stamp of sample 0 [ns]."""
-        self._origin = stamp
-
     def _start_up(self, spinner: Spinner) -> None:
         """Publish sample 0 until it is answered; nothing moves before that."""
         period = stamp_of(1, self._config.rate)
         # Lockstep knows no wall clock; one period on, so that no stamp is the zero of "none".
-        self._set_origin(period if self._config.lockstep else
-                         time.time_ns() // period * period)
+        self._origin = period if self._config.lockstep else time.time_ns() // period * period
         # Behind the gate it cannot have been lost; a second copy would only be in the bag.
         resend = RESEND_PERIOD_GATED if self._config.startup_peers else RESEND_PERIOD
         while not spinner.stop and self._answered < 0:

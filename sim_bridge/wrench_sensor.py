@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from multicontact_control.arrays import Matrix, Vector
+from multicontact_control.butterworth import butterworth
 from multicontact_control.compiled import compiled
 from multicontact_control.errors import ConfigError
 import numpy as np
-from scipy.signal import butter
 from sim_bridge.config import SensorConfig
 
 # A JR3's outputs are a chain of low-passes, each a quarter of the one before.
@@ -127,11 +127,8 @@ def low_pass_stages(cutoff: float, rate: float) -> Matrix:
         if corner < nyquist:
             corners.append(corner)
         corner /= CASCADE_RATIO
-    rows = []
-    for corner in [*corners, cutoff]:
-        numerator, denominator = butter(2, corner, fs=rate)
-        rows.append((*numerator, *denominator[1:]))
-    return np.array(rows)
+    stages = [butterworth(2, corner, rate) for corner in [*corners, cutoff]]
+    return np.array([(*b, *a[1:]) for b, a in stages])
 
 
 @compiled

@@ -10,7 +10,7 @@ import sys
 import time
 from typing import TypeVar
 
-from multicontact_control.nodes.guest import GuestNode
+from multicontact_control.nodes.link import GuestNode
 from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.parameter import Parameter, parameter_value_to_python
 

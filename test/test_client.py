@@ -8,15 +8,20 @@ import subprocess
 import sys
 import threading
 
-from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from multicontact_control.client import MultiContactClient, NotReachedError
 from multicontact_control.errors import RunError
 from multicontact_control.experiment.graph.domain import reserve_domain
-from multicontact_control.experiment.graph.lifecycle import CLEAN_UP, DEACTIVATE, LifecycleDriver
 from multicontact_control.nodes import messages
-from multicontact_control.nodes.guest import GuestNode
-from multicontact_control.nodes.motion_command import motion_message
+from multicontact_control.nodes.link import (
+    ACTIVATE,
+    CLEAN_UP,
+    CONFIGURE,
+    DEACTIVATE,
+    GOALS,
+    GuestNode,
+    LifecycleDriver,
+)
 import numpy as np
 import pytest
 from rclpy.executors import SingleThreadedExecutor
@@ -170,7 +175,7 @@ class StandIn:
 
     def __init__(self, domain_id):
         self.asked = []
-        self.state = State.PRIMARY_STATE_UNCONFIGURED
+        self.state = 'unconfigured'
         self._guest = GuestNode('controller_node', domain_id, 'stand_in')
         for service, name, callback in (
                 (GetState, 'get_state', self._get_state), (Trigger, 'tare', self._tare),
@@ -182,15 +187,12 @@ class StandIn:
         self._thread.start()
 
     def _get_state(self, _request, response):
-        response.current_state.id = self.state
+        response.current_state.label = self.state
         return response
 
     def _change(self, request, response):
-        self.asked.append(request.transition.id)
-        self.state = {
-            Transition.TRANSITION_CONFIGURE: State.PRIMARY_STATE_INACTIVE,
-            Transition.TRANSITION_ACTIVATE: State.PRIMARY_STATE_ACTIVE,
-            Transition.TRANSITION_DEACTIVATE: State.PRIMARY_STATE_INACTIVE}[request.transition.id]
+        self.asked.append(request.transition.label)
+        self.state = GOALS[request.transition.label]
         response.success = True
         return response
 
@@ -225,15 +227,14 @@ def test_client_drives_services_and_lifecycle(domain_id):
     finally:
         controller.close()
     assert controller.asked == [
-        Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE, True, False,
-        Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_ACTIVATE]
+        CONFIGURE, ACTIVATE, True, False, DEACTIVATE, ACTIVATE]
 
 
 def test_motion_message_is_what_the_controller_reads():
     numbers = np.random.default_rng(0).standard_normal(15)
     quaternion = np.array([0.5, -0.5, 0.5, 0.5])
     motion = messages.read_motion(
-        motion_message(numbers[:3], quaternion, numbers[3:9], numbers[9:]))
+        messages.motion_message(numbers[:3], quaternion, numbers[3:9], numbers[9:]))
     np.testing.assert_array_equal(motion.position_world, numbers[:3])
     np.testing.assert_array_equal(motion.quaternion_xyzw, quaternion)
     np.testing.assert_array_equal(motion.twist_world, numbers[3:9])
@@ -242,5 +243,5 @@ def test_motion_message_is_what_the_controller_reads():
 
 @pytest.mark.parametrize('position', [[0.0, 1.0], [0.0, 1.0, float('nan')]])
 def test_motion_message_refuses(position):
-    with pytest.raises(messages.MessageError, match='translation: expected 3 finite numbers'):
-        motion_message(position, [0.0, 0.0, 0.0, 1.0], np.zeros(6), np.zeros(6))
+    with pytest.raises(messages.MessageError, match='translation: expected (3 val|finite num)'):
+        messages.motion_message(position, [0.0, 0.0, 0.0, 1.0], np.zeros(6), np.zeros(6))

@@ -9,7 +9,6 @@ import xml.etree.ElementTree as ElementTree
 
 from multicontact_control.errors import ConfigError
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 TURNING, SLIDING, FIXED = ('revolute', 'continuous'), ('prismatic',), ('fixed',)
 
@@ -111,6 +110,9 @@ class LinkTransforms:
 
 
 def _read_joint(element: ElementTree.Element) -> _Joint:
+    # Only now: the recorder is up 0.2 s earlier, before there is a description.
+    from scipy.spatial.transform import Rotation
+
     name, kind = element.get('name', ''), element.get('type', '')
     if kind not in (*TURNING, *SLIDING, *FIXED):
         raise ConfigError(

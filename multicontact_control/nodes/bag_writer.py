@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 import os
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from mcap.writer import CompressionType, Writer
@@ -86,10 +85,7 @@ class BagWriter:
         """Return the writer itself."""
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_error: object) -> None:
         """Close the recording, whatever happened."""
         self.close()
 

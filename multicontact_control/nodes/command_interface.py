@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-import contextlib
 from typing import Any
 
 from multicontact_control.control_loop import ControlLoop
@@ -48,9 +47,9 @@ class CommandInterface:
             topics.MOTION_COMMAND: create_subscription(
                 node, topics.MOTION_COMMAND, self._on_motion)}
         self._services = [
-            node.create_service(Trigger, '~/tare', self._on_tare),
-            node.create_service(SetBool, '~/hold', self._on_hold),
-            node.create_service(Trigger, '~/push_test', self._on_push_test)]
+            self._service(Trigger, '~/tare', self._tare),
+            self._service(SetBool, '~/hold', self._hold),
+            self._service(Trigger, '~/push_test', self._push_test)]
 
     def adopt(self, config: ControllerNodeConfig) -> None:
         """Tare and test as a configuration says."""
@@ -72,35 +71,25 @@ class CommandInterface:
         with self._refusals.guard(topics.MOTION_COMMAND):
             self._loop.set_motion(messages.read_motion(message))
 
-    def _on_tare(self, _request: Any, response: Any) -> Any:
-        response.success = False
-        with self._told(response, '~/tare'):
-            bias = self._loop.tare(self._config.tare)
-            self._set_bias(bias.tolist())
-            response.success = True
-            response.message = 'bias [N, N m]: ' + ', '.join(f'{x:.4g}' for x in bias)
-        return response
+    def _tare(self, _request: Any) -> str:
+        bias = self._loop.tare(self._config.tare)
+        self._set_bias(bias.tolist())
+        return 'bias [N, N m]: ' + ', '.join(f'{x:.4g}' for x in bias)
 
-    def _on_hold(self, request: Any, response: Any) -> Any:
-        response.success = False
-        with self._told(response, '~/hold'):
-            self._loop.hold(request.data)
-            response.success = True
-            response.message = 'held' if request.data else 'released'
-        return response
+    def _hold(self, request: Any) -> str:
+        self._loop.hold(request.data)
+        return 'held' if request.data else 'released'
 
-    def _on_push_test(self, _request: Any, response: Any) -> Any:
-        response.success = False
-        with self._told(response, '~/push_test'):
-            response.message = self._loop.push_test(
-                self._config.push_test, self._config.push_point_sensor)
-            response.success = True
-        return response
+    def _push_test(self, _request: Any) -> str:
+        return self._loop.push_test(self._config.push_test, self._config.push_point_sensor)
 
-    @contextlib.contextmanager
-    def _told(self, response: Any, source: str) -> Any:
-        try:
-            yield
-        except MulticontactError as error:
-            self._refusals.refuse(source, error)
-            response.message = str(error)
+    def _service(self, kind: Any, name: str, work: Callable[[Any], str]) -> Any:
+        """Create a service that answers with the words of some work, or with why it is refused."""
+        def answer(request: Any, response: Any) -> Any:
+            try:
+                response.message, response.success = work(request), True
+            except MulticontactError as error:
+                self._refusals.refuse(name, error)
+                response.message, response.success = str(error), False
+            return response
+        return self._node.create_service(kind, name, answer)

@@ -14,32 +14,32 @@ from multicontact_control.control_loop import ControlLoop
 from multicontact_control.errors import MulticontactError
 from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.nodes.command_interface import CommandInterface
-from multicontact_control.nodes.contact_markers import ContactMarkers
 from multicontact_control.nodes.controller_config import ControllerNodeConfig
+from multicontact_control.nodes.controller_outputs import ControllerOutputs
 from multicontact_control.nodes.controller_status import (
     contact_status,
     sensor_status,
     SupervisorReport,
 )
-from multicontact_control.nodes.diagnostics import input_status, message_status, Status
-from multicontact_control.nodes.effort_output import EffortOutput
-from multicontact_control.nodes.graph_node import (
-    create_publisher,
-    create_subscription,
-    StartupGate,
+from multicontact_control.nodes.diagnostics import (
+    input_status,
+    message_status,
+    STALE_PERIODS,
+    Status,
 )
-from multicontact_control.nodes.loop_statistics import Freshness, LoopStatistics, NANOSECONDS
+from multicontact_control.nodes.graph_node import create_subscription, StartupGate
+from multicontact_control.nodes.loop_statistics import (
+    DurationLog,
+    Freshness,
+    LoopStatistics,
+    NANOSECONDS,
+)
 from multicontact_control.nodes.managed_node import ACTIVE, ManagedNode
 from multicontact_control.nodes.runtime import run_node, Spinner
-from multicontact_control.nodes.state_output import StateOutput, WORLD_FRAME
-from multicontact_control.nodes.timing import DurationLog
 from multicontact_control.sampling import PairedSample, SamplePairing, SampleTimeout
 import numpy as np
-from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
-
-STALE_PERIODS = 25
 
 
 class ControllerNode(ManagedNode):
@@ -61,10 +61,8 @@ class ControllerNode(ManagedNode):
         super().__init__(topics.CONTROLLER, ControllerConfig, ControllerNodeConfig)
         self._loop: ControlLoop | None = None
         self._commands: CommandInterface | None = None
-        self._effort_output: EffortOutput | None = None
-        self._state_output: StateOutput | None = None
+        self._outputs: ControllerOutputs | None = None
         self._report: SupervisorReport | None = None
-        self._outputs: dict[topics.Topic, Publisher] = {}
         self._inputs: dict[topics.Topic, Subscription] = {}
         self._node_config = ControllerNodeConfig()
         self._watch, self._fresh = LoopStatistics(), Freshness()
@@ -90,13 +88,7 @@ class ControllerNode(ManagedNode):
         self._loop, self._watch = loop, LoopStatistics(config.rate)
         self._report = SupervisorReport(loop)
         self._set_patience(config)
-        self._outputs = {
-            topic: create_publisher(self, topic)
-            for topic in topics.published_by(topics.CONTROLLER)}
-        self._effort_output = EffortOutput(
-            self, self._outputs[topics.EFFORT_COMMAND], node_config.effort_output_topic)
-        self._state_output = StateOutput(config, self._outputs, ContactMarkers(
-            config, rate=node_config.marker_rate, scale=node_config.marker_scale))
+        self._outputs = ControllerOutputs(self, config, node_config)
         self._wrench = topics.WRENCH if config.wrench_input == 'raw' else topics.WRENCH_FILTERED
         callbacks: dict[topics.Topic, Callable[[Any], None]] = {
             topics.NOISE_VARIANCE: self._on_noise_variance, self._wrench: self._on_wrench,
@@ -121,7 +113,8 @@ class ControllerNode(ManagedNode):
         self._configured.restart()
         self._forget()
         commands = self._commands.subscriptions if self._commands else {}
-        return StartupGate(self, self._outputs, {**self._inputs, **commands}, self._node_config)
+        outputs = self._outputs.publishers if self._outputs else {}
+        return StartupGate(self, outputs, {**self._inputs, **commands}, self._node_config)
 
     def gate_opened(self) -> None:
         """Answer the sample that waits."""
@@ -135,18 +128,14 @@ class ControllerNode(ManagedNode):
 
     def clean_up(self) -> None:
         """Free the controller and the topics."""
-        if self._commands is not None:
-            self._commands.close()
-        if self._effort_output is not None:
-            self._effort_output.close()
-        for publisher in self._outputs.values():
-            self.destroy_publisher(publisher)
+        for ends in (self._commands, self._outputs):
+            if ends is not None:
+                ends.close()
         for subscription in self._inputs.values():
             self.destroy_subscription(subscription)
-        self._loop = self._commands = self._effort_output = None
-        self._state_output = self._report = None
+        self._loop = self._commands = self._outputs = self._report = None
         self._patience.stop()
-        self._outputs, self._inputs = {}, {}
+        self._inputs = {}
 
     def check(self, configurations: Sequence[Any]) -> None:
         """Raise if the controller cannot go on with new configurations."""
@@ -224,10 +213,9 @@ class ControllerNode(ManagedNode):
         self._waiting = sample
         self._answer()
         loop = self._loop
-        if again and self._waiting is sample and loop is not None and (
-                loop.output is not None and self._state_output is not None):
+        if again and self._waiting is sample and loop is not None:
             # Lockstep stands still: the estimator came after the forces it has to answer.
-            self._state_output.publish(loop.last_stamp, loop.tick, loop.output)
+            self._show(loop, loop.last_stamp)
 
     def _answer(self) -> None:
         """Answer the sample that waits, unless something it needs is not there yet."""
@@ -293,29 +281,27 @@ class ControllerNode(ManagedNode):
         self, loop: ControlLoop, step: Callable[[], Vector], *, sampled: bool = True,
     ) -> None:
         with self.refusals.guard(topics.JOINT_STATES):
-            self._command_guarded(loop, step, sampled)
-
-    def _command_guarded(
-        self, loop: ControlLoop, step: Callable[[], Vector], sampled: bool,
-    ) -> None:
-        start = time.perf_counter_ns()
-        self._last_command = None
-        torque = step()
-        stamp = loop.expected_stamp
-        command = messages.joint_state_message(
-            stamp, loop.config.robot.joint_names, effort=torque)
-        self._step_times.add(time.perf_counter_ns() - start)
-        # The command first: everything else can wait, the robot cannot.
-        self._send(command)
-        self._last_command = command
-        if sampled:
-            self._watch.add_latency(time.monotonic_ns() - self._received)
-            if loop.output is not None and self._state_output is not None:
-                self._state_output.publish(stamp, loop.tick, loop.output)
+            start = time.perf_counter_ns()
+            self._last_command = None
+            torque = step()
+            stamp = loop.expected_stamp
+            command = messages.joint_state_message(
+                stamp, loop.config.robot.joint_names, effort=torque)
+            self._step_times.add(time.perf_counter_ns() - start)
+            # The command first: everything else can wait, the robot cannot.
+            self._send(command)
+            self._last_command = command
+            if sampled:
+                self._watch.add_latency(time.monotonic_ns() - self._received)
+                self._show(loop, stamp)
 
     def _send(self, command: JointState) -> None:
-        if self._effort_output is not None:
-            self._effort_output.publish(command)
+        if self._outputs is not None:
+            self._outputs.send(command)
+
+    def _show(self, loop: ControlLoop, stamp: int) -> None:
+        if self._outputs is not None and loop.output is not None:
+            self._outputs.show(stamp, loop.tick, loop.output)
 
     def _guide(self, loop: ControlLoop) -> None:
         """Say what a push test waits for, whenever that changes."""
@@ -361,7 +347,7 @@ def warm_up(loop: ControlLoop) -> None:
         loop.step(PairedSample(0, joints, 0.0 * joints, np.zeros(6)))
         if loop.output is not None:
             pose = loop.output.pose
-            messages.pose_message(0, pose.position_world, pose.quaternion_xyzw, WORLD_FRAME)
+            messages.pose_message(0, pose.position_world, pose.quaternion_xyzw, topics.WORLD_FRAME)
     loop.restart()
 
 

@@ -14,15 +14,7 @@ TROUBLED = (ContactState.LOST.value, ContactState.RETRACTING.value, ContactState
 
 
 class SupervisorReport:
-    """
-    Reports what the supervisor does, and what it did since the last report.
-
-    Parameters
-    ----------
-    loop
-        Whose supervisor.
-
-    """
+    """Reports what the supervisor of a loop does, and what it did since the last report."""
 
     def __init__(self, loop: ControlLoop) -> None:
         self._loop = loop

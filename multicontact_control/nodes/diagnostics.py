@@ -14,6 +14,7 @@ from multicontact_control.nodes.loop_statistics import Freshness
 from rclpy.node import Node
 
 PERIOD = 1_000_000_000  # ns
+STALE_PERIODS = 25  # from which an input at the control rate is stale
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
 
@@ -44,15 +45,7 @@ class Diagnostics:
     Publishes the state of a node when it has time for it.
 
     Not on a timer: it is the node's loop that knows when nobody waits for it, and a second is a
-    second whatever the node takes for its time.
-
-    Parameters
-    ----------
-    node
-        The node.
-    collect
-        Returns what there is to say.
-
+    second whatever the node takes for its time. `collect` returns what there is to say.
     """
 
     def __init__(self, node: Node, collect: Callable[[], Sequence[Status]]) -> None:

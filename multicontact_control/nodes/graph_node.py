@@ -9,11 +9,11 @@ from pathlib import Path
 import time
 from typing import Any
 
-from multicontact_control.compiled import compiled_here
 from multicontact_control.config import Config, parameter, Real
 from multicontact_control.errors import MulticontactError, RunError
 from multicontact_control.files import write_json
 from multicontact_control.nodes import qos
+from multicontact_control.nodes.runtime import loaded_kernels
 from multicontact_control.nodes.topics import Topic
 from multicontact_control.process import claim_processor
 from rclpy.impl.rcutils_logger import RcutilsLogger
@@ -44,7 +44,9 @@ class StartupConfig(Config):
     def write_counts(self, counts: Mapping[str, Any]) -> None:
         """Write the counts and times of a run, and how many kernels it compiled, if asked to."""
         if self.timing_file:
-            write_json(Path(self.timing_file), {**counts, 'kernels_compiled': compiled_here()})
+            kernels = loaded_kernels()
+            write_json(Path(self.timing_file), {
+                **counts, 'kernels_compiled': kernels.compiled_here() if kernels else 0})
 
 
 def create_publisher(node: Node, topic: Topic) -> Publisher:
@@ -62,21 +64,26 @@ def create_subscription(
     return node.create_subscription(topic.message, topic.name, callback, profile)
 
 
+def take(subscription: Subscription) -> tuple[Any, dict[str, Any]] | None:
+    """Return the next message that waits, and what is known of it; no executor is needed."""
+    handle = subscription.handle
+    with handle:
+        taken: tuple[Any, dict[str, Any]] | None = handle.take_message(
+            subscription.msg_type, subscription.raw)
+    return taken
+
+
+def ignore(_message: object) -> None:
+    """Stand in for the callback of a subscription whose messages are taken."""
+
+
 def ready_topic(node_name: str) -> str:
     """Return the topic whose publisher says that a node is ready."""
     return f'_ready/{node_name}'
 
 
 class Refusals:
-    """
-    Counts what was refused, and logs it once per cause.
-
-    Parameters
-    ----------
-    logger
-        Logger of the node.
-
-    """
+    """Counts what was refused, and logs it once per cause."""
 
     def __init__(self, logger: RcutilsLogger) -> None:
         self._logger = logger

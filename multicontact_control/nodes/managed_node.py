@@ -13,7 +13,7 @@ from multicontact_control.config import Config, parameter
 from multicontact_control.errors import MulticontactError
 from multicontact_control.nodes.diagnostics import Diagnostics, Status
 from multicontact_control.nodes.graph_node import Refusals, StartupConfig, StartupGate
-from multicontact_control.nodes.parameter_set import ParameterSet
+from multicontact_control.nodes.parameters import ParameterSet
 from multicontact_control.nodes.runtime import release_memory, settle_process, Spinner
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 

@@ -11,8 +11,11 @@ from typing import Any
 from ament_index_python.packages import get_package_share_directory, PackageNotFoundError
 from multicontact_control.errors import RunError
 from multicontact_control.nodes.runtime import prepare_environment
-from multicontact_control.nodes.tf_message import TF_HASH, TF_TEXT, TF_TYPE
 
+# The one type that is recorded without being installed: the wheels have no tf2_msgs.
+TF_TYPE = 'tf2_msgs/msg/TFMessage'
+TF_TEXT = 'geometry_msgs/TransformStamped[] transforms\n'
+TF_HASH = 'RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087'
 SEPARATOR = '=' * 80
 PRIMITIVES = frozenset((
     'bool', 'byte', 'char', 'float32', 'float64', 'int8', 'uint8', 'int16', 'uint16', 'int32',
@@ -91,7 +94,7 @@ def message_text(type_name: str) -> str:
 
 def _text(type_name: str) -> str:
     if type_name == TF_TYPE:
-        return TF_TEXT  # the one type that is recorded without being installed
+        return TF_TEXT
     return message_file(type_name, '.msg').read_text(encoding='utf-8')
 
 

@@ -2,7 +2,7 @@
 Messages to arrays and back: pure functions, the only place that knows message layouts.
 
 Reading refuses what is not finite, not named as expected or not of the right length; building
-refuses to put a number on a topic that is not finite.
+refuses to put a number on a topic that is not finite. All of them raise `MessageError` for that.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ import math
 from typing import Any
 
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import PoseStamped, WrenchStamped
+from geometry_msgs.msg import PoseStamped, Transform, Twist, WrenchStamped
 from multicontact_control.arrays import Vector
 from multicontact_control.errors import MulticontactError
 from multicontact_control.force.noise import Innovation
+from multicontact_control.nodes.loop_statistics import NANOSECONDS
 from multicontact_control.sampling import JointReading, MotionReading, WrenchReading
 import numpy as np
 from numpy.typing import ArrayLike
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import MultiDOFJointTrajectoryPoint
 
-NANOSECONDS = 1_000_000_000
 LAST_SECOND = 2 ** 31 - 1
 UNIT_QUATERNION_TOLERANCE = 1e-3
 
@@ -56,15 +56,7 @@ class InnovationReading:
 
 
 def stamp_to_ns(stamp: Time) -> int:
-    """
-    Return a time stamp in nanoseconds, exactly.
-
-    Raises
-    ------
-    MessageError
-        If there is more than a second in its nanoseconds.
-
-    """
+    """Return a time stamp in nanoseconds, exactly."""
     nanosec = int(stamp.nanosec)
     if nanosec >= NANOSECONDS:
         raise MessageError('stamp.nanosec', f'below {NANOSECONDS}', nanosec)
@@ -72,22 +64,15 @@ def stamp_to_ns(stamp: Time) -> int:
 
 
 def ns_to_stamp(nanoseconds: int) -> Time:
-    """
-    Return nanoseconds as a time stamp, exactly.
-
-    Raises
-    ------
-    MessageError
-        If their seconds are not a number of 32 bits.
-
-    """
+    """Return nanoseconds as a time stamp, exactly."""
     sec, nanosec = divmod(nanoseconds, NANOSECONDS)
     if not -LAST_SECOND <= sec <= LAST_SECOND:
         raise MessageError('stamp.sec', f'at most {LAST_SECOND}', sec)
     return Time(sec=sec, nanosec=nanosec)
 
 
-def _finite_array(values: ArrayLike, length: int, field: str) -> Vector:
+def finite_array(values: ArrayLike, length: int, field: str) -> Vector:
+    """Return so many numbers as an array."""
     numbers = np.array(values, dtype=np.float64)
     if numbers.shape != (length,):
         raise MessageError(field, f'{length} values', f'{numbers.size}')
@@ -104,7 +89,7 @@ def _ordered(
     found = message.name
     if len(found) != len(names):
         raise MessageError('name', f'{list(names)}', list(found))
-    numbers = _finite_array(values, len(names), field)
+    numbers = finite_array(values, len(names), field)
     if all(a == b for a, b in zip(found, names)):
         return numbers
     if sorted(found) != sorted(names):
@@ -127,11 +112,6 @@ def read_joint_state(
     with_effort
         Whether to read the effort; not every robot measures it.
 
-    Raises
-    ------
-    MessageError
-        If joints are missing, foreign or doubled, or a number is missing or not finite.
-
     """
     effort = None
     if with_effort:
@@ -144,29 +124,13 @@ def read_joint_state(
 
 
 def read_effort(message: JointState, names: Sequence[str]) -> NamedReading:
-    """
-    Read one effort per name: joint torques [N m], contact forces [N] or their variance [N^2].
-
-    Raises
-    ------
-    MessageError
-        If names are missing, foreign or doubled, or a number is missing or not finite.
-
-    """
+    """Read one effort per name: joint torques [N m], contact forces [N] or variances [N^2]."""
     return NamedReading(
         stamp_to_ns(message.header.stamp), _ordered(message, names, 'effort', message.effort))
 
 
 def read_innovation(message: JointState, names: Sequence[str]) -> InnovationReading:
-    """
-    Read innovations: effort r [N], velocity C P_1 C^T and position R used [N^2] per contact.
-
-    Raises
-    ------
-    MessageError
-        If names are missing, foreign or doubled, or a number is missing or not finite.
-
-    """
+    """Read innovations: effort r [N], velocity C P_1 C^T and position R used [N^2] per contact."""
     return InnovationReading(stamp_to_ns(message.header.stamp), Innovation(
         innovation=_ordered(message, names, 'effort', message.effort),
         prior_variance=_ordered(message, names, 'velocity', message.velocity),
@@ -174,113 +138,72 @@ def read_innovation(message: JointState, names: Sequence[str]) -> InnovationRead
 
 
 def read_some_efforts(message: JointState, names: Sequence[str]) -> dict[str, float]:
-    """
-    Read efforts for some of the names.
-
-    Raises
-    ------
-    MessageError
-        If a name is not among `names` or doubled, or a number is missing or not finite.
-
-    """
+    """Read efforts for some of the names."""
     found = list(message.name)
     if not found or len(set(found)) != len(found) or not set(found) <= set(names):
         raise MessageError('name', f'distinct names among {list(names)}', found)
-    values = _finite_array(message.effort, len(found), 'effort')
+    values = finite_array(message.effort, len(found), 'effort')
     return {name: float(value) for name, value in zip(found, values)}
 
 
 def read_wrench(message: WrenchStamped) -> WrenchReading:
-    """
-    Read a wrench, force first.
-
-    Raises
-    ------
-    MessageError
-        If a number is not finite.
-
-    """
+    """Read a wrench, force first."""
     force, torque = message.wrench.force, message.wrench.torque
     values = (force.x, force.y, force.z, torque.x, torque.y, torque.z)
     return WrenchReading(
-        stamp_to_ns(message.header.stamp), _finite_array(values, 6, 'wrench'))
+        stamp_to_ns(message.header.stamp), finite_array(values, 6, 'wrench'))
 
 
 def read_motion(message: MultiDOFJointTrajectoryPoint) -> MotionReading:
-    """
-    Read a commanded motion of one body; twist and acceleration are zero if they are left out.
-
-    Raises
-    ------
-    MessageError
-        If there is not exactly one pose, a number is not finite, or the quaternion is not of
-        unit length.
-
-    """
+    """Read a commanded motion of one body; twist and acceleration are zero if left out."""
     if len(message.transforms) != 1:
         raise MessageError('transforms', 'one pose', f'{len(message.transforms)}')
     pose = message.transforms[0]
-    position = _finite_array(
+    position = finite_array(
         (pose.translation.x, pose.translation.y, pose.translation.z), 3, 'translation')
     rotation = pose.rotation
-    quaternion = _finite_array(
+    quaternion = finite_array(
         (rotation.x, rotation.y, rotation.z, rotation.w), 4, 'rotation')
     norm = float(np.linalg.norm(quaternion))
     if abs(norm - 1.0) > UNIT_QUATERNION_TOLERANCE:
         raise MessageError('rotation', 'a quaternion of unit length', f'length {norm:.6g}')
     return MotionReading(
-        position, quaternion / norm, _twist(message.velocities, 'velocities'),
-        _twist(message.accelerations, 'accelerations'))
+        position, quaternion / norm, _read_twist(message.velocities, 'velocities'),
+        _read_twist(message.accelerations, 'accelerations'))
 
 
-def _twist(twists: Sequence[Any], field: str) -> Vector:
+def _read_twist(twists: Sequence[Any], field: str) -> Vector:
     if not twists:
         return np.zeros(6)
     if len(twists) != 1:
         raise MessageError(field, 'at most one', f'{len(twists)}')
     linear, angular = twists[0].linear, twists[0].angular
     values = (linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
-    return _finite_array(values, 6, field)
+    return finite_array(values, 6, field)
 
 
 def joint_state_message(
     stamp: int, names: Sequence[str], *, position: ArrayLike | None = None,
     velocity: ArrayLike | None = None, effort: ArrayLike | None = None, frame_id: str = '',
 ) -> JointState:
-    """
-    Build a named list of numbers.
-
-    Raises
-    ------
-    MessageError
-        If a number is not finite or there is not one per name.
-
-    """
+    """Build a named list of numbers."""
     message = JointState()
     message.header.stamp = ns_to_stamp(stamp)
     message.header.frame_id = frame_id
     message.name = list(names)
     count = len(names)
     if position is not None:
-        message.position = array('d', _finite_array(position, count, 'position').tobytes())
+        message.position = array('d', finite_array(position, count, 'position').tobytes())
     if velocity is not None:
-        message.velocity = array('d', _finite_array(velocity, count, 'velocity').tobytes())
+        message.velocity = array('d', finite_array(velocity, count, 'velocity').tobytes())
     if effort is not None:
-        message.effort = array('d', _finite_array(effort, count, 'effort').tobytes())
+        message.effort = array('d', finite_array(effort, count, 'effort').tobytes())
     return message
 
 
 def wrench_message(stamp: int, wrench: ArrayLike, frame_id: str) -> WrenchStamped:
-    """
-    Build a wrench, force first.
-
-    Raises
-    ------
-    MessageError
-        If a number is not finite or there are not six.
-
-    """
-    values = _finite_array(wrench, 6, 'wrench').tolist()
+    """Build a wrench, force first."""
+    values = finite_array(wrench, 6, 'wrench').tolist()
     message = WrenchStamped()
     message.header.stamp = ns_to_stamp(stamp)
     message.header.frame_id = frame_id
@@ -292,17 +215,9 @@ def wrench_message(stamp: int, wrench: ArrayLike, frame_id: str) -> WrenchStampe
 def pose_message(
     stamp: int, position_world: ArrayLike, quaternion_xyzw: ArrayLike, frame_id: str,
 ) -> PoseStamped:
-    """
-    Build a pose.
-
-    Raises
-    ------
-    MessageError
-        If a number is not finite, or there are not three and four.
-
-    """
-    position = _finite_array(position_world, 3, 'position').tolist()
-    quaternion = _finite_array(quaternion_xyzw, 4, 'orientation').tolist()
+    """Build a pose."""
+    position = finite_array(position_world, 3, 'position').tolist()
+    quaternion = finite_array(quaternion_xyzw, 4, 'orientation').tolist()
     message = PoseStamped()
     message.header.stamp = ns_to_stamp(stamp)
     message.header.frame_id = frame_id
@@ -310,3 +225,26 @@ def pose_message(
     point.x, point.y, point.z = position
     rotation.x, rotation.y, rotation.z, rotation.w = quaternion
     return message
+
+
+def motion_message(
+    position_world: ArrayLike, quaternion_xyzw: ArrayLike, twist_world: ArrayLike,
+    acceleration_world: ArrayLike,
+) -> MultiDOFJointTrajectoryPoint:
+    """Build a commanded motion of the operational point; twist and acceleration linear first."""
+    pose = Transform()
+    pose.translation.x, pose.translation.y, pose.translation.z = finite_array(
+        position_world, 3, 'translation').tolist()
+    pose.rotation.x, pose.rotation.y, pose.rotation.z, pose.rotation.w = finite_array(
+        quaternion_xyzw, 4, 'rotation').tolist()
+    return MultiDOFJointTrajectoryPoint(
+        transforms=[pose], velocities=[_twist(twist_world, 'velocities')],
+        accelerations=[_twist(acceleration_world, 'accelerations')])
+
+
+def _twist(values: ArrayLike, field: str) -> Twist:
+    numbers = finite_array(values, 6, field).tolist()
+    twist = Twist()
+    twist.linear.x, twist.linear.y, twist.linear.z = numbers[:3]
+    twist.angular.x, twist.angular.y, twist.angular.z = numbers[3:]
+    return twist

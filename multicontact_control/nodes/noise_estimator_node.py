@@ -11,7 +11,12 @@ from multicontact_control.config import NoiseEstimatorConfig
 from multicontact_control.errors import ConfigError
 from multicontact_control.force.noise import Innovation, make_noise_estimator, NoiseEstimator
 from multicontact_control.nodes import messages, topics
-from multicontact_control.nodes.diagnostics import input_status, message_status, Status
+from multicontact_control.nodes.diagnostics import (
+    input_status,
+    message_status,
+    STALE_PERIODS,
+    Status,
+)
 from multicontact_control.nodes.graph_node import (
     create_publisher,
     create_subscription,
@@ -27,7 +32,6 @@ from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 
 MAX_INNOVATIONS = 8
-STALE_PERIODS = 25
 
 
 class NoiseEstimatorNode(ManagedNode):

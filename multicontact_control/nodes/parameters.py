@@ -1,33 +1,41 @@
 """
-ROS parameters from configuration models.
+ROS parameters from configuration models, and back.
 
 A model of `multicontact_control.config` says name, type, default, unit, description and range of
 every value. Here each becomes a ROS parameter: nested fields get dotted names, a mapping such as
-``contacts`` one set of parameters per name in ``contact_names``.
+``contacts`` one set of parameters per name in ``contact_names``. A managed node keeps them in a
+`ParameterSet`, loaded when it configures and changed while it runs; the others load them once.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+import copy
 from dataclasses import dataclass
 import sys
 from types import NoneType
 import typing
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal
 
 from multicontact_control.config import Config, validate
-from multicontact_control.errors import ConfigError
+from multicontact_control.errors import ConfigError, MulticontactError
 from pydantic.fields import FieldInfo
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 Type = Parameter.Type
-ModelT = TypeVar('ModelT', bound=Config)
+Check = Callable[[Sequence[Any]], None]
 
 NAMES_OF_MAPPINGS = 'contact_names'
 SET_BY_ROS = ('use_sim_time', 'start_type_description_service', 'qos_overrides')
 INTEGER_LIMIT = 2 ** 63 - 1
+LOCKED = 'can be changed only while the node is unconfigured'
 
 _SCALAR_TYPES = {bool: Type.BOOL, int: Type.INTEGER, float: Type.DOUBLE, str: Type.STRING}
 _ARRAY_TYPES = {
@@ -226,46 +234,6 @@ def refuse_unknown_keys(values: Mapping[str, Any], models: Sequence[type[Config]
                 key, f'a known parameter ({", ".join(sorted(known))})', f"unknown '{key}'")
 
 
-def load_parameters(node: Node, *models: type[Config]) -> list[Any]:
-    """
-    Declare the parameters of some models on a node and return their validated configurations.
-
-    Parameters
-    ----------
-    node
-        The node.
-    models
-        Configuration classes without common field names.
-
-    Returns
-    -------
-    list of Config
-        One frozen configuration per model.
-
-    Raises
-    ------
-    ConfigError
-        Naming the first parameter that is unknown, missing or not acceptable.
-
-    """
-    overrides = parameter_overrides(node)
-    refuse_unknown_keys(nested(overrides), models)
-    configs = []
-    for model in models:
-        specs = list(parameter_specs(model, overrides))
-        values = {
-            spec.name: parameter_value(spec, overrides) for spec in specs
-            if spec.name in overrides or spec.default is not None}
-        # Names without a declaration are kept, for the model to refuse them by name.
-        unknown = {
-            name: value for name, value in overrides.items()
-            if name.split('.')[0] in model.model_fields and name not in values}
-        configs.append(validate(model, nested({**unknown, **values})))
-        for spec in specs:
-            _declare(node, spec, values.get(spec.name))
-    return configs
-
-
 def parameter_value(spec: ParameterSpec, overrides: Mapping[str, Any]) -> Any:
     """
     Return the given or default value of a parameter, None if there is neither.
@@ -283,15 +251,183 @@ def parameter_value(spec: ParameterSpec, overrides: Mapping[str, Any]) -> Any:
     return list(value) if spec.type in _ARRAY_TYPES.values() else value
 
 
-def _declare(node: Node, spec: ParameterSpec, value: Any) -> None:
+class ParameterSet:
     """
-    Declare one parameter.
+    Declares the parameters of some models, and turns their values into configurations.
 
-    An empty list has no type of its own in rclpy, so the type is declared first, the value set,
-    and only then the parameter made read-only.
+    A value that cannot be declared as what it should be is kept, so that `configurations` can
+    refuse it by name; setting a better one repairs that. Once `lock` has been called, a change
+    must be of a live parameter, lead to valid configurations and pass the node's own check;
+    only then the whole new configurations are handed to the node.
+
+    Parameters
+    ----------
+    node
+        The node.
+    models
+        Configuration classes without common field names.
+    constraint
+        What is said of the parameters that are not live.
+
     """
-    open_descriptor = ParameterDescriptor(name=spec.name, type=spec.type.value)
-    node.declare_parameter(spec.name, spec.type, open_descriptor, ignore_override=True)
-    if value is not None:
-        node.set_parameters([Parameter(spec.name, spec.type, value)])
-    node.set_descriptor(spec.name, spec.descriptor)
+
+    def __init__(
+        self, node: Node, *models: type[Config], constraint: str = LOCKED,
+    ) -> None:
+        self._node, self._models, self._constraint = node, models, constraint
+        self._given = parameter_overrides(node)
+        self._specs = {
+            spec.name: spec for model in models for spec in parameter_specs(model, self._given)}
+        self._live = {x.name for x in self._specs.values() if not x.descriptor.read_only}
+        self._undeclared = {
+            name: value for name, value in self._given.items()
+            if name not in self._specs or not self._declare(self._specs[name])}
+        for name, spec in self._specs.items():
+            if name not in self._given:
+                self._declare(spec)
+        self._check: Check | None = None
+        self._apply: Check | None = None
+        self._pending: list[Any] | None = None
+        self.refused: Callable[[str, Exception], None] = lambda name, error: None
+        node.add_on_set_parameters_callback(self._on_set)
+        node.add_post_set_parameters_callback(self._on_applied)
+
+    def lock(self, check: Check, apply: Check) -> None:
+        """
+        Let only live parameters change from now on.
+
+        Parameters
+        ----------
+        check
+            Called with new configurations; raises `MulticontactError` if they cannot be used.
+        apply
+            Called with them once they are in force.
+
+        """
+        self._check, self._apply = check, apply
+
+    def unlock(self) -> None:
+        """Let every parameter change, to be validated when it is used."""
+        self._check = self._apply = None
+
+    def freeze(self) -> None:
+        """Make all but the live parameters read-only for good."""
+        for name in set(self._specs) - self._live:
+            # Not in place: the node has the descriptor itself, and would refuse to change it.
+            descriptor = copy.deepcopy(self._specs[name].descriptor)
+            descriptor.read_only = True
+            self._node.set_descriptor(name, descriptor)
+
+    def configurations(self, changes: Mapping[str, Any] | None = None) -> list[Any]:
+        """
+        Return one frozen configuration per model, of the present values.
+
+        Parameters
+        ----------
+        changes
+            Values by dotted name to use instead.
+
+        Raises
+        ------
+        ConfigError
+            Naming the first parameter that is unknown, missing or not acceptable.
+
+        """
+        values = {**self._undeclared, **self._values(self._specs), **(changes or {})}
+        refuse_unknown_keys(nested(values), self._models)
+        return [
+            validate(model, nested({
+                name: value for name, value in values.items()
+                if name.split('.')[0] in model.model_fields})) for model in self._models]
+
+    def value(self, name: str) -> Any:
+        """Return the present value of one parameter, None if it has none."""
+        return self._values([name]).get(name)
+
+    def assign(self, name: str, value: Any) -> None:
+        """
+        Change a parameter as its user could.
+
+        Raises
+        ------
+        ConfigError
+            If that is refused.
+
+        """
+        parameter = Parameter(name, self._specs[name].type, value)
+        result = self._node.set_parameters([parameter])[0]
+        if not result.successful:
+            raise ConfigError(name, 'an acceptable value', f'{value} ({result.reason})')
+
+    def _values(self, names: Iterable[str]) -> dict[str, Any]:
+        values = {}
+        for name in names:
+            value = self._node.get_parameter_or(name).value
+            if value is not None:
+                values[name] = _plain(value)
+        return values
+
+    def _declare(self, spec: ParameterSpec) -> bool:
+        """Declare a parameter; return whether its given value could be set."""
+        descriptor = spec.descriptor
+        descriptor.read_only = False  # `lock` decides that, and a descriptor cannot be unlocked
+        if spec.name not in self._live:
+            descriptor.additional_constraints = '; '.join(
+                filter(None, (descriptor.additional_constraints, self._constraint)))
+        self._node.declare_parameter(spec.name, spec.type, descriptor, ignore_override=True)
+        value = parameter_value(spec, self._given)
+        if value is None:
+            return True
+        try:
+            parameter = Parameter(spec.name, spec.type, value)
+        except (ValueError, TypeError, AttributeError):
+            return False  # not of that type
+        return bool(self._node.set_parameters([parameter])[0].successful)
+
+    def _on_set(self, parameters: Sequence[Parameter]) -> SetParametersResult:
+        self._pending = None
+        changes = {x.name: _plain(x.value) for x in parameters if x.name in self._specs}
+        if self._check is None or not changes:
+            return SetParametersResult(successful=True)
+        try:
+            self._refuse_locked(changes)
+            configurations = self.configurations(changes)
+            self._check(configurations)
+        except MulticontactError as error:
+            self.refused(next(iter(changes)), error)
+            return SetParametersResult(successful=False, reason=str(error))
+        self._pending = configurations
+        return SetParametersResult(successful=True)
+
+    def _refuse_locked(self, changes: Mapping[str, Any]) -> None:
+        for name, value in changes.items():
+            if name not in self._live and value != self.value(name):
+                raise ConfigError(name, f'{self.value(name)}: it {LOCKED}', value)
+
+    def _on_applied(self, parameters: Sequence[Parameter]) -> None:
+        for parameter in parameters:
+            self._undeclared.pop(parameter.name, None)
+        if self._pending is not None and self._apply is not None:
+            configurations, self._pending = self._pending, None
+            self._apply(configurations)
+
+
+def _plain(value: Any) -> Any:
+    """Return an array as a list."""
+    return value if isinstance(value, (bool, int, float, str)) else list(value)
+
+
+def load_parameters(node: Node, *models: type[Config]) -> list[Any]:
+    """
+    Declare the parameters of some models on a node and return their configurations, for good.
+
+    Raises
+    ------
+    ConfigError
+        Naming the first parameter that is unknown, missing or not acceptable.
+
+    """
+    parameters = ParameterSet(node, *models, constraint='')
+    configurations = parameters.configurations()
+    parameters.freeze()
+    return configurations

@@ -11,9 +11,10 @@ from __future__ import annotations
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 
-def _profile(
+def profile(
     depth: int, *, reliable: bool = True, latched: bool = False,
 ) -> QoSProfile:
+    """Return a profile that keeps the newest messages."""
     return QoSProfile(
         depth=depth,
         history=HistoryPolicy.KEEP_LAST,
@@ -21,34 +22,34 @@ def _profile(
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE)
 
 
-STREAM = _profile(5000)
+STREAM = profile(5000)
 """Publishers at the control rate: 10 s at 500 Hz for a recorder that gets no processor."""
 
-INPUT = _profile(10)
+INPUT = profile(10)
 """Readers at the control rate: 20 ms at 500 Hz; what is older than that is of no use to them."""
 
-NEWEST = _profile(4)
+NEWEST = profile(4)
 """The controller's inputs in real time: one that was late by a few periods catches up, one that
 was late by more goes on with the newest samples. What it overtakes is counted; to work through it
 one by one would keep it late. Not in lockstep, where nobody is late."""
 
-COMMAND = _profile(10)
+COMMAND = profile(10)
 """What a user sends now and then: no command may be lost, nor an old one be replayed."""
 
-REPORT = _profile(10)
+REPORT = profile(10)
 """Diagnostics: one a second and node; a viewer that is late wants the last few of each."""
 
-RECORDING = _profile(5000)
+RECORDING = profile(5000)
 """The recorder: 10 s at 500 Hz, so that a slow disk or a busy machine costs nothing."""
 
-RECORDING_LATCHED = _profile(10, latched=True)
+RECORDING_LATCHED = profile(10, latched=True)
 """The recorder, of descriptions: also what was said before it came."""
 
-DISPLAY = _profile(25)
+DISPLAY = profile(25)
 """For viewers: 1 s at 25 Hz, reliable so that the recording has them all."""
 
-GLANCE = _profile(1, reliable=False)
+GLANCE = profile(1, reliable=False)
 """Progress displays: only the newest value counts, and the sender must not wait for it."""
 
-LATCHED = _profile(1, latched=True)
+LATCHED = profile(1, latched=True)
 """Descriptions: whoever comes late still gets the last one."""

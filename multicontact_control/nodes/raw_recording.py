@@ -10,15 +10,19 @@ tells how many are missing.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from operator import itemgetter
 import time
 from typing import Any
 
 from multicontact_control.nodes.bag_writer import BagWriter
+from multicontact_control.nodes.graph_node import ignore, take
 from multicontact_control.nodes.loop_statistics import Freshness
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
+
+FLUSH_PERIOD = 0.5  # s
 
 
 @dataclass
@@ -30,8 +34,6 @@ class Stream:
     ----------
     name
         Full name.
-    message
-        Message class.
     subscription
         Where its bytes come from.
     judged
@@ -43,20 +45,12 @@ class Stream:
     """
 
     name: str
-    message: Any
     subscription: Subscription
     judged: bool = True
     on_message: Callable[[bytes, int, int], None] | None = None
     last_sequence: int = 0
     lost: int = 0
     before_start: int = 0
-
-    def take(self) -> tuple[bytes, dict[str, Any]] | None:
-        """Return the next message and what is known of it."""
-        handle = self.subscription.handle
-        with handle:
-            taken: tuple[bytes, dict[str, Any]] | None = handle.take_message(self.message, True)
-        return taken
 
     def count(self, sequence: int | None) -> None:
         """
@@ -72,15 +66,6 @@ class Stream:
         elif sequence > self.last_sequence:
             self.lost += sequence - self.last_sequence - 1
         self.last_sequence = sequence
-
-
-@dataclass(order=True)
-class _Message:
-    log_time: int
-    stream: Stream = field(compare=False)
-    data: bytes = field(compare=False)
-    publish_time: int = field(compare=False)
-    sequence: int = field(compare=False)
 
 
 class RawRecording:
@@ -106,6 +91,7 @@ class RawRecording:
     def __init__(self, node: Node, writer: BagWriter) -> None:
         self._node = node
         self._writer = writer
+        self._next_flush = 0.0
         self.streams: dict[str, Stream] = {}
         self.fresh = Freshness()
 
@@ -137,15 +123,15 @@ class RawRecording:
         self._writer.add_topic(full, type_name, offered)
         # The callback is never called, since no executor has the node.
         subscription = self._node.create_subscription(
-            message, name, _ignore, requested, raw=True)
-        self.streams[full] = Stream(full, message, subscription, judged)
+            message, name, ignore, requested, raw=True)
+        self.streams[full] = Stream(full, subscription, judged)
         return self.streams[full]
 
     def drain(self) -> int:
-        """Write what has arrived, in the order of arrival; return how much that was."""
+        """Write what has arrived, in the order of arrival; return how many messages that was."""
         messages = []
         for stream in self.streams.values():
-            while (taken := stream.take()) is not None:
+            while (taken := take(stream.subscription)) is not None:
                 data, info = taken
                 sequence = info['publication_sequence_number']
                 stream.count(sequence)
@@ -153,14 +139,15 @@ class RawRecording:
                     self.fresh.note(stream.name)
                 received = info['received_timestamp'] or time.time_ns()
                 sent = info['source_timestamp'] or received
-                messages.append(_Message(received, stream, data, sent, sequence or 0))
-        messages.sort()
-        for message in messages:
-            self._writer.write(
-                message.stream.name, message.data, message.log_time, message.publish_time,
-                message.sequence & 0xFFFFFFFF)
-            if message.stream.on_message is not None:
-                message.stream.on_message(message.data, message.log_time, message.publish_time)
+                messages.append((received, sent, (sequence or 0) & 0xFFFFFFFF, data, stream))
+        messages.sort(key=itemgetter(0))
+        for received, sent, sequence, data, stream in messages:
+            self._writer.write(stream.name, data, received, sent, sequence)
+            if stream.on_message is not None:
+                stream.on_message(data, received, sent)
+        if time.monotonic() >= self._next_flush:
+            self._writer.flush()
+            self._next_flush = time.monotonic() + FLUSH_PERIOD
         return len(messages)
 
     def drain_until_quiet(self, quiet_time: float, timeout: float, period: float) -> None:
@@ -185,7 +172,3 @@ class RawRecording:
             if time.monotonic() - quiet_since >= quiet_time:
                 break
             time.sleep(period)
-
-
-def _ignore(_message: bytes) -> None:
-    pass

@@ -32,7 +32,6 @@ from multicontact_control.nodes.topics import (
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-FLUSH_PERIOD = 0.5
 STALE_AGE = 1.0  # s
 NICENESS = 10  # whoever controls goes first; two seconds of messages can wait
 
@@ -99,14 +98,10 @@ class RecorderNode(Node):
         config = self._config
         yield_to_others(NICENESS)
         self._cpu_at_start = time.process_time()
-        next_flush = time.monotonic()
         while not spinner.stop:
             self._gate.poll()
             self._recording.drain()
             self._diagnostics.poll()
-            if time.monotonic() >= next_flush:
-                self._writer.flush()
-                next_flush = time.monotonic() + FLUSH_PERIOD
             time.sleep(config.poll_period)
         self._recording.drain_until_quiet(
             config.quiet_time, config.drain_timeout, config.poll_period)

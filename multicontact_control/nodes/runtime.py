@@ -19,7 +19,6 @@ import traceback
 from types import FrameType
 from typing import Any, Protocol, TypeVar
 
-from multicontact_control.compiled import compilations_told
 from multicontact_control.errors import ConfigError, MulticontactError
 from multicontact_control.paths import config_dir
 from multicontact_control.process import settle_process
@@ -70,17 +69,7 @@ class StopFlag:
 
 
 class Spinner:
-    """
-    Runs the callbacks of one node.
-
-    Parameters
-    ----------
-    node
-        The node.
-    stop
-        The flag that ends everything.
-
-    """
+    """Runs the callbacks of one node; `stop` is the flag that ends everything."""
 
     def __init__(self, node: Node, stop: StopFlag) -> None:
         self.stop = stop
@@ -234,7 +223,7 @@ def run_node(make_node: Callable[[], NodeT], args: Sequence[str] | None = None) 
     follow_parent()
     try:
         start_ros(args)
-        with compilations_told(_OnceTold(program)):
+        with _compilations_told(program):
             return _run(make_node(), stop)
     except ConfigError as error:
         print(f'{program}: {_one_line(error)}', file=sys.stderr)
@@ -252,19 +241,25 @@ def run_node(make_node: Callable[[], NodeT], args: Sequence[str] | None = None) 
         rclpy.try_shutdown()
 
 
-class _OnceTold:
-    """Says on stderr, at the first kernel, that this process has to compile."""
+def loaded_kernels() -> Any:
+    """Return the module `compiled` where the process has kernels; numba takes 0.3 s to import."""
+    return sys.modules.get('multicontact_control.compiled')
 
-    def __init__(self, program: str) -> None:
-        self._program = program
-        self._told = False
 
-    def __call__(self, kernel: str) -> None:
-        if not self._told:
-            print(f'{self._program}: compiling the numerical kernels, beginning with {kernel}: '
+def _compilations_told(program: str) -> contextlib.AbstractContextManager[None]:
+    """Say on stderr, at the first kernel, that this process has to compile."""
+    told = False
+
+    def tell(kernel: str) -> None:
+        nonlocal told
+        if not told:
+            print(f'{program}: compiling the numerical kernels, beginning with {kernel}: '
                   'this takes a while, once; `multicontact compile` does it beforehand',
                   file=sys.stderr, flush=True)
-        self._told = True
+        told = True
+
+    compiled = loaded_kernels()
+    return compiled.compilations_told(tell) if compiled else contextlib.nullcontext()
 
 
 def _run(node: Any, stop: StopFlag) -> int:

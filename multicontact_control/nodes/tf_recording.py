@@ -1,19 +1,29 @@
-"""Link poses for viewers, worked out by the recorder from what it records anyway."""
+"""
+Link poses for viewers, worked out by the recorder from what it records anyway.
+
+They are of a type that need not be installed: a list of geometry_msgs/TransformStamped, which is
+simple enough to be laid out here.
+"""
 
 from __future__ import annotations
 
-from multicontact_control.dynamics.link_transforms import LinkTransforms
+from collections.abc import Sequence
+import struct
+
+from multicontact_control.dynamics.link_transforms import LinkTransform, LinkTransforms
 from multicontact_control.errors import ConfigError
-from multicontact_control.nodes import messages, qos
+from multicontact_control.nodes import qos
 from multicontact_control.nodes.bag_writer import BagWriter
-from multicontact_control.nodes.tf_message import tf_bytes, TF_TYPE
+from multicontact_control.nodes.loop_statistics import NANOSECONDS
+from multicontact_control.nodes.message_definitions import TF_TYPE
+from multicontact_control.nodes.topics import WORLD_FRAME
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 TF_TOPIC = '/tf'
-WORLD_FRAME = 'world'
+CDR_LITTLE_ENDIAN = b'\x00\x01\x00\x00'
 
 
 class TfRecording:
@@ -56,7 +66,7 @@ class TfRecording:
         if self._links is None:
             return
         # The stamp stands first in the message: no need to decode what is not used.
-        stamp = (int.from_bytes(data[4:8], 'little', signed=True) * messages.NANOSECONDS
+        stamp = (int.from_bytes(data[4:8], 'little', signed=True) * NANOSECONDS
                  + int.from_bytes(data[8:12], 'little'))
         if 0 <= stamp - self._last < self._period:
             return
@@ -68,3 +78,37 @@ class TfRecording:
         transforms = self._links.at(dict(zip(joints.name, joints.position)))
         self._writer.write(
             TF_TOPIC, tf_bytes(stamp, transforms), log_time, publish_time, self._sequence)
+
+
+def tf_bytes(stamp: int, transforms: Sequence[LinkTransform]) -> bytes:
+    """
+    Return a TFMessage as CDR, with its encapsulation header.
+
+    Parameters
+    ----------
+    stamp
+        Time of all transforms [ns].
+    transforms
+        The poses.
+
+    """
+    # Alignment counts from the end of the encapsulation header.
+    body = bytearray(struct.pack('<I', len(transforms)))
+    for transform in transforms:
+        _align(body, 4)
+        body += struct.pack('<iI', *divmod(stamp, NANOSECONDS))
+        _add_string(body, transform.parent)
+        _add_string(body, transform.child)
+        _align(body, 8)
+        body += struct.pack('<7d', *transform.translation, *transform.quaternion_xyzw)
+    return CDR_LITTLE_ENDIAN + bytes(body)
+
+
+def _align(body: bytearray, size: int) -> None:
+    body += bytes(-len(body) % size)
+
+
+def _add_string(body: bytearray, text: str) -> None:
+    _align(body, 4)
+    data = text.encode() + b'\0'
+    body += struct.pack('<I', len(data)) + data

@@ -28,6 +28,7 @@ RECORDER = 'recorder_node'
 USER = 'user'
 EVERY_NODE = 'every node'
 LOCKSTEP_SIM = 'sim_node in lockstep'
+WORLD_FRAME = 'world'
 
 RateClass = Literal['control', 'event']
 

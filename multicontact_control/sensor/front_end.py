@@ -12,6 +12,7 @@ is at rest: `frozen_ticks` must be 0 for it.
 from __future__ import annotations
 
 from multicontact_control.arrays import require_shape, Vector
+from multicontact_control.butterworth import butterworth
 from multicontact_control.config import SensorFrontEndConfig
 from multicontact_control.errors import ConfigError
 import numpy as np
@@ -109,10 +110,7 @@ class LowPass:
                 raise ConfigError(
                     'sensor.filter_cutoff', f'below the Nyquist frequency {0.5 * rate:g} Hz',
                     f'{config.filter_cutoff:g} Hz')
-            # Only now: it takes a third of the time in which a controller is loaded.
-            from scipy.signal import butter
-
-            self._b, self._a = butter(config.filter_order, config.filter_cutoff, fs=rate)
+            self._b, self._a = butterworth(config.filter_order, config.filter_cutoff, rate)
         self.reset()
 
     def reset(self) -> None:

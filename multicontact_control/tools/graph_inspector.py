@@ -4,42 +4,22 @@ from __future__ import annotations
 
 import os
 import time
-from types import TracebackType
 
 from multicontact_control.errors import RunError
-from multicontact_control.nodes.guest import GuestNode
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from multicontact_control.nodes import qos
+from multicontact_control.nodes.link import GuestNode
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 DISCOVERY_POLL = 0.02
 POLL_PERIOD = 0.005
 
 
-class GraphInspector:
-    """
-    A hidden node; to be used in a with statement.
-
-    Parameters
-    ----------
-    domain_id
-        ROS domain; that of the environment by default.
-
-    """
+class GraphInspector(GuestNode):
+    """A hidden node; to be used in a with statement."""
 
     def __init__(self, domain_id: int | None = None) -> None:
-        self._guest = GuestNode(f'_multicontact_{os.getpid()}', domain_id)
-        self.node = self._guest.node
-
-    def __enter__(self) -> GraphInspector:
-        """Return the onlooker itself."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Leave the graph."""
-        self._guest.close()
+        super().__init__(f'_multicontact_{os.getpid()}', domain_id)
 
     def topics(self) -> dict[str, list[str]]:
         """Return the types by topic, of those that are not hidden and that someone publishes."""
@@ -76,21 +56,8 @@ def full_name(topic: str) -> str:
 
 
 def matching_profile(publishers: list[TopicEndpointInfo], depth: int) -> QoSProfile:
-    """
-    Return the best quality of service that all publishers of a topic can give.
-
-    Parameters
-    ----------
-    publishers
-        What is known of them.
-    depth
-        Messages to keep until they are looked at.
-
-    """
+    """Return the best quality of service that all publishers of a topic can give."""
     offered = [info.qos_profile for info in publishers]
     reliable = all(x.reliability == ReliabilityPolicy.RELIABLE for x in offered)
     latched = all(x.durability == DurabilityPolicy.TRANSIENT_LOCAL for x in offered)
-    return QoSProfile(
-        depth=depth, history=HistoryPolicy.KEEP_LAST,
-        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE)
+    return qos.profile(depth, reliable=reliable, latched=latched)

@@ -19,7 +19,7 @@ from multicontact_control.tools.graph_inspector import (
 )
 
 DEPTH = 1000
-DISCOVERY_PERIOD, FLUSH_PERIOD = 0.1, 0.5
+DISCOVERY_PERIOD = 0.1
 
 
 def record(
@@ -61,18 +61,16 @@ def record(
         raise ConfigError('--output', 'a folder that does not exist yet', str(folder))
     with GraphInspector(domain_id) as onlooker, BagWriter(folder) as writer:
         recording = RawRecording(onlooker.node, writer)
-        search = _Search(onlooker, recording, topics, say)
+        wanted = {full_name(topic) for topic in topics}
+        done: set[str] = set()
         say('Recording... Press Ctrl-C to stop.')
-        next_look = next_flush = time.monotonic()
+        next_look = time.monotonic()
         while not stop:
             now = time.monotonic()
             if now >= next_look:
-                search.look()
+                _record_new(onlooker, recording, wanted, done, say)
                 next_look = now + DISCOVERY_PERIOD
             recording.drain()
-            if now >= next_flush:
-                writer.flush()
-                next_flush = now + FLUSH_PERIOD
             time.sleep(POLL_PERIOD)
         recording.drain()  # what came before the interrupt; others may publish for ever
         for stream in recording.streams.values():
@@ -83,34 +81,22 @@ def record(
     return writer.message_count
 
 
-class _Search:
-    """Finds topics to record as they appear."""
-
-    def __init__(
-        self, onlooker: GraphInspector, recording: RawRecording, topics: Sequence[str],
-        say: Callable[[str], None],
-    ) -> None:
-        self._onlooker = onlooker
-        self._recording = recording
-        self._wanted = {full_name(topic) for topic in topics}
-        self._done: set[str] = set()
-        self._say = say
-
-    def look(self) -> None:
-        for name in self._wanted or self._onlooker.topics():
-            if name in self._done:
-                continue
-            publishers = self._onlooker.publishers(name)
-            if not publishers:
-                continue
-            self._done.add(name)
-            type_name = publishers[0].topic_type
-            try:
-                self._recording.add(
-                    name, message_class(type_name), type_name,
-                    offered=publishers[0].qos_profile,
-                    requested=matching_profile(publishers, DEPTH), judged=len(publishers) == 1)
-            except RunError as error:
-                self._say(f"Not subscribed to topic '{name}': {error}")
-            else:
-                self._say(f"Subscribed to topic '{name}'")
+def _record_new(
+    onlooker: GraphInspector, recording: RawRecording, wanted: set[str], done: set[str],
+    say: Callable[[str], None],
+) -> None:
+    """Begin to record what is published, wanted (everything, if nothing is named) and not done."""
+    for name in sorted((wanted or set(onlooker.topics())) - done):
+        publishers = onlooker.publishers(name)
+        if not publishers:
+            continue
+        done.add(name)
+        type_name = publishers[0].topic_type
+        try:
+            recording.add(
+                name, message_class(type_name), type_name, offered=publishers[0].qos_profile,
+                requested=matching_profile(publishers, DEPTH), judged=len(publishers) == 1)
+        except RunError as error:
+            say(f"Not subscribed to topic '{name}': {error}")
+        else:
+            say(f"Subscribed to topic '{name}'")

@@ -3,7 +3,7 @@
 import os
 
 from multicontact_control.experiment.graph.domain import reserve_domain
-from multicontact_control.nodes.guest import GuestNode
+from multicontact_control.nodes.link import GuestNode
 import pytest
 from ros_graph import Middleware
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from fake_arm import FakeArm, PARAMETERS
 from geometry_msgs.msg import Transform
-from multicontact_control.experiment.graph.lifecycle import LifecycleDriver
 from multicontact_control.nodes import messages
+from multicontact_control.nodes.link import LifecycleDriver
 from multicontact_control.paths import config_dir
 import numpy as np
 import pytest

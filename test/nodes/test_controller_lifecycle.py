@@ -6,7 +6,7 @@ import re
 
 from fake_arm import EFFORT, FakeArm
 from fake_arm import PARAMETERS as STILL
-from multicontact_control.experiment.graph.lifecycle import (
+from multicontact_control.nodes.link import (
     ACTIVATE,
     CLEAN_UP,
     CONFIGURE,

@@ -13,7 +13,7 @@ from multicontact_control.experiment.graph.domain import reserve_domain
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.controller_node import ControllerNode
 from multicontact_control.nodes.managed_node import SUCCESS
-from multicontact_control.nodes.parameter_set import LOCKED
+from multicontact_control.nodes.parameters import LOCKED
 from multicontact_control.nodes.runtime import Spinner, StopFlag
 from multicontact_control.paths import config_dir
 import numpy as np

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from multicontact_control.experiment.graph.lifecycle import ACTIVATE, CONFIGURE, LifecycleDriver
 from multicontact_control.experiment.push_trial import fault_mounting
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.nodes import messages, qos, topics
+from multicontact_control.nodes.link import ACTIVATE, CONFIGURE, LifecycleDriver
 from multicontact_control.sensor.push_config import PushTestConfig
 import pytest
 from ros_graph import Middleware, wait_for

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from diagnostic_msgs.msg import DiagnosticArray
-from multicontact_control.experiment.graph.lifecycle import (
+from multicontact_control.nodes import messages, qos, topics
+from multicontact_control.nodes.link import (
     ACTIVATE,
     CLEAN_UP,
     CONFIGURE,
@@ -11,7 +12,6 @@ from multicontact_control.experiment.graph.lifecycle import (
     LifecycleDriver,
     SHUT_DOWN,
 )
-from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.paths import config_dir
 import numpy as np
 import pytest

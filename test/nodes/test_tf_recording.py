@@ -3,9 +3,8 @@
 from multicontact_control.dynamics.link_transforms import LinkTransform
 from multicontact_control.nodes import messages
 from multicontact_control.nodes.bag_writer import BagWriter
-from multicontact_control.nodes.message_definitions import message_hash, message_text
-from multicontact_control.nodes.tf_message import tf_bytes, TF_TYPE
-from multicontact_control.nodes.tf_recording import TfRecording
+from multicontact_control.nodes.message_definitions import message_hash, message_text, TF_TYPE
+from multicontact_control.nodes.tf_recording import tf_bytes, TfRecording
 from multicontact_control.paths import config_dir
 import pytest
 from rclpy.logging import get_logger

@@ -2,9 +2,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from sim_bridge.config import load_preset
-from sim_bridge.drives import FlexibleDrives
-from sim_bridge.joint_friction import FRICTION
+from sim_bridge.drives import FlexibleDrives, implicit_joint_speed, RigidDrives
+from sim_bridge.joint_friction import FRICTION, friction_torque, joint_friction
+from sim_bridge.kinematics import mass_matrix
 
+STEP = 1e-3
 NO_FRICTION = np.array([(0.0, 0.0, 0.0, 1e-3)] * 2, dtype=FRICTION)
 
 
@@ -16,7 +18,7 @@ def test_flexible_drives_conserve_energy_without_damping():
     q, qd, torque = np.zeros(2), np.array([0.5, -0.5]), np.zeros(2)
     energy, momentum = [], []
     for _ in range(20000):
-        drives.advance(np.zeros(2), q, qd, torque)
+        drives.advance(np.zeros(2), np.zeros(2), q, qd, torque)
         qd += step * torque / wheel
         q += step * qd
         twist = drives.q - q
@@ -34,7 +36,7 @@ def test_flexible_drives_rest_with_springs_wound_up():
     q, load, torque = np.array([0.3, -0.2]), np.array([30.0, -5.0]), np.zeros(2)
     drives.reset(q, load)
     for _ in range(100):
-        drives.advance(load, q, np.zeros(2), torque)
+        drives.advance(load, np.zeros(2), q, np.zeros(2), torque)
     np.testing.assert_allclose(torque, load, rtol=1e-9)
     np.testing.assert_allclose(drives.qd, 0.0, atol=1e-12)
 
@@ -48,3 +50,51 @@ def test_drive_modes_with_locked_rotors_are_the_noted_ones(model):
     squares = np.linalg.eigvals(np.linalg.solve(mass_matrix, np.diag(config.drive_stiffness)))
     modes = np.sort(np.sqrt(squares.real)) / (2 * np.pi)
     np.testing.assert_allclose(modes, [16, 21, 33, 78, 104, 192], rtol=0.1)
+
+
+@pytest.fixture
+def arm_with_rotors(robot, model):
+    model.armature = np.array(robot.exact_armature)
+    return model
+
+
+def test_rigid_drives_make_bare_links_accelerate_as_with_rotors(robot, arm_with_rotors, rng):
+    model = arm_with_rotors
+    drives = RigidDrives(model, joint_friction(robot, 0.0, 1e-3), STEP)
+    bare = model.copy()
+    bare.armature = np.zeros(6)
+    for _ in range(5):
+        q, qd, torque, load = rng.uniform(-1, 1, (4, 6))
+        applied = np.empty(6)
+        drives.advance(torque, load, q, qd, applied)
+        found = pin.aba(bare, bare.createData(), q, qd, applied + load)
+        expected = pin.aba(model, model.createData(), q, qd, torque + load)
+        np.testing.assert_allclose(found, expected, atol=1e-9)
+
+
+def test_implicit_joint_speed_solves_its_equation(robot, arm_with_rotors, rng):
+    model, table = arm_with_rotors, joint_friction(robot, 1.0, 1e-3)
+    for _ in range(50):
+        inertia = mass_matrix(model, model.createData(), rng.uniform(-1, 1, 6))
+        free = rng.standard_normal(6) * 10 ** rng.uniform(-6, 0.5, 6)
+        speed = np.zeros(6)
+        implicit_joint_speed(free, STEP, inertia, table, speed)
+        friction = [friction_torque(v, row) for v, row in zip(speed, table, strict=True)]
+        residual = inertia @ (speed - free) + STEP * np.array(friction)
+        np.testing.assert_allclose(residual, 0.0, atol=1e-10)
+
+
+def test_rigid_drives_with_friction_brake_like_the_implicit_solution(
+        robot, arm_with_rotors, rng):
+    model, table = arm_with_rotors, joint_friction(robot, 0.6, 1e-3)
+    drives = RigidDrives(model, table, STEP)
+    bare = model.copy()
+    bare.armature = np.zeros(6)
+    q, qd, torque = rng.uniform(-1, 1, (3, 6))
+    applied = np.empty(6)
+    drives.advance(torque, np.zeros(6), q, qd, applied)
+    speed = qd + STEP * pin.aba(bare, bare.createData(), q, qd, applied)
+    friction = [friction_torque(v, row) for v, row in zip(speed, table, strict=True)]
+    expected = qd + STEP * pin.aba(
+        model, model.createData(), q, qd, torque - np.array(friction))
+    np.testing.assert_allclose(speed, expected, atol=1e-9)

@@ -10,7 +10,7 @@ import threading
 
 from multicontact_control.experiment.graph.domain import reserve_domain
 from multicontact_control.nodes import messages, qos
-from multicontact_control.nodes.guest import GuestNode
+from multicontact_control.nodes.link import GuestNode
 import pytest
 from rclpy.node import Node
 from ros_graph import end_of, PATIENCE, ROOT, wait_for

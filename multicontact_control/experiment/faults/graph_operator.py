@@ -10,7 +10,7 @@ from multicontact_control.arrays import Vector
 from multicontact_control.experiment.faults.graph_watch import GraphWatch
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.graph_node import create_publisher
-from multicontact_control.nodes.motion_command import motion_message, quintic
+from multicontact_control.quintic import quintic
 import numpy as np
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -105,7 +105,7 @@ class Operator:
         v = s * cosine - dback * sine
         a = -s * w * w * sine - 2.0 * dback * cosine - ddback * sine
         home, home_turn = self._home
-        self.motion_command.publish(motion_message(
+        self.motion_command.publish(messages.motion_message(
             home + back * offset + x * DIRECTION,
             (Rotation.from_rotvec(back * turn_offset) * home_turn).as_quat(),
             np.concatenate([dback * offset + v * DIRECTION, dback * turn_offset]),

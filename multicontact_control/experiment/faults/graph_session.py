@@ -27,12 +27,6 @@ from multicontact_control.experiment.faults.vocabulary import (
     NodeChange,
     Random,
 )
-from multicontact_control.experiment.graph.lifecycle import (
-    ACTIVATE,
-    CONFIGURE,
-    LifecycleDriver,
-    NoAnswerError,
-)
 from multicontact_control.experiment.graph.processes import NodeProcesses
 from multicontact_control.experiment.graph.spec import (
     CONTROLLER,
@@ -44,7 +38,13 @@ from multicontact_control.experiment.graph.spec import (
 )
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.nodes import topics
-from multicontact_control.nodes.guest import GuestNode
+from multicontact_control.nodes.link import (
+    ACTIVATE,
+    CONFIGURE,
+    GuestNode,
+    LifecycleDriver,
+    NoAnswerError,
+)
 import numpy as np
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter

@@ -41,17 +41,7 @@ class NodeEndedError(RunError):
 
 
 class NodeProcesses:
-    """
-    The processes of one graph.
-
-    Parameters
-    ----------
-    spec
-        What to run.
-    domain_id
-        ROS domain it runs in.
-
-    """
+    """The processes of one graph in a ROS domain."""
 
     def __init__(self, spec: GraphSpec, domain_id: int) -> None:
         self._spec = spec

@@ -8,7 +8,8 @@ import math
 from typing import Any
 
 from multicontact_control.nodes import messages, qos, topics
-from multicontact_control.nodes.guest import GuestNode
+from multicontact_control.nodes.graph_node import ignore, take
+from multicontact_control.nodes.link import GuestNode
 
 LOOP_OF_SIM = f'{topics.SIM}: loop'
 
@@ -36,38 +37,26 @@ class GraphProgress:
     missed: int = 0
 
 
-class ProgressListener:
-    """
-    Reads the newest measured forces and reports when asked, and takes no time in between.
-
-    Parameters
-    ----------
-    domain_id
-        ROS domain of the graph.
-    namespace
-        Namespace of the graph.
-
-    """
+class ProgressListener(GuestNode):
+    """Reads the newest measured forces and reports when asked, and takes no time in between."""
 
     def __init__(self, domain_id: int, namespace: str = '') -> None:
-        self._guest = GuestNode('run_progress', domain_id, namespace)
+        super().__init__('run_progress', domain_id, namespace)
         self._forces, self._reports = (
-            self._guest.node.create_subscription(topic.message, topic.name, self._ignore, profile)
+            self.node.create_subscription(topic.message, topic.name, ignore, profile)
             for topic, profile in ((topics.MEASURED_FORCES, qos.GLANCE),
                                    (topics.DIAGNOSTICS, qos.REPORT)))
         self._first: int | None = None
         self._deadlines = self._missed = 0
 
-    def _ignore(self, _message: Any) -> None:
-        pass
-
     def newest(self) -> GraphProgress | None:
         """Return what came last since the last call, if anything."""
-        while (report := _take(self._reports, topics.DIAGNOSTICS)) is not None:
-            self._count_deadlines(report)
-        message = _take(self._forces, topics.MEASURED_FORCES)
-        if message is None:
+        while (report := take(self._reports)) is not None:
+            self._count_deadlines(report[0])
+        taken = take(self._forces)
+        if taken is None:
             return None
+        message = taken[0]
         stamp = messages.stamp_to_ns(message.header.stamp)
         if self._first is None:
             self._first = stamp
@@ -83,15 +72,3 @@ class ProgressListener:
                 values = {entry.key: entry.value for entry in status.values}
                 self._deadlines = int(values['ticks'])
                 self._missed = int(values['deadline_misses_in_all'])
-
-    def close(self) -> None:
-        """Leave the graph."""
-        self._guest.close()
-
-
-def _take(subscription: Any, topic: topics.Topic) -> Any:
-    """Return the next message that waits for a subscription, None without one."""
-    handle = subscription.handle
-    with handle:
-        taken = handle.take_message(topic.message, False)
-    return None if taken is None else taken[0]

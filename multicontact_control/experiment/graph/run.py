@@ -22,15 +22,15 @@ from typing import Any
 
 from multicontact_control.errors import RunError
 from multicontact_control.experiment.graph.domain import reserve_domain
-from multicontact_control.experiment.graph.lifecycle import (
+from multicontact_control.experiment.graph.processes import NodeProcesses
+from multicontact_control.experiment.graph.progress import GraphProgress, ProgressListener
+from multicontact_control.experiment.graph.spec import GraphSpec, MANAGED, SIM
+from multicontact_control.nodes.link import (
     ACTIVATE,
     CONFIGURE,
     LifecycleDriver,
     TransitionError,
 )
-from multicontact_control.experiment.graph.processes import NodeProcesses
-from multicontact_control.experiment.graph.progress import GraphProgress, ProgressListener
-from multicontact_control.experiment.graph.spec import GraphSpec, MANAGED, SIM
 
 WATCH_PERIOD = 0.05
 PROGRESS_PERIOD = 0.2
@@ -103,7 +103,7 @@ def run_graph(
         on_domain(domain_id)
         processes = NodeProcesses(spec, domain_id)
         supervision = StartSupervision(processes, interrupted, on_wait)
-        with contextlib.closing(ProgressListener(domain_id, spec.namespace)) as listener:
+        with ProgressListener(domain_id, spec.namespace) as listener:
             failed = True
             try:
                 processes.start_all()

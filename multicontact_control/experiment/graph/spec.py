@@ -11,10 +11,9 @@ import sys
 from typing import Any
 
 from multicontact_control.nodes.runtime import FOLLOW_PARENT
+from multicontact_control.nodes.topics import CONTROLLER, ESTIMATOR, RECORDER, SIM
 from multicontact_control.process import THREAD_VARIABLES
 
-RECORDER, ESTIMATOR = 'recorder_node', 'noise_estimator_node'
-CONTROLLER, SIM = 'controller_node', 'sim_node'
 START_ORDER = (RECORDER, ESTIMATOR, CONTROLLER, SIM)
 MANAGED = (ESTIMATOR, CONTROLLER)  # in the order in which they are activated
 MODULES = {
@@ -99,13 +98,7 @@ def node_command(
     """
     Return the command line of a node: its installed script, or its module.
 
-    Parameters
-    ----------
-    name, spec
-        The node, and the graph it is of.
-    overrides
-        Parameters over those of the graph.
-
+    `overrides` are parameters over those of the graph.
     """
     script = Path(sys.executable).parent / name
     command = [str(script)] if os.access(script, os.X_OK) else (
@@ -153,8 +146,6 @@ def node_environment(spec: GraphSpec, domain_id: int) -> dict[str, str]:
     environment = dict(os.environ)
     for variable in THREAD_VARIABLES:
         environment.setdefault(variable, '1')
-    environment.setdefault('AMENT_PREFIX_PATH', sys.prefix)
-    environment.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     environment['ROS_DOMAIN_ID'] = str(domain_id)
     environment['ROS_LOG_DIR'] = str((spec.logs / 'ros').resolve())
     environment['PYTHONUNBUFFERED'] = '1'

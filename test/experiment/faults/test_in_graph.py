@@ -37,7 +37,6 @@ from multicontact_control.experiment.faults.vocabulary import (
     PROCESS,
     quick_faults,
 )
-from multicontact_control.experiment.graph.lifecycle import GOALS
 from multicontact_control.experiment.graph.spec import (
     CONTROLLER,
     ESTIMATOR,
@@ -47,7 +46,7 @@ from multicontact_control.experiment.graph.spec import (
 )
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.nodes import messages, topics
-from multicontact_control.nodes.guest import GuestNode
+from multicontact_control.nodes.link import GOALS, GuestNode
 from multicontact_control.supervision.inputs import (
     JointInput,
     TickInputs,

@@ -9,7 +9,7 @@ from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.graph.domain import check_namespace, reserve_domain
 from multicontact_control.experiment.graph.spec import CONTROLLER, GraphSpec, node_command
 from multicontact_control.nodes import qos
-from multicontact_control.nodes.guest import GuestNode
+from multicontact_control.nodes.link import GuestNode
 from multicontact_control.paths import config_dir
 import numpy as np
 import pytest

@@ -2,7 +2,7 @@
 
 from geometry_msgs.msg import PoseStamped, Wrench
 from multicontact_control.errors import ConfigError
-from multicontact_control.tools.message_text import document
+from multicontact_control.tools.echo import document
 import numpy as np
 import pytest
 from sensor_msgs.msg import JointState, PointCloud2

@@ -1,6 +1,8 @@
-"""Pushes at the tool, by a hand that the simulation does not otherwise know."""
+"""Pushes that come and go at set times, by a hand that the simulation does not otherwise know."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 from multicontact_control.arrays import Vector
 from multicontact_control.errors import ConfigError
@@ -8,7 +10,37 @@ import numpy as np
 import pinocchio as pin
 from sim_bridge.config import PlantConfig
 from sim_bridge.kinematics import add_joint_torque, chain_of, forward_kinematics
-from sim_bridge.timed_pushes import push_at
+
+
+def push_at(
+    tick: int, rate: float, start: Sequence[float], duration: Sequence[float],
+    force_world: Sequence[float],
+) -> Vector:
+    """
+    Return the sum of the pushes in the control period that begins with a tick.
+
+    Parameters
+    ----------
+    tick
+        The tick.
+    rate
+        Control rate [Hz].
+    start, duration
+        Of each push [s].
+    force_world
+        x y z of each in turn [N].
+
+    Returns
+    -------
+    Vector
+        World axes, shape (3,) [N].
+
+    """
+    total = np.zeros(3)
+    for i, (begin, length) in enumerate(zip(start, duration, strict=True)):
+        if round(begin * rate) <= tick < round((begin + length) * rate):
+            total += force_world[3 * i:3 * i + 3]
+    return total
 
 
 class ToolPush:

@@ -2,7 +2,7 @@
 
 from multicontact_control.config import ControllerConfig, read_parameters, validate
 from multicontact_control.dynamics.pose import Pose
-from multicontact_control.nodes.contact_markers import ContactMarkers
+from multicontact_control.nodes.controller_outputs import ContactMarkers
 from multicontact_control.paths import config_dir
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ def test_arrows_end_at_the_tips_and_are_as_long_as_their_force(config):
     pose = Pose(np.array([0.5, 0.1, 0.7]), QUARTER_TURN)
     alpha = np.array([10.0, 4.0])
     message = ContactMarkers(config, rate=25.0, scale=0.01).message(
-        STAMP, 'world', pose, alpha, [True, False])
+        STAMP, pose, alpha, [True, False])
     assert len(message.markers) == 2
     for marker, name, force in zip(message.markers, config.contact_names, alpha):
         contact = config.contacts[name]
@@ -42,7 +42,7 @@ def test_arrows_end_at_the_tips_and_are_as_long_as_their_force(config):
 
 def test_contact_without_force_has_no_arrow(config):
     message = ContactMarkers(config, rate=25.0, scale=0.01).message(
-        STAMP, 'world', Pose(np.zeros(3), np.eye(3)), np.array([0.0, -3.0]), [False, False])
+        STAMP, Pose(np.zeros(3), np.eye(3)), np.array([0.0, -3.0]), [False, False])
     assert [marker.action for marker in message.markers] == [Marker.DELETE] * 2
 
 

@@ -7,7 +7,7 @@ import sys
 import xml.etree.ElementTree as ElementTree
 
 from multicontact_control.experiment.graph.domain import reserve_domain
-from multicontact_control.nodes.guest import GuestNode
+from multicontact_control.nodes.link import GuestNode
 import pytest
 
 pytestmark = pytest.mark.ros

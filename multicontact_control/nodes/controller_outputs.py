@@ -1,0 +1,177 @@
+"""What the controller publishes: its command, the state of each tick, and arrows for viewers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from geometry_msgs.msg import Point
+from multicontact_control.arrays import Vector
+from multicontact_control.config import ControllerConfig
+from multicontact_control.control.controller import ControlOutput
+from multicontact_control.dynamics.pose import Pose
+from multicontact_control.nodes import messages, qos, topics
+from multicontact_control.nodes.controller_config import ControllerNodeConfig
+from multicontact_control.nodes.graph_node import create_publisher
+import numpy as np
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from sensor_msgs.msg import JointState
+from std_msgs.msg import ColorRGBA, Float64MultiArray
+from visualization_msgs.msg import Marker, MarkerArray
+
+NAMESPACE = 'contact_forces'
+SHAFT_DIAMETER, HEAD_DIAMETER, HEAD_LENGTH = 0.008, 0.016, 0.02  # m
+SMALLEST_FORCE = 0.2  # N; below it the arrow would be noise
+LIFETIME = 0.5  # s; a viewer drops the arrows of a controller that is gone
+CONTROLLED, FELT = (1.0, 0.45, 0.1), (0.5, 0.5, 0.5)
+
+
+class ControllerOutputs:
+    """
+    The publishers of the controller.
+
+    The bare efforts, if asked for, are what ros2_control's `forward_command_controller` and
+    `joint_group_effort_controller` subscribe to, in the order of the controller's joints.
+
+    Parameters
+    ----------
+    node
+        The controller's node.
+    config, node_config
+        Contacts and rate; topic of the bare efforts and markers.
+
+    Attributes
+    ----------
+    publishers
+        Of the topics of the table.
+
+    """
+
+    def __init__(
+        self, node: Node, config: ControllerConfig, node_config: ControllerNodeConfig,
+    ) -> None:
+        self._node, self._names = node, config.contact_names
+        self.publishers: dict[topics.Topic, Publisher] = {
+            topic: create_publisher(node, topic)
+            for topic in topics.published_by(topics.CONTROLLER)}
+        bare = node_config.effort_output_topic
+        self._bare = node.create_publisher(Float64MultiArray, bare, qos.STREAM) if bare else None
+        self._markers = ContactMarkers(
+            config, rate=node_config.marker_rate, scale=node_config.marker_scale)
+
+    def close(self) -> None:
+        """Free the topics."""
+        for publisher in (*self.publishers.values(), self._bare):
+            if publisher is not None:
+                self._node.destroy_publisher(publisher)
+
+    def send(self, command: JointState) -> None:
+        """Publish a command, and its bare efforts too if asked to."""
+        self.publishers[topics.EFFORT_COMMAND].publish(command)
+        if self._bare is not None:
+            self._bare.publish(Float64MultiArray(data=command.effort))
+
+    def show(self, stamp: int, tick: int, output: ControlOutput) -> None:
+        """
+        Publish forces, innovations, poses and, now and then, markers of a tick.
+
+        Parameters
+        ----------
+        stamp
+            Of its sample [ns].
+        tick
+            Its number.
+        output
+            What the controller made of it.
+
+        Raises
+        ------
+        MessageError
+            If a number is not finite.
+
+        """
+        build, publishers, names = messages.joint_state_message, self.publishers, self._names
+        publishers[topics.MEASURED_FORCES].publish(build(stamp, names, effort=output.alpha_meas))
+        publishers[topics.ESTIMATED_FORCES].publish(build(
+            stamp, names, effort=output.alpha_est, velocity=output.alpha_rate_est))
+        publishers[topics.DESIRED_FORCES].publish(build(stamp, names, effort=output.alpha_des))
+        publishers[topics.INNOVATION].publish(build(
+            stamp, names, position=output.variance_used, velocity=output.prior_variance,
+            effort=output.innovation))
+        for topic, pose in ((topics.POSE, output.pose), (topics.POSE_DESIRED, output.pose_des)):
+            publishers[topic].publish(messages.pose_message(
+                stamp, pose.position_world, pose.quaternion_xyzw, topics.WORLD_FRAME))
+        if self._markers.due(tick):
+            publishers[topics.CONTACT_MARKERS].publish(self._markers.message(
+                stamp, output.pose, output.alpha_meas, output.active))
+
+
+class ContactMarkers:
+    """
+    Turns contact forces into arrows, one per contact, a few times a second.
+
+    An arrow ends at the contact's tip and points into the surface. It is orange where the force
+    is controlled and grey where it is only felt.
+
+    Parameters
+    ----------
+    config
+        Contacts and control rate.
+    rate
+        Messages per second [Hz]; 0 for none.
+    scale
+        Length per force [m/N].
+
+    """
+
+    def __init__(self, config: ControllerConfig, *, rate: float, scale: float) -> None:
+        contacts = [config.contacts[name] for name in config.contact_names]
+        self._names = config.contact_names
+        self._normals_world = np.array([contact.normal_world for contact in contacts])
+        self._points_operational = np.array([contact.point_operational for contact in contacts])
+        self._every = max(1, round(config.rate / rate)) if rate > 0.0 else 0
+        self._scale = scale
+
+    def due(self, tick: int) -> bool:
+        """Return whether the sample `tick` is one to show."""
+        return self._every > 0 and tick % self._every == 0
+
+    def message(
+        self, stamp: int, pose: Pose, alpha: Vector, active: Any,
+    ) -> MarkerArray:
+        """
+        Return the arrows of one sample.
+
+        Parameters
+        ----------
+        stamp
+            Time of the sample [ns].
+        pose
+            Pose of the operational frame.
+        alpha, active
+            Measured forces [N] and which of them are controlled, shape (r,).
+
+        """
+        tips = pose.position_world + self._points_operational @ pose.rotation_world.T
+        tails = tips - self._scale * alpha[:, None] * self._normals_world
+        markers = []
+        for k, name in enumerate(self._names):
+            marker = Marker(ns=f'{NAMESPACE}/{name}', id=k, type=Marker.ARROW)
+            marker.header.frame_id = topics.WORLD_FRAME
+            marker.header.stamp = messages.ns_to_stamp(stamp)
+            marker.pose.orientation.w = 1.0
+            marker.action = Marker.ADD if alpha[k] > SMALLEST_FORCE else Marker.DELETE
+            marker.points = [_point(tails[k]), _point(tips[k])]
+            marker.scale.x, marker.scale.y, marker.scale.z = (
+                SHAFT_DIAMETER, HEAD_DIAMETER, HEAD_LENGTH)
+            red, green, blue = CONTROLLED if active[k] else FELT
+            marker.color = ColorRGBA(r=red, g=green, b=blue, a=1.0)
+            marker.lifetime = Duration(seconds=LIFETIME).to_msg()
+            markers.append(marker)
+        return MarkerArray(markers=markers)
+
+
+def _point(position: Vector) -> Point:
+    x, y, z = position.tolist()
+    return Point(x=x, y=y, z=z)

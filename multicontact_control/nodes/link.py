@@ -1,0 +1,370 @@
+"""
+How a process that is none of the graph's takes part in it: a command, a client, a campaign.
+
+A node of its own in a context that is shared, services, and the life cycle of managed nodes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+import os
+import threading
+import time
+from typing import Any, TypeVar
+
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from multicontact_control.errors import RunError
+from multicontact_control.nodes import qos
+from multicontact_control.nodes.graph_node import create_publisher, take
+from multicontact_control.nodes.runtime import prepare_environment
+from multicontact_control.nodes.topics import Topic
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.subscription import Subscription
+
+CONFIGURE, ACTIVATE = 'configure', 'activate'
+DEACTIVATE, CLEAN_UP, SHUT_DOWN = 'deactivate', 'cleanup', 'shutdown'
+GOALS = {CONFIGURE: 'inactive', ACTIVATE: 'active', DEACTIVATE: 'inactive',
+         CLEAN_UP: 'unconfigured', SHUT_DOWN: 'finalized'}
+# s, for whoever has no time limit of their own: until a node is there, and has done its work.
+PATIENCE = 300.0
+ANSWER_TIMEOUT = 30.0
+FIRST_TIMEOUT = 5.0  # an answer may be lost: then the state tells
+POLL_PERIOD = 0.001
+
+KeepWaiting = Callable[[str], None]
+GuestT = TypeVar('GuestT', bound='GuestNode')
+_lock = threading.Lock()
+_shared: dict[int | None, list[Node]] = {}
+
+
+class NoAnswerError(RunError):
+    """A node does not answer."""
+
+
+class TransitionError(RunError):
+    """A node refused a transition; its log says why."""
+
+    def __init__(self, node_name: str, transition: str) -> None:
+        self.node_name = node_name
+        super().__init__(f'{node_name} refused to {transition}; its log says why')
+
+
+class GuestNode:
+    """
+    A node without parameters and logs, in a context that all guests of a domain share.
+
+    A context is a participant of DDS as long as it has a node. Fast DDS 2.14 can wait for itself
+    for ever when a participant leaves while others come and go, so that a process has one, which
+    leaves with its last guest.
+
+    Parameters
+    ----------
+    name, namespace
+        Of the node.
+    domain_id
+        ROS domain; that of the environment by default.
+
+    Attributes
+    ----------
+    context, node
+        What rclpy calls so.
+
+    """
+
+    def __init__(self, name: str, domain_id: int | None = None, namespace: str = '') -> None:
+        prepare_environment()
+        self._domain_id = domain_id
+        with _lock:
+            guests = _shared.setdefault(domain_id, [])
+            if guests:
+                self.context = guests[0].context
+            else:
+                self.context = Context()
+                self.context.init(args=[], domain_id=domain_id)
+            self.node = Node(
+                name, namespace=namespace, context=self.context, use_global_arguments=False,
+                start_parameter_services=False, enable_rosout=False)
+            guests.append(self.node)
+
+    def __enter__(self: GuestT) -> GuestT:
+        """Return the guest itself."""
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        """Leave the graph."""
+        self.close()
+
+    def close(self) -> None:
+        """Leave the graph."""
+        with _lock:
+            guests = _shared[self._domain_id]
+            guests.remove(self.node)
+            self.node.destroy_node()
+            if not guests:
+                self.context.try_shutdown()
+
+
+class LifecycleDriver(GuestNode):
+    """
+    Calls services and changes the state of managed nodes.
+
+    Parameters
+    ----------
+    domain_id
+        ROS domain of the nodes; that of the environment by default.
+    keep_waiting
+        Called again and again while a node is waited for, with what is waited for; what it
+        raises ends the waiting.
+    namespace
+        Of the nodes.
+    poll_period
+        Between two calls of `keep_waiting` [s].
+    patience
+        Longest wait for a node to appear, and to do its work [s].
+    name
+        Of the guest.
+
+    """
+
+    def __init__(
+        self, domain_id: int | None, keep_waiting: KeepWaiting = lambda what: None,
+        namespace: str = '', poll_period: float = 0.1, *, patience: float = PATIENCE,
+        name: str = 'lifecycle_driver',
+    ) -> None:
+        super().__init__(name, domain_id, namespace)
+        self._keep_waiting, self._poll_period = keep_waiting, poll_period
+        self._patience = patience
+        self._executor = SingleThreadedExecutor(context=self.context)
+        self._executor.add_node(self.node)
+        self._clients: dict[tuple[str, str], Any] = {}
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._executor.shutdown()
+        super().close()
+
+    def bring_up(self, node_name: str) -> bool:
+        """Configure and activate a node, as far as it is not; return whether it was not active."""
+        if self.state(node_name) == 'unconfigured':
+            self.change(node_name, CONFIGURE)
+        inactive = self.state(node_name) == 'inactive'
+        if inactive:
+            self.change(node_name, ACTIVATE)
+        return inactive
+
+    def take_down(self, node_name: str) -> None:
+        """Deactivate a node if it is active."""
+        if self.state(node_name) == 'active':
+            self.change(node_name, DEACTIVATE)
+
+    def change(self, node_name: str, transition: str) -> None:
+        """
+        Lead a node through a transition.
+
+        Raises
+        ------
+        TransitionError
+            If the node refuses.
+        NoAnswerError
+            If it does not answer.
+
+        """
+        request = ChangeState.Request(transition=Transition(label=transition))
+        give_up = time.monotonic() + self._patience
+        while time.monotonic() < give_up:
+            answer = self.call(node_name, ChangeState, 'change_state', request, FIRST_TIMEOUT,
+                               doing=transition)
+            if answer is None:
+                # The answer may be lost although the work is done, or yet to come: a node at
+                # work tells its state when it has done it.
+                answer = self.call(
+                    node_name, GetState, 'get_state', GetState.Request(), doing=transition)
+                if answer is None or answer.current_state.label != GOALS[transition]:
+                    continue  # or the request: one that was killed seems to listen for a while
+            elif not answer.success:
+                raise TransitionError(node_name, transition)
+            return
+        raise NoAnswerError(f'{node_name} did not answer when asked to {transition}')
+
+    def state(self, node_name: str, timeout: float = ANSWER_TIMEOUT) -> str:
+        """
+        Return the state of a node.
+
+        Raises
+        ------
+        NoAnswerError
+            If it does not answer within `timeout` [s].
+
+        """
+        answer = self.call(node_name, GetState, 'get_state', GetState.Request(), timeout)
+        if answer is None:
+            raise NoAnswerError(f'{node_name} did not tell its state')
+        return str(answer.current_state.label)
+
+    def has_lifecycle(self, node_name: str, wait: float) -> bool:
+        """Return whether a node has a lifecycle, looking for it for up to `wait` [s]."""
+        client = self._client(node_name, GetState, 'get_state')
+        return self._wait(client.service_is_ready, wait, f'{node_name} to appear')
+
+    def call(
+        self, node_name: str, service: Any, name: str, request: Any,
+        timeout: float = ANSWER_TIMEOUT, doing: str = 'answer',
+    ) -> Any:
+        """
+        Call a service of a node.
+
+        Parameters
+        ----------
+        node_name
+            The node.
+        service, name, request
+            Type and name of its service, and what to ask.
+        timeout
+            Longest wait for the answer [s].
+        doing
+            What the node has to do until it answers.
+
+        Returns
+        -------
+        object
+            The response, None without one within `timeout` [s].
+
+        Raises
+        ------
+        NoAnswerError
+            If there is no such service.
+
+        """
+        client = self._client(node_name, service, name)
+        if not self._wait(client.service_is_ready, self._patience, f'{node_name} to appear'):
+            raise NoAnswerError(f'{client.service_name}: expected this service within '
+                                f'{self._patience:g} s, found none')
+        future = client.call_async(request)
+        if self._wait(future.done, min(timeout, self._patience), f'{node_name} to {doing}'):
+            return future.result()
+        client.remove_pending_request(future)
+        return None
+
+    def _client(self, node_name: str, service: Any, name: str) -> Any:
+        client = self._clients.get((node_name, name))
+        if client is None:
+            client = self.node.create_client(service, f'{node_name}/{name}')
+            self._clients[node_name, name] = client
+        return client
+
+    def _wait(self, condition: Callable[[], Any], timeout: float, what: str) -> bool:
+        """Return whether a condition came true in time; errors of `keep_waiting` go through."""
+        give_up = time.monotonic() + timeout
+        while not condition():
+            if time.monotonic() > give_up:
+                return False
+            self._keep_waiting(what)
+            self._executor.spin_once(timeout_sec=self._poll_period)
+        return True
+
+
+class ControllerLink(LifecycleDriver):
+    """
+    One end of a connection to a running controller, without a thread.
+
+    Subscriptions hold the newest message and are looked at when one is wanted.
+
+    Parameters
+    ----------
+    topics
+        What to listen to.
+    namespace, domain_id
+        Where the controller is.
+    timeout
+        Longest wait for anything [s].
+
+    """
+
+    def __init__(
+        self, topics: Sequence[Topic], *, namespace: str, domain_id: int | None, timeout: float,
+    ) -> None:
+        super().__init__(domain_id, namespace=namespace, patience=timeout,
+                         name=f'multicontact_client_{os.getpid()}')
+        self._newest: dict[Topic, Any] = {}
+        self._subscriptions: dict[Topic, Subscription] = {
+            topic: self.node.create_subscription(
+                topic.message, topic.name, self._keep(topic), qos.GLANCE)
+            for topic in topics}
+
+    def _keep(self, topic: Topic) -> Callable[[Any], None]:
+        def keep(message: Any) -> None:
+            self._newest[topic] = message
+        return keep
+
+    def publisher(self, topic: Topic) -> Publisher:
+        """Return a publisher of a command."""
+        return create_publisher(self.node, topic)
+
+    def publish(self, publisher: Publisher, message: Any) -> None:
+        """
+        Publish a command once a controller listens.
+
+        Raises
+        ------
+        RunError
+            If none does.
+
+        """
+        give_up = time.monotonic() + self._patience
+        while publisher.get_subscription_count() == 0:
+            if time.monotonic() > give_up:
+                raise RunError(
+                    f'{publisher.topic_name}: expected a controller that listens within '
+                    f'{self._patience:g} s, found none (with a reference file it does not)')
+            time.sleep(POLL_PERIOD)
+        publisher.publish(message)
+
+    def fresh(self, *topics: Topic) -> list[Any]:
+        """
+        Return a message of each topic that comes from now on.
+
+        Raises
+        ------
+        RunError
+            If none comes.
+
+        """
+        for topic in topics:
+            self.newest(topic)
+            self._newest.pop(topic, None)
+        return [self._wait_for(topic) for topic in topics]
+
+    def newest(self, topic: Topic) -> Any | None:
+        """Return the newest message of a topic, None if none has come so far."""
+        while (taken := take(self._subscriptions[topic])) is not None:
+            self._newest[topic] = taken[0]
+        return self._newest.get(topic)
+
+    def _wait_for(self, topic: Topic) -> Any:
+        give_up = time.monotonic() + self._patience
+        while (message := self.newest(topic)) is None:
+            if time.monotonic() > give_up:
+                raise RunError(f'{topic.name}: expected a message within {self._patience:g} s, '
+                               'found none; is the controller active?')
+            time.sleep(POLL_PERIOD)
+        return message
+
+    def require(self, node_name: str, service: Any, name: str, request: Any) -> Any:
+        """
+        Call a service that must answer.
+
+        Raises
+        ------
+        RunError
+            If it does not.
+
+        """
+        answer = self.call(node_name, service, name, request, self._patience)
+        if answer is None:
+            full = self.node.resolve_service_name(f'{node_name}/{name}')
+            raise RunError(f'{full}: expected an answer within {self._patience:g} s')
+        return answer
