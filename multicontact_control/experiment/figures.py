@@ -89,7 +89,7 @@ def _force(data: RunData, i: int) -> RunFigure:
 
 
 def _motion(data: RunData, setup: Setup) -> RunFigure:
-    """The wrist's translation along the motion's direction and its error (P04 Fig. 5)."""
+    """Return the wrist's translation along the motion's direction and its error (P04 Fig. 5)."""
     motion = setup.scenario.reference.motion
     direction = np.asarray(motion.direction_world if motion else (1.0, 0.0, 0.0))
     axis = 'xyz'[int(np.argmax(np.abs(direction)))]
@@ -103,7 +103,7 @@ def _motion(data: RunData, setup: Setup) -> RunFigure:
 
 
 def _noise_variance(data: RunData) -> RunFigure:
-    """The estimated noise variance of every contact on a log axis (P04 Fig. 6)."""
+    """Return the estimated noise variance of every contact on a log axis (P04 Fig. 6)."""
     series = list(zip(data.contact_names, data.noise_variance.T))
     return RunFigure(
         'fig6_noise_variance', 'Estimated noise variance R',

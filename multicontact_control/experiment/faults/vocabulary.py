@@ -10,14 +10,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 import math
-from typing import Any, TYPE_CHECKING
+from typing import Any
 
 from multicontact_control.arrays import Vector
 import numpy as np
 from scipy.spatial.transform import Rotation
-
-if TYPE_CHECKING:  # the relay has no use for the simulator
-    from sim_bridge.pybullet_plant import PybulletPlant
 
 PROCESS, GRAPH = 'process', 'graph'
 BOTH, IN_PROCESS, OVER_GRAPH = (PROCESS, GRAPH), (PROCESS,), (GRAPH,)
@@ -104,7 +101,7 @@ class ClockShift:
     stamps: bool = True
 
 
-PlantChange = Callable[['PybulletPlant', Vector], None]
+PlantChange = Callable[[Any, Vector], None]  # of a plant; the relay does without the simulator
 
 
 @dataclass(frozen=True)
