@@ -271,16 +271,16 @@ def _outcome(future: Any) -> Outcome:
     """Return what became of a job on the cluster."""
     from distributed import KilledWorker
 
-    gone = RunError('the Dask scheduler is gone or has dropped the work')
+    # Both wait: the worker that had the result may have died since, and another runs the job anew.
     try:
-        if future.status == 'finished':
+        error = future.exception()
+        if error is None:
             result: JobResult = future.result()
             return result
-        if future.status != 'error':
-            raise gone
-        error = future.exception()
     except LOST_CONNECTION:
-        raise gone from None
+        raise RunError('the Dask scheduler is gone or has dropped the work') from None
+    except KilledWorker as killed:
+        error = killed
     if isinstance(error, KilledWorker):
         return LostJob('the workers that were to run it died')
     reason = ' '.join(str(error).split()) or type(error).__name__

@@ -1,8 +1,10 @@
 """Processes of this machine and workers of a real Dask scheduler, which get killed."""
 
 import os
+import signal
 import socket
 import sys
+import time
 
 from mortal_jobs import kill_task, make_jobs, starts
 from multicontact_control.errors import ConfigError, RunError
@@ -11,6 +13,7 @@ from multicontact_control.experiment.study.execute import run_jobs
 from multicontact_control.experiment.study.executors import DaskExecutor, LocalExecutor
 import pytest
 from rich.console import Console
+from ros_graph import wait_for
 
 
 def run(tmp_path, jobs, executor):
@@ -87,6 +90,24 @@ def test_killed_workers_lose_nothing_and_a_deadly_job_is_given_up(tmp_path, dask
     assert len(starts(jobs[6])) == 2
     workers = {path.name.split('-')[1] for job in jobs for path in starts(job)}
     assert len(workers) >= 2
+
+
+@pytest.mark.slow
+def test_results_that_die_with_their_workers_before_they_are_taken_are_made_anew(
+    tmp_path, dask_cluster,
+):
+    jobs = make_jobs(tmp_path, [0] * 12)
+    with DaskExecutor(dask_cluster.address) as executor:
+        results = executor.results(kill_task, jobs, print)
+        numbers = [next(results)[1].metrics['number']]
+        wait_for(lambda: all(starts(job) for job in jobs), 'all jobs at work')
+        time.sleep(1.0)  # all have a result, and the client has been told
+        for pid in {int(path.name.split('-')[1]) for job in jobs for path in starts(job)}:
+            os.kill(pid, signal.SIGKILL)
+        wait_for(lambda: executor.workers == 0, 'no worker left')  # until there are new ones
+        numbers += [outcome.metrics['number'] for _, outcome in results]
+    assert sorted(numbers) == list(range(12))
+    assert max(len(starts(job)) for job in jobs) == 2
 
 
 @pytest.mark.slow
