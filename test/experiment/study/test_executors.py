@@ -87,7 +87,7 @@ def test_killed_workers_lose_nothing_and_a_deadly_job_is_given_up(tmp_path, dask
     for job in jobs:
         if job is not jobs[13]:
             assert done.result(job).metrics['number'] == job.number
-    assert len(starts(jobs[6])) == 2
+    assert len(starts(jobs[6])) >= 2  # more if a result dies with a worker before it is taken
     workers = {path.name.split('-')[1] for job in jobs for path in starts(job)}
     assert len(workers) >= 2
 
