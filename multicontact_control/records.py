@@ -199,8 +199,9 @@ VERDICT = np.dtype([
 JOINT_READING = np.dtype([(name, F) for name in (
     'q', 'qd', 'last_q', 'last_qd', 'valid_q', 'valid_qd', 'speed_limit')])  # [rad, rad/s]
 
-# Readings of one axis of the wrist sensor, and from where on it is saturated [N or N m].
-AXIS_READING = np.dtype([(name, F) for name in ('new', 'last', 'valid', 'full_scale')])
+# Readings of the wrist sensor: as for a joint, and from where on each axis is saturated; one.
+WRENCH_READING = np.dtype([  # [N, N m]
+    (name, F, 6) for name in ('new', 'last', 'valid', 'full_scale')])
 
 # R of one contact: the newest, the newest that is valid, within its limits, and the one to use,
 # inflated where it is not renewed [N^2].
@@ -235,5 +236,5 @@ READING_SETTINGS = np.dtype([
 
 # All of these that are one; fewer arguments make a call shorter.
 WATCH = np.dtype([
-    ('arrival', ARRIVAL), ('verdict', VERDICT), ('memory', READING_MEMORY),
-    ('settings', READING_SETTINGS)], align=True)
+    ('arrival', ARRIVAL), ('wrench', WRENCH_READING), ('verdict', VERDICT),
+    ('memory', READING_MEMORY), ('settings', READING_SETTINGS)], align=True)

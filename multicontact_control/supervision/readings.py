@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from multicontact_control.algebra import copy_vector
 from multicontact_control.compiled import compiled
 import numpy as np
 
@@ -115,14 +116,14 @@ def check_joints(joints: Any, elapsed: float, memory: Any, settings: Any) -> int
 
 
 @compiled
-def check_wrench(axes: Any, memory: Any, settings: Any) -> int:
+def check_wrench(wrench: Any, memory: Any, settings: Any) -> int:
     """
     Check a wrench, and keep it if nothing is wrong with it.
 
     Parameters
     ----------
-    axes
-        Records of `AXIS_READING`, changed, shape (6,).
+    wrench
+        Record of `WRENCH_READING`, changed.
     memory, settings
         As for `check_joints`.
 
@@ -133,21 +134,19 @@ def check_wrench(axes: Any, memory: Any, settings: Any) -> int:
 
     """
     same, saturated = memory.wrench_before, False
-    for i in range(axes.shape[0]):
-        if not abs(axes[i].new) <= HARDEST:
+    for i in range(6):
+        if not abs(wrench.new[i]) <= HARDEST:
             return INVALID
-        same = same and axes[i].new == axes[i].last
-        saturated = saturated or abs(axes[i].new) >= axes[i].full_scale
+        same = same and wrench.new[i] == wrench.last[i]
+        saturated = saturated or abs(wrench.new[i]) >= wrench.full_scale[i]
     memory.wrench_repeats = memory.wrench_repeats + 1 if same else 0
     memory.wrench_before = True
-    for i in range(axes.shape[0]):
-        axes[i].last = axes[i].new
+    copy_vector(wrench.new, wrench.last)
     if saturated:
         return SATURATED
     if 0 < settings.frozen_samples <= memory.wrench_repeats:
         return FROZEN
-    for i in range(axes.shape[0]):
-        axes[i].valid = axes[i].new
+    copy_vector(wrench.new, wrench.valid)
     memory.wrench_known = True
     return FINE
 
@@ -252,7 +251,7 @@ def check_arrival(which: int, arrival: Any, memory: Any, settings: Any) -> int:
 
 
 @compiled
-def check_contents(watch: Any, joints: Any, axes: Any, variances: Any) -> None:
+def check_contents(watch: Any, joints: Any, variances: Any) -> None:
     """
     Check the numbers of the readings that are new; see `check_inputs`.
 
@@ -271,7 +270,7 @@ def check_contents(watch: Any, joints: Any, axes: Any, variances: Any) -> None:
         elif problem[JOINTS] == FROZEN:
             valid[JOINTS] = stamp[JOINTS] - h * memory.joint_repeats
     if problem[WRENCH] == FINE:
-        problem[WRENCH] = check_wrench(axes, memory, settings)
+        problem[WRENCH] = check_wrench(watch.wrench, memory, settings)
         if problem[WRENCH] == FINE:
             valid[WRENCH] = stamp[WRENCH]
         elif problem[WRENCH] == FROZEN:
@@ -301,17 +300,17 @@ def check_ages(watch: Any, variances: Any) -> None:
 
 
 @compiled
-def check_inputs(watches: Any, joints: Any, axes: Any, variances: Any) -> bool:
+def check_inputs(watches: Any, joints: Any, variances: Any) -> bool:
     """
     Check the inputs of a tick, and keep what is valid of them.
 
     Parameters
     ----------
     watches
-        One record of `WATCH`, of which memory is changed and verdict filled.
-    joints, axes, variances
-        Records of `JOINT_READING`, shape (n,), `AXIS_READING`, shape (6,), and
-        `VARIANCE_READING`, shape (r,), with the newest numbers in place; changed.
+        One record of `WATCH`; memory and wrench are changed, the verdict is filled.
+    joints, variances
+        Records of `JOINT_READING`, shape (n,), and `VARIANCE_READING`, shape (r,), with the
+        newest numbers in place; changed.
 
     Returns
     -------
@@ -334,7 +333,7 @@ def check_inputs(watches: Any, joints: Any, axes: Any, variances: Any) -> bool:
     verdict.clock = clock
     for i in range(3):
         verdict.problem[i] = check_arrival(i, arrival, memory, watch.settings)
-    check_contents(watch, joints, axes, variances)
+    check_contents(watch, joints, variances)
     check_ages(watch, variances)
     verdict.blind = memory.blind_ticks > 1
     well = clock == CLOCK_FINE and not verdict.blind

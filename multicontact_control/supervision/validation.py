@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.records import (
-    AXIS_READING,
     JOINT_READING,
     Records,
     VARIANCE_READING,
@@ -127,12 +126,10 @@ class Watchdog:
         self._in_order = list(range(len(self._names)))
         self._joints: Any = np.zeros(len(self._names), dtype=JOINT_READING)
         self._joints['speed_limit'] = config.limits.joint_speed or np.inf
-        self._axes: Any = np.zeros(6, dtype=AXIS_READING)
-        self._axes['full_scale'] = 0.999 * np.array(watch.wrench_full_scale or np.inf)
         self._variances: Any = np.zeros(r, dtype=VARIANCE_READING)
         self._initial_variance = min(config.initial_noise_variance, watch.variance_ceiling)
         self._watch = watch_record(config)
-        self._arguments = self._watch, self._joints, self._axes, self._variances
+        self._arguments = self._watch, self._joints, self._variances
         # Views of what every tick fills in: looking up a field takes long.
         arrival = self._watch['arrival']
         self._time: Vector = arrival['time']
@@ -140,10 +137,11 @@ class Watchdog:
         self._contents: Vector = arrival['content'][0]
         self._new_q: Vector = self._joints['q']
         self._new_qd: Vector = self._joints['qd']
-        self._new_wrench: Vector = self._axes['new']
+        wrench = self._watch['wrench'][0]
+        self._new_wrench: Vector = wrench['new']
         self._new_variance: Vector = self._variances['new']
         self._all_well = ValidatedInputs(
-            self._joints['valid_q'], self._joints['valid_qd'], self._axes['valid'],
+            self._joints['valid_q'], self._joints['valid_qd'], wrench['valid'],
             self._variances['used'], (), ())
         check_inputs(*self._arguments)  # no tick is to wait for numba
         self.reset()
@@ -224,6 +222,7 @@ def watch_record(config: ControllerConfig) -> Records:
     """Return what readings must be like in one record of `WATCH`, the rest of it empty."""
     watch, h = config.watchdog, config.period
     record = np.zeros(1, dtype=WATCH)
+    record['wrench']['full_scale'] = 0.999 * np.array(watch.wrench_full_scale or np.inf)
     settings = record['settings']
     for name in ('position_jump', 'frozen_samples', 'variance_growth', 'variance_floor',
                  'variance_ceiling'):
