@@ -8,18 +8,14 @@ from typing import Literal
 from multicontact_control.config import (
     Config,
     parameter,
-    read_parameters,
     Real,
     UnitVector3,
-    validate,
     Vector,
     Vector3,
 )
 from multicontact_control.errors import ConfigError
-from multicontact_control.paths import config_dir
 from pydantic import model_validator
 
-PRESETS = ('puma', 'rigid')
 MAX_ACTUATOR_DELAY = 5
 
 
@@ -161,19 +157,3 @@ class PlantConfig(Config):
                 'substep', f'a whole fraction of the control period {1.0 / rate:g} s',
                 f'{self.substep:g} s')
         return count
-
-
-def load_preset(name: str) -> PlantConfig:
-    """
-    Read one of the plants that come with the package, ``puma`` or ``rigid``.
-
-    Raises
-    ------
-    ConfigError
-        If there is no such preset, or its file is not acceptable.
-
-    """
-    if name not in PRESETS:
-        raise ConfigError('plant', f'one of {", ".join(PRESETS)}', f"'{name}'")
-    path = config_dir() / f'plant_{name}.yaml'
-    return validate(PlantConfig, read_parameters(path), str(path))

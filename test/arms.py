@@ -1,4 +1,4 @@
-"""Arms and configurations that several tests use."""
+"""Arms, plants and configurations that several tests use."""
 
 from pathlib import Path
 
@@ -11,6 +11,7 @@ from multicontact_control.config import (
 )
 from multicontact_control.paths import config_dir
 import numpy as np
+from sim_bridge.config import PlantConfig
 
 HOME = np.array([1.847117449942421, 0.8705595994175255, 2.9372057614605662, 0.0,
                  -0.6661727072882984, 1.847117449942421])
@@ -20,6 +21,12 @@ def controller_config(**changes):
     """Return the PUMA's configuration with nested changes."""
     values = read_parameters(config_dir() / 'controller.yaml')
     return validate(ControllerConfig, merge(values, changes), 'controller.yaml')
+
+
+def plant_config(name, **changes):
+    """Return a plant that comes with the package, ``puma`` or ``rigid``, with nested changes."""
+    values = read_parameters(config_dir() / f'plant_{name}.yaml')
+    return validate(PlantConfig, merge(values, changes))
 
 
 def seven_joint_urdf(folder: Path) -> Path:

@@ -1,9 +1,9 @@
 """What the tests of the plant share."""
 
+from arms import plant_config
 import numpy as np
 import pinocchio as pin
 import pytest
-from sim_bridge.config import load_preset
 from sim_bridge.puma560 import load_robot, urdf_text
 from sim_bridge.pybullet_plant import PybulletPlant
 
@@ -30,7 +30,7 @@ def make_plant():
     plants = []
 
     def make(preset='rigid', *, seed=0, surfaces=None, sensor=None, **changes):
-        config = load_preset(preset)
+        config = plant_config(preset)
         if surfaces is not None:
             changes['surfaces'] = {
                 name: surface.model_copy(update=surfaces)

@@ -1,22 +1,19 @@
-from multicontact_control.config import merge, read_parameters, validate
+from arms import plant_config
 from multicontact_control.errors import ConfigError
-from multicontact_control.paths import config_dir
 import pytest
-from sim_bridge.config import load_preset, PlantConfig, PRESETS
 
 
 def changed(change, preset='puma'):
-    values = read_parameters(config_dir() / f'plant_{preset}.yaml')
-    return validate(PlantConfig, merge(values, change))
+    return plant_config(preset, **change)
 
 
-@pytest.mark.parametrize('name', PRESETS)
+@pytest.mark.parametrize('name', ['puma', 'rigid'])
 def test_presets_load_and_divide_the_control_period(name):
-    assert load_preset(name).substeps(500.0) >= 1
+    assert plant_config(name).substeps(500.0) >= 1
 
 
 def test_presets_are_what_they_are_called():
-    rigid, puma = load_preset('rigid'), load_preset('puma')
+    rigid, puma = plant_config('rigid'), plant_config('puma')
     assert (rigid.drives, rigid.joint_friction_scale) == ('rigid', 0.0)
     assert (puma.drives, puma.joint_friction_scale, puma.joint_sensing) == (
         'flexible', 0.25, 'motor')
@@ -64,15 +61,10 @@ def test_rigid_drives_need_no_springs():
 
 @pytest.mark.parametrize(('rate', 'expected'), [(500.0, 8), (1000.0, 4), (4000.0, 1)])
 def test_substeps_fill_the_period(rate, expected):
-    assert load_preset('puma').substeps(rate) == expected
+    assert plant_config('puma').substeps(rate) == expected
 
 
 @pytest.mark.parametrize('rate', [300.0, 8000.0])
 def test_substep_that_does_not_divide_the_period_is_refused(rate):
     with pytest.raises(ConfigError, match='substep: expected a whole fraction'):
-        load_preset('puma').substeps(rate)
-
-
-def test_unknown_preset_is_refused():
-    with pytest.raises(ConfigError, match="plant: expected one of puma, rigid, found 'soft'"):
-        load_preset('soft')
+        plant_config('puma').substeps(rate)

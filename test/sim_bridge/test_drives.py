@@ -1,7 +1,7 @@
+from arms import plant_config
 import numpy as np
 import pinocchio as pin
 import pytest
-from sim_bridge.config import load_preset
 from sim_bridge.drives import FlexibleDrives, implicit_joint_speed, RigidDrives
 from sim_bridge.joint_friction import FRICTION, friction_torque, joint_friction
 from sim_bridge.kinematics import mass_matrix
@@ -43,7 +43,7 @@ def test_flexible_drives_rest_with_springs_wound_up():
 
 def test_drive_modes_with_locked_rotors_are_the_noted_ones(model):
     """Eigenfrequencies of M x'' + K x = 0 at home, without rotors [Hz]."""
-    config = load_preset('puma')
+    config = plant_config('puma')
     data = model.createData()
     upper = np.triu(pin.crba(model, data, np.array(config.home)))
     mass_matrix = upper + np.triu(upper, 1).T

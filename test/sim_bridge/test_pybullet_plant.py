@@ -1,8 +1,8 @@
+from arms import plant_config
 from multicontact_control.errors import ConfigError, RunError, ShapeError
 import numpy as np
 import pinocchio as pin
 import pytest
-from sim_bridge.config import load_preset
 from sim_bridge.puma560 import SENSOR_FRAME
 from sim_bridge.pybullet_plant import PybulletPlant
 
@@ -219,7 +219,7 @@ def test_bad_commands_are_refused(make_plant):
 
 
 def test_plant_that_does_not_fit_the_arm_is_refused():
-    config = load_preset('rigid')
+    config = plant_config('rigid')
     table = config.surfaces['table'].model_copy(update={'tip_link': 'tip_wall'})
     for change, message in (
             ({'home': (0.0,) * 5}, 'home: expected 6 values, one per joint, found 5'),
