@@ -2,18 +2,105 @@
 
 from typing import Literal
 
-from multicontact_control.config import NoiseEstimatorConfig
+from arms import seven_joint_urdf
+from multicontact_control.config import (
+    ControllerConfig,
+    NoiseEstimatorConfig,
+    read_parameters,
+    validate,
+)
+from multicontact_control.control_loop import ControlLoop
 from multicontact_control.experiment.closed_loop import run_in_process
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.force.noise import ESTIMATORS
 from multicontact_control.force.noise.estimator import InnovationEstimator
+from multicontact_control.paths import config_dir
+from multicontact_control.sampling import PairedSample
+from multicontact_control.supervision.command_limits import CommandLimits
 import numpy as np
+import pinocchio as pin
 import pytest
+import yaml
 
 # Files are laid over those of config/, as a user's own would be.
 WALL = {'normal_world': [1.0, 0.0, 0.0], 'point_operational': [0.0, 0.0, 0.24],
         'stiffness': 6000.0}
 NAMES = ['table', 'board', 'wall']
+
+
+class Arm:
+    """A user's simulator: an arm whose wrist meets a springy wall, and a sensor with noise."""
+
+    def __init__(self, urdf, armature, normal, distance, stiffness):
+        self._model = pin.buildModelFromUrdf(str(urdf))
+        self._model.armature = np.array(armature)
+        self._data = self._model.createData()
+        self._wrist = self._model.getFrameId('wrist')
+        self._random = np.random.default_rng(0)
+        self._normal, self._stiffness = np.array(normal), stiffness
+        self.q = np.array([0.3, 0.7, -0.4, 0.9, 0.5, -0.8, 0.6])
+        self.v = np.zeros(7)
+        self._wall = self._normal @ self._place().translation + distance
+
+    def _place(self):
+        pin.framesForwardKinematics(self._model, self._data, self.q)
+        return self._data.oMf[self._wrist]
+
+    @property
+    def force(self):
+        """Return what the wrist presses with, 0 beside the wall [N]."""
+        depth = self._normal @ self._place().translation - self._wall
+        return self._stiffness * max(depth, 0.0)
+
+    def wrench_sensor(self):
+        pressing = self._place().rotation.T @ (self.force * self._normal)
+        noise = self._random.normal(size=6) * ([0.05] * 3 + [0.005] * 3)
+        return np.concatenate([pressing, np.zeros(3)]) + noise
+
+    def step(self, torque, period, substeps=8):
+        for _ in range(substeps):
+            reaction = np.concatenate([-self.force * self._normal, np.zeros(3)])
+            J = pin.computeFrameJacobian(
+                self._model, self._data, self.q, self._wrist, pin.LOCAL_WORLD_ALIGNED)
+            a = pin.aba(self._model, self._data, self.q, self.v, torque + J.T @ reaction)
+            self.v = self.v + a * period / substeps
+            self.q = self.q + self.v * period / substeps
+
+
+@pytest.mark.slow
+def test_new_robot_is_a_urdf_and_a_parameter_file(tmp_path):
+    """Seven joints find a wall, touch it and press with 10 N, from a folder of their own."""
+    urdf = seven_joint_urdf(tmp_path)
+    content = yaml.safe_load((config_dir() / 'controller.yaml').read_text())
+    values = content['/**']['ros__parameters']
+    values['robot'] = {
+        'urdf': urdf.name, 'joint_names': [f'j{i}' for i in range(7)], 'armature': [0.1] * 7,
+        'operational_frame': 'wrist', 'sensor_frame': 'wrist'}
+    values['tool'] = {'mass': 0.0, 'com_sensor': [0.0, 0.0, 0.0]}
+    values['torque_limit'] = [100.0] * 7
+    values['limits'] = {'operational_speed': 0.5}
+    values['contact_names'] = ['wall']
+    values['contacts'] = {'wall': {
+        'normal_world': [1.0, 0.0, 0.0], 'point_operational': [0.0, 0.0, 0.0],
+        'stiffness': 5000.0}}
+    file = tmp_path / 'controller.yaml'
+    file.write_text(yaml.safe_dump(content))
+
+    config = validate(ControllerConfig, read_parameters(file), file.name)
+    loop = ControlLoop(config, None, CommandLimits(), tmp_path)
+    arm = Arm(urdf, config.robot.armature, [1.0, 0.0, 0.0], 0.005, 5000.0)
+    forces = []
+    for k in range(2000):
+        torque = loop.step(PairedSample(
+            round(k * config.period * 1e9), arm.q, arm.v, arm.wrench_sensor()))
+        if k == 100:
+            loop.set_forces({'wall': 10.0})
+        arm.step(torque, config.period)
+        forces.append(arm.force)
+    assert loop.reactions['none'] + loop.reactions['inflate'] == 2000
+    assert loop.status.contact_states == ('holding',)
+    assert max(forces) < 20.0
+    np.testing.assert_allclose(forces[-250:], 10.0, atol=0.5)
 
 
 @pytest.mark.slow
