@@ -5,6 +5,7 @@ from __future__ import annotations
 from multicontact_control.arrays import Vector
 from multicontact_control.dynamics.robot import RobotModel, RobotState
 from multicontact_control.experiment.scenario import Setup
+from multicontact_control.quintic import quintic
 import numpy as np
 from sim_bridge.actuator_delay import ActuatorDelay
 from sim_bridge.pybullet_plant import PybulletPlant, Sample
@@ -42,9 +43,7 @@ class ServoedPlant:
         start, way = self._q_des, q_des - self._q_des
         ticks = max(1, round(duration / self._period))
         for i in range(1, ticks + 1):
-            s = i / ticks
-            place = s ** 3 * (10.0 + s * (6.0 * s - 15.0))
-            speed = 30.0 * (s * (1.0 - s)) ** 2 / duration
+            place, speed, _ = quintic(i / ticks * duration, duration)
             self._advance(start + place * way, speed * way)
         self._q_des = q_des.copy()
 

@@ -6,6 +6,7 @@ import math
 
 from multicontact_control.arrays import Vector
 from multicontact_control.config import TransitionConfig
+from multicontact_control.quintic import quintic
 import numpy as np
 
 STEEPEST = 1.875  # largest slope of the quintic from 0 to 1
@@ -16,7 +17,7 @@ class QuinticBlend:
     Adds to a law what it lacked of the torque at its start, and lets that fade.
 
     The law acts with all its gain from the first tick on; only the difference fades, by the
-    quintic 10 x^3 - 15 x^4 + 6 x^5, in `blend_time` or longer if `torque_rate` demands it.
+    `quintic`, in `blend_time` or longer if `torque_rate` demands it.
 
     Parameters
     ----------
@@ -73,8 +74,7 @@ class QuinticBlend:
         if self._tick >= self._ticks:
             self._difference = None
             return torque
-        x = self._tick / self._ticks
-        faded = x ** 3 * (10.0 + x * (-15.0 + 6.0 * x))
+        faded, _, _ = quintic(self._tick, self._ticks)
         blended: Vector = torque + (1.0 - faded) * self._difference
         return blended
 

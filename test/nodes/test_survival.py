@@ -125,7 +125,7 @@ def test_controller_can_be_killed_and_started_again_mid_run(middleware, start):
     reports = Watch(middleware, topics.DIAGNOSTICS)
     for _ in range(2):
         controller = start(CONTROLLER, 'autostart:=true')
-        commands.advances()
+        assert len(commands.advances()) >= 20
         controller.kill()
         controller.wait()
         wait_for_status(

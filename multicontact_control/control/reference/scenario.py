@@ -10,6 +10,7 @@ from multicontact_control.config import Config, ContactStateConfig, parameter, R
 from multicontact_control.control.reference.source import Reference
 from multicontact_control.dynamics.pose import Pose
 from multicontact_control.errors import ConfigError
+from multicontact_control.quintic import quintic
 import numpy as np
 from pydantic import model_validator
 
@@ -63,20 +64,14 @@ def sine_motion(config: SineConfig, time: float) -> tuple[float, float, float]:
     """
     Return displacement [m], speed [m/s] and acceleration [m/s^2] of the blended sinusoid.
 
-    s = A b(tau / t_b) sin(2 pi tau / T), b the quintic 10 x^3 - 15 x^4 + 6 x^5.
+    s = A b(tau / t_b) sin(2 pi tau / T), b the `quintic`.
     """
     tau = time - config.start_time
     if tau <= 0.0:
         return 0.0, 0.0, 0.0
     w = 2.0 * math.pi / config.period
     sine, cosine = math.sin(w * tau), math.cos(w * tau)
-    x = tau / config.blend_time
-    if x >= 1.0:
-        b, db, ddb = 1.0, 0.0, 0.0
-    else:
-        b = x ** 3 * (10.0 + x * (-15.0 + 6.0 * x))
-        db = 30.0 * x ** 2 * (1.0 - x) ** 2 / config.blend_time
-        ddb = 60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / config.blend_time ** 2
+    b, db, ddb = quintic(tau, config.blend_time)
     A = config.amplitude
     return (A * b * sine, A * (db * sine + b * w * cosine),
             A * (ddb * sine + 2.0 * db * w * cosine - b * w * w * sine))
