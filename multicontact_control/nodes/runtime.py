@@ -12,6 +12,7 @@ import contextlib
 import ctypes
 import gc
 import os
+from pathlib import Path
 import signal
 import sys
 import time
@@ -31,6 +32,8 @@ from rclpy.signals import SignalHandlerOptions
 EXIT_OK, EXIT_ERROR, EXIT_CONFIG = 0, 1, 2
 SPIN_TIMEOUT = 0.1
 DRAIN_TIME = 0.1
+PORT_READY = 2  # first word of a shared memory segment that has been made (Boost.Interprocess)
+HALF_MADE_AGE = 1.0  # s, from which nobody is still at it
 ACKNOWLEDGE_TIMEOUT = 5.0
 PR_SET_PDEATHSIG = 1
 FOLLOW_PARENT = 'MULTICONTACT_FOLLOW_PARENT'
@@ -127,6 +130,24 @@ def prepare_environment() -> None:
     os.environ.setdefault('AMENT_PREFIX_PATH', sys.prefix)
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     os.environ.setdefault('FASTRTPS_DEFAULT_PROFILES_FILE', str(config_dir() / 'fastdds.xml'))
+    remove_half_made_ports()
+
+
+def remove_half_made_ports(folder: Path = Path('/dev/shm')) -> None:
+    """
+    Remove shared memory that Fast DDS would wait for in vain.
+
+    A process that is killed in the moment in which it makes a port of the shared memory transport
+    leaves one that never says it is ready. Fast DDS 2.14 waits for that for ever, in every
+    process of this machine that comes to the same port. Its maker takes microseconds.
+    """
+    for path in folder.glob('fastrtps_port*[0-9]'):
+        # Of others, or removed by another process meanwhile: not for this one to mend.
+        with contextlib.suppress(OSError):
+            with path.open('rb') as file:
+                state = int.from_bytes(file.read(4), sys.byteorder)
+            if state < PORT_READY and time.time() - path.stat().st_mtime > HALF_MADE_AGE:
+                path.unlink()
 
 
 def make_executor() -> Executor:
