@@ -120,11 +120,13 @@ class WatchdogConfig(Config):
     """Limits of valid inputs, and the reactions beyond them."""
 
     joint_max_age: Real = parameter(
-        0.003, 'Largest age of a joint state.', unit='s', gt=0.0, le=1.0)
-    wrench_max_age: Real = parameter(0.003, 'Largest age of a wrench.', unit='s', gt=0.0, le=1.0)
+        1.5, 'Largest age of a joint state.', unit='periods', ge=1.0, le=1000.0)
+    wrench_max_age: Real = parameter(
+        1.5, 'Largest age of a wrench.', unit='periods', ge=1.0, le=1000.0)
     variance_max_age: Real = parameter(
-        0.005, 'Largest age of R, which is one period old when all is well.', unit='s', gt=0.0,
-        le=10.0)
+        4.5, 'Largest age of R, which is one period old when all is well; an estimator that is '
+        'late by two or three, on a busy machine, is no fault.', unit='periods', ge=2.0,
+        le=1e4)
     variance_growth: Real = parameter(
         1.1, 'Factor per period on an R that is not renewed.', ge=1.0, le=10.0)
     variance_floor: Real = parameter(

@@ -229,7 +229,7 @@ def watch_record(config: ControllerConfig) -> Records:
         settings[name] = getattr(watch, name)
     settings['period'] = h
     settings['shortest'], settings['longest'] = h / watch.rate_band, h * watch.rate_band
-    settings['max_age'] = 1e-3 * h + np.array(
-        [watch.joint_max_age, watch.wrench_max_age, watch.variance_max_age])
+    settings['max_age'] = h * (1e-3 + np.array(
+        [watch.joint_max_age, watch.wrench_max_age, watch.variance_max_age]))
     settings['recovery_samples'] = round(watch.recovery_time * config.rate)
     return record

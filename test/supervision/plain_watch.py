@@ -73,10 +73,11 @@ class PlainWatchdog:
         self._watch, self._h, self._rate = config.watchdog, config.period, config.rate
         self._fastest = 3.0 * np.array(config.limits.joint_speed)
         self._full_scale = 0.999 * np.array(config.watchdog.wrench_full_scale or np.inf)
-        watch, slack = config.watchdog, 1e-3 * config.period
-        self._ages = {'joints': watch.joint_max_age + slack,
-                      'wrench': watch.wrench_max_age + slack,
-                      'variance': watch.variance_max_age + slack}
+        watch, h = config.watchdog, config.period
+        slack = 1e-3 * h
+        self._ages = {'joints': h * watch.joint_max_age + slack,
+                      'wrench': h * watch.wrench_max_age + slack,
+                      'variance': h * watch.variance_max_age + slack}
         self._valid = {'joints': None, 'wrench': None, 'variance': np.full(
             len(config.contact_names), config.initial_noise_variance)}
         self._stamps, self._seen = dict.fromkeys(self._ages), dict.fromkeys(self._ages)

@@ -67,8 +67,8 @@ RECORDED = (topics.JOINT_STATES, topics.WRENCH, topics.TRUE_FORCES, topics.EFFOR
 # A machine without real-time priority has hiccups of many periods; they are not the faults that
 # are to be answered here. In process the limits are the default ones, of few periods.
 PATIENT: Mapping[str, float] = {
-    'patience': 10.0, 'watchdog.joint_max_age': 0.03, 'watchdog.wrench_max_age': 0.03,
-    'watchdog.variance_max_age': 0.05, 'watchdog.rate_band': 25.0}
+    'patience': 10.0, 'watchdog.joint_max_age': 15.0, 'watchdog.wrench_max_age': 15.0,
+    'watchdog.variance_max_age': 25.0, 'watchdog.rate_band': 25.0}
 
 
 class NotRecoveredError(RunError):
