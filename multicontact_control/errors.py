@@ -57,20 +57,28 @@ class CalibrationError(MulticontactError):
     """The readings do not tell what was to be identified from them."""
 
 
-class CommandError(MulticontactError):
+class RefusalError(MulticontactError):
     """
-    A command cannot be obeyed.
+    What has come cannot be used.
 
     Attributes
     ----------
     cause
-        The same for all commands that are refused for the same reason.
+        The same for all that is refused for the same reason.
 
     """
 
     def __init__(self, field: str, expected: str, found: object) -> None:
         self.cause = f'{field}: expected {expected}'
         super().__init__(f'{self.cause}, found {found}')
+
+
+class CommandError(RefusalError):
+    """A command cannot be obeyed."""
+
+
+class MessageError(RefusalError):
+    """A message cannot be used, or must not be sent."""
 
 
 def check_all(*checks: Callable[[], object]) -> None:

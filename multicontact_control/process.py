@@ -11,6 +11,7 @@ import os
 THREAD_VARIABLES = (
     'OPENBLAS_NUM_THREADS', 'OMP_NUM_THREADS', 'MKL_NUM_THREADS', 'NUMBA_NUM_THREADS')
 PR_SET_TIMERSLACK = 29
+MCL_CURRENT, MCL_FUTURE = 1, 2
 
 
 def limit_threads() -> None:
@@ -38,9 +39,11 @@ def settle_process() -> None:
         ctypes.CDLL(None).prctl(PR_SET_TIMERSLACK, 1, 0, 0, 0)
 
 
-def claim_processor(*, fifo_priority: int = 0, cpus: tuple[int, ...] = ()) -> list[str]:
+def claim_processor(
+    *, fifo_priority: int = 0, cpus: tuple[int, ...] = (), lock_memory: bool = False,
+) -> list[str]:
     """
-    Run this process ahead of others, and on some processors only.
+    Run this process ahead of others, on some processors only, and keep it in memory.
 
     Parameters
     ----------
@@ -48,6 +51,8 @@ def claim_processor(*, fifo_priority: int = 0, cpus: tuple[int, ...] = ()) -> li
         Priority of SCHED_FIFO, 1 to 99; 0 leaves the scheduler as it is.
     cpus
         Processors it may run on; empty for all.
+    lock_memory
+        Whether none of its memory may be paged out.
 
     Returns
     -------
@@ -70,4 +75,28 @@ def claim_processor(*, fifo_priority: int = 0, cpus: tuple[int, ...] = ()) -> li
                 'needs CAP_SYS_NICE or an rtprio limit (ulimit -r) of that size')
         except (AttributeError, OSError, ValueError) as error:
             problems.append(f'SCHED_FIFO {fifo_priority} is not possible here: {error}')
+    if lock_memory:
+        try:
+            libc = ctypes.CDLL(None, use_errno=True)
+            if libc.mlockall(MCL_CURRENT | MCL_FUTURE) != 0:
+                raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
+        except (AttributeError, OSError) as error:
+            problems.append(f'memory cannot be locked: {error}; needs CAP_IPC_LOCK or a memlock '
+                            'limit (ulimit -l) of the size of the process')
     return problems
+
+
+def describe_claim() -> str:
+    """Return how this thread is scheduled and where, and whether its memory is locked."""
+    if not hasattr(os, 'sched_getscheduler'):
+        return 'normal priority'
+    fifo = os.sched_getscheduler(0) == os.SCHED_FIFO
+    priority = f'SCHED_FIFO {os.sched_getparam(0).sched_priority}' if fifo else 'normal priority'
+    cpus = ','.join(str(cpu) for cpu in sorted(os.sched_getaffinity(0)))
+    return f'{priority}, processors {cpus}, memory {"" if _locked_memory() else "not "}locked'
+
+
+def _locked_memory() -> bool:
+    with contextlib.suppress(OSError), open('/proc/self/status', encoding='utf-8') as file:
+        return any(line.startswith('VmLck:') and int(line.split()[1]) > 0 for line in file)
+    return False

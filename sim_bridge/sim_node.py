@@ -23,8 +23,8 @@ from typing import Any
 
 from multicontact_control.arrays import Vector
 from multicontact_control.config import parameter, Real
-from multicontact_control.errors import RunError
-from multicontact_control.nodes import messages, topics
+from multicontact_control.errors import MessageError, RunError
+from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.nodes.diagnostics import (
     Diagnostics,
     input_status,
@@ -34,11 +34,11 @@ from multicontact_control.nodes.diagnostics import (
 )
 from multicontact_control.nodes.graph_node import (
     create_publisher,
-    create_subscription,
     Refusals,
     StartupConfig,
     StartupGate,
 )
+from multicontact_control.nodes.local_delivery import LocalDelivery
 from multicontact_control.nodes.loop_statistics import (
     DurationLog,
     Freshness,
@@ -46,7 +46,9 @@ from multicontact_control.nodes.loop_statistics import (
     NANOSECONDS,
 )
 from multicontact_control.nodes.parameters import load_parameters
+from multicontact_control.nodes.raw_messages import effort_reader
 from multicontact_control.nodes.runtime import run_node, Spinner
+from multicontact_control.nodes.streams import Streams
 import numpy as np
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
@@ -92,8 +94,9 @@ def stamp_of(tick: int, rate: float) -> int:
 class SimNode(Node):
     """Publishes what the plant's sensors read and applies the torques that come back."""
 
-    def __init__(self) -> None:
+    def __init__(self, local: LocalDelivery | None = None) -> None:
         super().__init__(topics.SIM)
+        self.streams = Streams(self, local)
         plant_config: PlantConfig
         config: SimNodeConfig
         plant_config, config = load_parameters(self, PlantConfig, SimNodeConfig)
@@ -114,19 +117,30 @@ class SimNode(Node):
         self._start = time.monotonic_ns()
         self._wall = 0
         self._published = np.zeros(REMEMBERED, dtype=np.int64)
-        self._outputs = {
-            topic: create_publisher(self, topic) for topic in topics.published_by(topics.SIM)}
-        if config.lockstep:
-            self._outputs[topics.CLOCK] = create_publisher(self, topics.CLOCK)
+        description = create_publisher(self, topics.ROBOT_DESCRIPTION)
+        self.streams.advertise(self._examples(), batched=config.recording_batches)
+        self._reader = effort_reader(self._plant.joint_names)
+        self.streams.subscribe(topics.EFFORT_COMMAND, self._on_command, qos.INPUT)
         self._watch, self._fresh = LoopStatistics(config.rate), Freshness()
         self._fresh.expect(topics.EFFORT_COMMAND.name)
         self._diagnostics = Diagnostics(self, self._statuses)
         # Kept by the publisher for whoever comes late.
-        self._outputs[topics.ROBOT_DESCRIPTION].publish(String(data=urdf_text(load_robot())))
-        subscription = create_subscription(self, topics.EFFORT_COMMAND, self._on_command)
+        description.publish(String(data=urdf_text(load_robot())))
         self._gate = StartupGate(
-            self, self._outputs, {topics.EFFORT_COMMAND: subscription}, config)
+            self, {**self.streams.publishers, topics.ROBOT_DESCRIPTION: description},
+            self.streams.subscriptions, config)
         self._origin = 0  # stamp of sample 0 [ns]
+
+    def _examples(self) -> dict[topics.Topic, Any]:
+        """Return a message of each topic that is published at the control rate."""
+        joints, contacts = self._plant.joint_names, self._plant.contact_names
+        build, n = messages.joint_state_message, np.zeros(len(joints))
+        wrench = messages.wrench_message(0, np.zeros(6), 'ft_face')
+        return {
+            topics.WRENCH: wrench, topics.WRENCH_FILTERED: wrench,
+            topics.JOINT_STATES: build(0, joints, position=n, velocity=n, effort=n),
+            topics.TRUE_FORCES: build(0, contacts, effort=np.zeros(len(contacts))),
+            **({topics.CLOCK: Clock()} if self._config.lockstep else {})}
 
     def run(self, spinner: Spinner) -> None:
         """
@@ -140,7 +154,7 @@ class SimNode(Node):
         """
         while not (spinner.stop or self._gate.poll()):
             spinner.spin_once(0.01)
-            self._diagnostics.poll()
+            self._poll()
         self._start_up(spinner)
         self._start = time.monotonic_ns()
         if self._config.lockstep:
@@ -148,6 +162,12 @@ class SimNode(Node):
         else:
             self._run_real_time(spinner)
         self._wall = time.monotonic_ns() - self._start
+        self.streams.flush()
+
+    def _poll(self) -> None:
+        """Do what is due now and then."""
+        self.streams.poll()
+        self._diagnostics.poll()
 
     def close(self) -> None:
         """Write the counts and times of this run, if asked to, and free the plant."""
@@ -159,6 +179,7 @@ class SimNode(Node):
             'pace_slips': self._slips, 'command_timeouts': self._timeouts,
             'wall_s': self._wall * 1e-9,
             'latency_us': self._latency.percentiles(),
+            'latency_histogram': self._latency.histogram(),
             'plant_us': self._step_times.percentiles(),
             'saturated_ticks': self._saturated, 'saturated_fraction':
             self._saturated / samples, 'refused': dict(self._refusals.counts)})
@@ -175,7 +196,7 @@ class SimNode(Node):
             give_up = time.monotonic() + resend
             while self._answered < 0 and time.monotonic() < give_up and not spinner.stop:
                 spinner.spin_once(0.05)
-                self._diagnostics.poll()
+                self._poll()
         self._publish_truth()
 
     @property
@@ -208,7 +229,7 @@ class SimNode(Node):
             self._publish()
             self._spin_until_answered(spinner, deadline + wait)
             self._publish_truth()
-            self._diagnostics.poll()
+            self._poll()
         # The last sample deserves its answer, too.
         self._spin_until_answered(spinner, time.monotonic_ns() + NANOSECONDS // 10)
 
@@ -234,7 +255,7 @@ class SimNode(Node):
             self._tick += 1
             self._publish()
             self._publish_truth()
-            self._diagnostics.poll()
+            self._poll()
             if self._delay_ticks == 0:
                 self._wait_for_answer(spinner)
         self._wait_for_answer(spinner)
@@ -278,37 +299,31 @@ class SimNode(Node):
 
     def _publish(self) -> None:
         """Publish what the controller works with; the clock of the latency starts here."""
-        sample, outputs, stamp = self._sample, self._outputs, self._stamp(self._tick)
-        wrench = messages.wrench_message(stamp, sample.wrench, 'ft_face')
-        filtered = messages.wrench_message(stamp, sample.wrench_filtered, 'ft_face')
-        joints = messages.joint_state_message(
-            stamp, self._plant.joint_names, position=sample.q, velocity=sample.qd,
-            effort=sample.effort)
-        if topics.CLOCK in outputs:
-            outputs[topics.CLOCK].publish(Clock(clock=messages.ns_to_stamp(stamp)))
+        sample, streams, stamp = self._sample, self.streams, self._stamp(self._tick)
+        if self._config.lockstep:
+            streams.send(topics.CLOCK, stamp)
         now = time.monotonic_ns()
         self._published[self._tick % REMEMBERED] = now
         self._watch.add_period(now)
-        outputs[topics.WRENCH].publish(wrench)
-        outputs[topics.WRENCH_FILTERED].publish(filtered)
-        outputs[topics.JOINT_STATES].publish(joints)
+        streams.send(topics.WRENCH, stamp, sample.wrench)
+        streams.send(topics.WRENCH_FILTERED, stamp, sample.wrench_filtered)
+        streams.send(topics.JOINT_STATES, stamp, sample.q, sample.qd, sample.effort)
 
     def _publish_truth(self) -> None:
         """Publish what only an observer may know."""
-        self._outputs[topics.TRUE_FORCES].publish(messages.joint_state_message(
-            self._stamp(self._tick), self._plant.contact_names,
-            effort=self._sample.contact_force))
+        self.streams.send(
+            topics.TRUE_FORCES, self._stamp(self._tick), self._sample.contact_force)
 
     def _stamp(self, tick: int) -> int:
         return self._origin + stamp_of(tick, self._config.rate)
 
-    def _on_command(self, message: Any) -> None:
+    def _on_command(self, data: bytes) -> None:
         received = self._fresh.note(topics.EFFORT_COMMAND.name)
         with self._refusals.guard(topics.EFFORT_COMMAND):
-            command = messages.read_effort(message, self._plant.joint_names)
+            command = self._reader.read(data)
             tick = round((command.stamp - self._origin) * 1e-9 * self._config.rate)
             if not (tick >= 0 and self._stamp(tick) == command.stamp):
-                raise messages.MessageError(
+                raise MessageError(
                     'stamp', 'that of a sample', f'{command.stamp} ns')
             # A controller that has waited for a sample in vain may have counted on.
             tick = min(tick, self._tick)
@@ -338,7 +353,7 @@ class SimNode(Node):
             Status('contacts', {
                 name: f'touching with {force:.4g} N' if force > 0.0 else 'free'
                 for name, force in forces}),
-            message_status(self._refusals)]
+            message_status(self._refusals, slow=self._reader.slow)]
 
 
 def main() -> int:

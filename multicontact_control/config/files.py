@@ -123,8 +123,12 @@ def merge(base: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, An
     return merged
 
 
-def write_parameters(path: Path, config: Config) -> None:
-    """Write a configuration as a ROS 2 parameter file that reads back to the same values."""
-    values = config.model_dump(mode='json')
-    text = yaml.safe_dump({'/**': {'ros__parameters': values}}, sort_keys=False)
+def write_parameters(path: Path, config: Config, node_name: str = '') -> None:
+    """
+    Write a configuration as a ROS 2 parameter file that reads back to the same values.
+
+    It is for the node of a name, in any namespace, or for every node.
+    """
+    values, node = config.model_dump(mode='json'), f'/**/{node_name}'.rstrip('/')
+    text = yaml.safe_dump({node: {'ros__parameters': values}}, sort_keys=False)
     path.write_text(text, encoding='utf-8')

@@ -98,8 +98,8 @@ class Setup:
                                 self.controller.model_copy(update={'robot': robot})),
             'noise_estimator_node': ('noise_estimator.yaml', self.noise_estimator),
             'sim_node': ('plant.yaml', self.plant)}
-        for name, config in nodes.values():
-            write_parameters(folder / name, config)
+        for node, (name, config) in nodes.items():
+            write_parameters(folder / name, config, node)
         for name, config in (('reference.yaml', self.scenario.reference),
                              ('scenario.yaml', self.scenario)):
             (folder / name).write_text(

@@ -7,9 +7,9 @@ from typing import Any
 
 from multicontact_control.control_loop import ControlLoop
 from multicontact_control.errors import MulticontactError
-from multicontact_control.nodes import messages, topics
+from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.nodes.controller_config import ControllerNodeConfig
-from multicontact_control.nodes.graph_node import create_subscription, Refusals
+from multicontact_control.nodes.graph_node import Refusals
 from rclpy.node import Node
 from rclpy.subscription import Subscription
 from std_srvs.srv import SetBool, Trigger
@@ -42,10 +42,9 @@ class CommandInterface:
         self._set_bias = set_bias
         self._config = ControllerNodeConfig()
         self.subscriptions: dict[topics.Topic, Subscription] = {
-            topics.FORCE_COMMAND: create_subscription(
-                node, topics.FORCE_COMMAND, self._on_forces),
-            topics.MOTION_COMMAND: create_subscription(
-                node, topics.MOTION_COMMAND, self._on_motion)}
+            topic: node.create_subscription(topic.message, topic.name, callback, qos.COMMAND)
+            for topic, callback in ((topics.FORCE_COMMAND, self._on_forces),
+                                    (topics.MOTION_COMMAND, self._on_motion))}
         self._services = [
             self._service(Trigger, '~/tare', self._tare),
             self._service(SetBool, '~/hold', self._hold),

@@ -11,11 +11,11 @@ from typing import Any
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.control_loop import ControlLoop
-from multicontact_control.errors import MulticontactError
-from multicontact_control.nodes import messages, qos, topics
+from multicontact_control.errors import MessageError, MulticontactError
+from multicontact_control.nodes import qos, topics
 from multicontact_control.nodes.command_interface import CommandInterface
 from multicontact_control.nodes.controller_config import ControllerNodeConfig
-from multicontact_control.nodes.controller_outputs import ControllerOutputs
+from multicontact_control.nodes.controller_outputs import Command, ControllerOutputs
 from multicontact_control.nodes.controller_status import (
     contact_status,
     sensor_status,
@@ -27,7 +27,8 @@ from multicontact_control.nodes.diagnostics import (
     STALE_PERIODS,
     Status,
 )
-from multicontact_control.nodes.graph_node import create_subscription, StartupGate
+from multicontact_control.nodes.graph_node import StartupGate
+from multicontact_control.nodes.local_delivery import LocalDelivery
 from multicontact_control.nodes.loop_statistics import (
     DurationLog,
     Freshness,
@@ -35,11 +36,18 @@ from multicontact_control.nodes.loop_statistics import (
     NANOSECONDS,
 )
 from multicontact_control.nodes.managed_node import ACTIVE, ManagedNode
+from multicontact_control.nodes.raw_messages import (
+    effort_reader,
+    joint_state_reader,
+    MessageReader,
+    wrench_reader,
+)
 from multicontact_control.nodes.runtime import run_node, Spinner
 from multicontact_control.sampling import PairedSample, SamplePairing, SampleTimeout
 import numpy as np
-from rclpy.subscription import Subscription
-from sensor_msgs.msg import JointState
+
+# What is timed of a tick: a message into a reading (twice), the loop, the command, all the rest.
+STAGES = ('read', 'step', 'send', 'show')
 
 
 class ControllerNode(ManagedNode):
@@ -57,24 +65,25 @@ class ControllerNode(ManagedNode):
     lockstep, an older sample starts everything anew.
     """
 
-    def __init__(self) -> None:
-        super().__init__(topics.CONTROLLER, ControllerConfig, ControllerNodeConfig)
+    def __init__(self, local: LocalDelivery | None = None) -> None:
+        super().__init__(
+            topics.CONTROLLER, ControllerConfig, ControllerNodeConfig, local=local)
         self._loop: ControlLoop | None = None
         self._commands: CommandInterface | None = None
         self._outputs: ControllerOutputs | None = None
         self._report: SupervisorReport | None = None
-        self._inputs: dict[topics.Topic, Subscription] = {}
+        self._readers: dict[topics.Topic, MessageReader[Any]] = {}
         self._node_config = ControllerNodeConfig()
         self._watch, self._fresh = LoopStatistics(), Freshness()
         self._pairing = SamplePairing()
-        self._step_times = DurationLog()
+        self._stages = {stage: DurationLog() for stage in STAGES}
         self._restarts = 0
         self._waiting: PairedSample | None = None
         self._older_stamp: int | None = None
         self._patience = SampleTimeout(0.0, 1.0)
         self._heard = self._received = 0
         self._instruction = ''
-        self._last_command: JointState | None = None
+        self._last_command: Command | None = None
 
     def configure(self, configurations: Sequence[Any]) -> None:
         """Build the controller and its ends of the topics."""
@@ -88,15 +97,16 @@ class ControllerNode(ManagedNode):
         self._loop, self._watch = loop, LoopStatistics(config.rate)
         self._report = SupervisorReport(loop)
         self._set_patience(config)
-        self._outputs = ControllerOutputs(self, config, node_config)
+        self._outputs = ControllerOutputs(self, self.streams, config, node_config)
         self._wrench = topics.WRENCH if config.wrench_input == 'raw' else topics.WRENCH_FILTERED
-        callbacks: dict[topics.Topic, Callable[[Any], None]] = {
-            topics.NOISE_VARIANCE: self._on_noise_variance, self._wrench: self._on_wrench,
-            topics.JOINT_STATES: self._on_joint_states}
+        self._readers = {
+            topics.NOISE_VARIANCE: effort_reader(config.contact_names),
+            self._wrench: wrench_reader(),
+            topics.JOINT_STATES: joint_state_reader(config.robot.joint_names)}
+        callbacks = (self._on_noise_variance, self._on_wrench, self._on_joint_states)
         profile = qos.INPUT if node_config.lockstep else qos.NEWEST
-        self._inputs = {
-            topic: create_subscription(self, topic, callback, profile)
-            for topic, callback in callbacks.items()}
+        for topic, callback in zip(self._readers, callbacks):
+            self.streams.subscribe(topic, callback, profile)
         self._commands = CommandInterface(
             self, loop, self.refusals,
             lambda bias: self.parameter_set.assign('tool.bias_sensor', bias))
@@ -114,7 +124,8 @@ class ControllerNode(ManagedNode):
         self._forget()
         commands = self._commands.subscriptions if self._commands else {}
         outputs = self._outputs.publishers if self._outputs else {}
-        return StartupGate(self, outputs, {**self._inputs, **commands}, self._node_config)
+        return StartupGate(
+            self, outputs, {**self.streams.subscriptions, **commands}, self._node_config)
 
     def gate_opened(self) -> None:
         """Answer the sample that waits."""
@@ -127,15 +138,13 @@ class ControllerNode(ManagedNode):
         self.get_logger().info(f'deactivated: commanding {kind} from the next sample on')
 
     def clean_up(self) -> None:
-        """Free the controller and the topics."""
+        """Free the controller, and the topics that are no streams."""
         for ends in (self._commands, self._outputs):
             if ends is not None:
                 ends.close()
-        for subscription in self._inputs.values():
-            self.destroy_subscription(subscription)
         self._loop = self._commands = self._outputs = self._report = None
         self._patience.stop()
-        self._inputs = {}
+        self._readers = {}
 
     def check(self, configurations: Sequence[Any]) -> None:
         """Raise if the controller cannot go on with new configurations."""
@@ -161,7 +170,8 @@ class ControllerNode(ManagedNode):
         """Write the counts of this run, if asked to."""
         events = self._loop.events.events if self._loop is not None else []
         self._node_config.write_counts({
-            'steps': self._step_times.count, 'tick_us': self._step_times.percentiles(),
+            'steps': self._stages['step'].count, 'tick_us': self._stages['step'].percentiles(),
+            'stages_us': {stage: log.percentiles() for stage, log in self._stages.items()},
             'refused': dict(self.refusals.counts), 'unpaired': self._pairing.unpaired,
             'restarts': self._restarts, 'events': events})
 
@@ -170,35 +180,41 @@ class ControllerNode(ManagedNode):
         self._patience.stop()
         if not self._node_config.lockstep:
             self._waiting = None  # it may be old; in lockstep nothing is
-        self._fresh.expect(*(topic.name for topic in self._inputs))
+        self._fresh.expect(*(topic.name for topic in self._readers))
 
     def _hear(self, topic: topics.Topic) -> int:
         self._heard += 1
         return self._fresh.note(topic.name)
 
-    def _on_joint_states(self, message: Any) -> None:
-        loop = self._loop
-        if loop is None:
+    def _on_joint_states(self, data: bytes) -> None:
+        if self._loop is None:
             return
         self._received = self._hear(topics.JOINT_STATES)
         with self.refusals.guard(topics.JOINT_STATES):
-            self._take(self._pairing.add_joints(messages.read_joint_state(
-                message, loop.config.robot.joint_names, with_effort=loop.first_stamp < 0)))
+            self._take(self._pairing.add_joints(self._read(topics.JOINT_STATES, data)))
 
-    def _on_wrench(self, message: Any) -> None:
+    def _on_wrench(self, data: bytes) -> None:
+        if self._loop is None:
+            return
         self._received = self._hear(self._wrench)
         with self.refusals.guard(self._wrench):
-            self._take(self._pairing.add_wrench(messages.read_wrench(message)))
+            self._take(self._pairing.add_wrench(self._read(self._wrench, data)))
 
-    def _on_noise_variance(self, message: Any) -> None:
+    def _read(self, topic: topics.Topic, data: bytes) -> Any:
+        start = time.perf_counter_ns()
+        reading = self._readers[topic].read(data)
+        self._stages['read'].add(time.perf_counter_ns() - start)
+        return reading
+
+    def _on_noise_variance(self, data: bytes) -> None:
         loop = self._loop
         if loop is None:
             return
         self._fresh.note(topics.NOISE_VARIANCE.name)
         with self.refusals.guard(topics.NOISE_VARIANCE):
-            reading = messages.read_effort(message, loop.config.contact_names)
-            if not (reading.values > 0.0).all():
-                raise messages.MessageError(
+            reading = self._readers[topics.NOISE_VARIANCE].read(data)
+            if min(reading.values.tolist()) <= 0.0:
+                raise MessageError(
                     'effort', 'variances above 0', reading.values.tolist())
             if reading.stamp > loop.last_stamp:
                 return  # left over from before a restart
@@ -224,8 +240,8 @@ class ControllerNode(ManagedNode):
             return
         if sample.stamp == loop.last_stamp:
             self._waiting = None
-            if self._last_command is not None:
-                self._send(self._last_command)
+            if self._last_command is not None and self._outputs is not None:
+                self._outputs.send(self._last_command)
             return
         if sample.stamp < loop.last_stamp and not self._start_anew(loop, sample.stamp):
             self._waiting = None
@@ -248,7 +264,7 @@ class ControllerNode(ManagedNode):
         before, self._older_stamp = self._older_stamp, stamp
         if before is not None and stamp >= before:  # the same again: somebody waits for an answer
             return True
-        self.refusals.refuse(topics.JOINT_STATES.name, messages.MessageError(
+        self.refusals.refuse(topics.JOINT_STATES.name, MessageError(
             'stamp', 'one after that of the last sample', f'{stamp} ns'))
         return False
 
@@ -285,19 +301,21 @@ class ControllerNode(ManagedNode):
             self._last_command = None
             torque = step()
             stamp = loop.expected_stamp
-            command = messages.joint_state_message(
-                stamp, loop.config.robot.joint_names, effort=torque)
-            self._step_times.add(time.perf_counter_ns() - start)
+            if self._outputs is None:
+                return
+            command = self._outputs.command(stamp, torque)
+            answered = time.perf_counter_ns()
             # The command first: everything else can wait, the robot cannot.
-            self._send(command)
+            self._outputs.send(command)
             self._last_command = command
+            sent = time.perf_counter_ns()
             if sampled:
                 self._watch.add_latency(time.monotonic_ns() - self._received)
                 self._show(loop, stamp)
-
-    def _send(self, command: JointState) -> None:
-        if self._outputs is not None:
-            self._outputs.send(command)
+            stages = self._stages
+            stages['step'].add(answered - start)
+            stages['send'].add(sent - answered)
+            stages['show'].add(time.perf_counter_ns() - sent)
 
     def _show(self, loop: ControlLoop, stamp: int) -> None:
         if self._outputs is not None and loop.output is not None:
@@ -315,7 +333,7 @@ class ControllerNode(ManagedNode):
         """Return what diagnostics report."""
         loop = self._configured
         self._watch.missed, loop.skipped = loop.skipped, 0
-        timing = {**self._watch.report(), 'steps': self._step_times.count,
+        timing = {**self._watch.report(), 'steps': self._stages['step'].count,
                   'restarts': self._restarts, 'safe_behaviour': loop.safe,
                   'supervised': loop.supervisor is not None}
         missed = timing['deadline_misses']
@@ -326,7 +344,8 @@ class ControllerNode(ManagedNode):
                          needed=self.state == ACTIVE,
                          consequence=self._without_variance(loop)),
             contact_status(loop), sensor_status(loop),
-            message_status(self.refusals, unpaired=self._pairing.unpaired)]
+            message_status(self.refusals, unpaired=self._pairing.unpaired, slow=sum(
+                reader.slow for reader in self._readers.values()))]
         if loop.supervisor is not None and self._report is not None:
             statuses.append(self._report.status())
         return statuses
@@ -346,8 +365,7 @@ def warm_up(loop: ControlLoop) -> None:
     with contextlib.suppress(MulticontactError):
         loop.step(PairedSample(0, joints, 0.0 * joints, np.zeros(6)))
         if loop.output is not None:
-            pose = loop.output.pose
-            messages.pose_message(0, pose.position_world, pose.quaternion_xyzw, topics.WORLD_FRAME)
+            loop.output.pose.quaternion_xyzw  # noqa: B018 - compiled too
     loop.restart()
 
 

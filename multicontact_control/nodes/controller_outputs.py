@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 from geometry_msgs.msg import Point
 from multicontact_control.arrays import Vector
@@ -12,11 +13,11 @@ from multicontact_control.dynamics.pose import Pose
 from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.nodes.controller_config import ControllerNodeConfig
 from multicontact_control.nodes.graph_node import create_publisher
+from multicontact_control.nodes.streams import Streams
 import numpy as np
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from sensor_msgs.msg import JointState
 from std_msgs.msg import ColorRGBA, Float64MultiArray
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -29,48 +30,54 @@ CONTROLLED, FELT = (1.0, 0.45, 0.1), (0.5, 0.5, 0.5)
 
 class ControllerOutputs:
     """
-    The publishers of the controller.
+    What the controller publishes.
 
     The bare efforts, if asked for, are what ros2_control's `forward_command_controller` and
     `joint_group_effort_controller` subscribe to, in the order of the controller's joints.
 
     Parameters
     ----------
-    node
-        The controller's node.
+    node, streams
+        The controller's node, and its topics at the control rate.
     config, node_config
-        Contacts and rate; topic of the bare efforts and markers.
-
-    Attributes
-    ----------
-    publishers
-        Of the topics of the table.
+        Names and rate; topic of the bare efforts, markers, batches.
 
     """
 
     def __init__(
-        self, node: Node, config: ControllerConfig, node_config: ControllerNodeConfig,
+        self, node: Node, streams: Streams, config: ControllerConfig,
+        node_config: ControllerNodeConfig,
     ) -> None:
-        self._node, self._names = node, config.contact_names
-        self.publishers: dict[topics.Topic, Publisher] = {
-            topic: create_publisher(node, topic)
-            for topic in topics.published_by(topics.CONTROLLER)}
+        self._node, self._streams = node, streams
+        streams.advertise(
+            examples(config.robot.joint_names, config.contact_names),
+            batched=node_config.recording_batches)
+        self._markers_publisher = create_publisher(node, topics.CONTACT_MARKERS)
         bare = node_config.effort_output_topic
         self._bare = node.create_publisher(Float64MultiArray, bare, qos.STREAM) if bare else None
         self._markers = ContactMarkers(
             config, rate=node_config.marker_rate, scale=node_config.marker_scale)
 
+    @property
+    def publishers(self) -> dict[topics.Topic, Publisher]:
+        """Return the publishers that have to find their readers."""
+        return {**self._streams.publishers, topics.CONTACT_MARKERS: self._markers_publisher}
+
     def close(self) -> None:
-        """Free the topics."""
-        for publisher in (*self.publishers.values(), self._bare):
+        """Free the topics that are no streams."""
+        for publisher in (self._markers_publisher, self._bare):
             if publisher is not None:
                 self._node.destroy_publisher(publisher)
 
-    def send(self, command: JointState) -> None:
+    def command(self, stamp: int, torque: Vector) -> Command:
+        """Return a command; raise `MessageError` if a torque is not finite."""
+        return Command(self._streams.message(topics.EFFORT_COMMAND, stamp, torque), torque)
+
+    def send(self, command: Command) -> None:
         """Publish a command, and its bare efforts too if asked to."""
-        self.publishers[topics.EFFORT_COMMAND].publish(command)
+        self._streams.pass_on(topics.EFFORT_COMMAND, command.data)
         if self._bare is not None:
-            self._bare.publish(Float64MultiArray(data=command.effort))
+            self._bare.publish(Float64MultiArray(data=command.torque))
 
     def show(self, stamp: int, tick: int, output: ControlOutput) -> None:
         """
@@ -91,20 +98,49 @@ class ControllerOutputs:
             If a number is not finite.
 
         """
-        build, publishers, names = messages.joint_state_message, self.publishers, self._names
-        publishers[topics.MEASURED_FORCES].publish(build(stamp, names, effort=output.alpha_meas))
-        publishers[topics.ESTIMATED_FORCES].publish(build(
-            stamp, names, effort=output.alpha_est, velocity=output.alpha_rate_est))
-        publishers[topics.DESIRED_FORCES].publish(build(stamp, names, effort=output.alpha_des))
-        publishers[topics.INNOVATION].publish(build(
-            stamp, names, position=output.variance_used, velocity=output.prior_variance,
-            effort=output.innovation))
-        for topic, pose in ((topics.POSE, output.pose), (topics.POSE_DESIRED, output.pose_des)):
-            publishers[topic].publish(messages.pose_message(
-                stamp, pose.position_world, pose.quaternion_xyzw, topics.WORLD_FRAME))
+        streams = self._streams
+        for topic, numbers in SHOWN.items():
+            if streams.wants(topic):
+                streams.pass_on(topic, streams.message(topic, stamp, *numbers(output)))
         if self._markers.due(tick):
-            publishers[topics.CONTACT_MARKERS].publish(self._markers.message(
+            self._markers_publisher.publish(self._markers.message(
                 stamp, output.pose, output.alpha_meas, output.active))
+
+
+class Command(NamedTuple):
+    """A command as it is sent, and its torques, shape (n,) [N m]."""
+
+    data: bytes
+    torque: Vector
+
+
+# What is published of a tick: its numbers in the order of the message's fields.
+SHOWN: dict[topics.Topic, Callable[[ControlOutput], tuple[Vector, ...]]] = {
+    topics.MEASURED_FORCES: lambda output: (output.alpha_meas,),
+    topics.ESTIMATED_FORCES: lambda output: (output.alpha_rate_est, output.alpha_est),
+    topics.DESIRED_FORCES: lambda output: (output.alpha_des,),
+    topics.INNOVATION: lambda output: (
+        output.variance_used, output.prior_variance, output.innovation),
+    topics.POSE: lambda output: (_seven(output.pose),),
+    topics.POSE_DESIRED: lambda output: (_seven(output.pose_des),)}
+
+
+def _seven(pose: Pose) -> Vector:
+    """Return the numbers of a pose message: position and quaternion, shape (7,)."""
+    return np.concatenate((pose.position_world, pose.quaternion_xyzw))
+
+
+def examples(joints: Sequence[str], contacts: Sequence[str]) -> dict[topics.Topic, Any]:
+    """Return a message of each topic that the controller publishes at the control rate."""
+    build, n, r = messages.joint_state_message, np.zeros(len(joints)), np.zeros(len(contacts))
+    pose = messages.pose_message(0, np.zeros(3), np.zeros(4), topics.WORLD_FRAME)
+    return {
+        topics.EFFORT_COMMAND: build(0, joints, effort=n),
+        topics.MEASURED_FORCES: build(0, contacts, effort=r),
+        topics.ESTIMATED_FORCES: build(0, contacts, velocity=r, effort=r),
+        topics.DESIRED_FORCES: build(0, contacts, effort=r),
+        topics.INNOVATION: build(0, contacts, position=r, velocity=r, effort=r),
+        topics.POSE: pose, topics.POSE_DESIRED: pose}
 
 
 class ContactMarkers:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
-import contextlib
+from collections.abc import Mapping
 from pathlib import Path
 import time
 from typing import Any
@@ -15,7 +14,7 @@ from multicontact_control.files import write_json
 from multicontact_control.nodes import qos
 from multicontact_control.nodes.runtime import loaded_kernels
 from multicontact_control.nodes.topics import Topic
-from multicontact_control.process import claim_processor
+from multicontact_control.process import claim_processor, describe_claim
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -36,32 +35,28 @@ class StartupConfig(Config):
     startup_timeout: Real = parameter(
         0.0, 'Longest wait for them; 0 for any time, since who started them watches them all.',
         unit='s', ge=0.0)
+    recording_batches: bool = parameter(
+        False, 'Whether the recorder gets what is sent at the control rate many messages at a '
+        'time, on _recording/NODE, instead of each from its topic.')
     timing_file: str = parameter('', 'JSON file to write counts and times to at the end.')
     fifo_priority: int = parameter(
         0, 'Real-time priority (SCHED_FIFO) of the node, 0 for normal scheduling.', ge=0, le=99)
     cpus: tuple[int, ...] = parameter((), 'Processors the node may run on; empty for all.')
+    lock_memory: bool = parameter(
+        False, 'Whether none of the memory of the process may be paged out.')
 
     def write_counts(self, counts: Mapping[str, Any]) -> None:
         """Write the counts and times of a run, and how many kernels it compiled, if asked to."""
         if self.timing_file:
             kernels = loaded_kernels()
             write_json(Path(self.timing_file), {
-                **counts, 'kernels_compiled': kernels.compiled_here() if kernels else 0})
+                **counts, 'kernels_compiled': kernels.compiled_here() if kernels else 0,
+                'scheduling': describe_claim()})
 
 
 def create_publisher(node: Node, topic: Topic) -> Publisher:
     """Create the publisher of a topic of the table."""
     return node.create_publisher(topic.message, topic.name, topic.profile)
-
-
-def create_subscription(
-    node: Node, topic: Topic, callback: Callable[[Any], None],
-    profile: QoSProfile | None = None,
-) -> Subscription:
-    """Subscribe a node to a topic of the table, with the profile of its rate if none is given."""
-    if profile is None:
-        profile = qos.COMMAND if topic.rate == 'event' else qos.INPUT
-    return node.create_subscription(topic.message, topic.name, callback, profile)
 
 
 def take(subscription: Subscription) -> tuple[Any, dict[str, Any]] | None:
@@ -87,6 +82,7 @@ class Refusals:
 
     def __init__(self, logger: RcutilsLogger) -> None:
         self._logger = logger
+        self._guards: dict[Topic, _Guard] = {}
         self.counts: Counter[str] = Counter()
 
     def refuse(self, source: str, error: Exception) -> None:
@@ -96,18 +92,33 @@ class Refusals:
         if self.counts[cause] == 1:
             self._logger.error(f'{source}: refused: {error} (further ones are only counted)')
 
-    @contextlib.contextmanager
-    def guard(self, topic: Topic) -> Iterator[None]:
+    def guard(self, topic: Topic) -> _Guard:
         """Refuse what raises a named error inside."""
-        try:
-            yield
-        except MulticontactError as error:
-            self.refuse(topic.name, error)
+        if topic not in self._guards:
+            self._guards[topic] = _Guard(self, topic.name)
+        return self._guards[topic]
 
     @property
     def total(self) -> int:
         """How many there were."""
         return sum(self.counts.values())
+
+
+class _Guard:
+    """What `Refusals.guard` returns, one per topic: it is entered with every message."""
+
+    def __init__(self, refusals: Refusals, source: str) -> None:
+        self._refusals, self._source = refusals, source
+
+    def __enter__(self) -> None:
+        """Begin to watch."""
+
+    def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> bool:
+        """Refuse what was raised, if it is named."""
+        if not isinstance(error, MulticontactError):
+            return False
+        self._refusals.refuse(self._source, error)
+        return True
 
 
 class StartupGate:
@@ -143,7 +154,9 @@ class StartupGate:
         self._next_report = self._start + REPORT_PERIOD
         self.open = not config.startup_peers
         # By now all memory is there, and the threads of the middleware keep their own priority.
-        for problem in claim_processor(fifo_priority=config.fifo_priority, cpus=config.cpus):
+        for problem in claim_processor(
+                fifo_priority=config.fifo_priority, cpus=config.cpus,
+                lock_memory=config.lock_memory):
             node.get_logger().warning(problem)
 
     def poll(self) -> bool:

@@ -10,71 +10,9 @@ import numpy as np
 
 NANOSECONDS = 1_000_000_000
 CAPACITY = 1 << 18
-
-
-class LoopStatistics:
-    """
-    Rate, jitter and latency since the last report.
-
-    Parameters
-    ----------
-    rate
-        How often the loop should run [Hz], 0 if there is no such rate.
-
-    Attributes
-    ----------
-    missed
-        Deadlines missed since the last report; whoever knows of one adds it.
-
-    """
-
-    def __init__(self, rate: float = 0.0) -> None:
-        self._period = NANOSECONDS / rate if rate else 0.0
-        self._last = 0
-        self._intervals: list[int] = []
-        self._latencies: list[int] = []
-        self._report_start = time.monotonic_ns()
-        self.missed = 0
-        self.missed_in_all = 0
-
-    def add_period(self, now: int) -> None:
-        """Take note of a turn of the loop at a monotonic time [ns]."""
-        if self._last:
-            self._intervals.append(now - self._last)
-        self._last = now
-
-    def add_latency(self, latency: int) -> None:
-        """Take note of the time from a sample to its answer [ns]."""
-        self._latencies.append(latency)
-
-    def report(self) -> dict[str, float | int | None]:
-        """
-        Return what was seen since the last call, by name with unit.
-
-        Jitter is the deviation of an interval from the period, or from the median interval.
-        """
-        now = time.monotonic_ns()
-        elapsed = max(1, now - self._report_start)
-        self.missed_in_all += self.missed
-        intervals = np.array(self._intervals, dtype=float)
-        period = self._period or (np.median(intervals) if intervals.size else 0.0)
-        jitter = np.abs(intervals - period)
-        latencies = np.array(self._latencies, dtype=float)
-        values: dict[str, float | int | None] = {
-            'rate_hz': round(len(intervals) * NANOSECONDS / elapsed, 2),
-            'jitter_us_p50': _percentile(jitter, 50), 'jitter_us_p99': _percentile(jitter, 99),
-            'deadline_misses': self.missed, 'deadline_misses_in_all': self.missed_in_all,
-            'latency_us_p50': _percentile(latencies, 50),
-            'latency_us_p99': _percentile(latencies, 99),
-            'latency_us_max': _percentile(latencies, 100)}
-        self._intervals, self._latencies = [], []
-        self._report_start, self.missed = now, 0
-        return values
-
-
-def _percentile(nanoseconds: Vector, share: int) -> float | None:
-    return round(float(np.percentile(nanoseconds, share)) * 1e-3, 1) if (
-        nanoseconds.size) else None
+REPORTED = 1 << 12  # turns that a report is made of, at most
+PERCENTILES = {'p50': 50.0, 'p99': 99.0, 'p999': 99.9, 'max': 100.0}
+EDGES = np.logspace(1.0, 5.0, 41)  # us, of a histogram: ten per decade, 10 us to 100 ms
 
 
 class DurationLog:
@@ -97,15 +35,91 @@ class DurationLog:
         self._nanoseconds[self.count % self._nanoseconds.size] = nanoseconds
         self.count += 1
 
+    def clear(self) -> None:
+        """Forget all of them."""
+        self.count = 0
+
+    @property
+    def microseconds(self) -> Vector:
+        """Return those that are kept [us]."""
+        kept = self._nanoseconds[:min(self.count, self._nanoseconds.size)]
+        return np.asarray(1e-3 * kept, dtype=np.float64)
+
     def percentiles(self) -> dict[str, float | None]:
         """Return median, tails and maximum [us]; None without any duration."""
-        kept = self._nanoseconds[:self.count] if (
-            self.count < self._nanoseconds.size) else self._nanoseconds
-        if not kept.size:
-            return dict.fromkeys(('p50', 'p99', 'p999', 'max'))
-        p50, p99, p999 = np.percentile(kept, (50.0, 99.0, 99.9)) * 1e-3
-        return {'p50': round(float(p50), 3), 'p99': round(float(p99), 3),
-                'p999': round(float(p999), 3), 'max': round(float(kept.max()) * 1e-3, 3)}
+        kept = self.microseconds
+        return {name: percentile(kept, share, 3) for name, share in PERCENTILES.items()}
+
+    def histogram(self) -> dict[str, list[float] | list[int]]:
+        """Return how many there are from one edge [us] to the next, first and last with all."""
+        kept = np.clip(self.microseconds, EDGES[0], EDGES[-1])
+        return {'edges_us': EDGES.round(1).tolist(),
+                'counts': np.histogram(kept, EDGES)[0].tolist()}
+
+
+def percentile(microseconds: Vector, share: float, digits: int) -> float | None:
+    """Return a percentile, rounded; None of nothing."""
+    return round(float(np.percentile(microseconds, share)), digits) if (
+        microseconds.size) else None
+
+
+class LoopStatistics:
+    """
+    Rate, jitter and latency since the last report.
+
+    Parameters
+    ----------
+    rate
+        How often the loop should run [Hz], 0 if there is no such rate.
+
+    Attributes
+    ----------
+    missed
+        Deadlines missed since the last report; whoever knows of one adds it.
+
+    """
+
+    def __init__(self, rate: float = 0.0) -> None:
+        self._period = 1e6 / rate if rate else 0.0
+        self._last = 0
+        self._intervals, self._latencies = DurationLog(REPORTED), DurationLog(REPORTED)
+        self._report_start = time.monotonic_ns()
+        self.missed = 0
+        self.missed_in_all = 0
+
+    def add_period(self, now: int) -> None:
+        """Take note of a turn of the loop at a monotonic time [ns]."""
+        if self._last:
+            self._intervals.add(now - self._last)
+        self._last = now
+
+    def add_latency(self, latency: int) -> None:
+        """Take note of the time from a sample to its answer [ns]."""
+        self._latencies.add(latency)
+
+    def report(self) -> dict[str, float | int | None]:
+        """
+        Return what was seen since the last call, by name with unit.
+
+        Jitter is the deviation of an interval from the period, or from the median interval.
+        """
+        now = time.monotonic_ns()
+        elapsed = max(1, now - self._report_start)
+        self.missed_in_all += self.missed
+        intervals, latencies = self._intervals.microseconds, self._latencies.microseconds
+        period = self._period or (np.median(intervals) if intervals.size else 0.0)
+        jitter = np.abs(intervals - period)
+        values: dict[str, float | int | None] = {
+            'rate_hz': round(self._intervals.count * NANOSECONDS / elapsed, 2),
+            'jitter_us_p50': percentile(jitter, 50, 1), 'jitter_us_p99': percentile(jitter, 99, 1),
+            'deadline_misses': self.missed, 'deadline_misses_in_all': self.missed_in_all,
+            'latency_us_p50': percentile(latencies, 50, 1),
+            'latency_us_p99': percentile(latencies, 99, 1),
+            'latency_us_max': percentile(latencies, 100, 1)}
+        self._intervals.clear()
+        self._latencies.clear()
+        self._report_start, self.missed = now, 0
+        return values
 
 
 class Freshness:

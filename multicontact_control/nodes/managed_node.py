@@ -13,8 +13,10 @@ from multicontact_control.config import Config, parameter
 from multicontact_control.errors import MulticontactError
 from multicontact_control.nodes.diagnostics import Diagnostics, Status
 from multicontact_control.nodes.graph_node import Refusals, StartupConfig, StartupGate
+from multicontact_control.nodes.local_delivery import LocalDelivery
 from multicontact_control.nodes.parameters import ParameterSet
 from multicontact_control.nodes.runtime import release_memory, settle_process, Spinner
+from multicontact_control.nodes.streams import Streams
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
 UNCONFIGURED, INACTIVE, ACTIVE, FINALIZED = 'unconfigured', 'inactive', 'active', 'finalized'
@@ -44,11 +46,23 @@ class ManagedNode(LifecycleNode):
         Name of the node.
     models
         Configuration classes; that of the node itself, a `ManagedConfig`, is the last.
+    local
+        What hands messages to the other nodes of this process, if there are any.
+
+    Attributes
+    ----------
+    state
+        Of the life cycle.
+    streams
+        The ends of the topics at the control rate.
 
     """
 
-    def __init__(self, name: str, *models: type[Config]) -> None:
+    def __init__(
+        self, name: str, *models: type[Config], local: LocalDelivery | None = None,
+    ) -> None:
         super().__init__(name)
+        self.streams = Streams(self, local)
         self.state = UNCONFIGURED
         self.refusals = Refusals(self.get_logger())
         self.parameter_set = ParameterSet(self, *models)
@@ -77,7 +91,7 @@ class ManagedNode(LifecycleNode):
 
     @abstractmethod
     def clean_up(self) -> None:
-        """Free everything that `configure` made, or as much as there is of it."""
+        """Free everything that `configure` made but the streams, or as much as there is of it."""
 
     @abstractmethod
     def check(self, configurations: Sequence[Any]) -> None:
@@ -105,25 +119,47 @@ class ManagedNode(LifecycleNode):
 
     def run(self, spinner: Spinner) -> None:
         """Run callbacks until asked to stop or shut down."""
-        if self.parameter_set.value('autostart') is True or AUTOSTART in sys.argv:
-            self._start_alone()
+        self.begin()
         while not (spinner.stop or self.state == FINALIZED):
-            waiting = self.state == ACTIVE and not self.working
-            spinner.spin_once(GATED_SPIN_TIMEOUT if waiting else self.patience())
-            if waiting:
-                self._poll_gate()
-            else:
-                self.look(spinner)
-            self.diagnostics.poll()
+            spinner.spin_once(self.longest_wait())
+            self.turn(spinner)
         spinner.drain()
+        self.streams.flush()
 
-    def _start_alone(self) -> None:
-        for trigger in (self.trigger_configure, self.trigger_activate):
-            if trigger() != SUCCESS:
-                raise self._failure or MulticontactError('the node cannot be started')
+    def begin(self) -> None:
+        """
+        Configure and activate, if that is to be done at once.
+
+        Raises
+        ------
+        MulticontactError
+            If it cannot be done.
+
+        """
+        if self.parameter_set.value('autostart') is True or AUTOSTART in sys.argv:
+            for trigger in (self.trigger_configure, self.trigger_activate):
+                if trigger() != SUCCESS:
+                    raise self._failure or MulticontactError('the node cannot be started')
+
+    def longest_wait(self) -> float:
+        """Return how long the process may wait for a callback at most [s]."""
+        return GATED_SPIN_TIMEOUT if self._gated else self.patience()
+
+    def turn(self, spinner: Spinner) -> None:
+        """Do what is due between two callbacks."""
+        if self._gated:
+            self._poll_gate()
+        else:
+            self.look(spinner)
+        self.streams.poll()
+        self.diagnostics.poll()
+
+    @property
+    def _gated(self) -> bool:
+        return self.state == ACTIVE and not self.working
 
     def _poll_gate(self) -> None:
-        if self.state == ACTIVE and self.gate is not None and self.gate.poll():
+        if self.gate is not None and self.gate.poll():
             self._gate_passed = True
             self.gate_opened()
 
@@ -170,6 +206,7 @@ class ManagedNode(LifecycleNode):
         self.parameter_set.unlock()
         self.gate = None
         self.clean_up()
+        self.streams.close()
         release_memory()
 
     def _attempt(

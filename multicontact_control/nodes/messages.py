@@ -17,7 +17,7 @@ from typing import Any
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped, Transform, Twist, WrenchStamped
 from multicontact_control.arrays import Vector
-from multicontact_control.errors import MulticontactError
+from multicontact_control.errors import MessageError
 from multicontact_control.force.noise import Innovation
 from multicontact_control.nodes.loop_statistics import NANOSECONDS
 from multicontact_control.sampling import JointReading, MotionReading, WrenchReading
@@ -28,15 +28,6 @@ from trajectory_msgs.msg import MultiDOFJointTrajectoryPoint
 
 LAST_SECOND = 2 ** 31 - 1
 UNIT_QUATERNION_TOLERANCE = 1e-3
-
-
-class MessageError(MulticontactError):
-    """A message cannot be used, or must not be sent."""
-
-    def __init__(self, field: str, expected: str, found: object) -> None:
-        self.field = field
-        self.cause = f'{field}: expected {expected}'
-        super().__init__(f'{self.cause}, found {found}')
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,11 +88,9 @@ def _ordered(
     return numbers[[found.index(name) for name in names]]
 
 
-def read_joint_state(
-    message: JointState, names: Sequence[str], *, with_effort: bool = False,
-) -> JointReading:
+def read_joint_state(message: JointState, names: Sequence[str]) -> JointReading:
     """
-    Read positions and velocities, and the effort if it is asked for and there.
+    Read positions and velocities, and the effort if it is there: not every robot measures it.
 
     Parameters
     ----------
@@ -109,14 +98,11 @@ def read_joint_state(
         Joint states in any order.
     names
         The joints that must be there, no more and no fewer, in the order to return.
-    with_effort
-        Whether to read the effort; not every robot measures it.
 
     """
     effort = None
-    if with_effort:
-        with contextlib.suppress(MessageError):
-            effort = _ordered(message, names, 'effort', message.effort)
+    with contextlib.suppress(MessageError):
+        effort = _ordered(message, names, 'effort', message.effort)
     return JointReading(
         stamp_to_ns(message.header.stamp),
         _ordered(message, names, 'position', message.position),

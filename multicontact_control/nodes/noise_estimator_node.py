@@ -3,33 +3,28 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 import sys
 from typing import Any
 
 from multicontact_control.config import NoiseEstimatorConfig
 from multicontact_control.errors import ConfigError
 from multicontact_control.force.noise import Innovation, make_noise_estimator, NoiseEstimator
-from multicontact_control.nodes import messages, topics
+from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.nodes.diagnostics import (
     input_status,
     message_status,
     STALE_PERIODS,
     Status,
 )
-from multicontact_control.nodes.graph_node import (
-    create_publisher,
-    create_subscription,
-    StartupGate,
-)
+from multicontact_control.nodes.graph_node import StartupGate
+from multicontact_control.nodes.local_delivery import LocalDelivery
 from multicontact_control.nodes.loop_statistics import Freshness, LoopStatistics
 from multicontact_control.nodes.managed_node import ACTIVE, ManagedConfig, ManagedNode
 from multicontact_control.nodes.messages import InnovationReading, NamedReading
+from multicontact_control.nodes.raw_messages import effort_reader, innovation_reader
 from multicontact_control.nodes.runtime import run_node
 import numpy as np
-from rclpy.publisher import Publisher
-from rclpy.subscription import Subscription
-from sensor_msgs.msg import JointState
 
 MAX_INNOVATIONS = 8
 
@@ -42,11 +37,10 @@ class NoiseEstimatorNode(ManagedNode):
     the window anew. Inactive it is silent, and whoever needs R holds the last one.
     """
 
-    def __init__(self) -> None:
-        super().__init__(topics.ESTIMATOR, NoiseEstimatorConfig, ManagedConfig)
+    def __init__(self, local: LocalDelivery | None = None) -> None:
+        super().__init__(topics.ESTIMATOR, NoiseEstimatorConfig, ManagedConfig, local=local)
         self._estimator: NoiseEstimator | None = None
-        self._publisher: Publisher | None = None
-        self._inputs: dict[topics.Topic, Subscription] = {}
+        self._measured, self._innovation = effort_reader(()), innovation_reader(())
         self._node_config = ManagedConfig()
         self._watch, self._fresh = LoopStatistics(), Freshness()
         self._samples = 0
@@ -60,14 +54,15 @@ class NoiseEstimatorNode(ManagedNode):
         estimator = make_noise_estimator(self._config)
         estimator.update(np.zeros(len(self._names)))  # the first one takes a while
         self._estimator, self._watch = estimator, LoopStatistics(self._config.rate)
-        self._publisher = create_publisher(self, topics.NOISE_VARIANCE)
-        callbacks: dict[topics.Topic, Callable[[Any], None]] = {
-            topics.MEASURED_FORCES: self._on_measured}
+        self._measured = effort_reader(self._names)
+        self._innovation = innovation_reader(self._names)
+        self.streams.advertise(
+            {topics.NOISE_VARIANCE: messages.joint_state_message(
+                0, self._names, effort=np.zeros(len(self._names)))},
+            batched=self._node_config.recording_batches)
+        self.streams.subscribe(topics.MEASURED_FORCES, self._on_measured, qos.INPUT)
         if estimator.uses_innovation:
-            callbacks[topics.INNOVATION] = self._on_innovation
-        self._inputs = {
-            topic: create_subscription(self, topic, callback)
-            for topic, callback in callbacks.items()}
+            self.streams.subscribe(topics.INNOVATION, self._on_innovation, qos.INPUT)
 
     def activate(self) -> StartupGate:
         """Start with an empty window."""
@@ -76,14 +71,14 @@ class NoiseEstimatorNode(ManagedNode):
         self._estimator.reset()
         self._forget()
         return StartupGate(
-            self, {topics.NOISE_VARIANCE: self._publisher}, self._inputs, self._node_config)
+            self, self.streams.publishers, self.streams.subscriptions, self._node_config)
 
     def _forget(self) -> None:
         self._waiting: deque[NamedReading] = deque()
         self._innovations: deque[InnovationReading] = deque(maxlen=MAX_INNOVATIONS)
         self._last_stamp = -1
-        self._last_answer: JointState | None = None
-        self._fresh.expect(*(topic.name for topic in self._inputs))
+        self._last_answer = b''
+        self._fresh.expect(*(topic.name for topic in self.streams.subscriptions))
 
     def gate_opened(self) -> None:
         """Answer what waits."""
@@ -93,13 +88,8 @@ class NoiseEstimatorNode(ManagedNode):
         """Do nothing more than not to answer."""
 
     def clean_up(self) -> None:
-        """Free the estimator and the topics."""
-        if self._publisher is not None:
-            self.destroy_publisher(self._publisher)
-        for subscription in self._inputs.values():
-            self.destroy_subscription(subscription)
-        self._estimator = self._publisher = None
-        self._inputs = {}
+        """Free the estimator."""
+        self._estimator = None
 
     def check(self, configurations: Sequence[Any]) -> None:
         """Take every valid configuration."""
@@ -116,31 +106,31 @@ class NoiseEstimatorNode(ManagedNode):
         self._node_config.write_counts({
             'samples': self._samples, 'refused': dict(self.refusals.counts)})
 
-    def _on_measured(self, message: Any) -> None:
+    def _on_measured(self, data: bytes) -> None:
         if self.state != ACTIVE:
             return
         received = self._fresh.note(topics.MEASURED_FORCES.name)
         self._watch.add_period(received)
         with self.refusals.guard(topics.MEASURED_FORCES):
-            self._waiting.append(messages.read_effort(message, self._names))
+            self._waiting.append(self._measured.read(data))
             if self.working:
                 self._answer()
                 if not self._waiting:
                     self._watch.add_latency(self._fresh.elapsed(received))
 
-    def _on_innovation(self, message: Any) -> None:
+    def _on_innovation(self, data: bytes) -> None:
         if self.state != ACTIVE:
             return
         received = self._fresh.note(topics.INNOVATION.name)
         with self.refusals.guard(topics.INNOVATION):
-            self._innovations.append(messages.read_innovation(message, self._names))
+            self._innovations.append(self._innovation.read(data))
             if self.working:
                 self._answer()
                 self._watch.add_latency(self._fresh.elapsed(received))
 
     def _answer(self) -> None:
         """Answer everything that waits and has all it needs, in order."""
-        paired = topics.INNOVATION in self._inputs
+        paired = topics.INNOVATION in self.streams.subscriptions
         while self._waiting:
             innovation = None
             if paired:
@@ -160,19 +150,19 @@ class NoiseEstimatorNode(ManagedNode):
         return None
 
     def _answer_one(self, sample: NamedReading, innovation: Innovation | None) -> None:
-        if self._estimator is None or self._publisher is None:
+        if self._estimator is None:
             return
         if sample.stamp != self._last_stamp:
             if sample.stamp < self._last_stamp:
                 self._estimator.reset()
             self._last_stamp = sample.stamp
-            self._last_answer = None
+            self._last_answer = b''
             self._samples += 1
             variance = self._estimator.update(sample.values, innovation)
-            self._last_answer = messages.joint_state_message(
-                sample.stamp, self._names, effort=variance)
-        if self._last_answer is not None:
-            self._publisher.publish(self._last_answer)
+            self._last_answer = self.streams.message(
+                topics.NOISE_VARIANCE, sample.stamp, variance)
+        if self._last_answer:
+            self.streams.pass_on(topics.NOISE_VARIANCE, self._last_answer)
 
     def statuses(self) -> list[Status]:
         """Return what diagnostics report."""
@@ -181,7 +171,8 @@ class NoiseEstimatorNode(ManagedNode):
             Status('loop', {**self._watch.report(), 'samples': self._samples}),
             input_status(self._fresh, STALE_PERIODS / self._config.rate,
                          needed=self.state == ACTIVE),
-            message_status(self.refusals, dropped=dropped)]
+            message_status(self.refusals, dropped=dropped,
+                           slow=self._measured.slow + self._innovation.slow)]
 
 
 def main() -> int:

@@ -22,6 +22,8 @@ from multicontact_control.nodes.raw_recording import RawRecording
 from multicontact_control.nodes.runtime import run_node, Spinner, yield_to_others
 from multicontact_control.nodes.tf_recording import TfRecording
 from multicontact_control.nodes.topics import (
+    batched_by,
+    batches_of,
     JOINT_STATES,
     RECORDER,
     ROBOT_DESCRIPTION,
@@ -71,9 +73,13 @@ class RecorderNode(Node):
         chosen = self._chosen_topics()
         self._writer = BagWriter(Path(config.folder), chunk_size=config.chunk_size)
         self._recording = RawRecording(self, self._writer)
+        batching = [name for name in config.startup_peers if name != RECORDER] if (
+            config.recording_batches) else []
+        batched: set[Topic] = set().union(*map(batched_by, batching))
         streams = {topic: self._recording.add(
             topic.name, topic.message, topic.type_name, offered=topic.profile,
-            requested=_recording_profile(topic), judged=topic.rate == 'control')
+            requested=None if topic in batched else _recording_profile(topic),
+            judged=topic.rate == 'control')
             for topic in chosen}
         if config.tf_rate > 0.0 and {JOINT_STATES, ROBOT_DESCRIPTION} <= set(chosen):
             tf = TfRecording(self._writer, config.tf_rate, self.get_logger())
@@ -82,8 +88,11 @@ class RecorderNode(Node):
         self._recording.fresh.expect(*(x.name for x in streams.values() if x.judged))
         self._reported = (time.monotonic(), 0)
         self._diagnostics = Diagnostics(self, self._statuses)
-        self._gate = StartupGate(
-            self, {}, {topic: x.subscription for topic, x in streams.items()}, config)
+        ends = {topic: x.subscription for topic, x in streams.items()
+                if x.subscription is not None}
+        for topic in map(batches_of, batching):
+            ends[topic] = self._recording.add_batches(topic, qos.RECORDING)
+        self._gate = StartupGate(self, {}, ends, config)
 
     def _chosen_topics(self) -> list[Topic]:
         names = [topic.name for topic in TOPICS]
@@ -115,6 +124,7 @@ class RecorderNode(Node):
             'lost': sum(stream.lost for stream in streams),
             'lost_by_topic': {x.name: x.lost for x in streams if x.lost},
             'before_start': sum(stream.before_start for stream in streams),
+            'broken_batches': self._recording.broken,
             'cpu_s': time.process_time() - self._cpu_at_start})
 
     def _statuses(self) -> list[Status]:

@@ -18,9 +18,10 @@ import sys
 import time
 import traceback
 from types import FrameType
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol
 
 from multicontact_control.errors import ConfigError, MulticontactError
+from multicontact_control.nodes.composition import Composition
 from multicontact_control.paths import config_dir
 from multicontact_control.process import settle_process
 import rclpy
@@ -32,6 +33,7 @@ from rclpy.signals import SignalHandlerOptions
 EXIT_OK, EXIT_ERROR, EXIT_CONFIG = 0, 1, 2
 SPIN_TIMEOUT = 0.1
 DRAIN_TIME = 0.1
+LOOK_PERIOD = 0.001
 PORT_READY = 2  # first word of a shared memory segment that has been made (Boost.Interprocess)
 HALF_MADE_AGE = 1.0  # s, from which nobody is still at it
 ACKNOWLEDGE_TIMEOUT = 5.0
@@ -72,21 +74,46 @@ class StopFlag:
 
 
 class Spinner:
-    """Runs the callbacks of one node; `stop` is the flag that ends everything."""
+    """
+    Runs the callbacks of the nodes of a process.
 
-    def __init__(self, node: Node, stop: StopFlag) -> None:
+    Parameters
+    ----------
+    node
+        The node, or several.
+    stop
+        The flag that ends everything.
+
+    """
+
+    def __init__(self, node: Any, stop: StopFlag) -> None:
         self.stop = stop
-        self._node = node
+        self._nodes = node if isinstance(node, Composition) else Composition(node)
         self._executor: Executor | None = None
+        self._next_look = 0.0
 
     def spin_once(self, timeout: float = SPIN_TIMEOUT) -> None:
-        """Wait for one callback for up to `timeout` [s] and run it."""
-        if self._executor is None:
-            # Made when it is first needed: it would touch the subscriptions of a node that
-            # empties them itself.
-            self._executor = make_executor()
-            self._executor.add_node(self._node)
-        self._executor.spin_once(timeout_sec=timeout)
+        """
+        Wait for one callback for up to `timeout` [s] and run it.
+
+        What waits within the process goes first, and all of it; but the others are looked after
+        every millisecond all the same.
+        """
+        nodes = self._nodes
+        delivered = nodes.deliver()
+        if not delivered or time.monotonic() >= self._next_look:
+            executor = self._executor or self._make_executor()
+            executor.spin_once(timeout_sec=0.0 if delivered else nodes.longest_wait(timeout))
+            self._next_look = time.monotonic() + LOOK_PERIOD
+            nodes.deliver()
+        nodes.take_turns(self)
+
+    def _make_executor(self) -> Executor:
+        """Make it when it is first needed: it would empty the subscriptions that a node takes."""
+        self._executor = make_executor()
+        for node in self._nodes.members:
+            self._executor.add_node(node)
+        return self._executor
 
     def drain(self, duration: float = DRAIN_TIME) -> None:
         """Run the callbacks of what has arrived or is on its way, for `duration` [s]."""
@@ -114,9 +141,6 @@ class RunnableNode(Protocol):
     def destroy_node(self) -> None:
         """Free the node's ROS resources."""
         ...
-
-
-NodeT = TypeVar('NodeT', bound=RunnableNode)
 
 
 def prepare_environment() -> None:
@@ -220,14 +244,14 @@ def _one_line(error: BaseException) -> str:
     return ' '.join(str(error).split(', at /')[0].split())
 
 
-def run_node(make_node: Callable[[], NodeT], args: Sequence[str] | None = None) -> int:
+def run_node(make_node: Callable[[], Any], args: Sequence[str] | None = None) -> int:
     """
-    Run one node in this process until it has ended or is asked to stop.
+    Run a node in this process, or several, until it has ended or is asked to stop.
 
     Parameters
     ----------
     make_node
-        Returns the node; may raise `ConfigError`.
+        Returns a `RunnableNode`, or a `Composition` of nodes; may raise `ConfigError`.
     args
         Command line, that of the process by default.
 
@@ -284,18 +308,17 @@ def _compilations_told(program: str) -> contextlib.AbstractContextManager[None]:
 
 
 def _run(node: Any, stop: StopFlag) -> int:
-    spinner = Spinner(node, stop)
+    nodes = node if isinstance(node, Composition) else Composition(node)
+    spinner = Spinner(nodes, stop)
     settle_process()
     try:
-        node.run(spinner)
+        nodes.run(spinner)
         if not stop.hurry:
-            wait_until_sent(node)
+            for member in nodes.members:
+                wait_until_sent(member)
     finally:
         spinner.close()
-        try:
-            node.close()
-        finally:
-            node.destroy_node()
+        nodes.close()
     return EXIT_OK
 
 

@@ -17,7 +17,7 @@ from multicontact_control.nodes import qos
 from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
-from std_msgs.msg import String
+from std_msgs.msg import String, UInt8MultiArray
 from trajectory_msgs.msg import MultiDOFJointTrajectoryPoint
 from visualization_msgs.msg import MarkerArray
 
@@ -109,3 +109,14 @@ TOPICS: tuple[Topic, ...] = (
 def published_by(node_name: str) -> tuple[Topic, ...]:
     """Return the topics that a node publishes."""
     return tuple(topic for topic in TOPICS if topic.publisher == node_name)
+
+
+def batches_of(node_name: str) -> Topic:
+    """Return the topic on which a node hands its messages to the recorder in batches."""
+    return Topic(f'_recording/{node_name}', UInt8MultiArray, node_name, (RECORDER,))
+
+
+def batched_by(node_name: str) -> set[Topic]:
+    """Return the topics whose messages may be in these."""
+    streams = {topic for topic in published_by(node_name) if topic.rate == 'control'}
+    return streams | {CLOCK} if node_name == SIM else streams

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 import math
+import tracemalloc
 
 from arms import HOME
 from builtin_interfaces.msg import Time
@@ -20,6 +22,7 @@ import numpy as np
 import pytest
 import rclpy
 from rclpy.parameter import Parameter
+from rclpy.serialization import serialize_message
 from rclpy.signals import SignalHandlerOptions
 from ros_graph import wait_for
 from sensor_msgs.msg import JointState
@@ -102,9 +105,12 @@ class Live:
         assert self.node.trigger_configure() == SUCCESS
         assert self.node.trigger_activate() == SUCCESS
         self.spinner = Spinner(self.node, StopFlag())
+        raw = {topic: x.callback for topic, x in self.node.streams.subscriptions.items()}
         self.callbacks = {
-            **{topic: x.callback for topic, x in self.node._inputs.items()},
+            **{topic: lambda message, call=call: call(serialize_message(message))
+               for topic, call in raw.items()},
             **{topic: x.callback for topic, x in self.node._commands.subscriptions.items()}}
+        self.raw_callbacks = raw
         self._outputs = {
             topic: middleware.node.create_subscription(
                 topic.message, topic.name, lambda _: None, 1000) for topic in PUBLISHED}
@@ -116,7 +122,7 @@ class Live:
         for topic, publisher in self._wires.items():
             # Both ends: a writer that knows its reader may yet be unknown to it.
             wait_for(publisher.get_subscription_count, 'connection')
-            wait_for(self.node._inputs[topic].get_publisher_count, 'connection')
+            wait_for(self.node.streams.subscriptions[topic].get_publisher_count, 'connection')
         self.supervised = supervised
         self.k = 0
         self.received = 0
@@ -202,6 +208,31 @@ def test_over_the_wire_is_no_different(live, message):
     live.take()
 
 
+@settings(max_examples=200, deadline=None, suppress_health_check=list(HealthCheck))
+@given(data=st.data(), topic=st.sampled_from(
+    [topics.JOINT_STATES, topics.WRENCH, topics.NOISE_VARIANCE]))
+def test_bytes_that_are_no_message_are_refused(live, data, topic):
+    message = data.draw(WRENCH if topic is topics.WRENCH else JOINT_STATE)
+    whole = serialize_message(message)
+    damaged = data.draw(st.one_of(
+        st.binary(max_size=64), st.integers(0, len(whole) - 1).map(lambda n: whole[:n]),
+        st.tuples(st.integers(0, len(whole) - 1), st.binary(min_size=1, max_size=8)).map(
+            lambda x: (whole[:x[0]] + x[1] + whole[x[0] + len(x[1]):])[:len(whole)])))
+    live.raw_callbacks[topic](damaged)
+    live.good()
+    live.take()
+
+
+def test_bytes_over_the_wire_that_are_no_message_are_refused(live):
+    for topic in (topics.JOINT_STATES, topics.WRENCH):
+        before = live.node.refusals.total
+        for data in (b'', b'\0\1', b'\0\1\0\0' + b'\xff' * 40, b'\7\7\0\0' + bytes(400)):
+            if len(data) >= 4:  # less is nothing that the middleware would send
+                live.send(topic, data)
+        assert live.node.refusals.total >= before + 2
+    live.take()
+
+
 def test_after_all_that_good_samples_are_answered(live):
     """Run last: whatever has gone before, the controller goes on with good samples."""
     live.take()
@@ -217,6 +248,38 @@ def test_after_all_that_good_samples_are_answered(live):
     if live.supervised:
         wait_for(lambda: live.good() or live.node._configured.status.reaction == 'none', 'control')
     assert live.received > before + 50
+
+
+def test_ten_seconds_leave_nothing_behind(live):
+    """In steady state no memory is kept, and nothing is made that the collector would look at."""
+    stamps = [(live.k + 1 + k) * PERIOD for k in range(11_000)]
+    live.k += len(stamps)
+    wrenches = [serialize_message(messages.wrench_message(
+        stamp, 0.01 * np.random.default_rng(stamp).standard_normal(6), 'ft_face'))
+        for stamp in stamps]
+    joints = [serialize_message(messages.joint_state_message(
+        stamp, JOINTS, position=HOME, velocity=np.zeros(6))) for stamp in stamps]
+    wrench, joint_states = (
+        live.raw_callbacks[topic] for topic in (topics.WRENCH, topics.JOINT_STATES))
+
+    def feed(first, last):
+        for k in range(first, last):
+            wrench(wrenches[k])
+            joint_states(joints[k])
+        gc.collect()
+        return tracemalloc.get_traced_memory()[0], len(gc.get_objects())
+
+    slow = sum(reader.slow for reader in live.node._readers.values())
+    tracemalloc.start()
+    try:
+        before = feed(0, 6000)
+        after = feed(6000, 11_000)
+    finally:
+        tracemalloc.stop()
+    assert live.node._configured.last_stamp == stamps[-1]
+    assert sum(reader.slow for reader in live.node._readers.values()) - slow <= 2
+    assert after[0] - before[0] < 16_384
+    assert after[1] - before[1] < 10
 
 
 INTEGER = st.integers(-2 ** 63, 2 ** 63 - 1)

@@ -1,8 +1,8 @@
 """Converters between messages and arrays, without a node."""
 
 from geometry_msgs.msg import Transform, Twist
+from multicontact_control.errors import MessageError
 from multicontact_control.nodes import messages
-from multicontact_control.nodes.messages import MessageError
 import numpy as np
 import pytest
 from rclpy.serialization import deserialize_message, serialize_message

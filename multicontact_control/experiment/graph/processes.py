@@ -65,12 +65,12 @@ class NodeProcesses:
             If one cannot be started.
 
         """
-        for name in self._spec.node_names:
-            self._logs[name] = (self._spec.logs / f'{name}.log').open('wb')
-            self.start(name)
+        for process, names in self._spec.processes.items():
+            self._logs[process] = self._log_file(names[0]).open('wb')
+            self.start(process)
 
     def start(self, name: str, parameters: Mapping[str, Any] | None = None) -> None:
-        """Start a node, again if it has ended, with parameters over those of the graph."""
+        """Start a process, again if it has ended, with parameters over those of the graph."""
         try:
             # In a session of its own a node does not get the terminal's Ctrl-C: it is
             # stopped here, in order.
@@ -80,7 +80,8 @@ class NodeProcesses:
                 start_new_session=True)
         except OSError as error:
             raise RunError(f'{name}: cannot be started: {error}') from None
-        self._running[name] = process
+        for member in self._spec.processes[name]:
+            self._running[member] = process
         threading.Thread(target=self._note_end, args=(process,), daemon=True).start()
 
     def _note_end(self, process: subprocess.Popen[bytes]) -> None:
@@ -123,7 +124,7 @@ class NodeProcesses:
             About the one that ended first.
 
         """
-        names = {process: name for name, process in self._running.items()}
+        names = {process: self._spec.process_of(name) for name, process in self._running.items()}
         for process in [process for process in self._ends if process in names]:
             name, code = names[process], process.returncode
             if at_its_end and code == 0 and self.ended(SIM):
@@ -138,14 +139,15 @@ class NodeProcesses:
 
     def last_line(self, name: str) -> str:
         """Return what a node has said last, without time and name; empty if nothing yet."""
-        line = next((line for line in reversed(self._log(name)) if line.strip()), '')
-        return line.rpartition(f'[{name}]: ')[2]
+        lines, mark = self._log(name), f'[{name}]: '
+        said = [line for line in lines if mark in line] or [line for line in lines if line.strip()]
+        return said[-1].rpartition(mark)[2] if said else ''
 
     def _log(self, name: str) -> list[str]:
         return self._log_file(name).read_text(encoding='utf-8', errors='replace').splitlines()
 
     def _log_file(self, name: str) -> Any:
-        return self._spec.logs / f'{name}.log'
+        return self._spec.logs / f'{self._spec.process_of(name)}.log'
 
     def stop(self, *, abort: bool = False) -> None:
         """

@@ -24,13 +24,15 @@ from multicontact_control.errors import RunError
 from multicontact_control.experiment.graph.domain import reserve_domain
 from multicontact_control.experiment.graph.processes import NodeProcesses
 from multicontact_control.experiment.graph.progress import GraphProgress, ProgressListener
-from multicontact_control.experiment.graph.spec import GraphSpec, MANAGED, SIM
+from multicontact_control.experiment.graph.spec import COMPOSED, GraphSpec, MANAGED, SIM
 from multicontact_control.nodes.link import (
     ACTIVATE,
     CONFIGURE,
     LifecycleDriver,
     TransitionError,
 )
+
+__all__ = ['COMPOSED', 'GraphResult', 'GraphSpec', 'run_graph']
 
 WATCH_PERIOD = 0.05
 PROGRESS_PERIOD = 0.2

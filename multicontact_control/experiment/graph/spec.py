@@ -20,7 +20,15 @@ MODULES = {
     RECORDER: 'multicontact_control.nodes.recorder_node',
     ESTIMATOR: 'multicontact_control.nodes.noise_estimator_node',
     CONTROLLER: 'multicontact_control.nodes.controller_node',
-    SIM: 'sim_bridge.sim_node'}
+    SIM: 'sim_bridge.sim_node',
+    'composed_node': 'multicontact_control.nodes.composed_node',
+    'composed_sim_node': 'sim_bridge.composed_sim_node'}
+# Nodes that may share a process: the name of that, and which they are.
+COMPOSED = {
+    'none': ('', ()),
+    'control': ('composed_node', (ESTIMATOR, CONTROLLER)),
+    'all': ('composed_sim_node', (ESTIMATOR, CONTROLLER, SIM))}
+FIFO_PRIORITY = 80  # below the kernel's own threads
 BARE_EFFORTS = 'std_msgs/msg/Float64MultiArray'
 
 
@@ -55,6 +63,12 @@ class GraphSpec:
         Other names of topics per node name.
     extra_nodes
         More nodes by name: the module that each is.
+    composed
+        Which nodes share a process, see `COMPOSED`.
+    recording_batches
+        Whether the recorder gets what is sent at the control rate in batches.
+    realtime
+        Whether the nodes that control ask for a real-time priority and keep their memory.
 
     """
 
@@ -70,6 +84,22 @@ class GraphSpec:
     extra_parameters: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     remappings: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     extra_nodes: Mapping[str, str] = field(default_factory=dict)
+    composed: str = 'none'
+    recording_batches: bool = False
+    realtime: bool = False
+
+    @property
+    def processes(self) -> dict[str, tuple[str, ...]]:
+        """Names of the nodes of each process, in the order in which they are started."""
+        shared, members = COMPOSED[self.composed]
+        alone: dict[str, tuple[str, ...]] = {
+            name: (name,) for name in self.node_names if name not in members}
+        return {**alone, shared: members} if members else alone
+
+    def process_of(self, name: str) -> str:
+        """Return the name of the process that a node is in."""
+        shared, members = COMPOSED[self.composed]
+        return shared if name in members else name
 
     @property
     def node_names(self) -> tuple[str, ...]:
@@ -93,33 +123,51 @@ def timing_file(spec: GraphSpec, name: str) -> Path:
 
 
 def node_command(
-    name: str, spec: GraphSpec, overrides: Mapping[str, Any] | None = None,
+    process: str, spec: GraphSpec, overrides: Mapping[str, Any] | None = None,
 ) -> list[str]:
     """
-    Return the command line of a node: its installed script, or its module.
+    Return the command line of a process: its installed script, or its module.
 
     `overrides` are parameters over those of the graph.
     """
-    script = Path(sys.executable).parent / name
+    script = Path(sys.executable).parent / process
     command = [str(script)] if os.access(script, os.X_OK) else (
-        [sys.executable, '-m', {**MODULES, **spec.extra_nodes}[name]])
+        [sys.executable, '-m', {**MODULES, **spec.extra_nodes}[process]])
     command.append('--ros-args')
     if spec.namespace:
         command += ['-r', f'__ns:=/{spec.namespace}']
-    for topic, other in spec.remappings.get(name, {}).items():
-        command += ['-r', f'{topic}:={other}']
-    parameter_file = spec.parameter_files.get(name)
-    if parameter_file is not None:
-        command += ['--params-file', str(parameter_file.resolve())]
-    for key, value in {**node_parameters(name, spec), **(overrides or {})}.items():
-        command += ['-p', f'{key}:={_as_argument(value)}']
+    names = spec.processes[process]
+    files = [spec.parameter_files[name] for name in names if name in spec.parameter_files]
+    parameters = {name: {**node_parameters(name, spec), **(overrides or {})} for name in names}
+    if len(names) > 1:
+        files.append(_shared_parameters(spec.logs / f'{process}.yaml', parameters))
+        parameters = {}
+    for path in files:
+        command += ['--params-file', str(path.resolve())]
+    for name in names:
+        # Of several nodes, remappings are for one by its name.
+        whose = f'{name}:' if len(names) > 1 else ''
+        for topic, other in spec.remappings.get(name, {}).items():
+            command += ['-r', f'{whose}{topic}:={other}']
+    for values in parameters.values():
+        for key, value in values.items():
+            command += ['-p', f'{key}:={_as_argument(value)}']
     return command
+
+
+def _shared_parameters(path: Path, parameters: Mapping[str, Mapping[str, Any]]) -> Path:
+    """Write the parameters of the nodes of one process, which a command line cannot tell apart."""
+    path.write_text(json.dumps({
+        f'/**/{name}': {'ros__parameters': values} for name, values in parameters.items()},
+        indent=1), encoding='utf-8')
+    return path
 
 
 def node_parameters(name: str, spec: GraphSpec) -> dict[str, Any]:
     """Return the parameters that belong to the run, not to a file."""
     values: dict[str, Any] = {
-        'timing_file': str(timing_file(spec, name).resolve()), 'startup_peers': list(START_ORDER)}
+        'timing_file': str(timing_file(spec, name).resolve()), 'startup_peers': list(START_ORDER),
+        'recording_batches': spec.recording_batches}
     if name == RECORDER:
         values['folder'] = str(spec.bag.resolve())
         bare = spec.extra_parameters.get(CONTROLLER, {}).get('effort_output_topic')
@@ -129,10 +177,14 @@ def node_parameters(name: str, spec: GraphSpec) -> dict[str, Any]:
         values |= {'ticks': spec.ticks, 'rate': float(spec.rate), 'seed': spec.seed}
     if name == CONTROLLER and spec.reference_file is not None:
         values['reference_file'] = str(spec.reference_file.resolve())
+    if name == CONTROLLER and name in spec.parameter_files:
+        values['base_dir'] = str(spec.parameter_files[name].resolve().parent)
     if name in (SIM, CONTROLLER):
         values['lockstep'] = spec.lockstep
-    if name in MANAGED:
-        values['use_sim_time'] = spec.lockstep
+    if spec.realtime and name != RECORDER:
+        values |= {'fifo_priority': FIFO_PRIORITY, 'lock_memory': True}
+        if spec.composed == 'all':
+            values['cpus'] = [max(os.sched_getaffinity(0))]  # the last: interrupts like the first
     return {**values, **spec.extra_parameters.get(name, {})}
 
 

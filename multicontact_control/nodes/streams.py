@@ -1,0 +1,179 @@
+"""The ends of the topics of a node at the control rate: raw, and sent only where wanted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+import time
+from typing import Any
+
+from multicontact_control.arrays import Vector
+from multicontact_control.nodes import topics
+from multicontact_control.nodes.graph_node import create_publisher
+from multicontact_control.nodes.local_delivery import LocalDelivery, LocalSubscription
+from multicontact_control.nodes.raw_messages import MessageTemplate, template_of
+from multicontact_control.nodes.recording_batch import RecordingBatch
+from multicontact_control.nodes.topics import Topic
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
+from rclpy.subscription import Subscription
+
+POLL_PERIOD = 20_000_000  # ns, between two batches for the recorder
+POLLS_PER_LOOK = 5  # between two looks who listens
+
+
+@dataclass
+class _Output:
+    """One topic that is published."""
+
+    publisher: Publisher
+    template: MessageTemplate
+    name: str
+    number: int
+    heard: bool = False
+
+    def listen(self) -> bool:
+        """Return whether anybody is connected, or was when last looked at."""
+        if not self.heard:
+            self.heard = self.publisher.get_subscription_count() > 0
+        return self.heard
+
+
+class Streams:
+    """
+    What a node publishes and subscribes to at the control rate, as bytes.
+
+    A message is made only if somebody wants it: another node of this process, to whom it is
+    handed directly; whoever subscribes; or the recorder, if it takes batches. A reader that has
+    come is noticed with the next message, one that has gone within a tenth of a second.
+
+    Parameters
+    ----------
+    node
+        The node.
+    local
+        What hands messages to the other nodes of this process.
+
+    Attributes
+    ----------
+    publishers, subscriptions
+        The ends of the topics; of those that are published, each topic names as subscribers only
+        the nodes that have to be waited for.
+
+    """
+
+    def __init__(self, node: Node, local: LocalDelivery | None = None) -> None:
+        self._node, self._local = node, local or LocalDelivery()
+        self.publishers: dict[Topic, Publisher] = {}
+        self.subscriptions: dict[Topic, Subscription | LocalSubscription] = {}
+        self._outputs: dict[Topic, _Output] = {}
+        self._batch: RecordingBatch | None = None
+        self._batch_publisher: Publisher | None = None
+        self._polls = self._next_poll = 0
+
+    def subscribe(
+        self, topic: Topic, callback: Callable[[bytes], None], profile: QoSProfile,
+    ) -> None:
+        """Call back with every message of a topic of the table."""
+        end: Subscription | LocalSubscription
+        if topic.publisher in self._local.members:
+            end = self._local.subscribe(self._node.resolve_topic_name(topic.name), callback)
+        else:
+            end = self._node.create_subscription(
+                topic.message, topic.name, callback, profile, raw=True)
+        self.subscriptions[topic] = end
+
+    def advertise(self, examples: dict[Topic, Any], *, batched: bool = False) -> None:
+        """
+        Publish topics of the table.
+
+        Parameters
+        ----------
+        examples
+            A message of each, like those to be sent but for stamp and numbers.
+        batched
+            Whether the recorder gets them in batches.
+
+        """
+        known = {*self._local.members, *((topics.RECORDER,) if batched else ())}
+        for number, (topic, example) in enumerate(examples.items()):
+            publisher = create_publisher(self._node, topic)
+            self._outputs[topic] = _Output(
+                publisher, template_of(example), publisher.topic_name, number)
+            waited_for = tuple(name for name in topic.subscribers if name not in known)
+            self.publishers[replace(topic, subscribers=waited_for)] = publisher
+        if batched:
+            topic = topics.batches_of(self._node.get_name())
+            self._batch = RecordingBatch([output.name for output in self._outputs.values()])
+            self._batch_publisher = self.publishers[topic] = create_publisher(self._node, topic)
+
+    def wants(self, topic: Topic) -> bool:
+        """Return whether anybody gets the messages of a topic."""
+        output = self._outputs[topic]
+        return self._batch is not None or self._local.readers(output.name) > 0 or output.listen()
+
+    def send(self, topic: Topic, stamp: int, *runs: Vector) -> None:
+        """
+        Publish a message on a topic, if anybody wants it.
+
+        Parameters
+        ----------
+        topic
+            One of those that were advertised.
+        stamp, runs
+            Its stamp [ns], and its numbers in the order of the message's fields.
+
+        Raises
+        ------
+        MessageError
+            If a number is not finite.
+
+        """
+        if self.wants(topic):
+            self.pass_on(topic, self.message(topic, stamp, *runs))
+
+    def message(self, topic: Topic, stamp: int, *runs: Vector) -> bytes:
+        """Return what `send` would publish."""
+        return self._outputs[topic].template.write(stamp, *runs)
+
+    def pass_on(self, topic: Topic, data: bytes) -> None:
+        """Publish bytes on a topic."""
+        output = self._outputs[topic]
+        self._local.send(output.name, data)
+        if output.listen():
+            output.publisher.publish(data)
+        if self._batch is not None and self._batch.add(output.number, data):
+            self.flush()
+
+    def poll(self) -> None:
+        """Send what waits for the recorder, and look anew who listens, if it is time."""
+        now = time.monotonic_ns()
+        if now < self._next_poll:
+            return
+        self._next_poll = now + POLL_PERIOD
+        self.flush()
+        self._polls += 1
+        if self._polls % POLLS_PER_LOOK == 0:
+            for output in self._outputs.values():
+                output.heard = False
+
+    def flush(self) -> None:
+        """Send what waits for the recorder."""
+        if self._batch is not None and self._batch_publisher is not None:
+            batch = self._batch.take()
+            if batch:
+                self._batch_publisher.publish(batch)
+
+    def close(self) -> None:
+        """Send what waits, and free the topics."""
+        self.flush()
+        for publisher in self.publishers.values():
+            self._node.destroy_publisher(publisher)
+        for subscription in self.subscriptions.values():
+            if isinstance(subscription, LocalSubscription):
+                subscription.close()
+            else:
+                self._node.destroy_subscription(subscription)
+        self.publishers, self.subscriptions, self._outputs = {}, {}, {}
+        self._batch = self._batch_publisher = None
