@@ -29,16 +29,24 @@ def run(
     domain_id: Annotated[int | None, typer.Option(
         help='ROS_DOMAIN_ID of the graph; that of the environment, or the first one without '
         'participants on this machine, if not given.')] = None,
+    composed: Annotated[str, typer.Option(
+        help='Which nodes share a process and hand each other their messages: `none`, `control` '
+        '(controller and noise estimator), `all` (the simulated plant, too), or `auto`: none, '
+        'unless deadlines are missed in the first second. Topics, services and torques stay the '
+        'same.')] = 'auto',
+    realtime: Annotated[bool, typer.Option(
+        '--realtime', help='Ask for SCHED_FIFO, a processor and locked memory for the nodes that '
+        'control, and say at the end what they got.')] = False,
     namespace: Annotated[str, typer.Option(
         help='Namespace of the graph, e.g. `left`: two graphs can then share one domain.')] = '',
 ) -> None:
     """
     Run a scenario on the ROS 2 graph, record it to MCAP and report it.
 
-    Starts simulator, controller, noise estimator and recorder as processes of their own, stops
-    them together, then draws the figures from the bag. Exit code 0: stable, or not
-    judged, since the machine missed a tenth of the deadlines; 1: not stable, held
-    by the supervisor, or a node died; 2: bad input; 128 + n: ended by signal n.
+    Starts simulator, controller, noise estimator and recorder, each in a process of its own unless
+    the machine is too slow for that, stops them together, then draws the figures from the bag.
+    Exit code 0: stable, or not judged, since the machine missed a tenth of the deadlines; 1: not
+    stable, held by the supervisor, or a node died; 2: bad input; 128 + n: ended by signal n.
     """
     from multicontact_control.experiment.graph.domain import check_namespace
 
@@ -47,11 +55,11 @@ def run(
         setup, folder = prepare(
             scenario, plant, seed, duration, noise_estimator, out, overwrite)
         # Only now: what is heavy is not loaded for the sake of an error.
-        from multicontact_control.experiment.run import run_real_time
+        from multicontact_control.experiment.run import GraphOptions, run_real_time
 
-        summary, interrupted = run_real_time(
-            setup, folder, lockstep=lockstep, domain_id=domain_id, namespace=namespace,
-            supervised=not bare)
+        summary, interrupted = run_real_time(setup, folder, GraphOptions(
+            lockstep=lockstep, domain_id=domain_id, namespace=namespace, composed=composed,
+            realtime=realtime), supervised=not bare)
     if interrupted is not None:
         raise typer.Exit(EXIT_SIGNAL + interrupted)
     end_by_verdict(summary)

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, Protocol, TYPE_CHECKING
 
+from multicontact_control.errors import RunError
 from multicontact_control.experiment.judge import (
     HELD,
     HOPELESS,
@@ -30,6 +31,8 @@ if TYPE_CHECKING:  # rclpy is needed for it, and not for the rest
     from multicontact_control.experiment.graph.progress import GraphProgress
 
 FIRST_DEADLINES = 250  # that are waited for before anything is said of them
+LAST_CHANCE = 1500  # deadlines up to which a graph is started anew
+LATE = 0.002  # share of missed deadlines for that
 COLOURS = {STABLE: 'green', HELD: 'yellow', UNJUDGED: 'yellow', NOT_STABLE: 'red'}
 
 
@@ -73,20 +76,30 @@ def count_bar(console: Console | None = None) -> Progress:
         speed_estimate_period=600.0)
 
 
+class TooSlowError(RunError):
+    """Too many of the first deadlines were missed for going on like that."""
+
+
 class PaceNotice:
     """
     Says once, from the first second on, that the machine is too busy for real time.
 
-    In `lockstep` there are no deadlines and nothing to say.
+    In `lockstep` there are no deadlines and nothing to say. If the graph `may_change`, a
+    `TooSlowError` is raised instead, in the first seconds and for far fewer missed deadlines.
     """
 
-    def __init__(self, console: Console, *, lockstep: bool) -> None:
-        self._console, self._told = console, lockstep
+    def __init__(self, console: Console, *, lockstep: bool, may_change: bool = False) -> None:
+        self._console, self._told, self._may_change = console, lockstep, may_change
 
     def look(self, progress: GraphProgress) -> None:
         """Look at the deadlines that the simulator has told of."""
-        if self._told or progress.deadlines < FIRST_DEADLINES or (
-                progress.missed <= HOPELESS * progress.deadlines):
+        if self._told or progress.deadlines < FIRST_DEADLINES:
+            return
+        if self._may_change and progress.deadlines <= LAST_CHANCE and (
+                progress.missed > LATE * progress.deadlines):
+            raise TooSlowError(
+                f'{progress.missed} of the first {progress.deadlines} deadlines missed')
+        if progress.missed <= HOPELESS * progress.deadlines:
             return
         self._told = True
         self._console.print(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from textwrap import shorten
 from typing import Any, NamedTuple
@@ -158,6 +158,35 @@ def draw_figures(
             paths.append(folder / f'{drawn.file}.{ending}')
             sheet.savefig(paths[-1], dpi=130)
     return paths
+
+
+def draw_latency(summary: Mapping[str, Any], folder: Path) -> Path:
+    """Draw how long the answers to samples took, from ``summary.json``; return the file."""
+    timing = summary['timing']
+    edges, counts = (np.array(timing['latency_histogram'][x]) for x in ('edges_us', 'counts'))
+    sheet = Figure(figsize=(9.0, 4.0), layout='constrained')
+    axes = sheet.subplots()
+    axes.stairs(counts, edges, fill=True, color=MEASURED)
+    marks = {name: timing['latency_us'][name] for name in ('p50', 'p99', 'max')}
+    marks['period'] = 1e6 / summary['rate_hz']
+    for (name, value), height in zip(marks.items(), (0.98, 0.91, 0.84, 0.77)):
+        if value:
+            colour = TRUE if name == 'period' else COMMANDED
+            axes.axvline(value, color=colour, linewidth=0.8, linestyle='--')
+            axes.annotate(f'{name} {value:.0f} us', (value, height), color=colour, fontsize=7,
+                          xycoords=('data', 'axes fraction'), va='top', xytext=(3, 0),
+                          textcoords='offset points')
+    axes.set_xscale('log')
+    axes.set_yscale('symlog', linthresh=1.0)
+    axes.set_ylim(bottom=0.0)
+    axes.set_xlabel('from a sample to its command [us]')
+    axes.set_ylabel('samples')
+    sheet.suptitle(f'Latency\n{summary["scenario"]}, plant {summary["plant"]}, seed '
+                   f'{summary["seed"]}, {timing["deadline_misses"]} of {summary["ticks"]} '
+                   'deadlines missed', fontsize=10)
+    path = folder / 'latency.png'
+    sheet.savefig(path, dpi=130)
+    return path
 
 
 def _judged(data: RunData, setup: Setup) -> dict[str, tuple[float, float]]:

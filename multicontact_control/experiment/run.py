@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
+import shutil
 from typing import Any, TYPE_CHECKING
 
 from multicontact_control.compiled import compiled_here
@@ -17,9 +19,10 @@ from multicontact_control.experiment.display import (
     PaceNotice,
     progress_bar,
     summary_table,
+    TooSlowError,
     verdict_lines,
 )
-from multicontact_control.experiment.figures import draw_figures
+from multicontact_control.experiment.figures import draw_figures, draw_latency
 from multicontact_control.experiment.judge import REAL_TIME, verdict_text
 from multicontact_control.experiment.metrics import percentiles
 from multicontact_control.experiment.recording import RunData
@@ -31,10 +34,12 @@ from rich.console import Console
 
 if TYPE_CHECKING:
     from multicontact_control.experiment.graph.progress import GraphProgress
+    from multicontact_control.experiment.graph.run import GraphResult, GraphSpec
 
 # Periods: a robot moves on while its samples are late, the simulated one has stood still, and a
 # busy machine is no fault of its sensors.
 SIMULATION_PATIENCE = 25.0
+AUTO = 'auto'
 
 
 def run_simulate(
@@ -68,9 +73,36 @@ def run_simulate(
     return _finish(result.data, setup, folder, summary, console)
 
 
+@dataclass(frozen=True)
+class GraphOptions:
+    """
+    How a graph is run.
+
+    Attributes
+    ----------
+    lockstep
+        Whether the nodes wait for each other instead of for the wall clock.
+    domain_id, namespace
+        ROS_DOMAIN_ID, by default that of the environment or a free one, and namespace.
+    composed
+        Which nodes share a process: ``none``, ``control`` (controller and noise estimator),
+        ``all`` (the plant, too), or ``auto``: none, unless deadlines are missed in the first
+        second; then all.
+    realtime
+        Whether to ask for real-time priority, processors and memory.
+
+    """
+
+    lockstep: bool = False
+    domain_id: int | None = None
+    namespace: str = ''
+    composed: str = AUTO
+    realtime: bool = False
+
+
 def run_real_time(
-    setup: Setup, folder: Path, *, lockstep: bool = False, domain_id: int | None = None,
-    namespace: str = '', supervised: bool = True, console: Console | None = None,
+    setup: Setup, folder: Path, options: GraphOptions = GraphOptions(), *,
+    supervised: bool = True, console: Console | None = None,
 ) -> tuple[dict[str, Any], int | None]:
     """
     Run a scenario on the ROS 2 graph, record it, and leave its results in a folder.
@@ -79,10 +111,8 @@ def run_real_time(
     ----------
     setup, folder, supervised, console
         As for `run_simulate`; the bag and the logs are in the folder, too.
-    lockstep
-        Whether the nodes wait for each other instead of for the wall clock.
-    domain_id, namespace
-        ROS_DOMAIN_ID and namespace of the graph.
+    options
+        How to run the graph.
 
     Returns
     -------
@@ -91,51 +121,80 @@ def run_real_time(
 
     Raises
     ------
+    ConfigError
+        If there is no such composition, or the scenario cannot begin by itself.
     RunError
         If ROS cannot be loaded or a node dies; what was recorded stays in the folder.
 
     """
     console = console or Console()
     try:
-        from multicontact_control.experiment.graph.run import GraphSpec, run_graph
+        from multicontact_control.experiment.graph.run import COMPOSED, GraphSpec
     except ImportError as error:
         raise RunError(f'ROS 2 (rclpy) cannot be loaded: {error}; install the extra [ros], '
                        'source a ROS 2 Jazzy, or use `multicontact simulate`') from None
     config = folder / CONFIG_FOLDER
     refuse_push_test(setup)
+    if options.composed not in (AUTO, *COMPOSED):
+        raise ConfigError('composed', f'one of {AUTO}, {", ".join(COMPOSED)}',
+                          f"'{options.composed}'")
     ensure_compiled(console)
     spec = GraphSpec(
-        out=folder, ticks=setup.ticks, rate=setup.controller.rate, lockstep=lockstep,
-        seed=setup.seed, reference_file=config / 'reference.yaml', domain_id=domain_id,
-        namespace=namespace, extra_parameters={'controller_node': {
+        out=folder, ticks=setup.ticks, rate=setup.controller.rate, lockstep=options.lockstep,
+        seed=setup.seed, reference_file=config / 'reference.yaml', domain_id=options.domain_id,
+        namespace=options.namespace, extra_parameters={'controller_node': {
             'supervised': supervised, 'patience': SIMULATION_PATIENCE}},
-        parameter_files=setup.write(config))
-    with progress_bar(f'run {setup.scenario.name}', setup.scenario.duration, console,
-                      'starting the nodes') as show:
-        pace = PaceNotice(console, lockstep=lockstep)
-
-        def on_progress(progress: GraphProgress) -> None:
-            show(progress.time, progress.forces)
-            pace.look(progress)
-
-        result = run_graph(
-            spec, on_progress,
-            on_wait=lambda text: console.print(
-                text, highlight=False, markup=False, soft_wrap=True),
-            on_domain=lambda number: console.print(
-                f'ROS domain {number}: ROS_DOMAIN_ID={number} multicontact topics',
-                highlight=False))
-        if result.interrupted is None:
-            show(setup.scenario.duration, {})
+        parameter_files=setup.write(config), realtime=options.realtime, recording_batches=True,
+        composed='none' if options.composed == AUTO else options.composed)
+    result, composed = _run_graph(spec, setup, options, console)
+    if options.realtime:
+        for name, node in result.timing.items():
+            console.print(f'{name}: {node.get("scheduling", "ended without a word")}',
+                          highlight=False)
     content = read_bag(result.bag, setup.controller)
     events = result.timing.get('controller_node', {}).get('events', [])
     summary = summarise(
-        content.data, setup, mode='lockstep' if lockstep else REAL_TIME,
-        timing=graph_timing(result.timing, content),
+        content.data, setup, mode='lockstep' if options.lockstep else REAL_TIME,
+        timing={**graph_timing(result.timing, content), 'composed': composed},
         ended_early='' if result.interrupted is None else 'interrupted by a signal',
         events=events if supervised else None)
     summary['ros_domain_id'] = result.domain_id
     return _finish(content.data, setup, folder, summary, console), result.interrupted
+
+
+def _run_graph(
+    spec: GraphSpec, setup: Setup, options: GraphOptions, console: Console,
+) -> tuple[GraphResult, str]:
+    """Run the graph, once more in one process if need be; return also which nodes shared one."""
+    from multicontact_control.experiment.graph.run import run_graph
+
+    may_change = options.composed == AUTO and spec.composed == 'none' and not options.lockstep
+    try:
+        with progress_bar(f'run {setup.scenario.name}', setup.scenario.duration, console,
+                          'starting the nodes') as show:
+            pace = PaceNotice(console, lockstep=options.lockstep, may_change=may_change)
+
+            def on_progress(progress: GraphProgress) -> None:
+                show(progress.time, progress.forces)
+                pace.look(progress)
+
+            result = run_graph(
+                spec, on_progress,
+                on_wait=lambda text: console.print(
+                    text, highlight=False, markup=False, soft_wrap=True),
+                on_domain=lambda number: console.print(
+                    f'ROS domain {number}: ROS_DOMAIN_ID={number} multicontact topics',
+                    highlight=False))
+            if result.interrupted is None:
+                show(setup.scenario.duration, {})
+            return result, spec.composed
+    except TooSlowError as error:
+        console.print(f'{error}: starting anew with plant, controller and noise estimator in one '
+                      'process (--composed none keeps them apart)', highlight=False,
+                      soft_wrap=True)
+        for folder in (spec.bag, spec.logs):
+            shutil.rmtree(folder, ignore_errors=True)
+        return _run_graph(replace(spec, composed='all'), setup, options, console)
 
 
 def refuse_push_test(setup: Setup) -> None:
@@ -171,7 +230,9 @@ def graph_timing(
         'unanswered_samples': content.missing['joint_effort_command'],
         'kernels_compiled': sum(node.get('kernels_compiled', 0) for node in timing.values()),
         'tick_us': controller.get('tick_us'), 'latency_us': sim.get('latency_us'),
-        'plant_us': sim.get('plant_us'),
+        'latency_histogram': sim.get('latency_histogram'), 'plant_us': sim.get('plant_us'),
+        'scheduling': {name: node['scheduling'] for name, node in timing.items()
+                       if 'scheduling' in node},
         'realtime_factor': sim_time / wall if wall else None,
         'topic_rates_hz': {topic: round(rate, 3)
                            for topic, rate in sorted(content.topic_rates.items())}}
@@ -184,6 +245,8 @@ def _finish(
     evidence = evidence_of(data, setup, summary)
     summary['claims'] = [claim.to_json() for claim in judge_claims(evidence)]
     draw_figures(data, setup, folder / FIGURE_FOLDER, verdict=verdict_text(summary))
+    if summary['timing'].get('latency_histogram'):
+        draw_latency(summary, folder / FIGURE_FOLDER)
     write_json(folder / SUMMARY_FILE, summary)
     console.print(summary_table(summary))
     for line in verdict_lines(summary, folder):

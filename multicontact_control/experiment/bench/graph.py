@@ -1,8 +1,8 @@
 """
 The ROS 2 graph: lockstep factor, latency against a bare echo, what the recorder takes.
 
-The floor of the latency is two bare rclpy processes that echo the same two messages; this module
-is the other one.
+The floor of the latency is two bare rclpy processes that echo the same two messages, as message
+objects or as bytes; this module is the other one.
 """
 
 from __future__ import annotations
@@ -17,21 +17,27 @@ import time
 from typing import Any
 
 from multicontact_control.arrays import Vector
+from multicontact_control.control_loop import ControlLoop
 from multicontact_control.errors import RunError
-from multicontact_control.experiment.bench.timing import rounded_percentiles
+from multicontact_control.experiment.bench.timing import rounded_percentiles, stopwatch
+from multicontact_control.experiment.closed_loop import run_in_process
 from multicontact_control.experiment.graph.domain import reserve_domain
 from multicontact_control.experiment.graph.run import GraphSpec, run_graph
-from multicontact_control.experiment.scenario import resolve
-from multicontact_control.nodes import messages, topics
-from multicontact_control.nodes.graph_node import create_publisher, create_subscription
+from multicontact_control.experiment.scenario import resolve, Setup
+from multicontact_control.nodes import messages, qos, topics
+from multicontact_control.nodes.graph_node import create_publisher
+from multicontact_control.nodes.loop_statistics import NANOSECONDS
+from multicontact_control.nodes.raw_messages import HEADER, STAMP, template_of
 from multicontact_control.nodes.runtime import make_executor, start_ros
 import numpy as np
 import rclpy
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
+from sim_bridge.pybullet_plant import PybulletPlant
 
 NAMES = tuple(f'joint{i + 1}' for i in range(6))
 START_TIMEOUT, ANSWER_TIMEOUT = 20.0, 1.0
+PERIOD = 1.0 / 500.0
 
 
 def bench_graph(duration: float) -> dict[str, Any]:
@@ -39,49 +45,90 @@ def bench_graph(duration: float) -> dict[str, Any]:
     with TemporaryDirectory() as name:
         lockstep = _run(Path(name) / 'lockstep', duration, lockstep=True)
         real_time = _run(Path(name) / 'real_time', duration, lockstep=False)
+        composed = _run(Path(name) / 'composed', duration, lockstep=False, composed='all')
     with reserve_domain(None) as domain_id:
         os.environ['ROS_DOMAIN_ID'] = str(domain_id)
-        echo = rounded_percentiles(echo_latency(int(500 * duration), 1.0 / 500.0))
+        calls = int(500 * duration)
+        echo, raw_echo = (rounded_percentiles(echo_latency(calls, PERIOD, raw=raw))
+                          for raw in (False, True))
+        floor = echo_latency(calls, 0.0, raw=False)
     latency = real_time['sim_node']['latency_us']
     recorder = real_time['recorder_node']
     wall = real_time['sim_node']['wall_s']
+    lockstep_rate = lockstep['sim_node']['ticks'] / lockstep['sim_node']['wall_s']
+    tick, plant = in_process_times(duration)
     return {
         'lockstep_realtime_factor': round(duration / lockstep['sim_node']['wall_s'], 3),
-        'latency_us': latency, 'echo_us': echo,
+        'lockstep_to_floor': round(lockstep_rate * float(np.mean(floor)) * 1e-6, 3),
+        'latency_us': latency, 'echo_us': echo, 'raw_echo_us': raw_echo,
         'latency_to_echo': round(latency['p50'] / echo['p50'], 3),
+        'latency_p99_to_period': round(latency['p99'] * 1e-6 / PERIOD, 3),
+        'node_us': real_time['controller_node']['stages_us'],
+        'node_tick_to_tick': round(
+            real_time['controller_node']['stages_us']['step']['p50'] / tick, 3),
+        'node_plant_to_plant': round(real_time['sim_node']['plant_us']['p50'] / plant, 3),
         'deadline_misses': real_time['sim_node']['deadline_misses'],
+        'composed_latency_us': composed['sim_node']['latency_us'],
+        'composed_deadline_misses': composed['sim_node']['deadline_misses'],
         'recorder_cpu_share': round(recorder['cpu_s'] / wall, 4),
         'recorder_messages_per_s': round(recorder['messages'] / wall, 1),
         'recorder_lost': recorder['lost']}
 
 
-def _run(folder: Path, duration: float, *, lockstep: bool) -> dict[str, Any]:
+def in_process_times(duration: float) -> tuple[float, float]:
+    """Return medians of a tick and of a step of the plant in the same scenario in process [us]."""
+    places = ((ControlLoop, 'answer', 'tick'), (PybulletPlant, 'step', 'plant'))
+    with stopwatch(places) as spent:
+        run_in_process(_setup(duration), supervised=True)
+    return (float(np.median(spent['tick', 'answer'])), float(np.median(spent['plant', 'step'])))
+
+
+def _setup(duration: float) -> Setup:
+    return resolve('quick', plant='rigid', seed=0, duration=duration)
+
+
+def _run(
+    folder: Path, duration: float, *, lockstep: bool, composed: str = 'none',
+) -> dict[str, Any]:
     """Run the scenario `quick` and return what each node counted."""
-    setup = resolve('quick', plant='rigid', seed=0, duration=duration)
+    setup = _setup(duration)
     config = folder / 'config'
     result = run_graph(GraphSpec(
         out=folder, ticks=setup.ticks, rate=setup.controller.rate, lockstep=lockstep,
-        reference_file=config / 'reference.yaml', parameter_files=setup.write(config)))
+        reference_file=config / 'reference.yaml', parameter_files=setup.write(config),
+        composed=composed, recording_batches=True))
     return dict(result.timing)
 
 
 class Echo(Node):
     """Answers joint states, once the wrench of the same stamp is there, with a command."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, raw: bool) -> None:
         super().__init__('echo')
         self._stamps: dict[str, int] = {}
         self._out = create_publisher(self, topics.EFFORT_COMMAND)
+        self._template = template_of(messages.joint_state_message(
+            0, NAMES, effort=np.zeros(len(NAMES))))
         for topic in (topics.WRENCH, topics.JOINT_STATES):
-            create_subscription(self, topic, self._taker(topic.name))
+            self.create_subscription(
+                topic.message, topic.name, self._taker(topic.name, raw=raw), qos.INPUT, raw=raw)
 
-    def _taker(self, name: str) -> Callable[[Any], None]:
+    def _taker(self, name: str, *, raw: bool) -> Callable[[Any], None]:
         def take(message: Any) -> None:
             self._stamps[name] = messages.stamp_to_ns(message.header.stamp)
-            if len(self._stamps) == 2 and len(set(self._stamps.values())) == 1:
+            if self._complete():
                 self._out.publish(JointState(
                     header=message.header, name=NAMES, effort=np.zeros(len(NAMES))))
-        return take
+
+        def take_raw(data: bytes) -> None:
+            sec, nanosec = STAMP.unpack_from(data, HEADER)
+            self._stamps[name] = stamp = sec * NANOSECONDS + nanosec
+            if self._complete():
+                self._out.publish(self._template.write(stamp, np.zeros(len(NAMES))))
+        return take_raw if raw else take
+
+    def _complete(self) -> bool:
+        return len(self._stamps) == 2 and len(set(self._stamps.values())) == 1
 
 
 class Caller(Node):
@@ -91,7 +138,8 @@ class Caller(Node):
         super().__init__('caller')
         self._outputs = {topic: create_publisher(self, topic)
                          for topic in (topics.WRENCH, topics.JOINT_STATES)}
-        create_subscription(self, topics.EFFORT_COMMAND, self._on_answer)
+        self.create_subscription(
+            topics.EFFORT_COMMAND.message, topics.EFFORT_COMMAND.name, self._on_answer, qos.INPUT)
         self._answered = -1
         self._executor = make_executor()
         self._executor.add_node(self)
@@ -114,10 +162,14 @@ class Caller(Node):
         return self._arrived - start if self._answered == stamp else -1
 
 
-def echo_latency(calls: int, period: float) -> Vector:
-    """Return round trips to another process [us], one every `period` [s] as in the graph."""
+def echo_latency(calls: int, period: float, *, raw: bool) -> Vector:
+    """
+    Return round trips to another process [us], one every `period` [s] as in the graph.
+
+    With a `period` of 0 one follows the other. The other process reads and writes bytes if `raw`.
+    """
     other = subprocess.Popen(
-        [sys.executable, '-m', 'multicontact_control.experiment.bench.graph'],
+        [sys.executable, '-m', 'multicontact_control.experiment.bench.graph', str(int(raw))],
         stdout=subprocess.DEVNULL)
     start_ros([])
     caller = Caller()
@@ -146,7 +198,7 @@ def echo_latency(calls: int, period: float) -> Vector:
 def main() -> None:
     """Echo until terminated."""
     start_ros([])
-    node, executor = Echo(), make_executor()
+    node, executor = Echo(raw=sys.argv[1:] == ['1']), make_executor()
     executor.add_node(node)
     while True:
         executor.spin_once(timeout_sec=1.0)

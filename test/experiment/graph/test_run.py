@@ -24,7 +24,7 @@ from multicontact_control.experiment.graph.spec import (
     RECORDER,
     SIM,
 )
-from multicontact_control.experiment.run import run_real_time
+from multicontact_control.experiment.run import GraphOptions, run_real_time
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.nodes.topics import (
     CLOCK,
@@ -44,6 +44,7 @@ pytestmark = pytest.mark.ros
 
 ROOT = Path(__file__).resolve().parents[3]
 TICKS = 1000
+COMPOSED_NAMES = ('composed_node', 'composed_sim_node')
 CONTROL_TOPICS = [f'/{topic.name}' for topic in TOPICS if topic.rate == 'control']
 STORE = get_typestore(Stores.ROS2_JAZZY)
 
@@ -89,14 +90,18 @@ def counts(bag):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(('plant', 'seed', 'estimator', 'supervised'), [
-    ('puma', 0, 'lead_window', True), ('rigid', 1, 'lead_window', True),
-    ('puma', 2, 'sage_husa', False), ('rigid', 3, 'innovation', False)])
+@pytest.mark.parametrize(('plant', 'seed', 'estimator', 'supervised', 'composed', 'batches'), [
+    ('puma', 0, 'lead_window', True, 'none', False),
+    ('rigid', 1, 'lead_window', True, 'none', True),
+    ('puma', 2, 'sage_husa', False, 'control', True),
+    ('rigid', 3, 'innovation', False, 'control', False),
+    ('puma', 4, 'lead_window', True, 'all', True),
+    ('rigid', 5, 'innovation', True, 'all', False)])
 def test_run_graph_in_lockstep_is_the_run_in_process_bit_for_bit(
-        tmp_path, free_domain, plant, seed, estimator, supervised):
+        tmp_path, free_domain, plant, seed, estimator, supervised, composed, batches):
     setup, spec = make_spec(
-        tmp_path, plant=plant, seed=seed, estimator=estimator, lockstep=True,
-        extra_parameters={CONTROLLER: {'supervised': supervised}})
+        tmp_path, plant=plant, seed=seed, estimator=estimator, lockstep=True, composed=composed,
+        recording_batches=batches, extra_parameters={CONTROLLER: {'supervised': supervised}})
     result = run_graph(spec)
     assert result.interrupted is None
     assert counts(result.bag) == dict.fromkeys(CONTROL_TOPICS, TICKS)
@@ -135,20 +140,23 @@ def test_run_graph_in_real_time_records_every_sample_at_its_rate(tmp_path, free_
     assert [x.time for x in seen] == sorted(x.time for x in seen)
 
 
-@pytest.mark.parametrize('name', [CONTROLLER, ESTIMATOR, RECORDER, SIM])
-def test_run_graph_names_the_node_that_was_killed(tmp_path, free_domain, name):
-    _, spec = make_spec(tmp_path, ticks=50_000)
+@pytest.mark.parametrize(('composed', 'process'), [
+    *(('none', name) for name in (CONTROLLER, ESTIMATOR, RECORDER, SIM)),
+    *zip(('control', 'all'), COMPOSED_NAMES)])
+def test_run_graph_names_the_process_that_was_killed(tmp_path, free_domain, composed, process):
+    _, spec = make_spec(tmp_path, ticks=50_000, composed=composed)
     killed = []
 
     def kill_it(_progress):
         if not killed:
-            killed.append(kill_node(tmp_path, name))
+            killed.append(kill_node(tmp_path, process))
 
-    with pytest.raises(RunError, match=f'^{name} was killed by SIGKILL; the end of .*{name}.log'):
+    with pytest.raises(
+            RunError, match=f'^{process} was killed by SIGKILL; the end of .*{process}.log'):
         run_graph(spec, kill_it)
     assert killed
     assert node_processes(tmp_path) == {}
-    if name != RECORDER:
+    if process != RECORDER:
         assert counts(spec.bag)[CONTROL_TOPICS[0]] > 0
 
 
@@ -160,8 +168,9 @@ def node_processes(folder):
             command = (entry / 'cmdline').read_bytes().decode().split('\0')
         except (OSError, UnicodeDecodeError):
             continue
-        for name in (RECORDER, ESTIMATOR, CONTROLLER, SIM):
-            if any(part.endswith(f'{folder}/logs/{name}.json"') for part in command):
+        for name in (RECORDER, ESTIMATOR, CONTROLLER, SIM, *COMPOSED_NAMES):
+            if any(part.endswith((f'{folder}/logs/{name}.json"', f'{folder}/logs/{name}.yaml'))
+                   for part in command):
                 found[name] = int(entry.name)
     return found
 
@@ -262,7 +271,7 @@ def test_run_says_in_which_domain_it_is(tmp_path, free_domain):
     setup = resolve('quick', plant='rigid', seed=0, duration=0.5)
     text = io.StringIO()
     summary, interrupted = run_real_time(
-        setup, tmp_path, lockstep=True, console=Console(file=text, width=200))
+        setup, tmp_path, GraphOptions(lockstep=True), console=Console(file=text, width=200))
     domain_id = summary['ros_domain_id']
     assert interrupted is None
     assert 0 <= domain_id <= 101
