@@ -6,6 +6,7 @@ import math
 from typing import Any, NamedTuple
 
 from multicontact_control.arrays import Vector
+from multicontact_control.compiled import bound
 from multicontact_control.config import ControllerConfig
 from multicontact_control.records import (
     JOINT_READING,
@@ -143,7 +144,7 @@ class Watchdog:
         self._all_well = ValidatedInputs(
             self._joints['valid_q'], self._joints['valid_qd'], wrench['valid'],
             self._variances['used'], (), ())
-        check_inputs(*self._arguments)  # no tick is to wait for numba
+        self._check_inputs = bound(check_inputs, *self._arguments)
         self.reset()
 
     def reset(self) -> None:
@@ -165,7 +166,7 @@ class Watchdog:
             WRENCH, wrench, self._new_wrench)
         contents[VARIANCE] = ABSENT if variance is None else self._take(
             VARIANCE, variance, self._new_variance)
-        return self._all_well if check_inputs(*self._arguments) else self._report()
+        return self._all_well if self._check_inputs(*self._arguments) else self._report()
 
     def _take_joints(self, reading: JointInput) -> int:
         """Put a joint state in place; return what is wrong with it so far."""
