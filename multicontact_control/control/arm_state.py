@@ -159,8 +159,10 @@ class ArmState:
 
     Attributes
     ----------
+    motion
+        Joint positions and velocities, shape (2, n), the rows of which are
     q, velocity
-        Joint positions [rad] and velocities [rad/s], shape (n,).
+        [rad] and [rad/s], shape (n,).
     joints
         Records of `JOINT`, shape (n,).
     frames
@@ -179,8 +181,8 @@ class ArmState:
     ) -> None:
         self.robot = robot
         self._shape = (robot.joint_count,)
-        self._motion = np.zeros((2, robot.joint_count))
-        self.q, self.velocity = self._motion
+        self.motion: Matrix = np.zeros((2, robot.joint_count))
+        self.q, self.velocity = self.motion
         self.joints: Any = np.zeros(self._shape, dtype=JOINT)
         self._controls = np.zeros(1, dtype=CONTROL) if controls is None else controls
         self._contacts = np.zeros(0, dtype=CONTACT) if contacts is None else contacts
@@ -195,7 +197,7 @@ class ArmState:
         self.twist_world: Vector = frame['twist']
         terms = robot.compute(self.q, self.velocity)
         self._see_arm = bound(
-            see_arm, self._motion, terms.mass_matrix, terms.bias_torque, terms.jacobian,
+            see_arm, self.motion, terms.mass_matrix, terms.bias_torque, terms.jacobian,
             terms.placements, self.joints, self._controls, self._contacts)
         self.look()
 
@@ -233,6 +235,10 @@ class ArmState:
             require_shape('qd', velocity, self._shape)
         self.q[:] = q  # whatever its layout
         self.velocity[:] = velocity
+        return self.refresh()
+
+    def refresh(self) -> bool:
+        """Take in what has been written into `motion`; see `update`."""
         self.robot.compute(self.q, self.velocity)
         return self.look()
 
@@ -240,6 +246,6 @@ class ArmState:
         """Take in what the robot's model has computed; see `update`."""
         terms = self.robot.terms
         self.found = self._see_arm(
-            self._motion, terms.mass_matrix, terms.bias_torque, terms.jacobian,
+            self.motion, terms.mass_matrix, terms.bias_torque, terms.jacobian,
             terms.placements, self.joints, self._controls, self._contacts)
         return self.found != NO_NUMBERS

@@ -62,6 +62,8 @@ class Controller:
         first sample on, of `OBSERVER`, shape (r,).
     active
         Which contacts are force controlled, in these records, shape (r,).
+    measured
+        Where what is measured goes: q and v, shape (2, n), wrench, shape (6,), and R, shape (r,).
 
     Raises
     ------
@@ -88,9 +90,11 @@ class Controller:
         self._wrench: Vector = self.controls['wrench'][0]
         self._alpha_meas: Vector = self.contacts['alpha_meas']
         self._noise_variance: Vector = self.contacts['noise_variance']
+        self.measured = self.arm.motion, self._wrench, self._noise_variance
         self._torque: Vector = self.arm.joints['torque']
         # numpy copies a structured array field by field, which takes five times as long.
         self._contact_bytes = self.contacts.view(np.uint8)
+        self._control_bytes = self.controls.view(np.uint8)
         self._adopt(config)
         self.reset()
         pose = self._pose()
@@ -204,26 +208,12 @@ class Controller:
         self.see(measurement.q, measurement.qd, measurement.wrench_sensor)
         return self.answer(measurement.time, noise_variance)
 
-    def see(self, q: Vector, qd: Vector, wrench_sensor: Vector | None) -> bool:
-        """
-        Take in a sample: the first half of `step`.
-
-        Parameters
-        ----------
-        q, qd, wrench_sensor
-            See `Measurement`; without a wrench the one before counts.
-
-        Returns
-        -------
-        bool
-            Whether the arm's model gives finite numbers there; see `ArmState.update`.
-
-        """
-        if wrench_sensor is not None:
-            if wrench_sensor.shape != self._wrench.shape:
-                require_shape('wrench_sensor', wrench_sensor, self._wrench.shape)
-            self._wrench[:] = wrench_sensor
-        return self.arm.update(q, qd)
+    def see(self, q: Vector, qd: Vector, wrench_sensor: Vector) -> None:
+        """Take in a sample, see `Measurement`: the first half of `step`."""
+        if wrench_sensor.shape != self._wrench.shape:
+            require_shape('wrench_sensor', wrench_sensor, self._wrench.shape)
+        self._wrench[:] = wrench_sensor
+        self.arm.update(q, qd)
 
     def answer(self, time: float, noise_variance: Vector) -> ControlOutput:
         """
@@ -237,30 +227,31 @@ class Controller:
             As for `step`.
 
         """
-        self.begin(noise_variance)
+        if noise_variance.shape != self._noise_variance.shape:
+            require_shape('noise_variance', noise_variance, self._noise_variance.shape)
+        self._noise_variance[:] = noise_variance
+        self.begin()
         reference = self._reference.update(time, self._alpha_meas)
         self._task.take(reference)
         self.decide()
-        return self.output(self._torque.copy(), reference.pose_des)
+        return self.output(self._torque.copy())
 
-    def begin(self, noise_variance: Vector) -> None:
-        """Get ready to answer the sample that has been seen; as for `answer`."""
+    def begin(self) -> None:
+        """Get ready to answer what has been seen; for what is raised see `step`."""
         if not self.arm.finite:
             raise SingularTaskError(
                 "the arm's dynamics: expected finite numbers, found others at joint positions "
                 f'{self.arm.q.tolist()} and velocities {self.arm.velocity.tolist()}')
-        if noise_variance.shape != self._noise_variance.shape:
-            require_shape('noise_variance', noise_variance, self._noise_variance.shape)
         if self.arm.found & AMBIGUOUS:
             self.refuse(DEPENDENT)
-        self._noise_variance[:] = noise_variance
         if not self._started:
             self._start()
 
-    def output(self, torque: Vector, pose_des: Pose) -> ControlOutput:
+    def output(self, torque: Vector) -> ControlOutput:
         """Return an answer to the sample that has been seen."""
         return ControlOutput(
-            torque, np.frombuffer(self._contact_bytes.tobytes(), CONTACT), self._pose(), pose_des)
+            torque, np.frombuffer(self._contact_bytes.tobytes(), CONTACT),
+            np.frombuffer(self._control_bytes.tobytes(), CONTROL))
 
     def _pose(self) -> Pose:
         position, rotation = self.arm.pose

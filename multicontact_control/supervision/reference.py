@@ -220,10 +220,6 @@ class ContactReference:
         if self._catching_up:
             self._return()
 
-    def pose_des(self) -> Pose:
-        """Return the desired pose of the last tick."""
-        return self._made.pose()
-
     def _return(self) -> None:
         """Let the offset that a pause has left go to zero."""
         offset, normals = self._offset, self._contacts['normal']

@@ -91,7 +91,7 @@ class Supervisor(BumplessController):
         self._record: Any = np.zeros(1, dtype=SUPERVISION)
         self.reference = ContactReference(config, task, self._record['reference'])
         super().__init__(config, robot, self.reference)
-        self._watchdog = Watchdog(config)
+        self._watchdog = Watchdog(config, self.controller.measured)
         self._gate = TorqueGate(config, robot.joint_count)
         self._reactions = Reactions(config.watchdog, robot, config.period)
         self.expects_pushes = False
@@ -241,10 +241,9 @@ class Supervisor(BumplessController):
 
     def _update_state(self, valid: ValidatedInputs) -> None:
         """Work out where the arm is."""
-        if valid.q is None or valid.qd is None:
-            return
-        if self.controller.see(valid.q, valid.qd, valid.wrench):
-            self._arm = arm = self.controller.arm
+        arm = self.controller.arm
+        if valid.q is not None and arm.refresh():
+            self._arm = arm
             self._too_fast = TOO_FAST[arm.found & (OPERATIONAL_SPEED | JOINT_SPEED)]
 
     def _reaction_to(self, causes: tuple[str, ...]) -> str:
@@ -266,7 +265,7 @@ class Supervisor(BumplessController):
         if resumed:
             self.reference.resume()
         try:
-            found = self._answer(valid.variance)
+            found = self._answer()
         except Exception as error:  # whatever it is, the arm needs an answer
             cause = f'law_{type(error).__name__}' if self.controller.arm.finite else (
                 'law_not_finite')
@@ -286,22 +285,21 @@ class Supervisor(BumplessController):
         if found & OUTSIDE:  # the contacts have led there; the reference leads back
             self.reference.release()
         limits = ('reference',) if found & REFERENCE else ()
-        pose_des = self.reference.pose_des()
         if found & PASSED:
             torque = self._gate.passed()
             self._transition.commanded(torque)
             return self._report(
-                self.controller.output(torque, pose_des), reaction, causes, valid.rejected,
+                self.controller.output(torque), reaction, causes, valid.rejected,
                 limits + ENFORCED[found // GATE])
         active = self.controller.active.tobytes()
         self._last_law = NONE, active, False
-        output = self.controller.output(self.controller.arm.joints['torque'].copy(), pose_des)
+        output = self.controller.output(self.controller.arm.joints['torque'].copy())
         return self._finish(
             output, (NONE, active, resumed), causes, valid.rejected, reaction, limits)
 
-    def _answer(self, variance: Vector) -> int:
+    def _answer(self) -> int:
         """Let the control law answer the task; return what `supervised_law` does."""
-        self.controller.begin(variance)
+        self.controller.begin()
         self.reference.ask(self._task_time())
         return self._law.answer(self._transition.settled(self._last_law))
 

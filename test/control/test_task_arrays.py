@@ -19,7 +19,7 @@ def some_task(seed):
 
 def test_task_is_copied_into_the_records():
     arrays, tasks, contacts = make()
-    np.testing.assert_array_equal(arrays.pose().rotation_world, np.eye(3))
+    np.testing.assert_array_equal(arrays.reference().pose_des.rotation_world, np.eye(3))
     for seed in range(3):
         task = some_task(seed)
         arrays.take(task)
@@ -39,8 +39,14 @@ def test_same_task_again_is_copied_only_if_the_last_one_is_forgotten():
     tasks['twist'], contacts['alpha_des'] = 0.0, 0.0
     arrays.take(task)
     assert not tasks['twist'].any() and not contacts['alpha_des'].any()
+    arrays.take(task._replace(alpha_des=np.full(2, 3.0)))
+    np.testing.assert_array_equal(contacts['alpha_des'], 3.0)
+    tasks['rotation'] = 0.0
+    arrays.take(task)
+    assert not tasks['rotation'].any()
     arrays.forget()
     arrays.take(task)
+    np.testing.assert_array_equal(tasks['rotation'][0], task.pose_des.rotation_world)
     np.testing.assert_array_equal(tasks['twist'][0], task.twist_des)
     np.testing.assert_array_equal(contacts['alpha_des'], task.alpha_des)
 
@@ -48,6 +54,6 @@ def test_same_task_again_is_copied_only_if_the_last_one_is_forgotten():
 def test_pose_stays_as_it_is_when_the_next_task_comes():
     arrays, *_ = make()
     arrays.take(some_task(0))
-    pose = arrays.pose()
+    pose = arrays.reference().pose_des
     arrays.take(some_task(1))
     np.testing.assert_equal(pose, some_task(0).pose_des)

@@ -35,19 +35,21 @@ class TaskArrays:
         self._taken: Reference | None = None
 
     def take(self, task: Reference) -> None:
-        """Copy a task, unless it is the very one that was copied last."""
-        if task is self._taken:
+        """Copy what of a task is not the very object that was copied last."""
+        last = self._taken
+        if task is last:
             return
-        self._position[:], self._rotation[:] = task.pose_des
+        position, rotation = task.pose_des
+        self._position[:] = position
         self._twist[:], self._acceleration[:] = task.twist_des, task.acceleration_des
-        self._active[:], self._alpha_des[:] = task.active, task.alpha_des
+        if last is None or rotation is not last.pose_des.rotation_world:
+            self._rotation[:] = rotation
+        if last is None or task.active is not last.active or task.alpha_des is not last.alpha_des:
+            self._active[:], self._alpha_des[:] = task.active, task.alpha_des
         self._taken = task
-
-    def pose(self) -> Pose:
-        """Return a copy of the desired pose."""
-        return Pose(self._position.copy(), self._rotation.copy())
 
     def reference(self) -> Reference:
         """Return what is there; all but the pose is overwritten with it."""
         return Reference(
-            self.pose(), self._twist, self._acceleration, self._active, self._alpha_des)
+            Pose(self._position.copy(), self._rotation.copy()), self._twist, self._acceleration,
+            self._active, self._alpha_des)
