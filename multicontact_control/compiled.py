@@ -89,6 +89,28 @@ def compiled(function: FunctionT) -> FunctionT:
     return result
 
 
+def bound(kernel: FunctionT, *arguments: Any) -> FunctionT:
+    """
+    Return a kernel for arguments like these, compiled, that does not look at their types.
+
+    To find out the types of ten arrays takes numba longer than many a kernel its work. Only for
+    arrays that are the caller's own: in place of a contiguous one any other would be misread.
+
+    Parameters
+    ----------
+    kernel
+        What `compiled` has made.
+    arguments
+        Of the types, dimensions and layouts of all that it will be called with.
+
+    """
+    compile_for = getattr(kernel, 'compile', None)  # None when numba is told not to compile
+    if compile_for is None:
+        return kernel
+    entry: FunctionT = compile_for(tuple(numba.typeof(argument) for argument in arguments))
+    return entry
+
+
 def _sources(function: Callable[..., Any]) -> Path:
     """Return the folder of the top-level package of a function, or the file of a script."""
     package = sys.modules.get(function.__module__.partition('.')[0])

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from pathlib import Path
+from typing import Any
 
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
@@ -111,6 +112,7 @@ class ControlLoop:
         self.push_gate = PushGate(
             required=config.sensor.require_push_test, robot=self.controller.controller.robot,
             gravity_world=np.array(config.robot.gravity_world), rate=config.rate)
+        self._rate, self._period = config.rate, config.period
         self._clock = SampleClock(config.period)
         self.restart()
 
@@ -173,10 +175,11 @@ class ControlLoop:
         """
         time = self._begin_tick(sample.stamp)
         # Without supervisor the law's time goes in whole periods, whatever the stamps do.
-        now = time if self.supervisor is not None else self.tick * self.config.period
-        return self.answer(TickInputs(
-            now, JointInput(time, sample.q, sample.qd, effort=sample.effort),
-            WrenchInput(time, sample.wrench_sensor), self._variance))
+        now = time if self.supervisor is not None else self.tick * self._period
+        new = self._take_wrench(time, sample.wrench_sensor)
+        return self._answer(TickInputs(
+            now, JointInput(time, sample.q, sample.qd, None, sample.effort), self._filtered,
+            self._variance, self.sensor_fault), new)
 
     def step_half(self, reading: JointReading | WrenchReading) -> Vector:
         """Answer a sample of which one half did not come; only with a supervisor."""
@@ -198,7 +201,7 @@ class ControlLoop:
 
     def answer(self, inputs: TickInputs) -> Vector:
         """
-        Answer a tick: every way of a sample into a torque is through here.
+        Answer a tick.
 
         Parameters
         ----------
@@ -218,47 +221,54 @@ class ControlLoop:
             Without supervisor, if something is missing or there is no torque for this posture.
 
         """
-        self._inputs = inputs
-        new, joints, wrench = self._take_wrench(inputs.wrench), inputs.joints, inputs.wrench
-        seen = TickInputs(
-            inputs.time, joints, None if wrench is None else self._filtered, inputs.variance,
-            self.sensor_fault)
-        controller = self.controller
-        output, status = controller.safe_step(seen) if self.safe else controller.step(seen)
-        self.output, self.status = None if self.safe else output, status
-        if status is not None:
-            self._note(inputs.time, status)
-        if new and joints is not None and wrench is not None and joints.stamp == wrench.stamp:
-            self._push(joints, self._readings[-1])
-        return output.torque
+        new = inputs.wrench is not None and self._take_wrench(*inputs.wrench)
+        return self._answer(TickInputs(
+            inputs.time, inputs.joints, None if inputs.wrench is None else self._filtered,
+            inputs.variance, self.sensor_fault), new)
 
     @property
     def expected_stamp(self) -> int:
         """Stamp of the newest sample, or of the one that should have come by now [ns]."""
-        return self.last_stamp + round(self._missed * self.config.period * 1e9)
+        return self.last_stamp + round(self._missed * self._period * 1e9)
 
     def _begin_tick(self, stamp: int) -> float:
         if self.first_stamp < 0:
             self.first_stamp = stamp
-        tick = round((stamp - self.first_stamp) * 1e-9 * self.config.rate)
-        self.skipped += max(0, tick - self.tick - 1)
+        tick = round((stamp - self.first_stamp) * 1e-9 * self._rate)
+        if tick - self.tick > 1:
+            self.skipped += tick - self.tick - 1
         self._missed = 0
         self.tick, self.last_stamp = tick, stamp
         return self._clock.take(stamp)
 
-    def _take_wrench(self, reading: WrenchInput | None) -> bool:
+    def _take_wrench(self, stamp: Any, reading: Any) -> bool:
         """Let a reading that is new through the front end; return whether it is one."""
-        if reading is None or (
-                self._filtered is not None and reading.stamp == self._filtered.stamp):
+        if self._filtered is not None and stamp == self._filtered.stamp:
             return False
         raw = np.empty(6)
-        if not copy_numbers(reading.wrench, raw):
-            self._filtered = reading  # for the watchdog to refuse
+        if not copy_numbers(reading, raw):
+            self._filtered = WrenchInput(stamp, reading)  # for the watchdog to refuse
             return False
         self._readings.append(raw)
         wrench, self.sensor_fault = self._front_end.update(raw)
-        self._filtered = WrenchInput(reading.stamp, wrench)
+        self._filtered = WrenchInput(stamp, wrench)
         return True
+
+    def _answer(self, seen: TickInputs, new: bool) -> Vector:
+        """
+        Answer a tick whose wrench, `new` or not, has passed the front end.
+
+        Every way of a sample into a torque is through here.
+        """
+        self._inputs = seen
+        controller = self.controller
+        output, status = controller.safe_step(seen) if self.safe else controller.step(seen)
+        self.output, self.status = None if self.safe else output, status
+        if status is not None:
+            self._note(seen.time, status)
+        if new and self.push_gate.running and not self.safe:
+            self._push(seen)
+        return output.torque
 
     def _require_supervisor(self) -> None:
         if self.supervisor is None:
@@ -273,10 +283,13 @@ class ControlLoop:
         if status.limits:
             self.limited.update(status.limits)
 
-    def _push(self, joints: JointInput, wrench_sensor: Vector) -> None:
-        """Lead on with a push test, if there is one, and obey its verdict."""
-        if self.push_gate.running and not self.safe and self.push_gate.update(
-                joints.q, joints.qd, wrench_sensor, self.config.tool):
+    def _push(self, seen: TickInputs) -> None:
+        """Lead on with a push test, and obey its verdict."""
+        joints, wrench = seen.joints, seen.wrench
+        if joints is None or wrench is None or joints.stamp != wrench.stamp:
+            return
+        if self.push_gate.update(
+                joints.q, joints.qd, self._readings[-1], self.config.tool):
             if self.push_gate.open:
                 self._reference.unlock()
                 self.controller.go_on()

@@ -42,6 +42,7 @@ JOINT = np.dtype([
     ('coulomb', F),  # Coulomb friction to compensate [N m]
     ('viscous', F),  # viscous friction to compensate [N m s/rad]
     ('torque_limit', F),  # [N m]
+    ('speed_limit', F),  # beyond which it is too fast [rad/s]
     ('torque', F),  # Gamma, what the law answers [N m]
 ], align=True)
 
@@ -52,6 +53,8 @@ FRAME = np.dtype([
     ('twist', F, 6),  # theta = J v [m/s, rad/s]
     ('sensor_position', F, 3),  # [m]
     ('sensor_rotation', F, (3, 3)),  # axes of the sensor as columns
+    ('speed_limit', F),  # beyond which the operational point is too fast [m/s]
+    ('turn_limit', F),  # and the frame turns too fast [rad/s]
 ], align=True)
 
 # What hangs on the wrist sensor; one.
@@ -67,6 +70,12 @@ TASK = np.dtype([
     ('rotation', F, (3, 3)),  # desired axes of the operational frame as columns
     ('twist', F, 6),  # theta_des [m/s, rad/s]
     ('acceleration', F, 6),  # a_des [m/s^2, rad/s^2]
+], align=True)
+
+# All that the control law works on besides joints, contacts and observers; one.
+CONTROL = np.dtype([
+    ('law', LAW), ('frame', FRAME), ('tool', TOOL), ('task', TASK),
+    ('wrench', F, 6),  # what the wrist sensor reads, in its frame [N, N m]
 ], align=True)
 
 # One contact, as the force law sees it.
@@ -165,9 +174,13 @@ PLAUSIBILITY = np.dtype([
     ('friction_bound', F),  # force across the normals, per force along them
     ('friction_offset', F),  # and without any [N]
     ('box', F, (2, 3)),  # where the operational point may be [m]
-    ('operational_speed', F),  # [m/s]
-    ('operational_turn', F),  # [rad/s]
 ])
+
+# All that the supervised law works on besides, and besides contacts' states and limits; one.
+SUPERVISION = np.dtype([
+    ('reference', CONTACT_REFERENCE), ('plausibility', PLAUSIBILITY),
+    ('settled', B),  # whether the law's torque goes to the gate as it is, if no contact changes
+], align=True)
 
 # Limits of one joint at the last gate.
 JOINT_LIMITS = np.dtype([
@@ -176,6 +189,7 @@ JOINT_LIMITS = np.dtype([
     ('lower', F),  # position not to be passed [rad]
     ('upper', F),  # [rad]
     ('speed', F),  # [rad/s]
+    ('braking', F),  # deceleration before a stop [rad/s^2]
     ('last', F),  # torque commanded last [N m]
 ])
 

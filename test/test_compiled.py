@@ -6,7 +6,9 @@ import shutil
 import subprocess
 import sys
 
-from multicontact_control.compiled import sources_stamp
+from multicontact_control.algebra import dot
+from multicontact_control.compiled import bound, sources_stamp
+import numpy as np
 import pytest
 
 ROOT = Path(__file__).parents[1]
@@ -20,6 +22,20 @@ def test_stamp_is_that_of_compiled_sources_only(tmp_path):
     assert sources_stamp(tmp_path) == before
     (tmp_path / 'kernels.py').write_text('@compiled\ndef f(): return 1')
     assert sources_stamp(tmp_path) != before
+
+
+def test_bound_kernel_is_compiled_before_its_first_call_and_not_again():
+    x, y = np.arange(3.0), np.ones(3)
+    fast = bound(dot, x, y)
+    compiled = len(dot.signatures)
+    assert fast(x, y) == dot(x, y) == 3.0
+    with pytest.raises(TypeError):
+        fast(x.astype(np.float32), y)
+    assert len(dot.signatures) == compiled > 0
+
+
+def test_function_that_is_not_compiled_is_bound_as_it_is():
+    assert bound(sources_stamp, 1.0) is sources_stamp
 
 
 CALLER = (

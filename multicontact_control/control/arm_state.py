@@ -6,11 +6,16 @@ from typing import Any
 
 from multicontact_control.algebra import copy_matrix, copy_vector
 from multicontact_control.arrays import Matrix, require_shape, Vector
-from multicontact_control.compiled import compiled
+from multicontact_control.compiled import bound, compiled
+from multicontact_control.control.wrench import measure_contacts
 from multicontact_control.dynamics.pose import Pose
 from multicontact_control.dynamics.robot import RobotModel
-from multicontact_control.records import FRAME, JOINT
+from multicontact_control.records import CONTACT, CONTROL, JOINT
 import numpy as np
+
+# What `see_arm` returns: that the model gave no numbers, or what is unusual, added up.
+NO_NUMBERS = -1
+OPERATIONAL_SPEED, JOINT_SPEED, AMBIGUOUS = 1, 2, 4
 
 
 @compiled
@@ -48,10 +53,7 @@ def fill_joints(
 
 
 @compiled
-def fill_frame(
-    velocity: Vector, jacobian: Matrix, position: Vector, rotation: Matrix,
-    sensor_position: Vector, sensor_rotation: Matrix, frames: Any,
-) -> None:
+def fill_frame(velocity: Vector, jacobian: Matrix, placements: Any, frame: Any) -> None:
     """
     Fill in pose and twist of the operational frame, and the pose of the sensor.
 
@@ -59,13 +61,13 @@ def fill_frame(
     ----------
     velocity, jacobian
         v, shape (n,) [rad/s], and J, shape (6, n).
-    position, rotation, sensor_position, sensor_rotation
-        World axes, shapes (3,) [m] and (3, 3).
-    frames
-        One record of `FRAME`.
+    placements
+        See `LiveTerms`.
+    frame
+        Record of `FRAME`.
 
     """
-    frame = frames[0]
+    position, rotation, sensor_position, sensor_rotation = placements
     copy_vector(position, frame.position)
     copy_matrix(rotation, frame.rotation)
     copy_vector(sensor_position, frame.sensor_position)
@@ -77,6 +79,72 @@ def fill_frame(
         frame.twist[i] = total
 
 
+@compiled
+def check_speeds(joints: Any, frame: Any) -> int:
+    """
+    Find out whether the arm is too fast.
+
+    Parameters
+    ----------
+    joints, frame
+        Records of `JOINT`, shape (n,), and record of `FRAME`.
+
+    Returns
+    -------
+    int
+        Sum of OPERATIONAL_SPEED and JOINT_SPEED.
+
+    """
+    excess = 0
+    for j in range(joints.shape[0]):
+        if abs(joints[j].velocity) > joints[j].speed_limit:
+            excess = JOINT_SPEED
+    speed, turn = 0.0, 0.0
+    for k in range(3):
+        speed += frame.twist[k] ** 2
+        turn += frame.twist[3 + k] ** 2
+    if speed > frame.speed_limit ** 2 or turn > frame.turn_limit ** 2:
+        excess += OPERATIONAL_SPEED
+    return excess
+
+
+@compiled
+def see_arm(
+    motion: Matrix, mass_matrix: Matrix, bias_torque: Vector, jacobian: Matrix, placements: Any,
+    joints: Any, controls: Any, contacts: Any,
+) -> int:
+    """
+    Take in all that is known of a sample before anything is asked for.
+
+    Parameters
+    ----------
+    motion
+        q [rad] and v [rad/s], shape (2, n).
+    mass_matrix, bias_torque, jacobian, placements
+        Of the arm there; see `LiveTerms`.
+    joints, contacts
+        Records of `JOINT`, shape (n,), and `CONTACT`, shape (r,); both changed.
+    controls
+        One record of `CONTROL` with the wrench in it; its frame is filled in.
+
+    Returns
+    -------
+    int
+        NO_NUMBERS if the model gives none, and nothing has changed; otherwise the sum of
+        OPERATIONAL_SPEED, JOINT_SPEED and AMBIGUOUS (the contacts depend on each other, and what
+        they bear has not changed).
+
+    """
+    control, velocity = controls[0], motion[1]
+    if not fill_joints(motion[0], velocity, mass_matrix, bias_torque, joints):
+        return NO_NUMBERS
+    fill_frame(velocity, jacobian, placements, control.frame)
+    found = check_speeds(joints, control.frame)
+    if not measure_contacts(control, contacts):
+        found += AMBIGUOUS
+    return found
+
+
 class ArmState:
     """
     The arm when its joints were last given, in arrays that the next `update` overwrites.
@@ -85,43 +153,66 @@ class ArmState:
     ----------
     robot
         Its model.
+    controls, contacts
+        One record of `CONTROL` and records of `CONTACT`, shape (r,), to be filled in; its own and
+        no contacts if not given.
 
     Attributes
     ----------
+    motion
+        Joint positions and velocities, shape (2, n), the rows of which are
     q, velocity
-        Joint positions [rad] and velocities [rad/s], shape (n,).
+        [rad] and [rad/s], shape (n,).
     joints
         Records of `JOINT`, shape (n,).
     frames
         One record of `FRAME`.
     inertia, bias_torque
         Diagonal of M [kg m^2] and C v + g [N m], in `joints`, shape (n,).
-    pose, twist_world, sensor_rotation
-        Of the operational frame and the sensor, in `frames`.
-    finite
-        Whether the model gave finite numbers for the joints that were given last. If not, the
-        arm is where it was before.
+    pose, twist_world
+        Of the operational frame, in `frames`.
+    found
+        What is unusual about it; see `see_arm`.
 
     """
 
-    def __init__(self, robot: RobotModel) -> None:
+    def __init__(
+        self, robot: RobotModel, controls: Any = None, contacts: Any = None,
+    ) -> None:
         self.robot = robot
         self._shape = (robot.joint_count,)
-        self.q, self.velocity = np.zeros(self._shape), np.zeros(self._shape)
+        self.motion: Matrix = np.zeros((2, robot.joint_count))
+        self.q, self.velocity = self.motion
         self.joints: Any = np.zeros(self._shape, dtype=JOINT)
-        self.frames: Any = np.zeros(1, dtype=FRAME)
+        self._controls = np.zeros(1, dtype=CONTROL) if controls is None else controls
+        self._contacts = np.zeros(0, dtype=CONTACT) if contacts is None else contacts
+        self.frames: Any = self._controls['frame']
+        for limited, name in ((self.joints, 'speed_limit'), (self.frames, 'speed_limit'),
+                              (self.frames, 'turn_limit')):
+            limited[name] = np.inf
         self.inertia: Vector = self.joints['inertia']
         self.bias_torque: Vector = self.joints['bias_torque']
         frame = self.frames[0]
         self.pose = Pose(frame['position'], frame['rotation'])
         self.twist_world: Vector = frame['twist']
-        self.sensor_rotation: Matrix = frame['sensor_rotation']
-        self.finite = False
-        self.update(self.q, self.velocity)
+        terms = robot.compute(self.q, self.velocity)
+        self._see_arm = bound(
+            see_arm, self.motion, terms.mass_matrix, terms.bias_torque, terms.jacobian,
+            terms.placements, self.joints, self._controls, self._contacts)
+        self.look()
+
+    @property
+    def finite(self) -> bool:
+        """
+        Whether the model gave finite numbers for the joints that were given last.
+
+        If not, the arm is where it was before.
+        """
+        return self.found != NO_NUMBERS
 
     def update(self, q: Vector, velocity: Vector) -> bool:
         """
-        Take in where the arm is.
+        Take in where the arm is, and what the wrench in `controls` says of the contacts there.
 
         Parameters
         ----------
@@ -142,13 +233,19 @@ class ArmState:
         if q.shape != self._shape or velocity.shape != self._shape:
             require_shape('q', q, self._shape)
             require_shape('qd', velocity, self._shape)
-        self.q[:] = q  # whatever its layout: numba would compile anew for another one
+        self.q[:] = q  # whatever its layout
         self.velocity[:] = velocity
-        terms = self.robot.compute(self.q, self.velocity)
-        self.finite = fill_joints(
-            self.q, self.velocity, terms.mass_matrix, terms.bias_torque, self.joints)
-        if self.finite:
-            fill_frame(
-                self.velocity, terms.jacobian, terms.position_world, terms.rotation_world,
-                terms.sensor_position_world, terms.sensor_rotation_world, self.frames)
-        return self.finite
+        return self.refresh()
+
+    def refresh(self) -> bool:
+        """Take in what has been written into `motion`; see `update`."""
+        self.robot.compute(self.q, self.velocity)
+        return self.look()
+
+    def look(self) -> bool:
+        """Take in what the robot's model has computed; see `update`."""
+        terms = self.robot.terms
+        self.found = self._see_arm(
+            self.motion, terms.mass_matrix, terms.bias_torque, terms.jacobian,
+            terms.placements, self.joints, self._controls, self._contacts)
+        return self.found != NO_NUMBERS

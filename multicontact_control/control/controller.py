@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import contextlib
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from multicontact_control.arrays import Mask, Matrix, require_shape, Vector
+from multicontact_control.compiled import bound
 from multicontact_control.config import ControllerConfig
 from multicontact_control.contact.geometry import MAX_CONTACTS, operational_stiffness
-from multicontact_control.control.arm_state import ArmState
-from multicontact_control.control.law import control_law, OK, SINGULAR
-from multicontact_control.control.reference import Reference, ReferenceSource
+from multicontact_control.control.arm_state import AMBIGUOUS, ArmState
+from multicontact_control.control.law import control_law, DEPENDENT, OK, SINGULAR
+from multicontact_control.control.reference import ReferenceSource, TaskArrays
 from multicontact_control.control.tick import ControlOutput, Measurement
-from multicontact_control.control.wrench import measure_contacts, tool_record
+from multicontact_control.control.wrench import tool_record
 from multicontact_control.dynamics.operational_space import MAX_CONDITION, task_inertia
 from multicontact_control.dynamics.pose import Pose
 from multicontact_control.dynamics.robot import RobotModel
@@ -29,7 +30,7 @@ from multicontact_control.force.observer import (
     ObserverDesign,
 )
 from multicontact_control.force.plant_model import design_force_loop
-from multicontact_control.records import CONTACT, LAW, Records, TASK
+from multicontact_control.records import CONTACT, CONTROL, LAW, Records
 import numpy as np
 
 __all__ = ['Controller', 'ControlOutput', 'Measurement']
@@ -56,14 +57,13 @@ class Controller:
     ----------
     arm
         Where the arm is.
-    contacts
-        Records of `CONTACT`, shape (r,), which every step overwrites.
+    controls, contacts, observers
+        What every step overwrites: one record of `CONTROL`, records of `CONTACT` and, from the
+        first sample on, of `OBSERVER`, shape (r,).
     active
-        Which of them are force controlled, in these records, shape (r,).
-    tasks
-        One record of `TASK`: what the motion law is asked for.
-    wrench_sensor
-        The newest reading, shape (6,) [N, N m].
+        Which contacts are force controlled, in these records, shape (r,).
+    measured
+        Where what is measured goes: q and v, shape (2, n), wrench, shape (6,), and R, shape (r,).
 
     Raises
     ------
@@ -81,26 +81,36 @@ class Controller:
                               'wrench has components', count)
         self.robot = robot
         self._reference = reference
-        self.arm = ArmState(robot)
+        self.controls: Any = np.zeros(1, dtype=CONTROL)
         self.contacts: Any = np.zeros(count, dtype=CONTACT)
-        self.tasks: Any = np.zeros(1, dtype=TASK)
-        self.tasks['rotation'] = np.eye(3)
+        self.arm = ArmState(robot, self.controls, self.contacts)
         self.active: Mask = self.contacts['active']
+        self._task = TaskArrays(
+            self.controls['task'], self.active, self.contacts['alpha_des'])
+        self._wrench: Vector = self.controls['wrench'][0]
         self._alpha_meas: Vector = self.contacts['alpha_meas']
         self._noise_variance: Vector = self.contacts['noise_variance']
+        self.measured = self.arm.motion, self._wrench, self._noise_variance
         self._torque: Vector = self.arm.joints['torque']
         # numpy copies a structured array field by field, which takes five times as long.
         self._contact_bytes = self.contacts.view(np.uint8)
-        self.wrench_sensor = np.zeros(6)
+        self._control_bytes = self.controls.view(np.uint8)
         self._adopt(config)
         self.reset()
-        self._warm_up()
+        pose = self._pose()
+        pose.quaternion_xyzw  # noqa: B018 - no step is to wait for it to be compiled
+        self.observers: Any = make_observers(design_observers(config, pose.rotation_world))
+        self._control_law = bound(
+            control_law, self.controls, self.arm.joints, robot.terms.mass_matrix,
+            robot.terms.jacobian, robot.terms.jacobian_rate, self.contacts, self.observers)
+        with contextlib.suppress(SingularTaskError, ContactGeometryError):
+            self.decide()  # all joints at 0 need not be a good posture
 
     def _adopt(self, config: ControllerConfig) -> None:
         """Set everything that follows from the configuration alone."""
         self.config = config
-        self._laws = law_record(config)
-        self._tools = tool_record(config.tool, np.array(config.robot.gravity_world))
+        self.controls['law'] = law_record(config)
+        self.controls['tool'] = tool_record(config.tool, np.array(config.robot.gravity_world))
         contacts = [config.contacts[name] for name in config.contact_names]
         self.contacts['normal'] = [contact.normal_world for contact in contacts]
         self.contacts['point'] = [contact.point_operational for contact in contacts]
@@ -155,7 +165,7 @@ class Controller:
         if not self._started:
             return None
         observers = make_observers(design_observers(config, self._rotation_world))
-        continue_from(observers, self._observers)
+        continue_from(observers, self.observers)
         return observers
 
     def reconfigure(self, config: ControllerConfig) -> None:
@@ -167,7 +177,7 @@ class Controller:
         observers = self.redesign(config)
         self._adopt(config)
         if observers is not None:
-            self._observers: Any = observers
+            self.observers = observers
 
     def step(self, measurement: Measurement, noise_variance: Vector) -> ControlOutput:
         """
@@ -195,91 +205,92 @@ class Controller:
             If the contacts' normals are not independent.
 
         """
-        self.arm.update(measurement.q, measurement.qd)
-        return self.answer(measurement.time, measurement.wrench_sensor, noise_variance)
+        self.see(measurement.q, measurement.qd, measurement.wrench_sensor)
+        return self.answer(measurement.time, noise_variance)
 
-    def answer(
-        self, time: float, wrench_sensor: Vector, noise_variance: Vector,
-    ) -> ControlOutput:
+    def see(self, q: Vector, qd: Vector, wrench_sensor: Vector) -> None:
+        """Take in a sample, see `Measurement`: the first half of `step`."""
+        if wrench_sensor.shape != self._wrench.shape:
+            require_shape('wrench_sensor', wrench_sensor, self._wrench.shape)
+        self._wrench[:] = wrench_sensor
+        self.arm.update(q, qd)
+
+    def answer(self, time: float, noise_variance: Vector) -> ControlOutput:
         """
-        Answer the sample whose joints `arm` has been given: the second half of `step`.
+        Answer the sample that has been seen: the second half of `step`, which says what is raised.
 
         Parameters
         ----------
-        time, wrench_sensor
+        time
             See `Measurement`.
         noise_variance
-            As for `step`, which also says what is raised.
+            As for `step`.
 
         """
+        if noise_variance.shape != self._noise_variance.shape:
+            require_shape('noise_variance', noise_variance, self._noise_variance.shape)
+        self._noise_variance[:] = noise_variance
+        self.begin()
+        reference = self._reference.update(time, self._alpha_meas)
+        self._task.take(reference)
+        self.decide()
+        return self.output(self._torque.copy())
+
+    def begin(self) -> None:
+        """Get ready to answer what has been seen; for what is raised see `step`."""
         if not self.arm.finite:
             raise SingularTaskError(
                 "the arm's dynamics: expected finite numbers, found others at joint positions "
                 f'{self.arm.q.tolist()} and velocities {self.arm.velocity.tolist()}')
-        if wrench_sensor.shape != (6,) or noise_variance.shape != self.active.shape:
-            require_shape('wrench_sensor', wrench_sensor, (6,))
-            require_shape('noise_variance', noise_variance, self.active.shape)
-        self.wrench_sensor[:] = wrench_sensor
-        self._noise_variance[:] = noise_variance
-        self._measure()
-        pose = Pose(self.arm.pose.position_world.copy(), self.arm.pose.rotation_world.copy())
+        if self.arm.found & AMBIGUOUS:
+            self.refuse(DEPENDENT)
         if not self._started:
-            self._start(pose)
-        reference = self._reference.update(time, self._alpha_meas)
-        self._take_reference(reference)
-        self._decide()
+            self._start()
+
+    def output(self, torque: Vector) -> ControlOutput:
+        """Return an answer to the sample that has been seen."""
         return ControlOutput(
-            self._torque.copy(), np.frombuffer(self._contact_bytes.tobytes(), dtype=CONTACT),
-            pose, reference.pose_des)
+            torque, np.frombuffer(self._contact_bytes.tobytes(), CONTACT),
+            np.frombuffer(self._control_bytes.tobytes(), CONTROL))
 
-    def _measure(self) -> None:
-        """Fill in N and the measured contact forces."""
-        if not measure_contacts(
-                self.wrench_sensor, self.arm.frames, self._tools, self.contacts):
-            raise self._dependent_contacts()
+    def _pose(self) -> Pose:
+        position, rotation = self.arm.pose
+        return Pose(position.copy(), rotation.copy())
 
-    def _start(self, pose: Pose) -> None:
+    def _start(self) -> None:
         """Begin with the first sample."""
+        pose = self._pose()
         self._rotation_world = pose.rotation_world
-        self._observers = make_observers(design_observers(self.config, pose.rotation_world))
+        self.observers = make_observers(design_observers(self.config, pose.rotation_world))
         self._reference.start(pose, self.contacts['normal'].copy())
         self._started = True
 
-    def _take_reference(self, reference: Reference) -> None:
-        """Copy what is to be done, unless it has been made in these very arrays."""
-        if reference.alpha_des.base is self.contacts:
-            return
-        task, contacts = self.tasks, self.contacts
-        task['position'], task['rotation'] = reference.pose_des
-        task['twist'], task['acceleration'] = reference.twist_des, reference.acceleration_des
-        contacts['active'], contacts['alpha_des'] = reference.active, reference.alpha_des
-
-    def _decide(self) -> None:
-        """Work out the joint torque."""
-        terms, arm = self.robot.terms, self.arm
-        status = control_law(
-            self._laws, arm.joints, arm.frames, terms.mass_matrix, terms.jacobian,
-            terms.jacobian_rate, self.contacts, self._observers, self.tasks)
-        if status == SINGULAR:
-            state = self.robot.update(arm.q, arm.velocity)
-            task_inertia(state.mass_matrix, state.jacobian)  # says what is wrong
-            raise SingularTaskError('J M^-1 J^T: expected a positive definite matrix')
+    def decide(self) -> None:
+        """Work out the joint torque from what has been seen and asked for."""
+        terms = self.robot.terms
+        status = self._control_law(
+            self.controls, self.arm.joints, terms.mass_matrix, terms.jacobian,
+            terms.jacobian_rate, self.contacts, self.observers)
         if status != OK:
-            raise self._dependent_contacts()
+            self.refuse(status)
 
-    def _dependent_contacts(self) -> ContactGeometryError:
-        return ContactGeometryError(
-            'N: expected independent columns, found normals and contact points of '
-            f'{", ".join(self.config.contact_names)} that depend on each other')
+    def refuse(self, status: int) -> NoReturn:
+        """
+        Say why there is no torque.
 
-    def _warm_up(self) -> None:
-        """Call everything compiled once: no step is to wait for it."""
-        pose = Pose(self.arm.pose.position_world.copy(), self.arm.pose.rotation_world.copy())
-        pose.quaternion_xyzw  # noqa: B018 - compiled too
-        self._observers = make_observers(design_observers(self.config, pose.rotation_world))
-        for warm in (self._measure, self._decide):
-            with contextlib.suppress(SingularTaskError, ContactGeometryError):
-                warm()  # all joints at 0 need not be a good posture
+        Parameters
+        ----------
+        status
+            What `control_law` has returned, not OK.
+
+        """
+        if status != SINGULAR:
+            raise ContactGeometryError(
+                'N: expected independent columns, found normals and contact points of '
+                f'{", ".join(self.config.contact_names)} that depend on each other')
+        state = self.robot.update(self.arm.q, self.arm.velocity)
+        task_inertia(state.mass_matrix, state.jacobian)  # says what is wrong
+        raise SingularTaskError('J M^-1 J^T: expected a positive definite matrix')
 
 
 def law_record(config: ControllerConfig) -> Records:

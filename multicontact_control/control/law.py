@@ -91,8 +91,8 @@ def finish_torque(law: Any, joints: Any) -> None:
 
 @compiled
 def control_law(
-    laws: Any, joints: Any, frames: Any, mass_matrix: Matrix, jacobian: Matrix,
-    jacobian_rate: Matrix, contacts: Any, observers: Any, tasks: Any,
+    controls: Any, joints: Any, mass_matrix: Matrix, jacobian: Matrix, jacobian_rate: Matrix,
+    contacts: Any, observers: Any,
 ) -> int:
     """
     Work out the joint torque of one tick.
@@ -102,8 +102,8 @@ def control_law(
 
     Parameters
     ----------
-    laws, frames, tasks
-        One record each of `LAW`, `FRAME` and `TASK`.
+    controls
+        One record of `CONTROL`.
     joints
         Records of `JOINT`, shape (n,); their torque is filled in.
     mass_matrix, jacobian, jacobian_rate
@@ -120,7 +120,7 @@ def control_law(
         OK, or what is wrong; the observers have not been touched then.
 
     """
-    law, frame, task = laws[0], frames[0], tasks[0]
+    law, frame, task = controls[0].law, controls[0].frame, controls[0].task
     n = joints.shape[0]
     count = contacts.shape[0]
     L = np.empty((n, n))

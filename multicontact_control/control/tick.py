@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from multicontact_control.arrays import Mask, Vector
 from multicontact_control.dynamics.pose import Pose
@@ -45,18 +45,27 @@ class ControlOutput(NamedTuple):
     ----------
     torque
         Gamma, shape (n,) [N m].
-    contacts
-        All that there is to say of every contact: records of `CONTACT`, shape (r,), which
-        cannot be written to.
-    pose, pose_des
-        Present and desired pose of the operational frame.
+    contacts, controls
+        All that there is to say of every contact, and of the arm and what it is asked for:
+        records of `CONTACT`, shape (r,), and one of `CONTROL`, which cannot be written to.
 
     """
 
     torque: Vector
     contacts: Records
-    pose: Pose
-    pose_des: Pose
+    controls: Records
+
+    @property
+    def pose(self) -> Pose:
+        """Return the pose of the operational frame."""
+        frame: Any = self.controls['frame'][0]
+        return Pose(frame['position'], frame['rotation'])
+
+    @property
+    def pose_des(self) -> Pose:
+        """Return the desired pose of the operational frame."""
+        task: Any = self.controls['task'][0]
+        return Pose(task['position'], task['rotation'])
 
     @property
     def active(self) -> Mask:

@@ -21,12 +21,12 @@ from multicontact_control.contact.projections import (
     factorise_contacts,
 )
 from multicontact_control.dynamics.pose import Pose
-from multicontact_control.records import FRAME, Records, TOOL
+from multicontact_control.records import CONTROL, Records, TOOL
 import numpy as np
 
 
 @compiled
-def operational_wrench(wrench_sensor: Vector, frames: Any, tools: Any, wrench: Vector) -> None:
+def operational_wrench(control: Any, wrench: Vector) -> None:
     """
     Fill in the wrench the robot exerts on the environment, at the operational point.
 
@@ -36,15 +36,13 @@ def operational_wrench(wrench_sensor: Vector, frames: Any, tools: Any, wrench: V
 
     Parameters
     ----------
-    wrench_sensor
-        Reading in the sensor's axes at its origin, force first, shape (6,) [N, N m].
-    frames, tools
-        One record each of `FRAME` and `TOOL`.
+    control
+        Record of `CONTROL`, with the reading in it.
     wrench
         Filled with f_c, world axes, shape (6,) [N, N m].
 
     """
-    frame, tool = frames[0], tools[0]
+    frame, tool, reading = control.frame, control.tool, control.wrench
     rotation, weight, bias = frame.sensor_rotation, tool.weight, tool.bias
     com = np.empty(3)
     lever = np.empty(3)
@@ -56,8 +54,8 @@ def operational_wrench(wrench_sensor: Vector, frames: Any, tools: Any, wrench: V
         lever[i] = frame.sensor_position[i] - frame.position[i]
         for j in range(3):
             com[i] += rotation[i, j] * tool.com_sensor[j]
-            wrench[i] += rotation[i, j] * (wrench_sensor[j] - bias[j])
-            wrench[3 + i] += rotation[i, j] * (wrench_sensor[3 + j] - bias[3 + j])
+            wrench[i] += rotation[i, j] * (reading[j] - bias[j])
+            wrench[3 + i] += rotation[i, j] * (reading[3 + j] - bias[3 + j])
     cross(com, weight, moment)
     for i in range(3):
         wrench[3 + i] += moment[i]
@@ -67,7 +65,7 @@ def operational_wrench(wrench_sensor: Vector, frames: Any, tools: Any, wrench: V
 
 
 @compiled
-def measure_contacts(wrench_sensor: Vector, frames: Any, tools: Any, contacts: Any) -> bool:
+def measure_contacts(control: Any, contacts: Any) -> bool:
     """
     Work out the contact forces that the wrist sensor feels.
 
@@ -76,7 +74,7 @@ def measure_contacts(wrench_sensor: Vector, frames: Any, tools: Any, contacts: A
 
     Parameters
     ----------
-    wrench_sensor, frames, tools
+    control
         As for `operational_wrench`.
     contacts
         Records of `CONTACT`, shape (r,): `N` and `alpha_meas` are filled in.
@@ -92,8 +90,8 @@ def measure_contacts(wrench_sensor: Vector, frames: Any, tools: Any, contacts: A
     rows = np.empty((count, 6))
     factor = np.empty((count, count))
     alpha = np.empty(count)
-    operational_wrench(wrench_sensor, frames, tools, wrench)
-    fill_normal_space(contacts, frames[0].rotation)
+    operational_wrench(control, wrench)
+    fill_normal_space(contacts, control.frame.rotation)
     active_rows(contacts, True, rows)
     if not factorise_contacts(contacts, True, rows, rows, factor):
         return False
@@ -143,9 +141,10 @@ def contact_wrench(
 
     """
     require_shape('wrench_sensor', wrench_sensor, (6,))
-    frame, wrench = np.zeros(1, dtype=FRAME), np.empty(6)
+    control, wrench = np.zeros(1, dtype=CONTROL), np.empty(6)
+    frame = control['frame']
     frame['position'] = position_world
     frame['sensor_position'], frame['sensor_rotation'] = sensor_pose
-    operational_wrench(
-        np.array(wrench_sensor, dtype=float), frame, tool_record(tool, gravity_world), wrench)
+    control['tool'], control['wrench'] = tool_record(tool, gravity_world), wrench_sensor
+    operational_wrench(control[0], wrench)
     return wrench

@@ -28,7 +28,8 @@ class Pose(NamedTuple):
     def quaternion_xyzw(self) -> Vector:
         """Orientation as a unit quaternion, shape (4,), scalar last."""
         quaternion = np.empty(4)
-        quaternion_of(np.ascontiguousarray(self.rotation_world), quaternion)
+        # A copy: numba would compile anew for an array of another layout, or not writable.
+        quaternion_of(np.array(self.rotation_world, order='C'), quaternion)
         return quaternion
 
     @classmethod

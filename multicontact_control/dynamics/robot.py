@@ -65,10 +65,9 @@ class LiveTerms:
         C(q, v) v + g(q), shape (n,) [N m].
     jacobian, jacobian_rate
         J of the operational point and dJ/dt, world axes, linear rows first, shape (6, n).
-    position_world, rotation_world
-        Pose of the operational frame, shapes (3,) [m] and (3, 3).
-    sensor_position_world, sensor_rotation_world
-        Pose of the wrist sensor's frame.
+    placements
+        Position, shape (3,) [m], and rotation, shape (3, 3), of the operational frame, then of
+        the wrist sensor's.
 
     """
 
@@ -76,10 +75,7 @@ class LiveTerms:
     bias_torque: Vector
     jacobian: Matrix
     jacobian_rate: Matrix
-    position_world: Vector
-    rotation_world: Matrix
-    sensor_position_world: Vector
-    sensor_rotation_world: Matrix
+    placements: tuple[Vector, Matrix, Vector, Matrix]
 
 
 class RobotModel:
@@ -135,9 +131,8 @@ class RobotModel:
         frame, sensor = data.oMf[self._frame], data.oMf[self._sensor]
         return LiveTerms(
             mass_matrix=data.M, bias_torque=data.nle, jacobian=np.zeros((6, self._model.nv)),
-            jacobian_rate=np.zeros((6, self._model.nv)), position_world=frame.translation,
-            rotation_world=frame.rotation, sensor_position_world=sensor.translation,
-            sensor_rotation_world=sensor.rotation)
+            jacobian_rate=np.zeros((6, self._model.nv)), placements=(
+                frame.translation, frame.rotation, sensor.translation, sensor.rotation))
 
     def compute(self, q: Vector, v: Vector) -> LiveTerms:
         """

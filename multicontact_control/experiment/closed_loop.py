@@ -243,7 +243,7 @@ def _record(data: RunData, loop: ClosedLoop, output: ControlOutput) -> None:
             getattr(data, name)[k] = getattr(source, name)
     data.alpha_true[k] = loop.sample.contact_force
     data.noise_variance[k] = loop.variance
-    data.position[k] = output.pose.position_world
-    data.quaternion[k] = output.pose.quaternion_xyzw
-    data.position_des[k] = output.pose_des.position_world
-    data.quaternion_des[k] = output.pose_des.quaternion_xyzw
+    pose, pose_des = output.pose, output.pose_des
+    data.position[k], data.quaternion[k] = pose.position_world, pose.quaternion_xyzw
+    data.position_des[k] = pose_des.position_world
+    data.quaternion_des[k] = pose_des.quaternion_xyzw

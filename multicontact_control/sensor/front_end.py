@@ -74,7 +74,8 @@ class SensorFrontEnd:
             If it is not of that shape.
 
         """
-        require_shape('wrench_sensor', wrench_sensor, (6,))
+        if wrench_sensor.shape != (6,):
+            require_shape('wrench_sensor', wrench_sensor, (6,))
         bits = wrench_sensor.tobytes()  # a tenth of the time of comparing arrays
         self._equal = self._equal + 1 if bits == self._last else 1
         self._last = bits

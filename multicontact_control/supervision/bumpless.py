@@ -152,10 +152,9 @@ class BumplessController:
         """
         joints, wrench, variance = require_complete(inputs)
         law = self.controller
-        law.arm.update(joints.q, joints.qd)
+        law.see(joints.q, joints.qd, wrench.wrench)
         output = law.answer(
-            inputs.time, wrench.wrench,
-            self._initial_variance if variance is None else variance.variance)
+            inputs.time, self._initial_variance if variance is None else variance.variance)
         if self._safe_running or not self._transition.begun:
             self._transition.begin(lambda: self._held(joints.effort, joints.q))
         self._safe_running = False

@@ -14,7 +14,6 @@ from multicontact_control.compiled import compiled
 from multicontact_control.config import ControllerConfig
 from multicontact_control.control.arm_state import ArmState
 from multicontact_control.records import JOINT, JOINT_LIMITS, Records
-from multicontact_control.supervision.plausibility import all_finite
 import numpy as np
 
 # What `gate_torque` returns, added up.
@@ -27,7 +26,16 @@ BRAKING_SHARE = 0.7  # of the speed a joint may have, from where on that is look
 
 
 @compiled
-def brake_joints(joints: Any, limits: Any, braking: float, torque: Vector) -> bool:
+def all_finite(values: Vector) -> bool:
+    """Return whether all values are finite, shape (n,)."""
+    for i in range(values.shape[0]):
+        if not np.isfinite(values[i]):
+            return False
+    return True
+
+
+@compiled
+def brake_joints(joints: Any, limits: Any, torque: Vector) -> bool:
     """
     Bound a torque such that no joint passes a stop or its speed limit.
 
@@ -37,8 +45,6 @@ def brake_joints(joints: Any, limits: Any, braking: float, torque: Vector) -> bo
     ----------
     joints, limits
         Records of `JOINT` and `JOINT_LIMITS`, shape (n,).
-    braking
-        a [rad/s^2].
     torque
         Changed if need be, shape (n,) [N m].
 
@@ -53,8 +59,8 @@ def brake_joints(joints: Any, limits: Any, braking: float, torque: Vector) -> bo
     slow = True
     for j in range(n):
         q, speed, limit = joints[j].q, joints[j].velocity, limits[j]
-        ahead = np.sqrt(2.0 * braking * np.maximum(limit.upper - q, 0.0))
-        behind = np.sqrt(2.0 * braking * np.maximum(q - limit.lower, 0.0))
+        ahead = np.sqrt(2.0 * limit.braking * np.maximum(limit.upper - q, 0.0))
+        behind = np.sqrt(2.0 * limit.braking * np.maximum(q - limit.lower, 0.0))
         fastest[j] = np.minimum(ahead, limit.speed)
         slowest[j] = -np.minimum(behind, limit.speed)
         slow = slow and speed < BRAKING_SHARE * fastest[j] and speed > BRAKING_SHARE * slowest[j]
@@ -75,8 +81,8 @@ def brake_joints(joints: Any, limits: Any, braking: float, torque: Vector) -> bo
 
 @compiled
 def gate_torque(
-    torque: Vector, fallback: Vector, joints: Any, known: bool, limits: Any, braking: float,
-    started: bool, gated: Vector,
+    torque: Vector, fallback: Vector, joints: Any, known: bool, limits: Any, started: bool,
+    gated: Vector,
 ) -> int:
     """
     Let a torque through as far as the limits allow; see `TorqueGate.apply`.
@@ -87,8 +93,8 @@ def gate_torque(
         What is wanted, and what to do if that is not finite, shape (n,) [N m].
     joints, known
         Records of `JOINT`, shape (n,), and whether they are known.
-    limits, braking
-        As for `brake_joints`; `last` of the limits is overwritten.
+    limits
+        Records of `JOINT_LIMITS`, shape (n,); `last` of them is overwritten.
     started
         Whether there was a last command.
     gated
@@ -108,7 +114,7 @@ def gate_torque(
         enforced = NOT_FINITE
         for j in range(n):
             gated[j] = fallback[j] if np.isfinite(fallback[j]) else 0.0
-    if known and brake_joints(joints, limits, braking, gated):
+    if known and brake_joints(joints, limits, gated):
         enforced |= JOINT_STOP
     for j in range(n):
         limit = limits[j]
@@ -141,12 +147,16 @@ class TorqueGate:
     joints
         Number of joints.
 
+    Attributes
+    ----------
+    limits
+        Records of `JOINT_LIMITS`, shape (n,).
+
     """
 
     def __init__(self, config: ControllerConfig, joints: int) -> None:
-        self._limits: Any = joint_limits(config, joints)
-        self._last: Vector = self._limits['last']
-        self._braking = config.limits.joint_braking
+        self.limits: Any = joint_limits(config, joints)
+        self._last: Vector = self.limits['last']
         self._nowhere = np.zeros(joints, dtype=JOINT)
         self._started = False
         nothing = np.zeros(joints)
@@ -157,10 +167,9 @@ class TorqueGate:
         """Forget the last command: the next one may be anything within the limits."""
         self._started = False
 
-    @property
-    def last(self) -> Vector | None:
-        """Return the last command, shape (n,) [N m]; None if there was none."""
-        return self._last.copy() if self._started else None
+    def passed(self) -> Vector:
+        """Return the torque that has come through the gate last, shape (n,) [N m]."""
+        return self._last.copy()
 
     def apply(
         self, torque: Vector, fallback: Vector, arm: ArmState | None,
@@ -186,7 +195,7 @@ class TorqueGate:
         gated = np.empty(self._last.shape)
         enforced = gate_torque(
             torque, fallback, self._nowhere if arm is None else arm.joints, arm is not None,
-            self._limits, self._braking, self._started, gated)
+            self.limits, self._started, gated)
         self._started = True
         return gated, ENFORCED[enforced]
 
@@ -199,4 +208,5 @@ def joint_limits(config: ControllerConfig, joints: int) -> Records:
     records['lower'] = np.array(limits.joint_lower or -np.inf) + limits.joint_margin
     records['upper'] = np.array(limits.joint_upper or np.inf) - limits.joint_margin
     records['speed'] = limits.joint_speed or np.inf
+    records['braking'] = limits.joint_braking
     return records

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
-from multicontact_control.arrays import Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.config import ControllerConfig
+from multicontact_control.control.arm_state import JOINT_SPEED, OPERATIONAL_SPEED
 from multicontact_control.records import PLAUSIBILITY, Records
 from multicontact_control.supervision.contacts import LOST
 import numpy as np
 
 # What `check_plausibility` returns, added up.
 NOT_FINITE, PULL, SIDEWAYS, OUTSIDE = 1, 2, 4, 8
-# What `check_speeds` returns, added up.
-OPERATIONAL_SPEED, JOINT_SPEED = 1, 2
 CAUSES = (('motion_operational_speed', OPERATIONAL_SPEED), ('motion_joint_speed', JOINT_SPEED))
 TOO_FAST = tuple(tuple(cause for cause, bit in CAUSES if flags & bit) for flags in range(4))
 SPEED_EXCESS = 1.1  # times a speed limit, that the gate and the reference did not prevent
@@ -22,68 +20,22 @@ BOX_EXCESS = 0.01  # m beyond the box, that the reference did not prevent
 
 
 @compiled
-def all_finite(values: Vector) -> bool:
-    """Return whether all values are finite, shape (n,)."""
-    for i in range(values.shape[0]):
-        if not np.isfinite(values[i]):
-            return False
-    return True
-
-
-@compiled
-def check_speeds(joints: Any, frames: Any, speed_limit: Vector, all_bounds: Any) -> int:
-    """
-    Find out whether the arm is too fast.
-
-    Parameters
-    ----------
-    joints
-        Records of `JOINT`, shape (n,).
-    frames, all_bounds
-        One record each of `FRAME` and `PLAUSIBILITY`.
-    speed_limit
-        Of each joint, shape (n,) [rad/s].
-
-    Returns
-    -------
-    int
-        Sum of JOINT_SPEED and OPERATIONAL_SPEED.
-
-    """
-    frame, bounds = frames[0], all_bounds[0]
-    excess = 0
-    for j in range(joints.shape[0]):
-        if abs(joints[j].velocity) > speed_limit[j]:
-            excess = JOINT_SPEED
-    speed, turn = 0.0, 0.0
-    for k in range(3):
-        speed += frame.twist[k] ** 2
-        turn += frame.twist[3 + k] ** 2
-    if speed > bounds.operational_speed ** 2 or turn > bounds.operational_turn ** 2:
-        excess += OPERATIONAL_SPEED
-    return excess
-
-
-@compiled
 def check_plausibility(
-    torque: Vector, wrench: Vector, contacts: Any, states: Any, frames: Any, tools: Any,
-    all_bounds: Any,
+    bounds: Any, control: Any, joints: Any, contacts: Any, states: Any,
 ) -> int:
     """
     Find out what speaks against an answer of the control law.
 
     Parameters
     ----------
-    torque
-        The answer, Gamma, shape (n,) [N m].
-    wrench
-        Reading of the wrist sensor, shape (6,) [N, N m].
+    bounds, control
+        Records of `PLAUSIBILITY` and `CONTROL`.
+    joints
+        Records of `JOINT` with the answer in them, shape (n,).
     contacts, states
         Records of `CONTACT` and `CONTACT_STATE`, shape (r,). A tool that is braked after its
         surface has gone reads its own inertia, as a pull: for a lost contact there is an
         allowance.
-    frames, tools, all_bounds
-        One record each of `FRAME`, `TOOL` and `PLAUSIBILITY`.
 
     Returns
     -------
@@ -92,10 +44,11 @@ def check_plausibility(
         and OUTSIDE (the operational point is out of its box).
 
     """
-    frame, tool, bounds = frames[0], tools[0], all_bounds[0]
+    frame, tool = control.frame, control.tool
     found = 0
-    if not all_finite(torque):
-        found = NOT_FINITE
+    for j in range(joints.shape[0]):
+        if not np.isfinite(joints[j].torque):
+            found = NOT_FINITE
     pressed = 0.0
     for i in range(contacts.shape[0]):
         contact = contacts[i]
@@ -114,7 +67,7 @@ def check_plausibility(
     for k in range(3):
         force = tool.weight[k]
         for j in range(3):
-            force += frame.sensor_rotation[k, j] * (wrench[j] - tool.bias[j])
+            force += frame.sensor_rotation[k, j] * (control.wrench[j] - tool.bias[j])
         for i in range(contacts.shape[0]):
             force -= contacts[i].alpha_meas * contacts[i].normal[k]
         sideways += force * force
@@ -136,6 +89,12 @@ def plausibility_limits(config: ControllerConfig) -> Records:
     bounds['box'] = (
         np.array(limits.workspace_lower or -everywhere) - BOX_EXCESS,
         np.array(limits.workspace_upper or everywhere) + BOX_EXCESS)
-    for name in ('operational_speed', 'operational_turn'):
-        bounds[name] = SPEED_EXCESS * getattr(limits, name)
     return bounds
+
+
+def limit_speeds(joints: Records, frames: Records, config: ControllerConfig) -> None:
+    """Say in records of `JOINT` and `FRAME` from which speeds on the arm is too fast."""
+    limits = config.limits
+    joints['speed_limit'] = SPEED_EXCESS * np.array(limits.joint_speed or np.inf)
+    frames['speed_limit'] = SPEED_EXCESS * limits.operational_speed
+    frames['turn_limit'] = SPEED_EXCESS * limits.operational_turn

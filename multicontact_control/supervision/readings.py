@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 from multicontact_control.algebra import copy_vector
+from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 import numpy as np
 
@@ -300,9 +301,26 @@ def check_ages(watch: Any, variances: Any) -> None:
 
 
 @compiled
-def check_inputs(watches: Any, joints: Any, variances: Any) -> bool:
+def hand_over(
+    watch: Any, joints: Any, variances: Any, motion: Matrix, wrench: Vector,
+    noise_variance: Vector,
+) -> None:
+    """Fill in the newest that was valid; see `check_inputs`."""
+    for j in range(joints.shape[0]):
+        motion[0, j] = joints[j].valid_q
+        motion[1, j] = joints[j].valid_qd
+    copy_vector(watch.wrench.valid, wrench)
+    for i in range(variances.shape[0]):
+        noise_variance[i] = variances[i].used
+
+
+@compiled
+def check_inputs(
+    watches: Any, joints: Any, variances: Any, motion: Matrix, wrench: Vector,
+    noise_variance: Vector,
+) -> bool:
     """
-    Check the inputs of a tick, and keep what is valid of them.
+    Check the inputs of a tick, keep what is valid of them, and hand it over.
 
     Parameters
     ----------
@@ -311,6 +329,9 @@ def check_inputs(watches: Any, joints: Any, variances: Any) -> bool:
     joints, variances
         Records of `JOINT_READING`, shape (n,), and `VARIANCE_READING`, shape (r,), with the
         newest numbers in place; changed.
+    motion, wrench, noise_variance
+        Filled with what is valid: q and v, shape (2, n) [rad, rad/s], shape (6,) [N, N m] and
+        shape (r,) [N^2].
 
     Returns
     -------
@@ -335,6 +356,7 @@ def check_inputs(watches: Any, joints: Any, variances: Any) -> bool:
         verdict.problem[i] = check_arrival(i, arrival, memory, watch.settings)
     check_contents(watch, joints, variances)
     check_ages(watch, variances)
+    hand_over(watch, joints, variances, motion, wrench, noise_variance)
     verdict.blind = memory.blind_ticks > 1
     well = clock == CLOCK_FINE and not verdict.blind
     for i in range(3):

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from multicontact_control.arrays import Codes, Mask, Matrix, Vector
+from multicontact_control.arrays import Codes, Matrix, Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.control.controller import Controller
-from multicontact_control.control.reference import Reference, TaskSource
+from multicontact_control.control.reference import Reference, TaskArrays, TaskSource
 from multicontact_control.dynamics.pose import Pose
-from multicontact_control.records import CONTACT, CONTACT_REFERENCE, FRAME, TASK
+from multicontact_control.records import CONTACT, CONTACT_REFERENCE, CONTROL, Records
 from multicontact_control.supervision.contacts import (
     contact_settings,
     contact_states,
@@ -41,32 +41,38 @@ class ContactReference:
         Contacts, motion law, limits.
     task
         What is to be done.
+    record
+        One record of `CONTACT_REFERENCE` to fill in; its own if not given.
 
     Attributes
     ----------
     contact_states
         Records of `CONTACT_STATE`, shape (r,).
     limited
-        Whether a limit of the motion was enforced in the last tick.
+        Whether a limit of the motion was enforced in the last `update`.
 
     """
 
-    def __init__(self, config: ControllerConfig, task: TaskSource) -> None:
+    def __init__(
+        self, config: ControllerConfig, task: TaskSource, record: Records | None = None,
+    ) -> None:
         contact_state = task.contact_state(config.contact_state)
         self._config, self._task = config, task
-        self._record: Any = np.zeros(1, dtype=CONTACT_REFERENCE)
+        self._record: Any = np.zeros(1, dtype=CONTACT_REFERENCE) if record is None else record
         self._record['settings'] = contact_settings(contact_state, config.period)
-        self._limits, self._wanted = self._record['limits'], self._record['wanted']
+        self._limits = self._record['limits']
         contacts = [config.contacts[name] for name in config.contact_names]
         self.contact_states: Any = contact_states([contact.stiffness for contact in contacts])
-        self._contacts: Any = np.zeros(len(contacts), dtype=CONTACT)
-        self._contacts['normal'] = [contact.normal_world for contact in contacts]
-        self._contacts['point'] = [contact.point_operational for contact in contacts]
-        self._frames: Any = np.zeros(1, dtype=FRAME)
-        self._frames['rotation'] = np.eye(3)
-        self._tasks: Any = np.zeros(1, dtype=TASK)
-        self._tasks['rotation'] = self._wanted['rotation'] = np.eye(3)
-        self._see()
+        self._codes: Codes = self.contact_states['state']
+        self._energies: Vector = self.contact_states['energy']
+        self._wanted = TaskArrays(
+            self._record['wanted'], self.contact_states['wanted'], self.contact_states['asked'])
+        contacts_alone: Any = np.zeros(len(contacts), dtype=CONTACT)
+        contacts_alone['normal'] = [contact.normal_world for contact in contacts]
+        contacts_alone['point'] = [contact.point_operational for contact in contacts]
+        controls: Any = np.zeros(1, dtype=CONTROL)
+        controls['frame']['rotation'] = np.eye(3)
+        self._use(controls, contacts_alone)
         self._offset: Vector = self._limits['offset'][0]
         self._energy_limit = contact_state.energy_limit
         self.retune(config)
@@ -76,13 +82,14 @@ class ContactReference:
         self._observed = self._catching_up = False
         self.limited = False
         self._states: tuple[bytes, tuple[str, ...]] = (b'', ())
-        self._follow()  # no tick is to wait for numba
-        let_go(self.contact_states[0], 0.0, 0.0)
-        self._restart_contacts()
+        let_go(self.contact_states[0], 0.0, 0.0)  # no tick is to wait for numba
+        self.reset()
 
-    def _restart_contacts(self) -> None:
+    def reset(self) -> None:
+        """Let all contacts start anew, free and with no energy."""
         reset(self.contact_states)
         self.contact_states['energy'] = self.contact_states['stored'] = 0.0
+        self._wanted.forget()
 
     @property
     def states(self) -> tuple[ContactState, ...]:
@@ -92,7 +99,7 @@ class ContactReference:
     @property
     def state_names(self) -> tuple[str, ...]:
         """Names of these states; the same object as long as none changes."""
-        codes = self.state_codes.tobytes()
+        codes = self._codes.tobytes()
         if codes != self._states[0]:
             self._states = codes, tuple(state.value for state in self.states)
         return self._states[1]
@@ -100,14 +107,12 @@ class ContactReference:
     @property
     def state_codes(self) -> Codes:
         """States as `supervision.contacts` counts them, shape (r,)."""
-        codes: Codes = self.contact_states['state']
-        return codes
+        return self._codes
 
     @property
     def energies(self) -> Vector:
         """Energy of each contact's passivity observer, shape (r,) [J]."""
-        energies: Vector = self.contact_states['energy'].copy()
-        return energies
+        return self._energies.copy()
 
     @property
     def energy_limits(self) -> Vector:
@@ -118,7 +123,7 @@ class ContactReference:
         """Begin from a pose at rest; see `ReferenceSource.start`."""
         self._task.start(pose, normals_world)
         self._contacts['normal'] = normals_world
-        self._restart_contacts()
+        self.reset()
         self._offset[:] = 0.0
         self._catching_up = False
         self._limits['held_back'] = False
@@ -134,31 +139,18 @@ class ContactReference:
         """
         Look at a controller's arm from now on, and make references in its arrays.
 
-        Then `observe` is not needed, and a reference is overwritten by the next but for its pose.
+        Then `observe` is not needed, and `ask` with the compiled `supervised_law` is `update`.
         """
-        self._frames = controller.arm.frames
         self._observed = True
-        self._tasks, self._contacts = controller.tasks, controller.contacts
-        self._see()
+        self._use(controller.controls, controller.contacts)
 
-    def _see(self) -> None:
-        """Keep views of what every tick reads or writes: looking up a field takes long."""
-        task, wanted = self._tasks[0], self._wanted[0]
-        self._position: Vector = task['position']
-        self._rotation: Matrix = task['rotation']
-        self._motion: tuple[Vector, Vector] = task['twist'], task['acceleration']
-        self._active: Mask = self._contacts['active']
-        self._alpha_des: Vector = self._contacts['alpha_des']
-        self._alpha_meas: Vector = self._contacts['alpha_meas']
-        self._position_wanted: Vector = wanted['position']
-        self._rotation_wanted: Matrix = wanted['rotation']
-        self._twist_wanted: Vector = wanted['twist']
-        self._acceleration_wanted: Vector = wanted['acceleration']
-        self._contacts_wanted: Mask = self.contact_states['wanted']
-        self._asked: Vector = self.contact_states['asked']
+    def _use(self, controls: Records, contacts: Records) -> None:
+        self._controls: Any = controls
+        self._contacts: Any = contacts
+        self._made = TaskArrays(controls['task'], contacts['active'], contacts['alpha_des'])
 
     def _note(self, pose: Pose, twist_world: Vector) -> None:
-        frame = self._frames
+        frame = self._controls['frame']
         frame['position'], frame['rotation'] = pose
         frame['twist'] = twist_world
 
@@ -199,6 +191,7 @@ class ContactReference:
                 self.contact_states[active], self._contacts['normal'][active]):
             position -= state['displacement'] * normal
         reset(self.contact_states, ~active)
+        self._wanted.forget()
         self._offset[:] = 0.0
         self._catching_up = False
         return Pose(position, pose.rotation_world)
@@ -210,31 +203,29 @@ class ContactReference:
         self._limits['held_back'] = True
 
     def update(self, time: float, alpha_meas: Vector) -> Reference:
-        """Return the reference of one tick; see `ReferenceSource.update`."""
-        task = self._task.task(time)
-        self._position_wanted[:], self._rotation_wanted[:] = task.pose_des
-        self._twist_wanted[:], self._acceleration_wanted[:] = task.twist_des, task.acceleration_des
-        self._contacts_wanted[:], self._asked[:] = task.active, task.alpha_des
-        if alpha_meas.base is not self._contacts:
-            self._alpha_meas[:] = alpha_meas
+        """
+        Return the reference of one tick; see `ReferenceSource.update`.
+
+        It is overwritten by the next but for its pose.
+        """
+        self.ask(time)
+        self._contacts['alpha_meas'] = alpha_meas
+        self.limited = limit_reference(
+            self._record[0], self._controls[0], self._contacts, self.contact_states)
+        return self._made.reference()
+
+    def ask(self, time: float) -> None:
+        """Ask what is wanted at a time of the task [s]: all of a tick before compiled code."""
+        self._wanted.take(self._task.task(time))
         if self._catching_up:
             self._return()
-        return self._follow()
-
-    def _follow(self) -> Reference:
-        """Advance the contacts and return the task with what comes of them."""
-        self.limited = limit_reference(
-            self._record, self._frames, self._contacts, self.contact_states, self._tasks)
-        return Reference(
-            Pose(self._position.copy(), self._rotation.copy()), *self._motion, self._active,
-            self._alpha_des)
 
     def _return(self) -> None:
         """Let the offset that a pause has left go to zero."""
         offset, normals = self._offset, self._contacts['normal']
         if np.isnan(offset[0]):
             # What lies along the normals belongs to the contacts, only the rest is caught up.
-            gap = self._frames['position'][0] - self._wanted['position'][0]
+            gap = self._controls['frame']['position'][0] - self._record['wanted']['position'][0]
             along = np.linalg.lstsq(normals.T, gap, rcond=None)[0]
             for state, place in zip(self.contact_states, along):
                 let_go(state, float(place), 0.0)

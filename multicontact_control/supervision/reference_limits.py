@@ -171,21 +171,17 @@ def bound_task(limits: Any, frame: Any, task: Any) -> bool:
 
 
 @compiled
-def limit_reference(
-    references: Any, frames: Any, contacts: Any, states: Any, tasks: Any,
-) -> bool:
+def limit_reference(reference: Any, control: Any, contacts: Any, states: Any) -> bool:
     """
     Work out the reference of one tick; see `ContactReference.update`.
 
     Parameters
     ----------
-    references, frames
-        One record each of `CONTACT_REFERENCE` and `FRAME`.
+    reference, control
+        Records of `CONTACT_REFERENCE` and `CONTROL`, the task of which is filled in.
     contacts, states
         Records of `CONTACT`, `active` and `alpha_des` of which are filled in, and
         `CONTACT_STATE`, changed, shape (r,).
-    tasks
-        One record of `TASK`, filled.
 
     Returns
     -------
@@ -193,8 +189,8 @@ def limit_reference(
         Whether a limit of the motion was enforced.
 
     """
-    limits, wanted, settings = references[0].limits, references[0].wanted, references[0].settings
-    frame, task = frames[0], tasks[0]
+    limits, wanted, settings = reference.limits, reference.wanted, reference.settings
+    frame, task = control.frame, control.task
     damping = np.empty(contacts.shape[0])
     follow_contacts(limits, wanted, frame, contacts, states, settings, damping)
     for i in range(contacts.shape[0]):

@@ -6,8 +6,7 @@ from typing import NamedTuple
 
 from multicontact_control.arrays import Vector
 from multicontact_control.control.tick import ControlOutput
-from multicontact_control.dynamics.pose import Pose
-from multicontact_control.records import CONTACT
+from multicontact_control.records import CONTACT, CONTROL
 import numpy as np
 
 
@@ -53,7 +52,6 @@ class TickOutput(NamedTuple):
 
 def no_answer(joints: int, contacts: int) -> ControlOutput:
     """Return the answer before anything is known."""
-    pose = Pose(np.zeros(3), np.eye(3))
-    return ControlOutput(
-        torque=np.zeros(joints), contacts=np.zeros(contacts, dtype=CONTACT), pose=pose,
-        pose_des=pose)
+    controls = np.zeros(1, dtype=CONTROL)
+    controls['frame']['rotation'] = controls['task']['rotation'] = np.eye(3)
+    return ControlOutput(np.zeros(joints), np.zeros(contacts, dtype=CONTACT), controls)

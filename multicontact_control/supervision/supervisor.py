@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
-from multicontact_control.control.arm_state import ArmState
+from multicontact_control.control.arm_state import ArmState, JOINT_SPEED, OPERATIONAL_SPEED
 from multicontact_control.control.controller import ControlOutput
 from multicontact_control.control.reference import TaskSource
-from multicontact_control.control.wrench import tool_record
 from multicontact_control.dynamics.pose import Pose
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import ConfigError
+from multicontact_control.records import SUPERVISION
 from multicontact_control.supervision.bumpless import BumplessController
 from multicontact_control.supervision.fallback import (
     DAMP,
@@ -23,17 +24,15 @@ from multicontact_control.supervision.fallback import (
     Reactions,
     SEVERITY,
 )
-from multicontact_control.supervision.gate import TorqueGate
+from multicontact_control.supervision.gate import ENFORCED, TorqueGate
 from multicontact_control.supervision.inputs import TickInputs
 from multicontact_control.supervision.plausibility import (
-    check_plausibility,
-    check_speeds,
+    limit_speeds,
     NOT_FINITE,
     OUTSIDE,
     plausibility_limits,
     PULL,
     SIDEWAYS,
-    SPEED_EXCESS,
     TOO_FAST,
 )
 from multicontact_control.supervision.reference import ContactReference
@@ -41,6 +40,12 @@ from multicontact_control.supervision.status import (
     no_answer,
     SupervisorStatus,
     TickOutput,
+)
+from multicontact_control.supervision.supervised_law import (
+    GATE,
+    PASSED,
+    REFERENCE,
+    SupervisedLaw,
 )
 from multicontact_control.supervision.validation import (
     copy_numbers,
@@ -83,25 +88,25 @@ class Supervisor(BumplessController):
 
     def __init__(self, config: ControllerConfig, robot: RobotModel, task: TaskSource) -> None:
         self._robot, self._period = robot, config.period
-        self.reference = ContactReference(config, task)
+        self._record: Any = np.zeros(1, dtype=SUPERVISION)
+        self.reference = ContactReference(config, task, self._record['reference'])
         super().__init__(config, robot, self.reference)
-        self._watchdog = Watchdog(config)
+        self._watchdog = Watchdog(config, self.controller.measured)
         self._gate = TorqueGate(config, robot.joint_count)
         self._reactions = Reactions(config.watchdog, robot, config.period)
         self.expects_pushes = False
-        self._speed_limit = np.broadcast_to(
-            SPEED_EXCESS * np.array(config.limits.joint_speed or np.inf),
-            (robot.joint_count,)).copy()
+        arm = self.controller.arm
+        limit_speeds(arm.joints, arm.frames, config)
         self.reference.bind(self.controller)
+        self._law = SupervisedLaw(
+            self._record, self.controller, self.reference.contact_states, self._gate)
         self._energy_limits = self.reference.energy_limits
-        self._warm_up()
         self.reset()
 
     def _adopt(self, config: ControllerConfig) -> None:
         super()._adopt(config)
         self.reference.retune(config)
-        self._plausibility = plausibility_limits(config)
-        self._tools = tool_record(config.tool, np.array(config.robot.gravity_world))
+        self._record['plausibility'] = plausibility_limits(config)
 
     def check(self, config: ControllerConfig) -> None:
         """Find out whether `reconfigure` would take a configuration; see `BumplessController`."""
@@ -130,6 +135,7 @@ class Supervisor(BumplessController):
         self._too_fast: tuple[str, ...] = ()
         self._output = no_answer(self._robot.joint_count, len(self.config.contact_names))
         self._status: SupervisorStatus | None = None
+        self._last_law: object = None
         self._effort: Vector | None = None
         self._time: float | None = None
 
@@ -138,14 +144,6 @@ class Supervisor(BumplessController):
         self._task_ticks = self._good_ticks = self._contradictions = 0
         self._paused = self._running = False
         self._last_reaction = DAMP
-
-    def _warm_up(self) -> None:
-        """Call everything compiled once: no tick is to wait for numba."""
-        nothing = np.zeros(self._robot.joint_count)
-        arm = self.controller.arm
-        arm.update(nothing, nothing)
-        self._check_speeds(arm)
-        self._check_answer(nothing, np.zeros(6))
 
     def step(self, inputs: TickInputs) -> TickOutput:
         """
@@ -230,7 +228,7 @@ class Supervisor(BumplessController):
 
     def _step(self, valid: ValidatedInputs) -> TickOutput:
         causes = valid.causes + self._too_fast
-        reaction = self._reaction_to(causes)
+        reaction = self._reaction_to(causes) if causes else NONE
         if reaction in (NONE, INFLATE):
             self._good_ticks += 1
             if self._paused and self._good_ticks * self._period < (
@@ -243,25 +241,12 @@ class Supervisor(BumplessController):
 
     def _update_state(self, valid: ValidatedInputs) -> None:
         """Work out where the arm is."""
-        if valid.q is None or valid.qd is None:
-            return
         arm = self.controller.arm
-        if arm.update(valid.q, valid.qd):
+        if valid.q is not None and arm.refresh():
             self._arm = arm
-            self._too_fast = TOO_FAST[self._check_speeds(arm)]
-
-    def _check_speeds(self, arm: ArmState) -> int:
-        return int(check_speeds(arm.joints, arm.frames, self._speed_limit, self._plausibility))
-
-    def _check_answer(self, torque: Vector, wrench: Vector) -> int:
-        controller = self.controller
-        return int(check_plausibility(
-            torque, wrench, controller.contacts, self.reference.contact_states,
-            controller.arm.frames, self._tools, self._plausibility))
+            self._too_fast = TOO_FAST[arm.found & (OPERATIONAL_SPEED | JOINT_SPEED)]
 
     def _reaction_to(self, causes: tuple[str, ...]) -> str:
-        if not causes:
-            return NONE
         watch = self.config.watchdog
         reactions = {
             'joints': watch.on_joint_fault, 'wrench': watch.on_wrench_fault, 'variance': INFLATE,
@@ -280,14 +265,12 @@ class Supervisor(BumplessController):
         if resumed:
             self.reference.resume()
         try:
-            output = self.controller.answer(
-                self._task_time(), valid.wrench, valid.variance)
+            found = self._answer()
         except Exception as error:  # whatever it is, the arm needs an answer
             cause = f'law_{type(error).__name__}' if self.controller.arm.finite else (
                 'law_not_finite')
             return self._react(
                 (cause,), valid.rejected, self.config.watchdog.on_law_fault)
-        found = self._check_answer(output.torque, self.controller.wrench_sensor)
         if found & NOT_FINITE:
             return self._react(('law_not_finite',), valid.rejected,
                                self.config.watchdog.on_law_fault)
@@ -301,9 +284,24 @@ class Supervisor(BumplessController):
         self._task_ticks += 1
         if found & OUTSIDE:  # the contacts have led there; the reference leads back
             self.reference.release()
-        limits = ('reference',) if self.reference.limited else ()
-        return self._finish(output, (NONE, self.controller.active.tobytes(), resumed), causes,
-                            valid.rejected, reaction, limits)
+        limits = ('reference',) if found & REFERENCE else ()
+        if found & PASSED:
+            torque = self._gate.passed()
+            self._transition.commanded(torque)
+            return self._report(
+                self.controller.output(torque), reaction, causes, valid.rejected,
+                limits + ENFORCED[found // GATE])
+        active = self.controller.active.tobytes()
+        self._last_law = NONE, active, False
+        output = self.controller.output(self.controller.arm.joints['torque'].copy())
+        return self._finish(
+            output, (NONE, active, resumed), causes, valid.rejected, reaction, limits)
+
+    def _answer(self) -> int:
+        """Let the control law answer the task; return what `supervised_law` does."""
+        self.controller.begin()
+        self.reference.ask(self._task_time())
+        return self._law.answer(self._transition.settled(self._last_law))
 
     def _contradiction(self, found: int) -> str:
         """Return how the wrench contradicts what contacts can do, once it has done so twice."""
@@ -335,11 +333,18 @@ class Supervisor(BumplessController):
         fallback = np.zeros_like(blended) if self._arm is None else self._arm.bias_torque
         torque, enforced = self._gate.apply(blended, fallback, self._arm)
         self._transition.commanded(torque)
-        self._output = ControlOutput(torque, *output[1:])
-        self._status = SupervisorStatus(
-            reaction, causes, rejected, limits + enforced, self.reference.state_names,
-            self.reference.energies, self._energy_limits, self._task_time())
-        return TickOutput(self._output, self._status)
+        return self._report(
+            ControlOutput(torque, *output[1:]), reaction, causes, rejected, limits + enforced)
+
+    def _report(
+        self, output: ControlOutput, reaction: str, causes: tuple[str, ...],
+        rejected: tuple[str, ...], limits: tuple[str, ...],
+    ) -> TickOutput:
+        reference = self.reference
+        self._output, self._status = output, SupervisorStatus(
+            reaction, causes, rejected, limits, reference.state_names, reference.energies,
+            self._energy_limits, self._task_time())
+        return TickOutput(output, self._status)
 
     def _last_resort(self, cause: str) -> TickOutput:
         """Answer after something failed that should not: forget the arm, let go of it slowly."""

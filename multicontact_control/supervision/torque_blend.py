@@ -35,6 +35,11 @@ class QuinticBlend:
         self._difference: Vector | None = None
         self._tick = self._ticks = 0
 
+    @property
+    def idle(self) -> bool:
+        """Whether the next answer is the law's own."""
+        return self._from is None and self._difference is None
+
     def start(self, torque: Vector) -> None:
         """
         Let the next answer be this torque.
@@ -118,6 +123,10 @@ class ExponentialBlend:
     def cancel(self) -> None:
         """Drop the offset at once; the caller handles the jump."""
         self._offset: Vector | None = None
+
+    def settled(self, law: object) -> bool:
+        """Return whether the next answer is the law's own if it is this law's."""
+        return self._offset is None and law == self._law
 
     def apply(self, law: object, torque: Vector, last: Vector | None) -> Vector:
         """

@@ -45,6 +45,10 @@ class TorqueTransition:
         """Whether anything has been commanded so far."""
         return self._last is not None
 
+    def settled(self, law: object) -> bool:
+        """Return whether nothing has to go over any more, as long as this law acts."""
+        return self._last is not None and self._slow.idle and self._fast.settled(law)
+
     def restart_from_last(self) -> None:
         """Let the next command be the last one again, if there was one."""
         if self._last is not None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from multicontact_control.arrays import Vector
+from multicontact_control.arrays import Matrix, Vector
+from multicontact_control.compiled import bound
 from multicontact_control.config import ControllerConfig
 from multicontact_control.records import (
     JOINT_READING,
@@ -34,6 +35,7 @@ import numpy as np
 __all__ = [
     'JointInput', 'TickInputs', 'ValidatedInputs', 'VarianceInput', 'Watchdog', 'WrenchInput']
 
+Places = tuple[Matrix, Vector, Vector]
 FLOAT = np.dtype(float)
 INPUTS = ('joints', 'wrench', 'variance')
 # Names of what `readings` counts.
@@ -117,10 +119,13 @@ class Watchdog:
     ----------
     config
         Names, limits, ages.
+    places
+        Where what is valid goes: q and v, shape (2, n), wrench, shape (6,), and R, shape (r,); its
+        own if not given.
 
     """
 
-    def __init__(self, config: ControllerConfig) -> None:
+    def __init__(self, config: ControllerConfig, places: Places | None = None) -> None:
         watch, r = config.watchdog, len(config.contact_names)
         self._names = list(config.robot.joint_names)
         self._in_order = list(range(len(self._names)))
@@ -129,7 +134,10 @@ class Watchdog:
         self._variances: Any = np.zeros(r, dtype=VARIANCE_READING)
         self._initial_variance = min(config.initial_noise_variance, watch.variance_ceiling)
         self._watch = watch_record(config)
-        self._arguments = self._watch, self._joints, self._variances
+        motion, valid_wrench, noise_variance = places or (
+            np.zeros((2, len(self._names))), np.zeros(6), np.zeros(r))
+        self._arguments = (
+            self._watch, self._joints, self._variances, motion, valid_wrench, noise_variance)
         # Views of what every tick fills in: looking up a field takes long.
         arrival = self._watch['arrival']
         self._time: Vector = arrival['time']
@@ -141,9 +149,8 @@ class Watchdog:
         self._new_wrench: Vector = wrench['new']
         self._new_variance: Vector = self._variances['new']
         self._all_well = ValidatedInputs(
-            self._joints['valid_q'], self._joints['valid_qd'], wrench['valid'],
-            self._variances['used'], (), ())
-        check_inputs(*self._arguments)  # no tick is to wait for numba
+            motion[0], motion[1], valid_wrench, noise_variance, (), ())
+        self._check_inputs = bound(check_inputs, *self._arguments)
         self.reset()
 
     def reset(self) -> None:
@@ -165,7 +172,7 @@ class Watchdog:
             WRENCH, wrench, self._new_wrench)
         contents[VARIANCE] = ABSENT if variance is None else self._take(
             VARIANCE, variance, self._new_variance)
-        return self._all_well if check_inputs(*self._arguments) else self._report()
+        return self._all_well if self._check_inputs(*self._arguments) else self._report()
 
     def _take_joints(self, reading: JointInput) -> int:
         """Put a joint state in place; return what is wrong with it so far."""

@@ -18,7 +18,7 @@ from equations import (
 from multicontact_control.contact.geometry import operational_stiffness
 from multicontact_control.control.controller import ControlOutput
 from multicontact_control.force.plant_model import design_force_loop
-from multicontact_control.records import CONTACT
+from multicontact_control.records import CONTACT, CONTROL
 import numpy as np
 
 
@@ -74,9 +74,11 @@ class ReferenceController:
         contacts['alpha_rate_est'] = self._estimates(1)
         for name in ('innovation', 'prior_variance', 'variance_used'):
             contacts[name] = self._reports(name)
+        controls = np.zeros(1, dtype=CONTROL)
+        for name, pose in (('frame', state.pose), ('task', reference.pose_des)):
+            controls[name]['position'], controls[name]['rotation'] = pose
         return ControlOutput(
-            torque=np.clip(torque, -self._torque_limit, self._torque_limit), contacts=contacts,
-            pose=state.pose, pose_des=reference.pose_des)
+            np.clip(torque, -self._torque_limit, self._torque_limit), contacts, controls)
 
     def _friction(self, qd):
         """Return the torque that the joints' friction is expected to take, shape (n,) [N m]."""

@@ -3,10 +3,10 @@
 from pathlib import Path
 
 from arms import controller_config, HOME
+from multicontact_control.control.arm_state import see_arm
 from multicontact_control.control.controller import Controller, Measurement
 from multicontact_control.control.law import control_law
 from multicontact_control.control.reference import CommandedReference, Reference
-from multicontact_control.control.wrench import measure_contacts
 from multicontact_control.dynamics.pose import Pose
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import (
@@ -153,13 +153,12 @@ def test_outputs_stay_as_they_are_when_the_next_sample_comes():
 
 def test_strange_arrays_do_not_make_numba_compile_again():
     controller = puma()
-    compiled = len(control_law.signatures), len(measure_contacts.signatures)
+    compiled = len(control_law.signatures), len(see_arm.signatures)
     strided = np.repeat(HOME, 2)[::2]
     frozen = np.zeros(6)
     frozen.flags.writeable = False
     controller.step(Measurement(0.0, strided, frozen, frozen.astype(np.float32)), np.ones(2))
-    assert compiled == (
-        len(control_law.signatures), len(measure_contacts.signatures))
+    assert compiled == (len(control_law.signatures), len(see_arm.signatures))
 
 
 def test_no_step_compiles_anything(tmp_path):

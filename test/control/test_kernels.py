@@ -12,20 +12,22 @@ from multicontact_control.dynamics.pose import Pose
 from multicontact_control.force import observer
 from multicontact_control.force.noise import kernels as noise_kernels
 from multicontact_control.force.plant_model import design_force_loop
-from multicontact_control.records import CONTACT, FRAME, JOINT, LAW, TASK
+from multicontact_control.records import CONTACT, CONTROL, JOINT
 from multicontact_control.supervision import (
     contacts,
     gate,
     plausibility,
     readings,
     reference_limits,
+    supervised_law,
 )
 import numpy as np
 import pytest
 
 MODULES = (
     algebra, arm_state, contacts, gate, geometry, law, motion, noise_kernels, observer,
-    operational_space, plausibility, projections, readings, reference_limits, rotations, wrench)
+    operational_space, plausibility, projections, readings, reference_limits, rotations,
+    supervised_law, wrench)
 
 
 @pytest.mark.parametrize('module', MODULES, ids=lambda module: module.__name__)
@@ -56,19 +58,19 @@ def twelve_column_law(joints, active_count):
     columns['noise_variance'], columns['alpha_meas'] = 0.6, random.standard_normal(12)
     loop = design_force_loop(
         6000.0, damping_rate=20.0, input_delay=0.006, period=0.002, time_constant=0.02)
-    laws, frames, tasks = (np.zeros(1, dtype=kind) for kind in (LAW, FRAME, TASK))
+    controls = np.zeros(1, dtype=CONTROL)
     for name, value in (('k_p', 900.0), ('k_v', 60.0), ('K_2', 20.0), ('friction_speed', 0.02),
                         ('nullspace_damping', 2.0), ('max_condition', 1e8),
                         ('decoupled', True)):
-        laws[name] = value
-    frames['rotation'] = tasks['rotation'] = np.eye(3)
+        controls['law'][name] = value
+    controls['frame']['rotation'] = controls['task']['rotation'] = np.eye(3)
     arm = np.zeros(joints, dtype=JOINT)
     arm['velocity'], arm['bias_torque'] = random.standard_normal((2, joints))
-    frames['twist'] = jacobian @ arm['velocity']
+    controls['frame']['twist'] = jacobian @ arm['velocity']
     arm['torque_limit'] = np.inf
-    return [laws, arm, frames, np.asfortranarray(mass), np.asfortranarray(jacobian),
+    return [controls, arm, np.asfortranarray(mass), np.asfortranarray(jacobian),
             np.asfortranarray(np.zeros((6, joints))), columns,
-            observer.make_observers([observer.design_observer(loop)] * 12), tasks]
+            observer.make_observers([observer.design_observer(loop)] * 12)]
 
 
 def test_twelve_contact_columns_and_fourteen_joints_stay_below_a_millisecond():
@@ -85,23 +87,23 @@ def test_twelve_contact_columns_and_fourteen_joints_stay_below_a_millisecond():
 
 def test_seven_active_contacts_are_dependent():
     arguments = twelve_column_law(7, 7)
-    before = arguments[6].tobytes(), arguments[7].tobytes()
+    before = arguments[5].tobytes(), arguments[6].tobytes()
     assert law.control_law(*arguments) == law.DEPENDENT
-    assert (arguments[6].tobytes(), arguments[7].tobytes()) == before
+    assert (arguments[5].tobytes(), arguments[6].tobytes()) == before
 
 
 def test_contacts_that_are_not_active_change_nothing():
     """The law with twelve columns, two of them active, is that with these two alone."""
     arguments, few = twelve_column_law(7, 2), twelve_column_law(7, 2)
-    for k in (6, 7):
+    for k in (5, 6):
         few[k] = few[k][:2].copy()
     for _ in range(5):
         law.control_law(*arguments)
         law.control_law(*few)
         np.testing.assert_allclose(arguments[1]['torque'], few[1]['torque'], rtol=1e-12)
         for name in ('alpha_est', 'alpha_rate_est', 'innovation', 'prior_variance'):
-            np.testing.assert_allclose(arguments[6][name][:2], few[6][name], rtol=1e-12)
-    np.testing.assert_array_equal(arguments[6]['alpha_est'][2:], 0.0)
+            np.testing.assert_allclose(arguments[5][name][:2], few[5][name], rtol=1e-12)
+    np.testing.assert_array_equal(arguments[5]['alpha_est'][2:], 0.0)
 
 
 def test_cholesky_refuses_what_is_not_positive_definite():

@@ -75,6 +75,23 @@ def test_force_steps_apply_to_active_contacts_from_their_time_on():
     np.testing.assert_array_equal(run[200].alpha_des, [10.0, 15.0])
 
 
+def test_task_at_rest_is_the_same_object_until_something_changes():
+    reference = _reference(
+        approach=ApproachConfig(start_time=0.1, preload=2.0),
+        force_steps=(ForceStepConfig(time=0.2, forces={'table': 10.0}),),
+        motion=SineConfig(start_time=0.3, amplitude=0.1))
+    tasks = [reference.task(k / RATE) for k in range(200)]
+    for first, last in ((0, 49), (50, 99), (100, 150)):
+        assert all(task is tasks[first] for task in tasks[first:last + 1])
+    assert [task.alpha_des.tolist() for task in (tasks[0], tasks[50], tasks[100])] == [
+        [0.0, 0.0], [2.0, 2.0], [10.0, 2.0]]
+    assert len({id(task) for task in tasks[150:]}) == 50
+    assert (np.diff([task.pose_des.position_world[0] for task in tasks[150:]]) > 0.0).all()
+    reference.start(Pose(POSE.position_world + 1.0, np.eye(3)), NORMALS)
+    np.testing.assert_array_equal(
+        reference.task(0.0).pose_des.position_world, POSE.position_world + 1.0)
+
+
 def test_sine_motion_derivatives_agree_with_differences():
     """Speed and acceleration of the blended sinusoid, and its start at rest."""
     config = SineConfig(start_time=1.0)

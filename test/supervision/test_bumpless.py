@@ -100,10 +100,10 @@ def test_reconfigure_keeps_what_the_observers_know():
         if k == 1:
             reference.set_forces({'table': 5.0})
         controller.step(sample(controller, k))
-    known = controller.controller._observers
+    known = controller.controller.observers
     assert known['x_est'][0].any()
     controller.reconfigure(controller_config(force={'time_constant': 0.04}))
-    new = controller.controller._observers
+    new = controller.controller.observers
     np.testing.assert_array_equal(known['x_est'], new['x_est'])
     np.testing.assert_array_equal(known['P'], new['P'])
     np.testing.assert_array_equal(known['running'], new['running'])
@@ -121,9 +121,9 @@ def test_reconfigure_to_a_state_of_another_size_starts_the_observers_anew():
         if k == 1:
             reference.set_forces({'table': 5.0})
         controller.step(sample(controller, k))
-    old = controller.controller._observers
+    old = controller.controller.observers
     controller.reconfigure(controller_config(force={'active_state_order': 0}))
-    new = controller.controller._observers
+    new = controller.controller.observers
     assert (new['states'] == old['states'] - 1).all()
     assert not new['running'].any() and not new['x_est'].any()
 

@@ -59,6 +59,19 @@ def test_commanded_force_is_approached_before_it_is_controlled():
     assert out.active.tolist() == [True, False]
 
 
+def test_contact_that_was_let_go_to_stand_still_is_sought_again_for_the_same_task():
+    """Although the task hands out the very same object again and again."""
+    reference, commanded = make()
+    commanded.set_forces({'table': 5.0})
+    task = commanded.task(0.0)
+    commanded.task = lambda time: task
+    for _ in range(2):
+        reference.update(0.0, np.zeros(2))
+        assert reference.state_names == ('approaching', 'free')
+        reference.stand_still(POSE)
+        assert reference.state_names == ('free', 'free')
+
+
 def test_task_is_caught_up_with_slowly_after_a_pause():
     """The reference starts where the arm is, and comes back below a fifth of the speed limit."""
     reference, _ = make()

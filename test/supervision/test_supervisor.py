@@ -3,21 +3,18 @@
 from arms import controller_config, HOME
 from hypothesis import given, HealthCheck, settings
 from hypothesis import strategies as st
-from multicontact_control.control.arm_state import fill_frame, fill_joints
-from multicontact_control.control.law import control_law
+from multicontact_control.control.arm_state import see_arm
 from multicontact_control.control.reference import (
     ApproachConfig,
     CommandedReference,
     ReferenceConfig,
     ScenarioReference,
 )
-from multicontact_control.control.wrench import measure_contacts
 from multicontact_control.paths import config_dir
 from multicontact_control.supervision.contacts import let_go
 from multicontact_control.supervision.gate import gate_torque
-from multicontact_control.supervision.plausibility import check_plausibility, check_speeds
 from multicontact_control.supervision.readings import check_inputs
-from multicontact_control.supervision.reference_limits import limit_reference
+from multicontact_control.supervision.supervised_law import supervised_law
 from multicontact_control.supervision.supervisor import Supervisor
 from multicontact_control.supervision.validation import (
     JointInput,
@@ -229,8 +226,7 @@ def test_pulling_surface_is_refused():
 
 def test_no_tick_compiles_anything():
     """Whatever the arrays of a message are like: numba would take seconds for another type."""
-    kernels = (let_go, limit_reference, check_inputs, check_speeds, check_plausibility,
-               gate_torque, fill_joints, fill_frame, control_law, measure_contacts)
+    kernels = check_inputs, see_arm, supervised_law, gate_torque, let_go
 
     def compiled():
         return [len(kernel.signatures) for kernel in kernels]
@@ -249,6 +245,35 @@ def test_no_tick_compiles_anything():
             assert_sound(each.step(odd if k < 4 else inputs._replace(joints=None)))
             each.reference.release()
     assert compiled() == before
+
+
+def pressed(k):
+    """Return inputs of an arm that stands still and feels a table that comes and goes."""
+    inputs = good(k)
+    force = 6.0 if k // 150 % 2 else 0.0
+    return inputs._replace(wrench=WrenchInput(
+        k * H, inputs.wrench.wrench + np.array([0.0, 0.0, force, 0.0, 0.0, 0.0])))
+
+
+def test_gate_in_the_compiled_call_is_the_gate_after_it():
+    """While no torque has to go over, the law's goes through the gate at once."""
+    at_once, after = make(), make()
+    after._transition.settled = lambda law: False
+    passed = dict.fromkeys((at_once, after), 0)
+    for each in passed:
+        def count(each=each, passed_on=each._gate.passed):
+            passed[each] += 1
+            return passed_on()
+        each._gate.passed = count
+    for k in range(600):
+        inputs = pressed(k)._replace(**({'wrench': None} if 400 <= k < 410 else {}))
+        one, other = at_once.step(inputs), after.step(inputs)
+        np.testing.assert_array_equal(one.output.torque, other.output.torque)
+        assert one.output.contacts.tobytes() == other.output.contacts.tobytes()
+        assert (*one.status[:5], one.status.task_time) == (
+            *other.status[:5], other.status.task_time)
+    assert 100 < passed[at_once] < 600
+    assert passed[after] == 0
 
 
 def test_far_command_is_followed_within_the_speed_limit():

@@ -10,7 +10,9 @@ from multicontact_control.control.reference.scenario import (
     SineConfig,
 )
 from multicontact_control.control.reference.source import Reference, ReferenceSource, TaskSource
+from multicontact_control.control.reference.task_arrays import TaskArrays
 
 __all__ = [
     'ApproachConfig', 'CommandedReference', 'ForceStepConfig', 'Reference', 'ReferenceConfig',
-    'ReferenceSource', 'ScenarioReference', 'SineConfig', 'TaskSource', 'sine_motion']
+    'ReferenceSource', 'ScenarioReference', 'SineConfig', 'TaskArrays', 'TaskSource',
+    'sine_motion']

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Protocol
 
 from multicontact_control.arrays import Mask, Vector
@@ -60,24 +59,29 @@ class HoldableReference:
 
     def update(self, time: float, alpha_meas: Vector) -> Reference:
         """Return the reference of one tick; see `ReferenceSource.update`."""
-        return self._ask(time, lambda own: self._source.update(own, alpha_meas))
+        if self._held is not None:
+            return self._stand(time, self._held)
+        self._last_time = time
+        self._last = self._source.update(time - self._lost_time, alpha_meas)
+        return self._last
 
     def task(self, time: float) -> Reference:
         """Return the task of one tick; see `TaskSource.task`."""
-        return self._ask(time, self._source.task)
+        if self._held is not None:
+            return self._stand(time, self._held)
+        self._last_time = time
+        self._last = self._source.task(time - self._lost_time)
+        return self._last
 
     def contact_state(self, default: ContactStateConfig) -> ContactStateConfig:
         """Return how contacts are to be made; see `TaskSource.contact_state`."""
         return self._source.contact_state(default)
 
-    def _ask(self, time: float, source: Callable[[float], Reference]) -> Reference:
-        if self._held is not None:
-            self._lost_time += time - self._last_time
-            self._last_time = time
-            return self._held
+    def _stand(self, time: float, held: Reference) -> Reference:
+        """Let the other one's time stand still."""
+        self._lost_time += time - self._last_time
         self._last_time = time
-        self._last = source(time - self._lost_time)
-        return self._last
+        return held
 
     def hold(self, pose: Pose, active: Mask) -> bool:
         """

@@ -119,6 +119,8 @@ class ScenarioReference:
         motion = config.motion
         self._direction = motion.direction_world if motion is not None else (0.0, 0.0, 0.0)
         self._motion = motion
+        self._motion_start = math.inf if motion is None else motion.start_time
+        self._approach_start = config.approach.start_time
 
     def start(self, pose: Pose, normals_world: Vector) -> None:
         """Begin from a pose at rest; see `ReferenceSource.start`."""
@@ -130,12 +132,14 @@ class ScenarioReference:
         self._steps_done, self._task_steps = -1, -2
         self._start: list[float] = pose.position_world.tolist()
         self._held = self._start
+        self._rest: Reference | None = None
 
     def update(self, time: float, alpha_meas: Vector) -> Reference:
         """
         Return the reference of one tick; see `ReferenceSource.update`.
 
-        Written for speed: once all contacts are there, three small arrays are all that is made.
+        Written for speed: once all contacts are there, it is the same object while at rest, and
+        in motion three small arrays are all that is made.
         """
         approach = STILL if self._all_active else self._approach(time, alpha_meas)
         return self._reference(
@@ -146,16 +150,25 @@ class ScenarioReference:
         active: Mask, alpha_des: Vector,
     ) -> Reference:
         """Return the motion from a position, beside velocity and acceleration of an approach."""
+        at_rest = approach is STILL and time <= self._motion_start
+        rest = self._rest
+        if at_rest and rest is not None and rest.active is active and rest.alpha_des is alpha_des:
+            return rest
         s, ds, dds = 0.0, 0.0, 0.0
         if self._motion is not None:
             s, ds, dds = sine_motion(self._motion, time)
         x, y, z = self._direction
         (px, py, pz), (vx, vy, vz), (ax, ay, az) = start, *approach
-        return Reference(
-            Pose(np.array((px + s * x, py + s * y, pz + s * z)), self._pose.rotation_world),
-            np.array((vx + ds * x, vy + ds * y, vz + ds * z, 0.0, 0.0, 0.0)),
-            np.array((ax + dds * x, ay + dds * y, az + dds * z, 0.0, 0.0, 0.0)),
-            active, alpha_des)
+        # Filled one by one: numpy takes twice as long for an array of a tuple.
+        position, twist, acceleration = np.empty(3), np.zeros(6), np.zeros(6)
+        position[0], position[1], position[2] = px + s * x, py + s * y, pz + s * z
+        twist[0], twist[1], twist[2] = vx + ds * x, vy + ds * y, vz + ds * z
+        acceleration[0], acceleration[1], acceleration[2] = (
+            ax + dds * x, ay + dds * y, az + dds * z)
+        reference = Reference(
+            Pose(position, self._pose.rotation_world), twist, acceleration, active, alpha_des)
+        self._rest = reference if at_rest else None
+        return reference
 
     def _approach(self, time: float, alpha_meas: Vector) -> tuple[list[float], list[float]]:
         """Move on towards the surfaces not felt yet; return velocity and acceleration."""
@@ -188,7 +201,7 @@ class ScenarioReference:
         Written for speed, as `update` is.
         """
         done = bisect_right(self._step_times, time + 1e-9)
-        if time < self._config.approach.start_time:
+        if time < self._approach_start:
             done = -1
         if done != self._task_steps:
             self._task_steps = done

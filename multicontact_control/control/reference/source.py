@@ -13,6 +13,8 @@ class Reference(NamedTuple):
     """
     The task of one tick; a named tuple, which is made faster than a dataclass.
 
+    It never changes once it is handed out; the same object again says that nothing has changed.
+
     Attributes
     ----------
     pose_des

@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from multicontact_control.arrays import Vector
-from multicontact_control.control import controller
+from multicontact_control.control.arm_state import ArmState
+from multicontact_control.control.controller import Controller
 from multicontact_control.control.reference.holdable import HoldableReference
 from multicontact_control.control_loop import ControlLoop
 from multicontact_control.dynamics.robot import RobotModel
@@ -23,21 +24,19 @@ from multicontact_control.force.noise import make_noise_estimator, NoiseEstimato
 from multicontact_control.sampling import PairedSample
 from multicontact_control.sensor.front_end import SensorFrontEnd
 from multicontact_control.supervision.command_limits import CommandLimits
-from multicontact_control.supervision.gate import TorqueGate
 from multicontact_control.supervision.reference import ContactReference
-from multicontact_control.supervision.transition import TorqueTransition
+from multicontact_control.supervision.supervised_law import SupervisedLaw
 from multicontact_control.supervision.validation import Watchdog
 import numpy as np
 
 # What a tick consists of, in its order: where it is, its name, the stage it counts for.
 BARE = (
     (SensorFrontEnd, 'update', 'sensor'), (RobotModel, 'compute', 'dynamics'),
-    (controller, 'measure_contacts', 'contacts'), (HoldableReference, 'update', 'reference'),
-    (controller, 'control_law', 'law'), (NoiseEstimator, 'update', 'estimators'))
+    (ArmState, 'look', 'contacts'), (HoldableReference, 'update', 'reference'),
+    (Controller, 'decide', 'law'), (NoiseEstimator, 'update', 'estimators'))
 SUPERVISED = (
     BARE[0], (Watchdog, 'validate', 'watchdog'), *BARE[1:3],
-    (ContactReference, 'update', 'reference'), BARE[4], (TorqueTransition, 'apply', 'gate'),
-    (TorqueGate, 'apply', 'gate'), BARE[5])
+    (ContactReference, 'ask', 'reference'), (SupervisedLaw, 'answer', 'law'), BARE[5])
 
 
 class Replay:

@@ -77,7 +77,8 @@ class NoiseEstimator(ABC):
             If an array is not of shape (r,).
 
         """
-        require_shape('alpha', alpha, self._alpha.shape)
+        if alpha.shape != self._alpha.shape:
+            require_shape('alpha', alpha, self._alpha.shape)
         self._alpha[:] = alpha  # whatever its layout: numba would compile anew for another one
         if not self._take(innovation):
             self.dropped += 1

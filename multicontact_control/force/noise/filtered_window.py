@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from multicontact_control.arrays import Matrix
+from multicontact_control.compiled import bound
 from multicontact_control.force.noise.estimator import MAX_MAGNITUDE, NoiseEstimator
 from multicontact_control.force.noise.innovation import Innovation
 from multicontact_control.force.noise.kernels import take_into_window
@@ -24,12 +25,15 @@ class Window(NoiseEstimator):
             self._window[name] = value
         self._states = np.zeros(self._contacts, dtype=FILTER_STATE)
         self._samples: Matrix = np.zeros((self.config.window, self._contacts))
+        self._take_into_window = bound(
+            take_into_window, self._alpha, self._window, self._states, self._samples,
+            self._variance)
 
     def _design(self) -> LeadFilter:
         return LeadFilter(pole=0.0, zero=0.0, gain=1.0)  # what comes in goes out
 
     def _take(self, innovation: Innovation | None) -> bool:
-        return bool(take_into_window(
+        return bool(self._take_into_window(
             self._alpha, self._window, self._states, self._samples, self._variance))
 
 
