@@ -6,6 +6,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from multicontact_control.arrays import Vector
+import numpy as np
 import pybullet as bullet
 from sim_bridge.puma560 import link_inertias, RobotData, SENSOR_FRAME, TOOL_LINK, urdf_text
 
@@ -29,6 +30,8 @@ class BulletArm:
     ----------
     client, body
         PyBullet's names for the world and the arm.
+    q, qd
+        Joint angles and speeds now, shape (n,) [rad], [rad/s].
 
     """
 
@@ -39,6 +42,8 @@ class BulletArm:
         self._gravity = gravity_world
         self._step = step
         self.client: int = bullet.connect(bullet.DIRECT)
+        self.q: Vector = np.zeros(len(robot.joint_names))
+        self.qd: Vector = np.zeros_like(self.q)
 
     def reset(self, q: Vector) -> None:
         """Start afresh from rest at joint angles `q`; nothing of the past is left."""
@@ -46,24 +51,7 @@ class BulletArm:
         self._load()
         for joint, angle in zip(self._joints, q.tolist(), strict=True):
             bullet.resetJointState(self.body, joint, angle, 0.0, physicsClientId=self.client)
-
-    def read(self, q: Vector, qd: Vector, wrench: Vector) -> None:
-        """
-        Fill in the state of the joints and the wrench at the sensor.
-
-        Parameters
-        ----------
-        q, qd
-            Shape (n,) [rad], [rad/s].
-        wrench
-            What the arm exerts on the tool, in the sensor's frame, shape (6,) [N, N m]: PyBullet
-            gives it at the child's centre of mass, which in the sensor's face is its origin.
-
-        """
-        states = bullet.getJointStates(self.body, self._read_joints, physicsClientId=self.client)
-        for i in range(len(self._joints)):
-            q[i], qd[i] = states[i][:2]
-        wrench[:] = states[-1][2]
+        self.q[:], self.qd[:] = q, 0.0
 
     def push_tool(self, force: list[float], point: list[float]) -> None:
         """Apply a force [N] at a point [m] of the tool for one step, world axes."""
@@ -75,14 +63,29 @@ class BulletArm:
 
     def _push(self, link: int, force: list[float], point: list[float]) -> None:
         bullet.applyExternalForce(
-            self.body, link, force, point, bullet.WORLD_FRAME, physicsClientId=self.client)
+            self.body, link, force, point, bullet.WORLD_FRAME, self.client)
 
-    def step(self, torque: list[float]) -> None:
-        """Advance by one step under joint torques, shape (n,) [N m]."""
-        bullet.setJointMotorControlArray(
-            self.body, self._joints, bullet.TORQUE_CONTROL, forces=torque,
-            physicsClientId=self.client)
-        bullet.stepSimulation(physicsClientId=self.client)
+    def step(self, torque: Vector) -> tuple[float, ...]:
+        """
+        Advance `q` and `qd` by one step under joint torques, shape (n,) [N m].
+
+        Returns
+        -------
+        tuple of float
+            What the arm exerts on the tool, in the sensor's frame, six numbers [N, N m]: PyBullet
+            gives it at the child's centre of mass, which in the sensor's face is its origin.
+
+        """
+        client, body, unused, q, qd = self.client, self.body, self._unused, self.q, self.qd
+        bullet.setJointMotorControlArray(  # keywords would take as long again
+            body, self._joints, bullet.TORQUE_CONTROL, unused, unused, torque.tolist(), unused,
+            unused, client)
+        bullet.stepSimulation(client)
+        *joints, sensor = bullet.getJointStates(body, self._read_joints, client)
+        for i, (angle, speed, _, _) in enumerate(joints):
+            q[i], qd[i] = angle, speed
+        wrench: tuple[float, ...] = sensor[2]
+        return wrench
 
     def close(self) -> None:
         """Give the world back."""
@@ -110,6 +113,7 @@ class BulletArm:
         sensor = indices[f'{SENSOR_FRAME}_joint']
         self._tool = indices[f'{TOOL_LINK}_joint']
         self._read_joints = [*self._joints, sensor]
+        self._unused = [0.0] * len(self._joints)
         self._remove_surprises(sensor)
 
     def _remove_surprises(self, sensor: int) -> None:

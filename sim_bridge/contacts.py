@@ -80,7 +80,7 @@ class Contacts:
         """Multiply a surface's coefficient of friction."""
         self._surfaces[contact]['friction'] *= factor
 
-    def update(self, q: Vector, qd: Vector, push_world: Vector) -> None:
+    def update(self, q: Vector, qd: Vector, push_world: Vector) -> bool:
         """
         Work out the contacts for a state of the arm and a push at the wrist point.
 
@@ -91,9 +91,14 @@ class Contacts:
         push_world
             Force on the wrist, shape (3,) [N].
 
+        Returns
+        -------
+        bool
+            Whether any surface is pressed on.
+
         """
-        advance_contacts(q, qd, push_world, self._links, self._surfaces, self._heights,
-                         self._slopes, self.load)
+        return advance_contacts(q, qd, push_world, self._links, self._surfaces, self._heights,
+                                self._slopes, self.load)
 
 
 def _tip_positions(model: pin.Model, config: PlantConfig) -> Matrix:
@@ -107,7 +112,7 @@ def _tip_positions(model: pin.Model, config: PlantConfig) -> Matrix:
 def advance_contacts(
     q: Vector, qd: Vector, push: Vector, links: Any, surfaces: Any, heights: Matrix,
     slopes: Matrix, load: Vector,
-) -> None:
+) -> bool:
     """
     Work out every contact for a state of the arm.
 
@@ -124,6 +129,11 @@ def advance_contacts(
     load
         Filled with what surfaces and push do to the joints, shape (n,) [N m].
 
+    Returns
+    -------
+    bool
+        Whether any surface is pressed on.
+
     """
     joints = q.shape[0]
     rotation = np.empty((3, 3))
@@ -133,6 +143,7 @@ def advance_contacts(
     for joint in range(joints):
         load[joint] = 0.0
     add_joint_torque(wrist, push, 1.0, links, load)
+    pressed = False
     for i in range(surfaces.shape[0]):
         surface = surfaces[i]
         for row in range(3):
@@ -142,4 +153,6 @@ def advance_contacts(
         point_velocity(surface.point, qd, links, velocity)
         press(surface, velocity, heights[i], slopes[i])
         if surface.alpha > 0.0:
+            pressed = True
             add_joint_torque(surface.point, surface.force, -1.0, links, load)
+    return pressed

@@ -17,6 +17,7 @@ from multicontact_control.records import Records
 import numpy as np
 import pinocchio as pin
 from sim_bridge.joint_friction import (
+    FRICTION,
     friction_slope,
     friction_torque,
     implicit_speed,
@@ -32,7 +33,21 @@ DRIVE = np.dtype([
     ('inertia', np.float64),  # of the rotor, joint side [kg m^2]
     ('stiffness', np.float64),  # of the spring [N m/rad]
     ('damping', np.float64),  # of the spring [N m s/rad]
+    ('friction', FRICTION),  # of the rotor
+    ('link_torque', np.float64),  # of the spring on the link [N m]
 ])
+
+
+@compiled
+def clip_torque(torque: Vector, limit: Vector) -> tuple[bool, bool]:
+    """Clip torques in place, shape (n,); return whether all are finite and whether any was cut."""
+    finite, clipped = True, False
+    for joint in range(torque.shape[0]):
+        asked = torque[joint]
+        torque[joint] = min(max(asked, -limit[joint]), limit[joint])
+        finite = finite and np.isfinite(asked)
+        clipped = clipped or torque[joint] != asked
+    return finite, clipped
 
 
 class FlexibleDrives:
@@ -63,7 +78,8 @@ class FlexibleDrives:
         self._drives: Any = np.zeros(len(inertia), dtype=DRIVE)
         self._drives['inertia'] = inertia
         self._drives['stiffness'], self._drives['damping'] = stiffness, damping
-        self._friction, self._step = friction, step
+        self._drives['friction'], self._step = friction, step
+        self._link_torque: Vector = self._drives['link_torque']
         self.q: Vector = self._drives['q']
         self.qd: Vector = self._drives['qd']
 
@@ -72,19 +88,14 @@ class FlexibleDrives:
         self.q[:] = q + torque / self._drives['stiffness']
         self.qd[:] = 0.0
 
-    def advance(
-        self, torque: Vector, _load: Vector, q: Vector, qd: Vector, joint_torque: Vector,
-    ) -> None:
-        """Advance the rotors by one step; see `advance_drives`."""
-        advance_drives(
-            torque, q, qd, self._drives, self._friction, self._step, joint_torque)
+    def advance(self, torque: Vector, _load: Vector, q: Vector, qd: Vector) -> Vector:
+        """Advance the rotors by one step and return the torque on the links, shape (n,) [N m]."""
+        advance_drives(torque, q, qd, self._drives, self._step)
+        return self._link_torque
 
 
 @compiled
-def advance_drives(
-    torque: Vector, q: Vector, qd: Vector, drives: Any, friction: Any, step: float,
-    joint_torque: Vector,
-) -> None:
+def advance_drives(torque: Vector, q: Vector, qd: Vector, drives: Any, step: float) -> None:
     """
     Advance the rotors by one step and give what their springs do to the links.
 
@@ -97,20 +108,18 @@ def advance_drives(
         Motor torque, joint side, shape (n,) [N m].
     q, qd
         Link side of the joints at the start of the step, shape (n,) [rad], [rad/s].
-    drives, friction
-        Records of `DRIVE`, advanced in place, and `FRICTION`, shape (n,).
+    drives
+        Records of `DRIVE`, shape (n,): rotors and torques on the links are changed.
     step
         Length of the step [s].
-    joint_torque
-        Filled with the torque on the links, shape (n,) [N m].
 
     """
     for joint in range(q.shape[0]):
         drive = drives[joint]
         twist = drive.stiffness * (drive.q - q[joint]) + drive.damping * (drive.qd - qd[joint])
-        joint_torque[joint] = twist
+        drive.link_torque = twist
         free = drive.qd + step / drive.inertia * (torque[joint] - twist)
-        drive.qd = implicit_speed(free, step, drive.inertia, friction[joint])
+        drive.qd = implicit_speed(free, step, drive.inertia, drive.friction)
         drive.q += step * drive.qd
 
 
@@ -142,11 +151,9 @@ class RigidDrives:
     def reset(self, _q: Vector, _torque: Vector) -> None:
         """Rest: nothing is remembered."""
 
-    def advance(
-        self, torque: Vector, load: Vector, q: Vector, qd: Vector, joint_torque: Vector,
-    ) -> None:
+    def advance(self, torque: Vector, load: Vector, q: Vector, qd: Vector) -> Vector:
         """
-        Fill in what to apply to the links for one step.
+        Return what to apply to the links for one step.
 
         Parameters
         ----------
@@ -156,21 +163,23 @@ class RigidDrives:
             What everything outside the arm does to the joints, gravity apart, shape (n,) [N m].
         q, qd
             State at the start of the step, shape (n,) [rad], [rad/s].
-        joint_torque
-            Filled with the torque on the links, shape (n,) [N m].
+
+        Returns
+        -------
+        Vector
+            Torque on the links, shape (n,) [N m].
 
         """
         acceleration = pin.aba(self._model, self._data, q, qd, torque + load)
         if self._frictionless:
-            joint_torque[:] = torque - self._armature * acceleration
-            return
+            return np.asarray(torque - self._armature * acceleration)
         inertia = mass_matrix(self._model, self._data, q)
         speed = qd.copy()
         implicit_joint_speed(
             qd + self._step * acceleration, self._step, inertia, self._friction, speed)
         slowed = (speed - qd) / self._step
         friction = inertia @ (acceleration - slowed)
-        joint_torque[:] = torque - friction - self._armature * slowed
+        return np.asarray(torque - friction - self._armature * slowed)
 
 
 @compiled

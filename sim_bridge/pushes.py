@@ -12,38 +12,47 @@ from sim_bridge.config import PlantConfig
 from sim_bridge.kinematics import add_joint_torque, chain_of, forward_kinematics
 
 
-def push_at(
-    tick: int, rate: float, start: Sequence[float], duration: Sequence[float],
-    force_world: Sequence[float],
-) -> Vector:
+class Pushes:
     """
-    Return the sum of the pushes in the control period that begins with a tick.
+    Forces on one point of the arm that come and go at set times.
 
     Parameters
     ----------
-    tick
-        The tick.
     rate
         Control rate [Hz].
     start, duration
         Of each push [s].
     force_world
-        x y z of each in turn [N].
+        x y z of each in turn, world axes [N].
 
-    Returns
-    -------
-    Vector
-        World axes, shape (3,) [N].
+    Attributes
+    ----------
+    force_world
+        Their sum in the present control period, shape (3,) [N].
+    acting
+        Whether there is any.
 
     """
-    total = np.zeros(3)
-    for i, (begin, length) in enumerate(zip(start, duration, strict=True)):
-        if round(begin * rate) <= tick < round((begin + length) * rate):
-            total += force_world[3 * i:3 * i + 3]
-    return total
+
+    def __init__(
+        self, rate: float, start: Sequence[float], duration: Sequence[float],
+        force_world: Sequence[float],
+    ) -> None:
+        self._pushes = [
+            (round(begin * rate), round((begin + length) * rate),
+             np.array(force_world[3 * i:3 * i + 3]))
+            for i, (begin, length) in enumerate(zip(start, duration, strict=True))]
+        self.force_world: Vector = np.zeros(3)
+        self.acting = False
+
+    def start_period(self, tick: int) -> None:
+        """Take the forces of the control period that begins with a tick."""
+        forces = [force for first, end, force in self._pushes if first <= tick < end]
+        self.force_world = sum(forces, np.zeros(3))
+        self.acting = bool(forces)
 
 
-class ToolPush:
+class ToolPush(Pushes):
     """
     Forces at one point of the tool, beyond the wrist sensor, which reads their opposite.
 
@@ -58,10 +67,8 @@ class ToolPush:
 
     Attributes
     ----------
-    force_world
-        Force on the tool now, shape (3,) [N].
     point_world
-        Where, shape (3,) [m]; only up to date while something pushes.
+        Where they push, shape (3,) [m]; only up to date while something does.
 
     Raises
     ------
@@ -71,19 +78,14 @@ class ToolPush:
     """
 
     def __init__(self, config: PlantConfig, model: pin.Model, rate: float) -> None:
+        super().__init__(rate, config.tool_push_start, config.tool_push_duration,
+                         config.tool_push_force_world)
         name = config.tool_push_link
         if not model.existFrame(name):
             raise ConfigError('tool_push_link', 'a link of the tool', f"'{name}'")
         self._local: Vector = np.array(model.frames[model.getFrameId(name)].placement.translation)
         self._links = chain_of(model)
-        self._schedule = (
-            config.tool_push_start, config.tool_push_duration, config.tool_push_force_world)
-        self._rate = rate
-        self.force_world, self.point_world = np.zeros(3), np.zeros(3)
-
-    def start_period(self, tick: int) -> None:
-        """Take the force of the control period that begins."""
-        self.force_world = push_at(tick, self._rate, *self._schedule)
+        self.point_world = np.zeros(3)
 
     def add_load(self, q: Vector, load: Vector) -> bool:
         """
@@ -102,7 +104,7 @@ class ToolPush:
             Whether anything pushes.
 
         """
-        if not self.force_world.any():
+        if not self.acting:
             return False
         rotation = np.empty((3, 3))
         forward_kinematics(q, self._links, rotation)

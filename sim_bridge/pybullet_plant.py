@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from multicontact_control.arrays import require_shape, Vector
 from multicontact_control.errors import ConfigError, RunError
@@ -11,15 +11,14 @@ import pinocchio as pin
 from sim_bridge.bullet_arm import BulletArm
 from sim_bridge.config import PlantConfig
 from sim_bridge.contacts import Contacts
-from sim_bridge.drives import FlexibleDrives, RigidDrives
+from sim_bridge.drives import clip_torque, FlexibleDrives, RigidDrives
 from sim_bridge.joint_friction import joint_friction
 from sim_bridge.puma560 import load_robot, RobotData, SENSOR_FRAME, urdf_text
-from sim_bridge.pushes import push_at, ToolPush
+from sim_bridge.pushes import Pushes, ToolPush
 from sim_bridge.wrench_sensor import WrenchSensor
 
 
-@dataclass(frozen=True, slots=True)
-class Sample:
+class Sample(NamedTuple):
     """
     What can be known of the plant at the end of a control period.
 
@@ -52,7 +51,7 @@ class Sample:
     wrench_filtered: Vector
     contact_force: Vector
     saturated: bool
-    tool_push_world: Vector = field(default_factory=lambda: np.zeros(3))
+    tool_push_world: Vector
 
 
 class PybulletPlant:
@@ -103,6 +102,9 @@ class PybulletPlant:
         self._limit = np.array(config.torque_limit or self._robot.torque_limit)
         self._drives = self._build_drives()
         self.arm = BulletArm(self._robot, config.gravity_world, config.substep)
+        self._sensed: BulletArm | FlexibleDrives = self.arm
+        if isinstance(self._drives, FlexibleDrives) and config.joint_sensing == 'motor':
+            self._sensed = self._drives
         self.reset()
 
     def reset(self) -> Sample:
@@ -120,15 +122,14 @@ class PybulletPlant:
         generators = [np.random.default_rng(source) for source in sources]
         self._sensor = WrenchSensor(config.sensor, config.substep, generators[0])
         self.contacts = Contacts(config, self._model, generators[1:])
+        self._wrist_push = Pushes(
+            self._rate, config.push_start, config.push_duration, config.push_force_world)
         self._tool_push = ToolPush(config, self._model, self._rate)
         self._tick = 0
-        self._q, self._qd = self._home.copy(), np.zeros(self._model.nv)
         self._drives.reset(self._home, self.initial_torque)
-        self._wrench = self._static_wrench()
-        self._joint_torque = np.zeros(self._model.nv)
         self.arm.reset(self._home)
-        self._sensor.read(self._wrench)
-        return self._sample(self.initial_torque, False)
+        self._sensor.read(self._static_wrench()[np.newaxis])
+        return self._sample(self.initial_torque.copy(), False)
 
     def step(self, torque: Vector) -> Sample:
         """
@@ -153,19 +154,17 @@ class PybulletPlant:
 
         """
         require_shape('torque', torque, self._limit.shape)
-        if not np.isfinite(torque).all():
+        applied = np.array(torque, dtype=float)
+        finite, saturated = clip_torque(applied, self._limit)
+        if not finite:
             raise RunError(f'joint torque at tick {self._tick}: expected finite numbers, '
                            f'found {torque.tolist()}')
-        applied = np.minimum(np.maximum(torque, -self._limit), self._limit)
-        config = self.config
-        push = push_at(
-            self._tick, self._rate, config.push_start, config.push_duration,
-            config.push_force_world)
+        self._wrist_push.start_period(self._tick)
         self._tool_push.start_period(self._tick)
-        for _ in range(self._substeps):
-            self._substep(applied, push)
+        wrenches = [self._substep(applied) for _ in range(self._substeps)]
+        self._sensor.read(np.array(wrenches))
         self._tick += 1
-        return self._sample(applied, bool((applied != torque).any()))
+        return self._sample(applied, saturated)
 
     @property
     def model(self) -> pin.Model:
@@ -190,22 +189,23 @@ class PybulletPlant:
             np.array(self._model.armature), np.array(config.drive_stiffness),
             np.array(config.drive_damping), friction, config.substep)
 
-    def _substep(self, torque: Vector, push: Vector) -> None:
-        contacts, arm, joint_torque = self.contacts, self.arm, self._joint_torque
-        contacts.update(self._q, self._qd, push)
-        if self._tool_push.add_load(self._q, contacts.load):
-            hand = self._tool_push
-            arm.push_tool(hand.force_world.tolist(), hand.point_world.tolist())
-        self._drives.advance(torque, contacts.load, self._q, self._qd, joint_torque)
-        for i, alpha in enumerate(contacts.alpha.tolist()):
-            if alpha > 0.0:
-                arm.push_tool((-contacts.forces_world[i]).tolist(),
-                              contacts.points_world[i].tolist())
-        if push.any():
-            arm.push_wrist(push.tolist(), contacts.wrist_world.tolist())
-        arm.step(joint_torque.tolist())
-        arm.read(self._q, self._qd, self._wrench)
-        self._sensor.read(self._wrench)
+    def _substep(self, torque: Vector) -> tuple[float, ...]:
+        """Take one integration step and return the true wrench at the sensor."""
+        contacts, arm, wrist, tool = self.contacts, self.arm, self._wrist_push, self._tool_push
+        q, qd = arm.q, arm.qd
+        pressed = contacts.update(q, qd, wrist.force_world)
+        if tool.add_load(q, contacts.load):
+            arm.push_tool(tool.force_world.tolist(), tool.point_world.tolist())
+        link_torque = self._drives.advance(torque, contacts.load, q, qd)
+        if pressed:
+            for alpha, force, point in zip(
+                    contacts.alpha.tolist(), (-contacts.forces_world).tolist(),
+                    contacts.points_world.tolist()):
+                if alpha > 0.0:
+                    arm.push_tool(force, point)
+        if wrist.acting:
+            arm.push_wrist(wrist.force_world.tolist(), contacts.wrist_world.tolist())
+        return arm.step(link_torque)
 
     def _static_wrench(self) -> Vector:
         """Return what the sensor reads at rest at home: the weight it carries, held."""
@@ -218,14 +218,11 @@ class PybulletPlant:
         return np.concatenate((weight_held, np.cross(lever, weight_held)))
 
     def _sample(self, effort: Vector, saturated: bool) -> Sample:
-        q, qd = self._q, self._qd
-        if isinstance(self._drives, FlexibleDrives) and self.config.joint_sensing == 'motor':
-            q, qd = self._drives.q, self._drives.qd
         return Sample(
-            q=q.copy(), qd=qd.copy(), effort=effort.copy(), wrench=self._sensor.reading.copy(),
-            wrench_filtered=self._sensor.filtered.copy(),
+            q=self._sensed.q.copy(), qd=self._sensed.qd.copy(), effort=effort,
+            wrench=self._sensor.reading.copy(), wrench_filtered=self._sensor.filtered.copy(),
             contact_force=self.contacts.alpha.copy(), saturated=saturated,
-            tool_push_world=self._tool_push.force_world.copy())
+            tool_push_world=self._tool_push.force_world)
 
 
 def require_fit(config: PlantConfig, robot: RobotData) -> None:

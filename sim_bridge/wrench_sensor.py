@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.butterworth import butterworth
 from multicontact_control.compiled import compiled
@@ -13,12 +15,21 @@ from sim_bridge.config import SensorConfig
 CASCADE_HIGHEST = 500.0
 CASCADE_RATIO = 4.0
 AXES = 6
-NOISE_BLOCK = 1024
+
+# One axis: what is set for it, and its newest reading [N or N m].
+AXIS = np.dtype([
+    ('bias', np.float64),
+    ('noise_std', np.float64),
+    ('limit', np.float64),  # full scale, infinite for none
+    ('quantum', np.float64),  # size of a converter step, 0 for none
+    ('reading', np.float64),
+    ('filtered', np.float64),  # the reading behind the low-passes
+])
 
 
 class WrenchSensor:
     """
-    A sensor that is read once per integration step.
+    A sensor that takes one reading per integration step.
 
     Reading = quantise(saturate(mounting true + bias + noise)). The low-passes work on the
     readings, as the instrument's own signal processor does, and start from the first one.
@@ -32,6 +43,11 @@ class WrenchSensor:
     generator
         Source of the noise.
 
+    Attributes
+    ----------
+    reading, filtered
+        The newest reading, and what the low-passes make of it, shape (6,) [N, N m].
+
     Raises
     ------
     ConfigError
@@ -44,45 +60,38 @@ class WrenchSensor:
     ) -> None:
         self._generator = generator
         self._mounting = np.array(config.mounting).reshape(3, 3) if config.mounting else None
-        self._bias = np.array(config.bias)
-        self._scale = np.array(config.full_scale)
-        self._limit = self._scale if config.saturate else np.full(AXES, np.inf)
-        self._quantum = quantum(config) if config.quantise else np.zeros(AXES)
-        self._std = np.zeros(AXES)
+        self._axes: Any = np.zeros(AXES, dtype=AXIS)
+        self._axes['bias'] = config.bias
+        self._axes['limit'] = config.full_scale if config.saturate else np.inf
         if config.noise:
-            self._std = np.repeat((config.force_noise_std, config.torque_noise_std), 3)
-        self._noise = np.zeros((NOISE_BLOCK, AXES))
-        self._next_noise = NOISE_BLOCK
+            self._axes['noise_std'] = np.repeat(
+                (config.force_noise_std, config.torque_noise_std), 3)
+        if config.quantise:
+            self._axes['quantum'] = quantum(config)
         self._stages = np.zeros((0, 5))
         if config.low_pass:
             self._stages = low_pass_stages(config.low_pass_cutoff, 1.0 / period)
-        self._memory = np.zeros((len(self._stages), AXES, 2))
+        self._memory = np.zeros((AXES, len(self._stages), 2))
         self._started = False
-        self.reading = np.zeros(AXES)
-        self.filtered = np.zeros(AXES)
+        self.reading: Vector = self._axes['reading']
+        self.filtered: Vector = self._axes['filtered']
 
-    def read(self, wrench: Vector) -> None:
+    def read(self, wrenches: Matrix) -> None:
         """
-        Take the next reading; it is then in `reading` and `filtered`.
+        Take the next readings; the last one is then in `reading` and `filtered`.
 
         Parameters
         ----------
-        wrench
-            True wrench in the sensor's frame, shape (6,) [N, N m].
+        wrenches
+            True wrenches in the sensor's frame, one per reading, shape (m, 6) [N, N m].
 
         """
-        if self._next_noise == NOISE_BLOCK:
-            self._noise[:] = self._generator.standard_normal((NOISE_BLOCK, AXES)) * self._std
-            self._next_noise = 0
         if self._mounting is not None:
-            wrench = (wrench.reshape(2, 3) @ self._mounting.T).ravel()
-        measure(wrench, self._bias, self._noise[self._next_noise], self._limit, self._quantum,
-                self.reading)
-        self._next_noise += 1
-        if not self._started:
-            settle(self.reading, self._stages, self._memory)
-            self._started = True
-        low_pass(self.reading, self._stages, self._memory, self.filtered)
+            wrenches = (wrenches.reshape(-1, 2, 3) @ self._mounting.T).reshape(-1, AXES)
+        noise = self._generator.standard_normal(wrenches.shape)
+        take_readings(
+            wrenches, noise, self._axes, self._stages, self._memory, not self._started)
+        self._started = True
 
 
 def quantum(config: SensorConfig) -> Vector:
@@ -132,65 +141,78 @@ def low_pass_stages(cutoff: float, rate: float) -> Matrix:
 
 
 @compiled
-def measure(
-    wrench: Vector, bias: Vector, noise: Vector, limit: Vector, steps: Vector, reading: Vector,
+def take_readings(
+    wrenches: Matrix, noise: Matrix, axes: Any, stages: Matrix, memory: Matrix, first: bool,
 ) -> None:
     """
-    Fill `reading` with the wrench as the converter sees it.
+    Take one reading after the other.
 
     Parameters
     ----------
-    wrench, bias, noise
-        Added up, shape (6,) [N, N m].
-    limit
-        Full scale, infinite for none, shape (6,).
-    steps
-        Size of a converter step, 0 for none, shape (6,).
-    reading
-        Filled, shape (6,).
+    wrenches, noise
+        True wrenches [N, N m] and white noise of deviation 1, shape (m, 6).
+    axes
+        Records of `AXIS`, shape (6,): the last reading is filled in.
+    stages
+        From `low_pass_stages`.
+    memory
+        Of the low-passes of each axis, updated, shape (6, stages, 2).
+    first
+        Whether these are the first readings.
 
     """
-    for axis in range(wrench.shape[0]):
-        value = wrench[axis] + bias[axis] + noise[axis]
-        value = min(max(value, -limit[axis]), limit[axis])
-        if steps[axis] > 0.0:
-            value = steps[axis] * np.rint(value / steps[axis])
-        reading[axis] = value
+    for i in range(axes.shape[0]):
+        axis = axes[i]
+        for k in range(wrenches.shape[0]):
+            axis.reading = measure(wrenches[k, i], noise[k, i], axis)
+            if first and k == 0:
+                settle(axis.reading, stages, memory[i])
+            axis.filtered = low_pass(axis.reading, stages, memory[i])
 
 
 @compiled
-def settle(value: Vector, stages: Matrix, memory: Matrix) -> None:
-    """Set the filters' memory, shape (stages, 6, 2), as if `value` had always been there."""
+def measure(true: float, noise: float, axis: Any) -> float:
+    """Return what the converter of an axis sees of a true value, given noise of deviation 1."""
+    value = true + axis.bias + noise * axis.noise_std
+    value = min(max(value, -axis.limit), axis.limit)
+    if axis.quantum > 0.0:
+        value = axis.quantum * np.rint(value / axis.quantum)
+    return float(value)
+
+
+@compiled
+def settle(value: float, stages: Matrix, memory: Matrix) -> None:
+    """Set the filters' memory, shape (stages, 2), as if `value` had always been there."""
     for stage in range(stages.shape[0]):
         b0, b1, b2, a1, a2 = stages[stage]
-        for axis in range(value.shape[0]):
-            memory[stage, axis, 0] = value[axis] * (1.0 - b0)
-            memory[stage, axis, 1] = value[axis] * (b2 - a2)
+        memory[stage, 0] = value * (1.0 - b0)
+        memory[stage, 1] = value * (b2 - a2)
 
 
 @compiled
-def low_pass(value: Vector, stages: Matrix, memory: Matrix, result: Vector) -> None:
+def low_pass(signal: float, stages: Matrix, memory: Matrix) -> float:
     """
     Advance the chain by one reading (transposed direct form II, gain 1 at rest).
 
     Parameters
     ----------
-    value
-        The reading, shape (6,).
+    signal
+        The reading.
     stages
         From `low_pass_stages`.
     memory
-        Updated, shape (stages, 6, 2).
-    result
-        Filled with the last stage's output, shape (6,).
+        Updated, shape (stages, 2).
+
+    Returns
+    -------
+    float
+        The last stage's output.
 
     """
-    for axis in range(value.shape[0]):
-        signal = value[axis]
-        for stage in range(stages.shape[0]):
-            b0, b1, b2, a1, a2 = stages[stage]
-            output = b0 * signal + memory[stage, axis, 0]
-            memory[stage, axis, 0] = b1 * signal - a1 * output + memory[stage, axis, 1]
-            memory[stage, axis, 1] = b2 * signal - a2 * output
-            signal = output
-        result[axis] = signal
+    for stage in range(stages.shape[0]):
+        b0, b1, b2, a1, a2 = stages[stage]
+        output = b0 * signal + memory[stage, 0]
+        memory[stage, 0] = b1 * signal - a1 * output + memory[stage, 1]
+        memory[stage, 1] = b2 * signal - a2 * output
+        signal = output
+    return signal

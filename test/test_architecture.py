@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from source_imports import find_cycle, imports_of, is_ros
+from source_imports import find_cycle, imports_of, is_ros, PACKAGES, STRANGER
 
 ROOT = Path(__file__).resolve().parents[1]
 # What is not listed (config, errors, arrays, paths, sampling, ...) lies at the bottom.
@@ -37,6 +37,8 @@ def broken_rule(module: str, target: str) -> str:
     top = target.split('.')[0]
     if is_core(module) and (is_ros(target) or top in ('pybullet', 'sim_bridge')):
         return 'the core knows neither ROS nor the simulation'
+    if module == STRANGER:
+        return 'it runs where this package is not' if top in PACKAGES else ''
     if top == 'pinocchio' and module != PINOCCHIO_HOME and not module.startswith('sim_bridge'):
         return 'pinocchio is wrapped in dynamics/robot.py'
     if target.startswith(STEPPED) and area(module) not in ('supervision', 'control_loop'):
@@ -125,6 +127,7 @@ def test_checker_accepts_a_good_tree(tmp_path):
     ('experiment/loop.py', 'from multicontact_control import cli', 'imports flow downwards'),
     ('errors.py', 'from multicontact_control.config import Config', 'import cycle'),
     ('force/noise.py', 'from .observer import Observer', 'import cycle'),
+    ('experiment/bench/tsid_tick.py', 'import multicontact_control.errors', 'this package is not'),
     ('../sim_bridge/plant.py', 'import multicontact_control.experiment.loop', 'import cycle'),
 ])
 def test_checker_finds_a_broken_rule(tmp_path, path, text, complaint):

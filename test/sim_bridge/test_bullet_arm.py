@@ -18,6 +18,7 @@ def arm(robot):
 
 
 def set_state(arm, q, qd):
+    arm.q[:], arm.qd[:] = q, qd
     for joint in JOINTS:
         bullet.resetJointState(arm.body, joint, q[joint], qd[joint], physicsClientId=arm.client)
 
@@ -51,12 +52,10 @@ def test_step_is_pinocchio_aba_with_symplectic_euler(arm, model, rng):
              for frame in (tip, model.getFrameId('wrist_point'))]
     arm.push_tool(force.tolist(), data.oMf[tip].translation.tolist())
     arm.push_wrist(push.tolist(), data.oMi[6].translation.tolist())
-    arm.step(torque.tolist())
+    arm.step(torque)
     qdd = pin.aba(model, data, q, qd, torque + lever[0].T @ force + lever[1].T @ push)
-    found_q, found_qd = np.zeros(6), np.zeros(6)
-    arm.read(found_q, found_qd, np.zeros(6))
-    np.testing.assert_allclose(found_qd, qd + STEP * qdd, atol=1e-11)
-    np.testing.assert_allclose(found_q, q + STEP * (qd + STEP * qdd), atol=1e-13)
+    np.testing.assert_allclose(arm.qd, qd + STEP * qdd, atol=1e-11)
+    np.testing.assert_allclose(arm.q, q + STEP * (qd + STEP * qdd), atol=1e-13)
 
 
 def test_inertia_of_link_3_survives_the_import(arm, robot):
@@ -73,8 +72,6 @@ def test_reset_leaves_nothing_of_the_past(arm):
     for _ in range(2):
         arm.reset(np.full(6, 0.1))
         for _ in range(20):
-            arm.step([5.0, 1.0, 2.0, 0.1, 0.2, 0.3])
-        q, qd, wrench = np.zeros(6), np.zeros(6), np.zeros(6)
-        arm.read(q, qd, wrench)
-        states.append(np.concatenate((q, qd, wrench)).tobytes())
+            wrench = arm.step(np.array([5.0, 1.0, 2.0, 0.1, 0.2, 0.3]))
+        states.append(np.concatenate((arm.q, arm.qd, wrench)).tobytes())
     assert states[0] == states[1]

@@ -15,10 +15,10 @@ def test_flexible_drives_conserve_energy_without_damping():
     inertia, wheel, step = np.array([0.8, 0.2]), np.array([0.3, 0.01]), 2.5e-4
     stiffness = np.array([3e4, 2e3])
     drives = FlexibleDrives(inertia, stiffness, np.zeros(2), NO_FRICTION, step)
-    q, qd, torque = np.zeros(2), np.array([0.5, -0.5]), np.zeros(2)
+    q, qd = np.zeros(2), np.array([0.5, -0.5])
     energy, momentum = [], []
     for _ in range(20000):
-        drives.advance(np.zeros(2), np.zeros(2), q, qd, torque)
+        torque = drives.advance(np.zeros(2), np.zeros(2), q, qd)
         qd += step * torque / wheel
         q += step * qd
         twist = drives.q - q
@@ -33,10 +33,10 @@ def test_flexible_drives_conserve_energy_without_damping():
 def test_flexible_drives_rest_with_springs_wound_up():
     drives = FlexibleDrives(
         np.ones(2), np.array([1e4, 2e3]), np.array([10.0, 1.0]), NO_FRICTION, 2.5e-4)
-    q, load, torque = np.array([0.3, -0.2]), np.array([30.0, -5.0]), np.zeros(2)
+    q, load = np.array([0.3, -0.2]), np.array([30.0, -5.0])
     drives.reset(q, load)
     for _ in range(100):
-        drives.advance(load, np.zeros(2), q, np.zeros(2), torque)
+        torque = drives.advance(load, np.zeros(2), q, np.zeros(2))
     np.testing.assert_allclose(torque, load, rtol=1e-9)
     np.testing.assert_allclose(drives.qd, 0.0, atol=1e-12)
 
@@ -65,8 +65,7 @@ def test_rigid_drives_make_bare_links_accelerate_as_with_rotors(robot, arm_with_
     bare.armature = np.zeros(6)
     for _ in range(5):
         q, qd, torque, load = rng.uniform(-1, 1, (4, 6))
-        applied = np.empty(6)
-        drives.advance(torque, load, q, qd, applied)
+        applied = drives.advance(torque, load, q, qd)
         found = pin.aba(bare, bare.createData(), q, qd, applied + load)
         expected = pin.aba(model, model.createData(), q, qd, torque + load)
         np.testing.assert_allclose(found, expected, atol=1e-9)
@@ -91,8 +90,7 @@ def test_rigid_drives_with_friction_brake_like_the_implicit_solution(
     bare = model.copy()
     bare.armature = np.zeros(6)
     q, qd, torque = rng.uniform(-1, 1, (3, 6))
-    applied = np.empty(6)
-    drives.advance(torque, np.zeros(6), q, qd, applied)
+    applied = drives.advance(torque, np.zeros(6), q, qd)
     speed = qd + STEP * pin.aba(bare, bare.createData(), q, qd, applied)
     friction = [friction_torque(v, row) for v, row in zip(speed, table, strict=True)]
     expected = qd + STEP * pin.aba(

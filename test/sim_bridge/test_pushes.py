@@ -29,7 +29,7 @@ def test_sensor_reads_the_opposite_of_a_push_at_the_tool(make_plant, model, pres
         sample = plant.step(plant.initial_torque - inertia * (
             400.0 * (sample.q - home) + 40.0 * sample.qd))
         np.testing.assert_array_equal(sample.tool_push_world, force)
-    pin.framesForwardKinematics(model, data, plant._q)
+    pin.framesForwardKinematics(model, data, plant.arm.q)
     face = data.oMf[model.getFrameId(SENSOR_FRAME)]
     local = face.rotation.T @ -force
     point = face.actInv(data.oMf[model.getFrameId(link)].translation)

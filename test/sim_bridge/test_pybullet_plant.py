@@ -88,9 +88,9 @@ def test_sensor_reads_the_wrench_on_the_tool(robot, model, make_plant, preset):
         torque = plant.initial_torque + swing * np.sin(0.04 * tick)
         # Up to the last substep, to whose start the sensor's reading belongs.
         for _ in range(8):
-            q, qd = plant._q.copy(), plant._qd.copy()
-            plant._substep(torque, np.zeros(3))
-        qdd = (plant._qd - qd) / step
+            q, qd = plant.arm.q.copy(), plant.arm.qd.copy()
+            measured = plant._substep(torque)
+        qdd = (plant.arm.qd - qd) / step
         pin.forwardKinematics(model, data, q, qd, qdd)
         pin.updateFramePlacements(model, data)
         pose = data.oMf[frame]
@@ -107,7 +107,7 @@ def test_sensor_reads_the_wrench_on_the_tool(robot, model, make_plant, preset):
             local = pose.rotation.T @ force
             expected += np.concatenate((local, np.cross(pose.actInv(point), local)))
         touched += bool(plant.contacts.alpha.any())
-        errors.append(plant._sensor.reading - expected)
+        errors.append(measured - expected)
     assert touched > 20
     # PyBullet leaves out a term of the order of m w^2 r; the tool turns at up to 0.8 rad/s here.
     assert np.max(np.abs(errors)) < 5e-2

@@ -16,7 +16,7 @@ def sensor(seed=0, period=PERIOD, **changes):
 def readings(instrument, wrenches):
     raw, filtered = [], []
     for wrench in wrenches:
-        instrument.read(np.asarray(wrench, dtype=float))
+        instrument.read(np.asarray([wrench], dtype=float))
         raw.append(instrument.reading.copy())
         filtered.append(instrument.filtered.copy())
     return np.array(raw), np.array(filtered)
@@ -57,6 +57,18 @@ def test_sensor_noise_repeats_with_its_seed():
         readings(sensor(seed, noise=True), np.zeros((2000, 6)))[0] for seed in (5, 5, 6))
     assert first.tobytes() == again.tobytes()
     assert first.tobytes() != other.tobytes()
+
+
+def test_readings_do_not_depend_on_how_many_are_taken_at_once(rng):
+    wrenches = rng.standard_normal((40, 6))
+    changes = {'noise': True, 'quantise': True, 'low_pass': True,
+               'mounting': (0.6, 0.8, 0.0, -0.8, 0.6, 0.0, 0.0, 0.0, 1.0)}
+    single, several = sensor(5, **changes), sensor(5, **changes)
+    raw, filtered = readings(single, wrenches)
+    for end in range(8, 41, 8):
+        several.read(wrenches[end - 8:end])
+        assert several.reading.tobytes() == raw[end - 1].tobytes()
+        assert several.filtered.tobytes() == filtered[end - 1].tobytes()
 
 
 def test_sensor_bias_is_added():

@@ -60,6 +60,14 @@ class Replay:
         """Time loop and estimator, and as their floor pinocchio's dynamics calls alone [us]."""
         return race(self._step, self._floor, ticks, restart=self._restart, lap=len(self.samples))
 
+    def time_law(self) -> tuple[Vector, Vector]:
+        """Time the loop alone, under a constant R, on each sample, and its floor [us]."""
+        def step(place: int) -> None:
+            self._loop.step(self.samples[place])
+
+        count = len(self.samples)
+        return race(step, self._floor, count, restart=self._restart, lap=count)
+
     def shares(self) -> dict[str, float]:
         """Return which part of a tick goes where; the stopwatch's own time counts with each."""
         with stopwatch(self._places) as spent:

@@ -15,6 +15,8 @@ import numpy as np
 
 NOISY_TAIL = 2.0  # p99 of a floor over its p50
 NOISY_SPREAD = 0.15  # of a floor's p50 between repeats
+NOISY_SHARE = 0.1  # of all cores' time that others take meanwhile
+TOO_NOISY = 'too noisy to trust'
 
 
 def race(
@@ -91,19 +93,46 @@ def noise_notes(floors: Sequence[Vector]) -> list[str]:
     notes = []
     tail = float(np.median([np.percentile(x, 99.0) / np.median(x) for x in floors]))
     if tail > NOISY_TAIL:
-        notes.append(f"too noisy to trust: the floor's p99 is {tail:.1f} times its p50")
+        notes.append(f"{TOO_NOISY}: the floor's p99 is {tail:.1f} times its p50")
     between = spread([float(np.median(x)) for x in floors])
     if between > NOISY_SPREAD:
         notes.append(
-            f"too noisy to trust: the floor's p50 varies by {between:.0%} between repeats")
+            f"{TOO_NOISY}: the floor's p50 varies by {between:.0%} between repeats")
     return notes
 
 
-def load_notes(load: float | None, cores: int | None) -> list[str]:
-    """Say whether something else was running, too."""
-    if load is None or cores is None or load <= cores:
+class Bystanders:
+    """What others take of the machine while this process and its children work, on Linux."""
+
+    def __init__(self) -> None:
+        self._start = _processor_time()
+
+    def share(self) -> float | None:
+        """Return the share of all cores' time they took so far, None where nothing tells."""
+        now = _processor_time()
+        if now is None or self._start is None:
+            return None
+        total, idle, own = (after - before for before, after in zip(self._start, now))
+        return round(max(0.0, total - idle - own) / total, 4) if total > 0.0 else None
+
+
+def _processor_time() -> tuple[float, float, float] | None:
+    """Return the time of all cores [s], how much of it was idle, how much this process took."""
+    try:
+        with open('/proc/stat', encoding='utf-8') as file:
+            # user nice system idle iowait irq softirq steal; guests are in user and nice
+            ticks = [int(field) for field in file.readline().split()[1:9]]
+    except OSError:
+        return None
+    frequency = os.sysconf('SC_CLK_TCK')
+    return sum(ticks) / frequency, (ticks[3] + ticks[4]) / frequency, sum(os.times()[:4])
+
+
+def share_notes(share: float | None) -> list[str]:
+    """Say whether others took more of the machine than one can ignore."""
+    if share is None or share <= NOISY_SHARE:
         return []
-    return [f'too noisy to trust: a load of {load:.1f} on {cores} cores']
+    return [f"{TOO_NOISY}: others took {share:.0%} of all cores' time meanwhile"]
 
 
 def describe_machine() -> dict[str, Any]:
