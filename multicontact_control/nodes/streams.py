@@ -84,23 +84,23 @@ class Streams:
                 topic.message, topic.name, callback, profile, raw=True)
         self.subscriptions[topic] = end
 
-    def advertise(self, examples: dict[Topic, Any], *, batched: bool = False) -> None:
+    def advertise(self, patterns: dict[Topic, Any], *, batched: bool = False) -> None:
         """
         Publish topics of the table.
 
         Parameters
         ----------
-        examples
+        patterns
             A message of each, like those to be sent but for stamp and numbers.
         batched
             Whether the recorder gets them in batches.
 
         """
         known = {*self._local.members, *((topics.RECORDER,) if batched else ())}
-        for number, (topic, example) in enumerate(examples.items()):
+        for number, (topic, pattern) in enumerate(patterns.items()):
             publisher = create_publisher(self._node, topic)
             self._outputs[topic] = _Output(
-                publisher, template_of(example), publisher.topic_name, number)
+                publisher, template_of(pattern), publisher.topic_name, number)
             waited_for = tuple(name for name in topic.subscribers if name not in known)
             self.publishers[replace(topic, subscribers=waited_for)] = publisher
         if batched:
