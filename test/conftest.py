@@ -1,5 +1,6 @@
 """What comes before the first test, and who runs which, with several workers (`pytest -n 3`)."""
 
+from hypothesis import settings
 from multicontact_control.experiment.compilation import ensure_compiled
 import pytest
 
@@ -9,6 +10,11 @@ TOGETHER = [
     {'test/experiment/graph/test_run.py', 'test/experiment/faults/test_in_graph.py',
      'test/nodes/test_missing_samples.py', 'test/nodes/test_survival.py'},
     {'test/test_colcon.py', 'test/test_packaging.py'}]
+
+
+# A machine that is busy for a moment makes no example wrong.
+settings.register_profile('no deadline', deadline=None)
+settings.load_profile('no deadline')
 
 
 def pytest_sessionstart(session):
