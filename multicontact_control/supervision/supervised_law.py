@@ -76,7 +76,8 @@ def supervised_law(
     for j in range(n):
         torque[j] = joints[j].torque
         fallback[j] = joints[j].bias_torque
-    enforced = gate_torque(torque, fallback, joints, True, limits, True, gated)
+    # What is settled is known and started; numba would compile the gate once more for constants.
+    enforced = gate_torque(torque, fallback, joints, settled, limits, settled, gated)
     return found | PASSED | GATE * enforced
 
 

@@ -330,7 +330,7 @@ class Supervisor(BumplessController):
     ) -> TickOutput:
         """Blend, pass the gate, report."""
         blended = self._transition.apply(law, output.torque)
-        fallback = np.zeros_like(blended) if self._arm is None else self._arm.bias_torque
+        fallback = np.zeros_like(blended) if self._arm is None else self._arm.bias_torque.copy()
         torque, enforced = self._gate.apply(blended, fallback, self._arm)
         self._transition.commanded(torque)
         return self._report(
