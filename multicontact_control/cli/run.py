@@ -32,8 +32,8 @@ def run(
     composed: Annotated[str, typer.Option(
         help='Which nodes share a process and hand each other their messages: `none`, `control` '
         '(controller and noise estimator), `all` (the simulated plant, too), or `auto`: none, '
-        'unless deadlines are missed in the first second. Topics, services and torques stay the '
-        'same.')] = 'auto',
+        'unless deadlines are missed in the first second, and all in lockstep. Topics, services '
+        'and torques stay the same.')] = 'auto',
     realtime: Annotated[bool, typer.Option(
         '--realtime', help='Ask for SCHED_FIFO, a processor and locked memory for the nodes that '
         'control, and say at the end what they got.')] = False,

@@ -87,7 +87,7 @@ class GraphOptions:
     composed
         Which nodes share a process: ``none``, ``control`` (controller and noise estimator),
         ``all`` (the plant, too), or ``auto``: none, unless deadlines are missed in the first
-        second; then all.
+        second; then all, as in lockstep.
     realtime
         Whether to ask for real-time priority, processors and memory.
 
@@ -139,13 +139,16 @@ def run_real_time(
         raise ConfigError('composed', f'one of {AUTO}, {", ".join(COMPOSED)}',
                           f"'{options.composed}'")
     ensure_compiled(console)
+    composed = options.composed
+    if composed == AUTO:
+        composed = 'all' if options.lockstep else 'none'
     spec = GraphSpec(
         out=folder, ticks=setup.ticks, rate=setup.controller.rate, lockstep=options.lockstep,
         seed=setup.seed, reference_file=config / 'reference.yaml', domain_id=options.domain_id,
         namespace=options.namespace, extra_parameters={'controller_node': {
             'supervised': supervised, 'patience': SIMULATION_PATIENCE}},
         parameter_files=setup.write(config), realtime=options.realtime, recording_batches=True,
-        composed='none' if options.composed == AUTO else options.composed)
+        composed=composed)
     result, composed = _run_graph(spec, setup, options, console)
     if options.realtime:
         for name, node in result.timing.items():

@@ -20,7 +20,7 @@ from multicontact_control.arrays import Vector
 from multicontact_control.control_loop import ControlLoop
 from multicontact_control.errors import RunError
 from multicontact_control.experiment.bench.timing import rounded_percentiles, stopwatch
-from multicontact_control.experiment.closed_loop import run_in_process
+from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.graph.domain import reserve_domain
 from multicontact_control.experiment.graph.run import GraphSpec, run_graph
 from multicontact_control.experiment.scenario import resolve, Setup
@@ -43,7 +43,7 @@ PERIOD = 1.0 / 500.0
 def bench_graph(duration: float) -> dict[str, Any]:
     """Run the graph in lockstep and in real time [s], and the echo with the same period."""
     with TemporaryDirectory() as name:
-        lockstep = _run(Path(name) / 'lockstep', duration, lockstep=True)
+        lockstep = _run(Path(name) / 'lockstep', duration, lockstep=True, composed='all')
         real_time = _run(Path(name) / 'real_time', duration, lockstep=False)
         composed = _run(Path(name) / 'composed', duration, lockstep=False, composed='all')
     with reserve_domain(None) as domain_id:
@@ -56,7 +56,9 @@ def bench_graph(duration: float) -> dict[str, Any]:
     recorder = real_time['recorder_node']
     wall = real_time['sim_node']['wall_s']
     lockstep_rate = lockstep['sim_node']['ticks'] / lockstep['sim_node']['wall_s']
-    tick, plant = in_process_times(duration)
+    at_once, paced = (in_process_times(duration, period) for period in (0.0, PERIOD))
+    in_node = {'tick': real_time['controller_node']['stages_us']['step']['p50'],
+               'plant': real_time['sim_node']['plant_us']['p50']}
     return {
         'lockstep_realtime_factor': round(duration / lockstep['sim_node']['wall_s'], 3),
         'lockstep_to_floor': round(lockstep_rate * float(np.mean(floor)) * 1e-6, 3),
@@ -64,9 +66,9 @@ def bench_graph(duration: float) -> dict[str, Any]:
         'latency_to_echo': round(latency['p50'] / echo['p50'], 3),
         'latency_p99_to_period': round(latency['p99'] * 1e-6 / PERIOD, 3),
         'node_us': real_time['controller_node']['stages_us'],
-        'node_tick_to_tick': round(
-            real_time['controller_node']['stages_us']['step']['p50'] / tick, 3),
-        'node_plant_to_plant': round(real_time['sim_node']['plant_us']['p50'] / plant, 3),
+        'in_process_us': at_once, 'paced_in_process_us': paced,
+        'node_to_in_process': {x: round(in_node[x] / at_once[x], 3) for x in in_node},
+        'node_to_paced_in_process': {x: round(in_node[x] / paced[x], 3) for x in in_node},
         'deadline_misses': real_time['sim_node']['deadline_misses'],
         'composed_latency_us': composed['sim_node']['latency_us'],
         'composed_deadline_misses': composed['sim_node']['deadline_misses'],
@@ -75,12 +77,22 @@ def bench_graph(duration: float) -> dict[str, Any]:
         'recorder_lost': recorder['lost']}
 
 
-def in_process_times(duration: float) -> tuple[float, float]:
-    """Return medians of a tick and of a step of the plant in the same scenario in process [us]."""
+def in_process_times(duration: float, period: float) -> dict[str, float]:
+    """
+    Return medians of a tick and of a step of the plant in the same scenario in process [us].
+
+    With the `period` [s] of the graph between them, caches are as cold as there; with 0, not.
+    """
+    setup = _setup(duration)
     places = ((ControlLoop, 'answer', 'tick'), (PybulletPlant, 'step', 'plant'))
+    loop = ClosedLoop(setup)
     with stopwatch(places) as spent:
-        run_in_process(_setup(duration), supervised=True)
-    return (float(np.median(spent['tick', 'answer'])), float(np.median(spent['plant', 'step'])))
+        for _ in range(setup.ticks):
+            due = time.monotonic() + period
+            loop.advance()
+            time.sleep(max(0.0, due - time.monotonic()))
+    loop.close()
+    return {stage: round(float(np.median(taken)), 1) for (stage, _), taken in spent.items()}
 
 
 def _setup(duration: float) -> Setup:

@@ -62,6 +62,7 @@ def run_bench(
             'supervised_tick_to_dynamics': supervised_tick['ratio'],
             'plant_to_pybullet': plant['ratio'],
             'latency_to_echo': over_ros['latency_to_echo'] if over_ros else None,
+            'lockstep_to_floor': over_ros['lockstep_to_floor'] if over_ros else None,
             'law_to_tsid': tsid['ratio'] if tsid else None},
         'in_process_realtime_factor': in_process['realtime_factor'],
         'supervised_in_process_realtime_factor': supervised_run['realtime_factor'],
@@ -102,7 +103,16 @@ def print_bench(result: dict[str, Any], console: Console) -> None:
     if graph:
         table.add_row('graph latency p50', _us(graph['latency_us']['p50']),
                       _us(graph['echo_us']['p50']), f"{graph['latency_to_echo']:.2f}")
-        table.add_row('lockstep', f"{graph['lockstep_realtime_factor']:.1f} x real time", '', '')
+        table.add_row('the same, echo of bytes', '', _us(graph['raw_echo_us']['p50']), '')
+        table.add_row('graph latency p99', _us(graph['latency_us']['p99']), 'period',
+                      f"{graph['latency_p99_to_period']:.2f}")
+        for name, ratio in graph['node_to_paced_in_process'].items():
+            table.add_row(f'{name} in its node', _us(ratio * graph['paced_in_process_us'][name]),
+                          _us(graph['paced_in_process_us'][name]), f'{ratio:.2f}')
+        table.add_row('deadlines missed, of one process',
+                      f"{graph['deadline_misses']}, {graph['composed_deadline_misses']}", '', '')
+        table.add_row('lockstep', f"{graph['lockstep_realtime_factor']:.1f} x real time", '',
+                      f"{graph['lockstep_to_floor']:.2f}")
         table.add_row('recorder', f"{graph['recorder_cpu_share']:.1%} of a core", '', '')
     if tsid := result['tsid']:
         table.add_row('law p50, against TSID', _us(tsid['law_us']['p50']),
