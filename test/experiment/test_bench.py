@@ -37,7 +37,7 @@ def result():
 def test_bench_says_what_it_promises(result):
     assert set(result['ratios']) == {
         'tick_to_dynamics', 'supervised_tick_to_dynamics', 'plant_to_pybullet',
-        'latency_to_echo', 'law_to_tsid'}
+        'latency_to_echo', 'lockstep_to_floor', 'law_to_tsid'}
     for name in ('tick_us', 'supervised_tick_us'):
         assert set(result[name]) == {'p50', 'p99', 'p999', 'max'}
     assert result['in_process_realtime_factor'] > 0.0

@@ -41,9 +41,10 @@ class FaultRow:
         Largest commanded torque over its limit.
     safe
         Every command finite, within the torque limits and their rates; in process, a declared
-        reaction within two ticks; every true force within 1.25 times the force ceiling, or back
-        within it in 0.1 s; over the graph, everything that is said finite, no silence of a
-        controller that should go on, no wrong command obeyed; no exception, no hang.
+        reaction within two ticks, of R within its largest age; every true force within 1.25
+        times the force ceiling, or back within it in 0.1 s; over the graph, everything that is
+        said finite, no silence of a controller that should go on, no wrong command obeyed; no
+        exception, no hang.
     plant, phase, problems
         Where it happened, and why it was not safe.
     where
@@ -116,7 +117,9 @@ def judge(
             RETRACT_TIME * (1.0 + TOLERANCE)):
         problems.add('force beyond the ceiling for too long')
     reached = _reaction_tick(seen.reactions, fault.expected(phase)) if seen.reactions else 0
-    if reached is None or reached > REACTION_TICKS:
+    # An R that is late is used until it is too old; everything else is bridged for one tick.
+    latest = int(config.watchdog.variance_max_age) if fault.input == 'variance' else REACTION_TICKS
+    if reached is None or reached > latest:
         problems.add('declared reaction late')
     if fault.goes_on and any(end - begin > STOPPED for begin, end in seen.silences):
         problems.add('commands stopped')

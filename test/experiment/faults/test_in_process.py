@@ -27,7 +27,8 @@ def world():
 def test_fault_is_answered_as_declared(world, kind, reaction):
     row = in_fork(world, KINDS[kind], 1, 'approach')
     assert (row.reaction, row.safe, row.problems) == (reaction, True, '')
-    assert 0.0 <= row.time_to_safe_s <= 0.004
+    latest = 0.008 if kind[1] == 'variance' else 0.004  # R may be three periods late
+    assert 0.0 <= row.time_to_safe_s <= latest
 
 
 def test_same_seed_same_row(world):
