@@ -112,6 +112,8 @@ class SimNode(Node):
         self._answered = -1
         self._commanded = 0  # when the last command came
         self._hold = PositionHold(self._plant.model, config.hold_frequency)
+        # Longest time to a command that is no miss [ns].
+        self._period = np.inf if config.lockstep else NANOSECONDS / config.rate
         self._saturated = self._misses = self._slips = self._timeouts = 0
         self._latency, self._step_times = DurationLog(), DurationLog()
         self._start = time.monotonic_ns()
@@ -204,7 +206,7 @@ class SimNode(Node):
         return 0 < self._config.ticks <= self._tick + 1
 
     def _run_real_time(self, spinner: Spinner) -> None:
-        period = NANOSECONDS / self._config.rate
+        period = self._period
         # Sample 0 was answered just now: the next one follows a period after it, or at once.
         anchor = max(int(self._published[0]), time.monotonic_ns() - int(period))
         wait = int(self._config.wait_fraction * period)
@@ -221,8 +223,7 @@ class SimNode(Node):
                 deadline += late
                 self._slips += 1
             if self._answered < self._tick:
-                self._misses += 1
-                self._watch.missed += 1
+                self._miss()
             self._tick += 1
             if self._delay_ticks:
                 torque = self._delay.torque_for(self._tick)
@@ -232,6 +233,11 @@ class SimNode(Node):
             self._poll()
         # The last sample deserves its answer, too.
         self._spin_until_answered(spinner, time.monotonic_ns() + NANOSECONDS // 10)
+
+    def _miss(self) -> None:
+        """Count a deadline that was missed."""
+        self._misses += 1
+        self._watch.missed += 1
 
     def _watched(self, torque: Vector) -> Vector:
         """Return the torque that acts: the commanded one, or what the drives do without."""
@@ -338,6 +344,9 @@ class SimNode(Node):
                     latency = received - int(self._published[tick % REMEMBERED])
                     self._latency.add(latency)
                     self._watch.add_latency(latency)
+                    # The node may have been late itself, so that nobody saw the deadline pass.
+                    if tick == self._tick and latency > self._period:
+                        self._miss()
 
     def _statuses(self) -> list[Status]:
         loop = {**self._watch.report(), 'ticks': self._tick + 1, 'pace_slips': self._slips,
