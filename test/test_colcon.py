@@ -13,7 +13,8 @@ from ros_graph import PATIENCE, ROOT
 
 NAME = 'multicontact_control'
 PROGRAMS = {
-    'controller_node', 'multicontact', 'noise_estimator_node', 'recorder_node', 'sim_node'}
+    'composed_node', 'composed_sim_node', 'controller_node', 'multicontact',
+    'noise_estimator_node', 'recorder_node', 'sim_node'}
 
 pytestmark = pytest.mark.colcon
 

@@ -19,7 +19,9 @@ import setuptools
 from source_imports import imports_of, is_ros, PACKAGES, STRANGER
 
 ROOT = Path(__file__).resolve().parents[1]
-NODES = {'sim_node', 'controller_node', 'noise_estimator_node', 'recorder_node'}
+NODES = {
+    'composed_node', 'composed_sim_node', 'controller_node', 'noise_estimator_node',
+    'recorder_node', 'sim_node'}
 ALLOWED_AT_THE_TOP = {
     'package.xml', 'setup.py', 'setup.cfg', 'multicontact_control', 'sim_bridge', 'config', 'test',
     'resource', 'README.md', 'LICENSE', 'CHANGELOG.md', 'CONTRIBUTING.md', 'Makefile', '.ci',
