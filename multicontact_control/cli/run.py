@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import Enum
 from typing import Annotated
 
 from multicontact_control.cli.exits import end_by_verdict, errors_in_one_line, EXIT_SIGNAL
@@ -19,6 +20,15 @@ from multicontact_control.cli.options import (
 import typer
 
 
+class Composed(str, Enum):
+    """Which nodes share a process."""
+
+    AUTO = 'auto'
+    NONE = 'none'
+    CONTROL = 'control'
+    ALL = 'all'
+
+
 def run(
     scenario: Scenario = 'paper', plant: Plant = 'puma', seed: Seed = 0,
     duration: Duration = None, noise_estimator: Estimator = None, out: Out = None,
@@ -29,11 +39,11 @@ def run(
     domain_id: Annotated[int | None, typer.Option(
         help='ROS_DOMAIN_ID of the graph; that of the environment, or the first one without '
         'participants on this machine, if not given.')] = None,
-    composed: Annotated[str, typer.Option(
+    composed: Annotated[Composed, typer.Option(
         help='Which nodes share a process and hand each other their messages: `none`, `control` '
         '(controller and noise estimator), `all` (the simulated plant, too), or `auto`: none, '
-        'unless deadlines are missed in the first second, and all in lockstep. Topics, services '
-        'and torques stay the same.')] = 'auto',
+        'unless deadlines are missed in the first seconds, and all in lockstep. Topics, services '
+        'and torques stay the same.')] = Composed.AUTO,
     realtime: Annotated[bool, typer.Option(
         '--realtime', help='Ask for SCHED_FIFO, a processor and locked memory for the nodes that '
         'control, and say at the end what they got.')] = False,
@@ -58,7 +68,7 @@ def run(
         from multicontact_control.experiment.run import GraphOptions, run_real_time
 
         summary, interrupted = run_real_time(setup, folder, GraphOptions(
-            lockstep=lockstep, domain_id=domain_id, namespace=namespace, composed=composed,
+            lockstep=lockstep, domain_id=domain_id, namespace=namespace, composed=composed.value,
             realtime=realtime), supervised=not bare)
     if interrupted is not None:
         raise typer.Exit(EXIT_SIGNAL + interrupted)

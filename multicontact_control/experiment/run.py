@@ -87,7 +87,7 @@ class GraphOptions:
     composed
         Which nodes share a process: ``none``, ``control`` (controller and noise estimator),
         ``all`` (the plant, too), or ``auto``: none, unless deadlines are missed in the first
-        second; then all, as in lockstep.
+        seconds; then all, as in lockstep.
     realtime
         Whether to ask for real-time priority, processors and memory.
 

@@ -56,10 +56,21 @@ def stamp_to_ns(stamp: Time) -> int:
 
 def ns_to_stamp(nanoseconds: int) -> Time:
     """Return nanoseconds as a time stamp, exactly."""
+    sec, nanosec = split_stamp(nanoseconds)
+    return Time(sec=sec, nanosec=nanosec)
+
+
+def split_stamp(nanoseconds: int) -> tuple[int, int]:
+    """Return seconds and the nanoseconds beyond them of a time stamp that ROS can hold."""
     sec, nanosec = divmod(nanoseconds, NANOSECONDS)
     if not -LAST_SECOND <= sec <= LAST_SECOND:
         raise MessageError('stamp.sec', f'at most {LAST_SECOND}', sec)
-    return Time(sec=sec, nanosec=nanosec)
+    return sec, nanosec
+
+
+def all_finite(numbers: Vector) -> bool:
+    """Return whether a few numbers are finite; one whose sum overflows is no better."""
+    return math.isfinite(sum(numbers.tolist()))
 
 
 def finite_array(values: ArrayLike, length: int, field: str) -> Vector:
@@ -67,8 +78,7 @@ def finite_array(values: ArrayLike, length: int, field: str) -> Vector:
     numbers = np.array(values, dtype=np.float64)
     if numbers.shape != (length,):
         raise MessageError(field, f'{length} values', f'{numbers.size}')
-    # The sum is finite unless a term is not (or it overflows, which is no better).
-    if not math.isfinite(sum(numbers.tolist())):
+    if not all_finite(numbers):
         raise MessageError(field, 'finite numbers', numbers.tolist())
     return numbers
 

@@ -21,7 +21,7 @@ from multicontact_control.errors import MessageError
 from multicontact_control.force.noise import Innovation
 from multicontact_control.nodes import messages
 from multicontact_control.nodes.loop_statistics import NANOSECONDS
-from multicontact_control.nodes.messages import InnovationReading, NamedReading
+from multicontact_control.nodes.messages import all_finite, InnovationReading, NamedReading
 from multicontact_control.sampling import JointReading, WrenchReading
 import numpy as np
 from rclpy.serialization import deserialize_message, serialize_message
@@ -215,9 +215,7 @@ class MessageTemplate:
             If a number is not finite, or the stamp is beyond those of ROS.
 
         """
-        sec, nanosec = divmod(stamp, NANOSECONDS)
-        if not -messages.LAST_SECOND <= sec <= messages.LAST_SECOND:
-            raise MessageError('stamp.sec', f'at most {messages.LAST_SECOND}', sec)
+        sec, nanosec = messages.split_stamp(stamp)
         for view, values in zip(self._views, runs):
             view[:] = values
         if not all_finite(self._all):
@@ -233,11 +231,6 @@ def _constants(places: Places) -> struct.Struct:
         text += f'{start - at}x{end - start}s'
         at = end
     return struct.Struct(text)
-
-
-def all_finite(numbers: Vector) -> bool:
-    """Return whether a few numbers are finite; one whose sum overflows is no better."""
-    return math.isfinite(sum(numbers.tolist()))
 
 
 class MessageReader(Generic[Reading]):

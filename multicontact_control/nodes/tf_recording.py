@@ -16,6 +16,7 @@ from multicontact_control.nodes import qos
 from multicontact_control.nodes.bag_writer import BagWriter
 from multicontact_control.nodes.loop_statistics import NANOSECONDS
 from multicontact_control.nodes.message_definitions import TF_TYPE
+from multicontact_control.nodes.recording_batch import LITTLE_ENDIAN
 from multicontact_control.nodes.topics import WORLD_FRAME
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.serialization import deserialize_message
@@ -23,7 +24,6 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 TF_TOPIC = '/tf'
-CDR_LITTLE_ENDIAN = b'\x00\x01\x00\x00'
 
 
 class TfRecording:
@@ -101,7 +101,7 @@ def tf_bytes(stamp: int, transforms: Sequence[LinkTransform]) -> bytes:
         _add_string(body, transform.child)
         _align(body, 8)
         body += struct.pack('<7d', *transform.translation, *transform.quaternion_xyzw)
-    return CDR_LITTLE_ENDIAN + bytes(body)
+    return LITTLE_ENDIAN + bytes(body)
 
 
 def _align(body: bytearray, size: int) -> None:

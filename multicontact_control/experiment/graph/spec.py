@@ -128,7 +128,8 @@ def node_command(
     """
     Return the command line of a process: its installed script, or its module.
 
-    `overrides` are parameters over those of the graph.
+    `overrides` are parameters over those of the graph. What is for several nodes is written to a
+    file among the logs.
     """
     script = Path(sys.executable).parent / process
     command = [str(script)] if os.access(script, os.X_OK) else (

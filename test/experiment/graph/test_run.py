@@ -12,11 +12,13 @@ import subprocess
 import sys
 import threading
 
+from multicontact_control.cli.run import Composed
 from multicontact_control.errors import RunError
 from multicontact_control.experiment.closed_loop import run_in_process
 from multicontact_control.experiment.graph.domain import domain_in_use, reserve_domain
 from multicontact_control.experiment.graph.run import run_graph
 from multicontact_control.experiment.graph.spec import (
+    COMPOSED,
     CONTROLLER,
     ESTIMATOR,
     GraphSpec,
@@ -24,7 +26,7 @@ from multicontact_control.experiment.graph.spec import (
     RECORDER,
     SIM,
 )
-from multicontact_control.experiment.run import GraphOptions, run_real_time
+from multicontact_control.experiment.run import AUTO, GraphOptions, run_real_time
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.nodes.topics import (
     CLOCK,
@@ -265,6 +267,10 @@ def test_run_graph_works_in_a_thread_without_signals(tmp_path, free_domain):
     thread.start()
     thread.join(PATIENCE)
     assert results
+
+
+def test_command_line_knows_every_composition():
+    assert {choice.value for choice in Composed} == {AUTO, *COMPOSED}
 
 
 def test_run_says_in_which_domain_it_is(tmp_path, free_domain):
