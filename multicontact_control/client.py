@@ -164,6 +164,18 @@ class MultiContactClient:
         """
         self._ask('tare', Trigger, Trigger.Request())
 
+    def retry(self) -> None:
+        """
+        Resume control that waits for an operator, and seek contacts that were given up.
+
+        Raises
+        ------
+        RunError
+            If the controller does not answer, or there is nothing of that.
+
+        """
+        self._ask('retry', Trigger, Trigger.Request())
+
     def _ask(self, what: str, service: Any, request: Any) -> None:
         answer = self._link.require(topics.CONTROLLER, service, what, request)
         if not answer.success:

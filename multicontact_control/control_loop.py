@@ -226,6 +226,11 @@ class ControlLoop:
             inputs.time, inputs.joints, None if inputs.wrench is None else self._filtered,
             inputs.variance, self.sensor_fault), new)
 
+    def stop(self) -> Vector:
+        """Answer the newest sample by the safe behaviour, as all that follow until a restart."""
+        self.safe = True
+        return self._answer(self._inputs, False)
+
     @property
     def expected_stamp(self) -> int:
         """Stamp of the newest sample, or of the one that should have come by now [ns]."""
@@ -334,8 +339,9 @@ class ControlLoop:
 
         """
         reference = self._commandable()
-        self.limits.check_forces(forces)
+        self.limits.check_forces(forces, self.config.contact_state.smallest_force)
         reference.set_forces(forces)
+        self._try_again()
 
     def set_motion(self, motion: MotionReading) -> None:
         """
@@ -383,9 +389,35 @@ class ControlLoop:
         output = self._running()
         if wanted:
             self._reference.hold(self.controller.stand_still(output.pose), output.active)
-        elif self.held:
-            self._reference.release()
-            self.controller.go_on()
+        else:
+            self._try_again()
+            if self.held:
+                self._reference.release()
+                self.controller.go_on()
+
+    def retry(self) -> str:
+        """
+        Resume control that waits for an operator, and seek contacts that were given up.
+
+        Returns
+        -------
+        str
+            What happens now.
+
+        Raises
+        ------
+        CommandError
+            If there is nothing of that.
+
+        """
+        self._require_supervisor()
+        if not self._try_again():
+            raise CommandError('~/retry', 'contacts that were given up, or control that is '
+                               'latched', 'neither')
+        return 'trying again'
+
+    def _try_again(self) -> bool:
+        return self.supervisor is not None and self.supervisor.try_again()
 
     def tare(self, config: TareConfig) -> Vector:
         """

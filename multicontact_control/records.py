@@ -76,6 +76,7 @@ TASK = np.dtype([
 CONTROL = np.dtype([
     ('law', LAW), ('frame', FRAME), ('tool', TOOL), ('task', TASK),
     ('wrench', F, 6),  # what the wrist sensor reads, in its frame [N, N m]
+    ('measured', B),  # whether that is of this sample; if not, observers only predict
 ], align=True)
 
 # One contact, as the force law sees it.
@@ -130,6 +131,9 @@ FILTER_STATE = np.dtype([('alpha', F), ('filtered', F)])  # [N]
 CONTACT_STATE = np.dtype([
     ('state', I),  # see `supervision.contacts`
     ('losses', I),  # how often it was lost since it was first wanted
+    ('searches', I),  # in vain, since it held last
+    ('left', B),  # whether it was left for its force
+    ('again', B),  # whether it is to be sought although it was given up
     ('wanted', B),  # whether the task asks for it
     ('asked', F),  # force the task asks for [N]
     ('displacement', F),  # of the reference along the normal, relative to the task [m]
@@ -152,12 +156,12 @@ CONTACT_SETTINGS = np.dtype([('period', F), ('energy_keep', F), *((name, F) for 
     'approach_speed', 'approach_ramp_time', 'approach_distance', 'search_distance',
     'contact_threshold', 'release_threshold', 'release_fraction', 'escape_speed', 'preload',
     'force_rate', 'impact_time', 'bounce_time', 'loss_time', 'lost_time', 'braking',
-    'force_ceiling', 'retract_distance', 'retract_speed', 'energy_limit', 'injected_damping'))])
+    'force_ceiling', 'retract_distance', 'retract_speed', 'retry_time', 'energy_limit',
+    'injected_damping'))])
 
 # Bounds of the reference, and what a pause has left; one.
 REFERENCE_LIMITS = np.dtype([
     ('offset', F, 3),  # of the reference from the task, after a pause [m]
-    ('held_back', B),  # whether no contact may be force controlled in this tick
     ('reach', F),  # largest distance of the reference from the arm [m]
     ('turn', F),  # largest angle between them [rad]
     ('box', F, (2, 3)),  # lower and upper corner of the workspace [m]

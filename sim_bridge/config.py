@@ -92,6 +92,8 @@ class PlantConfig(Config):
         (), "Largest joint torque; empty for the robot's own.", unit='N m')
     contact_names: tuple[str, ...] = parameter(
         ..., 'Surfaces in the order of every contact vector.')
+    obstacle_names: tuple[str, ...] = parameter(
+        (), 'Further ones of the surfaces, that are in the way and that no controller is told of.')
     surfaces: dict[str, SurfaceConfig]
     sensor: SensorConfig = SensorConfig()
     push_start: Vector = parameter((), 'When each push begins.', unit='s')
@@ -107,13 +109,14 @@ class PlantConfig(Config):
 
     @model_validator(mode='after')
     def _check_across_fields(self) -> PlantConfig:
-        for name in self.contact_names:
-            if name not in self.surfaces:
-                raise ConfigError(
-                    'contact_names', f'names among {", ".join(sorted(self.surfaces))}',
-                    f"'{name}'")
-        if len(set(self.contact_names)) != len(self.contact_names):
-            raise ConfigError('contact_names', 'distinct names', list(self.contact_names))
+        for field in ('contact_names', 'obstacle_names'):
+            for name in getattr(self, field):
+                if name not in self.surfaces:
+                    raise ConfigError(
+                        field, f'names among {", ".join(sorted(self.surfaces))}', f"'{name}'")
+        if len(set(self.met)) != len(self.met):
+            raise ConfigError('contact_names', 'distinct names, obstacle_names included',
+                              list(self.met))
         self._check_lengths()
         for name in ('drive_stiffness', 'torque_limit'):
             if min(getattr(self, name), default=1.0) <= 0.0:
@@ -137,6 +140,11 @@ class PlantConfig(Config):
             optional = name == 'torque_limit' or (name.startswith('drive') and not flexible)
             if found != count and not (optional and found == 0):
                 raise ConfigError(name, f'{count} values', found)
+
+    @property
+    def met(self) -> tuple[str, ...]:
+        """Names of all surfaces that may be met, contacts first."""
+        return self.contact_names + self.obstacle_names
 
     def substeps(self, rate: float) -> int:
         """

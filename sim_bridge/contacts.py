@@ -29,14 +29,17 @@ class Contacts:
     model
         The arm, for its geometry.
     generators
-        A source of roughness for each contact.
+        A source of roughness for each contact and each obstacle.
 
     Attributes
     ----------
     alpha
         Normal forces of robot on surface, shape (nc,) [N].
+    pressed
+        The same with those on the obstacles after them, shape (no,) [N].
     forces_world, points_world
-        Forces of robot on surface, friction included, and where, shape (nc, 3) [N], [m].
+        Forces of robot on surface or obstacle, friction included, and where, shape (no, 3) [N],
+        [m].
     wrist_world
         Origin of the last link, shape (3,) [m].
     load
@@ -48,13 +51,14 @@ class Contacts:
     def __init__(
         self, config: PlantConfig, model: pin.Model, generators: list[np.random.Generator],
     ) -> None:
-        names = config.contact_names
+        names = config.met
         self._links = chain_of(model)
         self._surfaces: Any
         self._surfaces, self._heights, self._slopes = build_surfaces(
             [config.surfaces[name] for name in names], generators)
         self._surfaces['tip'] = _tip_positions(model, config)
-        self.alpha: Vector = self._surfaces['alpha']
+        self.pressed: Vector = self._surfaces['alpha']
+        self.alpha: Vector = self.pressed[:len(config.contact_names)]
         self.forces_world: Matrix = self._surfaces['force']
         self.points_world: Matrix = self._surfaces['point']
         self.wrist_world: Vector = self._links['origin'][-1]
@@ -64,6 +68,11 @@ class Contacts:
         """Move a surface along its normal by `distance` [m], away from the robot if positive."""
         surface = self._surfaces[contact]
         surface['place'] += distance * surface['normal']
+
+    def put_before_tip(self, surface: int, distance: float) -> None:
+        """Put a surface, or an obstacle after them, so far [m] before the tip as it is now."""
+        record = self._surfaces[surface]
+        record['place'] = record['point'] + distance * record['normal']
 
     def scale_stiffness(self, contact: int, factor: float) -> None:
         """
@@ -102,8 +111,8 @@ class Contacts:
 
 
 def _tip_positions(model: pin.Model, config: PlantConfig) -> Matrix:
-    """Return each contact's tip in the last link's frame, shape (nc, 3) [m]."""
-    links = [config.surfaces[name].tip_link for name in config.contact_names]
+    """Return the tip that may meet each surface, in the last link's frame, shape (no, 3) [m]."""
+    links = [config.surfaces[name].tip_link for name in config.met]
     frames = [model.frames[model.getFrameId(link)] for link in links]
     return np.array([frame.placement.translation for frame in frames]).reshape(-1, 3)
 

@@ -118,7 +118,7 @@ class PybulletPlant:
 
         """
         config = self.config
-        sources = np.random.SeedSequence(self._seed).spawn(1 + len(self.contact_names))
+        sources = np.random.SeedSequence(self._seed).spawn(1 + len(config.met))
         generators = [np.random.default_rng(source) for source in sources]
         self._sensor = WrenchSensor(config.sensor, config.substep, generators[0])
         self.contacts = Contacts(config, self._model, generators[1:])
@@ -199,7 +199,7 @@ class PybulletPlant:
         link_torque = self._drives.advance(torque, contacts.load, q, qd)
         if pressed:
             for alpha, force, point in zip(
-                    contacts.alpha.tolist(), (-contacts.forces_world).tolist(),
+                    contacts.pressed.tolist(), (-contacts.forces_world).tolist(),
                     contacts.points_world.tolist()):
                 if alpha > 0.0:
                     arm.push_tool(force, point)
@@ -238,7 +238,7 @@ def require_fit(config: PlantConfig, robot: RobotData) -> None:
     joints = len(robot.joint_names)
     if len(config.home) != joints:
         raise ConfigError('home', f'{joints} values, one per joint', len(config.home))
-    for name in config.contact_names:
+    for name in config.met:
         tip = config.surfaces[name].tip_link
         if tip not in robot.tool.tips:
             raise ConfigError(

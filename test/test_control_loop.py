@@ -207,20 +207,21 @@ def test_missing_samples_get_the_declared_reaction_and_recovery_has_no_jump():
     assert (np.abs(np.diff(torques, axis=0)) / limit).max() < 0.03
 
 
-@pytest.mark.parametrize(('half', 'reaction'), [('joints', 'hold'), ('wrench', 'float')])
-def test_one_half_alone_is_bridged_once_and_then_reacted_to(half, reaction):
+@pytest.mark.parametrize(('half', 'reaction', 'bridged'), [
+    ('joints', 'hold', 12), ('wrench', 'float', 1)])
+def test_one_half_alone_is_bridged_and_then_reacted_to(half, reaction, bridged):
     """Wrenches alone leave the arm unseen; joints alone let it be held."""
     bench = Bench()
     make_contact(bench)
     reactions = []
-    for _ in range(10):
+    for _ in range(bridged + 9):
         bench.loop.step_half(
             JointReading(bench.stamp, HOME.copy(), np.zeros(6)) if half == 'joints'
             else WrenchReading(bench.stamp, bench.wrench()))
         bench.k += 1
         reactions.append(bench.reaction)
-    assert reactions[0] in ('none', 'inflate')
-    assert reactions[1:] == [reaction] * 9
+    assert {*reactions[:bridged]} <= {'none', 'inflate'}
+    assert reactions[bridged:] == [reaction] * 9
 
 
 def test_late_samples_after_a_gap_are_taken_and_time_goes_on():
@@ -304,9 +305,11 @@ def test_a_reading_passes_the_low_pass_once_however_often_it_is_the_newest():
 def test_wrench_that_is_none_is_refused_and_does_not_stay_in_the_low_pass(wrench):
     bench = Bench(sensor={'filter_order': 2, 'filter_cutoff': 50.0})
     bench.step(60)
-    for _ in range(3):
+    for _ in range(13):  # one more than the observers predict
         bench.loop.answer(raw_inputs(bench, wrench))
-    assert (bench.reaction, bench.loop.status.causes) == ('hold', ('wrench_invalid',))
+    assert bench.reaction == 'hold'
+    # By then a NaN that stays has been seen to be frozen, too.
+    assert bench.loop.status.causes in (('wrench_invalid',), ('wrench_frozen',))
     for _ in range(40):
         bench.loop.answer(raw_inputs(bench, bench.wrench()))
     assert bench.reaction == 'none'

@@ -32,8 +32,16 @@ class ContactStateConfig(Config):
         0.3, 'The same relative to the force it was held with or is to have, whichever is less: '
         'a tool that falls after its surface reads its own inertia.', ge=0.0, lt=1.0)
     escape_speed: Real = parameter(
-        0.1, 'Speed of the contact point into its surface that only a lost one reaches.',
+        0.1, 'Speed of the contact point into its surface, beyond what the task asks of the arm, '
+        'that only a lost one reaches.',
         unit='m/s', gt=0.0, le=5.0)
+    retry_time: Real = parameter(
+        5.0, 'After this a contact that was not found is sought again, twice as long after each '
+        'search in vain; 0 for never. One that was left for its force is not, unless commanded.',
+        unit='s', ge=0.0, le=3600.0)
+    smallest_force: Real = parameter(
+        3.0, 'Smallest force that may be asked of a contact: with the thresholds above, less '
+        'cannot be told from a loss while sliding.', unit='N', gt=0.0, le=100.0)
     preload: Real = parameter(
         2.0, 'Desired force from touch until the contact holds.', unit='N', gt=0.0, le=100.0)
     force_rate: Real = parameter(
@@ -122,7 +130,8 @@ class WatchdogConfig(Config):
     joint_max_age: Real = parameter(
         1.5, 'Largest age of a joint state.', unit='periods', ge=1.0, le=1000.0)
     wrench_max_age: Real = parameter(
-        1.5, 'Largest age of a wrench.', unit='periods', ge=1.0, le=1000.0)
+        12.5, 'Largest age of a wrench; up to it the observers predict what is not measured.',
+        unit='periods', ge=1.0, le=1000.0)
     variance_max_age: Real = parameter(
         4.5, 'Largest age of R, which is one period old when all is well; an estimator that is '
         'late by two or three, on a busy machine, is no fault.', unit='periods', ge=2.0,
@@ -143,7 +152,7 @@ class WatchdogConfig(Config):
     on_motion_fault: Reaction = parameter(
         'hold', 'Reaction to a speed beyond its limit.')
     on_law_fault: Reaction = parameter(
-        'damp', 'Reaction to a control law that raises or gives no finite torque.')
+        'hold', 'Reaction to a control law that raises or gives no finite torque.')
     rate_band: Real = parameter(
         2.5, 'Twice in a row a period beyond 1 / rate_band to rate_band times the right one is '
         'a fault.', gt=1.0, le=100.0)
@@ -168,12 +177,24 @@ class WatchdogConfig(Config):
     hold_frequency: Real = parameter(
         10.0, 'Natural frequency of the joints while the posture is held.', unit='rad/s',
         gt=0.0, le=100.0)
+    hold_force_time: Real = parameter(
+        0.5, 'Time constant by which the forces that contacts were held with fade while the '
+        'posture is.', unit='s', gt=0.0, le=60.0)
     damping_rate: Real = parameter(
         5.0, 'Damping of the joints over their inertia, of the reaction `damp`.', unit='1/s',
         gt=0.0, le=100.0)
     recovery_time: Real = parameter(
         0.05, 'How long all inputs must be good before control resumes.', unit='s', ge=0.0,
         le=60.0)
+    relapse_time: Real = parameter(
+        5.0, 'A reaction that comes sooner after control has resumed (1 s for missing readings) '
+        'makes that time three times as long.', unit='s', ge=0.0, le=60.0)
+    longest_recovery: Real = parameter(
+        2.0, 'Up to this.', unit='s', ge=0.0, le=60.0)
+    relapses: int = parameter(
+        3, 'So many in a row, of what the arm does or meets and not of missing readings, and '
+        'control waits for an operator (a command of forces, ~/retry, ~/hold); 0 for never.',
+        ge=0, le=1000)
 
     @model_validator(mode='after')
     def _check_lengths(self) -> WatchdogConfig:

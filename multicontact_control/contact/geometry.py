@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
+from multicontact_control.errors import ConfigError
 from multicontact_control.records import Records
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 MAX_CONTACTS = 6  # as many as a wrench has components
+SMALLEST_SINGULAR_VALUE = 1e-6  # of N with points of length 1; below it columns are dependent
+ORIENTATIONS = Rotation.from_rotvec(
+    [[0.0, 0.0, 0.0], [0.7, -0.4, 0.3], [-0.2, 1.1, 0.5]]).as_matrix()  # any, but not special
 
 
 @compiled
@@ -61,6 +67,40 @@ def normal_space(contacts: Records, rotation_world: Matrix) -> Matrix:
     fill_normal_space(contacts, np.ascontiguousarray(rotation_world))
     N: Matrix = contacts['N'].T.copy()
     return N
+
+
+def check_independent(names: Sequence[str], contacts: Records) -> None:
+    """
+    Find out whether one wrist sensor can tell the forces of some contacts apart.
+
+    The rank of N is looked at in a few orientations of the operational frame: what depends on
+    each other in all of them does so in any, as three collinear points or four coplanar ones with
+    one normal.
+
+    Parameters
+    ----------
+    names
+        Of the contacts.
+    contacts
+        Records of `CONTACT` with normals and points, shape (r,).
+
+    Raises
+    ------
+    ConfigError
+        If it cannot.
+
+    """
+    copies, count = contacts.copy(), len(names)
+    reach = max(float(np.abs(contacts['point']).max()), 1e-3)
+    units = np.repeat([1.0, 1.0 / reach], 3)  # so that moments count as forces do
+    for turn in ORIENTATIONS:
+        N = normal_space(copies, turn) * units[:, None]
+        if np.linalg.matrix_rank(N, SMALLEST_SINGULAR_VALUE) == count:
+            return
+    raise ConfigError(
+        'contacts', f'at most {MAX_CONTACTS} contacts, none of whose forces the others could '
+        'have made (independent columns of N, P04 eq. 5)',
+        f'{", ".join(names)}, which depend on each other')
 
 
 def operational_stiffness(k_env: float, normal_world: Vector, lever_world: Vector) -> float:

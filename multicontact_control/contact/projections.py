@@ -18,8 +18,9 @@ from multicontact_control.algebra import (
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 
-# A normal counts as dependent when the others leave less than this share of its square.
-SMALLEST_PIVOT = 1e-12
+# A normal counts as dependent when the others leave less than this share of its square: what is
+# left of it multiplies the sensor's noise by more than 1000.
+SMALLEST_PIVOT = 1e-6
 
 
 @compiled

@@ -9,7 +9,7 @@ from typing import Any, NoReturn
 from multicontact_control.arrays import Mask, Matrix, require_shape, Vector
 from multicontact_control.compiled import bound
 from multicontact_control.config import ControllerConfig
-from multicontact_control.contact.geometry import MAX_CONTACTS, operational_stiffness
+from multicontact_control.contact.geometry import check_independent, operational_stiffness
 from multicontact_control.control.arm_state import AMBIGUOUS, ArmState
 from multicontact_control.control.law import control_law, DEPENDENT, OK, SINGULAR
 from multicontact_control.control.reference import ReferenceSource, TaskArrays
@@ -68,7 +68,7 @@ class Controller:
     Raises
     ------
     ConfigError
-        If there are more contacts than one wrist sensor can tell apart.
+        If one wrist sensor cannot tell the contacts apart.
 
     """
 
@@ -76,12 +76,10 @@ class Controller:
         self, config: ControllerConfig, robot: RobotModel, reference: ReferenceSource,
     ) -> None:
         count = len(config.contact_names)
-        if count > MAX_CONTACTS:
-            raise ConfigError('contact_names', f'at most {MAX_CONTACTS} contacts, as many as a '
-                              'wrench has components', count)
         self.robot = robot
         self._reference = reference
         self.controls: Any = np.zeros(1, dtype=CONTROL)
+        self.controls['measured'] = True
         self.contacts: Any = np.zeros(count, dtype=CONTACT)
         self.arm = ArmState(robot, self.controls, self.contacts)
         self.active: Mask = self.contacts['active']
@@ -96,6 +94,7 @@ class Controller:
         self._contact_bytes = self.contacts.view(np.uint8)
         self._control_bytes = self.controls.view(np.uint8)
         self._adopt(config)
+        check_independent(config.contact_names, self.contacts)
         self.reset()
         pose = self._pose()
         pose.quaternion_xyzw  # noqa: B018 - no step is to wait for it to be compiled

@@ -151,7 +151,7 @@ def control_law(
     force = np.empty(6)
     inputs = np.empty(count)
     motion_law(law, task, frame, f_t)
-    observe_and_command(observers, contacts, inputs)
+    observe_and_command(observers, contacts, controls[0].measured, inputs)
     force_law(law, rows, factor, frame.twist, inputs, f_c)
     compose_acceleration(rows, weighted_rows, weighted_factor, f_t, f_c, acceleration)
     bias_acceleration(joints, L, Y, jacobian_rate, bias)

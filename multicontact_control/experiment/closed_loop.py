@@ -52,6 +52,8 @@ class ClosedLoop:
         The scenario.
     supervised
         Whether contact states, watchdogs and limits are around the control law.
+    commanded
+        Whether `control` obeys commands instead of the scenario.
 
     Attributes
     ----------
@@ -72,11 +74,14 @@ class ClosedLoop:
 
     """
 
-    def __init__(self, setup: Setup, *, supervised: bool = True) -> None:
+    def __init__(
+        self, setup: Setup, *, supervised: bool = True, commanded: bool = False,
+    ) -> None:
         self.setup = setup
         config = setup.controller
         self.control = ControlLoop(
-            config, setup.reference(), CommandLimits(), setup.urdf_dir, supervised=supervised)
+            config, None if commanded else setup.reference(), CommandLimits(), setup.urdf_dir,
+            supervised=supervised)
         self._estimator = make_noise_estimator(setup.noise_estimator)
         self.plant = PybulletPlant(setup.plant, rate=config.rate, seed=setup.seed)
         self._delay = ActuatorDelay(setup.plant.actuator_delay_ticks, self.plant.initial_torque)

@@ -29,6 +29,7 @@ from multicontact_control.experiment.scenario import Setup
 from multicontact_control.supervision.contacts import ContactState
 from multicontact_control.supervision.event_log import CAPACITY, Event
 from multicontact_control.supervision.fallback import INFLATE, NONE
+from multicontact_control.supervision.recovery import RECOVERING
 import numpy as np
 
 STABLE, HELD, NOT_STABLE, UNJUDGED = (
@@ -58,8 +59,7 @@ HOPELESS = 0.1  # share of the deadlines missed, from which on a run is not judg
 LARGEST_MISS = 0.01  # share of deadlines missed, or samples unanswered, that is still real time
 SHORTEST_GAP = 2  # samples; one that is missing is bridged, and nobody reacts to it
 AFTERMATH = SETTLE_AFTER_STEP  # s after a gap; contacts are sought and loaded anew, as by a step
-RECOVERING = 'recovering'
-LATE = ('stale', 'order', 'stamp')  # what is wrong with a sample that is late
+LATE = ('stale', 'order', 'stamp', 'late')  # what is wrong with a sample that is late
 
 
 @dataclass(frozen=True)

@@ -202,6 +202,14 @@ def _check_together(setup: Setup, path: Path) -> None:
     if setup.noise_estimator.rate != setup.controller.rate:
         raise ConfigError('noise_estimator.rate', f"the controller's {setup.controller.rate:g} Hz",
                           f'{setup.noise_estimator.rate:g} Hz')
+    state = setup.controller.contact_state
+    for index, step in enumerate(setup.scenario.reference.force_steps):
+        for name, force in step.forces.items():
+            if force != 0.0 and not state.smallest_force <= force < state.force_ceiling:
+                raise ConfigError(
+                    f'reference.force_steps.{index}.forces.{name}',
+                    f'0 or {state.smallest_force:g} to {state.force_ceiling:g} N '
+                    '(contact_state.smallest_force, .force_ceiling)', f'{force:g} N', str(path))
     try:
         setup.reference()
     except ConfigError as error:

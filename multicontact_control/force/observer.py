@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from math import comb
 from typing import Any
 
-from multicontact_control.arrays import Matrix, Vector
+from multicontact_control.algebra import copy_vector
+from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.errors import ConfigError
 from multicontact_control.force.plant_model import ForceLoop
@@ -289,17 +290,45 @@ def command(observer: Any, alpha_des: float) -> float:
     return total
 
 
+def continue_at(observers: Records, held: Mask, force: Vector) -> None:
+    """
+    Go on after a pause in which no observer was asked.
+
+    Parameters
+    ----------
+    observers
+        Records of `OBSERVER`, changed, shape (r,).
+    held
+        Which contacts have been pressed all the while, shape (r,): they go on from the force now,
+        at rest, with the disturbance p that they knew. The others start anew.
+    force
+        Measured forces, shape (r,) [N].
+
+    """
+    observers['running'] &= held
+    for observer, is_held, alpha in zip(observers, held, force):
+        if is_held:
+            x_est = observer['x_est']
+            x_est[:observer['states'] - observer['order']] = 0.0
+            x_est[0] = alpha
+
+
 @compiled
-def observe_and_command(observers: Any, contacts: Any, inputs: Vector) -> None:
+def observe_and_command(
+    observers: Any, contacts: Any, measured: bool, inputs: Vector,
+) -> None:
     """
     Take the measured force of every active contact into its observer, and work out its input.
 
-    A contact that has just become active starts from its measured force.
+    A contact that has just become active starts from its measured force. What was not measured
+    is predicted, which is to correct with an infinite R.
 
     Parameters
     ----------
     observers, contacts
         Records of `OBSERVER` and `CONTACT`, both changed, shape (r,).
+    measured
+        Whether the measured forces are of this sample.
     inputs
         Filled with u, 0 where not active, shape (r,) [m/s^2].
 
@@ -317,10 +346,13 @@ def observe_and_command(observers: Any, contacts: Any, inputs: Vector) -> None:
             continue
         if observer.running:
             predict(observer)
-            contact.prior_variance = observer.P[0, 0]
-            contact.innovation = contact.alpha_meas - observer.x_1[0]
-            contact.variance_used = contact.noise_variance
-            correct(observer, contact.innovation, contact.noise_variance)
+            if measured:
+                contact.prior_variance = observer.P[0, 0]
+                contact.innovation = contact.alpha_meas - observer.x_1[0]
+                contact.variance_used = contact.noise_variance
+                correct(observer, contact.innovation, contact.noise_variance)
+            else:
+                copy_vector(observer.x_1, observer.x_est)
         else:
             start(observer, contact.alpha_meas)
         inputs[i] = command(observer, contact.alpha_des)

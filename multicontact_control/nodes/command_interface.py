@@ -48,6 +48,7 @@ class CommandInterface:
         self._services = [
             self._service(Trigger, '~/tare', self._tare),
             self._service(SetBool, '~/hold', self._hold),
+            self._service(Trigger, '~/retry', lambda _: loop.retry()),
             self._service(Trigger, '~/push_test', self._push_test)]
 
     def adopt(self, config: ControllerNodeConfig) -> None:

@@ -11,7 +11,12 @@ from typing import Any
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.control_loop import ControlLoop
-from multicontact_control.errors import MessageError, MulticontactError
+from multicontact_control.errors import (
+    ContactGeometryError,
+    MessageError,
+    MulticontactError,
+    SingularTaskError,
+)
 from multicontact_control.nodes import qos, topics
 from multicontact_control.nodes.command_interface import CommandInterface
 from multicontact_control.nodes.controller_config import ControllerNodeConfig
@@ -299,7 +304,12 @@ class ControllerNode(ManagedNode):
         with self.refusals.guard(topics.JOINT_STATES):
             start = time.perf_counter_ns()
             self._last_command = None
-            torque = step()
+            try:
+                torque = step()
+            except (SingularTaskError, ContactGeometryError) as error:
+                self.get_logger().error(  # only bare: a supervisor would have answered
+                    f'{error}; going over to the safe behaviour, until activated anew')
+                torque = loop.stop()
             stamp = loop.expected_stamp
             if self._outputs is None:
                 return

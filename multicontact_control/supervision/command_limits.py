@@ -16,9 +16,16 @@ class CommandLimits(Config):
         30.0, 'Largest force that may be commanded at a contact; below '
         'contact_state.force_ceiling, at which a contact is left.', unit='N', live=True, gt=0.0)
 
-    def check_forces(self, forces: Mapping[str, float]) -> None:
+    def check_forces(self, forces: Mapping[str, float], smallest: float) -> None:
         """
         Refuse forces out of limits.
+
+        Parameters
+        ----------
+        forces
+            By contact [N].
+        smallest
+            `contact_state.smallest_force` [N]; 0 is allowed all the same, for no contact.
 
         Raises
         ------
@@ -27,9 +34,10 @@ class CommandLimits(Config):
 
         """
         for name, force in forces.items():
-            if not 0.0 <= force <= self.force_ceiling:
+            if force != 0.0 and not smallest <= force <= self.force_ceiling:
                 raise CommandError(
-                    f'force on {name}', f'0 to {self.force_ceiling:g} N', f'{force:g} N')
+                    f'force on {name}', f'0 or {smallest:g} to {self.force_ceiling:g} N',
+                    f'{force:g} N')
 
 
 def check_position(position_world: Vector, limits: LimitsConfig) -> None:

@@ -6,7 +6,8 @@ normal: the force law from touch to loss, the motion law before and after. In th
 tip advances along the normal by a displacement that is ramped, bounded and braked.
 
 free -> approaching -> impact -> holding -> lost -> approaching ..., given up once the tip has
-gone too far without a surface, retracting (then given up) beyond the force ceiling. Touch
+gone too far without a surface, until it is time for another search, and retracting, then given up
+until somebody commands otherwise, beyond the force ceiling. Touch
 and loss have thresholds apart and least times, so that a bounce or a spike changes nothing.
 
 Every contact is one record of `CONTACT_STATE`; what is set for all of them is the one record of
@@ -29,6 +30,7 @@ import numpy as np
 FREE, APPROACHING, IMPACT, HOLDING, LOST, RETRACTING, GIVEN_UP = range(7)
 LEVEL_TIME = 0.1  # s, over which the force a contact is held with is averaged
 TOUCH_SHARE = 0.5  # of the force before a loss, that counts as touch right after it
+LONGEST_WAIT = 4  # doublings of the time between two searches
 POSITION_RATE = 20.0  # 1/s, of the way left: how a displacement settles
 
 
@@ -124,12 +126,13 @@ def watch_search(contact: Any, settings: Any, alpha: float) -> None:
     elif contact.displacement - contact.start > (
             settings.search_distance if met_before else settings.approach_distance):
         contact.target = contact.start
+        contact.searches += 1
         enter(contact, GIVEN_UP)
 
 
 @compiled
 def watch_hold(
-    contact: Any, settings: Any, alpha: float, place: float, speed: float,
+    contact: Any, settings: Any, alpha: float, place: float, speed: float, escape: float,
 ) -> None:
     """Notice a loss, or that a touch has lasted."""
     h = settings.period
@@ -144,41 +147,58 @@ def watch_hold(
     patience = settings.loss_time
     if contact.state == IMPACT:  # a bounce is no loss
         patience = max(patience, settings.bounce_time)
-    if contact.below > patience + 1e-9 or speed > settings.escape_speed:
+    if contact.below > patience + 1e-9 or escape > settings.escape_speed:
         contact.losses += 1
         leave_surface(contact, place, speed)
         enter(contact, LOST)
     elif contact.state == IMPACT and contact.below == 0.0 and (
             contact.in_state >= settings.impact_time):
+        contact.searches = 0
         enter(contact, HOLDING)
 
 
 @compiled
+def wait_to_search(contact: Any, settings: Any) -> None:
+    """Seek a contact that was given up once it is time, or wanted."""
+    wait = settings.retry_time * 2.0 ** min(max(contact.searches - 1, 0), LONGEST_WAIT)
+    due = settings.retry_time > 0.0 and not contact.left and contact.in_state >= wait
+    if due or contact.again:
+        contact.left = False
+        contact.start = contact.displacement
+        enter(contact, APPROACHING)
+
+
+@compiled
 def switch_state(
-    contact: Any, settings: Any, alpha: float, place: float, speed: float,
+    contact: Any, settings: Any, alpha: float, place: float, speed: float, escape: float,
 ) -> None:
     """Go to another state if it is time; see `advance_contact`."""
     if alpha > settings.force_ceiling and contact.state != RETRACTING:
         contact.displacement = place
         contact.speed = speed
         contact.target = place - settings.retract_distance
+        contact.left = True
         enter(contact, RETRACTING)
     elif not contact.wanted:
         if is_active(contact):
             leave_surface(contact, place, speed)
         if contact.state != FREE:
             enter(contact, FREE)
+        contact.left = False
+        contact.searches = 0
         contact.origin = np.nan
         contact.target = 0.0
     elif contact.state == FREE:
         contact.start = contact.displacement
         enter(contact, APPROACHING)
     elif is_active(contact):
-        watch_hold(contact, settings, alpha, place, speed)
+        watch_hold(contact, settings, alpha, place, speed, escape)
     elif contact.state == RETRACTING:
         if abs(contact.target - contact.displacement) < 1e-4:
             enter(contact, GIVEN_UP)
-    elif contact.state != GIVEN_UP:
+    elif contact.state == GIVEN_UP:
+        wait_to_search(contact, settings)
+    else:
         watch_search(contact, settings, alpha)
 
 
@@ -215,7 +235,7 @@ def move(contact: Any, settings: Any) -> None:
 
 @compiled
 def advance_contact(
-    contact: Any, settings: Any, alpha: float, place: float, speed: float,
+    contact: Any, settings: Any, alpha: float, place: float, speed: float, escape: float,
 ) -> None:
     """
     Take one tick into the state machine of a contact.
@@ -229,10 +249,13 @@ def advance_contact(
         Measured force [N].
     place, speed
         Of the tip along the normal, relative to the task without displacement [m, m/s].
+    escape
+        Speed into the surface by which a contact is known to be lost [m/s].
 
     """
     contact.in_state += settings.period
-    switch_state(contact, settings, alpha, place, speed)
+    contact.again = contact.again and contact.state == GIVEN_UP
+    switch_state(contact, settings, alpha, place, speed, escape)
     if is_active(contact):
         contact.acceleration = 0.0
         raise_force_limit(contact, settings)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from multicontact_control.arrays import Vector
+from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.config import WatchdogConfig
 from multicontact_control.control.arm_state import ArmState
 from multicontact_control.dynamics.robot import RobotModel
@@ -13,16 +13,18 @@ import numpy as np
 NONE, INFLATE, HOLD, FLOAT, DAMP = 'none', 'inflate', 'hold', 'float', 'damp'
 SEVERITY = (NONE, INFLATE, HOLD, FLOAT, DAMP)
 COAST_TIME = 0.1  # s, in which an arm that cannot be seen any more is brought to rest
+DROP_TIME = 0.02  # s, in which the force on a surface that has gone is dropped
 
 
 class Reactions:
     """
     The torques of the declared reactions.
 
-    `hold`: gravity compensated, the joints sprung to where they were when it began,
-    Gamma = C v + g + diag(M) (w^2 (q_0 - q) - 2 w v). `float`: the joint state is not known;
-    gravity of the last posture, and the last motion brought to rest open loop. `damp`: uses no
-    model but diag(M); zero torque with damping, Gamma = -c diag(M) v.
+    All of them carry the arm as soon as its joints were known once. `hold`: the joints are sprung
+    to where they were when it began, Gamma = C v + g + diag(M) (w^2 (q_0 - q) - 2 w v). `float`:
+    the joint state is not known; gravity of the last posture, and the last motion brought to rest
+    open loop. `damp`: free to be moved, Gamma = C v + g - c diag(M) v. The first two go on
+    pressing, J^T N alpha, as `Pressing` says.
 
     Parameters
     ----------
@@ -37,14 +39,16 @@ class Reactions:
 
     def __init__(self, config: WatchdogConfig, robot: RobotModel, period: float) -> None:
         self._config, self._robot, self._period = config, robot, period
+        self.pressing = Pressing(config.hold_force_time, period)
         self.end()
 
     def end(self) -> None:
         """Control has resumed: the next reaction begins anew."""
         self._posture: Vector | None = None
         self._since = 0
+        self.pressing.end()
 
-    def torque(self, reaction: str, arm: ArmState | None) -> Vector:
+    def torque(self, reaction: str, arm: ArmState | None, felt: Mask | None) -> Vector:
         """
         Return the torque of a reaction.
 
@@ -54,24 +58,68 @@ class Reactions:
             `HOLD`, `FLOAT` or `DAMP`.
         arm
             At its last valid state; None if there was none.
+        felt
+            Which contacts are felt now, shape (r,); None if that is not known.
 
         """
         self._since += 1
         if arm is None:
             return np.zeros(self._robot.joint_count)
         if reaction == DAMP:
-            damped: Vector = -self._config.damping_rate * arm.inertia * arm.velocity
+            damped: Vector = arm.bias_torque - (
+                self._config.damping_rate * arm.inertia * arm.velocity)
             return damped
+        pressing = self.pressing.torque(felt)
         if reaction == FLOAT:
             self._posture = None  # wherever it has gone meanwhile
             fade = math.exp(-self._since * self._period / COAST_TIME)
             state = self._robot.update(arm.q, arm.velocity)
             braking = state.mass_matrix @ state.velocity * (fade / COAST_TIME)
-            floating: Vector = state.gravity - braking
+            floating: Vector = state.gravity - braking + pressing
             return floating
         if self._posture is None:
             self._posture = arm.q.copy()
         w = self._config.hold_frequency
         held: Vector = arm.bias_torque + arm.inertia * (
-            w * w * (self._posture - arm.q) - 2.0 * w * arm.velocity)
+            w * w * (self._posture - arm.q) - 2.0 * w * arm.velocity) + pressing
         return held
+
+
+class Pressing:
+    """
+    What contacts were held with, while no law controls it.
+
+    An arm that lets go of what it presses on is pushed away by it. So each contact keeps its
+    force as long as it is felt; what is known not to be felt any more is dropped within 20 ms,
+    and what is not known, as the wrench is missing, fades.
+
+    Parameters
+    ----------
+    fade_time
+        Time constant of that [s].
+    period
+        h [s].
+
+    """
+
+    def __init__(self, fade_time: float, period: float) -> None:
+        self._keep_unknown = math.exp(-period / fade_time)
+        self._keep_unfelt = math.exp(-period / DROP_TIME)
+        self.end()
+
+    def end(self) -> None:
+        """Forget it."""
+        self._torques: Matrix | None = None
+
+    def begin(self, torques: Matrix) -> None:
+        """Take note of J^T N_i alpha_i of each contact, columns of shape (n, r) [N m]."""
+        self._torques = torques
+
+    def torque(self, felt: Mask | None) -> Vector | float:
+        """Return what is left of it at the next tick, shape (n,) [N m]; see `Reactions`."""
+        if self._torques is None:
+            return 0.0
+        self._torques = self._torques * (
+            self._keep_unknown if felt is None else np.where(felt, 1.0, self._keep_unfelt))
+        total: Vector = self._torques.sum(axis=1)
+        return total

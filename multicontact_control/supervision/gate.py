@@ -171,6 +171,14 @@ class TorqueGate:
         """Return the torque that has come through the gate last, shape (n,) [N m]."""
         return self._last.copy()
 
+    def carry(self, arm: ArmState | None) -> Vector:
+        """Return the torque, within its limits, that carries an arm; zero if it is not known."""
+        limit = self.limits['torque']
+        carried: Vector = np.zeros(limit.shape) if arm is None else np.clip(
+            arm.bias_torque, -limit, limit)
+        self._last[:] = carried
+        return carried
+
     def apply(
         self, torque: Vector, fallback: Vector, arm: ArmState | None,
     ) -> tuple[Vector, tuple[str, ...]]:

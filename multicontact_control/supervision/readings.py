@@ -16,7 +16,7 @@ import numpy as np
 JOINTS, WRENCH, VARIANCE = range(3)
 # What is wrong with a reading; ABSENT: none has come, FINE: nothing.
 ABSENT = -1
-FINE, INVALID, IMPLAUSIBLE, JUMP, FROZEN, SATURATED, STAMP, ORDER, NAMES = range(9)
+FINE, INVALID, IMPLAUSIBLE, JUMP, FROZEN, SATURATED, STAMP, ORDER, NAMES, LATE = range(10)
 # What is wrong with the time of a tick.
 CLOCK_FINE, CLOCK_INVALID, CLOCK_BACKWARDS, CLOCK_RATE, CLOCK_FROZEN, CLOCK_STILL = range(6)
 LATEST = 1e12  # s, of a time that makes sense
@@ -25,6 +25,9 @@ STILL = 1e-4  # rad/s; below it a joint reading may repeat itself
 FARTHEST, HARDEST = 1e3, 1e6  # rad and N or N m; beyond them no reading makes sense
 LARGEST = np.finfo(np.float64).max  # finite numbers are within it
 LONGEST = 0.1  # s, that speeds are extrapolated over
+# Periods: without a wrench below full scale, which is no gap to be bridged; and between a wrench
+# and its tick, for it to be what is measured then.
+SATURATED_AGE = WRENCH_AGE = 1.5
 
 
 @compiled
@@ -248,6 +251,8 @@ def check_arrival(which: int, arrival: Any, memory: Any, settings: Any) -> int:
     if stamp <= before:
         return ORDER if stamp < before else ABSENT
     memory.seen[which] = stamp
+    if which == WRENCH and memory.time - stamp > (WRENCH_AGE + 1e-3) * settings.period:
+        return LATE
     return int(arrival.content[which])
 
 
@@ -288,8 +293,10 @@ def check_ages(watch: Any, variances: Any) -> None:
     """Find readings that are too old, and inflate R while it is; see `check_inputs`."""
     memory, settings, verdict = watch.memory, watch.settings, watch.verdict
     for i in range(3):
-        age = memory.time - memory.valid[i]
-        verdict.stale[i] = age > settings.max_age[i] or (np.isnan(age) and i != VARIANCE)
+        age, limit = memory.time - memory.valid[i], settings.max_age[i]
+        if i == WRENCH and verdict.problem[i] == SATURATED:
+            limit = min(limit, SATURATED_AGE * settings.period)
+        verdict.stale[i] = age > limit or (np.isnan(age) and i != VARIANCE)
     if verdict.stale[VARIANCE]:
         memory.inflation *= settings.variance_growth
     for i in range(variances.shape[0]):
@@ -336,7 +343,8 @@ def check_inputs(
     Returns
     -------
     bool
-        Whether all is well: every input is known and valid, or young enough to go on with.
+        Whether all is well: every input is known and valid, or young enough to go on with, and
+        the wrench is new.
 
     """
     watch = watches[0]
@@ -358,7 +366,7 @@ def check_inputs(
     check_ages(watch, variances)
     hand_over(watch, joints, variances, motion, wrench, noise_variance)
     verdict.blind = memory.blind_ticks > 1
-    well = clock == CLOCK_FINE and not verdict.blind
+    well = clock == CLOCK_FINE and not verdict.blind and verdict.problem[WRENCH] == FINE
     for i in range(3):
         well = well and not verdict.stale[i] and verdict.problem[i] <= FINE
     return bool(well)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from multicontact_control.arrays import Codes, Matrix, Vector
+from multicontact_control.arrays import Codes, Mask, Matrix, Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.control.controller import Controller
 from multicontact_control.control.reference import Reference, TaskArrays, TaskSource
@@ -15,6 +15,7 @@ from multicontact_control.supervision.contacts import (
     contact_states,
     ContactState,
     FREE,
+    GIVEN_UP,
     is_active,
     let_go,
     reset,
@@ -126,7 +127,6 @@ class ContactReference:
         self.reset()
         self._offset[:] = 0.0
         self._catching_up = False
-        self._limits['held_back'] = False
         if not self._observed:
             self._note(pose, np.zeros(6))
 
@@ -158,6 +158,12 @@ class ContactReference:
         """Leave all contacts to the motion law; those still touched are taken up again."""
         for state in self.contact_states:
             let_go(state, state['displacement'], 0.0)
+
+    def seek_again(self) -> bool:
+        """Seek the contacts that were given up; return whether there are any."""
+        given_up = self._codes == GIVEN_UP
+        self.contact_states['again'] |= given_up
+        return bool(given_up.any())
 
     def sought_normals(self) -> Matrix:
         """Return the normals of the contacts that are sought or held, shape (k, 3)."""
@@ -196,11 +202,21 @@ class ContactReference:
         self._catching_up = False
         return Pose(position, pose.rotation_world)
 
-    def resume(self) -> None:
-        """Go on after a pause, from where the arm is: no contact counts as held any more."""
+    def resume(self) -> Mask:
+        """
+        Go on after a pause, from where the arm is.
+
+        Returns
+        -------
+        Mask
+            Which contacts still count as held: those that were and are felt now, shape (r,).
+
+        """
         self._offset[:] = np.nan  # set at the next update
         self._catching_up = True
-        self._limits['held_back'] = True
+        self._held: Mask = np.array([is_active(state) for state in self.contact_states]) & (
+            self._contacts['alpha_meas'] > self._record['settings']['contact_threshold'])
+        return self._held
 
     def update(self, time: float, alpha_meas: Vector) -> Reference:
         """
@@ -227,8 +243,11 @@ class ContactReference:
             # What lies along the normals belongs to the contacts, only the rest is caught up.
             gap = self._controls['frame']['position'][0] - self._record['wanted']['position'][0]
             along = np.linalg.lstsq(normals.T, gap, rcond=None)[0]
-            for state, place in zip(self.contact_states, along):
-                let_go(state, float(place), 0.0)
+            for state, place, held in zip(self.contact_states, along, self._held):
+                if held:
+                    state['displacement'] = place
+                else:
+                    let_go(state, float(place), 0.0)
             offset[:] = gap - along @ normals
         length = float(np.sqrt(offset @ offset))
         if length > 0.0:

@@ -60,7 +60,10 @@ def follow_contacts(
             + normal[2] * (twist[2] + twist[3] * lever[1] - twist[4] * lever[0]))
         alpha = contacts[i].alpha_meas
         damping[i] = watch_energy(states[i], settings, alpha, point_speed)
-        advance_contact(states[i], settings, alpha, place - others, speed)
+        # Turning about the tool moves the operational point, and a surface that is not where the
+        # task has it moves the contact point: what escapes does both.
+        advance_contact(
+            states[i], settings, alpha, place - others, speed, min(speed, point_speed))
 
 
 @compiled
@@ -195,10 +198,9 @@ def limit_reference(reference: Any, control: Any, contacts: Any, states: Any) ->
     follow_contacts(limits, wanted, frame, contacts, states, settings, damping)
     for i in range(contacts.shape[0]):
         contact, state = contacts[i], states[i]
-        contact.active = is_active(state) and not limits.held_back
+        contact.active = is_active(state)
         contact.alpha_des = 0.0
         if contact.active:
             contact.alpha_des = max(min(state.asked, state.force_limit) - damping[i], 0.0)
-    limits.held_back = False
     add_displacements(limits, wanted, contacts, states, task)
     return bound_task(limits, frame, task)

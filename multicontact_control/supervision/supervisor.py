@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from multicontact_control.arrays import Vector
+from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.control.arm_state import ArmState, JOINT_SPEED, OPERATIONAL_SPEED
 from multicontact_control.control.controller import ControlOutput
@@ -13,6 +13,7 @@ from multicontact_control.control.reference import TaskSource
 from multicontact_control.dynamics.pose import Pose
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import ConfigError
+from multicontact_control.force.observer import continue_at
 from multicontact_control.records import SUPERVISION
 from multicontact_control.supervision.bumpless import BumplessController
 from multicontact_control.supervision.fallback import (
@@ -35,6 +36,7 @@ from multicontact_control.supervision.plausibility import (
     SIDEWAYS,
     TOO_FAST,
 )
+from multicontact_control.supervision.recovery import LATCHED, RECOVERING, Recovery
 from multicontact_control.supervision.reference import ContactReference
 from multicontact_control.supervision.status import (
     no_answer,
@@ -59,6 +61,7 @@ __all__ = ['Supervisor', 'TickOutput', 'SupervisorStatus']
 
 CONTRADICTIONS = 2  # samples in a row that contradict the contacts, for the wrench to be refused
 LONGEST_SKIP = 0.1  # s; the task's time does not follow a clock that has been set
+WAITING = ((RECOVERING,), (LATCHED,))
 FIXED = ('torque_limit', 'sensor', 'contacts', 'contact_state', 'limits', 'watchdog')
 
 
@@ -94,12 +97,14 @@ class Supervisor(BumplessController):
         self._watchdog = Watchdog(config, self.controller.measured)
         self._gate = TorqueGate(config, robot.joint_count)
         self._reactions = Reactions(config.watchdog, robot, config.period)
+        self._recovery = Recovery(config.watchdog, config.period)
         self.expects_pushes = False
         arm = self.controller.arm
         limit_speeds(arm.joints, arm.frames, config)
         self.reference.bind(self.controller)
         self._law = SupervisedLaw(
             self._record, self.controller, self.reference.contact_states, self._gate)
+        self._measured: Any = self.controller.controls['measured']
         self._energy_limits = self.reference.energy_limits
         self.reset()
 
@@ -133,6 +138,7 @@ class Supervisor(BumplessController):
         self._reactions.end()
         self._arm: ArmState | None = None
         self._too_fast: tuple[str, ...] = ()
+        self._wrench_known = False
         self._output = no_answer(self._robot.joint_count, len(self.config.contact_names))
         self._status: SupervisorStatus | None = None
         self._last_law: object = None
@@ -141,9 +147,24 @@ class Supervisor(BumplessController):
 
     def _restart_law(self) -> None:
         self.controller.reset()
-        self._task_ticks = self._good_ticks = self._contradictions = 0
+        self._task_ticks = self._good_ticks = self._contradictions = self._sensor_faults = 0
         self._paused = self._running = False
         self._last_reaction = DAMP
+        self._recovery.reset()
+
+    def try_again(self) -> bool:
+        """
+        Resume control that is latched, and seek contacts that were given up.
+
+        Returns
+        -------
+        bool
+            Whether there was any of that.
+
+        """
+        latched = self._recovery.latched
+        self._recovery.allow()
+        return self.reference.seek_again() or latched
 
     def step(self, inputs: TickInputs) -> TickOutput:
         """
@@ -196,11 +217,15 @@ class Supervisor(BumplessController):
             if not copy_numbers(inputs.joints.effort, self._effort):
                 self._effort = None
         if not inputs.sensor_fault:
+            self._sensor_faults = 0
             return self._watchdog.validate(inputs)
+        self._sensor_faults += 1
         valid = self._watchdog.validate(inputs._replace(wrench=None))
         fault = f'wrench_{inputs.sensor_fault}'
-        return valid._replace(rejected=(*valid.rejected, fault), causes=tuple(
-            fault if cause == 'wrench_stale' else cause for cause in valid.causes))
+        causes = tuple(cause for cause in valid.causes if cause != 'wrench_stale')
+        if self._sensor_faults >= CONTRADICTIONS:  # what is known to be wrong is no gap
+            causes += (fault,)
+        return valid._replace(rejected=(*valid.rejected, fault), causes=causes)
 
     def _safe_step(self, valid: ValidatedInputs) -> TickOutput:
         arm = self._arm
@@ -231,9 +256,9 @@ class Supervisor(BumplessController):
         reaction = self._reaction_to(causes) if causes else NONE
         if reaction in (NONE, INFLATE):
             self._good_ticks += 1
-            if self._paused and self._good_ticks * self._period < (
-                    self.config.watchdog.recovery_time):
-                return self._react(('recovering',), valid.rejected, self._last_reaction)
+            missing = self._recovery.missing(self._good_ticks) if self._paused else ()
+            if missing:
+                return self._react(missing, valid.rejected, self._last_reaction)
             return self._control(valid, causes, reaction)
         if reaction == HOLD and valid.blind:
             reaction = FLOAT  # what is not seen cannot be held
@@ -241,7 +266,7 @@ class Supervisor(BumplessController):
 
     def _update_state(self, valid: ValidatedInputs) -> None:
         """Work out where the arm is."""
-        arm = self.controller.arm
+        arm, self._wrench_known = self.controller.arm, valid.measured
         if valid.q is not None and arm.refresh():
             self._arm = arm
             self._too_fast = TOO_FAST[arm.found & (OPERATIONAL_SPEED | JOINT_SPEED)]
@@ -263,22 +288,24 @@ class Supervisor(BumplessController):
             return self._react(('joints_stale',), valid.rejected, DAMP)
         resumed = self._paused and self._running
         if resumed:
-            self.reference.resume()
+            held = self.reference.resume()
+            continue_at(self.controller.observers, held, self.controller.contacts['alpha_meas'])
+        self._measured[0] = valid.measured
         try:
             found = self._answer()
         except Exception as error:  # whatever it is, the arm needs an answer
             cause = f'law_{type(error).__name__}' if self.controller.arm.finite else (
                 'law_not_finite')
-            return self._react(
-                (cause,), valid.rejected, self.config.watchdog.on_law_fault)
+            return self._refuse(cause, valid, self.config.watchdog.on_law_fault)
         if found & NOT_FINITE:
-            return self._react(('law_not_finite',), valid.rejected,
-                               self.config.watchdog.on_law_fault)
+            return self._refuse('law_not_finite', valid, self.config.watchdog.on_law_fault)
         cause = '' if self.expects_pushes else self._contradiction(found)
         if cause:
-            return self._react((cause,), valid.rejected, self.config.watchdog.on_wrench_fault)
+            return self._refuse(cause, valid, self.config.watchdog.on_wrench_fault)
         if self._safe_running or not self._transition.begun:
             self._transition.begin(self._acting)
+        if resumed:
+            self._recovery.resumed(self._task_ticks)
         self._running, self._paused, self._safe_running = True, False, False
         self._reactions.end()
         self._task_ticks += 1
@@ -312,17 +339,41 @@ class Supervisor(BumplessController):
         cause = 'wrench_pull' if found & PULL else 'wrench_sideways'
         return cause if self._contradictions >= CONTRADICTIONS or self._paused else ''
 
+    def _refuse(self, cause: str, valid: ValidatedInputs, reaction: str) -> TickOutput:
+        """Answer without the control law because of what it says."""
+        if self._paused:
+            self._recovery.relapsed((cause,))
+        return self._react((cause,), valid.rejected, reaction)
+
     def _react(
         self, causes: tuple[str, ...], rejected: tuple[str, ...], reaction: str,
     ) -> TickOutput:
         """Answer without the control law."""
-        if 'recovering' not in causes:
+        if causes not in WAITING:
             self._good_ticks = 0
+        if self._running and not self._paused:
+            self._recovery.stopped(causes, self._task_ticks)
+            self._reactions.pressing.begin(self._pressing())
         self._paused, self._last_reaction = True, reaction
         with np.errstate(all='ignore'):  # numbers that are none are for the gate to find
-            output = self._idle_output(self._reactions.torque(reaction, self._arm))
+            output = self._idle_output(
+                self._reactions.torque(reaction, self._arm, self._felt()))
             self._transition.drop_slow_blend(self._acting)
             return self._finish(output, reaction, causes, rejected, reaction, ())
+
+    def _pressing(self) -> Matrix:
+        """Return J^T N_i alpha_i of the contacts held at the last answer, shape (n, r) [N m]."""
+        contacts = self._output.contacts
+        alpha = np.where(contacts['active'], np.minimum(
+            np.maximum(contacts['alpha_est'], 0.0), contacts['alpha_des']), 0.0)
+        pressing: Matrix = self._robot.terms.jacobian.T @ (contacts['N'].T * alpha)
+        return pressing
+
+    def _felt(self) -> Mask | None:
+        """Return which contacts are felt, as far as the wrench of this tick tells."""
+        felt: Mask = self.controller.contacts['alpha_meas'] > (
+            self.config.contact_state.release_threshold)
+        return felt if self._wrench_known else None
 
     def _finish(
         self, output: ControlOutput, law: object, causes: tuple[str, ...],
@@ -347,10 +398,16 @@ class Supervisor(BumplessController):
         return TickOutput(output, self._status)
 
     def _last_resort(self, cause: str) -> TickOutput:
-        """Answer after something failed that should not: forget the arm, let go of it slowly."""
-        self._paused, self._last_reaction, self._arm = True, DAMP, None
-        self._too_fast, self._good_ticks = (), 0
-        return self._finish(self._output, DAMP, (cause,), (), DAMP, ())
+        """Answer after something failed that should not: what is known of the arm is its past."""
+        self._too_fast, self._wrench_known = (), False
+        reaction = DAMP if self._arm is None else FLOAT
+        try:
+            return self._react((cause,), (), reaction)
+        except Exception:  # nothing is left but gravity where the arm was seen last
+            self._paused, self._last_reaction, self._good_ticks = True, reaction, 0
+            carried = self._gate.carry(self._arm)
+            self._transition.commanded(carried)
+            return self._report(self._idle_output(carried), reaction, (cause,), (), ())
 
     def _task_time(self) -> float:
         return self._task_ticks * self._period

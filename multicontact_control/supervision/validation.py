@@ -39,7 +39,8 @@ Places = tuple[Matrix, Vector, Vector]
 FLOAT = np.dtype(float)
 INPUTS = ('joints', 'wrench', 'variance')
 # Names of what `readings` counts.
-PROBLEMS = ('', 'invalid', 'implausible', 'jump', 'frozen', 'saturated', 'stamp', 'order', 'names')
+PROBLEMS = ('', 'invalid', 'implausible', 'jump', 'frozen', 'saturated', 'stamp', 'order', 'names',
+            'late')
 CLOCK = ('', 'invalid', 'backwards', 'rate', 'frozen')
 
 
@@ -62,6 +63,8 @@ class ValidatedInputs(NamedTuple):
         Whether this is the tick before once more.
     blind
         Whether the joint state is not that of this tick or the one before.
+    measured
+        Whether the wrench is of this tick.
 
     """
 
@@ -73,6 +76,7 @@ class ValidatedInputs(NamedTuple):
     rejected: tuple[str, ...]
     repeated: bool = False
     blind: bool = False
+    measured: bool = True
 
 
 def copy_numbers(values: Any, buffer: Vector) -> bool:
@@ -112,8 +116,8 @@ class Watchdog:
     Validates the inputs of every tick.
 
     A reading that is not valid counts as not received: the last valid one is used until it is
-    older than its limit. So a sample that is lost or damaged is bridged, and two in a row call
-    for a reaction. Names and sizes are looked at here, times and numbers in `readings`, compiled.
+    older than its limit, and calls for a reaction then. Names and sizes are looked at here, times
+    and numbers in `readings`, compiled.
 
     Parameters
     ----------
@@ -213,7 +217,8 @@ class Watchdog:
         valid = ValidatedInputs(
             newest.q if joints_known else None, newest.qd if joints_known else None,
             newest.wrench if memory['wrench_known'] else None, newest.variance, (), (),
-            bool(verdict['repeated']), bool(verdict['blind']))
+            bool(verdict['repeated']), bool(verdict['blind']),
+            bool(verdict['problem'][WRENCH] == FINE))
         if valid.repeated:
             return valid._replace(blind=False)
         problems = [PROBLEMS[max(number, FINE)] for number in verdict['problem'].tolist()]

@@ -210,8 +210,11 @@ def test_sensor_that_fails_gives_no_torque_that_looks_right():
 
 def test_dependent_contacts_are_named():
     same = {'normal_world': [0.0, 0.0, -1.0], 'point_operational': [0.0, 0.0, 0.24]}
+    with pytest.raises(ConfigError, match='table, board'):
+        puma(contacts={'board': same})
+    above = {**same, 'point_operational': [0.0, 0.0, 0.3]}  # with the tool upright, as it is here
     with pytest.raises(ContactGeometryError, match='table, board'):
-        puma(contacts={'board': same}).step(home_sample(), np.ones(2))
+        puma(contacts={'board': above}).step(home_sample(), np.ones(2))
 
 
 def test_seventh_contact_is_refused(tmp_path):

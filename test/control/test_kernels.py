@@ -64,6 +64,7 @@ def twelve_column_law(joints, active_count):
                         ('decoupled', True)):
         controls['law'][name] = value
     controls['frame']['rotation'] = controls['task']['rotation'] = np.eye(3)
+    controls['measured'] = True
     arm = np.zeros(joints, dtype=JOINT)
     arm['velocity'], arm['bias_torque'] = random.standard_normal((2, joints))
     controls['frame']['twist'] = jacobian @ arm['velocity']

@@ -132,6 +132,8 @@ class Live:
 
     def good(self):
         """Hand over a sample in order."""
+        if not self.supervised and self.node._configured.safe:
+            self.node._configured.restart()  # there was a posture without a torque
         self.k += 1
         stamp = self.k * PERIOD
         self.callbacks[topics.WRENCH](messages.wrench_message(

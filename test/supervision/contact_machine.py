@@ -21,6 +21,14 @@ class ContactMachine:
         return STATES[self._states['state'][0]]
 
     @property
+    def again(self):
+        return bool(self._states['again'][0])
+
+    @again.setter
+    def again(self, wanted):
+        self._states['again'] = wanted
+
+    @property
     def active(self):
         return contacts.is_active(self._states[0])
 
@@ -30,9 +38,10 @@ class ContactMachine:
     def let_go(self, place, speed=0.0):
         contacts.let_go(self._states[0], place, speed)
 
-    def update(self, wanted, alpha, alpha_des, place, speed):
+    def update(self, wanted, alpha, alpha_des, place, speed, escape=None):
         self._states['wanted'], self._states['asked'] = wanted, alpha_des
-        contacts.advance_contact(self._states[0], self._settings[0], alpha, place, speed)
+        contacts.advance_contact(self._states[0], self._settings[0], alpha, place, speed,
+                                 speed if escape is None else escape)
 
 
 class PassivityObserver(ContactMachine):

@@ -26,6 +26,7 @@ class PlainMachine:
         self.losses = 0
         self._in_state = 0.0
         self._below = self._level = 0.0
+        self.searches, self.left, self.again = 0, False, False
         self._origin = None  # where the surface was, if it was ever met
         self._start = 0.0
         self._target = 0.0
@@ -46,19 +47,17 @@ class PlainMachine:
         else:
             self.displacement, self.speed = place, 0.0
 
-    def update(self, wanted, alpha, alpha_des, place,
-               speed):
+    def update(self, wanted, alpha, alpha_des, place, speed, escape):
         self._in_state += self._period
-        self._switch(wanted, alpha, alpha_des, place, speed)
+        self.again = self.again and self.state is ContactState.GIVEN_UP
+        self._switch(wanted, alpha, alpha_des, place, speed, escape)
         if self.active:
             self.acceleration = 0.0
             self._raise_force_limit(alpha_des)
         else:
             self._move()
 
-    def _switch(
-        self, wanted, alpha, alpha_des, place, speed,
-    ):
+    def _switch(self, wanted, alpha, alpha_des, place, speed, escape):
         config, state = self._config, self.state
         if alpha > config.force_ceiling and state is not ContactState.RETRACTING:
             self._retract(place, speed)
@@ -67,11 +66,17 @@ class PlainMachine:
         elif state is ContactState.FREE:
             self._approach(self.displacement)
         elif self.active:
-            self._watch_hold(alpha, alpha_des, place, speed)
+            self._watch_hold(alpha, alpha_des, place, speed, escape)
         elif state is ContactState.RETRACTING:
             if abs(self._target - self.displacement) < 1e-4:
                 self._enter(ContactState.GIVEN_UP)
-        elif state is not ContactState.GIVEN_UP:
+        elif state is ContactState.GIVEN_UP:
+            wait = config.retry_time * 2.0 ** min(max(self.searches - 1, 0), 4)
+            due = config.retry_time > 0.0 and not self.left and self._in_state >= wait
+            if due or self.again:
+                self.left = False
+                self._approach(self.displacement)
+        else:
             self._watch_search(alpha)
 
     def _watch_search(self, alpha):
@@ -90,11 +95,10 @@ class PlainMachine:
         elif self.displacement - self._start > (
                 config.approach_distance if self._origin is None else config.search_distance):
             self._target = self._start
+            self.searches += 1
             self._enter(ContactState.GIVEN_UP)
 
-    def _watch_hold(
-        self, alpha, alpha_des, place, speed,
-    ):
+    def _watch_hold(self, alpha, alpha_des, place, speed, escape):
         config, h = self._config, self._period
         threshold = max(config.release_threshold,
                         config.release_fraction * min(self._level, alpha_des, self.force_limit))
@@ -106,12 +110,13 @@ class PlainMachine:
             self._below += h
         patience = config.loss_time if self.state is ContactState.HOLDING else max(
             config.loss_time, config.bounce_time)
-        if self._below > patience + 1e-9 or speed > config.escape_speed:
+        if self._below > patience + 1e-9 or escape > config.escape_speed:
             self.losses += 1
             self._leave_surface(place, speed)
             self._enter(ContactState.LOST)
         elif self.state is ContactState.IMPACT and self._below == 0.0 and (
                 self._in_state >= config.impact_time):
+            self.searches = 0
             self._enter(ContactState.HOLDING)
 
     def _stop_wanting(self, place, speed):
@@ -119,6 +124,7 @@ class PlainMachine:
             self._leave_surface(place, speed)
         if self.state is not ContactState.FREE:
             self._enter(ContactState.FREE)
+        self.left, self.searches = False, 0
         self._origin = None
         self._target = 0.0
 
@@ -133,6 +139,7 @@ class PlainMachine:
     def _retract(self, place, speed):
         self.displacement, self.speed = place, speed
         self._target = place - self._config.retract_distance
+        self.left = True
         self._enter(ContactState.RETRACTING)
 
     def _enter(self, state: ContactState):
@@ -209,7 +216,9 @@ class PlainReference:
         self._pose = None
         self._twist = np.zeros(6)
         self._offset = np.zeros(3)
-        self._catching_up = self._held_back = False
+        self._catching_up = False
+        self._felt = np.zeros(len(config.contact_names))
+        self._threshold = contact_state.contact_threshold
         self.limited = False
 
     @property
@@ -225,7 +234,7 @@ class PlainReference:
             machine.reset()
             observer.reset()
         self._offset = np.zeros(3)
-        self._catching_up = self._held_back = False
+        self._catching_up = False
         if self._pose is None:
             self._pose = pose
 
@@ -238,9 +247,12 @@ class PlainReference:
 
     def resume(self):
         self._offset = np.full(3, np.nan)  # set at the next update
-        self._catching_up = self._held_back = True
+        self._catching_up = True
+        self._kept = [machine.active and force > self._threshold
+                      for machine, force in zip(self.machines, self._felt)]
 
     def update(self, time, alpha_meas):
+        self._felt = alpha_meas
         task = self._task.task(time)
         pose = task.pose_des if self._pose is None else self._pose
         gap = pose.position_world - task.pose_des.position_world
@@ -252,7 +264,7 @@ class PlainReference:
         alpha_des, active = np.zeros(len(self.machines)), np.zeros(len(self.machines), dtype=bool)
         for i, machine in enumerate(self.machines):
             held = machine.active
-            if held and not self._held_back:
+            if held:
                 active[i] = True
                 alpha_des[i] = max(
                     min(float(task.alpha_des[i]), machine.force_limit) - damping[i], 0.0)
@@ -261,7 +273,6 @@ class PlainReference:
                 if not held:
                     velocity[axis] += machine.speed * component
                     change[axis] += machine.acceleration * component
-        self._held_back = False
         return self._bounded(Reference(
             Pose(task.pose_des.position_world + np.array(shift), task.pose_des.rotation_world),
             task.twist_des + np.array(velocity + [0.0] * 3),
@@ -271,8 +282,11 @@ class PlainReference:
         if np.isnan(self._offset[0]):
             # What lies along the normals belongs to the contacts, only the rest is caught up.
             along = np.linalg.lstsq(self._normals.T, gap, rcond=None)[0]
-            for machine, place in zip(self.machines, along):
-                machine.let_go(float(place))
+            for machine, place, kept in zip(self.machines, along, self._kept):
+                if kept:
+                    machine.displacement = float(place)
+                else:
+                    machine.let_go(float(place))
             self._offset = gap - along @ self._normals
         length = float(np.sqrt(self._offset @ self._offset))
         if length > 0.0:
@@ -300,7 +314,8 @@ class PlainReference:
             damping.append(self.observers[i].update(forces[i], speed))
             others = sum(self._overlap[i][j] * other for j, other in enumerate(displacements)
                          if j != i)
-            machine.update(wanted[i], forces[i], desired[i], places[i] - others, speeds[i])
+            machine.update(wanted[i], forces[i], desired[i], places[i] - others, speeds[i],
+                           min(speeds[i], speed))
         return damping
 
     def _bounded(self, reference, pose):

@@ -91,6 +91,7 @@ class PlainWatchdog:
         if not self._take_time(inputs, causes):
             return self._result((), (), repeated=True)
         self._blind += 1
+        self._measured = False
         for key in self._ages:
             reading = getattr(inputs, key)
             if reading is not None and self._is_new(key, reading.stamp, problems):
@@ -98,20 +99,23 @@ class PlainWatchdog:
                 self._take(key, [np.array(each) for each in numbers], reading.stamp, problems)
         for key, limit in self._ages.items():
             stamp = self._stamps[key]
+            if problems.get(key) == 'saturated':
+                limit = min(limit, 1.5 * self._h)
             if key != 'variance' if stamp is None else self._time - stamp > limit:
                 causes.append(f"{key}_{problems.get(key, 'stale')}")
                 self._inflation *= self._watch.variance_growth if key == 'variance' else 1.0
         return self._result(causes, [f'{key}_{problems[key]}' for key in self._ages
-                                     if key in problems], blind=self._blind > 1)
+                                     if key in problems], blind=self._blind > 1,
+                            measured=self._measured)
 
-    def _result(self, causes, rejected, *, repeated=False, blind=False):
+    def _result(self, causes, rejected, *, repeated=False, blind=False, measured=None):
         joints, variance = self._valid['joints'], self._valid['variance']
         if self._inflation != 1.0:
             variance = np.minimum(variance * self._inflation, self._watch.variance_ceiling)
         return SimpleNamespace(
             q=joints and joints[0], qd=joints and joints[1], wrench=self._valid['wrench'],
             variance=variance, causes=tuple(causes), rejected=tuple(rejected),
-            repeated=repeated, blind=blind)
+            repeated=repeated, blind=blind, measured=measured)
 
     def _take_time(self, inputs, causes):
         time, before = inputs.time, self._time
@@ -153,6 +157,9 @@ class PlainWatchdog:
                 problems[key] = 'order'
             return False
         self._seen[key] = stamp
+        if key == 'wrench' and self._time - stamp > 1.501 * self._h:
+            problems[key] = 'late'
+            return False
         return True
 
     def _take(self, key, numbers, stamp, problems):
@@ -166,7 +173,7 @@ class PlainWatchdog:
         if key == 'joints':
             self._valid[key], self._blind = numbers, 0
         elif key == 'wrench':
-            self._valid[key] = numbers[0]
+            self._valid[key], self._measured = numbers[0], True
         else:
             self._valid[key], self._inflation = np.clip(
                 numbers[0], self._watch.variance_floor, self._watch.variance_ceiling), 1.0

@@ -8,13 +8,14 @@ import pytest
 
 
 def test_check_forces_takes_what_is_within():
-    assert CommandLimits(force_ceiling=10.0).check_forces({'a': 0.0, 'b': 10.0}) is None
+    limits = CommandLimits(force_ceiling=10.0)
+    assert limits.check_forces({'a': 0.0, 'b': 10.0, 'c': 2.0}, 2.0) is None
 
 
-@pytest.mark.parametrize('force', [10.1, -0.1, float('nan'), float('inf')])
+@pytest.mark.parametrize('force', [10.1, 1.9, -0.1, float('nan'), float('inf')])
 def test_check_forces_names_the_contact(force):
-    with pytest.raises(CommandError, match='force on b: expected 0 to 10 N'):
-        CommandLimits(force_ceiling=10.0).check_forces({'a': 1.0, 'b': force})
+    with pytest.raises(CommandError, match='force on b: expected 0 or 2 to 10 N'):
+        CommandLimits(force_ceiling=10.0).check_forces({'a': 3.0, 'b': force}, 2.0)
 
 
 def test_check_position_names_the_axis():
@@ -33,6 +34,6 @@ def test_command_error_has_one_cause_for_all_values():
     causes = set()
     for force in (50.0, 60.0):
         with pytest.raises(CommandError) as caught:
-            CommandLimits().check_forces({'a': force})
+            CommandLimits().check_forces({'a': force}, 2.0)
         causes.add(caught.value.cause)
     assert len(causes) == 1

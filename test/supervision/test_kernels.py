@@ -45,24 +45,26 @@ seeds = st.integers(0, 2 ** 32 - 1)
 FORCE = st.one_of(st.floats(-3.0, 25.0), st.sampled_from([0.0, 1.0, 15.0, 70.0]))
 TICKS = st.lists(st.tuples(
     st.integers(1, 60), st.booleans() | st.just(True), FORCE, st.floats(0.0, 20.0),
-    st.floats(-0.03, 0.03), st.one_of(st.floats(-0.05, 0.05), st.just(0.2)),
-    st.sampled_from(['', '', '', 'let_go'])), min_size=1, max_size=25)
+    st.floats(-0.03, 0.03), st.floats(-0.05, 0.05), st.floats(-0.05, 0.05) | st.just(0.2),
+    st.sampled_from(['', '', '', 'let_go', 'again'])), min_size=1, max_size=25)
 
 
 @settings(max_examples=300, deadline=None)
 @given(ticks=TICKS)
 def test_machine_equals_plain_python(ticks):
-    config = ContactStateConfig(approach_distance=0.02, lost_time=0.02)
+    config = ContactStateConfig(approach_distance=0.02, lost_time=0.02, retry_time=0.05)
     machine, plain = ContactMachine(config, H, stiffness=6e3), PlainMachine(config, H, 6e3)
-    for length, wanted, alpha, alpha_des, place, speed, event in ticks:
+    for length, wanted, alpha, alpha_des, place, speed, escape, event in ticks:
         for each in (machine, plain):
             if event == 'let_go':
                 each.let_go(place, speed)
+            if event == 'again':
+                each.again = True
         for _ in range(length):
-            machine.update(wanted, alpha, alpha_des, place, speed)
-            plain.update(wanted, alpha, alpha_des, place, speed)
-            for name in ('state', 'active', 'losses', 'displacement', 'speed', 'acceleration',
-                         'force_limit'):
+            machine.update(wanted, alpha, alpha_des, place, speed, escape)
+            plain.update(wanted, alpha, alpha_des, place, speed, escape)
+            for name in ('state', 'active', 'losses', 'searches', 'displacement', 'speed',
+                         'acceleration', 'force_limit'):
                 assert getattr(machine, name) == getattr(plain, name), name
 
 
@@ -209,6 +211,7 @@ def test_watchdog_equals_plain_python(seed):
         found, wanted = watchdog.validate(now), plain.validate(now)
         assert (found.causes, found.rejected, found.repeated, found.blind) == (
             wanted.causes, wanted.rejected, wanted.repeated, wanted.blind)
+        assert wanted.repeated or found.measured == wanted.measured
         for mine, other in ((found.q, wanted.q), (found.qd, wanted.qd),
                             (found.wrench, wanted.wrench), (found.variance, wanted.variance)):
             assert (mine is None) == (other is None)

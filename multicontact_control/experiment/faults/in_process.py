@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from functools import reduce
 from typing import Any
 
 from multicontact_control.arrays import Vector
 from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.faults.judge import FaultRow, judge, Observation
 from multicontact_control.experiment.faults.vocabulary import (
+    Breakdown,
     ClockShift,
     Delivery,
     Edit,
@@ -15,12 +17,13 @@ from multicontact_control.experiment.faults.vocabulary import (
     PlantEdit,
     PROCESS,
     Random,
+    TWO,
 )
 from multicontact_control.supervision.fallback import SEVERITY
 from multicontact_control.supervision.inputs import TickInputs
 import numpy as np
 
-RUN_TICKS = 350
+RUN_TICKS = 600
 
 
 class Corruptor:
@@ -74,9 +77,80 @@ class Corruptor:
         return inputs._replace(**changes)
 
 
-def run_fault(loop: ClosedLoop, fault: Fault, seed: int, phase: str) -> FaultRow:
+class Break:
     """
-    Let one fault happen in a closed loop that is used up by it.
+    Makes a part of a supervisor raise, until it is mended.
+
+    Parameters
+    ----------
+    loop
+        Whose supervisor.
+    part
+        The part, by the names that lead to it.
+
+    """
+
+    def __init__(self, loop: ClosedLoop, part: str) -> None:
+        *way, self._name = part.split('.')
+        self._owner: Any = reduce(getattr, way, loop.control.supervisor)
+
+        def fail(*_arguments: Any, **_named: Any) -> Any:
+            raise ArithmeticError(part)
+        setattr(self._owner, self._name, fail)
+
+    def mend(self) -> None:
+        """Let the part work again."""
+        delattr(self._owner, self._name)
+
+
+class Occurrence:
+    """
+    A fault in a closed loop, from its first tick on.
+
+    Parameters
+    ----------
+    fault, random, loop
+        As for `Corruptor`.
+
+    Attributes
+    ----------
+    lasts
+        For how many ticks.
+
+    """
+
+    def __init__(self, fault: Fault, random: Random, loop: ClosedLoop) -> None:
+        self._fault, self._loop = fault, loop
+        self._corruptor = Corruptor(fault, random, loop)
+        self.lasts = int(random.integers(*fault.ticks))
+        self._tick = 0
+        self._broken: Break | None = None
+        if isinstance(fault.action, PlantEdit):
+            fault.action.begin(loop.plant, self._corruptor.choice)
+        if isinstance(fault.action, Breakdown):
+            self._broken = Break(loop, fault.action.part)
+
+    def corrupt(self, inputs: TickInputs) -> TickInputs:
+        """Return what becomes of the inputs of a tick."""
+        return self._corruptor.corrupt(inputs) if self._tick < self.lasts else inputs
+
+    def advanced(self) -> None:
+        """Take note that a tick is over; end the fault if it was the last."""
+        self._tick += 1
+        if self._tick != self.lasts:
+            return
+        action = self._fault.action
+        if isinstance(action, PlantEdit) and action.end is not None:
+            action.end(self._loop.plant, self._corruptor.choice)
+        if self._broken is not None:
+            self._broken.mend()
+
+
+def run_fault(
+    loop: ClosedLoop, fault: Fault, seed: int, phase: str, other: Fault | None = None,
+) -> FaultRow:
+    """
+    Let one fault happen, or two at once, in a closed loop that is used up by it.
 
     Parameters
     ----------
@@ -84,31 +158,49 @@ def run_fault(loop: ClosedLoop, fault: Fault, seed: int, phase: str) -> FaultRow
         At the beginning of the phase, supervised.
     fault, seed, phase
         The fault, what decides its details, and where in the scenario it happens.
+    other
+        Another fault at the same time, if any; then no reaction is declared.
 
     """
     random = fault.random(seed)
     for _ in range(int(random.integers(5, 60))):
         loop.advance()
-    corruptor = Corruptor(fault, random, loop)
-    length = int(random.integers(5, 150))
-    plant = fault.action if isinstance(fault.action, PlantEdit) else None
+    begin = loop.tick
+    found = [Occurrence(fault, random, loop)]
+    if other is not None:
+        found.append(Occurrence(other, other.random(seed), loop))
+    lasted = max(each.lasts for each in found)
     before = loop.command.copy()
     torques, forces, reactions = [], [], []
     problems: set[str] = set()
-    if plant is not None:
-        plant.begin(loop.plant, corruptor.choice)
-    for n in range(RUN_TICKS):
-        if n == length and plant is not None and plant.end is not None:
-            plant.end(loop.plant, corruptor.choice)
-        loop.advance(corruptor.corrupt if n < length else None)
+
+    def corrupt(inputs: TickInputs) -> TickInputs:
+        for each in found:
+            inputs = each.corrupt(inputs)
+        return inputs
+
+    for _ in range(RUN_TICKS):
+        loop.advance(corrupt)
+        for each in found:
+            each.advanced()
         torques.append(loop.command.copy())
-        forces.append(float(loop.true_forces.max()))
+        forces.append(loop.true_forces)
         reactions.append(loop.status.reaction)
-        if any(cause.startswith('internal') for cause in loop.status.causes):
+        if any(cause.startswith('internal') for cause in loop.status.causes) and not any(
+                isinstance(each.action, Breakdown) for each in (fault, other) if each):
             problems.add(loop.status.causes[0])
     # At the ends of the ticks: a force above the ceiling lasts until then.
-    time: Vector = loop.setup.controller.period * np.arange(1.0, RUN_TICKS + 1.0)
-    return judge(fault, seed, loop.setup, Observation(
-        torque=np.array(torques), before=before, time=time, force=np.array(forces),
-        reaction=max(reactions[:length], key=SEVERITY.index), reactions=reactions,
-        problems=problems), where=PROCESS, phase=phase)
+    period = loop.setup.controller.period
+    time: Vector = period * np.arange(1.0, RUN_TICKS + 1.0)
+    row = judge(fault if other is None else together(fault, other), seed, loop.setup, Observation(
+        torque=np.array(torques), before=before, time=time, force=np.max(forces, axis=1),
+        reaction=max(reactions[:lasted], key=SEVERITY.index), reactions=reactions,
+        forces=np.array(forces), wanted=loop.setup.commanded(begin * period + time),
+        lasted=lasted, problems=problems), where=PROCESS, phase=phase)
+    return row
+
+
+def together(fault: Fault, other: Fault) -> Fault:
+    """Return two faults as one of which nothing is declared; the arm is back if both pass."""
+    action = fault.action if fault.passes and other.passes else PlantEdit(lambda plant, _: None)
+    return Fault(TWO, f'{fault.input} {fault.kind} + {other.input} {other.kind}', action)

@@ -6,10 +6,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from multicontact_control.arrays import Mask, Matrix, Vector
-from multicontact_control.experiment.faults.vocabulary import CONTROLLER, Fault, INF
+from multicontact_control.config import WatchdogConfig
+from multicontact_control.experiment.faults.vocabulary import (
+    CONTROLLER,
+    Fault,
+    INF,
+    REST,
+    SLIDING,
+)
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.supervision.fallback import SEVERITY
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 REACTION_TICKS = 2
 FORCE_MARGIN = 1.25  # times the force ceiling
@@ -17,6 +25,9 @@ RETRACT_TIME = 0.1  # s, in which a contact beyond that must have been left
 SILENCE = 0.1  # s without a command while samples come that counts as silence
 STOPPED = 0.3  # s of silence that a controller which should go on may not be guilty of
 TOLERANCE = 1e-9  # of a limit
+OFF_TIME, OFF_FORCE, OFF_SHARE = 0.02, 2.0, 0.2  # s, N, share of the command: off it beyond both
+BACK_TIME = 0.6  # s after a fault, in which the arm is back: waiting, and five time constants
+AGAIN = 10  # changes of the reaction, within a run of 1.2 s and 2/s over 5 s
 
 
 @dataclass(frozen=True)
@@ -49,6 +60,15 @@ class FaultRow:
         Where it happened, and why it was not safe.
     where
         ``process`` or ``graph``.
+    off_command_s
+        How long, from its beginning on, the true force of a contact was further from what the
+        task asks for than 2 N and a fifth of it, over 20 ms; in process, on surfaces [s].
+    transitions
+        How often the reaction changed.
+    shortfalls
+        What the arm did not do as well as it should, though it was safe: not back at its command
+        0.6 s after a fault of the inputs that it is told of, or bridges; reactions that come and
+        go more than 10 times.
 
     """
 
@@ -64,6 +84,9 @@ class FaultRow:
     phase: str
     problems: str = ''
     where: str = 'process'
+    off_command_s: float = -1.0
+    transitions: int = 0
+    shortfalls: str = ''
 
 
 @dataclass
@@ -83,6 +106,10 @@ class Observation:
         The last torque before, if known.
     reactions
         The reaction in each tick, in process.
+    forces, wanted
+        True forces, and those that the task asks for, in process, shape (ticks, r) [N].
+    lasted
+        How many ticks the fault lasted, in process.
     silences
         From when to when samples came, but no commands.
     recovered
@@ -98,6 +125,9 @@ class Observation:
     reaction: str
     before: Vector | None = None
     reactions: Sequence[str] = ()
+    forces: Matrix | None = None
+    wanted: Matrix | None = None
+    lasted: int = 0
     silences: Sequence[tuple[float, float]] = ()
     recovered: bool = True
     problems: set[str] = field(default_factory=set)
@@ -116,9 +146,9 @@ def judge(
     if _longest(seen.time, seen.force > FORCE_MARGIN * ceiling, period) > (
             RETRACT_TIME * (1.0 + TOLERANCE)):
         problems.add('force beyond the ceiling for too long')
-    reached = _reaction_tick(seen.reactions, fault.expected(phase)) if seen.reactions else 0
-    # An R that is late is used until it is too old; everything else is bridged for one tick.
-    latest = int(config.watchdog.variance_max_age) if fault.input == 'variance' else REACTION_TICKS
+    latest = _latest(fault, config.watchdog)
+    told = bool(seen.reactions) and seen.lasted > latest
+    reached = _reaction_tick(seen.reactions, fault.expected(phase)) if told else 0
     if reached is None or reached > latest:
         problems.add('declared reaction late')
     if fault.goes_on and any(end - begin > STOPPED for begin, end in seen.silences):
@@ -126,13 +156,39 @@ def judge(
     over = seen.force > ceiling
     safe_from = [0.0, (reached or 0) * period, *seen.time[over].tolist(),
                  *(end for _, end in seen.silences)]
+    off_command = _off_command(seen, config.rate)
+    transitions = sum(a != b for a, b in zip(seen.reactions, seen.reactions[1:]))
+    shortfalls = [f'reactions that change {transitions} times'] if transitions > AGAIN else []
+    back = seen.lasted + round(BACK_TIME * config.rate)
+    if fault.passes and phase in (REST, SLIDING) and off_command[back:].any():
+        shortfalls.append('not back at its command')
     never = not seen.recovered or reached is None or bool(over.size and over[-1])
     return FaultRow(
         kind=fault.kind, input=fault.input, seed=seed, reaction=seen.reaction,
         time_to_safe_s=-1.0 if never else round(max(safe_from), 6),
         peak_force_n=round(float(seen.force.max(initial=0.0)), 3),
         peak_torque_fraction=round(fraction, 5), safe=not problems, plant=setup.plant_name,
-        phase=phase, problems=', '.join(sorted(problems)), where=where)
+        phase=phase, problems=', '.join(sorted(problems)), where=where,
+        off_command_s=-1.0 if seen.forces is None or phase not in (REST, SLIDING) else round(
+            float(off_command.sum()) * period, 6),
+        transitions=transitions, shortfalls=', '.join(shortfalls))
+
+
+def _latest(fault: Fault, watch: WatchdogConfig) -> int:
+    """Return the tick by which a reaction must be in force: what is too old by then, or wrong."""
+    ages = {'wrench': watch.wrench_max_age, 'variance': watch.variance_max_age}
+    age = 0.0 if fault.at_once else ages.get(fault.input, 0.0)
+    return max(REACTION_TICKS, int(age))
+
+
+def _off_command(seen: Observation, rate: float) -> Mask:
+    """Return in which ticks a contact is off its command, shape (ticks,)."""
+    if seen.forces is None or seen.wanted is None:
+        return np.zeros(0, dtype=bool)
+    window = round(OFF_TIME * rate)
+    error = uniform_filter1d(seen.forces - seen.wanted, window, axis=0, mode='nearest')
+    off: Mask = (np.abs(error) > np.maximum(OFF_FORCE, OFF_SHARE * seen.wanted)).any(axis=1)
+    return off
 
 
 def _judge_torques(

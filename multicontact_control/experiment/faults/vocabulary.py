@@ -17,6 +17,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 PROCESS, GRAPH = 'process', 'graph'
+TWO = 'two at once'
 BOTH, IN_PROCESS, OVER_GRAPH = (PROCESS, GRAPH), (PROCESS,), (GRAPH,)
 APPROACH, REST, SLIDING = 'approach', 'rest', 'sliding'
 PHASES = (REST, SLIDING, APPROACH)
@@ -32,6 +33,11 @@ PERIOD = 0.002  # s, by which clocks are moved
 LOSS = 0.3  # share of messages that an intermittent stream loses
 BURST = 10  # messages that come at once
 JUMP = 0.1  # m
+OBSTACLE = 2  # number of a surface that is no contact
+FAR = 10.0  # m, where it is not in the way
+# What a tick calls of a supervisor, one after the other.
+PARTS = ('_watchdog.validate', 'controller.arm.refresh', 'reference.ask', '_answer',
+         '_contradiction', '_reactions.torque', '_transition.apply', '_gate.apply')
 
 Random = np.random.Generator
 Ages = Callable[[Random, int], tuple[int, ...]]
@@ -101,6 +107,13 @@ class ClockShift:
     stamps: bool = True
 
 
+@dataclass(frozen=True)
+class Breakdown:
+    """A part of the supervisor, by the names that lead to it, that raises whenever called."""
+
+    part: str
+
+
 PlantChange = Callable[[Any, Vector], None]  # of a plant; the relay does without the simulator
 
 
@@ -146,16 +159,28 @@ class Fault:
         Where it can happen.
     goes_on
         Whether the controller of a graph must go on commanding meanwhile.
+    at_once
+        Whether a declared reaction may not wait until the reading has become too old.
+    ticks
+        How long it lasts in process, at least and less than.
 
     """
 
     kind: str
     input: str  # noqa: A003
-    action: Delivery | Edit | ClockShift | PlantEdit | NodeChange | Command
+    action: Delivery | Edit | ClockShift | Breakdown | PlantEdit | NodeChange | Command
     declared: tuple[str, ...] = ()
     phases: tuple[str, ...] = PHASES
     where: tuple[str, ...] = BOTH
     goes_on: bool = True
+    at_once: bool = False
+    ticks: tuple[int, int] = (5, 150)
+
+    @property
+    def passes(self) -> bool:
+        """Whether the arm can do again what it did, once it has passed."""
+        told = isinstance(self.action, Delivery) or bool(self.declared)
+        return told or isinstance(self.action, Breakdown)
 
     def expected(self, phase: str) -> tuple[str, ...]:
         """Return the declared reactions in a phase."""
@@ -181,8 +206,10 @@ def _deliveries() -> list[Fault]:
          False)]
     burst = Delivery(
         lambda random, n: tuple(range(BURST))[::-1] if n % BURST == BURST - 1 else ())
+    gap = Delivery(lambda random, n: ())
     return [Fault(kind, stream, delivery, REACTIONS[stream] if told else ())
             for stream in STREAMS for kind, delivery, told in ways] + [
+        Fault('gap', stream, gap, where=IN_PROCESS, ticks=(1, 51)) for stream in STREAMS] + [
         Fault('burst', stream, burst, where=OVER_GRAPH) for stream in STREAMS]
 
 
@@ -239,11 +266,11 @@ def _double(names: Sequence[str], _choice: Vector) -> list[str]:
 
 def _edit(
     stream: str, fields: str, kind: str, change: Change | None, *, told: bool = True,
-    phases: tuple[str, ...] = PHASES, where: tuple[str, ...] = BOTH,
+    phases: tuple[str, ...] = PHASES, where: tuple[str, ...] = BOTH, at_once: bool = False,
 ) -> Fault:
     """Return a fault of what a reading says; `told` if the stream's reaction must follow."""
     return Fault(kind, stream, Edit(tuple(fields.split()), change),
-                 REACTIONS[stream] if told else (), phases, where)
+                 REACTIONS[stream] if told else (), phases, where, at_once=at_once)
 
 
 def _numbers() -> list[Fault]:
@@ -257,9 +284,10 @@ def _numbers() -> list[Fault]:
         _edit('wrench', 'wrench', 'huge', _put(1e30)),
         # A message always has six numbers.
         _edit('wrench', 'wrench', 'wrong_count', _shorten, where=IN_PROCESS),
-        _edit('wrench', 'wrench', 'saturated', _put(200.0)),
+        _edit('wrench', 'wrench', 'saturated', _put(200.0), at_once=True),
         _edit('wrench', 'wrench', 'biased', _add(5.0), told=False),
-        _edit('wrench', 'wrench', 'sign_flipped', _scale(-1.0), phases=(REST, SLIDING)),
+        _edit('wrench', 'wrench', 'sign_flipped', _scale(-1.0), phases=(REST, SLIDING),
+              at_once=True),
         _edit('wrench', 'wrench', 'rotated', _turn, told=False),
         _edit('wrench', 'wrench', 'scaled_x3', _scale(3.0), told=False, where=IN_PROCESS),
         _edit('wrench', 'wrench', 'half', _scale(0.5), told=False),
@@ -334,9 +362,17 @@ def _plants() -> list[Fault]:
         'surface_jump_2mm_up': surface('shift', -2e-3, None),
         'surface_jump_2mm_down': surface('shift', 2e-3, None),
         'friction_x5': surface('scale_friction', 5.0, 0.2),
+        'side_wall': PlantEdit(
+            lambda plant, choice: plant.contacts.put_before_tip(OBSTACLE, 2e-3),
+            lambda plant, choice: plant.contacts.shift(OBSTACLE, FAR)),
         'torque_limit_halved': torque_limit(0.5, 2.0),
         'torque_limit_to_a_fifth': torque_limit(0.2, 5.0)}
     return [Fault(kind, 'plant', edit, where=IN_PROCESS) for kind, edit in edits.items()]
+
+
+def _breakdowns() -> list[Fault]:
+    """Return the failures of the program itself."""
+    return [Fault('raises', part, Breakdown(part), where=IN_PROCESS) for part in PARTS]
 
 
 KILL, HALT = ('kill',), ('halt',)
@@ -403,7 +439,7 @@ def _commands() -> list[Fault]:
 
 
 FAULTS = (*_nodes(), *_deliveries(), *_numbers(), *_names(), *_frozen(), *_clocks(), *_plants(),
-          *_commands())
+          *_breakdowns(), *_commands())
 
 
 def faults_of(where: str) -> dict[tuple[str, str], Fault]:
@@ -411,9 +447,21 @@ def faults_of(where: str) -> dict[tuple[str, str], Fault]:
     return {(fault.kind, fault.input): fault for fault in FAULTS if where in fault.where}
 
 
+def pairs_of_faults(count: int, seed: int) -> list[tuple[Fault, Fault]]:
+    """Return faults of different things, two at a time, drawn among all that happen in process."""
+    random = np.random.default_rng([seed, count])
+    known = list(faults_of(PROCESS).values())
+    pairs: list[tuple[Fault, Fault]] = []
+    while len(pairs) < count:
+        one, other = (known[int(k)] for k in random.integers(len(known), size=2))
+        if one.input != other.input:
+            pairs.append((one, other))
+    return pairs
+
+
 def general_kind(fault: Fault) -> str:
     """Return what is done, whatever input it is done to; a node is not like another, though."""
-    if fault.input not in (*STREAMS, CLOCK):
+    if fault.input not in (*STREAMS, CLOCK, *PARTS):
         return f'{fault.kind} {fault.input}'
     kind, _, field = fault.kind.rpartition('_')
     return kind if field in ('q', 'qd') else fault.kind

@@ -27,7 +27,8 @@ def world():
 def test_fault_is_answered_as_declared(world, kind, reaction):
     row = in_fork(world, KINDS[kind], 1, 'approach')
     assert (row.reaction, row.safe, row.problems) == (reaction, True, '')
-    latest = 0.008 if kind[1] == 'variance' else 0.004  # R may be three periods late
+    # R may be three periods late, and a wrench that is missing is predicted for twelve.
+    latest = {'variance': 0.008, 'wrench': 0.024}.get(kind[1], 0.004)
     assert 0.0 <= row.time_to_safe_s <= latest
 
 
@@ -61,4 +62,4 @@ def test_fault_that_kills_its_process_is_not_safe(world, monkeypatch):
 
 def test_run_is_long_enough_to_recover_in():
     """The longest fault and the recovery time fit into it."""
-    assert RUN_TICKS >= 150 + 25 + 100
+    assert RUN_TICKS >= 150 + 300 + 100

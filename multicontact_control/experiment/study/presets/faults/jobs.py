@@ -17,6 +17,7 @@ from multicontact_control.experiment.faults.in_process import run_fault, RUN_TIC
 from multicontact_control.experiment.faults.judge import FaultRow
 from multicontact_control.experiment.faults.vocabulary import (
     APPROACH,
+    FAR,
     Fault,
     faults_of,
     PROCESS,
@@ -43,20 +44,25 @@ class FaultJob:
     first_seed
         Of the plant.
     faults
-        Kind, input and seed of each.
+        Kind, input and seed of each, and kind and input of another at the same time, if any.
 
     """
 
     plant: str
     phase: str
     first_seed: int
-    faults: tuple[tuple[str, str, int], ...]
+    faults: tuple[tuple[Any, ...], ...]
 
     supervised: ClassVar[bool] = True
 
     def setup(self) -> Setup:
         """Return the scenario in which they happen."""
-        return resolve(SCENARIO, plant=self.plant, seed=self.first_seed)
+        setup = resolve(SCENARIO, plant=self.plant, seed=self.first_seed)
+        first = setup.plant.surfaces[setup.plant.contact_names[0]]
+        wall = {'tip_link': first.tip_link, 'point_world': [FAR, 0.0, 0.0],
+                'normal_world': [1.0, 0.0, 0.0], 'stiffness': 3000.0, 'roughness_std': 0.0}
+        return resolve(SCENARIO, plant=self.plant, seed=self.first_seed, plant_overrides={
+            'obstacle_names': ['side_wall'], 'surfaces': {'side_wall': wall}})
 
     def key(self) -> str:
         """Return the hash of all that decides the outcome; see `Job.key`."""
@@ -87,8 +93,8 @@ def run_fault_job(job: FaultJob) -> JobResult:
     start = time.perf_counter()
     known = faults_of(PROCESS)
     world = _world_at(job)
-    rows = [asdict(in_fork(world, known[kind, source], seed, job.phase))
-            for kind, source, seed in job.faults]
+    rows = [asdict(in_fork(world, known[kind, source], seed, job.phase, known.get(tuple(other))))
+            for kind, source, seed, *other in job.faults]
     return JobResult({'rows': rows}, {}, time.perf_counter() - start)
 
 
@@ -110,13 +116,15 @@ def _world_at(job: FaultJob) -> ClosedLoop:
     return world
 
 
-def in_fork(world: ClosedLoop, fault: Fault, seed: int, phase: str) -> FaultRow:
-    """Run one fault in a copy of this process; a copy that hangs or dies is not safe."""
+def in_fork(
+    world: ClosedLoop, fault: Fault, seed: int, phase: str, other: Fault | None = None,
+) -> FaultRow:
+    """Run one fault, or two, in a copy of this process; a copy that hangs or dies is not safe."""
     ours, theirs = Pipe(duplex=False)
     # By hand: a worker of Dask is not allowed to have children of `multiprocessing`.
     child = os.fork()
     if not child:
-        _end_with(partial(run_fault, world, fault, seed, phase), theirs)
+        _end_with(partial(run_fault, world, fault, seed, phase, other), theirs)
     theirs.close()
     try:
         if ours.poll(FAULT_TIMEOUT):

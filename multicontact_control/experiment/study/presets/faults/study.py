@@ -9,7 +9,14 @@ from typing import Any
 
 from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.faults.judge import FaultRow
-from multicontact_control.experiment.faults.vocabulary import faults_of, GRAPH, PHASES, PROCESS
+from multicontact_control.experiment.faults.vocabulary import (
+    faults_of,
+    GRAPH,
+    pairs_of_faults,
+    PHASES,
+    PROCESS,
+    TWO,
+)
 from multicontact_control.experiment.scenario import PLANTS
 from multicontact_control.experiment.study.execute import JobRun
 from multicontact_control.experiment.study.page import Page, Section
@@ -20,15 +27,18 @@ from multicontact_control.experiment.study.presets.faults.jobs import (
 )
 from multicontact_control.experiment.study.study import Study
 from multicontact_control.experiment.study.table import Column, Line, Listing
+import numpy as np
 
 SEEDS = 14
+PAIRS, QUICK_PAIRS = 300, 12  # of faults at the same time
 FAULTS_PER_JOB = 12
 PLACES = {PROCESS: 'in process', GRAPH: 'over the graph'}
 COLUMNS = (
     Column('input', number=False), Column('kind', number=False), Column('n'),
     Column('reaction', number=False), Column('to safe [ms]'), Column('force [N]'),
-    Column('torque'), Column('safe', number=False))
-SAFE = 7  # place of that column
+    Column('torque'), Column('off command [ms]: median'), Column('largest'), Column('changes'),
+    Column('short', number=False), Column('safe', number=False))
+SAFE = 11  # place of that column
 
 
 def situation(number: int) -> tuple[str, str]:
@@ -72,6 +82,7 @@ class FaultStudy(Study[FaultJob, list[FaultRow]]):
             'kinds': [f'{source} {kind}' for kind, source in faults_of(PROCESS)],
             'seeds': range(self.seed, self.seed + (1 if self.quick else SEEDS)),
             'plants': PLANTS, 'phases': PHASES}
+        found['pairs of faults at once'] = range(QUICK_PAIRS if self.quick else PAIRS)
         if self.graph:
             from multicontact_control.experiment.faults.in_graph import graph_tasks  # needs ROS
 
@@ -87,13 +98,17 @@ class FaultStudy(Study[FaultJob, list[FaultRow]]):
 
         In this order a worker that has got to one phase only has to go on to the next.
         """
-        places: dict[tuple[str, str], list[tuple[str, str, int]]] = {
+        places: dict[tuple[str, str], list[tuple[Any, ...]]] = {
             (plant, phase): [] for phase in sorted(PHASE_TIMES, key=PHASE_TIMES.__getitem__)
             for plant in PLANTS}
         for index, fault in enumerate(faults_of(PROCESS)):
             # One of each, yet in every situation.
             for number in (index % 6,) if self.quick else range(SEEDS):
                 places[situation(number)].append((*fault, self.seed + number))
+        pairs = pairs_of_faults(QUICK_PAIRS if self.quick else PAIRS, self.seed)
+        for number, (one, other) in enumerate(pairs):
+            places[situation(number)].append(
+                (one.kind, one.input, self.seed + number, other.kind, other.input))
         return [FaultJob(plant, phase, self.seed, tuple(faults[i:i + FAULTS_PER_JOB]))
                 for (plant, phase), faults in places.items()
                 for i in range(0, len(faults), FAULTS_PER_JOB)]
@@ -102,7 +117,8 @@ class FaultStudy(Study[FaultJob, list[FaultRow]]):
         """Return what became of every fault, by kind and seed."""
         rows = [FaultRow(**row) for job in self.jobs() for row in run.result(job).metrics['rows']]
         order = {fault: i for i, fault in enumerate(faults_of(PROCESS))}
-        return sorted(rows, key=lambda row: (order[row.kind, row.input], row.seed))
+        return sorted(rows, key=lambda row: (
+            order.get((row.kind, row.input), len(order)), row.seed))
 
     def tables(self, content: list[FaultRow], run: JobRun[FaultJob]) -> Mapping[str, Any]:
         """Return ``faults.json``."""
@@ -114,25 +130,44 @@ class FaultStudy(Study[FaultJob, list[FaultRow]]):
         kinds = {(row.where, row.input, row.kind) for row in content}
         return Page(
             'Faults of inputs, plant and graph', [Section('Faults by kind', _listing(content))],
-            warnings=[f'not safe: {row.where}, {row.plant}, {row.input} {row.kind}, seed '
-                      f'{row.seed}: {row.problems}' for row in unsafe],
-            findings=[f'{len(content)} faults of {len(kinds)} kinds, {len(unsafe)} unsafe'])
+            warnings=[f'{what}: {row.where}, {row.plant}, {row.phase}, {row.input} {row.kind}, '
+                      f'seed {row.seed}: {why}' for row in content
+                      for what, why in (('not safe', row.problems), ('short', row.shortfalls))
+                      if why],
+            findings=[f'{len(content)} faults of {len(kinds)} kinds, {len(unsafe)} unsafe, '
+                      f'{sum(bool(row.shortfalls) for row in content)} short of what the arm '
+                      f'should do; {_distribution(content)}'])
+
+
+def _distribution(rows: Sequence[FaultRow]) -> str:
+    """Return how long forces were off their commands, in words."""
+    times = [1e3 * row.off_command_s for row in rows if row.off_command_s >= 0.0]
+    if not times:
+        return 'time off command not known'
+    p50, p90, p99 = np.percentile(times, [50.0, 90.0, 99.0])
+    return (f'off command in {100.0 * np.mean(np.array(times) > 0.0):.0f} % of them, for '
+            f'{p50:.0f} / {p90:.0f} / {p99:.0f} / {max(times):.0f} ms (p50, p90, p99, largest)')
 
 
 def _listing(rows: Sequence[FaultRow]) -> Listing:
     """Return one line per kind, by where it happened."""
     groups: dict[tuple[str, str, str], list[FaultRow]] = {}
     for row in rows:
-        groups.setdefault((row.where, row.input, row.kind), []).append(row)
+        source = '' if row.kind == TWO else row.input
+        groups.setdefault((row.where, source, row.kind), []).append(row)
     lines = []
     for (where, source, kind), group in groups.items():
         never = any(row.time_to_safe_s < 0.0 for row in group)
         unsafe = sum(not row.safe for row in group)
+        short = sum(bool(row.shortfalls) for row in group)
+        off = [1e3 * row.off_command_s for row in group if row.off_command_s >= 0.0]
         lines.append(Line([
             source.removesuffix('_node'), kind, str(len(group)),
             ', '.join(sorted({row.reaction for row in group})),
             'never' if never else f'{1e3 * max(row.time_to_safe_s for row in group):.0f}',
             f'{max(row.peak_force_n for row in group):.1f}',
             f'{max(row.peak_torque_fraction for row in group):.2f}',
+            f'{np.median(off):.0f}' if off else '-', f'{max(off):.0f}' if off else '-',
+            str(max(row.transitions for row in group)), f'{short}' if short else '-',
             f'{unsafe} not' if unsafe else 'yes'], not unsafe, PLACES[where]))
     return Listing(COLUMNS, lines, verdict=SAFE)

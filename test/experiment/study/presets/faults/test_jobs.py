@@ -32,5 +32,5 @@ def test_faults_happen_on_a_cluster_as_they_do_here(tmp_path, dask_cluster):
 
 def test_wall_time_grows_with_the_faults():
     one, three = (FaultJob('rigid', 'rest', 0, (('nan', 'wrench', 1),) * n) for n in (1, 3))
-    assert three.simulated_time() - one.simulated_time() == pytest.approx(2 * 350 / 500)
+    assert three.simulated_time() - one.simulated_time() == pytest.approx(2 * 600 / 500)
     assert one.simulated_time() > PHASE_TIMES['rest']

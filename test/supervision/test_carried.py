@@ -1,0 +1,102 @@
+"""Whatever fails, an arm whose joints are known is carried: simulated arms do not fall."""
+
+from arms import controller_config, HOME
+from multicontact_control.control.reference import CommandedReference
+from multicontact_control.control_loop import ControlLoop
+from multicontact_control.dynamics.robot import RobotModel
+from multicontact_control.errors import ConfigError
+from multicontact_control.experiment.closed_loop import ClosedLoop
+from multicontact_control.experiment.scenario import resolve
+from multicontact_control.paths import config_dir
+from multicontact_control.supervision.command_limits import CommandLimits
+from multicontact_control.supervision.supervisor import Supervisor
+import numpy as np
+import pytest
+
+ROBOT = RobotModel(controller_config().robot, config_dir())
+FEET = {'a': [0.05, 0.05, 0.24], 'b': [-0.05, 0.05, 0.24], 'c': [-0.05, -0.05, 0.24],
+        'd': [0.05, -0.05, 0.24]}
+LINE = {'a': [0.0, 0.0, 0.24], 'b': [0.05, 0.0, 0.24], 'c': [0.1, 0.0, 0.24]}
+# What a tick calls, one after the other.
+STAGES = ('_watchdog.validate', 'controller.arm.refresh', '_answer', '_contradiction',
+          '_reactions.torque', '_transition.apply', '_gate.apply', 'reference.ask')
+
+
+def pressing(points, normals=None):
+    return controller_config(contact_names=list(points), contacts={
+        name: {'normal_world': (normals or {}).get(name, [0.0, 0.0, -1.0]),
+               'point_operational': point} for name, point in points.items()})
+
+
+@pytest.mark.parametrize('points', [FEET, LINE], ids=['four coplanar feet', 'three in a line'])
+def test_contacts_that_no_wrist_sensor_can_tell_apart_are_refused(points):
+    config = pressing(points)
+    with pytest.raises(ConfigError, match=f'found {", ".join(points)}, which depend'):
+        ControlLoop(config, None, CommandLimits(), config_dir())
+
+
+def test_three_feet_are_accepted_and_so_is_what_depends_in_one_orientation_only():
+    Supervisor(pressing(dict(list(FEET.items())[:3])), ROBOT, CommandedReference(list('abc')))
+    Supervisor(aligned_config(), ROBOT, CommandedReference(['table', 'board']))
+
+
+def aligned_points():
+    """Return two points of which, at the first posture, one is straight above the other."""
+    rotation = ROBOT.update(HOME, np.zeros(6)).pose.rotation_world
+    table = np.array([0.0, 0.0, 0.24])
+    board = table + 0.05 * rotation.T @ np.array([0.0, 0.0, -1.0])
+    return {'table': {'normal_world': [0.0, 0.0, -1.0], 'point_operational': table.tolist()},
+            'board': {'normal_world': [0.0, 0.0, -1.0], 'point_operational': board.tolist()}}
+
+
+def aligned_config():
+    return controller_config(contacts=aligned_points())
+
+
+def carried(loop, ticks, sag=0.02):
+    """Advance a loop, and assert that the arm stays where it is."""
+    start = loop.sample.q.copy()
+    limit = np.array(loop.setup.controller.torque_limit)
+    for _ in range(ticks):
+        loop.advance()
+        assert np.isfinite(loop.command).all()
+        assert (np.abs(loop.command) <= limit).all()
+        assert np.abs(loop.sample.q - start).max() < sag
+
+
+@pytest.mark.parametrize('plant', ['rigid', 'puma'])
+def test_law_without_an_answer_leaves_the_arm_where_it_is(plant):
+    loop = ClosedLoop(resolve('quick', plant=plant, controller={'contacts': aligned_points()}))
+    try:
+        carried(loop, 500)
+        assert (loop.status.reaction, loop.status.causes) == ('hold', ('latched',))
+        assert any('law_ContactGeometryError' in what for _, what in loop.control.events.events)
+    finally:
+        loop.close()
+
+
+@pytest.mark.parametrize('stage', STAGES)
+@pytest.mark.parametrize('begin', [5, 700], ids=['from the start', 'approaching'])
+def test_exception_in_any_stage_leaves_the_arm_where_it_is_and_control_comes_back(
+        stage, begin, monkeypatch):
+    def fail(*_arguments, **_named):
+        raise ArithmeticError(stage)
+
+    loop = ClosedLoop(resolve('quick', plant='puma'))
+    try:
+        for _ in range(begin):
+            loop.advance()
+        *way, name = stage.split('.')
+        owner = loop.control.supervisor
+        for part in way:
+            owner = getattr(owner, part)
+        with monkeypatch.context() as patch:
+            patch.setattr(owner, name, fail)
+            carried(loop, 500, sag=0.03)
+        if loop.status.causes == ('latched',):
+            loop.control.retry()
+        for _ in range(1000):
+            loop.advance()
+        assert loop.status.reaction == 'none'
+    finally:
+        loop.close()
