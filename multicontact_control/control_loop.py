@@ -135,7 +135,7 @@ class ControlLoop:
         self._expect_pushes()
         self.output: ControlOutput | None = None
         self.status: SupervisorStatus | None = None
-        self.events = EventLog()
+        self.events = EventLog(self.config.contact_names)
         self.reactions: Counter[str] = Counter()
         self.rejected: Counter[str] = Counter()
         self.limited: Counter[str] = Counter()
@@ -230,6 +230,11 @@ class ControlLoop:
         """Answer the newest sample by the safe behaviour, as all that follow until a restart."""
         self.safe = True
         return self._answer(self._inputs, False)
+
+    @property
+    def time(self) -> float:
+        """Time of the newest tick [s]."""
+        return self._inputs.time
 
     @property
     def expected_stamp(self) -> int:

@@ -17,6 +17,7 @@ from multicontact_control.cli.report import report
 from multicontact_control.cli.robustness_map import robustness_map
 from multicontact_control.cli.run import run
 from multicontact_control.cli.simulate import simulate
+from multicontact_control.cli.soak import soak
 from multicontact_control.cli.sweep import sweep
 from multicontact_control.cli.topics import topics
 from multicontact_control.process import limit_threads
@@ -50,6 +51,7 @@ app.command()(topics)
 app.command()(echo)
 app.command()(record)
 app.command()(faults)
+app.command()(soak)
 app.command()(bench)
 app.command('compile')(compile_kernels)
 

@@ -40,6 +40,7 @@ class SupervisorReport:
                           error=f'{status.reaction} instead of control: {causes}')
         return Status('supervisor', values, warning='; '.join(filter(None, [
             f'R is inflated: {causes}' if status.reaction == INFLATE else '',
+            _told_rates(loop),
             _told('reacted', {k: n for k, n in since[0].items() if k not in (NONE, INFLATE)}),
             _told('rejected', since[1]), _told('limited', since[2])])))
 
@@ -48,6 +49,11 @@ def _since(now: Counter[str], before: Counter[str]) -> dict[str, int]:
     """Return what has been counted since; all of it if the counting has begun anew."""
     return {name: n - before[name] if n >= before[name] else n
             for name, n in now.items() if n != before[name]}
+
+
+def _told_rates(loop: ControlLoop) -> str:
+    rates = loop.events.alternating(loop.time)
+    return ', '.join(f'{name} changes {rate:.1f} times a second' for name, rate in rates.items())
 
 
 def _told(what: str, counts: dict[str, int]) -> str:

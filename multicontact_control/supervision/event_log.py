@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from multicontact_control.supervision.gate import NAMES
 from multicontact_control.supervision.status import SupervisorStatus
 
 CAPACITY = 1000  # a limit that comes and goes at every tick must not fill the memory
+ALTERNATION_TIME, FASTEST_ALTERNATION = 5.0, 2.0  # s and 1/s, beyond which something alternates
+MOST_CHANGES = 500  # that are remembered
+REACTION = 'reaction'
 LIMITS = ('reference', *(name for name, _ in NAMES))
 
 
@@ -56,13 +61,19 @@ class EventLog:
         Time [s] and what changed, the first `CAPACITY` of them.
     dropped
         How many came after these.
+    names
+        Of what has states: the reaction and the contacts.
 
     """
 
-    def __init__(self) -> None:
+    def __init__(self, contact_names: Sequence[str] = ()) -> None:
         self.events: list[tuple[float, str]] = []
         self.dropped = 0
+        self.names = (REACTION, *contact_names)
         self._before: tuple[object, ...] = ()
+        self._states: tuple[str, ...] = ()
+        self._changes: dict[str, deque[float]] = {
+            name: deque(maxlen=MOST_CHANGES) for name in self.names}
 
     def note(self, time: float, status: SupervisorStatus) -> None:
         """Take in the status of one tick."""
@@ -70,9 +81,37 @@ class EventLog:
         if now == self._before:
             return
         self._before = now
+        self._count(time, (status.reaction, *status.contact_states))
         if len(self.events) == CAPACITY:
             self.dropped += 1
             return
         self.events.append((time, ' | '.join([
             status.reaction, ' '.join(status.causes + status.limits),
             ', '.join(status.contact_states)])))
+
+    def _count(self, time: float, states: tuple[str, ...]) -> None:
+        """Take note of what has gone over into another state."""
+        for name, before, state in zip(self.names, self._states, states):
+            if state != before:
+                self._changes[name].append(time)
+        self._states = states
+
+    def alternating(self, time: float) -> dict[str, float]:
+        """
+        Return what has changed its state more than twice a second over the last 5 s.
+
+        Parameters
+        ----------
+        time
+            Now [s].
+
+        Returns
+        -------
+        dict
+            Changes per second by name.
+
+        """
+        recent = {name: sum(0.0 <= time - change <= ALTERNATION_TIME for change in changes)
+                  for name, changes in self._changes.items()}
+        return {name: count / ALTERNATION_TIME for name, count in recent.items()
+                if count > FASTEST_ALTERNATION * ALTERNATION_TIME}

@@ -3,6 +3,7 @@
 from multicontact_control.supervision.event_log import CAPACITY, EventLog, read_event
 from multicontact_control.supervision.status import SupervisorStatus
 import numpy as np
+import pytest
 
 
 def status(reaction='none', causes=(), limits=(), states=('holding', 'given up')):
@@ -25,3 +26,15 @@ def test_log_that_is_full_counts_what_it_drops():
     for k in range(CAPACITY + 7):
         log.note(0.002 * k, status(states=(str(k),)))
     assert (len(log.events), log.dropped) == (CAPACITY, 7)
+
+
+def test_what_changes_more_than_twice_a_second_alternates():
+    log = EventLog(['table', 'board'])
+    for k in range(100):
+        held = 'lost' if k % 3 == 0 else 'holding'
+        log.note(0.1 * k, status('hold' if k % 20 == 0 else 'none', states=(held, 'holding')))
+    rates = log.alternating(9.9)
+    assert list(rates) == ['table']
+    assert rates['table'] == pytest.approx(6.7, abs=0.3)
+    assert log.alternating(30.0) == {}
+    assert log.alternating(0.0) == {}  # the clock has been set back: what is noted is to come

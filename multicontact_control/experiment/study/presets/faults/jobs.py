@@ -15,16 +15,16 @@ from typing import Any, ClassVar, NoReturn
 from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.faults.in_process import run_fault, RUN_TICKS
 from multicontact_control.experiment.faults.judge import FaultRow
+from multicontact_control.experiment.faults.situation import with_side_wall
 from multicontact_control.experiment.faults.vocabulary import (
     APPROACH,
-    FAR,
     Fault,
     faults_of,
     PROCESS,
     REST,
     SLIDING,
 )
-from multicontact_control.experiment.scenario import resolve, Setup
+from multicontact_control.experiment.scenario import Setup
 from multicontact_control.experiment.study.jobs import content_key, JobResult, setup_content
 
 SCENARIO = 'quick'
@@ -57,12 +57,7 @@ class FaultJob:
 
     def setup(self) -> Setup:
         """Return the scenario in which they happen."""
-        setup = resolve(SCENARIO, plant=self.plant, seed=self.first_seed)
-        first = setup.plant.surfaces[setup.plant.contact_names[0]]
-        wall = {'tip_link': first.tip_link, 'point_world': [FAR, 0.0, 0.0],
-                'normal_world': [1.0, 0.0, 0.0], 'stiffness': 3000.0, 'roughness_std': 0.0}
-        return resolve(SCENARIO, plant=self.plant, seed=self.first_seed, plant_overrides={
-            'obstacle_names': ['side_wall'], 'surfaces': {'side_wall': wall}})
+        return with_side_wall(SCENARIO, self.plant, self.first_seed)
 
     def key(self) -> str:
         """Return the hash of all that decides the outcome; see `Job.key`."""

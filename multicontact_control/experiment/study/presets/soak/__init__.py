@@ -1,0 +1,1 @@
+"""`multicontact soak`: hours of random commands and faults."""

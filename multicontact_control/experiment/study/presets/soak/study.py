@@ -1,0 +1,139 @@
+"""`multicontact soak`: hours of random commands and faults, in as many processes as there are."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from multicontact_control.errors import check_all, ConfigError
+from multicontact_control.experiment.scenario import PLANTS
+from multicontact_control.experiment.study.execute import JobRun
+from multicontact_control.experiment.study.page import Page, Section
+from multicontact_control.experiment.study.presets.soak.jobs import run_soak_job, SoakJob
+from multicontact_control.experiment.study.study import Study
+from multicontact_control.experiment.study.table import Column, Line, Listing
+import numpy as np
+
+WARM_UP = 10  # minutes, before which memory is not looked at
+LARGEST_GROWTH = 2.0  # MB per simulated hour that is no leak
+LARGEST_DRIFT = 0.2  # N between the first and the last quarter's error at rest
+COLUMNS = (
+    Column('plant', number=False), Column('seed'), Column('hours'), Column('episodes'),
+    Column('helped'), Column('unsafe'), Column('alternating'), Column('stuck'),
+    Column('memory [MB/h]'), Column('error at rest [N]: first quarter'), Column('last'),
+    Column('good', number=False))
+GOOD = 11  # place of that column
+
+
+@dataclass(frozen=True)
+class SoakStudy(Study[SoakJob, list[dict[str, Any]]]):
+    """
+    Soaks of some plants, which share the hours.
+
+    Attributes
+    ----------
+    hours
+        Simulated, of all together.
+    plants
+        Which.
+    seed
+        The first; every process has the next.
+    parts
+        Processes per plant.
+
+    """
+
+    hours: float = 1.0
+    plants: tuple[str, ...] = PLANTS
+    seed: int = 0
+    parts: int = 1
+
+    title = 'soak'
+    name = 'soak'
+    measure = staticmethod(run_soak_job)
+    unit = 'soaks'
+
+    def check(self) -> None:
+        """Check the options; ConfigError with all that are not acceptable."""
+        def above(name: str, value: float, least: float) -> None:
+            if not value >= least:
+                raise ConfigError(name, f'a number >= {least:g}', value)
+
+        check_all(lambda: above('hours', self.hours, 1.0 / 60.0),
+                  lambda: above('seed', self.seed, 0), lambda: above('parts', self.parts, 1))
+
+    def grid(self) -> Mapping[str, Sequence[Any]]:
+        """Return plants and seeds."""
+        return {'plants': self.plants, 'seeds': [job.seed for job in self.jobs()]}
+
+    def jobs(self) -> list[SoakJob]:
+        """Return the soaks, of equal length."""
+        count = len(self.plants) * self.parts
+        return [SoakJob(self.plants[k % len(self.plants)], self.seed + k, self.hours / count)
+                for k in range(count)]
+
+    def content(self, run: JobRun[SoakJob]) -> list[dict[str, Any]]:
+        """Return what came of every soak."""
+        return [{**job.describe(), **run.result(job).metrics} for job in self.jobs()]
+
+    def tables(
+        self, content: list[dict[str, Any]], run: JobRun[SoakJob],
+    ) -> Mapping[str, Any]:
+        """Return ``soak.json``."""
+        return {f'{self.name}.json': {'soaks': content}}
+
+    def page(self, content: list[dict[str, Any]], folder: Path) -> Page:
+        """Return a line for each soak, and all that should not have happened."""
+        problems = [
+            f'{what}: {soak["plant"]}, seed {soak["seed"]}, {text}' for soak in content
+            for what in ('unsafe', 'alternating', 'stuck') for text in soak[what]]
+        kinds = sum((Counter(soak['episodes']) for soak in content), Counter())
+        hours = sum(soak['simulated_s'] for soak in content) / 3600.0
+        return Page(
+            'Soak', [Section('Soaks', _listing(content))], warnings=problems,
+            findings=[f'{hours:.2f} simulated hours: ' + ', '.join(
+                f'{count} x {kind}' for kind, count in sorted(kinds.items()))])
+
+
+def memory_growth(minutes: Sequence[Mapping[str, Any]]) -> float | None:
+    """Return the slope of the resident memory after ten minutes [MB/h], None if it is shorter."""
+    memory = [minute['memory_mb'] for minute in minutes][WARM_UP:]
+    if len(memory) < WARM_UP:
+        return None
+    return float(np.polyfit(np.arange(len(memory)) / 60.0, memory, 1)[0])
+
+
+def errors_at_rest(minutes: Sequence[Mapping[str, Any]]) -> tuple[float, float]:
+    """Return the mean force error at rest in the first and in the last quarter [N]."""
+    errors = np.array([np.nan if minute['error_n'] is None else minute['error_n']
+                       for minute in minutes])
+    quarter = max(len(errors) // 4, 1)
+    return tuple(float(np.nanmean(part)) if np.isfinite(part).any() else np.nan
+                 for part in (errors[:quarter], errors[-quarter:]))  # type: ignore[return-value]
+
+
+def is_good(soak: Mapping[str, Any]) -> bool:
+    """Return whether nothing happened in a soak that should not have."""
+    growth = memory_growth(soak['minutes'])
+    first, last = errors_at_rest(soak['minutes'])
+    return not soak['counts'] and (growth is None or growth <= LARGEST_GROWTH) and not (
+        abs(last - first) > LARGEST_DRIFT)
+
+
+def _listing(content: Sequence[Mapping[str, Any]]) -> Listing:
+    lines = []
+    for soak in content:
+        growth = memory_growth(soak['minutes'])
+        first, last = errors_at_rest(soak['minutes'])
+        counts = soak['counts']
+        good = is_good(soak)
+        lines.append(Line([
+            soak['plant'], str(soak['seed']), f'{soak["simulated_s"] / 3600.0:.2f}',
+            str(sum(soak['episodes'].values())), str(soak['helped']),
+            *(str(counts.get(name, 0)) for name in ('unsafe', 'alternating', 'stuck')),
+            '-' if growth is None else f'{growth:.2f}', f'{first:.3f}', f'{last:.3f}',
+            'yes' if good else 'no'], good))
+    return Listing(COLUMNS, lines, verdict=GOOD)

@@ -1,0 +1,80 @@
+"""Soaks: what they find, and that a quarter of an hour on each plant finds nothing."""
+
+from multicontact_control.errors import ConfigError
+from multicontact_control.experiment.faults.situation import with_side_wall
+from multicontact_control.experiment.soak import Soak
+from multicontact_control.experiment.study.presets.soak.study import (
+    is_good,
+    memory_growth,
+    SoakStudy,
+)
+from multicontact_control.experiment.study.study import run_study, StudyOptions
+import pytest
+
+
+@pytest.fixture
+def soak():
+    soak = Soak(with_side_wall('quick', 'rigid', 0), 0)
+    yield soak
+    soak.close()
+
+
+def test_half_a_minute_finds_nothing_and_does_something(soak):
+    outcome = soak.run(30.0)
+    assert outcome.simulated_s >= 30.0
+    assert sum(outcome.episodes.values()) >= 5
+    assert (outcome.unsafe, outcome.alternating, outcome.stuck) == ([], [], [])
+
+
+def test_same_seed_same_soak():
+    outcomes = []
+    for _ in range(2):
+        soak = Soak(with_side_wall('quick', 'rigid', 3), 3)
+        outcomes.append(soak.run(10.0))
+        soak.close()
+    assert outcomes[0] == outcomes[1]
+
+
+def test_surface_that_has_gone_is_reported_as_stuck(soak):
+    soak.run(1.0)
+    soak._loop.plant.contacts.shift(0, 1.0)
+    soak._wanted['table'] = 10.0
+    soak._command_forces = lambda: soak._loop.control.set_forces(soak._wanted)
+    soak._episode('forces')
+    soak._settle()
+    assert len(soak.outcome.stuck) == 1
+    assert soak.outcome.helped == 4
+
+
+def test_torque_beyond_its_limit_is_unsafe(soak, monkeypatch):
+    monkeypatch.setattr(soak, '_limit', 1e-3 * soak._limit)
+    soak._advance()
+    assert 'beyond the limit' in soak.outcome.unsafe[0]
+
+
+def test_leak_and_drift_are_no_good():
+    def outcome(slope, last):
+        return {'counts': {}, 'minutes': [
+            {'memory_mb': 100.0 + slope * k / 60.0, 'error_n': 0.1 if k < 40 else last}
+            for k in range(60)]}
+    assert memory_growth(outcome(3.0, 0.1)['minutes']) == pytest.approx(3.0)
+    assert is_good(outcome(1.0, 0.1))
+    assert not is_good(outcome(3.0, 0.1))
+    assert not is_good(outcome(0.0, 0.5))
+    assert not is_good({**outcome(0.0, 0.1), 'counts': {'stuck': 1}})
+
+
+def test_options_that_are_not_acceptable_are_named():
+    with pytest.raises(ConfigError, match='hours'):
+        SoakStudy(hours=0.0).check()
+    with pytest.raises(ConfigError, match='parts'):
+        SoakStudy(parts=0).check()
+    assert [job.plant for job in SoakStudy(hours=4.0, parts=2).jobs()] == [
+        'rigid', 'puma', 'rigid', 'puma']
+
+
+@pytest.mark.slow
+def test_study_writes_its_files_and_finds_nothing(tmp_path):
+    content = run_study(SoakStudy(hours=0.1), StudyOptions(tmp_path, jobs=2))
+    assert all(map(is_good, content)), content
+    assert (tmp_path / 'soak.html').is_file()
