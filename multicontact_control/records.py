@@ -88,6 +88,7 @@ CONTACT = np.dtype([
     ('noise_variance', F),  # R_k [N^2]
     ('alpha_meas', F),  # measured force [N]
     ('alpha_des', F),  # desired force, 0 where not active [N]
+    ('damping', F),  # force taken off the torque for passivity, 0 where not active [N]
     ('alpha_est', F),  # estimated force, 0 where not active [N]
     ('alpha_rate_est', F),  # its estimated rate, 0 where not active [N/s]
     ('innovation', F),  # alpha_meas - C x_1, 0 where nothing was predicted [N]
@@ -148,6 +149,7 @@ CONTACT_STATE = np.dtype([
     ('target', F),  # displacement to go to [m]
     ('energy', F),  # work not stored and not yet forgotten [J]
     ('stored', F),  # energy stored in the surface [J]
+    ('energy_limit', F),  # what that energy must be below [J]
     ('stiffness', F),  # modelled, of the surface [N/m]
 ], align=True)
 
@@ -156,7 +158,7 @@ CONTACT_SETTINGS = np.dtype([('period', F), ('energy_keep', F), *((name, F) for 
     'approach_speed', 'approach_ramp_time', 'approach_distance', 'search_distance',
     'contact_threshold', 'release_threshold', 'release_fraction', 'escape_speed', 'preload',
     'force_rate', 'impact_time', 'bounce_time', 'loss_time', 'lost_time', 'braking',
-    'force_ceiling', 'retract_distance', 'retract_speed', 'retry_time', 'energy_limit',
+    'force_ceiling', 'retract_distance', 'retract_speed', 'retry_time', 'energy_share',
     'injected_damping'))])
 
 # Bounds of the reference, and what a pause has left; one.

@@ -33,7 +33,7 @@ class ContactStateConfig(Config):
         'a tool that falls after its surface reads its own inertia.', ge=0.0, lt=1.0)
     escape_speed: Real = parameter(
         0.1, 'Speed of the contact point into its surface, beyond what the task asks of the arm, '
-        'that only a lost one reaches.',
+        'that only a lost one reaches; while its force changes, more.',
         unit='m/s', gt=0.0, le=5.0)
     retry_time: Real = parameter(
         5.0, 'After this a contact that was not found is sought again, twice as long after each '
@@ -68,14 +68,14 @@ class ContactStateConfig(Config):
     blend_time: Real = parameter(
         0.003, 'Time constant by which a change of active contacts, or of the law, is blended.',
         unit='s', gt=0.0, le=1.0)
-    energy_limit: Real = parameter(
-        0.5, 'Energy a contact may take up beyond what it stores, within energy_memory.',
-        unit='J', gt=0.0, le=100.0)
+    energy_share: Real = parameter(
+        1.0, 'Energy a contact may take up beyond what it stores, within energy_memory, relative '
+        'to what it stores at the force it is asked for, alpha^2 / (2 k).', gt=0.0, le=1e4)
     energy_memory: Real = parameter(
         1.0, 'Time constant by which that energy is forgotten.', unit='s', gt=0.0, le=100.0)
     injected_damping: Real = parameter(
-        0.0, 'Force per speed taken from the command while that limit is passed; 0 for none.',
-        unit='N s/m', ge=0.0, le=1e4)
+        0.0, 'Force per speed into the surface that is taken off the torque while that limit is '
+        'passed; 0 for none.', unit='N s/m', ge=0.0, le=1e4)
 
     @model_validator(mode='after')
     def _check_across_fields(self) -> ContactStateConfig:

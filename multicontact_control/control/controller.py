@@ -28,12 +28,16 @@ from multicontact_control.force.observer import (
     design_observer,
     make_observers,
     ObserverDesign,
+    rescale,
 )
 from multicontact_control.force.plant_model import design_force_loop
 from multicontact_control.records import CONTACT, CONTROL, LAW, Records
 import numpy as np
 
 __all__ = ['Controller', 'ControlOutput', 'Measurement']
+
+
+LARGEST_DRIFT = 0.02  # of a stiffness, from which on an observer is redesigned
 
 
 class Controller:
@@ -117,6 +121,7 @@ class Controller:
         for name in ('coulomb', 'viscous'):
             joints[name] = getattr(config.friction, name) or 0.0
         joints['torque_limit'] = config.torque_limit or np.inf
+        self._coordinate_driven = config.force.allocation == 'paper'
 
     @classmethod
     def from_config(
@@ -163,7 +168,7 @@ class Controller:
                                   getattr(config, name))
         if not self._started:
             return None
-        observers = make_observers(design_observers(config, self._rotation_world))
+        observers = make_observers(design_observers(config, self.arm.pose.rotation_world))
         continue_from(observers, self.observers)
         return observers
 
@@ -177,6 +182,7 @@ class Controller:
         self._adopt(config)
         if observers is not None:
             self.observers = observers
+            self._stiffnesses = loop_stiffnesses(config, self.arm.pose.rotation_world)
 
     def step(self, measurement: Measurement, noise_variance: Vector) -> ControlOutput:
         """
@@ -245,6 +251,15 @@ class Controller:
             self.refuse(DEPENDENT)
         if not self._started:
             self._start()
+        elif self._coordinate_driven:
+            self._follow_stiffness()
+
+    def _follow_stiffness(self) -> None:
+        """Redesign the observers of `paper` allocation when turning has changed k_s (eq. 17)."""
+        factors = loop_stiffnesses(self.config, self.arm.pose.rotation_world) / self._stiffnesses
+        if np.abs(factors - 1.0).max() > LARGEST_DRIFT:
+            rescale(self.observers, factors)
+            self._stiffnesses = self._stiffnesses * factors
 
     def output(self, torque: Vector) -> ControlOutput:
         """Return an answer to the sample that has been seen."""
@@ -259,7 +274,7 @@ class Controller:
     def _start(self) -> None:
         """Begin with the first sample."""
         pose = self._pose()
-        self._rotation_world = pose.rotation_world
+        self._stiffnesses = loop_stiffnesses(self.config, pose.rotation_world)
         self.observers = make_observers(design_observers(self.config, pose.rotation_world))
         self._reference.start(pose, self.contacts['normal'].copy())
         self._started = True
@@ -272,6 +287,29 @@ class Controller:
             terms.jacobian_rate, self.contacts, self.observers)
         if status != OK:
             self.refuse(status)
+
+    def account_for(self, torque: Vector) -> None:
+        """
+        Tell the observers that another torque acts than the one that was answered.
+
+        It accelerates the contact points by N^T J M^-1 Delta Gamma more (the coordinates along
+        N_i, by `paper` allocation), and so much is added to the input that they predict with.
+
+        Parameters
+        ----------
+        torque
+            What is commanded, blended and within all limits, shape (n,) [N m].
+
+        """
+        terms, active = self.robot.terms, self.active
+        if not active.any():
+            return
+        M = np.triu(terms.mass_matrix)
+        M += np.triu(M, 1).T
+        twist_rate = terms.jacobian @ np.linalg.solve(M, torque - self._torque)
+        N = self.contacts['N'][active].T
+        self.observers['command'][active] += (
+            np.linalg.pinv(N) if self._coordinate_driven else N.T) @ twist_rate
 
     def refuse(self, status: int) -> NoReturn:
         """
@@ -309,6 +347,26 @@ def law_record(config: ControllerConfig) -> Records:
     return law
 
 
+def loop_stiffnesses(config: ControllerConfig, rotation_world: Matrix) -> Vector:
+    """
+    Return the stiffness that the force loop of each contact drives, shape (r,) [N/m].
+
+    Parameters
+    ----------
+    config
+        Contacts, force loops.
+    rotation_world
+        Axes of the operational frame, shape (3, 3).
+
+    """
+    contacts = [config.contacts[name] for name in config.contact_names]
+    if config.force.allocation == 'decoupled':  # which drives the contact point itself
+        return np.array([contact.stiffness for contact in contacts])
+    return np.array([operational_stiffness(  # `paper` drives the coordinate along N_i
+        contact.stiffness, np.array(contact.normal_world),
+        -rotation_world @ np.array(contact.point_operational)) for contact in contacts])
+
+
 def design_observers(config: ControllerConfig, rotation_world: Matrix) -> list[ObserverDesign]:
     """
     Design one AOB per contact.
@@ -318,19 +376,12 @@ def design_observers(config: ControllerConfig, rotation_world: Matrix) -> list[O
     config
         Contacts, force loops.
     rotation_world
-        Axes of the operational frame, for which `paper` allocation has its stiffness, shape
-        (3, 3).
+        Axes of the operational frame; see `loop_stiffnesses`.
 
     """
     force = config.force
     designs = []
-    for name in config.contact_names:
-        contact = config.contacts[name]
-        k_env = contact.stiffness
-        # `decoupled` drives the contact point itself, `paper` the coordinate along N_i.
-        stiffness = k_env if force.allocation == 'decoupled' else operational_stiffness(
-            k_env, np.array(contact.normal_world),
-            -rotation_world @ np.array(contact.point_operational))
+    for stiffness in loop_stiffnesses(config, rotation_world).tolist():
         loop = design_force_loop(
             stiffness, damping_rate=force.damping_rate, input_delay=config.loop_delay,
             period=config.period, time_constant=force.time_constant,

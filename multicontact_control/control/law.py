@@ -160,7 +160,7 @@ def control_law(
     multiply(Lambda, acceleration, force)
     for i in range(count):
         for k in range(6):
-            force[k] += rows[i, k] * contacts[i].alpha_est
+            force[k] += rows[i, k] * (contacts[i].alpha_est - contacts[i].damping)
     for j in range(n):
         joints[j].torque = 0.0
     for i in range(6):

@@ -32,7 +32,8 @@ def operational_wrench(control: Any, wrench: Vector) -> None:
 
     The sensor reads m (a - g) + f_c + bias: the bias is taken off, the tool's weight m g added
     back, the result rotated to world axes and moved along the lever from the sensor to the
-    operational point. The inertia m a is left in (0.05 N for the paper's tool and motion).
+    operational point. The inertia m a is left in: 0.05 N with the paper's tool and motion on rigid
+    drives, and up to 1 N where flexible ones let the tool swing.
 
     Parameters
     ----------

@@ -9,6 +9,7 @@ from typing import Any
 from multicontact_control.arrays import Mask, Vector
 from multicontact_control.config import ForceConfig
 from multicontact_control.experiment.metrics import (
+    force_error,
     mean_in,
     median_in,
     motion_summary,
@@ -94,7 +95,7 @@ def _after_motion(setup: Setup, unstable_at: float | None) -> float | None:
 def _contact_evidence(data: RunData, setup: Setup, i: int) -> dict[str, Any]:
     name = data.contact_names[i]
     rest, moving = quiet_windows(data, setup)
-    error = data.alpha_true[:, i] - data.alpha_des[:, i]
+    error, command = force_error(data, setup, i), setup.commanded(data.time)[:, i]
     variance = data.noise_variance[:, i]
     steps = [step for step in step_responses(data, setup, i) if step.size > 0.0]
     true_stiffness = setup.plant.surfaces[name].stiffness
@@ -105,9 +106,9 @@ def _contact_evidence(data: RunData, setup: Setup, i: int) -> dict[str, Any]:
         'variance_moving_n2': median_in(moving, variance),
         'rises_s': [step.rise_63 for step in steps],
         'overshoot_percent': max((step.overshoot_percent for step in steps), default=None),
-        'rest_command_n': median_in(rest, data.alpha_des[:, i]),
+        'rest_command_n': median_in(rest, command),
         'rest_mean_error_n': mean_in(rest, error), 'rest_std_n': value_in(rest, error, np.std),
-        'moving_command_n': median_in(moving, data.alpha_des[:, i]),
+        'moving_command_n': median_in(moving, command),
         'moving_rms_n': rms_in(moving, error),
         'moving_lost': mean_in(moving, data.alpha_true[:, i] <= 0.0),
         'start_peak_n': value_in(
@@ -157,7 +158,7 @@ def disturbance_summary(
     """
     rest, moving = quiet_windows(data, setup)
     contacts = {name: {
-        'rest': _errors(data, i, rest), 'moving': _errors(data, i, moving),
+        'rest': _errors(data, setup, i, rest), 'moving': _errors(data, setup, i, moving),
         'recoveries': recoveries(data, setup, i, unstable_at)}
         for i, name in enumerate(data.contact_names)}
     return {
@@ -166,9 +167,10 @@ def disturbance_summary(
         'unstable_after_motion_s': _after_motion(setup, unstable_at)}
 
 
-def _errors(data: RunData, contact: int, window: Mask) -> dict[str, float | None]:
-    true = data.alpha_true[:, contact]
-    error = true - data.alpha_des[:, contact]
+def _errors(
+    data: RunData, setup: Setup, contact: int, window: Mask,
+) -> dict[str, float | None]:
+    true, error = data.alpha_true[:, contact], force_error(data, setup, contact)
     return {'rms_n': rms_in(window, error), 'mean_n': mean_in(window, error),
             'std_n': value_in(window, error, np.std), 'lost': mean_in(window, true <= 0.0),
             'variance_n2': median_in(window, data.noise_variance[:, contact])}
@@ -201,7 +203,7 @@ def recoveries(
 
     """
     last = float(data.time[-1])
-    error = data.alpha_true[:, contact] - data.alpha_des[:, contact]
+    error, command = force_error(data, setup, contact), setup.commanded(data.time)[:, contact]
     found = []
     for start, duration in _pushes(setup):
         lasting = duration >= LASTING
@@ -212,7 +214,7 @@ def recoveries(
         judged = _between(data.time, from_time, until)
         if not (before.any() and judged.any()):
             continue
-        band = max(BAND_OF_COMMAND * float(data.alpha_des[judged, contact][0]),
+        band = max(BAND_OF_COMMAND * float(command[judged][0]),
                    BAND_OF_NOISE * float(np.std(error[before])))
         after = _settled(np.abs(error[judged]) <= band, round(BAND_HELD * data.rate))
         # The end of a run that ended before its time takes no recovery back.

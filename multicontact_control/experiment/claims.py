@@ -99,7 +99,8 @@ def _variance(
         return _unknown('the run has no such stretch')
     holds = all(paper / factor <= value <= paper * factor for value in values)
     return (_each(evidence, name, 2, 'N²'), holds,
-            f'medians {"all" if holds else "not all"} within a factor {factor:g} of it; '
+            'calibrated, not found: noise and roughness of the simulated plant were chosen to '
+            f'give it; medians {"all" if holds else "not all"} within a factor {factor:g} of it; '
             'the filter has a gain of 19 at high frequency: R is 269 times the raw variance')
 
 
@@ -279,9 +280,9 @@ def _maybeck(evidence: Evidence, rows: Rows) -> Verdict:
     unstable = sum(not row.evidence['stable'] for row in judged)
     return (f'pushes at rest lift R to {other:.1f} times its value at rest, against {lead:.1f} '
             f'times with the filter; unstable in {unstable} of {len(judged)} runs',
-            other >= SENSITIVE_FACTOR * lead or unstable > 0,
-            f'{SENSITIVE_FACTOR:g} times the reaction of the filter, or instability, counts as '
-            'too sensitive')
+            other >= SENSITIVE_FACTOR * lead,
+            f'{SENSITIVE_FACTOR:g} times the reaction of the filter counts as too sensitive; it '
+            'works at another bandwidth than the filter, with the same Q')
 
 
 def _reaction(rows: Rows) -> float | None:

@@ -97,12 +97,23 @@ def losses(
     return [begin for begin, _ in found], [end for _, end in found]
 
 
+def force_error(data: RunData, setup: Setup, contact: int) -> Vector:
+    """
+    Return the true force of a contact less what the task asks for, shape (m,) [N].
+
+    The task's command counts, and not what a supervisor makes of it: a contact that is lost or
+    held has an error.
+    """
+    error: Vector = data.alpha_true[:, contact] - setup.commanded(data.time)[:, contact]
+    return error
+
+
 def force_oscillations(
     data: RunData, setup: Setup, contact: int, judged: Mask,
 ) -> list[Oscillation]:
     """Return where the true force of a contact oscillates, among the samples `judged`."""
-    command = setup.commanded(data.time)[:, contact]
-    return oscillations(data.alpha_true[:, contact] - command, command, judged, data.rate)
+    return oscillations(force_error(data, setup, contact), setup.commanded(data.time)[:, contact],
+                        judged, data.rate)
 
 
 def saturation(data: RunData, setup: Setup) -> Mask:
@@ -133,8 +144,8 @@ def contact_summary(data: RunData, setup: Setup, contact: int) -> dict[str, Any]
                    'rise_63_s': response.rise_63,
                    'overshoot_percent': response.overshoot_percent} for response in responses],
         **_hold_summary(data, setup, contact, judged.loaded),
-        'rest': _window_summary(data, contact, judged.rest),
-        'moving': _window_summary(data, contact, judged.moving)}
+        'rest': _window_summary(data, setup, contact, judged.rest),
+        'moving': _window_summary(data, setup, contact, judged.moving)}
 
 
 def _hold_summary(
@@ -153,10 +164,12 @@ def _hold_summary(
         'oscillation_s': found.duration if found else None}
 
 
-def _window_summary(data: RunData, contact: int, window: Mask) -> dict[str, float | None]:
+def _window_summary(
+    data: RunData, setup: Setup, contact: int, window: Mask,
+) -> dict[str, float | None]:
     true = data.alpha_true[:, contact]
     return {
-        'true_error_rms_n': rms_in(window, true - data.alpha_des[:, contact]),
+        'true_error_rms_n': rms_in(window, force_error(data, setup, contact)),
         'estimate_error_rms_n': rms_in(window, data.alpha_est[:, contact] - true),
         'noise_variance_median_n2': median_in(window, data.noise_variance[:, contact]),
         'contact_loss_fraction': mean_in(window, true <= 0.0)}

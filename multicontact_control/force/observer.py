@@ -17,7 +17,7 @@ from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.errors import ConfigError
 from multicontact_control.force.plant_model import ForceLoop
-from multicontact_control.records import MAX_ORDER, OBSERVER, Records
+from multicontact_control.records import MAX_ORDER, MAX_STATES, OBSERVER, Records
 import numpy as np
 
 
@@ -288,6 +288,30 @@ def command(observer: Any, alpha_des: float) -> float:
     for j in range(observer.states):
         total -= feedback[j] * x_est[j]
     return total
+
+
+def rescale(observers: Records, factors: Vector) -> None:
+    """
+    Redesign observers for other stiffnesses, with the same poles.
+
+    A plant whose force is c times as large for the same input is the old one in another unit of
+    force: with T = diag(c, c, 1, ...), Phi, Gamma and L become T Phi T^-1, T Gamma and L T^-1.
+
+    Parameters
+    ----------
+    observers
+        Records of `OBSERVER`, changed, shape (r,); what they know stays.
+    factors
+        New stiffness over old, shape (r,).
+
+    """
+    for observer, factor in zip(observers, factors):
+        scale = np.ones(MAX_STATES)
+        scale[:2] = factor  # force and its rate
+        for name in ('Phi_c', 'Phi_n'):
+            observer[name] *= np.outer(scale, 1.0 / scale)
+        observer['Gamma'] *= scale
+        observer['feedback'] /= scale
 
 
 def continue_at(observers: Records, held: Mask, force: Vector) -> None:

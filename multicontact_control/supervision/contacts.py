@@ -30,6 +30,7 @@ import numpy as np
 FREE, APPROACHING, IMPACT, HOLDING, LOST, RETRACTING, GIVEN_UP = range(7)
 LEVEL_TIME = 0.1  # s, over which the force a contact is held with is averaged
 TOUCH_SHARE = 0.5  # of the force before a loss, that counts as touch right after it
+STEP_TIME = 0.02  # s, in which a force step may be taken
 LONGEST_WAIT = 4  # doublings of the time between two searches
 POSITION_RATE = 20.0  # 1/s, of the way left: how a displacement settles
 
@@ -147,7 +148,10 @@ def watch_hold(
     patience = settings.loss_time
     if contact.state == IMPACT:  # a bounce is no loss
         patience = max(patience, settings.bounce_time)
-    if contact.below > patience + 1e-9 or escape > settings.escape_speed:
+    # A step of the force is a motion, too: into a surface that yields as its model.
+    step = abs(min(contact.asked, contact.force_limit) - contact.level)
+    fastest = settings.escape_speed + step / (contact.stiffness * STEP_TIME)
+    if contact.below > patience + 1e-9 or escape > fastest:
         contact.losses += 1
         leave_surface(contact, place, speed)
         enter(contact, LOST)
@@ -292,8 +296,10 @@ def watch_energy(contact: Any, settings: Any, alpha: float, speed: float) -> flo
 
     The robot does the work W = sum alpha v h on a surface, of which alpha^2 / (2 k) is stored in
     it. What remains is turned into heat there, and a controller that keeps on delivering it feeds
-    a bouncing or an oscillation. The remainder is forgotten with a time constant; above a limit
-    the contact counts as active, and a damping force b v is to be taken from its command.
+    a bouncing or an oscillation. The remainder is forgotten with a time constant; above a limit,
+    in proportion to alpha^2 / (2 k) at the force asked for, the contact counts as active, and a
+    damping force b v is to be taken off. A touch turns the energy of the tip into heat: only a
+    contact that holds is watched.
 
     Parameters
     ----------
@@ -305,7 +311,7 @@ def watch_energy(contact: Any, settings: Any, alpha: float, speed: float) -> flo
     Returns
     -------
     float
-        Force to take from the command [N], 0 while the bound is kept.
+        Force to take off the torque [N], 0 while the bound is kept.
 
     """
     pressed = max(alpha, 0.0)
@@ -313,4 +319,8 @@ def watch_energy(contact: Any, settings: Any, alpha: float, speed: float) -> flo
     work = alpha * speed * settings.period
     contact.energy = settings.energy_keep * contact.energy + work - (stored - contact.stored)
     contact.stored = stored
-    return 0.0 if contact.energy <= settings.energy_limit else settings.injected_damping * speed
+    if contact.state != HOLDING:
+        contact.energy = 0.0
+    held = max(contact.asked, settings.preload + settings.contact_threshold)
+    contact.energy_limit = settings.energy_share * held * held / (2.0 * contact.stiffness)
+    return 0.0 if contact.energy <= contact.energy_limit else settings.injected_damping * speed

@@ -57,11 +57,11 @@ class Recovery:
         self.latched, self._relapses = False, 0
 
     def resumed(self, tick: int) -> None:
-        """Control has resumed at a tick of its own count."""
+        """Take note that control has resumed at a tick of its own count."""
         self._resumed_at = tick
 
     def stopped(self, causes: tuple[str, ...], tick: int) -> None:
-        """A reaction has begun at a tick of control's count."""
+        """Take note that a reaction has begun at a tick of control's count."""
         config, since = self._config, self._resumed_at
         soon = config.relapse_time if is_physical(causes) else min(config.relapse_time, SOON)
         if since is None or (tick - since) * self._period > soon:
@@ -70,7 +70,7 @@ class Recovery:
             self.relapsed(causes)
 
     def relapsed(self, causes: tuple[str, ...]) -> None:
-        """Control has stopped again too soon, or could not even resume."""
+        """Take note that control has stopped too soon, or could not even resume."""
         config = self._config
         self._wait = min(GROWTH * self._wait, max(config.longest_recovery, config.recovery_time))
         if is_physical(causes):

@@ -75,7 +75,6 @@ class ContactReference:
         controls['frame']['rotation'] = np.eye(3)
         self._use(controls, contacts_alone)
         self._offset: Vector = self._limits['offset'][0]
-        self._energy_limit = contact_state.energy_limit
         self.retune(config)
         limits = config.limits
         self._limits['box'] = [limits.workspace_lower or [-np.inf] * 3,
@@ -118,7 +117,8 @@ class ContactReference:
     @property
     def energy_limits(self) -> Vector:
         """Bound of that energy, shape (r,) [J]."""
-        return np.full(self.contact_states.shape, self._energy_limit)
+        limits: Vector = self.contact_states['energy_limit']
+        return limits.copy()
 
     def start(self, pose: Pose, normals_world: Vector) -> None:
         """Begin from a pose at rest; see `ReferenceSource.start`."""

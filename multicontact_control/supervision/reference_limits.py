@@ -200,7 +200,9 @@ def limit_reference(reference: Any, control: Any, contacts: Any, states: Any) ->
         contact, state = contacts[i], states[i]
         contact.active = is_active(state)
         contact.alpha_des = 0.0
+        contact.damping = 0.0
         if contact.active:
-            contact.alpha_des = max(min(state.asked, state.force_limit) - damping[i], 0.0)
+            contact.alpha_des = min(state.asked, state.force_limit)
+            contact.damping = damping[i]
     add_displacements(limits, wanted, contacts, states, task)
     return bound_task(limits, frame, task)

@@ -25,7 +25,7 @@ from multicontact_control.supervision.fallback import (
     Reactions,
     SEVERITY,
 )
-from multicontact_control.supervision.gate import ENFORCED, TorqueGate
+from multicontact_control.supervision.gate import ENFORCED, JOINT_STOP, TORQUE, TorqueGate
 from multicontact_control.supervision.inputs import TickInputs
 from multicontact_control.supervision.plausibility import (
     limit_speeds,
@@ -62,6 +62,7 @@ __all__ = ['Supervisor', 'TickOutput', 'SupervisorStatus']
 CONTRADICTIONS = 2  # samples in a row that contradict the contacts, for the wrench to be refused
 LONGEST_SKIP = 0.1  # s; the task's time does not follow a clock that has been set
 WAITING = ((RECOVERING,), (LATCHED,))
+SATURATED = frozenset(ENFORCED[TORQUE | JOINT_STOP])
 FIXED = ('torque_limit', 'sensor', 'contacts', 'contact_state', 'limits', 'watchdog')
 
 
@@ -105,13 +106,13 @@ class Supervisor(BumplessController):
         self._law = SupervisedLaw(
             self._record, self.controller, self.reference.contact_states, self._gate)
         self._measured: Any = self.controller.controls['measured']
-        self._energy_limits = self.reference.energy_limits
         self.reset()
 
     def _adopt(self, config: ControllerConfig) -> None:
         super()._adopt(config)
         self.reference.retune(config)
         self._record['plausibility'] = plausibility_limits(config)
+        self.controller.arm.joints['torque_limit'] = np.inf  # the gate has it, and says so
 
     def check(self, config: ControllerConfig) -> None:
         """Find out whether `reconfigure` would take a configuration; see `BumplessController`."""
@@ -314,6 +315,8 @@ class Supervisor(BumplessController):
         limits = ('reference',) if found & REFERENCE else ()
         if found & PASSED:
             torque = self._gate.passed()
+            if found // GATE & (TORQUE | JOINT_STOP):
+                self.controller.account_for(torque)
             self._transition.commanded(torque)
             return self._report(
                 self.controller.output(torque), reaction, causes, valid.rejected,
@@ -321,8 +324,12 @@ class Supervisor(BumplessController):
         active = self.controller.active.tobytes()
         self._last_law = NONE, active, False
         output = self.controller.output(self.controller.arm.joints['torque'].copy())
-        return self._finish(
+        finished = self._finish(
             output, (NONE, active, resumed), causes, valid.rejected, reaction, limits)
+        # A blend passes in a moment, and a limited rate is caught up with: they are left out.
+        if not SATURATED.isdisjoint(finished.status.limits if finished.status else ()):
+            self.controller.account_for(finished.output.torque)
+        return finished
 
     def _answer(self) -> int:
         """Let the control law answer the task; return what `supervised_law` does."""
@@ -394,7 +401,7 @@ class Supervisor(BumplessController):
         reference = self.reference
         self._output, self._status = output, SupervisorStatus(
             reaction, causes, rejected, limits, reference.state_names, reference.energies,
-            self._energy_limits, self._task_time())
+            reference.energy_limits, self._task_time())
         return TickOutput(output, self._status)
 
     def _last_resort(self, cause: str) -> TickOutput:

@@ -33,7 +33,7 @@ SOON = {'reference': {
 
 @pytest.fixture(scope='module')
 def setup():
-    return resolve('quick', plant='rigid')
+    return resolve('quick', plant='rigid', duration=12.0)
 
 
 @pytest.fixture

@@ -20,7 +20,7 @@ import pytest
 
 @pytest.fixture(scope='module')
 def setup():
-    return resolve('quick', plant='rigid')
+    return resolve('quick', plant='rigid', duration=12.0)
 
 
 @pytest.fixture

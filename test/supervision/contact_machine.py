@@ -48,10 +48,11 @@ class PassivityObserver(ContactMachine):
 
     def __init__(self, config, stiffness, period):
         super().__init__(config, period, stiffness)
+        self._states['state'] = contacts.HOLDING
 
     @property
     def passive(self):
-        return self.energy <= self.config.energy_limit
+        return self.energy <= self.energy_limit
 
     def update(self, alpha, speed):
         return contacts.watch_energy(self._states[0], self._settings[0], alpha, speed)

@@ -110,7 +110,9 @@ class PlainMachine:
             self._below += h
         patience = config.loss_time if self.state is ContactState.HOLDING else max(
             config.loss_time, config.bounce_time)
-        if self._below > patience + 1e-9 or escape > config.escape_speed:
+        step = abs(min(alpha_des, self.force_limit) - self._level)
+        fastest = config.escape_speed + step / (self._stiffness * 0.02)
+        if self._below > patience + 1e-9 or escape > fastest:
             self.losses += 1
             self._leave_surface(place, speed)
             self._enter(ContactState.LOST)
@@ -176,7 +178,9 @@ class PlainObserver:
         self._stiffness, self._period = stiffness, period
         self._keep = math.exp(-period / config.energy_memory)
         self._damping = config.injected_damping
-        self.limit = config.energy_limit
+        self._share = config.energy_share
+        self._least = config.preload + config.contact_threshold
+        self.limit = 0.0
         self.reset()
 
     def reset(self):
@@ -187,11 +191,14 @@ class PlainObserver:
     def passive(self):
         return self.energy <= self.limit
 
-    def update(self, alpha, speed):
+    def update(self, alpha, speed, asked=0.0, holding=True):
         stored = max(alpha, 0.0) ** 2 / (2.0 * self._stiffness)
         work = alpha * speed * self._period
         self.energy = self._keep * self.energy + work - (stored - self._stored)
         self._stored = stored
+        if not holding:
+            self.energy = 0.0
+        self.limit = self._share * max(asked, self._least) ** 2 / (2.0 * self._stiffness)
         return 0.0 if self.passive else self._damping * speed
 
 
@@ -260,14 +267,15 @@ class PlainReference:
             self._return(gap)
             gap = gap - self._offset
         damping = self._follow_contacts(task, gap, alpha_meas, pose)
+        self.damping = np.zeros(len(self.machines))
         shift, velocity, change = self._offset.tolist(), [0.0] * 3, [0.0] * 3
         alpha_des, active = np.zeros(len(self.machines)), np.zeros(len(self.machines), dtype=bool)
         for i, machine in enumerate(self.machines):
             held = machine.active
             if held:
                 active[i] = True
-                alpha_des[i] = max(
-                    min(float(task.alpha_des[i]), machine.force_limit) - damping[i], 0.0)
+                alpha_des[i] = min(float(task.alpha_des[i]), machine.force_limit)
+                self.damping[i] = damping[i]
             for axis, component in enumerate(self._normal_lists[i]):
                 shift[axis] += machine.displacement * component
                 if not held:
@@ -311,7 +319,8 @@ class PlainReference:
             lx, ly, lz = levers[i]
             speed = (nx * (vx + wy * lz - wz * ly) + ny * (vy + wz * lx - wx * lz)
                      + nz * (vz + wx * ly - wy * lx))
-            damping.append(self.observers[i].update(forces[i], speed))
+            damping.append(self.observers[i].update(
+                forces[i], speed, desired[i], machine.state is ContactState.HOLDING))
             others = sum(self._overlap[i][j] * other for j, other in enumerate(displacements)
                          if j != i)
             machine.update(wanted[i], forces[i], desired[i], places[i] - others, speeds[i],

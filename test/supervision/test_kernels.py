@@ -71,7 +71,7 @@ def test_machine_equals_plain_python(ticks):
 @settings(max_examples=100, deadline=None)
 @given(seed=seeds, damping=st.floats(0.0, 100.0))
 def test_observer_equals_plain_python(seed, damping):
-    config = ContactStateConfig(injected_damping=damping, energy_limit=0.01)
+    config = ContactStateConfig(injected_damping=damping, energy_share=30.0)
     observer, plain = PassivityObserver(config, 6000.0, H), PlainObserver(config, 6000.0, H)
     for alpha, speed in np.random.default_rng(seed).normal(size=(100, 2)) * [10.0, 0.1]:
         taken = observer.update(float(alpha), float(speed))
@@ -107,7 +107,7 @@ class WanderingTask(CommandedReference):
 def test_reference_equals_plain_python(seed, box):
     limits = {} if box else {'workspace_lower': [], 'workspace_upper': []}
     config = controller_config(limits=limits, contact_state={
-        'injected_damping': 20.0, 'energy_limit': 1e-3})
+        'injected_damping': 20.0, 'energy_share': 1.0})
     random = np.random.default_rng(seed)
     task = WanderingTask(random)
     pair = ContactReference(config, task), PlainReference(config, task)

@@ -32,7 +32,7 @@ def test_energy_is_the_heat_in_a_damper():
 def test_growing_oscillation_passes_the_limit_and_is_damped():
     t = np.arange(0.0, 2.0, H)
     speed = 0.1 * np.sin(2 * np.pi * 20 * t)
-    observer, damping = observe(15.0 + 300.0 * speed, speed, energy_limit=0.5,
+    observer, damping = observe(15.0 + 300.0 * speed, speed, energy_share=490.0,
                                 injected_damping=50.0)
     assert not observer.passive
     late = slice(-200, None)

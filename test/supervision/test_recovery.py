@@ -222,3 +222,36 @@ def test_smallest_force_that_may_be_asked_for_holds_while_sliding(plant):
     finally:
         loop.close()
     assert {status.contact_states for status in statuses} == {HOLDING}
+
+
+@pytest.mark.parametrize('plant', PLANTS)
+def test_joint_at_its_limit_does_not_wind_the_observers_up(plant):
+    """Torques just beyond those of 8 N, and 25 N wanted: one force ran to 96 N."""
+    loop = pressing(plant, force=8.0)
+    needed = np.maximum(np.abs(loop.command) + 0.7, 2.0)
+    most = np.minimum(loop.setup.controller.torque_limit, needed)
+    loop.close()
+    loop = pressing(plant, force=8.0, controller={'torque_limit': most.tolist()})
+    try:
+        loop.control.set_forces({'table': 25.0, 'board': 25.0})
+        forces, statuses = advance(loop, 2.0)
+        assert 'torque' in statuses[-1].limits
+        assert forces.max() < 30.0
+        loop.control.set_forces({'table': 8.0, 'board': 8.0})
+        forces, statuses = advance(loop, 1.5)
+    finally:
+        loop.close()
+    assert {status.contact_states for status in statuses} == {HOLDING}
+    assert np.abs(forces[-100:] - 8.0).max() < 0.5
+
+
+@pytest.mark.parametrize('plant', PLANTS)
+def test_large_force_step_is_no_escape(plant):
+    loop = pressing(plant, force=3.0)
+    try:
+        loop.control.set_forces({'table': 25.0, 'board': 25.0})
+        forces, statuses = advance(loop, 1.0)
+    finally:
+        loop.close()
+    assert {status.contact_states for status in statuses} == {HOLDING}
+    assert np.abs(forces[-1] - 25.0).max() < 0.5

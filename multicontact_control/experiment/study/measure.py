@@ -52,7 +52,7 @@ def measure_run(job: RunJob) -> JobResult:
         'summary': summary,
         'disturbances': disturbance_summary(data, setup, summary['unstable_at_s']),
         'evidence': evidence_of(data, setup, summary),
-        'final_error_share': final_error_share(data)}
+        'final_error_share': final_error_share(data, setup)}
     traces = {name: getattr(data, series) for name, series in TRACES.items()}
     return JobResult(finite(metrics), {'time': data.time, **traces}, result.wall_time)
 
@@ -91,10 +91,10 @@ def _summary(job: RunJob, setup: Setup, result: LoopResult) -> dict[str, Any]:
         events=result.events if job.supervised else None)
 
 
-def final_error_share(data: RunData) -> float:
-    """Return the largest force error of the last 0.5 s, relative to the command."""
+def final_error_share(data: RunData, setup: Setup) -> float:
+    """Return the largest force error of the last 0.5 s, relative to the task's command."""
     last = data.time > data.time[-1] - LAST
-    desired = data.alpha_des[last]
+    desired = setup.commanded(data.time)[last]
     if not (desired > 0.0).all():
         return math.inf
     return float(np.max(np.abs(data.alpha_true[last] - desired) / desired))

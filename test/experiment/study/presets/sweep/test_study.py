@@ -103,7 +103,7 @@ def test_run_that_cannot_go_on_is_a_row(sweep, tmp_path):
     shown = sweep('out', {'supervised': False, 'grid': {}, 'points': points, 'seeds': [4]}, jobs=1)
     assert '2 runs: ' in shown and 'of which 1 ended early' in shown
     rows = pq.read_table(tmp_path / 'out' / 'sweep.parquet').to_pylist()
-    assert 'expected independent columns' in rows[0]['error']
+    assert 'which depend on each other' in rows[0]['error']
     assert rows[0]['controller.contacts.board.normal_world'] == '[0.0,0.0,-1.0]'
     assert rows[1]['error'] is None and rows[1]['ticks'] == 850
 
