@@ -173,8 +173,8 @@ def test_tare_makes_the_compensated_wrench_zero(graph):
 
 def test_tare_is_refused_while_forces_are_controlled(graph):
     arm, driver = graph
-    send_forces(arm, ['table'], [2.0])
-    wait_for_forces(arm, table=2.0, board=0.0)
+    send_forces(arm, ['table'], [5.0])
+    wait_for_forces(arm, table=5.0, board=0.0)
     answer = driver.call(NAME, Trigger, 'tare', Trigger.Request())
     assert not answer.success
     assert 'none under force control' in answer.message
@@ -182,10 +182,17 @@ def test_tare_is_refused_while_forces_are_controlled(graph):
     wait_for_forces(arm, table=0.0, board=0.0)
 
 
+def test_retry_is_refused_where_nothing_waits_for_it(graph):
+    _, driver = graph
+    answer = driver.call(NAME, Trigger, 'retry', Trigger.Request())
+    assert not answer.success
+    assert 'found' in answer.message
+
+
 def test_hold_keeps_what_is_until_it_is_released(graph):
     arm, driver = graph
-    send_forces(arm, ['table'], [2.0])
-    wait_for_forces(arm, table=2.0, board=0.0)
+    send_forces(arm, ['table'], [5.0])
+    wait_for_forces(arm, table=5.0, board=0.0)
     before = arm.step()
     assert driver.call(NAME, SetBool, 'hold', SetBool.Request(data=True)).success
     np.testing.assert_array_equal(arm.step(), before)
@@ -193,7 +200,7 @@ def test_hold_keeps_what_is_until_it_is_released(graph):
     report = arm.diagnostics(lambda x: any('~/hold' in key for key in x['messages'][2]))
     assert report['contacts'][2]['held'] == 'True'
     arm.step()
-    assert arm.desired() == {'table': 2.0, 'board': 0.0}
+    assert arm.desired() == {'table': 5.0, 'board': 0.0}
     assert driver.call(NAME, SetBool, 'hold', SetBool.Request(data=False)).success
     send_forces(arm, ['table'], [0.0])
     wait_for_forces(arm, table=0.0, board=0.0)
