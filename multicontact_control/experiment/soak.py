@@ -15,8 +15,9 @@ import resource
 
 from multicontact_control.arrays import Vector
 from multicontact_control.experiment.closed_loop import ClosedLoop
+from multicontact_control.experiment.faults.fault import Fault, PlantEdit, PROCESS
 from multicontact_control.experiment.faults.in_process import Occurrence
-from multicontact_control.experiment.faults.vocabulary import Fault, faults_of, PlantEdit, PROCESS
+from multicontact_control.experiment.faults.vocabulary import faults_of
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.quintic import quintic
 from multicontact_control.sampling import MotionReading

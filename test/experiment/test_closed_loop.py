@@ -2,8 +2,9 @@
 
 from multicontact_control.errors import RunError
 from multicontact_control.experiment.closed_loop import ClosedLoop, run_in_process
+from multicontact_control.experiment.faults.fault import PROCESS
 from multicontact_control.experiment.faults.in_process import run_fault
-from multicontact_control.experiment.faults.vocabulary import faults_of, PROCESS
+from multicontact_control.experiment.faults.vocabulary import faults_of
 from multicontact_control.experiment.figures import draw_figures, run_figures
 from multicontact_control.experiment.judge import judge, NOT_STABLE
 from multicontact_control.experiment.metrics import contact_summary

@@ -13,18 +13,15 @@ import sys
 from typing import Any
 
 from multicontact_control.errors import ConfigError
-from multicontact_control.experiment.faults.vocabulary import (
-    CLOCK,
+from multicontact_control.experiment.faults.fault import (
     ClockShift,
     Delivery,
     Edit,
     Fault,
-    faults_of,
     GRAPH,
-    PERIOD,
     Random,
-    STREAMS,
 )
+from multicontact_control.experiment.faults.vocabulary import CLOCK, faults_of, PERIOD, STREAMS
 from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.nodes.graph_node import StartupConfig
 from multicontact_control.nodes.parameters import load_parameters

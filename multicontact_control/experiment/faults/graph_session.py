@@ -11,6 +11,7 @@ from types import TracebackType
 from typing import Any
 
 from multicontact_control.errors import RunError
+from multicontact_control.experiment.faults.fault import Command, Fault, NodeChange, Random
 from multicontact_control.experiment.faults.graph_operator import Operator
 from multicontact_control.experiment.faults.graph_relay import (
     INPUTS,
@@ -19,14 +20,7 @@ from multicontact_control.experiment.faults.graph_relay import (
     RELAY,
 )
 from multicontact_control.experiment.faults.graph_watch import GraphWatch
-from multicontact_control.experiment.faults.vocabulary import (
-    Command,
-    Fault,
-    HALT,
-    KILL,
-    NodeChange,
-    Random,
-)
+from multicontact_control.experiment.faults.vocabulary import HALT, KILL
 from multicontact_control.experiment.graph.processes import NodeProcesses
 from multicontact_control.experiment.graph.spec import (
     CONTROLLER,

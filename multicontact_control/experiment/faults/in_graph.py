@@ -9,15 +9,11 @@ import time
 
 from multicontact_control.errors import RunError
 from multicontact_control.experiment.display import count_bar
+from multicontact_control.experiment.faults.fault import Fault, GRAPH
 from multicontact_control.experiment.faults.graph_session import FaultSession
 from multicontact_control.experiment.faults.graph_watch import busy_share, observe, Window
 from multicontact_control.experiment.faults.judge import FaultRow, judge
-from multicontact_control.experiment.faults.vocabulary import (
-    Fault,
-    faults_of,
-    GRAPH,
-    quick_faults,
-)
+from multicontact_control.experiment.faults.vocabulary import faults_of, quick_faults
 from multicontact_control.experiment.graph.domain import reserve_domain
 from multicontact_control.experiment.graph.processes import NodeEndedError
 from multicontact_control.experiment.graph.run import collected_signals

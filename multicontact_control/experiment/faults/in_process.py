@@ -7,8 +7,7 @@ from typing import Any
 
 from multicontact_control.arrays import Vector
 from multicontact_control.experiment.closed_loop import ClosedLoop
-from multicontact_control.experiment.faults.judge import FaultRow, judge, Observation
-from multicontact_control.experiment.faults.vocabulary import (
+from multicontact_control.experiment.faults.fault import (
     Breakdown,
     ClockShift,
     Delivery,
@@ -19,6 +18,7 @@ from multicontact_control.experiment.faults.vocabulary import (
     Random,
     TWO,
 )
+from multicontact_control.experiment.faults.judge import FaultRow, judge, Observation
 from multicontact_control.supervision.fallback import SEVERITY
 from multicontact_control.supervision.inputs import TickInputs
 import numpy as np

@@ -7,13 +7,8 @@ from dataclasses import dataclass, field
 
 from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.config import WatchdogConfig
-from multicontact_control.experiment.faults.vocabulary import (
-    CONTROLLER,
-    Fault,
-    INF,
-    REST,
-    SLIDING,
-)
+from multicontact_control.experiment.faults.fault import Fault, REST, SLIDING
+from multicontact_control.experiment.faults.vocabulary import CONTROLLER, INF
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.supervision.fallback import SEVERITY
 import numpy as np

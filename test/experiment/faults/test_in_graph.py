@@ -10,6 +10,7 @@ import threading
 from types import SimpleNamespace
 
 from multicontact_control.experiment.faults import graph_session, vocabulary
+from multicontact_control.experiment.faults.fault import Delivery, Edit, GRAPH, NodeChange, PROCESS
 from multicontact_control.experiment.faults.graph_relay import (
     Distortion,
     INPUTS,
@@ -27,16 +28,7 @@ from multicontact_control.experiment.faults.graph_watch import (
 from multicontact_control.experiment.faults.in_graph import graph_tasks, GraphCampaign
 from multicontact_control.experiment.faults.in_process import Corruptor
 from multicontact_control.experiment.faults.judge import judge
-from multicontact_control.experiment.faults.vocabulary import (
-    Delivery,
-    Edit,
-    faults_of,
-    general_kind,
-    GRAPH,
-    NodeChange,
-    PROCESS,
-    quick_faults,
-)
+from multicontact_control.experiment.faults.vocabulary import faults_of, general_kind, quick_faults
 from multicontact_control.experiment.graph.spec import (
     CONTROLLER,
     ESTIMATOR,

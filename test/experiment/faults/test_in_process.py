@@ -1,8 +1,9 @@
 """Faults in process: how they are answered and judged, and that the judge can say no."""
 
 from multicontact_control.experiment.closed_loop import ClosedLoop
+from multicontact_control.experiment.faults.fault import PROCESS
 from multicontact_control.experiment.faults.in_process import RUN_TICKS
-from multicontact_control.experiment.faults.vocabulary import faults_of, PROCESS
+from multicontact_control.experiment.faults.vocabulary import faults_of
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.experiment.study.presets.faults.jobs import in_fork
 from multicontact_control.supervision.validation import Watchdog

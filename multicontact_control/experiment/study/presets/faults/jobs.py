@@ -13,17 +13,11 @@ import traceback
 from typing import Any, ClassVar, NoReturn
 
 from multicontact_control.experiment.closed_loop import ClosedLoop
+from multicontact_control.experiment.faults.fault import APPROACH, Fault, PROCESS, REST, SLIDING
 from multicontact_control.experiment.faults.in_process import run_fault, RUN_TICKS
 from multicontact_control.experiment.faults.judge import FaultRow
 from multicontact_control.experiment.faults.situation import with_side_wall
-from multicontact_control.experiment.faults.vocabulary import (
-    APPROACH,
-    Fault,
-    faults_of,
-    PROCESS,
-    REST,
-    SLIDING,
-)
+from multicontact_control.experiment.faults.vocabulary import faults_of
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.experiment.study.jobs import content_key, JobResult, setup_content
 

@@ -8,15 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from multicontact_control.errors import ConfigError
+from multicontact_control.experiment.faults.fault import GRAPH, PHASES, PROCESS, TWO
 from multicontact_control.experiment.faults.judge import FaultRow
-from multicontact_control.experiment.faults.vocabulary import (
-    faults_of,
-    GRAPH,
-    pairs_of_faults,
-    PHASES,
-    PROCESS,
-    TWO,
-)
+from multicontact_control.experiment.faults.vocabulary import faults_of, pairs_of_faults
 from multicontact_control.experiment.scenario import PLANTS
 from multicontact_control.experiment.study.execute import JobRun
 from multicontact_control.experiment.study.page import Page, Section

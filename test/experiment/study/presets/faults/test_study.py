@@ -4,8 +4,9 @@ import io
 import json
 
 from multicontact_control.errors import ConfigError
+from multicontact_control.experiment.faults.fault import PROCESS
 from multicontact_control.experiment.faults.judge import FaultRow
-from multicontact_control.experiment.faults.vocabulary import faults_of, PROCESS
+from multicontact_control.experiment.faults.vocabulary import faults_of
 from multicontact_control.experiment.study.cache import JobCache
 from multicontact_control.experiment.study.execute import JobRun
 from multicontact_control.experiment.study.presets.faults.jobs import PHASE_TIMES
