@@ -89,6 +89,7 @@ CONTACT = np.dtype([
     ('alpha_meas', F),  # measured force [N]
     ('alpha_des', F),  # desired force, 0 where not active [N]
     ('damping', F),  # force taken off the torque for passivity, 0 where not active [N]
+    ('guarded', B),  # whether the measured force is fed forward, as the surface seems to be gone
     ('alpha_est', F),  # estimated force, 0 where not active [N]
     ('alpha_rate_est', F),  # its estimated rate, 0 where not active [N/s]
     ('innovation', F),  # alpha_meas - C x_1, 0 where nothing was predicted [N]
@@ -159,7 +160,7 @@ CONTACT_SETTINGS = np.dtype([('period', F), ('energy_keep', F), *((name, F) for 
     'contact_threshold', 'release_threshold', 'release_fraction', 'escape_speed', 'preload',
     'force_rate', 'impact_time', 'bounce_time', 'loss_time', 'lost_time', 'braking',
     'force_ceiling', 'retract_distance', 'retract_speed', 'retry_time', 'energy_share',
-    'injected_damping'))])
+    'injected_damping', 'guard_fraction'))])
 
 # Bounds of the reference, and what a pause has left; one.
 REFERENCE_LIMITS = np.dtype([

@@ -31,6 +31,10 @@ class ContactStateConfig(Config):
     release_fraction: Real = parameter(
         0.3, 'The same relative to the force it was held with or is to have, whichever is less: '
         'a tool that falls after its surface reads its own inertia.', ge=0.0, lt=1.0)
+    guard_fraction: Real = parameter(
+        0.3, 'Below this part of the force it was held with, the measured force of a contact is '
+        'fed forward instead of the estimate, so that the other contacts are not pressed with '
+        'what a surface that has gone does not bear; 0 for never.', ge=0.0, lt=1.0)
     escape_speed: Real = parameter(
         0.1, 'Speed of the contact point into its surface, beyond what the task asks of the arm, '
         'that only a lost one reaches; while its force changes, more.',

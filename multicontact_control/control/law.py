@@ -98,7 +98,8 @@ def control_law(
     Work out the joint torque of one tick.
 
     F = Lambda (Omega_m f_t* + Omega_c f_c*) + mu + p + N alpha_est, Gamma = J^T F (P04
-    eqs 23-27), then null space, friction and limits.
+    eqs 23-27), then null space, friction and limits. Of a contact that is `guarded` the measured
+    force is fed forward.
 
     Parameters
     ----------
@@ -159,8 +160,11 @@ def control_law(
         acceleration[i] += bias[i]
     multiply(Lambda, acceleration, force)
     for i in range(count):
+        contact = contacts[i]
+        # What a surface that has gone does not bear would go to the other contacts.
+        fed = max(contact.alpha_meas, 0.0) if contact.guarded else contact.alpha_est
         for k in range(6):
-            force[k] += rows[i, k] * (contacts[i].alpha_est - contacts[i].damping)
+            force[k] += rows[i, k] * (fed - contact.damping)
     for j in range(n):
         joints[j].torque = 0.0
     for i in range(6):

@@ -30,6 +30,7 @@ import numpy as np
 FREE, APPROACHING, IMPACT, HOLDING, LOST, RETRACTING, GIVEN_UP = range(7)
 LEVEL_TIME = 0.1  # s, over which the force a contact is held with is averaged
 TOUCH_SHARE = 0.5  # of the force before a loss, that counts as touch right after it
+GUARD_TIME = 0.3  # s after holding has begun; before, a guard would prolong bounces
 STEP_TIME = 0.02  # s, in which a force step may be taken
 LONGEST_WAIT = 4  # doublings of the time between two searches
 POSITION_RATE = 20.0  # 1/s, of the way left: how a displacement settles
@@ -89,6 +90,13 @@ def reset(states: Records, which: Mask | None = None) -> None:
 def is_active(contact: Any) -> bool:
     """Return whether the force law drives a contact."""
     return contact.state == IMPACT or contact.state == HOLDING
+
+
+@compiled
+def is_falling(contact: Any, settings: Any, alpha: float) -> bool:
+    """Return whether a contact that has long held is felt far less than it was [N]."""
+    return contact.state == HOLDING and contact.in_state > GUARD_TIME and (
+        alpha < settings.guard_fraction * min(contact.level, contact.asked))
 
 
 @compiled

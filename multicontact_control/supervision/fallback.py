@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 from multicontact_control.arrays import Mask, Matrix, Vector
-from multicontact_control.config import WatchdogConfig
+from multicontact_control.config import ControllerConfig
 from multicontact_control.control.arm_state import ArmState
-from multicontact_control.dynamics.robot import RobotModel
+from multicontact_control.control.controller import Controller, ControlOutput
 import numpy as np
 
 NONE, INFLATE, HOLD, FLOAT, DAMP = 'none', 'inflate', 'hold', 'float', 'damp'
@@ -29,26 +29,33 @@ class Reactions:
     Parameters
     ----------
     config
-        Frequencies and rates.
-    robot
-        The arm.
-    period
-        h [s].
+        Frequencies, rates, thresholds.
+    controller
+        The law whose place they take, for its arm and its contacts.
 
     """
 
-    def __init__(self, config: WatchdogConfig, robot: RobotModel, period: float) -> None:
-        self._config, self._robot, self._period = config, robot, period
-        self.pressing = Pressing(config.hold_force_time, period)
+    def __init__(self, config: ControllerConfig, controller: Controller) -> None:
+        self._config, self._period = config.watchdog, config.period
+        self._robot, self._contacts = controller.robot, controller.contacts
+        self._release_threshold = config.contact_state.release_threshold
+        self._pressing = Pressing(config.watchdog.hold_force_time, config.period)
         self.end()
+
+    def begin(self, answered: ControlOutput) -> None:
+        """Go on pressing with the forces of the contacts that were held at an answer."""
+        contacts = answered.contacts
+        alpha = np.where(contacts['active'], np.minimum(
+            np.maximum(contacts['alpha_est'], 0.0), contacts['alpha_des']), 0.0)
+        self._pressing.begin(self._robot.terms.jacobian.T @ (contacts['N'].T * alpha))
 
     def end(self) -> None:
         """Control has resumed: the next reaction begins anew."""
         self._posture: Vector | None = None
         self._since = 0
-        self.pressing.end()
+        self._pressing.end()
 
-    def torque(self, reaction: str, arm: ArmState | None, felt: Mask | None) -> Vector:
+    def torque(self, reaction: str, arm: ArmState | None, wrench_known: bool) -> Vector:
         """
         Return the torque of a reaction.
 
@@ -58,8 +65,8 @@ class Reactions:
             `HOLD`, `FLOAT` or `DAMP`.
         arm
             At its last valid state; None if there was none.
-        felt
-            Which contacts are felt now, shape (r,); None if that is not known.
+        wrench_known
+            Whether the wrench is of this tick, and tells which contacts are felt.
 
         """
         self._since += 1
@@ -69,7 +76,8 @@ class Reactions:
             damped: Vector = arm.bias_torque - (
                 self._config.damping_rate * arm.inertia * arm.velocity)
             return damped
-        pressing = self.pressing.torque(felt)
+        felt = self._contacts['alpha_meas'] > self._release_threshold
+        pressing = self._pressing.torque(felt if wrench_known else None)
         if reaction == FLOAT:
             self._posture = None  # wherever it has gone meanwhile
             fade = math.exp(-self._since * self._period / COAST_TIME)
@@ -116,7 +124,15 @@ class Pressing:
         self._torques = torques
 
     def torque(self, felt: Mask | None) -> Vector | float:
-        """Return what is left of it at the next tick, shape (n,) [N m]; see `Reactions`."""
+        """
+        Return what is left of it at the next tick, shape (n,) [N m].
+
+        Parameters
+        ----------
+        felt
+            Which contacts are felt now, shape (r,); None if that is not known.
+
+        """
         if self._torques is None:
             return 0.0
         self._torques = self._torques * (

@@ -12,7 +12,12 @@ from multicontact_control.algebra import copy_matrix, cross, dot, multiply
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.dynamics.rotations import rotation_vector
-from multicontact_control.supervision.contacts import advance_contact, is_active, watch_energy
+from multicontact_control.supervision.contacts import (
+    advance_contact,
+    is_active,
+    is_falling,
+    watch_energy,
+)
 import numpy as np
 
 
@@ -201,6 +206,7 @@ def limit_reference(reference: Any, control: Any, contacts: Any, states: Any) ->
         contact.active = is_active(state)
         contact.alpha_des = 0.0
         contact.damping = 0.0
+        contact.guarded = is_falling(state, settings, contact.alpha_meas)
         if contact.active:
             contact.alpha_des = min(state.asked, state.force_limit)
             contact.damping = damping[i]

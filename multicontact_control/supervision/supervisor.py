@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from multicontact_control.arrays import Mask, Matrix, Vector
+from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.control.arm_state import ArmState, JOINT_SPEED, OPERATIONAL_SPEED
 from multicontact_control.control.controller import ControlOutput
@@ -97,7 +97,7 @@ class Supervisor(BumplessController):
         super().__init__(config, robot, self.reference)
         self._watchdog = Watchdog(config, self.controller.measured)
         self._gate = TorqueGate(config, robot.joint_count)
-        self._reactions = Reactions(config.watchdog, robot, config.period)
+        self._reactions = Reactions(config, self.controller)
         self._recovery = Recovery(config.watchdog, config.period)
         self.expects_pushes = False
         arm = self.controller.arm
@@ -360,27 +360,13 @@ class Supervisor(BumplessController):
             self._good_ticks = 0
         if self._running and not self._paused:
             self._recovery.stopped(causes, self._task_ticks)
-            self._reactions.pressing.begin(self._pressing())
+            self._reactions.begin(self._output)
         self._paused, self._last_reaction = True, reaction
         with np.errstate(all='ignore'):  # numbers that are none are for the gate to find
             output = self._idle_output(
-                self._reactions.torque(reaction, self._arm, self._felt()))
+                self._reactions.torque(reaction, self._arm, self._wrench_known))
             self._transition.drop_slow_blend(self._acting)
             return self._finish(output, reaction, causes, rejected, reaction, ())
-
-    def _pressing(self) -> Matrix:
-        """Return J^T N_i alpha_i of the contacts held at the last answer, shape (n, r) [N m]."""
-        contacts = self._output.contacts
-        alpha = np.where(contacts['active'], np.minimum(
-            np.maximum(contacts['alpha_est'], 0.0), contacts['alpha_des']), 0.0)
-        pressing: Matrix = self._robot.terms.jacobian.T @ (contacts['N'].T * alpha)
-        return pressing
-
-    def _felt(self) -> Mask | None:
-        """Return which contacts are felt, as far as the wrench of this tick tells."""
-        felt: Mask = self.controller.contacts['alpha_meas'] > (
-            self.config.contact_state.release_threshold)
-        return felt if self._wrench_known else None
 
     def _finish(
         self, output: ControlOutput, law: object, causes: tuple[str, ...],
