@@ -1,9 +1,9 @@
 # Sets up everything in .venv, then runs. Needs python3, its venv module and make.
 #
 # What pip installs is stamped by a hash of what describes it, so that a second start installs
-# nothing; so are the compiled kernels, by the sources they are made from. The package itself is installed in editable mode: the sources of this folder run. What
-# pip then leaves out, which is what `ros2 run` and the ament index need, setup.py's own
-# install_data puts into .venv.
+# nothing; so are the compiled kernels, by the sources they are made from. The package itself is
+# installed in editable mode: the sources of this folder run. What pip then leaves out, which is
+# what `ros2 run` and the ament index need, setup.py's own install_data puts into .venv.
 
 SHELL := /bin/bash
 .SHELLFLAGS := -e -o pipefail -c

@@ -20,7 +20,7 @@ def error_in_motion(damping, seed):
             name: {'stiffness': STIFFNESS} for name in ('table', 'board')}})
     data = run_in_process(setup, supervised=True).data
     assert data.ticks == setup.ticks
-    error = (data.alpha_true - data.alpha_des)[MOVING:]
+    error = (data.alpha_true - setup.commanded(data.time))[MOVING:]
     return np.sqrt(np.mean(error * error, axis=0)), data.alpha_true.max()
 
 
