@@ -8,7 +8,6 @@ commanded again; then the next one begins.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 import resource
@@ -22,6 +21,7 @@ from multicontact_control.experiment.scenario import Setup
 from multicontact_control.quintic import quintic
 from multicontact_control.sampling import MotionReading
 from multicontact_control.supervision.contacts import ContactState
+from multicontact_control.supervision.inputs import TickInputs
 import numpy as np
 
 LARGEST_FORCE = 25.0  # N, that is commanded
@@ -143,19 +143,8 @@ class Soak:
         """Give the simulator's memory back."""
         self._loop.close()
 
-    def run(self, duration: float, on_minute: Callable[[int], None] | None = None) -> SoakOutcome:
-        """
-        Let things happen for a simulated time.
-
-        Parameters
-        ----------
-        duration
-            At least [s]; the last episode is gone through.
-        on_minute
-            Called with the number of simulated minutes after each.
-
-        """
-        self._on_minute = on_minute
+    def run(self, duration: float) -> SoakOutcome:
+        """Let things happen for a simulated time [s]; the last episode is gone through."""
         self._command_forces()
         self._settle()
         while self.outcome.simulated_s < duration:
@@ -251,7 +240,7 @@ class Soak:
         if faults is None:
             loop.advance()
         else:
-            def corrupt(inputs):  # type: ignore[no-untyped-def]
+            def corrupt(inputs: TickInputs) -> TickInputs:
                 for each in faults:
                     inputs = each.corrupt(inputs)
                 return inputs
@@ -278,15 +267,12 @@ class Soak:
             self._report('alternating', ', '.join(
                 f'{name} {rate:.1f}/s' for name, rate in rates.items()))
         self._fastest_change = max([self._fastest_change, *rates.values()])
-        seconds = round(self.outcome.simulated_s)
-        if seconds % 60:
+        if round(self.outcome.simulated_s) % 60:
             return
         self.outcome.minutes.append(Minute(
             resident_memory(), float(np.mean(self._quiet_errors or [np.nan])),
             self._fastest_change))
         self._quiet_errors, self._fastest_change = [], 0.0
-        if self._on_minute is not None:
-            self._on_minute(seconds // 60)
 
     def _report(self, what: str, text: str) -> None:
         self.outcome.counts[what] += 1

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from multicontact_control.experiment.closed_loop import run_in_process
+from multicontact_control.experiment.closed_loop import ClosedLoop, run_in_process
 from multicontact_control.experiment.scenario import resolve
 import numpy as np
 import pytest
@@ -32,3 +32,34 @@ def test_injected_damping_calms_contacts_that_swing_and_keeps_them_bounded():
     means = [np.mean([error for error, _ in runs]) for runs in (without, damped)]
     assert means[1] < 0.9 * means[0]
     assert max(force for _, force in damped) < 40.0
+
+
+def largest_energy(plant, stiffness, modelled, force, estimator='lead_window'):
+    """Return the largest energy of the contacts over their limits, 2 to 6 s after the command."""
+    loop = ClosedLoop(resolve(
+        'quick', plant=plant, noise_estimator={'estimator': estimator},
+        controller={'contacts': {name: {'stiffness': modelled} for name in ('table', 'board')}},
+        plant_overrides={'surfaces': {
+            name: {'stiffness': stiffness} for name in ('table', 'board')}}), commanded=True)
+    found = []
+    try:
+        loop.advance()
+        loop.control.set_forces({'table': force, 'board': force})
+        for _ in range(3000):
+            loop.advance()
+            found.append(loop.status.energy / np.maximum(loop.status.energy_limit, 1e-12))
+    finally:
+        loop.close()
+    return np.max(found[1000:])
+
+
+@pytest.mark.parametrize('plant', ['rigid', 'puma'])
+@pytest.mark.parametrize(('stiffness', 'force'), [(600.0, 25.0), (60_000.0, 15.0)])
+def test_passive_contact_keeps_within_its_energy(plant, stiffness, force):
+    assert largest_energy(plant, stiffness, stiffness, force) < 1.0
+
+
+@pytest.mark.parametrize(('modelled', 'estimator'), [(6000.0, 'lead_window'), (10_000.0, 'fixed')])
+def test_contact_that_swings_on_a_stiff_surface_takes_up_more(modelled, estimator):
+    """At 5 to 8 N of standard deviation, of 15 N; it was not noticed."""
+    assert largest_energy('rigid', 60_000.0, modelled, 15.0, estimator) > 1.0
