@@ -171,3 +171,16 @@ def test_figures_are_drawn_for_every_contact(runs, tmp_path):
     for path in paths:
         assert path.read_bytes().startswith(b'\x89PNG')
         assert path.stat().st_size > 20000
+
+
+@pytest.mark.parametrize('seed', [0, 1])
+def test_limited_slew_of_the_variance_leaves_a_force_step_its_speed(seed):
+    """A step lifts R, which slowed the board's steps to 88 to 148 ms on flexible drives."""
+    rises = []
+    for slew_time in (0.0, 0.03):
+        setup = resolve('quick', plant='puma', seed=seed, duration=6.5,
+                        noise_estimator={'slew_time': slew_time})
+        data = run_in_process(setup, supervised=True).data
+        rises.append([step['rise_63_s'] for step in contact_summary(data, setup, 1)['steps']])
+    assert min(rises[0]) > 0.08
+    assert max(rises[1]) < 0.08

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+import math
 
 from multicontact_control.arrays import Mask, require_shape, Vector
 from multicontact_control.config import NoiseEstimatorConfig
@@ -18,7 +19,8 @@ class NoiseEstimator(ABC):
     Samples in, variances out, one per contact.
 
     Until an estimate of a contact is known, its R is the configured `fixed_variance`. Every R
-    lies between `variance_floor` and `variance_ceiling`.
+    lies between `variance_floor` and `variance_ceiling`, and changes by a factor e in `slew_time`
+    at most.
 
     Parameters
     ----------
@@ -41,6 +43,8 @@ class NoiseEstimator(ABC):
         self.dropped = 0
         self._contacts = len(config.contact_names)
         self._alpha: Vector = np.zeros(self._contacts)
+        self._largest_step = math.exp(1.0 / (config.rate * config.slew_time)) if (
+            config.slew_time > 0.0) else math.inf
         self._limits = config.variance_scale, config.variance_floor, config.variance_ceiling
         self.reset()
         zero, one = np.zeros(self._contacts), np.ones(self._contacts)
@@ -50,6 +54,7 @@ class NoiseEstimator(ABC):
     def reset(self) -> None:
         """Forget all samples."""
         self._variance: Vector = self._clamp(np.full(self._contacts, self.config.fixed_variance))
+        self._given = self._variance.copy()
         self._forget()
 
     def update(self, alpha: Vector, innovation: Innovation | None = None) -> Vector:
@@ -82,7 +87,11 @@ class NoiseEstimator(ABC):
         self._alpha[:] = alpha  # whatever its layout: numba would compile anew for another one
         if not self._take(innovation):
             self.dropped += 1
-        return self._variance.copy()
+        if self._largest_step == math.inf:
+            return self._variance.copy()
+        self._given = np.clip(
+            self._variance, self._given / self._largest_step, self._given * self._largest_step)
+        return self._given.copy()
 
     def _clamp(self, variance: Vector) -> Vector:
         clamped: Vector = np.clip(

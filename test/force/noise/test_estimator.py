@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from multicontact_control.config import NoiseEstimatorConfig, validate
 from multicontact_control.errors import ConfigError, ShapeError
-from multicontact_control.force.noise import ESTIMATORS, Innovation
+from multicontact_control.force.noise import ESTIMATORS, Innovation, make_noise_estimator
 import numpy as np
 import pytest
 
@@ -122,3 +122,19 @@ def test_noise_estimator_config_refuses_values_out_of_range(field, value):
     """The message names the field."""
     with pytest.raises(ConfigError, match=f'^{field}: expected'):
         validate(NoiseEstimatorConfig, {'contact_names': ['a'], field: value})
+
+
+@pytest.mark.parametrize('name', NAMES)
+def test_slew_time_bounds_how_fast_every_estimate_changes(name):
+    """By a factor e in 0.03 s, which is 15 samples."""
+    config = NoiseEstimatorConfig(estimator=name, contact_names=('a', 'b'), slew_time=0.03)
+    plain = make_noise_estimator(config.model_copy(update={'slew_time': 0.0}))
+    estimator, random = make_noise_estimator(config), np.random.default_rng(0)
+    before, one = np.full(2, config.fixed_variance), np.ones(2)
+    for k in range(600):
+        alpha = 10.0 * (k > 300) + random.standard_normal(2) * (1.0 if k < 450 else 5.0)
+        innovation = Innovation(alpha, one, one)
+        found, free = estimator.update(alpha, innovation), plain.update(alpha, innovation)
+        assert (np.abs(np.log(found / before)) <= 1.0 / 15.0 + 1e-12).all()
+        assert ((found >= np.minimum(free, before)) & (found <= np.maximum(free, before))).all()
+        before = found
