@@ -137,7 +137,9 @@ class Soak:
         self.outcome = SoakOutcome()
         self._last = self._loop.command.copy()
         self._advance()
-        self._start = self._loop.control.controller.controller.arm.pose.position_world.copy()
+        pose = self._loop.control.controller.controller.arm.pose
+        # Of the start, not of the moment: errors of the orientation would add up.
+        self._start, self._turn = pose.position_world.copy(), pose.quaternion_xyzw.copy()
 
     def close(self) -> None:
         """Give the simulator's memory back."""
@@ -177,16 +179,14 @@ class Soak:
 
     def _move(self) -> None:
         """Go along a straight line, at rest at both ends."""
-        pose = self._loop.control.controller.controller.arm.pose
         before = self._start if self._target is None else self._target
         goal = self._start + self._random.uniform(-REACH, REACH, len(self._free)) @ self._free
-        turn = pose.quaternion_xyzw
         duration = max(1.0, 1.875 * float(np.linalg.norm(goal - before)) / FASTEST)
         for k in range(1, round(duration * self._rate) + 1):
             s, ds, dds = quintic(k * self._period, duration)
             way = goal - before
             self._loop.control.set_motion(MotionReading(
-                before + s * way, turn, np.concatenate([ds * way, np.zeros(3)]),
+                before + s * way, self._turn, np.concatenate([ds * way, np.zeros(3)]),
                 np.concatenate([dds * way, np.zeros(3)])))
             self._advance()
         self._target = goal
@@ -232,7 +232,7 @@ class Soak:
         held = all(state == ContactState.HOLDING.value
                    for state, force in zip(states, wanted) if force > 0.0)
         return held and self._loop.status.reaction == 'none' and bool(
-            (error <= np.maximum(1.0, OFF * wanted)).all())
+            (error <= np.maximum(1.0, OFF * wanted))[wanted > 0.0].all())
 
     def _advance(self, faults: list[Occurrence] | None = None) -> None:
         """Take a tick, and look at what is never to happen."""

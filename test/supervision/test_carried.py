@@ -6,6 +6,7 @@ from multicontact_control.control_loop import ControlLoop
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.closed_loop import ClosedLoop
+from multicontact_control.experiment.faults.vocabulary import PARTS
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.paths import config_dir
 from multicontact_control.supervision.command_limits import CommandLimits
@@ -17,9 +18,6 @@ ROBOT = RobotModel(controller_config().robot, config_dir())
 FEET = {'a': [0.05, 0.05, 0.24], 'b': [-0.05, 0.05, 0.24], 'c': [-0.05, -0.05, 0.24],
         'd': [0.05, -0.05, 0.24]}
 LINE = {'a': [0.0, 0.0, 0.24], 'b': [0.05, 0.0, 0.24], 'c': [0.1, 0.0, 0.24]}
-# What a tick calls, one after the other.
-STAGES = ('_watchdog.validate', 'controller.arm.refresh', '_answer', '_contradiction',
-          '_reactions.torque', '_transition.apply', '_gate.apply', 'reference.ask')
 
 
 def pressing(points, normals=None):
@@ -75,7 +73,7 @@ def test_law_without_an_answer_leaves_the_arm_where_it_is(plant):
         loop.close()
 
 
-@pytest.mark.parametrize('stage', STAGES)
+@pytest.mark.parametrize('stage', PARTS)
 @pytest.mark.parametrize('begin', [5, 700], ids=['from the start', 'approaching'])
 def test_exception_in_any_stage_leaves_the_arm_where_it_is_and_control_comes_back(
         stage, begin, monkeypatch):
