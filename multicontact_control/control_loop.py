@@ -345,8 +345,9 @@ class ControlLoop:
         """
         reference = self._commandable()
         self.limits.check_forces(forces, self.config.contact_state.smallest_force)
-        reference.set_forces(forces)
-        self._try_again()
+        # A client may repeat its command many times a second: that asks for nothing anew.
+        if reference.set_forces(forces):
+            self._try_again()
 
     def set_motion(self, motion: MotionReading) -> None:
         """

@@ -74,7 +74,8 @@ class ContactStateConfig(Config):
         unit='s', gt=0.0, le=1.0)
     energy_share: Real = parameter(
         1.0, 'Energy a contact may take up beyond what it stores, within energy_memory, relative '
-        'to what it stores at the force it is asked for, alpha^2 / (2 k).', gt=0.0, le=1e4)
+        'to what it stores at the force it is asked for, alpha^2 / (2 k), and at least at preload '
+        'and contact_threshold together.', gt=0.0, le=1e4)
     energy_memory: Real = parameter(
         1.0, 'Time constant by which that energy is forgotten.', unit='s', gt=0.0, le=100.0)
     injected_damping: Real = parameter(
@@ -197,7 +198,7 @@ class WatchdogConfig(Config):
         2.0, 'Up to this.', unit='s', ge=0.0, le=60.0)
     relapses: int = parameter(
         3, 'So many in a row, of what the arm does or meets and not of missing readings, and '
-        'control waits for an operator (a command of forces, ~/retry, ~/hold); 0 for never.',
+        'control waits for an operator (a command of other forces, ~/retry, ~/hold); 0 for never.',
         ge=0, le=1000)
 
     @model_validator(mode='after')

@@ -8,20 +8,22 @@ commanded again; then the next one begins.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
+import contextlib
 from dataclasses import dataclass, field
 from pathlib import Path
 import resource
 
 from multicontact_control.arrays import Vector
+from multicontact_control.errors import CommandError
 from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.faults.fault import Fault, PlantEdit, PROCESS
-from multicontact_control.experiment.faults.in_process import Occurrence
+from multicontact_control.experiment.faults.in_process import advance_with, Occurrence
 from multicontact_control.experiment.faults.vocabulary import faults_of
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.quintic import quintic
 from multicontact_control.sampling import MotionReading
 from multicontact_control.supervision.contacts import ContactState
-from multicontact_control.supervision.inputs import TickInputs
 import numpy as np
 
 LARGEST_FORCE = 25.0  # N, that is commanded
@@ -213,6 +215,8 @@ class Soak:
                 self._loop.control.set_forces(dict.fromkeys(self._names, 0.0))
                 self._wait(1.0)
             self._loop.control.set_forces(self._wanted)
+            with contextlib.suppress(CommandError):  # there may be nothing to try again
+                self._loop.control.retry()
         self._report('stuck', f'{self._loop.status.contact_states}, '
                      f'{self._loop.status.reaction} {self._loop.status.causes}')
         self._loop.control.restart()
@@ -234,19 +238,10 @@ class Soak:
         return held and self._loop.status.reaction == 'none' and bool(
             (error <= np.maximum(1.0, OFF * wanted))[wanted > 0.0].all())
 
-    def _advance(self, faults: list[Occurrence] | None = None) -> None:
+    def _advance(self, faults: Sequence[Occurrence] = ()) -> None:
         """Take a tick, and look at what is never to happen."""
         loop, outcome = self._loop, self.outcome
-        if faults is None:
-            loop.advance()
-        else:
-            def corrupt(inputs: TickInputs) -> TickInputs:
-                for each in faults:
-                    inputs = each.corrupt(inputs)
-                return inputs
-            loop.advance(corrupt)
-            for each in faults:
-                each.advanced()
+        advance_with(faults, loop)
         torque, last = loop.command, self._last
         if not np.isfinite(torque).all():
             self._report('unsafe', 'torque not finite')

@@ -172,10 +172,13 @@ class TorqueGate:
         return self._last.copy()
 
     def carry(self, arm: ArmState | None) -> Vector:
-        """Return the torque, within its limits, that carries an arm; zero if it is not known."""
-        limit = self.limits['torque']
+        """Return what carries an arm, within limit and rate, by numpy alone; zero if unknown."""
+        limit, step = self.limits['torque'], self.limits['step']
         carried: Vector = np.zeros(limit.shape) if arm is None else np.clip(
             arm.bias_torque, -limit, limit)
+        if self._started:
+            carried = np.clip(carried, self._last - step, self._last + step)
+        self._started = True
         self._last[:] = carried
         return carried
 

@@ -189,6 +189,9 @@ def test_contact_that_was_given_up_comes_back(way):
         _, statuses = advance(loop, 3.0)
         assert statuses[-1].contact_states == ('holding', 'given up')
         loop.plant.contacts.shift(1, -0.1)
+        loop.control.set_forces({'table': 10.0, 'board': 10.0})  # as before: nothing new
+        loop.advance()
+        assert loop.status.contact_states == ('holding', 'given up')
         if way == 'command':
             loop.control.set_forces({'board': 12.0})
         elif way == 'service':
@@ -260,7 +263,7 @@ def test_large_force_step_is_no_escape(plant):
 @pytest.mark.parametrize('seed', range(3))
 @pytest.mark.parametrize('plant', PLANTS)
 def test_surface_that_goes_for_a_moment_leaves_the_other_force(plant, seed):
-    """In means over 12 ms; it was 3.4 N off when the estimate was fed forward all along."""
+    """In means over 12 ms; with the estimate fed forward it was 1.7 and 2.2 N off."""
     loop = pressing(plant, seed=seed)
     try:
         loop.plant.contacts.shift(1, 0.05)
@@ -270,5 +273,6 @@ def test_surface_that_goes_for_a_moment_leaves_the_other_force(plant, seed):
     finally:
         loop.close()
     error = np.concatenate([gone, back])[:, 0] - 15.0
-    assert np.abs(np.convolve(error, np.full(6, 1.0 / 6.0), 'valid')).max() < 2.0
+    assert np.abs(np.convolve(error, np.full(6, 1.0 / 6.0), 'valid')).max() < (
+        1.0 if plant == 'rigid' else 2.0)
     assert statuses[-1].contact_states == HOLDING

@@ -40,7 +40,7 @@ class CommandedReference:
         self._acceleration = np.zeros(6)
         self._alpha_des = np.zeros(len(self._names))
 
-    def set_forces(self, forces: dict[str, float]) -> None:
+    def set_forces(self, forces: dict[str, float]) -> bool:
         """
         Command contact forces; contacts that are not named keep theirs.
 
@@ -48,6 +48,11 @@ class CommandedReference:
         ----------
         forces
             Desired force per contact [N]; 0 gives the contact back to motion control.
+
+        Returns
+        -------
+        bool
+            Whether that is another command than before.
 
         Raises
         ------
@@ -63,7 +68,9 @@ class CommandedReference:
             if not (math.isfinite(force) and force >= 0.0):
                 raise ConfigError(f'contact_forces/command.{name}', 'a force >= 0 N', force)
             desired[self._names.index(name)] = force
+        changed = bool((desired != self._alpha_des).any())
         self._alpha_des = desired
+        return changed
 
     def set_motion(
         self, position_world: Vector, quaternion_xyzw: Vector, twist_world: Vector,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import reduce
 from typing import Any
 
@@ -146,6 +147,18 @@ class Occurrence:
             self._broken.mend()
 
 
+def advance_with(found: Sequence[Occurrence], loop: ClosedLoop) -> None:
+    """Take a tick of a loop in which all of these happen."""
+    def corrupt(inputs: TickInputs) -> TickInputs:
+        for each in found:
+            inputs = each.corrupt(inputs)
+        return inputs
+
+    loop.advance(corrupt)
+    for each in found:
+        each.advanced()
+
+
 def run_fault(
     loop: ClosedLoop, fault: Fault, seed: int, phase: str, other: Fault | None = None,
 ) -> FaultRow:
@@ -174,15 +187,8 @@ def run_fault(
     torques, forces, reactions = [], [], []
     problems: set[str] = set()
 
-    def corrupt(inputs: TickInputs) -> TickInputs:
-        for each in found:
-            inputs = each.corrupt(inputs)
-        return inputs
-
     for _ in range(RUN_TICKS):
-        loop.advance(corrupt)
-        for each in found:
-            each.advanced()
+        advance_with(found, loop)
         torques.append(loop.command.copy())
         forces.append(loop.true_forces)
         reactions.append(loop.status.reaction)
@@ -192,12 +198,11 @@ def run_fault(
     # At the ends of the ticks: a force above the ceiling lasts until then.
     period = loop.setup.controller.period
     time: Vector = period * np.arange(1.0, RUN_TICKS + 1.0)
-    row = judge(fault if other is None else together(fault, other), seed, loop.setup, Observation(
+    return judge(fault if other is None else together(fault, other), seed, loop.setup, Observation(
         torque=np.array(torques), before=before, time=time, force=np.max(forces, axis=1),
         reaction=max(reactions[:lasted], key=SEVERITY.index), reactions=reactions,
         forces=np.array(forces), wanted=loop.setup.commanded(begin * period + time),
         lasted=lasted, problems=problems), where=PROCESS, phase=phase)
-    return row
 
 
 def together(fault: Fault, other: Fault) -> Fault:
