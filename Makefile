@@ -77,7 +77,7 @@ help:  ## Show this list
 setup: $(RUN_STAMP) $(DATA_STAMP) $(COMPILED_STAMP)  ## Set up .venv and compile the kernels
 
 run: setup  ## Run the experiment over ROS 2: RUN_ARGS="--scenario quick --out DIR"
-	@$(WITH_ROS) exec $(BIN)/multicontact run $(RUN_ARGS)
+	@$(WITH_ROS) exec $(BIN)/multicontact run --preset paper $(RUN_ARGS)
 
 simulate: setup  ## Run the experiment in one process, without ROS
 	@$(WITH_ROS) exec $(BIN)/multicontact simulate $(RUN_ARGS)

@@ -23,6 +23,7 @@ console_scripts = {
 install_requires = [
     'numpy>=2.2,<3',
     'scipy>=1.13,<2',
+    'control>=0.10.1,<0.11',
     'numba>=0.61,<1',
     'llvmlite>=0.44,<1',
     'pin>=4.0,<5',

@@ -19,6 +19,7 @@ F, I, B = np.float64, np.int64, np.bool_
 MAX_ORDER = 3  # of an observer's active state
 # The most states an observer has: force, its rate, delayed inputs, active states.
 MAX_STATES = 2 + MAX_DELAY_PERIODS + MAX_ORDER
+LIMITS = 8  # points of the curve of what stiffness a force loop is stable up to
 
 # What is set for the control law; one.
 LAW = np.dtype([
@@ -90,11 +91,17 @@ CONTACT = np.dtype([
     ('alpha_des', F),  # desired force, 0 where not active [N]
     ('damping', F),  # force taken off the torque for passivity, 0 where not active [N]
     ('guarded', B),  # whether the measured force is fed forward, as the surface seems to be gone
+    ('alpha_fed', F),  # force fed forward, 0 where not active [N]
     ('alpha_est', F),  # estimated force, 0 where not active [N]
     ('alpha_rate_est', F),  # its estimated rate, 0 where not active [N/s]
     ('innovation', F),  # alpha_meas - C x_1, 0 where nothing was predicted [N]
     ('prior_variance', F),  # C P_1 C^T, 0 there as well [N^2]
     ('variance_used', F),  # R the observer worked with, 0 there as well [N^2]
+    ('stiffness', F),  # k of the model in use [N/m]
+    ('stiffness_est', F),  # k estimated on-line, 0 as long as nothing is known [N/m]
+    ('stiffness_std', F),  # its standard error [N/m]
+    ('ratio_bound', F),  # largest likely true stiffness over that of the model in use
+    ('margin', F),  # largest ratio at which the force loop is stable, over that one
 ], align=True)
 
 # The active observer of one contact: its design, and what it knows. Of the matrices the first
@@ -110,10 +117,80 @@ OBSERVER = np.dtype([
     ('P_0', F),  # initial variance of every state
     ('running', B),  # whether there was a sample before
     ('command', F),  # r = L_1 f_des of the sample before [m/s^2]
+    ('damping_time', F),  # c / k of the surface, which the force reads with its rate [s]
     ('x_est', F, MAX_STATES),  # state estimate; the first is the force [N], then its rate [N/s]
     ('P', F, (MAX_STATES, MAX_STATES)),  # its covariance
     ('x_1', F, MAX_STATES),  # prediction of the state
     ('Phi_n_P', F, (MAX_STATES, MAX_STATES)),  # Phi_n P, on the way to P_1
+], align=True)
+
+# A force law that is linear and does not change with time: its design, and what it remembers. Of
+# the matrices the first `states` rows and columns are used; inputs are alpha_meas, alpha_des and
+# the speed of the contact point, outputs u, alpha_est and p_est.
+LINEAR_LAW = np.dtype([
+    ('states', I),  # n
+    ('A', F, (MAX_STATES, MAX_STATES)), ('B', F, (MAX_STATES, 3)),  # x_(k+1) = A x_k + B y_k
+    ('C', F, (3, MAX_STATES)), ('D', F, (3, 3)),  # outputs = C x_k + D y_k
+    ('E', F, MAX_STATES),  # added to x_(k+1) for 1 m/s^2 that acts beyond the answer
+    ('start_force', F, MAX_STATES),  # state at touch, for 1 N that is felt
+    ('start_disturbance', F, MAX_STATES),  # and for a known disturbance of 1 m/s^2
+    ('extra', F),  # acceleration that acted beyond the answer of the sample before [m/s^2]
+    ('running', B),  # whether there was a sample before
+    ('x', F, MAX_STATES), ('x_next', F, MAX_STATES),
+    ('alpha', F),  # estimated force [N]
+    ('p_est', F),  # disturbance that the law compensates [m/s^2]
+], align=True)
+
+# One frequency band of a stiffness estimator: filters of alpha, z, v and w, and sums over samples.
+STIFFNESS_FIT = np.dtype([
+    ('high', F), ('low', F),  # gains of the high-pass and of the three low-passes, per sample
+    ('keep', F),  # by which the sums shrink with each accepted sample
+    ('stages', F, (4, 4)),  # of z, v, w and alpha: the high-pass's memory, three low-passes
+    ('speed', F),  # filtered v of the sample before [m/s]
+    ('sums', F, (4, 4)),  # of the products of z, v, w and y; its upper triangle
+    ('weight', F),  # of the samples in these sums
+    ('k', F), ('c', F), ('mu', F),  # what fits them best [N/m], [N s/m], [-]
+    ('k_std', F),  # standard error of k [N/m]
+    ('share', F),  # r^2, of the variance of y that is explained
+], align=True)
+
+# The on-line stiffness of one contact.
+STIFFNESS = np.dtype([
+    ('adaptive', B),  # whether the observer follows it
+    ('period', F),  # h [s]
+    ('lowest', F), ('highest', F),  # k stays within [N/m]
+    ('largest_damping', F),  # c stays below [N s/m]
+    ('tool_mass', F),  # beyond the sensor [kg]
+    ('fastest_pole', F),  # 1 / tau [1/s]
+    ('pole_ratio', F),  # of the second pole to the first
+    ('transition', F, 2),  # of the undelayed plant: of speed to force over k [s], and of speed
+    ('down', F), ('up', F),  # how much ln k may change in a sample
+    ('settle', F),  # share of the way that c goes in a sample
+    ('window', F),  # after a touch or a step, in which samples are accepted [s]
+    ('smallest_signal', F),  # filtered force from which on they are [N]
+    ('input_limit', F),  # of |u| [m/s^2]
+    ('approach_limit', F),  # of the rate of alpha_ref over k [m/s]
+    ('ratio_limit', F, LIMITS),  # true over modelled stiffness up to which the loop is stable,
+    # of models of `lowest` to `highest`, in even steps of ln k
+    ('delay_gain', F, (MAX_STATES, 2)),  # E_j, what inputs under way add to the state, per k
+    ('input_gain', F, 2),  # B of the undelayed plant, per k
+    ('slow', STIFFNESS_FIT), ('fast', STIFFNESS_FIT),
+    ('k', F), ('c', F),  # of the model in use [N/m], [N s/m]
+    ('k_est', F), ('k_std', F),  # estimate and its standard error; 0 for none [N/m]
+    ('alpha_ref', F),  # desired force as it is followed [N]
+    ('alpha_des', F),  # of the sample before [N]
+    ('since', F),  # a touch or a step [s]
+    ('depth', F), ('speed', F),  # of the contact point since the touch [m], and now [m/s]
+    ('felt', B),  # whether a surface is
+], align=True)
+
+# The force law of one contact, of which one part is at work.
+FORCE_LAW = np.dtype([
+    ('kind', I),  # number of the law in the registry, see `force.laws`
+    ('is_linear', B),  # whether `linear` is at work, or `observer`
+    ('fed', I),  # what is fed forward, see `force.force_law`
+    ('K_2', F),  # [1/s]
+    ('observer', OBSERVER), ('linear', LINEAR_LAW), ('stiffness', STIFFNESS),
 ], align=True)
 
 # What is set for an estimator over a window (P04 eqs 42-44); one.

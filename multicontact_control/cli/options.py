@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated, TYPE_CHECKING
+from typing import Annotated, Any, TYPE_CHECKING
 
 import typer
 
@@ -25,6 +26,16 @@ Estimator = Annotated[str | None, typer.Option(
     '--noise-estimator', help='How R is estimated: lead_window (the paper), hf_window, window, '
     'fixed (0.6 N^2), innovation, sage_husa or variational_bayes; the configured one if not '
     'given.')]
+Preset = Annotated[str, typer.Option(
+    help='What is laid over the configuration first: `paper` (as published), `best` (the default '
+         'of the nodes), `adaptive` (best, with the stiffness found on-line), or the path of a '
+         'parameter file.')]
+Law = Annotated[str | None, typer.Option(
+    help='Force law of all contacts: aob (the paper), pi, dob, lqg, admittance, impedance or '
+         'feedforward; the configured one if not given.')]
+Settings = Annotated[list[str] | None, typer.Option(
+    '--set', metavar='KEY=VALUE', help='A value laid over all files, e.g. '
+    'plant.surfaces.*.stiffness=60000 or controller.force.damping_rate=60; may be repeated.')]
 Overwrite = Annotated[bool, typer.Option(
     '--overwrite', help='Replace a run that is already in that folder.')]
 Bare = Annotated[bool, typer.Option(
@@ -56,9 +67,21 @@ def split_list(text: str) -> tuple[str, ...]:
     return tuple(part.strip() for part in text.split(',') if part.strip())
 
 
+def read_pair(name: str, text: str) -> tuple[float, float]:
+    """Return two numbers with a comma between; ConfigError if that is not what is there."""
+    from multicontact_control.errors import ConfigError
+
+    try:
+        first, second = (float(part) for part in split_list(text))
+    except ValueError:
+        raise ConfigError(name, 'two numbers with a comma between', f"'{text}'") from None
+    return first, second
+
+
 def prepare(
     scenario: str, plant: str, seed: int, duration: float | None, noise_estimator: str | None,
-    out: Path | None, overwrite: bool,
+    out: Path | None, overwrite: bool, *, preset: str = '', law: str | None = None,
+    settings: Sequence[str] | None = None,
 ) -> tuple[Setup, Path]:
     """
     Check everything a run needs, then make its folder.
@@ -69,11 +92,16 @@ def prepare(
         With the first value that is not acceptable; there is no new folder then.
 
     """
+    from multicontact_control.experiment.overrides import overridden
     from multicontact_control.experiment.results import prepare_folder
     from multicontact_control.experiment.scenario import resolve
 
-    setup = resolve(
-        scenario, plant=plant, seed=seed, duration=duration,
-        noise_estimator={'estimator': noise_estimator} if noise_estimator else None)
+    options: dict[str, Any] = {
+        'plant': plant, 'seed': seed, 'duration': duration, 'preset': preset,
+        'noise_estimator': {'estimator': noise_estimator} if noise_estimator else None,
+        'controller': {'force': {'law': law}} if law else None}
+    setup = resolve(scenario, **options)
+    if settings:
+        setup = resolve(scenario, **overridden(options, settings, setup))
     return setup, prepare_folder(
         out, setup.scenario.name, overwrite=overwrite, now=datetime.now())

@@ -10,12 +10,15 @@ from multicontact_control.cli.options import (
     Bare,
     Duration,
     Estimator,
+    Law,
     Out,
     Overwrite,
     Plant,
     prepare,
+    Preset,
     Scenario,
     Seed,
+    Settings,
 )
 import typer
 
@@ -32,7 +35,8 @@ class Composed(str, Enum):
 def run(
     scenario: Scenario = 'paper', plant: Plant = 'puma', seed: Seed = 0,
     duration: Duration = None, noise_estimator: Estimator = None, out: Out = None,
-    overwrite: Overwrite = False, bare: Bare = False,
+    overwrite: Overwrite = False, bare: Bare = False, preset: Preset = 'best',
+    law: Law = None, settings: Settings = None,
     lockstep: Annotated[bool, typer.Option(
         '--lockstep', help='Let the nodes wait for each other instead of for the wall clock: '
         'the same torques as `simulate`, bit for bit.')] = False,
@@ -63,7 +67,8 @@ def run(
     with errors_in_one_line():
         namespace = check_namespace(namespace)
         setup, folder = prepare(
-            scenario, plant, seed, duration, noise_estimator, out, overwrite)
+            scenario, plant, seed, duration, noise_estimator, out, overwrite, preset=preset,
+            law=law, settings=settings)
         # Only now: what is heavy is not loaded for the sake of an error.
         from multicontact_control.experiment.run import GraphOptions, run_real_time
 

@@ -7,19 +7,23 @@ from multicontact_control.cli.options import (
     Bare,
     Duration,
     Estimator,
+    Law,
     Out,
     Overwrite,
     Plant,
     prepare,
+    Preset,
     Scenario,
     Seed,
+    Settings,
 )
 
 
 def simulate(
     scenario: Scenario = 'paper', plant: Plant = 'puma', seed: Seed = 0,
     duration: Duration = None, noise_estimator: Estimator = None, out: Out = None,
-    overwrite: Overwrite = False, bare: Bare = False,
+    overwrite: Overwrite = False, bare: Bare = False, preset: Preset = 'best',
+    law: Law = None, settings: Settings = None,
 ) -> None:
     """
     Run a scenario in one process, without ROS, as fast as it goes.
@@ -29,7 +33,8 @@ def simulate(
     """
     with errors_in_one_line():
         setup, folder = prepare(
-            scenario, plant, seed, duration, noise_estimator, out, overwrite)
+            scenario, plant, seed, duration, noise_estimator, out, overwrite, preset=preset,
+            law=law, settings=settings)
         # Only now: what is heavy is not loaded for the sake of an error.
         from multicontact_control.experiment.run import run_simulate
 

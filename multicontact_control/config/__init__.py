@@ -11,14 +11,20 @@ from multicontact_control.config.controller import ControllerConfig, MAX_DELAY_P
 from multicontact_control.config.estimator import NoiseEstimatorConfig
 from multicontact_control.config.files import (
     merge,
+    read_node_parameters,
     read_parameters,
     read_yaml,
     validate,
     write_parameters,
 )
+from multicontact_control.config.force import (
+    AdaptiveStiffnessConfig,
+    FedForward,
+    ForceConfig,
+    LawName,
+)
 from multicontact_control.config.law import (
     ContactConfig,
-    ForceConfig,
     FrictionConfig,
     MotionConfig,
     SafeBehaviourConfig,
@@ -33,8 +39,10 @@ from multicontact_control.config.supervision import (
 )
 
 __all__ = [
-    'Config', 'ContactConfig', 'ContactStateConfig', 'ControllerConfig', 'ForceConfig',
-    'FrictionConfig', 'LimitsConfig', 'MAX_DELAY_PERIODS', 'MotionConfig', 'NoiseEstimatorConfig',
-    'Reaction', 'Real', 'RobotConfig', 'SafeBehaviourConfig', 'SensorFrontEndConfig', 'ToolConfig',
-    'TransitionConfig', 'UnitVector3', 'Vector', 'Vector3', 'WatchdogConfig', 'merge', 'parameter',
+    'AdaptiveStiffnessConfig', 'Config', 'ContactConfig', 'ContactStateConfig',
+    'ControllerConfig', 'FedForward', 'ForceConfig', 'FrictionConfig', 'LawName', 'LimitsConfig',
+    'MAX_DELAY_PERIODS', 'MotionConfig', 'NoiseEstimatorConfig', 'Reaction', 'Real',
+    'RobotConfig', 'SafeBehaviourConfig', 'SensorFrontEndConfig', 'ToolConfig',
+    'TransitionConfig', 'UnitVector3', 'Vector', 'Vector3', 'WatchdogConfig', 'merge',
+    'parameter', 'read_node_parameters',
     'read_parameters', 'read_yaml', 'validate', 'write_parameters']

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Literal
 
 from multicontact_control.config.base import Config, parameter, Real, Vector
+from multicontact_control.config.force import ForceConfig, LawName
 from multicontact_control.config.law import (
     ContactConfig,
-    ForceConfig,
     FrictionConfig,
     MotionConfig,
     SafeBehaviourConfig,
@@ -73,7 +73,31 @@ class ControllerConfig(Config):
         if len(set(self.contact_names)) != len(self.contact_names):
             raise ConfigError('contact_names', 'distinct names', list(self.contact_names))
         self._check_delay()
+        self._check_laws()
         return self
+
+    def law_of(self, contact: str) -> LawName:
+        """Return the name of a contact's force law."""
+        return self.contacts[contact].law or self.force.law
+
+    def _check_laws(self) -> None:
+        force = self.force
+        others = {law for law in map(self.law_of, self.contact_names) if law != 'aob'}
+        if others and force.allocation != 'decoupled':
+            raise ConfigError('force.allocation', f'decoupled with the law {min(others)}',
+                              force.allocation)
+        if force.stiffness == 'configured':
+            return
+        if others:
+            raise ConfigError('force.stiffness', f'configured with the law {min(others)}',
+                              force.stiffness)
+        if force.allocation != 'decoupled' or not force.active_state_order:
+            raise ConfigError(
+                'force.stiffness', 'configured without active state, or with the allocation of '
+                'the paper', force.stiffness)
+        if force.damping_rate <= 0.0:
+            raise ConfigError('force.damping_rate', 'above 0 with adaptive stiffness',
+                              force.damping_rate)
 
     def _check_delay(self) -> None:
         sensor, nyquist = self.sensor, 0.5 * self.rate

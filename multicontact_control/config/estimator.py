@@ -40,7 +40,8 @@ class NoiseEstimatorConfig(Config):
         'value at rest; `fixed_variance` is not.', gt=0.0)
     slew_time: Real = parameter(
         0.0, 'Time in which R may change by a factor e, either way; 0 for as it comes, as in the '
-        'paper. A force step makes R jump, which slows the very step: with 0.03 s it does not.',
+        'paper. A force step makes R jump, which with K_2 = 20 1/s slows the very step: with '
+        '0.03 s it does not.',
         unit='s', ge=0.0, le=10.0)
     fixed_variance: Real = parameter(
         0.6, 'R of the estimator `fixed`, and of the others until they know one.',

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from functools import lru_cache
 from pathlib import Path
@@ -110,6 +110,39 @@ def read_parameters(path: Path) -> dict[str, Any]:
         raise ConfigError(str(path), "one node key holding 'ros__parameters'", list(data))
     parameters: dict[str, Any] = sections[0]['ros__parameters']
     return parameters
+
+
+def read_node_parameters(path: Path, nodes: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """
+    Read a ROS 2 parameter file with a section for each of several nodes.
+
+    Parameters
+    ----------
+    path
+        The file.
+    nodes
+        Names that a section may be for, with `/**/` before them or without.
+
+    Returns
+    -------
+    dict
+        Parameters by the name of their node; nothing where there is no section.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read, or has a section of another form or for another node.
+
+    """
+    found = {}
+    for key, section in read_yaml(path).items():
+        name = str(key).rpartition('/')[2]
+        if name not in nodes or not isinstance(section, dict) or not isinstance(
+                section.get('ros__parameters'), dict):
+            raise ConfigError(f'{path}: {key}', f"a section of {', '.join(nodes)} holding "
+                              "'ros__parameters'", section)
+        found[name] = section['ros__parameters']
+    return found
 
 
 def merge(base: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:

@@ -1,10 +1,11 @@
-"""The control law: motion, forces, contacts, friction, and how one law hands over."""
+"""The control law: motion, contacts, friction, and how one law hands over."""
 
 from __future__ import annotations
 
 from typing import Literal
 
 from multicontact_control.config.base import Config, parameter, Real, UnitVector3, Vector, Vector3
+from multicontact_control.config.force import LawName
 
 
 class MotionConfig(Config):
@@ -14,28 +15,6 @@ class MotionConfig(Config):
         30.0, 'Natural frequency of the motion loop.', unit='rad/s', live=True, gt=0.0, le=200.0)
     damping_ratio: Real = parameter(
         1.0, 'Damping ratio of the motion loop.', live=True, gt=0.0, le=5.0)
-
-
-class ForceConfig(Config):
-    """The force law and its active observer, one per contact (P04 sec. 3.2, 4)."""
-
-    time_constant: Real = parameter(
-        0.02, 'Time constant of the dominant closed-loop pole.', unit='s', live=True, gt=0.0)
-    second_pole_ratio: Real = parameter(
-        1.0, 'Second pole relative to the first, 1 for two equal ones.', live=True, ge=1.0)
-    damping_rate: Real = parameter(
-        20.0, 'K_2 of eq. 32, damping of the contact motion.', unit='1/s', live=True, ge=0.0)
-    input_delay: Real = parameter(
-        0.006, 'T_d of eq. 32, from commanded to acting input.', unit='s', ge=0.0)
-    process_noise: Real = parameter(
-        1e-3, 'Q_k = process_noise I (P04 sec. 5.2).', live=True, gt=0.0)
-    initial_covariance: Real = parameter(1e-3, 'P_0 = initial_covariance I.', gt=0.0)
-    active_state_order: int = parameter(
-        1, 'Order of the active state p_k, 0 for plain pole placement without it.', ge=0, le=3)
-    allocation: Literal['decoupled', 'paper'] = parameter(
-        'decoupled', 'Force allocation: f_c* = N (N^T N)^-1 alpha* or N alpha* (eq. 30).')
-    projection: Literal['euclidean', 'inertia'] = parameter(
-        'euclidean', 'Metric of Omega_f and Omega_m: eqs 11-12 or dynamically consistent.')
 
 
 class FrictionConfig(Config):
@@ -60,6 +39,7 @@ class ContactConfig(Config):
         ..., 'Contact point in the operational frame.', unit='m')
     stiffness: Real = parameter(
         6000.0, 'Modelled stiffness k_env at the contact point.', unit='N/m', gt=0.0)
+    law: Literal[LawName, ''] = parameter('', 'Force law of this contact, empty for force.law.')
 
 
 class TransitionConfig(Config):

@@ -23,14 +23,8 @@ from multicontact_control.errors import (
     ContactGeometryError,
     SingularTaskError,
 )
-from multicontact_control.force.observer import (
-    continue_from,
-    design_observer,
-    make_observers,
-    ObserverDesign,
-    rescale,
-)
-from multicontact_control.force.plant_model import design_force_loop
+from multicontact_control.force.force_law import act_beyond, continue_laws, make_force_laws
+from multicontact_control.force.observer import rescale
 from multicontact_control.records import CONTACT, CONTROL, LAW, Records
 import numpy as np
 
@@ -61,9 +55,9 @@ class Controller:
     ----------
     arm
         Where the arm is.
-    controls, contacts, observers
+    controls, contacts, laws
         What every step overwrites: one record of `CONTROL`, records of `CONTACT` and, from the
-        first sample on, of `OBSERVER`, shape (r,).
+        first sample on, of `FORCE_LAW`, shape (r,).
     active
         Which contacts are force controlled, in these records, shape (r,).
     measured
@@ -102,10 +96,10 @@ class Controller:
         self.reset()
         pose = self._pose()
         pose.quaternion_xyzw  # noqa: B018 - no step is to wait for it to be compiled
-        self.observers: Any = make_observers(design_observers(config, pose.rotation_world))
+        self.laws: Any = self._design(config, pose.rotation_world)
         self._control_law = bound(
             control_law, self.controls, self.arm.joints, robot.terms.mass_matrix,
-            robot.terms.jacobian, robot.terms.jacobian_rate, self.contacts, self.observers)
+            robot.terms.jacobian, robot.terms.jacobian_rate, self.contacts, self.laws)
         with contextlib.suppress(SingularTaskError, ContactGeometryError):
             self.decide()  # all joints at 0 need not be a good posture
 
@@ -117,6 +111,7 @@ class Controller:
         contacts = [config.contacts[name] for name in config.contact_names]
         self.contacts['normal'] = [contact.normal_world for contact in contacts]
         self.contacts['point'] = [contact.point_operational for contact in contacts]
+        self.contacts['stiffness'] = [contact.stiffness for contact in contacts]
         joints = self.arm.joints
         for name in ('coulomb', 'viscous'):
             joints[name] = getattr(config.friction, name) or 0.0
@@ -138,13 +133,23 @@ class Controller:
         """
         return cls(config, RobotModel(config.robot, base_dir), reference)
 
+    @property
+    def observers(self) -> Records:
+        """Return the active observers of the force laws, records of `OBSERVER`, shape (r,)."""
+        observers: Records = self.laws['observer']
+        return observers
+
+    @staticmethod
+    def _design(config: ControllerConfig, rotation_world: Matrix) -> Records:
+        return make_force_laws(config, loop_stiffnesses(config, rotation_world))
+
     def reset(self) -> None:
         """Forget everything measured; the next sample starts anew."""
         self._started = False
 
     def redesign(self, config: ControllerConfig) -> Records | None:
         """
-        Return observers for other gains, which keep what they know if its size stays.
+        Return force laws for other gains, which keep what they know as far as that is possible.
 
         Parameters
         ----------
@@ -154,7 +159,7 @@ class Controller:
         Returns
         -------
         Records or None
-            The observers, None before the first sample.
+            The force laws, None before the first sample.
 
         Raises
         ------
@@ -168,9 +173,9 @@ class Controller:
                                   getattr(config, name))
         if not self._started:
             return None
-        observers = make_observers(design_observers(config, self.arm.pose.rotation_world))
-        continue_from(observers, self.observers)
-        return observers
+        laws = self._design(config, self.arm.pose.rotation_world)
+        continue_laws(laws, self.laws)
+        return laws
 
     def reconfigure(self, config: ControllerConfig) -> None:
         """
@@ -178,10 +183,10 @@ class Controller:
 
         If that raises, everything is as it was.
         """
-        observers = self.redesign(config)
+        laws = self.redesign(config)
         self._adopt(config)
-        if observers is not None:
-            self.observers = observers
+        if laws is not None:
+            self.laws = laws
             self._stiffnesses = loop_stiffnesses(config, self.arm.pose.rotation_world)
 
     def step(self, measurement: Measurement, noise_variance: Vector) -> ControlOutput:
@@ -275,7 +280,7 @@ class Controller:
         """Begin with the first sample."""
         pose = self._pose()
         self._stiffnesses = loop_stiffnesses(self.config, pose.rotation_world)
-        self.observers = make_observers(design_observers(self.config, pose.rotation_world))
+        self.laws = self._design(self.config, pose.rotation_world)
         self._reference.start(pose, self.contacts['normal'].copy())
         self._started = True
 
@@ -284,16 +289,18 @@ class Controller:
         terms = self.robot.terms
         status = self._control_law(
             self.controls, self.arm.joints, terms.mass_matrix, terms.jacobian,
-            terms.jacobian_rate, self.contacts, self.observers)
+            terms.jacobian_rate, self.contacts, self.laws)
         if status != OK:
             self.refuse(status)
 
     def account_for(self, torque: Vector) -> None:
         """
-        Tell the observers that another torque acts than the one that was answered.
+        Tell the force laws that another torque acts than the one that was answered.
 
         It accelerates the contact points by N^T J M^-1 Delta Gamma more (the coordinates along
-        N_i, by `paper` allocation), and so much is added to the input that they predict with.
+        N_i, by `paper` allocation), and so does what is fed forward beyond the estimate, which a
+        force that cannot be reached never makes good. So much is added to the input that they
+        predict with.
 
         Parameters
         ----------
@@ -306,10 +313,12 @@ class Controller:
             return
         M = np.triu(terms.mass_matrix)
         M += np.triu(M, 1).T
-        twist_rate = terms.jacobian @ np.linalg.solve(M, torque - self._torque)
         N = self.contacts['N'][active].T
-        self.observers['command'][active] += (
-            np.linalg.pinv(N) if self._coordinate_driven else N.T) @ twist_rate
+        beyond = (self.contacts['alpha_fed'] - self.contacts['alpha_est'])[active]
+        twist_rate = terms.jacobian @ np.linalg.solve(
+            M, torque - self._torque + terms.jacobian.T @ (N @ beyond))
+        act_beyond(self.laws, active, (
+            np.linalg.pinv(N) if self._coordinate_driven else N.T) @ twist_rate)
 
     def refuse(self, status: int) -> NoReturn:
         """
@@ -365,28 +374,3 @@ def loop_stiffnesses(config: ControllerConfig, rotation_world: Matrix) -> Vector
     return np.array([operational_stiffness(  # `paper` drives the coordinate along N_i
         contact.stiffness, np.array(contact.normal_world),
         -rotation_world @ np.array(contact.point_operational)) for contact in contacts])
-
-
-def design_observers(config: ControllerConfig, rotation_world: Matrix) -> list[ObserverDesign]:
-    """
-    Design one AOB per contact.
-
-    Parameters
-    ----------
-    config
-        Contacts, force loops.
-    rotation_world
-        Axes of the operational frame; see `loop_stiffnesses`.
-
-    """
-    force = config.force
-    designs = []
-    for stiffness in loop_stiffnesses(config, rotation_world).tolist():
-        loop = design_force_loop(
-            stiffness, damping_rate=force.damping_rate, input_delay=config.loop_delay,
-            period=config.period, time_constant=force.time_constant,
-            second_pole_ratio=force.second_pole_ratio)
-        designs.append(design_observer(
-            loop, order=force.active_state_order, process_noise=force.process_noise,
-            initial_covariance=force.initial_covariance))
-    return designs

@@ -20,7 +20,7 @@ from multicontact_control.dynamics.operational_space import (
     bias_acceleration,
     mobility_and_inertia,
 )
-from multicontact_control.force.observer import observe_and_command
+from multicontact_control.force.force_law import answer_forces
 import numpy as np
 
 # What `control_law` returns.
@@ -47,7 +47,7 @@ def force_law(
     twist
         Of the operational point, shape (6,).
     inputs
-        u of the observers, shape (r,) [m/s^2].
+        u of the force laws, shape (r,) [m/s^2].
     f_c
         Filled, shape (6,) [m/s^2, rad/s^2].
 
@@ -92,14 +92,14 @@ def finish_torque(law: Any, joints: Any) -> None:
 @compiled
 def control_law(
     controls: Any, joints: Any, mass_matrix: Matrix, jacobian: Matrix, jacobian_rate: Matrix,
-    contacts: Any, observers: Any,
+    contacts: Any, laws: Any,
 ) -> int:
     """
     Work out the joint torque of one tick.
 
-    F = Lambda (Omega_m f_t* + Omega_c f_c*) + mu + p + N alpha_est, Gamma = J^T F (P04
-    eqs 23-27), then null space, friction and limits. Of a contact that is `guarded` the measured
-    force is fed forward.
+    F = Lambda (Omega_m f_t* + Omega_c f_c*) + mu + p + N alpha_fed, Gamma = J^T F (P04
+    eqs 23-27), then null space, friction and limits. As published alpha_fed is the estimate; see
+    `force_to_feed`.
 
     Parameters
     ----------
@@ -110,15 +110,15 @@ def control_law(
     mass_matrix, jacobian, jacobian_rate
         M (upper triangle), J and dJ/dt.
     contacts
-        Records of `CONTACT`, shape (r,), with `N` and `alpha_meas` filled in; what the observers
+        Records of `CONTACT`, shape (r,), with `N` and `alpha_meas` filled in; what the force laws
         say is.
-    observers
-        Records of `OBSERVER`, shape (r,), changed.
+    laws
+        Records of `FORCE_LAW`, shape (r,), changed.
 
     Returns
     -------
     int
-        OK, or what is wrong; the observers have not been touched then.
+        OK, or what is wrong; the force laws have not been touched then.
 
     """
     law, frame, task = controls[0].law, controls[0].frame, controls[0].task
@@ -152,7 +152,7 @@ def control_law(
     force = np.empty(6)
     inputs = np.empty(count)
     motion_law(law, task, frame, f_t)
-    observe_and_command(observers, contacts, controls[0].measured, inputs)
+    answer_forces(laws, contacts, controls[0], mobility, inputs)
     force_law(law, rows, factor, frame.twist, inputs, f_c)
     compose_acceleration(rows, weighted_rows, weighted_factor, f_t, f_c, acceleration)
     bias_acceleration(joints, L, Y, jacobian_rate, bias)
@@ -161,10 +161,8 @@ def control_law(
     multiply(Lambda, acceleration, force)
     for i in range(count):
         contact = contacts[i]
-        # What a surface that has gone does not bear would go to the other contacts.
-        fed = max(contact.alpha_meas, 0.0) if contact.guarded else contact.alpha_est
         for k in range(6):
-            force[k] += rows[i, k] * (fed - contact.damping)
+            force[k] += rows[i, k] * (contact.alpha_fed - contact.damping)
     for j in range(n):
         joints[j].torque = 0.0
     for i in range(6):

@@ -117,7 +117,8 @@ def _series(
             values = getattr(data, series)
             for tick, message in found:
                 values[tick] = read(message, names)
-        missing[topic] = data.ticks - len(found)
+        if found or topic not in OPTIONAL:
+            missing[topic] = data.ticks - len(found)
     return data, missing
 
 
@@ -156,7 +157,13 @@ SERIES: dict[str, dict[str, Reading]] = {
         'alpha_est': _field('effort'), 'alpha_rate_est': _field('velocity')},
     'contact_forces/desired': {'alpha_des': _field('effort')},
     'contact_forces/innovation': {'innovation': _field('effort')},
+    'contact_forces/stiffness': {
+        'stiffness_est': _field('position'), 'stiffness_std': _field('velocity'),
+        'stiffness': _field('effort')},
+    'contact_forces/stability_margin': {'margin': _field('effort')},
     'contact_forces/noise_variance': {'noise_variance': _field('effort')},
     'ground_truth/contact_forces': {'alpha_true': _field('effort')},
     'operational_point/pose': {'position': _position, 'quaternion': _quaternion},
     'operational_point/pose_desired': {'position_des': _position, 'quaternion_des': _quaternion}}
+# Only there where the stiffness is found on-line.
+OPTIONAL = ('contact_forces/stiffness', 'contact_forces/stability_margin')

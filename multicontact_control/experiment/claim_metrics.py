@@ -71,6 +71,7 @@ def evidence_of(data: RunData, setup: Setup, summary: Mapping[str, Any]) -> dict
         'scenario': setup.scenario.name, 'plant': setup.plant_name, 'seed': setup.seed,
         'drives': setup.plant.drives, 'estimator': setup.noise_estimator.estimator,
         'active_state_order': setup.controller.force.active_state_order,
+        'damping_rate': setup.controller.force.damping_rate,
         'input_delay_s': setup.controller.force.input_delay,
         'designed_rise_s': designed_rise(setup.controller.force),
         **{name: summary[name] for name in (

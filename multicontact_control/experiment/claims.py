@@ -31,6 +31,7 @@ PAPER_ESTIMATOR = 'lead_window'
 FIXED = 'fixed'
 UNFILTERED = 'window rescaled'
 MAYBECK = 'innovation'
+MATCHED = 'innovation matched'  # with a Q that makes its observer as fast as the paper's at rest
 
 
 @dataclass(frozen=True)
@@ -62,14 +63,31 @@ Rows = Sequence[Row]
 Verdict = tuple[str, bool | None, str]  # what was measured, whether the claim holds, why
 
 
+class ClaimOverDamping(NamedTuple):
+    """One claim at several values of K_2, which the paper leaves open."""
+
+    verdicts: Mapping[float, Claim]  # by K_2 [1/s]
+
+    @property
+    def depends(self) -> bool:
+        """Return whether the data say yes at one K_2 and no at another."""
+        return len({claim.holds for claim in self.verdicts.values()} - {None}) > 1
+
+
+def judge_over_damping(claims: Mapping[float, Sequence[Claim]]) -> list[ClaimOverDamping]:
+    """Put the verdicts on every claim side by side; `claims` are those of each K_2 [1/s]."""
+    return [ClaimOverDamping(dict(zip(claims, each))) for each in zip(*claims.values())]
+
+
 def judge_claims(evidence: Evidence, comparison: Rows = ()) -> list[Claim]:
     """
     Judge every claim by the evidence of a run, in the paper's order.
 
-    Of the rows of a comparison, those of another plant, and those without the active state or
-    with a changed stiffness, are used only by the claims about these.
+    Of the rows of a comparison, those of another plant or K_2, and those without the active state
+    or with a changed stiffness, are used only by the claims about these.
     """
-    rows = [row for row in comparison if row.evidence['plant'] == evidence['plant']]
+    rows = [row for row in comparison if all(
+        row.evidence.get(name) == evidence.get(name) for name in ('plant', 'damping_rate'))]
     return [Claim(claim, paper, *judge(evidence, rows)) for claim, paper, judge in CLAIMS]
 
 
@@ -273,7 +291,8 @@ def _recovery(rows: Rows, *, lasting: bool) -> tuple[float, float] | None:
 
 def _maybeck(evidence: Evidence, rows: Rows) -> Verdict:
     lead = _reaction(_standard(rows, PAPER_ESTIMATOR))
-    judged = _standard(rows, MAYBECK)
+    matched = _standard(rows, MATCHED)
+    judged = matched or _standard(rows, MAYBECK)
     other = _reaction(judged)
     if lead is None or other is None:
         return _unknown(f'needs cells of `{PAPER_ESTIMATOR}` and `{MAYBECK}`')
@@ -281,8 +300,9 @@ def _maybeck(evidence: Evidence, rows: Rows) -> Verdict:
     return (f'pushes at rest lift R to {other:.1f} times its value at rest, against {lead:.1f} '
             f'times with the filter; unstable in {unstable} of {len(judged)} runs',
             other >= SENSITIVE_FACTOR * lead,
-            f'{SENSITIVE_FACTOR:g} times the reaction of the filter counts as too sensitive; it '
-            'works at another bandwidth than the filter, with the same Q')
+            f'{SENSITIVE_FACTOR:g} times the reaction of the filter counts as too sensitive; '
+            + ('Q is matched, so that both observers are as fast at rest' if matched else
+               'it works at another bandwidth than the filter, with the same Q'))
 
 
 def _reaction(rows: Rows) -> float | None:

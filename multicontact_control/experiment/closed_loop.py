@@ -15,7 +15,7 @@ from multicontact_control.arrays import Vector
 from multicontact_control.control.controller import ControlOutput
 from multicontact_control.control_loop import ControlLoop
 from multicontact_control.errors import ContactGeometryError, RunError, SingularTaskError
-from multicontact_control.experiment.recording import empty_run_data, RunData
+from multicontact_control.experiment.recording import empty_run_data, OF_STIFFNESS, RunData
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.force.noise import Innovation, make_noise_estimator, NoiseEstimator
 from multicontact_control.supervision.command_limits import CommandLimits
@@ -188,7 +188,7 @@ class LoopResult:
 
 def run_in_process(
     setup: Setup, on_progress: Callable[[float, Vector], None] | None = None, *,
-    supervised: bool = False,
+    supervised: bool = False, disturb: Callable[[ClosedLoop], None] | None = None,
 ) -> LoopResult:
     """
     Run a scenario as fast as it goes.
@@ -202,6 +202,8 @@ def run_in_process(
     supervised
         Whether contact states, watchdogs and limits are put around the control law. Without, it
         runs bare but for its start.
+    disturb
+        What happens to the loop before each tick, if anything does.
 
     Returns
     -------
@@ -218,6 +220,8 @@ def run_in_process(
     start = time.perf_counter()
     try:
         for k in range(setup.ticks):
+            if disturb is not None:
+                disturb(loop)
             before = time.perf_counter_ns()
             try:
                 output = loop.answer()
@@ -246,6 +250,9 @@ def _record(data: RunData, loop: ClosedLoop, output: ControlOutput) -> None:
     for names, source in ((SAMPLED, loop.sample), (ANSWERED, output)):
         for name in names:
             getattr(data, name)[k] = getattr(source, name)
+    if loop.setup.controller.force.stiffness == 'adaptive':
+        for name in OF_STIFFNESS:
+            getattr(data, name)[k] = output.contacts[name]
     data.alpha_true[k] = loop.sample.contact_force
     data.noise_variance[k] = loop.variance
     pose, pose_des = output.pose, output.pose_des

@@ -22,6 +22,7 @@ import time
 from llvmlite import binding as llvm
 from multicontact_control import compiled
 from multicontact_control.compiled import cache_folder, compilations_told, sources_stamp
+import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
@@ -123,12 +124,31 @@ def _exercises() -> Mapping[str, Callable[[], object]]:
     from multicontact_control.experiment.closed_loop import run_in_process
     from multicontact_control.experiment.position_controlled_plant import ServoedPlant
     from multicontact_control.experiment.scenario import resolve, Setup
+    from multicontact_control.force.force_law import continue_laws, make_force_laws
     from multicontact_control.force.noise import ESTIMATORS, make_noise_estimator
+    from multicontact_control.force.stiffness import (
+        begin_fit,
+        filter_sample,
+        friction_of_others,
+    )
+    from multicontact_control.records import CONTACT, FRAME
 
-    def setup(plant: str, **options: object) -> Setup:
+    def setup(plant: str, preset: str = '', **options: object) -> Setup:
         quick = resolve('quick', plant=plant)
         return resolve('quick', plant=plant, duration=TICKS * quick.controller.period,
-                       plant_overrides=options)
+                       preset=preset, plant_overrides=options)
+
+    def force_laws() -> None:
+        configs = [setup('rigid', preset).controller for preset in ('adaptive', 'laws/dob')]
+        laws = [make_force_laws(config, np.full(len(config.contact_names), 6000.0))
+                for config in (configs[0], *configs)]
+        laws[0]['observer']['running'] = True
+        for new, old in zip(laws[1:], laws):
+            continue_laws(new, old)
+        adaptive = laws[1][0]['stiffness']['slow']
+        begin_fit(adaptive, 1.0)
+        filter_sample(adaptive, np.zeros(4), np.empty(4))
+        friction_of_others(np.zeros(1, dtype=FRAME)[0], np.zeros(2, dtype=CONTACT), 0)
 
     def estimators() -> None:
         config = setup('puma').noise_estimator
@@ -142,7 +162,7 @@ def _exercises() -> Mapping[str, Callable[[], object]]:
         arm.close()
 
     return {
-        'noise estimators': estimators,
+        'noise estimators': estimators, 'force laws': force_laws,
         'control law and flexible drives': lambda: run_in_process(setup('puma')),
         'supervisor': lambda: run_in_process(setup('puma'), supervised=True),
         'rigid drives': lambda: run_in_process(setup('rigid')),

@@ -26,6 +26,7 @@ COMMANDED = '#222222'
 TRUE = '#e45756'
 WINDOW = '#f2f2f2'
 TITLE_WIDTH = 110  # characters of the second line that fit
+STEP_SHOWN = (0.05, 0.35)  # s before and after a step
 BUCKETS = 1500  # that a series is thinned out to on a page
 PAPER_VARIANCE = ((0.6, 'paper, at rest'), (100.0, 'paper, moving'))  # N^2
 
@@ -43,13 +44,14 @@ class Trace(NamedTuple):
 
 
 class Panel(NamedTuple):
-    """Lines over time on common axes, logarithmic if levels are named."""
+    """Lines over time on common axes; logarithmic if levels are named, too."""
 
     label: str  # of the vertical axis
     traces: Sequence[Trace]
     limits: tuple[float, float] | None = None  # those of the data if not given
     levels: Sequence[tuple[float, str]] = ()  # horizontal lines and what they stand for
     height: float = 1.0  # relative to the other panels
+    logarithmic: bool = False
 
 
 class RunFigure(NamedTuple):
@@ -64,9 +66,10 @@ class RunFigure(NamedTuple):
 
 
 def run_figures(data: RunData, setup: Setup) -> list[RunFigure]:
-    """Return the figures of a run: Figures 3 and 4 for each contact, 5 and 6."""
+    """Return the figures of a run: 3 and 4 for each contact, 5, 6, and the stiffness found."""
     forces = [_force(data, i) for i in range(len(data.contact_names))]
-    return [*forces, _motion(data, setup), _noise_variance(data)]
+    figures = [*forces, _motion(data, setup), _noise_variance(data)]
+    return [*figures, _stiffness(data)] if np.isfinite(data.stiffness).any() else figures
 
 
 def _force(data: RunData, i: int) -> RunFigure:
@@ -112,6 +115,23 @@ def _noise_variance(data: RunData) -> RunFigure:
         'variance', 'Fig. 6: estimated noise variance',
         Panel('R [N²]', [Trace(name, values, None) for name, values in series],
               levels=PAPER_VARIANCE))
+
+
+def _stiffness(data: RunData) -> RunFigure:
+    """Return the stiffness found on-line with its standard error, and that of the model."""
+    panels, lines = [], []
+    for i, name in enumerate(data.contact_names):
+        estimate = np.where(data.stiffness_est[:, i] > 0.0, data.stiffness_est[:, i], np.nan)
+        error = data.stiffness_std[:, i]
+        model = Trace('model in use', data.stiffness[:, i], COMMANDED, 1.0, dashed=True)
+        found = Trace('estimated', estimate, ESTIMATED, 1.0)
+        panels.append(Panel(f'{name} [N/m]', (
+            model, found, Trace('with 2 standard errors', estimate + 2.0 * error, TRUE, 0.5,
+                                faint=True)), logarithmic=True))
+        lines += [Trace(f'{name}, model', model.values, None, dashed=True),
+                  Trace(f'{name}, estimated', estimate, None)]
+    return RunFigure('stiffness', 'Stiffness found on-line', panels, 'stiffness',
+                     'Stiffness found on-line', Panel('k [N/m]', lines, logarithmic=True))
 
 
 def draw_figures(
@@ -160,6 +180,60 @@ def draw_figures(
     return paths
 
 
+def draw_side_by_side(
+    runs: Sequence[tuple[str, RunData, Setup]], path: Path,
+) -> Path:
+    """
+    Draw the forces of several runs beside each other: all of a run, and its last step at rest.
+
+    Parameters
+    ----------
+    runs
+        What each is called, its series and configuration.
+    path
+        Of the PNG file.
+
+    """
+    count = max(len(data.contact_names) for _, data, _ in runs)
+    sheet = Figure(figsize=(5.5 * len(runs), 2.4 * (count + 1)), layout='constrained')
+    grid = sheet.subplots(count + 1, len(runs), squeeze=False, sharey='row')
+    for column, (label, data, setup) in enumerate(runs):
+        grid[0, column].set_title(label, fontsize=11)
+        for contact, name in enumerate(data.contact_names):
+            axes = grid[contact, column]
+            axes.plot(data.time, data.alpha_meas[:, contact], color=MEASURED, linewidth=0.4,
+                      label='measured')
+            axes.plot(data.time, data.alpha_true[:, contact], color=TRUE, linewidth=0.3,
+                      alpha=0.6, label='true')
+            axes.plot(data.time, data.alpha_des[:, contact], '--', color=COMMANDED,
+                      linewidth=1.0, label='commanded')
+            axes.set_ylabel(f'{name} [N]')
+        axes = grid[count, column]
+        reference = setup.scenario.reference
+        stop = reference.motion.start_time if reference.motion else np.inf
+        steps = [step.time for step in reference.force_steps if step.time < stop]
+        last = steps[-1] if steps else 0.0
+        shown = (data.time >= last - STEP_SHOWN[0]) & (data.time < last + STEP_SHOWN[1])
+        for contact, (name, colour) in enumerate(zip(data.contact_names, (TRUE, ESTIMATED))):
+            axes.plot(1e3 * (data.time[shown] - last), data.alpha_true[shown, contact],
+                      color=colour, linewidth=1.2, label=f'{name}, true')
+        axes.plot(1e3 * (data.time[shown] - last), data.alpha_des[shown, 0], '--',
+                  color=COMMANDED, linewidth=1.0, label='commanded')
+        axes.set_ylabel('force [N]')
+        axes.set_xlabel('time after the last step at rest [ms]')
+        grid[count - 1, column].set_xlabel('time [s]')
+    for axes in grid.ravel():
+        axes.grid(alpha=0.3)
+    for row in (0, count):
+        grid[row, 0].legend(loc='lower right', fontsize=7)
+    for row in range(count):
+        desired = max(float(np.nanmax(data.alpha_des)) for _, data, _ in runs)
+        grid[row, 0].set_ylim(-2.0, 1.6 * max(desired, 5.0))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    sheet.savefig(path, dpi=110)
+    return path
+
+
 def draw_latency(summary: Mapping[str, Any], folder: Path) -> Path:
     """Draw how long the answers to samples took, from ``summary.json``; return the file."""
     timing = summary['timing']
@@ -205,7 +279,7 @@ def _draw_panel(
         axes.axvspan(start, end, color=WINDOW, zorder=0)
         axes.annotate(name, (start, 1.0), xycoords=('data', 'axes fraction'), fontsize=7,
                       va='top', color='#777777', xytext=(2, -2), textcoords='offset points')
-    if panel.levels:
+    if panel.levels or panel.logarithmic:
         axes.set_yscale('log')
     for trace in panel.traces:
         style: dict[str, Any] = {'alpha': 0.6, 'zorder': 1.5} if trace.faint else {}
@@ -218,7 +292,7 @@ def _draw_panel(
     axes.set_ylabel(panel.label)
     axes.grid(alpha=0.3, which='both' if panel.levels else 'major')
     if len(panel.traces) > 1:
-        axes.legend(loc='upper left', fontsize=8)
+        axes.legend(loc='upper right' if panel.logarithmic else 'upper left', fontsize=8)
     if panel.limits is not None:
         axes.set_ylim(*panel.limits)
 
@@ -261,7 +335,7 @@ def _layout(
     axis: dict[str, Any] = {'title': {'text': panel.label}}
     if panel.limits is not None:
         axis['range'] = list(panel.limits)
-    if panel.levels:
+    if panel.levels or panel.logarithmic:
         axis['type'] = 'log'
     return {'title': {'text': heading, 'font': {'size': 14}}, 'height': 340, 'hovermode': 'x',
             'margin': {'t': 40, 'b': 40, 'l': 60, 'r': 10}, 'shapes': shapes, 'yaxis': axis,

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from multicontact_control.arrays import Vector
-from multicontact_control.experiment.claims import Claim
+from multicontact_control.experiment.claims import Claim, ClaimOverDamping
 from multicontact_control.files import write_text
 import numpy as np
 
@@ -91,14 +91,30 @@ def table(
     return f'<table>{line(head, "th")}{"".join(lines)}</table>'
 
 
+VERDICTS = {True: '<b class=yes>holds</b>', False: '<b class=no>does not hold</b>',
+            None: '<span class=unknown>not judged</span>'}
+
+
+def claims_over_damping(claims: Sequence[ClaimOverDamping]) -> str:
+    """Return the table of the paper's claims over K_2, which it leaves open."""
+    rates = list(claims[0].verdicts) if claims else []
+    rows = []
+    for each in claims:
+        first = next(iter(each.verdicts.values()))
+        rows.append((
+            escape(first.claim), escape(first.paper),
+            *(f'{VERDICTS[claim.holds]}<br>{escape(claim.measured)}'
+              for claim in each.verdicts.values()), '<b>yes</b>' if each.depends else 'no'))
+    return table(('claim', 'in the paper', *(f'K<sub>2</sub> = {rate:g} 1/s' for rate in rates),
+                  'depends on K<sub>2</sub>'), rows, numbers_from=9)
+
+
 def claims_table(claims: Sequence[Claim]) -> str:
     """Return the table of the paper's claims."""
-    verdicts = {True: '<b class=yes>holds</b>', False: '<b class=no>does not hold</b>',
-                None: '<span class=unknown>not judged</span>'}
     return table(
         ('claim', 'in the paper', 'measured', 'verdict', 'why'),
         [(escape(claim.claim), escape(claim.paper), escape(claim.measured),
-          verdicts[claim.holds], escape(claim.why)) for claim in claims], numbers_from=9)
+          VERDICTS[claim.holds], escape(claim.why)) for claim in claims], numbers_from=9)
 
 
 def image(path: Path, alt: str) -> str:

@@ -14,6 +14,8 @@ from multicontact_control.errors import RunError
 import numpy as np
 
 SERIES_FILE = 'samples.npz'
+OF_STIFFNESS = ('stiffness', 'stiffness_est', 'stiffness_std', 'margin')
+OPTIONAL = ('innovation', *OF_STIFFNESS)
 
 
 @dataclass(frozen=True)
@@ -40,6 +42,10 @@ class RunData:
     innovation
         alpha_meas minus what the observers predicted, 0 where no force is controlled, shape
         (m, r) [N]; NaN throughout where it was not recorded.
+    stiffness, stiffness_est, stiffness_std, margin
+        That of the observers' models, what is estimated on-line and its standard error, and how
+        many times as stiff a surface might be, shape (m, r) [N/m], [N/m], [N/m], [-]; NaN
+        throughout where the stiffness is configured.
     position, quaternion, position_des, quaternion_des
         Operational point, world axes, shapes (m, 3) and (m, 4), scalar last.
 
@@ -62,6 +68,10 @@ class RunData:
     alpha_des: Matrix
     noise_variance: Matrix
     innovation: Matrix
+    stiffness: Matrix
+    stiffness_est: Matrix
+    stiffness_std: Matrix
+    margin: Matrix
     position: Matrix
     quaternion: Matrix
     position_des: Matrix
@@ -105,8 +115,9 @@ class RunData:
         try:
             with np.load(path, allow_pickle=False) as data:
                 values = {name: data[name] for name in data.files}
-            # Recordings from before innovations were kept are as good otherwise.
-            values.setdefault('innovation', np.full_like(values['alpha_meas'], np.nan))
+            # Recordings from before these were kept are as good otherwise.
+            for name in OPTIONAL:
+                values.setdefault(name, np.full_like(values['alpha_meas'], np.nan))
         except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
             raise RunError(f'{path}: expected a recording of a run, found {error}') from None
         return cls(**{**values, 'rate': float(values['rate']),
@@ -121,7 +132,7 @@ def empty_run_data(ticks: int, controller: ControllerConfig) -> RunData:
         **dict.fromkeys(('q', 'qd', 'effort', 'torque'), len(joints)),
         **dict.fromkeys(('wrench', 'wrench_filtered'), 6),
         **dict.fromkeys(('alpha_true', 'alpha_meas', 'alpha_est', 'alpha_rate_est', 'alpha_des',
-                         'noise_variance', 'innovation'), len(contacts)),
+                         'noise_variance', *OPTIONAL), len(contacts)),
         **dict.fromkeys(('position', 'position_des'), 3),
         **dict.fromkeys(('quaternion', 'quaternion_des'), 4)}
     return RunData(

@@ -8,13 +8,24 @@ from pathlib import Path
 from typing import Any
 
 from multicontact_control.experiment.claim_metrics import evidence_of
-from multicontact_control.experiment.claims import Claim, judge_claims
-from multicontact_control.experiment.figures import draw_figures, interactive_figures
-from multicontact_control.experiment.html_parts import claims_table, table, write_page
+from multicontact_control.experiment.claims import Claim, judge_claims, judge_over_damping
+from multicontact_control.experiment.figures import (
+    draw_figures,
+    draw_side_by_side,
+    interactive_figures,
+)
+from multicontact_control.experiment.html_parts import (
+    claims_over_damping,
+    claims_table,
+    image,
+    table,
+    write_page,
+)
 from multicontact_control.experiment.judge import STABLE, verdict_text
 from multicontact_control.experiment.results import FIGURE_FOLDER, LoadedRun
 from multicontact_control.experiment.study.presets.compare.results import (
     claim_rows,
+    comparison_claims,
     comparison_listing,
     findings,
 )
@@ -71,6 +82,11 @@ def write_report(
         paths += draw_figures(run.data, run.setup, folder, verdict=verdict_text(run.summary),
                               formats=FORMATS)
         parts.append(_run_section(run, number, comparison))
+    if len(runs) > 1:
+        paths.append(draw_side_by_side(
+            [(run.folder.resolve().name, run.data, run.setup) for run in runs],
+            out / FIGURE_FOLDER / 'side_by_side.png'))
+        parts.insert(2, f'<h2>Side by side</h2>{image(paths[-1], "forces of the runs")}')
     page = out / REPORT_FILE
     write_page(page, 'Multi-contact force control: the paper put to the test', '\n'.join(parts))
     return [page, *paths]
@@ -127,7 +143,9 @@ def _comparison_section(comparison: dict[str, Any]) -> str:
     parts = ['<h2>Measured by the comparison</h2><ul>',
              *(f'<li>{escape(text)}</li>' for text in findings(rows)), '</ul>']
     for plant in dict.fromkeys(row['plant'] for row in rows):
-        parts += [f'<h3>Plant {escape(plant)}: worse contact, median over the seeds</h3>',
+        parts += [f'<h3>Claims over K<sub>2</sub>, plant {escape(plant)}</h3>',
+                  claims_over_damping(judge_over_damping(comparison_claims(rows)[plant])),
+                  f'<h3>Plant {escape(plant)}: worse contact, median over the seeds</h3>',
                   html_table(comparison_listing(rows, plant))]
     return '\n'.join(parts)
 

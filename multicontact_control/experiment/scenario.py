@@ -14,6 +14,7 @@ from multicontact_control.config import (
     merge,
     NoiseEstimatorConfig,
     parameter,
+    read_node_parameters,
     read_parameters,
     read_yaml,
     Real,
@@ -28,6 +29,8 @@ from sim_bridge.config import PlantConfig
 import yaml
 
 PLANTS = ('rigid', 'puma')
+PRESETS = ('paper', 'best', 'adaptive')
+PRESET_NODES = ('controller_node', 'noise_estimator_node')
 
 
 class ScenarioConfig(Config):
@@ -123,11 +126,17 @@ def plant_path(name: str) -> Path:
     raise ConfigError('plant', f'one of {", ".join(PLANTS)}, or a path', f"'{name}'")
 
 
+def preset_values(name: str) -> dict[str, dict[str, Any]]:
+    """Return what a preset of config/presets, or a file, says of controller and estimator."""
+    found = read_node_parameters(named_file('preset', 'presets', name), PRESET_NODES)
+    return {node.removesuffix('_node'): values for node, values in found.items()}
+
+
 def resolve(
     scenario: str, *, plant: str = 'puma', seed: int = 0, duration: float | None = None,
     noise_estimator: dict[str, Any] | None = None, controller: dict[str, Any] | None = None,
     plant_overrides: dict[str, Any] | None = None,
-    scenario_overrides: dict[str, Any] | None = None,
+    scenario_overrides: dict[str, Any] | None = None, preset: str = '',
 ) -> Setup:
     """
     Read and check everything a run needs.
@@ -146,6 +155,9 @@ def resolve(
         Values laid over the files' and the scenario's.
     scenario_overrides
         Values laid over the scenario's file.
+    preset
+        Name or path of what is laid over the files of controller and estimator first; empty for
+        the files as they are.
 
     Returns
     -------
@@ -165,13 +177,16 @@ def resolve(
     config = validate(
         ScenarioConfig, text if duration is None else {**text, 'duration': duration}, str(path))
     folder = config_dir()
+    chosen = preset_values(preset) if preset else {}
     controller_config = validate(
         ControllerConfig,
-        merge(merge(_controller_parameters(plant), config.controller), controller or {}),
+        merge(merge(_controller_parameters(plant, chosen.get('controller', {})),
+                    config.controller), controller or {}),
         'controller.yaml')
     estimator_config = validate(
         NoiseEstimatorConfig,
-        merge(merge(read_parameters(folder / 'noise_estimator.yaml'), config.noise_estimator),
+        merge(merge(merge(read_parameters(folder / 'noise_estimator.yaml'),
+                          chosen.get('noise_estimator', {})), config.noise_estimator),
               noise_estimator or {}), 'noise_estimator.yaml')
     plant_file = plant_path(plant)
     plant_config = validate(
@@ -184,9 +199,9 @@ def resolve(
     return setup
 
 
-def _controller_parameters(plant: str) -> dict[str, Any]:
-    """Return the controller's parameters, with those that belong to a plant preset over them."""
-    values = read_parameters(config_dir() / 'controller.yaml')
+def _controller_parameters(plant: str, preset: dict[str, Any]) -> dict[str, Any]:
+    """Return the controller's parameters, with those of a preset and of the plant over them."""
+    values = merge(read_parameters(config_dir() / 'controller.yaml'), preset)
     special = config_dir() / f'controller_{plant}.yaml'
     if plant in PLANTS and special.is_file():
         values = merge(values, read_parameters(special))

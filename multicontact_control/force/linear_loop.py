@@ -17,6 +17,7 @@ import math
 
 from multicontact_control.arrays import Matrix, require_shape, Vector
 from multicontact_control.errors import ConfigError
+from multicontact_control.force.linear_law import LinearLaw
 from multicontact_control.force.observer import ObserverDesign
 from multicontact_control.force.plant_model import delayed_hold
 import numpy as np
@@ -88,28 +89,27 @@ def steady_gain(observer: ObserverDesign, noise_variance: float) -> Vector:
 
 
 def closed_loop(
-    plant: LinearArmPlant, observer: ObserverDesign, kalman_gain: Vector, damping_rate: float,
-    period: float,
+    plant: LinearArmPlant, law: LinearLaw, damping_rate: float, period: float, *,
+    fed_share: float = 0.0,
 ) -> Matrix:
     """
     Return the matrix of one period of all force loops together.
 
-    Of the state [z, dz/dt, inputs under way, x_est of every contact after its correction], with
-    the commanded forces 0. A sample is answered by w = -L x_est - K_2 dz/dt + B alpha_est, and
-    x_est' = (1 - K C) Phi_c x_est + K y' (P04 eqs 36-38).
+    Of the state [z, dz/dt, inputs under way, measured forces, x of every law], with the commanded
+    forces 0. A sample is answered by w = u - K_2 dz/dt + B (1 - g) alpha_est.
 
     Parameters
     ----------
     plant
         What the loops meet.
-    observer
-        Model and feedback, the same for every contact.
-    kalman_gain
-        K, held, as from `steady_gain`.
+    law
+        The force law of every contact; for an active observer `steady_law`.
     damping_rate
         K_2 on the measured motion [1/s]; 0 where the plant itself has it.
     period
         h [s].
+    fed_share
+        g, the share of the desired force in what is fed forward.
 
     Returns
     -------
@@ -117,7 +117,7 @@ def closed_loop(
         Square; the loops are stable if all its eigenvalues are inside the unit circle.
 
     """
-    r, n = len(plant.stiffness), len(kalman_gain)
+    r, n = len(plant.stiffness), law.states
     zero, one = np.zeros((r, r)), np.eye(r)
     force = np.hstack([np.diag(plant.stiffness), np.diag(plant.damping)])  # alpha of z and dz/dt
     acceleration = -plant.mobility @ force
@@ -125,20 +125,26 @@ def closed_loop(
     Phi, Gamma = delayed_hold(np.vstack([np.hstack([zero, one]), acceleration]),
                               np.vstack([zero, one]), plant.delay, period)
     real = len(Phi)  # states of the plant, with the inputs under way
-    estimate = np.kron(one, np.eye(1, n))
-    answer = np.zeros((r, real + n * r))
-    answer[:, r:2 * r] = -damping_rate * one
-    answer[:, real:] = plant.mobility @ estimate - np.kron(one, observer.feedback)
-    loop = np.zeros((real + n * r, real + n * r))
+    own = real + r  # where the states of the laws begin
+    size = own + n * r
+    # What the laws answer: to the measured forces, to the speeds, and by what they remember.
+    output = {}
+    for row, name in enumerate(('u', 'alpha_est')):
+        output[name] = np.zeros((r, size))
+        output[name][:, real:own] = law.D[row, 0] * one
+        output[name][:, r:2 * r] = law.D[row, 2] * one
+        output[name][:, own:] = np.kron(one, law.C[row:row + 1])
+    answer = output['u'] + (1.0 - fed_share) * plant.mobility @ output['alpha_est']
+    answer[:, r:2 * r] -= damping_rate * one
+    loop = np.zeros((size, size))
     loop[:real] = Gamma @ answer
     loop[:real, :real] += Phi
     motion = loop[:2 * r]
-    reading = force @ motion + plant.tool_inertia @ (
+    loop[real:own] = force @ motion + plant.tool_inertia @ (
         acceleration @ motion + _acting_input(plant, answer, real, period))
-    correction = np.eye(n)
-    correction[:, 0] -= kalman_gain
-    loop[real:] = np.kron(one, kalman_gain[:, None]) @ reading
-    loop[real:, real:] += np.kron(one, correction @ observer.Phi_c)
+    loop[own:, real:own] = np.kron(one, law.B[:, :1])
+    loop[own:, r:2 * r] = np.kron(one, law.B[:, 2:3])
+    loop[own:, own:] = np.kron(one, law.A)
     return loop
 
 

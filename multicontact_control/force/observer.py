@@ -233,7 +233,8 @@ def correct(observer: Any, innovation: float, noise_variance: float) -> None:
     (P04 eqs 37, 39, 40). The first row of P is written as R / (C P_1 C^T + R) times that of P_1,
     the same thing as P_1 - K C P_1 without the difference of two nearly equal numbers: the
     variance of the measured state stays positive however far R drops. What remains is the Schur
-    complement of the other states, where rounding is small against the process noise.
+    complement of the other states, where rounding is small against the process noise. Where the
+    model of the surface damps, C = (1, c / k, 0, ...), and P is worked out as it stands.
 
     Parameters
     ----------
@@ -245,8 +246,18 @@ def correct(observer: Any, innovation: float, noise_variance: float) -> None:
         R_k [N^2].
 
     """
-    n = observer.states
+    n, tau = observer.states, observer.damping_time
     x_est, P, x_1, covariance = observer.x_est, observer.P, observer.x_1, observer.Phi_n_P[0]
+    if tau != 0.0:
+        for i in range(n):
+            covariance[i] = P[0, i] + tau * P[1, i]
+        total_variance = covariance[0] + tau * covariance[1] + noise_variance
+        for i in range(n):
+            x_est[i] = x_1[i] + covariance[i] / total_variance * innovation
+            for j in range(i, n):
+                P[i, j] -= covariance[i] * covariance[j] / total_variance
+                P[j, i] = P[i, j]
+        return
     total_variance = P[0, 0] + noise_variance
     for i in range(n):
         covariance[i] = P[0, i]
@@ -338,47 +349,37 @@ def continue_at(observers: Records, held: Mask, force: Vector) -> None:
 
 
 @compiled
-def observe_and_command(
-    observers: Any, contacts: Any, measured: bool, inputs: Vector,
-) -> None:
+def observe_and_command(observer: Any, contact: Any, measured: bool) -> float:
     """
-    Take the measured force of every active contact into its observer, and work out its input.
+    Take the measured force of an active contact into its observer, and work out its input.
 
-    A contact that has just become active starts from its measured force. What was not measured
-    is predicted, which is to correct with an infinite R.
+    An observer that has not run starts from the measured force. What was not measured is
+    predicted, which is to correct with an infinite R.
 
     Parameters
     ----------
-    observers, contacts
-        Records of `OBSERVER` and `CONTACT`, both changed, shape (r,).
+    observer, contact
+        Records of `OBSERVER` and `CONTACT`, both changed.
     measured
-        Whether the measured forces are of this sample.
-    inputs
-        Filled with u, 0 where not active, shape (r,) [m/s^2].
+        Whether the measured force is of this sample.
+
+    Returns
+    -------
+    float
+        u [m/s^2].
 
     """
-    for i in range(contacts.shape[0]):
-        contact, observer = contacts[i], observers[i]
-        contact.innovation = 0.0
-        contact.prior_variance = 0.0
-        contact.variance_used = 0.0
-        if not contact.active:
-            observer.running = False
-            contact.alpha_est = 0.0
-            contact.alpha_rate_est = 0.0
-            inputs[i] = 0.0
-            continue
-        if observer.running:
-            predict(observer)
-            if measured:
-                contact.prior_variance = observer.P[0, 0]
-                contact.innovation = contact.alpha_meas - observer.x_1[0]
-                contact.variance_used = contact.noise_variance
-                correct(observer, contact.innovation, contact.noise_variance)
-            else:
-                copy_vector(observer.x_1, observer.x_est)
+    if observer.running:
+        predict(observer)
+        if measured:
+            contact.prior_variance = observer.P[0, 0]
+            contact.innovation = contact.alpha_meas - observer.x_1[0]
+            contact.variance_used = contact.noise_variance
+            correct(observer, contact.innovation, contact.noise_variance)
         else:
-            start(observer, contact.alpha_meas)
-        inputs[i] = command(observer, contact.alpha_des)
-        contact.alpha_est = observer.x_est[0]
-        contact.alpha_rate_est = observer.x_est[1]
+            copy_vector(observer.x_1, observer.x_est)
+    else:
+        start(observer, contact.alpha_meas)
+    contact.alpha_est = observer.x_est[0]
+    contact.alpha_rate_est = observer.x_est[1]
+    return command(observer, contact.alpha_des)

@@ -250,7 +250,15 @@ def design_force_loop(
         If a value is out of its range.
 
     """
-    plant = delayed_plant(stiffness, damping_rate, input_delay, period)
+    return place_poles(
+        delayed_plant(stiffness, damping_rate, input_delay, period), period,
+        time_constant=time_constant, second_pole_ratio=second_pole_ratio)
+
+
+def place_poles(
+    plant: DelayedPlant, period: float, *, time_constant: float, second_pole_ratio: float = 1.0,
+) -> ForceLoop:
+    """Design the feedback of a delayed plant; see `design_force_loop`."""
     poles = [math.exp(-period / time_constant),
              math.exp(-period * second_pole_ratio / time_constant)]
     poles += [0.0] * (len(plant.Gamma) - len(poles))

@@ -49,6 +49,8 @@ class ControllerOutputs:
         node_config: ControllerNodeConfig,
     ) -> None:
         self._node, self._streams = node, streams
+        self._shown = SHOWN if config.force.stiffness == 'adaptive' else {
+            topic: numbers for topic, numbers in SHOWN.items() if topic not in OF_STIFFNESS}
         streams.advertise(
             examples(config.robot.joint_names, config.contact_names),
             batched=node_config.recording_batches)
@@ -99,7 +101,7 @@ class ControllerOutputs:
 
         """
         streams = self._streams
-        for topic, numbers in SHOWN.items():
+        for topic, numbers in self._shown.items():
             if streams.wants(topic):
                 streams.pass_on(topic, streams.message(topic, stamp, *numbers(output)))
         if self._markers.due(tick):
@@ -121,8 +123,14 @@ SHOWN: dict[topics.Topic, Callable[[ControlOutput], tuple[Vector, ...]]] = {
     topics.DESIRED_FORCES: lambda output: (output.alpha_des,),
     topics.INNOVATION: lambda output: (
         output.variance_used, output.prior_variance, output.innovation),
+    topics.STIFFNESS: lambda output: (
+        output.contacts['stiffness_est'], output.contacts['stiffness_std'],
+        output.contacts['stiffness']),
+    topics.STABILITY_MARGIN: lambda output: (
+        output.contacts['ratio_bound'], output.contacts['margin']),
     topics.POSE: lambda output: (_seven(output.pose),),
     topics.POSE_DESIRED: lambda output: (_seven(output.pose_des),)}
+OF_STIFFNESS = (topics.STIFFNESS, topics.STABILITY_MARGIN)
 
 
 def _seven(pose: Pose) -> Vector:
@@ -140,6 +148,8 @@ def examples(joints: Sequence[str], contacts: Sequence[str]) -> dict[topics.Topi
         topics.ESTIMATED_FORCES: build(0, contacts, velocity=r, effort=r),
         topics.DESIRED_FORCES: build(0, contacts, effort=r),
         topics.INNOVATION: build(0, contacts, position=r, velocity=r, effort=r),
+        topics.STIFFNESS: build(0, contacts, position=r, velocity=r, effort=r),
+        topics.STABILITY_MARGIN: build(0, contacts, position=r, effort=r),
         topics.POSE: pose, topics.POSE_DESIRED: pose}
 
 

@@ -82,6 +82,11 @@ ESTIMATED_FORCES = Topic('contact_forces/estimated', JointState, CONTROLLER, (RE
 DESIRED_FORCES = Topic('contact_forces/desired', JointState, CONTROLLER, (RECORDER,))
 # Only estimators that work on innovations subscribe to it.
 INNOVATION = Topic('contact_forces/innovation', JointState, CONTROLLER, (RECORDER,))
+# Of controllers that find the stiffness on-line: estimate, standard error, and model in use.
+STIFFNESS = Topic('contact_forces/stiffness', JointState, CONTROLLER, (RECORDER,))
+# True over modelled stiffness at most, and how many times as stiff the surface might still be.
+STABILITY_MARGIN = Topic(
+    'contact_forces/stability_margin', JointState, CONTROLLER, (RECORDER,))
 POSE = Topic('operational_point/pose', PoseStamped, CONTROLLER, (RECORDER,))
 POSE_DESIRED = Topic('operational_point/pose_desired', PoseStamped, CONTROLLER, (RECORDER,))
 NOISE_VARIANCE = Topic(
@@ -101,7 +106,8 @@ CLOCK = Topic('/clock', Clock, LOCKSTEP_SIM, (RECORDER,), qos.STREAM, 'event')
 
 TOPICS: tuple[Topic, ...] = (
     JOINT_STATES, WRENCH, WRENCH_FILTERED, TRUE_FORCES, EFFORT_COMMAND, MEASURED_FORCES,
-    ESTIMATED_FORCES, DESIRED_FORCES, INNOVATION, POSE, POSE_DESIRED, NOISE_VARIANCE,
+    ESTIMATED_FORCES, DESIRED_FORCES, INNOVATION, STIFFNESS, STABILITY_MARGIN, POSE,
+    POSE_DESIRED, NOISE_VARIANCE,
     FORCE_COMMAND, MOTION_COMMAND, ROBOT_DESCRIPTION, CONTACT_MARKERS,
     DIAGNOSTICS, CLOCK)
 

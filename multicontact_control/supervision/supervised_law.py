@@ -32,7 +32,7 @@ REFERENCE, PASSED, GATE = 16, 32, 64
 @compiled
 def supervised_law(
     supervisions: Any, controls: Any, joints: Any, mass_matrix: Matrix, jacobian: Matrix,
-    jacobian_rate: Matrix, contacts: Any, observers: Any, states: Any, limits: Any,
+    jacobian_rate: Matrix, contacts: Any, laws: Any, states: Any, limits: Any,
 ) -> int:
     """
     Answer a task that may be asked for with a torque that may be commanded.
@@ -41,7 +41,7 @@ def supervised_law(
     ----------
     supervisions
         One record of `SUPERVISION`.
-    controls, joints, mass_matrix, jacobian, jacobian_rate, contacts, observers
+    controls, joints, mass_matrix, jacobian, jacobian_rate, contacts, laws
         As for `control_law`.
     states
         Records of `CONTACT_STATE`, changed, shape (r,).
@@ -63,13 +63,14 @@ def supervised_law(
         was_active[i] = contacts[i].active
     found = REFERENCE if limit_reference(supervision.reference, control, contacts, states) else 0
     status = control_law(
-        controls, joints, mass_matrix, jacobian, jacobian_rate, contacts, observers)
+        controls, joints, mass_matrix, jacobian, jacobian_rate, contacts, laws)
     if status != OK:
         return -status
     found |= check_plausibility(supervision.plausibility, control, joints, contacts, states)
     settled = supervision.settled and not found & (NOT_FINITE | PULL | SIDEWAYS)
     for i in range(count):
         settled = settled and contacts[i].active == was_active[i]
+        states[i].stiffness = contacts[i].stiffness
     if not settled:
         return found
     torque, fallback, gated = np.empty(n), np.empty(n), np.empty(n)
@@ -108,7 +109,7 @@ class SupervisedLaw:
         terms = self._terms
         return (
             self._record, self._controls, self._joints, terms.mass_matrix, terms.jacobian,
-            terms.jacobian_rate, self._contacts, self._controller.observers, self._states,
+            terms.jacobian_rate, self._contacts, self._controller.laws, self._states,
             self._limits)
 
     def answer(self, settled: bool) -> int:

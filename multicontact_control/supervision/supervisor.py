@@ -13,7 +13,7 @@ from multicontact_control.control.reference import TaskSource
 from multicontact_control.dynamics.pose import Pose
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import ConfigError
-from multicontact_control.force.observer import continue_at
+from multicontact_control.force.force_law import continue_laws_at
 from multicontact_control.records import SUPERVISION
 from multicontact_control.supervision.bumpless import BumplessController
 from multicontact_control.supervision.fallback import (
@@ -290,7 +290,7 @@ class Supervisor(BumplessController):
         resumed = self._paused and self._running
         if resumed:
             held = self.reference.resume()
-            continue_at(self.controller.observers, held, self.controller.contacts['alpha_meas'])
+            continue_laws_at(self.controller.laws, held, self.controller.contacts['alpha_meas'])
         self._measured[0] = valid.measured
         try:
             found = self._answer()

@@ -65,7 +65,8 @@ class ReferenceController:
         acceleration = self._acceleration(
             state, space, reference, N, self._force_inputs(reference, alpha_meas, noise_variance))
         alpha_est = self._estimates(0)
-        force = (space.Lambda @ acceleration + space.mu + space.p + N @ alpha_est[self._active])
+        fed = self._fed_forward(N_all, space, alpha_meas, alpha_est, reference.alpha_des)
+        force = space.Lambda @ acceleration + space.mu + space.p + N @ fed[self._active]
         torque = joint_torque(
             force, state, space, nullspace_damping=self.config.nullspace_damping)
         torque += self._friction(measurement.qd)
@@ -80,6 +81,17 @@ class ReferenceController:
             controls[name]['position'], controls[name]['rotation'] = pose
         return ControlOutput(
             np.clip(torque, -self._torque_limit, self._torque_limit), contacts, controls)
+
+    def _fed_forward(self, N, space, alpha_meas, alpha_est, alpha_des):
+        """Return the contact forces that are fed forward, shape (r,) [N]."""
+        force = self.config.force
+        if force.fed_forward == 'measured':
+            return np.maximum(alpha_meas, 0.0)
+        k = np.array([self.config.contacts[name].stiffness for name in self.config.contact_names])
+        along = np.diag(N.T @ np.linalg.solve(space.Lambda, N))
+        share = {'estimate': 0.0, 'desired': 1.0, 'mixed': np.minimum(
+            force.damping_rate ** 2 / (2.0 * k * along), 1.0)}[force.fed_forward]
+        return alpha_est + share * (alpha_des - alpha_est)
 
     def _friction(self, qd):
         """Return the torque that the joints' friction is expected to take, shape (n,) [N m]."""

@@ -87,6 +87,17 @@ def test_law_equals_numpy_for_every_option(order, allocation, projection):
         assert_equal(compiled.step(measurement, variance), plain.step(measurement, variance))
 
 
+@pytest.mark.parametrize('fed_forward', ['estimate', 'desired', 'mixed', 'measured'])
+@pytest.mark.parametrize('stiffness', [6000.0, 60_000.0])
+def test_law_equals_numpy_whatever_is_fed_forward(fed_forward, stiffness):
+    config = controller_config(force={'fed_forward': fed_forward})
+    contacts = {name: contact.model_copy(update={'stiffness': stiffness})
+                for name, contact in config.contacts.items()}
+    compiled, plain = pair(config.model_copy(update={'contacts': contacts}), config_dir())
+    for measurement, variance in random_samples(HOME, 50, 2):
+        assert_equal(compiled.step(measurement, variance), plain.step(measurement, variance))
+
+
 @pytest.mark.parametrize('delay', [0.0, 0.0031, 0.02])
 def test_law_equals_numpy_for_other_delays(delay):
     config = controller_config(force={'input_delay': delay}, friction={

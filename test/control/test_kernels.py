@@ -9,10 +9,10 @@ from multicontact_control.contact import geometry, projections
 from multicontact_control.control import arm_state, law, motion, wrench
 from multicontact_control.dynamics import operational_space, rotations
 from multicontact_control.dynamics.pose import Pose
-from multicontact_control.force import observer
+from multicontact_control.force import force_law, linear_law, observer, stiffness
 from multicontact_control.force.noise import kernels as noise_kernels
 from multicontact_control.force.plant_model import design_force_loop
-from multicontact_control.records import CONTACT, CONTROL, JOINT
+from multicontact_control.records import CONTACT, CONTROL, FORCE_LAW, JOINT
 from multicontact_control.supervision import (
     contacts,
     gate,
@@ -25,9 +25,9 @@ import numpy as np
 import pytest
 
 MODULES = (
-    algebra, arm_state, contacts, gate, geometry, law, motion, noise_kernels, observer,
-    operational_space, plausibility, projections, readings, reference_limits, rotations,
-    supervised_law, wrench)
+    algebra, arm_state, contacts, force_law, gate, geometry, law, linear_law, motion,
+    noise_kernels, observer, operational_space, plausibility, projections, readings,
+    reference_limits, rotations, stiffness, supervised_law, wrench)
 
 
 @pytest.mark.parametrize('module', MODULES, ids=lambda module: module.__name__)
@@ -69,9 +69,11 @@ def twelve_column_law(joints, active_count):
     arm['velocity'], arm['bias_torque'] = random.standard_normal((2, joints))
     controls['frame']['twist'] = jacobian @ arm['velocity']
     arm['torque_limit'] = np.inf
+    laws = np.zeros(12, dtype=FORCE_LAW)
+    laws['observer'] = observer.make_observers([observer.design_observer(loop)] * 12)
     return [controls, arm, np.asfortranarray(mass), np.asfortranarray(jacobian),
             np.asfortranarray(np.zeros((6, joints))), columns,
-            observer.make_observers([observer.design_observer(loop)] * 12)]
+            laws]
 
 
 def test_twelve_contact_columns_and_fourteen_joints_stay_below_a_millisecond():

@@ -14,7 +14,7 @@ MOVING = 3500  # ticks
 def error_in_motion(damping, seed):
     """Return the rms error of each contact's force from 7 to 9 s, and the largest force [N]."""
     setup = resolve(
-        'quick', plant='rigid', seed=seed, duration=9.0,
+        'quick', plant='rigid', seed=seed, duration=9.0, preset='paper',
         controller={'contact_state': {'injected_damping': damping, 'energy_share': 0.25}},
         plant_overrides={'surfaces': {
             name: {'stiffness': STIFFNESS} for name in ('table', 'board')}})
@@ -37,7 +37,7 @@ def test_injected_damping_calms_contacts_that_swing_and_keeps_them_bounded():
 def largest_energy(plant, stiffness, modelled, force, estimator='lead_window'):
     """Return the largest energy of the contacts over their limits, 2 to 6 s after the command."""
     loop = ClosedLoop(resolve(
-        'quick', plant=plant, noise_estimator={'estimator': estimator},
+        'quick', plant=plant, preset='paper', noise_estimator={'estimator': estimator},
         controller={'contacts': {name: {'stiffness': modelled} for name in ('table', 'board')}},
         plant_overrides={'surfaces': {
             name: {'stiffness': stiffness} for name in ('table', 'board')}}), commanded=True)

@@ -46,7 +46,7 @@ def events_of(*texts):
 
 
 def verdict_of_run(scenario, *, supervised, **changes):
-    setup = resolve(scenario, **changes)
+    setup = resolve(scenario, **{'preset': 'paper', **changes})
     result = run_in_process(setup, supervised=supervised)
     return judge(result.data, setup, ended_early=result.ended_early,
                  events=events_of(*result.events))

@@ -58,7 +58,7 @@ def test_report_command_writes_a_page_and_figures(folder, tmp_path):
     assert result.exit_code == 0, result.output
     text = (tmp_path / 'report.html').read_text(encoding='utf-8')
     for words in ('Claims of the paper', 'Fig. 3', 'Fig. 4', 'Fig. 5', 'Fig. 6', 'Timing',
-                  'rigid drives a fixed R is not unstable', 'damping_rate: 20.0'):
+                  'rigid drives a fixed R is not unstable', 'damping_rate: 100.0'):
         assert words in text
     names = {path.name for path in (tmp_path / 'figures').iterdir()}
     assert {name.rsplit('.')[0] for name in names} == {
@@ -83,11 +83,11 @@ def test_compare_command_writes_table_and_page_and_resumes(tmp_path):
                  '--jobs', '1', '--out', str(tmp_path)]
     first = CliRunner().invoke(app, arguments)
     assert first.exit_code == 0, first.output
-    assert '3 runs, 0 of them finished before' in first.output
+    assert '5 runs, 0 of them finished before' in first.output
     assert 'will take about' in first.output.replace('\n', ' ')
     content = (tmp_path / 'comparison.json').read_bytes()
     again = CliRunner().invoke(app, arguments)
-    assert '3 runs, 3 of them finished before' in again.output
+    assert '5 runs, 5 of them finished before' in again.output
     assert (tmp_path / 'comparison.json').read_bytes() == content
     rows = json.loads(content)['rows']
     assert rows[0]['stable'] and rows[0]['label'] == 'fixed'

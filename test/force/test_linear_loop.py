@@ -2,6 +2,7 @@
 
 from force_loop import H, observer_of
 from multicontact_control.errors import ConfigError, ShapeError
+from multicontact_control.force.laws import steady_law
 from multicontact_control.force.linear_loop import (
     bisect,
     closed_loop,
@@ -29,7 +30,7 @@ def _plant(
 def _radius(observer, gain, ratio, damping_rate=20.0, commanded=False, **values):
     own, measured = (0.0, damping_rate) if commanded else (damping_rate, 0.0)
     return spectral_radius(
-        closed_loop(_plant(ratio, own, **values), observer, gain, measured, H))
+        closed_loop(_plant(ratio, own, **values), steady_law(observer.design, gain), measured, H))
 
 
 def _boundary(observer, variance, damping_rate=20.0, **values):
@@ -58,15 +59,15 @@ def test_steady_gain_is_where_the_observer_settles(order, variance):
 
 @pytest.mark.parametrize('order', range(4))
 def test_closed_loop_with_the_right_model_separates(order):
-    """Its eigenvalues are those of the feedback and of the filter, (1 - K C) Phi_n."""
+    """Its eigenvalues are those of the feedback, of the filter, (1 - K C) Phi_n, and of y."""
     observer = observer_of(order)
     gain = steady_gain(observer, 0.6)
-    matrix = closed_loop(_plant(), observer, gain, 0.0, H)
+    matrix = closed_loop(_plant(), steady_law(observer.design, gain), 0.0, H)
     n = observer.Phi_n.shape[0]
     correction = np.eye(n) - np.outer(gain, np.eye(n)[0])
     expected = np.polymul(
         np.poly(observer.loop.closed_loop), np.poly(correction @ observer.Phi_n))
-    np.testing.assert_allclose(np.poly(matrix), expected, atol=1e-6)
+    np.testing.assert_allclose(np.poly(matrix), np.append(expected, 0.0), atol=1e-6)
     assert spectral_radius(matrix) < 1.0
 
 
@@ -191,7 +192,8 @@ def _arm(mobility, delay=1):
 
 
 def _arm_loop(plant, observer):
-    return closed_loop(plant, observer, steady_gain(observer, 0.6), 20.0, H)
+    law = steady_law(observer.design, steady_gain(observer, 0.6))
+    return closed_loop(plant, law, 20.0, H)
 
 
 def test_loop_of_uncoupled_contacts_is_that_of_each():
@@ -207,7 +209,8 @@ def test_loop_is_the_observer_on_the_coupled_contacts_in_time(delay):
     matrix, gain = _arm_loop(_arm(B, delay), aob), steady_gain(aob, 0.6)
     state = np.random.default_rng(3).standard_normal(matrix.shape[0]) * 1e-3
     x, line = state[:4], list(state[4:4 + 2 * delay].reshape(-1, 2))
-    estimates = state[4 + 2 * delay:].reshape(2, -1)
+    measured, predicted = state[4 + 2 * delay:6 + 2 * delay], state[6 + 2 * delay:].reshape(2, -1)
+    estimates = predicted + np.outer(measured - predicted[:, 0], gain)
     line.append(-estimates @ aob.feedback - 20.0 * x[2:] + B @ estimates[:, 0])
     acting = line.pop(0)
 
@@ -219,9 +222,8 @@ def test_loop_is_the_observer_on_the_coupled_contacts_in_time(delay):
         x = x + H / steps * motion(x + 0.5 * H / steps * motion(x))
     force = 1.5 * K * x[:2] + 30.0 * x[2:] + 0.5 * motion(x)[2:]
     predicted = estimates @ aob.Phi_c.T
-    estimates = predicted + np.outer(force - predicted[:, 0], gain)
     np.testing.assert_allclose(
-        matrix @ state, np.concatenate([x, *line, estimates.ravel()]), rtol=1e-6, atol=1e-9)
+        matrix @ state, np.concatenate([x, *line, force, predicted.ravel()]), rtol=1e-6, atol=1e-9)
 
 
 def test_plant_of_the_wrong_shape_is_refused():

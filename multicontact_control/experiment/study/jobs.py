@@ -142,11 +142,13 @@ def job_of(
     noise_estimator: Mapping[str, Any] | None = None,
     controller: Mapping[str, Any] | None = None,
     plant_overrides: Mapping[str, Any] | None = None,
-    scenario_overrides: Mapping[str, Any] | None = None, supervised: bool = False,
+    scenario_overrides: Mapping[str, Any] | None = None, preset: str = '',
+    supervised: bool = False,
 ) -> RunJob:
     """Return a job; the arguments are those of `resolve` and `run_in_process`."""
     given = {'duration': duration, 'noise_estimator': noise_estimator, 'controller': controller,
-             'plant_overrides': plant_overrides, 'scenario_overrides': scenario_overrides}
+             'plant_overrides': plant_overrides, 'scenario_overrides': scenario_overrides,
+             'preset': preset}
     kept = {name: value for name, value in given.items() if value}
     return RunJob(scenario, plant, seed,
                   json.dumps(kept, sort_keys=True, separators=(',', ':')), supervised)

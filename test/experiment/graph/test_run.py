@@ -33,6 +33,8 @@ from multicontact_control.nodes.topics import (
     DIAGNOSTICS,
     EFFORT_COMMAND,
     NOISE_VARIANCE,
+    STABILITY_MARGIN,
+    STIFFNESS,
     TOPICS,
 )
 import numpy as np
@@ -48,6 +50,7 @@ ROOT = Path(__file__).resolve().parents[3]
 TICKS = 1000
 COMPOSED_NAMES = ('composed_node', 'composed_sim_node')
 CONTROL_TOPICS = [f'/{topic.name}' for topic in TOPICS if topic.rate == 'control']
+ADAPTIVE_TOPICS = [f'/{topic.name}' for topic in (STIFFNESS, STABILITY_MARGIN)]
 STORE = get_typestore(Stores.ROS2_JAZZY)
 
 
@@ -57,9 +60,10 @@ def free_domain(monkeypatch):
     monkeypatch.delenv('ROS_DOMAIN_ID', raising=False)
 
 
-def make_spec(folder, *, plant='puma', ticks=TICKS, estimator='lead_window', **options):
+def make_spec(
+        folder, *, plant='puma', ticks=TICKS, estimator='lead_window', preset='', **options):
     setup = resolve('quick', plant=plant, seed=options.get('seed', 0), duration=ticks / 500.0,
-                    noise_estimator={'estimator': estimator})
+                    noise_estimator={'estimator': estimator}, preset=preset)
     config = folder / 'config'
     setup.write(config)
     files = {
@@ -92,21 +96,24 @@ def counts(bag):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(('plant', 'seed', 'estimator', 'supervised', 'composed', 'batches'), [
-    ('puma', 0, 'lead_window', True, 'none', False),
-    ('rigid', 1, 'lead_window', True, 'none', True),
-    ('puma', 2, 'sage_husa', False, 'control', True),
-    ('rigid', 3, 'innovation', False, 'control', False),
-    ('puma', 4, 'lead_window', True, 'all', True),
-    ('rigid', 5, 'innovation', True, 'all', False)])
+@pytest.mark.parametrize(
+    ('plant', 'seed', 'estimator', 'supervised', 'composed', 'batches', 'preset'), [
+        ('puma', 0, 'lead_window', True, 'none', False, 'best'),
+        ('rigid', 1, 'lead_window', True, 'none', True, 'adaptive'),
+        ('puma', 2, 'sage_husa', False, 'control', True, 'paper'),
+        ('rigid', 3, 'innovation', False, 'control', False, 'laws/dob'),
+        ('puma', 4, 'lead_window', True, 'all', True, 'paper'),
+        ('rigid', 5, 'innovation', True, 'all', False, 'best')])
 def test_run_graph_in_lockstep_is_the_run_in_process_bit_for_bit(
-        tmp_path, free_domain, plant, seed, estimator, supervised, composed, batches):
+        tmp_path, free_domain, plant, seed, estimator, supervised, composed, batches, preset):
     setup, spec = make_spec(
-        tmp_path, plant=plant, seed=seed, estimator=estimator, lockstep=True, composed=composed,
-        recording_batches=batches, extra_parameters={CONTROLLER: {'supervised': supervised}})
+        tmp_path, plant=plant, seed=seed, estimator=estimator, preset=preset, lockstep=True,
+        composed=composed, recording_batches=batches,
+        extra_parameters={CONTROLLER: {'supervised': supervised}})
     result = run_graph(spec)
     assert result.interrupted is None
-    assert counts(result.bag) == dict.fromkeys(CONTROL_TOPICS, TICKS)
+    nothing = {} if preset == 'adaptive' else dict.fromkeys(ADAPTIVE_TOPICS, 0)
+    assert counts(result.bag) == dict.fromkeys(CONTROL_TOPICS, TICKS) | nothing
     run = run_in_process(setup, supervised=supervised)
     expected = run.data
     events = [(pytest.approx(time), what) for time, what in run.events]
@@ -115,6 +122,10 @@ def test_run_graph_in_lockstep_is_the_run_in_process_bit_for_bit(
     variance = np.array([message.effort for _, message in read(result.bag, NOISE_VARIANCE)])
     assert torque.tobytes() == expected.torque.tobytes()
     assert variance.tobytes() == expected.noise_variance.tobytes()
+    for series, field in (('stiffness_est', 'position'), ('stiffness', 'effort')):
+        found = np.array([getattr(message, field) for _, message in read(result.bag, STIFFNESS)])
+        if found.size:
+            assert found.tobytes() == getattr(expected, series).tobytes()
     clock = [(m.clock.sec, m.clock.nanosec) for m in read_messages(result.bag, CLOCK)]
     stamps = [(m.header.stamp.sec, m.header.stamp.nanosec)
               for _, m in read(result.bag, EFFORT_COMMAND)]

@@ -27,8 +27,10 @@ def test_job_key_changes_with_all_that_changes_the_outcome():
 
 
 def test_job_key_is_that_of_the_values_not_of_how_they_were_given():
-    given = job_of('quick', 'rigid', 0, controller={'force': {'damping_rate': 20.0}})
+    given = job_of('quick', 'rigid', 0, controller={'force': {'damping_rate': 100.0}})
     assert given.key() == job_of('quick', 'rigid', 0).key()
+    assert given.key() == job_of('quick', 'rigid', 0, preset='best').key()
+    assert given.key() != job_of('quick', 'rigid', 0, preset='paper').key()
 
 
 def test_job_key_changes_with_the_code(monkeypatch):

@@ -22,9 +22,10 @@ def shown_of(study, options):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(('study', 'jobs', 'words'), [
-    (ComparisonStudy(('rigid',), ('fixed',), 2), 8, [
-        'compare: 1 plant, 1 estimator, 2 observers, 2 seeds', '  estimators: fixed\n',
-        '  seeds: 0, 1\n', 'lead_window, true stiffness x 5', 'will take about']),
+    (ComparisonStudy(('rigid',), ('fixed',), 2), 12, [
+        'compare: 1 plant, 1 estimator, 2 observers, 2 seeds, 3 values of K_2',
+        '  estimators: fixed\n', '  seeds: 0, 1\n', 'lead_window, true stiffness x 5',
+        'will take about']),
     (SMALL, 2, ['map: 1 plant, 1 estimator, 2 stiffness ratios, 1 delay\n', '  delays: 1\n',
                 'will take about']),
     (sweep_study('delay'), None, ['study delay: ', 'controller.force.input_delay [s]: ']),

@@ -8,22 +8,25 @@ from functools import partial
 from typing import Any, get_args
 
 from multicontact_control.config import (
+    merge,
     NoiseEstimatorConfig,
     read_parameters,
     validate,
 )
 from multicontact_control.errors import ConfigError
+from multicontact_control.experiment.claims import MATCHED, MAYBECK
 from multicontact_control.experiment.scenario import plant_path, PLANTS
 from multicontact_control.experiment.study.jobs import job_of, RunJob
 from multicontact_control.force.noise import lead_filter
 from multicontact_control.paths import config_dir
 from sim_bridge.config import PlantConfig
 
-SCENARIO = 'disturbance'
+SCENARIO, PRESET = 'disturbance', 'paper'
 RESCALED = 'window rescaled'
 ESTIMATORS: tuple[str, ...] = get_args(NoiseEstimatorConfig.model_fields['estimator'].annotation)
-LABELS = (*ESTIMATORS, RESCALED)
-QUICK_LABELS = ('lead_window', 'fixed', RESCALED, 'innovation')
+LABELS = (*ESTIMATORS, RESCALED, MATCHED)
+QUICK_LABELS = ('lead_window', 'fixed', RESCALED, MATCHED)
+DAMPING_RATES = (20.0, 60.0, 100.0)  # 1/s, K_2 over which the claims are judged
 AOB, PLAIN = 'AOB', 'no active state'
 CAUSE, STIFFNESS = 'cause', 'stiffness'
 KINDS = (AOB, PLAIN, STIFFNESS, CAUSE)
@@ -65,11 +68,26 @@ def rescaling() -> float:
 
 def estimator_values(label: str) -> dict[str, Any]:
     """Return the values of the noise estimator that a label stands for; or a ConfigError."""
+    if label == MATCHED:
+        return {'estimator': MAYBECK}
     if label == RESCALED:
         return {'estimator': 'window', 'variance_scale': rescaling()}
     if label not in ESTIMATORS:
         raise ConfigError('estimators', f'names among {", ".join(LABELS)}', f"'{label}'")
     return {'estimator': label}
+
+
+def observer_values(label: str) -> dict[str, Any]:
+    """
+    Return the values of the controller that a label stands for.
+
+    An observer's gain depends on Q over R alone. The innovations' R at rest is that of the raw
+    force, so with so much less Q the observer is as fast there as with the paper's filter.
+    """
+    if label != MATCHED:
+        return {}
+    values = read_parameters(config_dir() / 'controller.yaml')
+    return {'force': {'process_noise': values['force']['process_noise'] / rescaling()}}
 
 
 def name_checks(
@@ -101,41 +119,51 @@ Variant = tuple[str, str, dict[str, Any], dict[str, Any], dict[str, Any]]
 
 def comparison_matrix(
     plants: Sequence[str] = PLANTS, labels: Sequence[str] = LABELS, seeds: int = 3, *,
-    plain: bool = True, duration: float | None = None,
+    plain: bool = True, duration: float | None = None, preset: str = PRESET,
+    damping_rates: Sequence[float] = (),
 ) -> list[Entry]:
     """
     Return the matrix of plants, estimators, observers and seeds.
 
     Seeds count from 0; `plain` runs every estimator without the active state too, and `duration`
-    [s] goes before that of the scenario.
+    [s] goes before that of the scenario. The claims' estimators run with all `damping_rates`
+    [1/s].
     """
     orders: dict[str, dict[str, Any]] = {AOB: {}}
     if plain:
         orders[PLAIN] = {'force': {'active_state_order': 0}}
-    variants: list[Variant] = [(label, kind, estimator_values(label), order, {})
-                               for label in labels for kind, order in orders.items()]
-    return [entry for plant in plants for entry in _entries(plant, variants, seeds, duration)]
+    variants: list[Variant] = [
+        (label, kind, estimator_values(label), merge(observer_values(label), order), {})
+        for label in labels for kind, order in orders.items()]
+    variants += [
+        (label, AOB, estimator_values(label),
+         merge(observer_values(label), {'force': {'damping_rate': rate}}), {})
+        for rate in damping_rates for label in labels if label in QUICK_LABELS]
+    return [entry for plant in plants
+            for entry in _entries(plant, variants, seeds, duration, preset)]
 
 
 def beside_the_matrix(
     plants: Sequence[str] = PLANTS, seeds: int = 3, *, quick: bool = False,
+    preset: str = PRESET,
 ) -> list[Entry]:
     """Return the runs that look for causes; with flexible drives, and with a wrong stiffness."""
     entries = []
     for plant in plants:
         config = _plant(plant)
-        entries += _entries(plant, _stiffness_variants(config, quick), 1)
+        entries += _entries(plant, _stiffness_variants(config, quick), 1, preset=preset)
         if config.drives == 'flexible':
-            entries += _entries(plant, _cause_variants(config, quick), seeds)
+            entries += _entries(plant, _cause_variants(config, quick), seeds, preset=preset)
     return entries
 
 
 def _entries(
     plant: str, variants: Sequence[Variant], seeds: int, duration: float | None = None,
+    preset: str = PRESET,
 ) -> list[Entry]:
     base = controller_values(plant)
     return [Entry(label, kind, job_of(
-        SCENARIO, plant, seed, duration=duration, noise_estimator=estimator,
+        SCENARIO, plant, seed, preset=preset, duration=duration, noise_estimator=estimator,
         controller={**base, **controller}, plant_overrides=overrides))
         for label, kind, estimator, controller, overrides in variants for seed in range(seeds)]
 

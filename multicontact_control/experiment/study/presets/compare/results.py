@@ -8,7 +8,13 @@ from statistics import median
 from typing import Any
 
 from multicontact_control.errors import ConfigError
-from multicontact_control.experiment.claims import Claim, judge_claims, PAPER_ESTIMATOR, Row
+from multicontact_control.experiment.claims import (
+    Claim,
+    judge_claims,
+    judge_over_damping,
+    PAPER_ESTIMATOR,
+    Row,
+)
 from multicontact_control.experiment.study.jobs import JobResult
 from multicontact_control.experiment.study.presets.compare.matrix import (
     AOB,
@@ -45,8 +51,9 @@ def row_of(entry: Entry, key: str, result: JobResult) -> dict[str, Any]:
     summary, answers = metrics['summary'], metrics['disturbances']['contacts']
     return {
         'label': entry.label, 'kind': entry.kind, 'plant': entry.job.plant,
-        'seed': entry.job.seed, 'key': key, 'stable': summary['stable'],
-        'verdict': summary['verdict'], 'instabilities': summary['instabilities'],
+        'seed': entry.job.seed, 'damping_rate': metrics['evidence']['damping_rate'], 'key': key,
+        'stable': summary['stable'], 'verdict': summary['verdict'],
+        'instabilities': summary['instabilities'],
         **{name: metrics['disturbances'][name] for name in INSTABILITY},
         **{f'{window}_{name}': _worst(answers, window, name) for window, name in WORST},
         'pushes': _pushes(answers),
@@ -81,19 +88,20 @@ def claim_rows(rows: Sequence[dict[str, Any]]) -> list[Row]:
             for row in rows]
 
 
-def comparison_claims(rows: Sequence[dict[str, Any]]) -> dict[str, list[Claim]]:
-    """Judge the claims on every plant, from its first run with the paper's estimator."""
-    claims = {}
+def comparison_claims(rows: Sequence[dict[str, Any]]) -> dict[str, dict[float, list[Claim]]]:
+    """Judge the claims on every plant with every K_2, each by its first run like the paper's."""
+    claims: dict[str, dict[float, list[Claim]]] = {}
     for row in rows:
-        if row['label'] == PAPER_ESTIMATOR and row['kind'] == AOB and row['plant'] not in claims:
-            claims[row['plant']] = judge_claims(row['evidence'], claim_rows(rows))
+        here, rate = claims.setdefault(row['plant'], {}), row['damping_rate']
+        if row['label'] == PAPER_ESTIMATOR and row['kind'] == AOB and rate not in here:
+            here[rate] = judge_claims(row['evidence'], claim_rows(rows))
     return claims
 
 
 def read_comparison(folder: Path) -> dict[str, Any]:
     """Return what `multicontact compare` wrote; ConfigError if the folder does not hold it."""
     content = read_json(folder / COMPARISON_FILE)
-    if not isinstance(content, dict) or content.get('schema') != 1:
+    if not isinstance(content, dict) or content.get('schema') != 2:
         raise ConfigError('comparison', 'a folder of `multicontact compare`', folder)
     return content
 
@@ -101,9 +109,12 @@ def read_comparison(folder: Path) -> dict[str, Any]:
 def comparison_listing(rows: Sequence[dict[str, Any]], plant: str) -> Listing:
     """Return the table of one plant: each estimator's median over the seeds, worse contact."""
     groups: dict[tuple[str, str], list[dict[str, Any]]] = {}
+    usual = first_damping(rows)
     for row in sorted(rows, key=lambda row: KINDS.index(row['kind'])):
         if row['plant'] == plant:
-            groups.setdefault((row['kind'], row['label']), []).append(row)
+            kind, rate = row['kind'], row['damping_rate']
+            groups.setdefault((kind if rate == usual or kind != AOB else
+                               f'{kind}, K_2 = {rate:g} 1/s', row['label']), []).append(row)
     lines: list[Line] = []
     for (kind, label), group in groups.items():
         keys = ' '.join(row['key'] for row in group)
@@ -151,9 +162,26 @@ def _push(group: Sequence[dict[str, Any]], lasting: bool) -> str:
     return 'never' if middle == float('inf') else f'{middle:.3f}'
 
 
+def first_damping(rows: Sequence[dict[str, Any]]) -> float | None:
+    """Return the K_2 of the matrix, without what is varied beside it [1/s]."""
+    rates: list[float] = [row['damping_rate'] for row in rows]
+    return rates[0] if rates else None
+
+
 def findings(rows: Sequence[dict[str, Any]]) -> list[str]:
     """Return in plain sentences what was found about the paper's main claim, with the numbers."""
     said = []
+    several = len({row['damping_rate'] for row in rows}) > 1
+    for plant, claims in (comparison_claims(rows) if several else {}).items():
+        if len(claims) > 1:
+            open_ones = [each for each in judge_over_damping(claims) if each.depends]
+            rates = ', '.join(f'{rate:g}' for rate in claims)
+            said.append(f'Over K_2 = {rates} 1/s, which the paper leaves open, on plant {plant} '
+                        + (f'{len(open_ones)} of its claims hold only for some: ' + '; '.join(
+                            next(iter(each.verdicts.values())).claim for each in open_ones)
+                           if open_ones else 'no claim changes its verdict') + '.')
+    usual = first_damping(rows)
+    rows = [row for row in rows if row['damping_rate'] == usual or row['kind'] != AOB]
     for plant, drives in {row['plant']: row['evidence']['drives'] for row in rows}.items():
         here = [row for row in rows if row['plant'] == plant]
         said += _fixed(here, plant, drives) + _causes(here) + _plain(here, plant)

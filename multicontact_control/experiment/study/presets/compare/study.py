@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from multicontact_control.errors import check_all, ConfigError
-from multicontact_control.experiment.html_parts import claims_table
-from multicontact_control.experiment.scenario import PLANTS
+from multicontact_control.experiment.claims import judge_over_damping
+from multicontact_control.experiment.html_parts import claims_over_damping, claims_table
+from multicontact_control.experiment.scenario import PLANTS, preset_values
 from multicontact_control.experiment.study.cache import JobCache
 from multicontact_control.experiment.study.execute import JobRun
 from multicontact_control.experiment.study.jobs import RunJob
@@ -38,6 +40,9 @@ class ComparisonStudy(Study[RunJob, dict[str, Any]]):
         How many; None for 3, or 1 of the quick matrix.
     quick
         Whether the matrix is reduced.
+    preset
+        Controller and estimator that everything else is varied of; with the paper's, the claims
+        are judged over K_2.
 
     """
 
@@ -45,6 +50,7 @@ class ComparisonStudy(Study[RunJob, dict[str, Any]]):
     estimators: tuple[str, ...] = ()
     seeds: int | None = None
     quick: bool = False
+    preset: str = matrix.PRESET
 
     title = 'compare'
     name = 'comparison'
@@ -61,9 +67,15 @@ class ComparisonStudy(Study[RunJob, dict[str, Any]]):
         """Return how many seeds there are."""
         return self.seeds if self.seeds is not None else (1 if self.quick else 3)
 
+    @property
+    def damping_rates(self) -> tuple[float, ...]:
+        """Return the values of K_2, that of the matrix first; none with another preset."""
+        return matrix.DAMPING_RATES if self.preset == matrix.PRESET else ()
+
     def check(self) -> None:
         """Check plants, estimators and seeds; ConfigError with all that are not acceptable."""
-        check_all(*matrix.name_checks(self.plants, self.labels), self._check_seeds)
+        check_all(*matrix.name_checks(self.plants, self.labels), self._check_seeds,
+                  partial(preset_values, self.preset))
 
     def _check_seeds(self) -> None:
         if self.seed_count < 1:
@@ -74,15 +86,19 @@ class ComparisonStudy(Study[RunJob, dict[str, Any]]):
         beside = dict.fromkeys(entry.label for entry in self._beside())
         return {'plants': self.plants, 'estimators': self.labels,
                 'observers': (matrix.AOB,) if self.quick else (matrix.AOB, matrix.PLAIN),
-                'seeds': range(self.seed_count), 'variants beside them': list(beside)}
+                'seeds': range(self.seed_count),
+                'values of K_2': self.damping_rates or ('as in the preset',),
+                'variants beside them': list(beside)}
 
     def entries(self) -> list[matrix.Entry]:
         """Return every run and its place in the matrix."""
         return matrix.comparison_matrix(
-            self.plants, self.labels, self.seed_count, plain=not self.quick) + self._beside()
+            self.plants, self.labels, self.seed_count, plain=not self.quick, preset=self.preset,
+            damping_rates=self.damping_rates[1:]) + self._beside()
 
     def _beside(self) -> list[matrix.Entry]:
-        return matrix.beside_the_matrix(self.plants, self.seed_count, quick=self.quick)
+        return matrix.beside_the_matrix(
+            self.plants, self.seed_count, quick=self.quick, preset=self.preset)
 
     def jobs(self) -> list[RunJob]:
         """Return the runs."""
@@ -92,9 +108,10 @@ class ComparisonStudy(Study[RunJob, dict[str, Any]]):
         """Return the content of ``comparison.json``."""
         rows = [row_of(entry, run.keys[entry.job], run.result(entry.job))
                 for entry in self.entries()]
-        return {'schema': 1, 'scenario': matrix.SCENARIO, 'rows': rows,
-                'claims': {plant: [claim.to_json() for claim in claims]
-                           for plant, claims in comparison_claims(rows).items()}}
+        return {'schema': 2, 'scenario': matrix.SCENARIO, 'preset': self.preset, 'rows': rows,
+                'claims': {plant: [{'damping_rate': rate, **claim.to_json()}
+                                   for rate, claims in found.items() for claim in claims]
+                           for plant, found in comparison_claims(rows).items()}}
 
     def page(self, content: dict[str, Any], folder: Path) -> Page:
         """Return tables, forces, findings and claims."""
@@ -104,10 +121,15 @@ class ComparisonStudy(Study[RunJob, dict[str, Any]]):
                     comparison_listing(rows, plant), before='' if number else forces.NOTE,
                     after=forces.forces_of_plant(rows, plant, number))
             for number, plant in enumerate(self.plants)]
-        sections += [Section(f'Claims of the paper, plant {plant}', after=claims_table(found))
+        sections += [Section(f'Claims of the paper over K_2, plant {plant}',
+                             after=claims_over_damping(judge_over_damping(found)))
                      for plant, found in claims.items()]
-        against = [f'does not hold on {plant}: {claim.claim}'
-                   for plant, found in claims.items() for claim in found if claim.holds is False]
+        sections += [Section(f'Claims of the paper, plant {plant}, K_2 = {rate:g} 1/s',
+                             after=claims_table(judged))
+                     for plant, found in claims.items() for rate, judged in found.items()]
+        against = [f'does not hold on {plant} with K_2 = {rate:g} 1/s: {claim.claim}'
+                   for plant, found in claims.items() for rate, judged in found.items()
+                   for claim in judged if claim.holds is False]
         return Page(f'Noise estimators compared: scenario {matrix.SCENARIO}', sections,
                     warnings=against, findings=findings(rows),
                     script=forces.forces_script(rows, JobCache(folder)))

@@ -16,14 +16,17 @@ from typing import Any
 
 from multicontact_control.arrays import Matrix
 from multicontact_control.contact.geometry import normal_space
-from multicontact_control.control.controller import Controller, design_observers
+from multicontact_control.control.controller import Controller, loop_stiffnesses
 from multicontact_control.dynamics.operational_space import task_inertia
+from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.experiment.study.jobs import job_of, RunJob
 from multicontact_control.experiment.study.presets.compare.matrix import (
     controller_values,
     estimator_values,
 )
+from multicontact_control.force.force_law import design_law
+from multicontact_control.force.laws import steady_law
 from multicontact_control.force.linear_loop import (
     closed_loop,
     last_stable,
@@ -34,7 +37,7 @@ from multicontact_control.force.linear_loop import (
 from multicontact_control.force.observer import ObserverDesign
 import numpy as np
 
-SCENARIO = 'step'
+SCENARIO, PRESET = 'step', 'paper'
 SETTLED = 0.1  # of the command: a larger error at the end of the run counts as unstable
 SMALLEST_RATIO, LARGEST_RATIO = 0.1, 20.0
 DELAYS = (0, 1, 2, 3)
@@ -52,11 +55,11 @@ def map_job(
     `ratio` is the true stiffness over that of the model, on both surfaces; the model keeps its
     T_d whatever the delay of the actuator.
     """
-    base = job_of(SCENARIO, plant, seed).setup()
+    base = job_of(SCENARIO, plant, seed, preset=PRESET).setup()
     surfaces = {name: {'stiffness': ratio * base.controller.contacts[name].stiffness}
                 for name in base.controller.contact_names}
     return job_of(
-        SCENARIO, plant, seed, noise_estimator=estimator_values(label),
+        SCENARIO, plant, seed, preset=PRESET, noise_estimator=estimator_values(label),
         controller=controller_values(plant),
         plant_overrides={'actuator_delay_ticks': delay_ticks, 'surfaces': surfaces})
 
@@ -125,6 +128,16 @@ class ArmLoop:
         return LinearArmPlant(none, np.array([ratio * model]), none[0], none, self.delay,
                               controller.force.damping_rate)
 
+    @property
+    def fed_share(self) -> float:
+        """Return the share of the desired force in what is fed forward, of the first contact."""
+        controller = self.setup.controller
+        force, name = controller.force, controller.contact_names[0]
+        mixed = force.damping_rate ** 2 / (
+            2.0 * controller.contacts[name].stiffness * self.mobility[0, 0])
+        return {'estimate': 0.0, 'measured': 0.0, 'desired': 1.0, 'mixed': min(mixed, 1.0)}[
+            force.fed_forward]
+
     def radius(self, noise_variance: float, *, paper: bool = False) -> Callable[[float], float]:
         """
         Return the spectral radius of the closed loops as a function of the stiffness ratio.
@@ -132,11 +145,12 @@ class ArmLoop:
         With R held at `noise_variance` [N^2], on the arm, or on the plant of eq. 32 if `paper`.
         """
         controller = self.setup.controller
-        gain = steady_gain(self.observer, noise_variance)
+        law = steady_law(self.observer, steady_gain(self.observer, noise_variance))
         plant, damping_rate = (
             (self._paper, 0.0) if paper else (self._arm, controller.force.damping_rate))
         return lambda ratio: spectral_radius(
-            closed_loop(plant(ratio), self.observer, gain, damping_rate, controller.period))
+            closed_loop(plant(ratio), law, damping_rate, controller.period,
+                        fed_share=0.0 if paper else self.fed_share))
 
     def boundary(self, noise_variance: float) -> float:
         """Return the largest ratio up to which the loops are stable, 0 for none; infinity."""
@@ -164,7 +178,10 @@ def arm_loop(setup: Setup) -> ArmLoop:
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     inertia = config.tool.mass * np.block(
         [[np.eye(3), -cross], [cross, -cross @ cross]])  # of a point mass at its centre
-    observer = design_observers(config, state.pose.rotation_world)[0]
+    observer = design_law(config, config.contact_names[0], float(
+        loop_stiffnesses(config, state.pose.rotation_world)[0]))
+    if not isinstance(observer, ObserverDesign):
+        raise ConfigError('force.law', 'aob, for the linear loops', config.force.law)
     tool_inertia = np.linalg.pinv(N) @ inertia @ N @ np.linalg.inv(N.T @ N)
     return ArmLoop(setup, observer, mobility, tool_inertia)
 

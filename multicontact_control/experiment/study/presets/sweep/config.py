@@ -51,6 +51,9 @@ class StudyConfig(Config):
         (0,), 'Seeds, or how many of them, from 0; everything is run with each.', min_length=1)
     duration: Real | None = parameter(
         None, "Length of every run; the scenario's own if not given.", unit='s', gt=0.0)
+    preset: str = parameter(
+        '', 'What is laid over the files first: paper, best, adaptive, or a path; nothing if '
+        'empty.')
     supervised: bool = parameter(
         True, 'Whether contact states, watchdogs and limits are put around the controller, as '
         'in `simulate`; false is its `--bare`.')

@@ -10,7 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from multicontact_control import __version__
 from multicontact_control.arrays import Vector
-from multicontact_control.experiment.study.presets.sweep.plan import EVERY, SweepPlan
+from multicontact_control.experiment.overrides import EVERY
+from multicontact_control.experiment.study.presets.sweep.plan import SweepPlan
 from multicontact_control.experiment.study.table import Column, Line, Listing
 import numpy as np
 import pyarrow as pa

@@ -8,6 +8,7 @@ from multicontact_control.experiment.study.presets.compare.matrix import (
     comparison_matrix,
     estimator_values,
     LABELS,
+    MATCHED,
     PLAIN,
     RESCALED,
 )
@@ -18,7 +19,7 @@ import pytest
 def test_matrix_covers_every_estimator_plant_observer_and_seed():
     entries = comparison_matrix()
     names = get_args(NoiseEstimatorConfig.model_fields['estimator'].annotation)
-    assert set(LABELS) == {*names, RESCALED}
+    assert set(LABELS) == {*names, RESCALED, MATCHED}
     found = {(entry.job.plant, entry.label, entry.kind, entry.job.seed) for entry in entries}
     assert found == {(plant, label, kind, seed) for plant in ('rigid', 'puma')
                      for label in LABELS for kind in (AOB, PLAIN) for seed in range(3)}
@@ -35,6 +36,21 @@ def test_matrix_runs_each_cell_with_what_its_label_says():
             268.65 if rescaled else 1.0, abs=0.01)
 
 
+def test_matched_observer_has_the_gain_of_the_papers_at_rest():
+    """Q over R is the same where R is the variance of the raw force, and that of the filter."""
+    lead, matched = (comparison_matrix(('puma',), (label,), 1, plain=False)[0].job.setup()
+                     for label in ('lead_window', MATCHED))
+    assert matched.noise_estimator.estimator == 'innovation'
+    assert lead.controller.force.process_noise / matched.controller.force.process_noise == (
+        pytest.approx(268.65, abs=0.01))
+
+
+def test_other_presets_are_not_varied_over_their_damping():
+    study = ComparisonStudy(('rigid',), ('fixed',), 1, quick=True, preset='best')
+    assert {entry.job.setup().controller.force.damping_rate for entry in study.entries()} == {
+        100.0}
+
+
 def test_matrix_compensates_no_friction_where_there_is_none():
     rigid, puma = (comparison_matrix((plant,), ('fixed',), 1)[0].job.setup()
                    for plant in ('rigid', 'puma'))
@@ -46,8 +62,10 @@ def test_quick_matrix_covers_both_plants_and_the_estimators_that_decide():
     entries = ComparisonStudy(quick=True).entries()
     assert {(entry.job.plant, entry.label) for entry in entries if entry.kind == AOB} == {
         (plant, label) for plant in ('rigid', 'puma')
-        for label in ('lead_window', 'fixed', RESCALED, 'innovation')}
-    assert len(entries) < 20
+        for label in ('lead_window', 'fixed', RESCALED, MATCHED)}
+    rates = {entry.job.setup().controller.force.damping_rate for entry in entries}
+    assert rates >= {20.0, 60.0, 100.0}
+    assert len(entries) < 36
 
 
 def test_causes_are_looked_for_only_with_flexible_drives():

@@ -8,8 +8,9 @@ import pytest
 
 
 def row(label, stable, plant='puma', drives='flexible', kind=AOB):
-    return {'label': label, 'kind': kind, 'plant': plant, 'stable': stable,
-            'evidence': {'drives': drives}, 'unstable_after_motion_s': None if stable else 1.6,
+    return {'label': label, 'kind': kind, 'plant': plant, 'damping_rate': 20.0, 'stable': stable,
+            'evidence': {'drives': drives, 'plant': plant, 'damping_rate': 20.0},
+            'unstable_after_motion_s': None if stable else 1.6,
             'oscillation_hz': None if stable else 42.0, 'rest_rms_n': 0.1, 'pushes': []}
 
 
@@ -32,7 +33,8 @@ def test_findings_turn_round_with_the_data():
 
 
 def line_of(label, kind='AOB', *, seed=0, stable=True, push=0.25):
-    return {'label': label, 'kind': kind, 'plant': 'puma', 'seed': seed, 'key': f'{label}{seed}',
+    return {'label': label, 'kind': kind, 'plant': 'puma', 'damping_rate': 20.0, 'seed': seed,
+            'key': f'{label}{seed}',
             'stable': stable, 'unstable_after_motion_s': None if stable else 1.5 + seed,
             'rest_rms_n': 0.1 * (1 + seed), 'moving_rms_n': 2.0, 'moving_lost': 0.5,
             'rest_variance_n2': None, 'moving_variance_n2': 50.0, 'torque_max_fraction': 0.2,

@@ -1,17 +1,17 @@
 from multicontact_control.errors import ConfigError
+from multicontact_control.experiment.overrides import (
+    overrides_of,
+    paths_of,
+    unit_of,
+    value_of,
+)
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.experiment.study.presets.sweep.config import (
     read_study,
     study_path,
     StudyConfig,
 )
-from multicontact_control.experiment.study.presets.sweep.plan import (
-    overrides_of,
-    paths_of,
-    plan_sweep,
-    unit_of,
-    value_of,
-)
+from multicontact_control.experiment.study.presets.sweep.plan import plan_sweep
 import pytest
 
 STUDY = {'name': 'one', 'scenario': 'step', 'plants': ['rigid'], 'seeds': 2, 'grid': {
@@ -47,7 +47,7 @@ def test_point_stands_beside_the_grid_with_the_files_values_for_the_rest():
     assert plan.runs[-1].values == {
         'plant.actuator_delay_ticks': 1, 'noise_estimator.estimator': 'lead_window',
         'controller.force.damping_rate': 30.0}
-    assert plan.runs[0].values['controller.force.damping_rate'] == 20.0
+    assert plan.runs[0].values['controller.force.damping_rate'] == 100.0
     assert plan.units['controller.force.damping_rate'] == '1/s'
 
 

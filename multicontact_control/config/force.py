@@ -1,0 +1,135 @@
+"""The force law of the contacts: its gains, its kinds, and the stiffness found on-line."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from multicontact_control.config.base import Config, parameter, Real
+from multicontact_control.errors import ConfigError
+from pydantic import model_validator
+
+LawName = Literal['aob', 'pi', 'dob', 'lqg', 'admittance', 'impedance', 'feedforward']
+FedForward = Literal['estimate', 'desired', 'mixed', 'measured']
+
+
+class PiConfig(Config):
+    """The law `pi`: u = K_p e + K_i int e dt, with K_p = bandwidth K_2 / k."""
+
+    bandwidth: Real = parameter(
+        24.0, 'Bandwidth of the loop with K_p alone.', unit='rad/s', live=True, gt=0.0, le=500.0)
+    integral_rate: Real = parameter(5.0, 'K_i / K_p.', unit='1/s', live=True, gt=0.0, le=100.0)
+    filter_cutoff: Real = parameter(
+        30.0, 'Cut-off of a low-pass on the measured force, 0 for none.', unit='Hz', live=True,
+        ge=0.0)
+
+
+class DobConfig(Config):
+    """The law `dob`: a disturbance observer with a filter Q of second order."""
+
+    observer_bandwidth: Real = parameter(
+        40.0, 'Double pole of Q.', unit='rad/s', live=True, gt=0.0, le=1000.0)
+    bandwidth: Real = parameter(
+        25.0, 'Bandwidth of the proportional force loop around it.', unit='rad/s', live=True,
+        gt=0.0, le=500.0)
+
+
+class LqgConfig(Config):
+    """The law `lqg`: a steady Kalman filter with a disturbance state, and an LQ regulator."""
+
+    noise_variance: Real = parameter(
+        2.0, 'R of the steady filter.', unit='N^2', live=True, gt=0.0)
+    input_weight: Real = parameter(
+        1.0, 'Weight of an input of 1 m/s^2 against a force error of 1 N.', live=True, gt=0.0)
+
+
+class AdmittanceConfig(Config):
+    """The law `admittance`: a virtual mass and damper turn force errors into speed."""
+
+    bandwidth: Real = parameter(
+        25.0, 'k over the virtual damping.', unit='rad/s', live=True, gt=0.0, le=500.0)
+    inertia_time: Real = parameter(
+        0.005, 'Virtual mass over the virtual damping.', unit='s', live=True, ge=1e-4, le=1.0)
+    integral_rate: Real = parameter(
+        5.0, 'Rate at which a constant error is integrated away.', unit='1/s', live=True, ge=0.0,
+        le=100.0)
+
+
+class ImpedanceConfig(Config):
+    """The law `impedance`: a virtual spring to a point that lies alpha_des / k in the surface."""
+
+    natural_frequency: Real = parameter(
+        30.0, 'Natural frequency of the virtual spring.', unit='rad/s', live=True, gt=0.0,
+        le=500.0)
+
+
+class AdaptiveStiffnessConfig(Config):
+    """The stiffness that the observers' model follows, with `force.stiffness: adaptive`."""
+
+    lowest: Real = parameter(200.0, 'Smallest stiffness of the model.', unit='N/m', gt=0.0)
+    highest: Real = parameter(
+        8e4, 'Largest stiffness of the model, from which it starts at the first touch.',
+        unit='N/m', gt=0.0)
+    largest_damping: Real = parameter(
+        60.0, 'Largest damping of the model.', unit='N s/m', ge=0.0)
+    memory: Real = parameter(
+        0.1, 'Memory of the estimate, in time of samples that are accepted.', unit='s', gt=0.0)
+    window: Real = parameter(
+        0.3, 'Time after a touch or a step of the command in which samples are accepted.',
+        unit='s', gt=0.0)
+    smallest_signal: Real = parameter(
+        0.15, 'Band-passed force from which on a sample is accepted.', unit='N', ge=0.0)
+    fall_time: Real = parameter(
+        0.02, 'Shortest time in which the stiffness of the model falls to 1 / e.', unit='s',
+        gt=0.0)
+    rise_time: Real = parameter(
+        0.004, 'Shortest time in which it rises to e times its value.', unit='s', gt=0.0)
+    input_limit: Real = parameter(
+        40.0, 'Largest acceleration that the force law asks for.', unit='m/s^2', gt=0.0)
+    approach_limit: Real = parameter(
+        0.25, 'Speed into the surface at which the desired force is followed at most.',
+        unit='m/s', gt=0.0)
+
+    @model_validator(mode='after')
+    def _check_order(self) -> AdaptiveStiffnessConfig:
+        if self.highest <= self.lowest:
+            raise ConfigError(
+                'adaptive.highest', f'above adaptive.lowest, {self.lowest:g} N/m', self.highest)
+        return self
+
+
+class ForceConfig(Config):
+    """The force law and its active observer, one per contact (P04 sec. 3.2, 4)."""
+
+    law: LawName = parameter(
+        'aob', 'Force law of the contacts: the active observer, or one to compare it with.',
+        live=True)
+    fed_forward: FedForward = parameter(
+        'mixed', 'Force fed forward in eq. 24: the estimate, as in the paper, the desired force, '
+        'as much of it as the stiffness lets act before the loop does, or the measured force.',
+        live=True)
+    stiffness: Literal['configured', 'adaptive'] = parameter(
+        'configured', 'Stiffness of the model: contacts.*.stiffness, or found on-line.')
+    adaptive: AdaptiveStiffnessConfig = AdaptiveStiffnessConfig()
+    pi: PiConfig = PiConfig()
+    dob: DobConfig = DobConfig()
+    lqg: LqgConfig = LqgConfig()
+    admittance: AdmittanceConfig = AdmittanceConfig()
+    impedance: ImpedanceConfig = ImpedanceConfig()
+    time_constant: Real = parameter(
+        0.02, 'Time constant of the dominant closed-loop pole.', unit='s', live=True, gt=0.0)
+    second_pole_ratio: Real = parameter(
+        1.0, 'Second pole relative to the first, 1 for two equal ones.', live=True, ge=1.0)
+    damping_rate: Real = parameter(
+        100.0, 'K_2 of eq. 32, damping of the contact motion; the paper leaves it open.',
+        unit='1/s', live=True, ge=0.0)
+    input_delay: Real = parameter(
+        0.006, 'T_d of eq. 32, from commanded to acting input.', unit='s', ge=0.0)
+    process_noise: Real = parameter(
+        1e-3, 'Q_k = process_noise I (P04 sec. 5.2).', live=True, gt=0.0)
+    initial_covariance: Real = parameter(1e-3, 'P_0 = initial_covariance I.', gt=0.0)
+    active_state_order: int = parameter(
+        1, 'Order of the active state p_k, 0 for plain pole placement without it.', ge=0, le=3)
+    allocation: Literal['decoupled', 'paper'] = parameter(
+        'decoupled', 'Force allocation: f_c* = N (N^T N)^-1 alpha* or N alpha* (eq. 30).')
+    projection: Literal['euclidean', 'inertia'] = parameter(
+        'euclidean', 'Metric of Omega_f and Omega_m: eqs 11-12 or dynamically consistent.')

@@ -1,0 +1,262 @@
+"""The force law of every contact: which one is at work, what it starts from, and what is fed."""
+
+from __future__ import annotations
+
+from typing import Any, get_args
+
+from multicontact_control.algebra import dot
+from multicontact_control.arrays import Mask, Matrix, Vector
+from multicontact_control.compiled import compiled
+from multicontact_control.config import ControllerConfig, FedForward
+from multicontact_control.force.laws import design_aob, LAWS, LinearLaw, LoopModel, steady_law
+from multicontact_control.force.linear_law import start_linear, step_linear
+from multicontact_control.force.linear_loop import (
+    closed_loop,
+    last_stable,
+    LinearArmPlant,
+    spectral_radius,
+    steady_gain,
+)
+from multicontact_control.force.observer import (
+    continue_at,
+    continue_from,
+    make_observers,
+    observe_and_command,
+    ObserverDesign,
+)
+from multicontact_control.force.plant_model import delayed_plant
+from multicontact_control.force.stiffness import (
+    adopt_stiffness,
+    friction_of_others,
+    keep_stiffness,
+    learn_stiffness,
+    model_stiffnesses,
+    observe_and_follow,
+)
+from multicontact_control.records import FORCE_LAW, Records
+import numpy as np
+
+ESTIMATE, DESIRED, MIXED, MEASURED = range(4)  # as in `FedForward`
+RATIOS = tuple(np.geomspace(1.0, 100.0, 41).tolist())  # where the loop's limit is looked for
+
+
+def loop_model(config: ControllerConfig, stiffness: float) -> LoopModel:
+    """Return what the force law of a contact of that stiffness [N/m] is designed for."""
+    rate, delay = config.force.damping_rate, config.loop_delay
+    return LoopModel(
+        delayed_plant(stiffness, rate, delay, config.period), stiffness, rate, delay,
+        config.period)
+
+
+def design_law(
+    config: ControllerConfig, contact: str, stiffness: float,
+) -> ObserverDesign | LinearLaw:
+    """Design the force law of a contact, for a stiffness [N/m]; ConfigError if there is none."""
+    return LAWS[config.law_of(contact)](loop_model(config, stiffness), config.force)
+
+
+def make_force_laws(config: ControllerConfig, stiffnesses: Vector) -> Records:
+    """
+    Return the force law of every contact, which knows nothing yet.
+
+    Parameters
+    ----------
+    config
+        Contacts and force laws.
+    stiffnesses
+        That the loops are designed for, shape (r,) [N/m]; adaptive ones start from the largest
+        of their range.
+
+    """
+    laws: Any = np.zeros(len(stiffnesses), dtype=FORCE_LAW)
+    names, force = list(LAWS), config.force
+    limits = [largest_ratio(config, k) for k in model_stiffnesses(force.adaptive).tolist()] if (
+        force.stiffness == 'adaptive') else []
+    for law, contact, stiffness in zip(laws, config.contact_names, stiffnesses.tolist()):
+        if force.stiffness == 'adaptive':
+            stiffness = force.adaptive.highest
+        design = design_law(config, contact, stiffness)
+        law['kind'] = names.index(config.law_of(contact))
+        law['fed'], law['K_2'] = get_args(FedForward).index(force.fed_forward), force.damping_rate
+        law['stiffness']['k'] = stiffness
+        if isinstance(design, LinearLaw):
+            law['is_linear'], law['linear'] = True, design.record()[0]
+            continue
+        law['observer'] = make_observers([design])[0]
+        if force.stiffness == 'adaptive':
+            law['observer']['Phi_c'] = law['observer']['Phi_n']  # see `observe_and_follow`
+            adopt_stiffness(
+                law['stiffness'], design.loop.plant, stiffness, force, period=config.period,
+                tool_mass=config.tool.mass, ratio_limits=limits)
+    return laws
+
+
+def largest_ratio(config: ControllerConfig, stiffness: float) -> float:
+    """Return how many times as stiff as its model [N/m] a surface may be, at the R to start."""
+    design = design_aob(loop_model(config, stiffness), config.force)
+    law = steady_law(design, steady_gain(design, config.initial_noise_variance))
+    none = np.zeros((1, 1))
+
+    def stable(ratio: float) -> bool:
+        plant = LinearArmPlant(
+            none, np.array([ratio * stiffness]), np.zeros(1), none, config.loop_delay)
+        loop = closed_loop(plant, law, config.force.damping_rate, config.period)
+        return spectral_radius(loop) < 1.0
+
+    return min(last_stable(stable, RATIOS, 1e-2)[0], RATIOS[-1])
+
+
+def continue_laws(laws: Records, others: Records) -> None:
+    """
+    Take over what force laws of another design know of the same contacts.
+
+    A law of the same kind and size goes on from where it is; another one from the estimated force
+    and the disturbance that is compensated.
+
+    Parameters
+    ----------
+    laws, others
+        Records of `FORCE_LAW`, shape (r,); the first are changed.
+
+    """
+    for i in range(len(laws)):
+        law, other = laws[i:i + 1], others[i:i + 1]
+        same = law['kind'][0] == other['kind'][0]
+        if law['is_linear'][0]:
+            new, old = law['linear'], other['linear']
+            if same and new['states'][0] == old['states'][0]:
+                for name in ('x', 'extra', 'p_est', 'running'):
+                    new[name] = old[name]
+            elif running(other[0]):
+                start_linear(new[0], *known(other[0]))
+        elif same:
+            if continue_from(law['observer'], other['observer']) and (
+                    law['stiffness']['adaptive'][0]):
+                keep_stiffness(law[0], other[0])
+        elif running(other[0]):
+            observer = law['observer'][0]
+            x, p = known(other[0])
+            observer['x_est'][0] = x
+            n, order = int(observer['states']), int(observer['order'])
+            observer['x_est'][n - order:n] = p
+            observer['P'][:n, :n] = observer['P_0'] * np.eye(n)
+            observer['command'], observer['running'] = p, True
+
+
+def running(law: Any) -> bool:
+    """Return whether a force law is at work."""
+    return bool(law['linear']['running'] if law['is_linear'] else law['observer']['running'])
+
+
+def known(law: Any) -> tuple[float, float]:
+    """Return the estimated force [N] and the disturbance that a law compensates [m/s^2]."""
+    if law['is_linear']:
+        return float(law['linear']['alpha']), float(law['linear']['p_est'])
+    x, order = law['observer']['x_est'], int(law['observer']['order'])
+    return float(x[0]), float(x[int(law['observer']['states']) - order]) if order else 0.0
+
+
+def continue_laws_at(laws: Records, held: Mask, force: Vector) -> None:
+    """Go on after a pause; see `continue_at`. Linear laws of contacts that are held stay."""
+    continue_at(laws['observer'], held, force)
+    laws['linear']['running'] &= held
+
+
+def act_beyond(laws: Records, which: Mask, acceleration: Vector) -> None:
+    """
+    Tell force laws that more acts on their contacts than they have answered.
+
+    Parameters
+    ----------
+    laws
+        Records of `FORCE_LAW`, changed, shape (r,).
+    which
+        Which of them, shape (r,).
+    acceleration
+        Of these contacts, along their normals [m/s^2].
+
+    """
+    laws['observer']['command'][which] += acceleration
+    laws['linear']['extra'][which] += acceleration
+
+
+@compiled
+def force_to_feed(law: Any, contact: Any, mobility: Matrix) -> float:
+    """
+    Return the contact force that is fed forward in P04 eq. 24 [N].
+
+    The estimate, as published; or the desired force; or, mixed, as much of the desired one as the
+    surface lets it act before the loop does, g = min(1, K_2^2 / (2 k N^T Lambda^-1 N)). The
+    measured one if the contact is `guarded`: what a surface that has gone does not bear would go
+    to the other contacts.
+
+    Parameters
+    ----------
+    law, contact
+        Records of `FORCE_LAW` and `CONTACT`.
+    mobility
+        Lambda^-1, shape (6, 6).
+
+    """
+    if contact.guarded or law.fed == MEASURED:
+        return max(contact.alpha_meas, 0.0)
+    if law.fed == ESTIMATE:
+        return contact.alpha_est
+    desired = law.stiffness.alpha_ref if law.stiffness.adaptive else contact.alpha_des
+    if law.fed == DESIRED:
+        return desired
+    N = contact.N
+    along = 0.0
+    for i in range(6):
+        along += N[i] * dot(mobility[i], N)
+    share = min(law.K_2 * law.K_2 / (2.0 * law.stiffness.k * along), 1.0)
+    return contact.alpha_est + share * (desired - contact.alpha_est)
+
+
+@compiled
+def answer_forces(
+    laws: Any, contacts: Any, control: Any, mobility: Matrix, inputs: Vector,
+) -> None:
+    """
+    Let the force law of every active contact answer its sample.
+
+    A contact that has just become active starts from its measured force.
+
+    Parameters
+    ----------
+    laws, contacts
+        Records of `FORCE_LAW` and `CONTACT`, both changed, shape (r,).
+    control
+        Record of `CONTROL`.
+    mobility
+        Lambda^-1, shape (6, 6).
+    inputs
+        Filled with u, 0 where not active, shape (r,) [m/s^2].
+
+    """
+    for i in range(contacts.shape[0]):
+        contact, law = contacts[i], laws[i]
+        contact.innovation = 0.0
+        contact.prior_variance = 0.0
+        contact.variance_used = 0.0
+        speed = dot(contact.N, control.frame.twist)
+        if law.stiffness.adaptive:
+            learn_stiffness(law.observer, law.stiffness, contact, control.measured, speed,
+                            friction_of_others(control.frame, contacts, i))
+        if not contact.active:
+            law.observer.running = False
+            law.linear.running = False
+            contact.alpha_est = 0.0
+            contact.alpha_rate_est = 0.0
+            contact.alpha_fed = 0.0
+            inputs[i] = 0.0
+            continue
+        if law.is_linear:
+            inputs[i] = step_linear(law.linear, contact, speed)
+            contact.alpha_rate_est = law.stiffness.k * speed
+        elif law.stiffness.adaptive:
+            inputs[i] = observe_and_follow(
+                law.observer, law.stiffness, contact, control.measured, speed)
+        else:
+            inputs[i] = observe_and_command(law.observer, contact, control.measured)
+        contact.alpha_fed = force_to_feed(law, contact, mobility)

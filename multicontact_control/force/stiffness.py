@@ -1,0 +1,526 @@
+"""
+The stiffness of a surface, estimated on-line, and the observer that follows it.
+
+On the surface alpha = k z + c dz/dt; the wrist sensor reads with it the inertia m d^2z/dt^2 of the
+tool, and mu times the friction w of the other contacts, which this one's motion drags over their
+surfaces; z is the way of the contact point into the surface, from the encoders. All of these pass
+the same band-pass filter, and k, c and mu are fitted to what comes out by least squares with a
+memory that counts accepted samples: while sliding, such a fit in closed loop is biased low, so
+that only samples after a touch or a step of the command are accepted. A second, faster fit always
+listens; where it finds the surface 1.5 times as stiff or more, k is what it says.
+
+The model of the observer follows, at a bounded rate: its x_1 = k z, x_2 = k dz/dt, its output
+alpha = x_1 + (c / k) x_2. Its poles stay where they are as long as the tool's inertia allows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import math
+from typing import Any
+
+from multicontact_control.algebra import cholesky, dot, multiply, solve_cholesky
+from multicontact_control.arrays import Mask, Matrix, Vector
+from multicontact_control.compiled import compiled
+from multicontact_control.config import AdaptiveStiffnessConfig, ForceConfig
+from multicontact_control.force.observer import command, correct, predict, start
+from multicontact_control.force.plant_model import DelayedPlant
+from multicontact_control.records import LIMITS
+import numpy as np
+
+SLOW_BAND, FAST_BAND = (3.0, 20.0), (6.0, 30.0)  # Hz: of the high-pass, and of three low-passes
+FAST_MEMORY = 0.04  # s
+DAMPING_TIME = 0.02  # s, in which the damping of the model settles
+STEP = 0.3  # N, a change of the command that counts as a step
+BEGIN, END = 1.0, 0.5  # N: a tool that is shaken reads 0.5 N of its inertia without a surface
+SMALLEST_RESIDUAL = 0.03  # N; what is left is never taken for smaller
+CORRELATION = 8.0  # samples of a band-passed signal for one that is independent
+LEAST_WEIGHT = 5.0  # samples, for a fit
+SMALLEST_PIVOT = 1e-6  # what must be left of a scaled column that the others do not explain
+LARGEST_FRICTION = 1.0
+SLIP_SPEED = 3e-3  # m/s, at which friction is near its full value
+SLOW_SHARE, FAST_SHARE = 0.3, 0.5  # r^2 from which on a fit is believed
+FAST_EXCESS = 1.5  # how much stiffer than the slow fit the fast one has to find the surface
+INERTIA_SHARE = 0.8  # of k / m, which the square of the fastest pole stays below
+SLOWEST_POLE = 10.0  # 1/s, of the second pole
+
+
+def adopt_stiffness(
+    record: Any, plant: DelayedPlant, stiffness: float, config: ForceConfig, *, period: float,
+    tool_mass: float, ratio_limits: Sequence[float],
+) -> None:
+    """
+    Set what an adaptive stiffness starts from.
+
+    Parameters
+    ----------
+    record
+        Record of `STIFFNESS`, filled.
+    plant, stiffness
+        The plant of the force loop, for that stiffness [N/m], from which the model starts.
+    config
+        The force law.
+    period
+        h [s].
+    tool_mass
+        All that hangs on the sensor [kg].
+    ratio_limits
+        True over modelled stiffness up to which the loop is stable, of `model_stiffnesses`.
+
+    """
+    adaptive: AdaptiveStiffnessConfig = config.adaptive
+    for name in ('lowest', 'highest', 'largest_damping', 'window', 'smallest_signal',
+                 'input_limit', 'approach_limit'):
+        record[name] = getattr(adaptive, name)
+    values = {
+        'adaptive': True, 'period': period, 'tool_mass': tool_mass,
+        'fastest_pole': 1.0 / config.time_constant, 'pole_ratio': config.second_pole_ratio,
+        'down': period / adaptive.fall_time, 'up': period / adaptive.rise_time,
+        'settle': period / DAMPING_TIME, 'ratio_limit': ratio_limits, 'k': stiffness,
+        'c': 0.0}
+    for name, value in values.items():
+        record[name] = value
+    record['transition'] = plant.Phi[0, 1], plant.Phi[1, 1]
+    gains, input_gain = predictor_gains(plant, stiffness)
+    record['delay_gain'][:len(gains)], record['input_gain'] = gains, input_gain
+    adopt_band(record['slow'], SLOW_BAND, period, adaptive.memory)
+    adopt_band(record['fast'], FAST_BAND, period, FAST_MEMORY)
+
+
+def adopt_band(fit: Any, band: tuple[float, float], period: float, memory: float) -> None:
+    """Set the band [Hz] and the memory [s] of a record of `STIFFNESS_FIT`; h in [s]."""
+    fit['high'], fit['low'] = (
+        -math.expm1(-2.0 * math.pi * frequency * period) for frequency in band)
+    fit['keep'] = math.exp(-period / memory)
+
+
+def model_stiffnesses(config: AdaptiveStiffnessConfig) -> Vector:
+    """Return some stiffnesses that a model may come to, from the lowest on [N/m]."""
+    return np.geomspace(config.lowest, config.highest, LIMITS)
+
+
+def predictor_gains(plant: DelayedPlant, stiffness: float) -> tuple[Matrix, Vector]:
+    """
+    Return what turns a delayed plant into one without delay.
+
+    With eta_k = [alpha, dalpha/dt]_k + sum_j E_j v_{k-j}, eta_{k+1} = Phi_s eta_k + B v_k: the
+    feedback L_0 of the undelayed plant gives L = [L_0, L_0 E_d, ..., L_0 E_1] of P04 eq. 36, with
+    the poles of the delay states at 0.
+
+    Parameters
+    ----------
+    plant, stiffness
+        The delayed plant of that stiffness [N/m].
+
+    Returns
+    -------
+    tuple of Matrix and Vector
+        E_d to E_1, shape (d, 2), and B, shape (2,), both per N/m.
+
+    """
+    Phi_s, delayed = plant.Phi[:2, :2], plant.Phi[:2, 2:].T / stiffness
+    d = len(delayed)
+    gains = np.zeros((d, 2))
+    under_way = np.zeros(2)  # E_{j+1}
+    for j in range(1, d + 1):  # from the oldest input, v_{k-d}, on
+        under_way = np.linalg.solve(Phi_s, delayed[j - 1] + under_way)
+        gains[j - 1] = under_way
+    return gains, plant.Gamma[:2] / stiffness + under_way
+
+
+def keep_stiffness(law: Any, other: Any) -> None:
+    """Take over what another design has found out; records of `FORCE_LAW`, the first changed."""
+    record, known = law['stiffness'], other['stiffness']
+    for name in ('k_est', 'k_std', 'alpha_ref', 'alpha_des', 'since', 'depth', 'speed', 'felt'):
+        record[name] = known[name]
+    for name in ('slow', 'fast'):
+        for part in ('stages', 'speed', 'sums', 'weight', 'k', 'c', 'mu', 'k_std', 'share'):
+            record[name][part] = known[name][part]
+    use_stiffness(law['observer'], record, float(known['k']), float(known['c']))
+
+
+@compiled
+def use_stiffness(observer: Any, stiffness: Any, k: float, c: float) -> None:
+    """
+    Give an observer another model, and the feedback that belongs to it.
+
+    Poles at omega_1 = min(1 / tau, sqrt(0.8 k / m_tool)) and omega_2 = k / c, between 10 /s and
+    that of the configuration; see `predictor_gains`. What is known of the rate, x_2 = k dz/dt,
+    goes with k.
+
+    Parameters
+    ----------
+    observer, stiffness
+        Records of `OBSERVER` and `STIFFNESS`, changed.
+    k, c
+        Of the new model [N/m], [N s/m].
+
+    """
+    factor = k / stiffness.k
+    n, plain = observer.states, observer.states - observer.order
+    if factor != 1.0:
+        for i in range(2):
+            for j in range(2, n):
+                observer.Phi_n[i, j] *= factor
+                observer.Phi_c[i, j] *= factor
+            observer.Gamma[i] *= factor
+        observer.x_est[1] *= factor
+        for j in range(n):
+            observer.P[1, j] *= factor
+        for j in range(n):
+            observer.P[j, 1] *= factor
+    stiffness.k = k
+    stiffness.c = c
+    observer.damping_time = c / k
+    omega_1 = stiffness.fastest_pole
+    if stiffness.tool_mass > 0.0:
+        omega_1 = min(omega_1, np.sqrt(INERTIA_SHARE * k / stiffness.tool_mass))
+    omega_2 = omega_1 * stiffness.pole_ratio
+    if c > 0.0:
+        omega_2 = min(omega_2, max(k / c, SLOWEST_POLE))
+    p_1, p_2 = np.exp(-stiffness.period * omega_1), np.exp(-stiffness.period * omega_2)
+    f, e = stiffness.transition[0], stiffness.transition[1]
+    b_1, b_2 = stiffness.input_gain[0], stiffness.input_gain[1]
+    total, product = p_1 + p_2, p_1 * p_2
+    scale = 1.0 / (b_2 * (b_1 * (e - 1.0) - f * b_2))
+    L_1 = -scale * b_2 * (1.0 - total + product)
+    L_2 = scale * (b_1 * (e * e - total * e + product) - b_2 * f * (1.0 + e - total))
+    observer.feedback[0] = L_1 / k
+    observer.feedback[1] = L_2 / k
+    for j in range(2, plain):
+        gain = stiffness.delay_gain[j - 2]
+        observer.feedback[j] = L_1 * gain[0] + L_2 * gain[1]
+
+
+@compiled
+def begin_fit(fit: Any, alpha: float) -> None:
+    """Let the filters of a fit start at a touch, at a force [N]; its sums stay."""
+    for i in range(4):
+        for j in range(4):
+            fit.stages[i, j] = 0.0
+    fit.stages[3, 0] = alpha
+    fit.speed = 0.0
+
+
+@compiled
+def filter_sample(fit: Any, sample: Vector, filtered: Vector) -> None:
+    """Pass the four signals of a sample through the band-pass of a record of `STIFFNESS_FIT`."""
+    for i in range(4):
+        stages = fit.stages[i]
+        stages[0] += fit.high * (sample[i] - stages[0])
+        entering = sample[i] - stages[0]
+        for j in range(1, 4):
+            stages[j] += fit.low * (entering - stages[j])
+            entering = stages[j]
+        filtered[i] = entering
+
+
+@compiled
+def take_sample(
+    fit: Any, sample: Vector, period: float, mass: float, accepted: bool, smallest: float,
+) -> None:
+    """
+    Filter a sample, and if it is accepted and large enough, fit k, c and mu anew.
+
+    Parameters
+    ----------
+    fit
+        Record of `STIFFNESS_FIT`, changed.
+    sample
+        Way into the surface [m], its rate [m/s], the friction of the other contacts per mu [N]
+        and the measured force [N], shape (4,).
+    period, mass
+        h [s], and mass of the tool [kg].
+    accepted
+        Whether the sample may count.
+    smallest
+        Force from which on it does, once filtered [N].
+
+    """
+    filtered = np.empty(4)
+    filter_sample(fit, sample, filtered)
+    filtered[3] -= mass * (filtered[1] - fit.speed) / period
+    fit.speed = filtered[1]
+    if not accepted or abs(filtered[3]) < smallest:
+        return
+    for i in range(4):
+        for j in range(i, 4):
+            fit.sums[i, j] = fit.keep * fit.sums[i, j] + filtered[i] * filtered[j]
+    fit.weight = fit.keep * fit.weight + 1.0
+    if fit.weight >= LEAST_WEIGHT:
+        solve_fit(fit)
+
+
+@compiled
+def solve_fit(fit: Any) -> None:
+    """
+    Fit y = k z + c v + mu w to the sums of a record of `STIFFNESS_FIT` by least squares.
+
+    A mu beyond 0 to 1 is set there, and the rest is fitted again.
+    """
+    fixed = np.zeros(3, np.bool_)
+    value, variance = np.zeros(3), np.zeros(3)
+    for _ in range(2):
+        if not least_squares(fit.sums, fixed, value, variance):
+            return
+        bounded = min(max(value[2], 0.0), LARGEST_FRICTION)
+        if bounded == value[2]:
+            break
+        value[2] = bounded
+        fixed[2] = True
+    left = fit.sums[3, 3]
+    for i in range(3):
+        left -= 2.0 * value[i] * fit.sums[i, 3]
+        for j in range(3):
+            left += value[i] * value[j] * fit.sums[min(i, j), max(i, j)]
+    left = max(left, 0.0)
+    fit.k, fit.c, fit.mu = value[0], value[1], value[2]
+    fit.share = 1.0 - left / fit.sums[3, 3]
+    fit.k_std = np.sqrt(CORRELATION * variance[0] * max(
+        left / fit.weight, SMALLEST_RESIDUAL * SMALLEST_RESIDUAL))
+
+
+@compiled
+def least_squares(sums: Matrix, fixed: Mask, value: Vector, variance: Vector) -> bool:
+    """
+    Solve the normal equations of three parameters, of which some are fixed.
+
+    Parameters
+    ----------
+    sums
+        Of the products of three regressors and of what they explain, shape (4, 4); only its upper
+        triangle is read.
+    fixed, value
+        Which parameters stay as they are, and the parameters; the others are filled in, shape
+        (3,).
+    variance
+        The variance of the first one in units of that of a sample is filled in, shape (3,).
+
+    Returns
+    -------
+    bool
+        Whether the regressors tell the parameters apart.
+
+    """
+    normal, L = np.zeros((3, 3)), np.zeros((3, 3))
+    solution, scale = np.zeros(3), np.ones(3)
+    for i in range(3):
+        variance[i] = 0.0
+        if fixed[i]:
+            normal[i, i] = 1.0
+            continue
+        if sums[i, i] <= 0.0:  # it never moved: nothing is known, and nothing explained by it
+            if i == 0:
+                return False
+            normal[i, i] = 1.0
+            continue
+        scale[i] = 1.0 / np.sqrt(sums[i, i])
+        solution[i] = sums[i, 3]
+        for j in range(3):
+            product = sums[min(i, j), max(i, j)]
+            if fixed[j]:
+                solution[i] -= product * value[j]
+            elif j >= i:
+                normal[i, j] = product
+    for i in range(3):
+        solution[i] *= scale[i]
+        for j in range(i, 3):
+            normal[i, j] *= scale[i] * scale[j]
+    if not cholesky(normal, L, SMALLEST_PIVOT):
+        return False
+    variance[0] = 1.0
+    solve_cholesky(L, solution)
+    solve_cholesky(L, variance)
+    variance[0] *= scale[0] * scale[0]
+    for i in range(3):
+        if not fixed[i]:
+            value[i] = solution[i] * scale[i]
+    return True
+
+
+@compiled
+def friction_of_others(frame: Any, contacts: Any, which: int) -> float:
+    """
+    Return what the friction of the other contacts adds to a measured force, per mu [N].
+
+    The robot drags each surface along its sliding velocity v: sum_j alpha_j v_j . n_i / |v_j|.
+
+    Parameters
+    ----------
+    frame, contacts
+        Record of `FRAME`, and records of `CONTACT`, shape (r,).
+    which
+        i.
+
+    """
+    normal, twist = contacts[which].normal, frame.twist
+    total = 0.0
+    lever, velocity = np.empty(3), np.empty(3)
+    for j in range(contacts.shape[0]):
+        other = contacts[j]
+        if j == which or other.alpha_meas <= 0.0:
+            continue
+        multiply(frame.rotation, other.point, lever)
+        velocity[0] = twist[0] + twist[4] * lever[2] - twist[5] * lever[1]
+        velocity[1] = twist[1] + twist[5] * lever[0] - twist[3] * lever[2]
+        velocity[2] = twist[2] + twist[3] * lever[1] - twist[4] * lever[0]
+        into = dot(velocity, other.normal)
+        for k in range(3):
+            velocity[k] -= into * other.normal[k]
+        total += other.alpha_meas * dot(velocity, normal) / np.sqrt(
+            dot(velocity, velocity) + SLIP_SPEED * SLIP_SPEED)
+    return total
+
+
+@compiled
+def find_stiffness(
+    stiffness: Any, alpha: float, alpha_des: float, speed: float, friction: float,
+) -> None:
+    """
+    Take a sample into the estimate of a stiffness, whatever law moves the contact.
+
+    The filters begin anew when a force is felt: before, the surface is not there.
+
+    Parameters
+    ----------
+    stiffness
+        Record of `STIFFNESS`, changed.
+    alpha, alpha_des
+        Measured and desired force [N].
+    speed, friction
+        Of the contact point INTO the surface [m/s], and as from `friction_of_others` [N].
+
+    """
+    h = stiffness.period
+    stiffness.since += h
+    if abs(alpha_des - stiffness.alpha_des) > STEP:
+        stiffness.since = 0.0
+    stiffness.alpha_des = alpha_des
+    if not stiffness.felt:
+        if alpha <= BEGIN:
+            return
+        begin_fit(stiffness.slow, alpha)
+        begin_fit(stiffness.fast, alpha)
+        stiffness.since = 0.0
+        stiffness.depth = 0.0
+        stiffness.felt = True
+    else:
+        stiffness.depth += 0.5 * h * (speed + stiffness.speed)
+        stiffness.felt = alpha > END
+    stiffness.speed = speed
+    mass, smallest = stiffness.tool_mass, stiffness.smallest_signal
+    sample = np.array([stiffness.depth, speed, friction, alpha])
+    take_sample(stiffness.slow, sample, h, mass,
+                stiffness.felt and stiffness.since <= stiffness.window, smallest)
+    take_sample(stiffness.fast, sample, h, mass, stiffness.felt, smallest)
+    if stiffness.slow.k > 0.0 and stiffness.slow.share > SLOW_SHARE:
+        stiffness.k_est = stiffness.slow.k
+        stiffness.k_std = stiffness.slow.k_std
+
+
+@compiled
+def follow_stiffness(observer: Any, stiffness: Any) -> None:
+    """Let the model of an observer follow what has been found, at a bounded rate."""
+    slow, fast = stiffness.slow, stiffness.fast
+    k, c = stiffness.k, stiffness.c
+    target = k
+    if slow.k > 0.0 and slow.share > SLOW_SHARE:
+        target = slow.k + 2.0 * slow.k_std
+        damping = min(max(slow.c, 0.0), stiffness.largest_damping)
+        c += stiffness.settle * (damping - c)
+    # Against what the slow fit says, and not against k in use, which it would drive up and down.
+    if fast.share > FAST_SHARE and fast.k - fast.k_std > FAST_EXCESS * target:
+        target = fast.k
+    target = min(max(target, stiffness.lowest), stiffness.highest)
+    change = min(max(np.log(target / k), -stiffness.down), stiffness.up)
+    if change != 0.0 or c != stiffness.c:
+        use_stiffness(observer, stiffness, k * np.exp(change), c)
+
+
+@compiled
+def stable_ratio(stiffness: Any) -> float:
+    """Return how many times as stiff as the model in use a surface may be; see `STIFFNESS`."""
+    limits = stiffness.ratio_limit
+    place = (limits.shape[0] - 1) * np.log(stiffness.k / stiffness.lowest) / np.log(
+        stiffness.highest / stiffness.lowest)
+    i = min(int(place), limits.shape[0] - 2)
+    return limits[i] + (place - i) * (limits[i + 1] - limits[i])
+
+
+@compiled
+def learn_stiffness(
+    observer: Any, stiffness: Any, contact: Any, measured: bool, speed: float, friction: float,
+) -> None:
+    """
+    Take a sample into the model of a contact's surface, whatever law moves it.
+
+    Parameters
+    ----------
+    observer, stiffness, contact, measured, speed
+        As for `observe_and_follow`.
+    friction
+        As from `friction_of_others` [N].
+
+    """
+    alpha = contact.alpha_meas if measured else contact.alpha_est
+    find_stiffness(stiffness, alpha, contact.alpha_des, speed, friction)
+    follow_stiffness(observer, stiffness)
+    contact.stiffness = stiffness.k
+    contact.stiffness_est = stiffness.k_est
+    contact.stiffness_std = stiffness.k_std
+    if stiffness.k_est > 0.0:
+        contact.ratio_bound = (stiffness.k_est + 2.0 * stiffness.k_std) / stiffness.k
+        contact.margin = stable_ratio(stiffness) / contact.ratio_bound
+
+
+@compiled
+def observe_and_follow(
+    observer: Any, stiffness: Any, contact: Any, measured: bool, speed: float,
+) -> float:
+    """
+    Take a sample into an observer whose stiffness is found on-line, and work out its input.
+
+    The prediction is that of the open loop under the input that was really asked for, and the
+    desired force is followed no faster than the contact point may move into the surface.
+
+    Parameters
+    ----------
+    observer, stiffness, contact
+        Records of `OBSERVER`, `STIFFNESS` and `CONTACT`, changed.
+    measured
+        Whether the measured force is of this sample.
+    speed
+        Of the contact point INTO the surface [m/s].
+
+    Returns
+    -------
+    float
+        u [m/s^2].
+
+    """
+    if observer.running:
+        predict(observer)
+        if measured:
+            tau, P = observer.damping_time, observer.P
+            contact.prior_variance = P[0, 0] + tau * (2.0 * P[0, 1] + tau * P[1, 1])
+            contact.innovation = contact.alpha_meas - (
+                observer.x_1[0] + tau * observer.x_1[1])
+            contact.variance_used = contact.noise_variance
+            correct(observer, contact.innovation, contact.noise_variance)
+        else:
+            for i in range(observer.states):
+                observer.x_est[i] = observer.x_1[i]
+    else:
+        start(observer, contact.alpha_meas)
+        rate = stiffness.k * speed
+        observer.x_est[1] = rate
+        observer.P[1, 1] += rate * rate  # as long as it is not known how stiff the surface is
+        stiffness.alpha_ref = max(contact.alpha_meas, 0.0)
+    step = stiffness.k * stiffness.approach_limit * stiffness.period
+    stiffness.alpha_ref += min(max(contact.alpha_des - stiffness.alpha_ref, -step), step)
+    u = command(observer, stiffness.alpha_ref)
+    u = min(max(u, -stiffness.input_limit), stiffness.input_limit)
+    observer.command = u  # what the open loop is predicted with
+    contact.alpha_est = observer.x_est[0] + observer.damping_time * observer.x_est[1]
+    contact.alpha_rate_est = observer.x_est[1]
+    return u

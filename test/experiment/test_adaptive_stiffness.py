@@ -1,0 +1,104 @@
+"""The presets `best` and `adaptive` on the simulated arm, with surfaces nobody told them of."""
+
+from multicontact_control.experiment.claim_metrics import disturbance_summary
+from multicontact_control.experiment.closed_loop import run_in_process
+from multicontact_control.experiment.metrics import step_responses, windows
+from multicontact_control.experiment.scenario import resolve
+import numpy as np
+import pytest
+
+STEPS = ((2.0, 10.0), (3.5, 15.0))
+# The arm gives way at the board's tip, in series with the surface: about 47 kN/m on `puma`.
+ARM = {'rigid': np.inf, 'puma': 47e3}
+
+
+def run(plant, stiffness, seed, *, preset='adaptive', duration=5.0, motion=False, disturb=None):
+    scenario = {'duration': duration, 'reference': {'force_steps': [
+        {'time': time, 'forces': {'table': force, 'board': force}} for time, force in STEPS]}}
+    if not motion:
+        scenario['reference']['motion'] = None
+    setup = resolve('quick', plant=plant, seed=seed, preset=preset, plant_overrides={
+        'surfaces': {name: {'stiffness': stiffness} for name in ('table', 'board')}},
+        scenario_overrides=scenario)
+    return setup, run_in_process(setup, supervised=True, disturb=disturb).data
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('plant', ['rigid', 'puma'])
+@pytest.mark.parametrize('stiffness', [300.0, 1000.0, 3000.0, 10_000.0, 30_000.0])
+def test_steps_are_the_same_on_every_surface(plant, stiffness):
+    """Over 100:1 without a parameter changed; the first step may still be learning."""
+    setup, data = run(plant, stiffness, seed=31)
+    for contact, name in enumerate(data.contact_names):
+        first, second = step_responses(data, setup, contact)
+        assert second.rise_63 <= (0.13 if stiffness < 1000.0 else 0.07)
+        assert second.overshoot_percent < 15.0
+        assert first.rise_63 < 0.3
+        felt = stiffness if name == 'table' else 1.0 / (1.0 / stiffness + 1.0 / ARM[plant])
+        at = round(4.5 * data.rate)
+        assert data.stiffness_est[at, contact] == pytest.approx(felt, rel=0.2)
+        assert data.stiffness_std[at, contact] < 0.2 * felt
+        assert data.margin[at, contact] > 1.0
+        touched = data.alpha_true[:, contact] > 0.0
+        begin = int(np.argmax(touched))
+        gaps = np.diff(np.flatnonzero(touched[begin:])) - 1
+        assert gaps.max(initial=0) / data.rate <= 0.06
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('plant', ['rigid', 'puma'])
+def test_stiffness_does_not_drift_at_rest(plant):
+    _, data = run(plant, 3000.0, seed=32, duration=30.0)
+    used = data.stiffness[round(5.0 * data.rate):]
+    np.testing.assert_allclose(used, np.broadcast_to(used[0], used.shape), rtol=0.02)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('plant', ['rigid', 'puma'])
+def test_border_between_soft_and_hard_is_crossed_while_sliding(plant):
+    """1000 to 30 000 N/m within 2 mm of sliding, and back."""
+    borders = {9.5: 30.0, 11.5: 1.0 / 30.0}
+
+    def disturb(loop):
+        for begin, factor in borders.items():
+            if 0 <= loop.tick - round(begin * 500.0) < 10:
+                for contact in (0, 1):
+                    loop.plant.contacts.scale_stiffness(contact, factor ** 0.1)
+
+    _, data = run(plant, 1000.0, seed=33, duration=13.0, motion=True, disturb=disturb)
+    error = data.alpha_true - 15.0
+    for begin, end in ((9.8, 11.5), (11.8, 13.0)):
+        window = (data.time >= begin) & (data.time < end)
+        assert np.sqrt((error[window] ** 2).mean(axis=0)).max() < 2.0
+    assert (data.alpha_true[data.time > 9.0] > 0.0).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('seed', [34, 35])
+def test_best_is_quick_and_quiet_on_flexible_drives(seed):
+    setup = resolve('disturbance', plant='puma', seed=seed, preset='best')
+    data = run_in_process(setup, supervised=True).data
+    quiet = disturbance_summary(data, setup, None)
+    judged = windows(setup.scenario.reference, data.time)
+    moving = judged.moving & (np.abs(data.time - 13.5) > 1.5)
+    for contact in (0, 1):
+        error = data.alpha_true[:, contact] - setup.commanded(data.time)[:, contact]
+        for step in step_responses(data, setup, contact):
+            assert 0.025 <= step.rise_63 <= 0.06
+            answer = (data.time >= step.time) & (data.time < step.time + 0.8)
+            assert error[answer].max() < 0.1 * step.size
+        pushed = (data.time >= 5.0) & (data.time < 8.5)
+        assert np.abs(error[pushed]).max() < 1.0
+        assert quiet['contacts'][data.contact_names[contact]]['rest']['rms_n'] < 0.1
+        assert np.sqrt((error[moving] ** 2).mean()) < 0.75
+        assert (data.alpha_true[data.time > 2.0, contact] > 0.0).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('ratio', [0.05, 20.0])
+def test_best_does_not_oscillate_however_wrong_its_stiffness(ratio):
+    """At rest; on a surface that is far too stiff a step may still lose the contact."""
+    setup, data = run('puma', ratio * 6000.0, seed=36, preset='best', duration=6.5)
+    rest = data.time > 5.5
+    error = data.alpha_true[rest] - 15.0
+    assert np.sqrt((error ** 2).mean(axis=0)).max() < 0.3

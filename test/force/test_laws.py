@@ -1,0 +1,319 @@
+"""Every force law against its own equations, on the contact of eq. 32, and when it takes over."""
+
+from multicontact_control.config import ControllerConfig, ForceConfig, read_parameters
+from multicontact_control.errors import ConfigError, ShapeError
+from multicontact_control.experiment.scenario import resolve
+from multicontact_control.force import observer as aob
+from multicontact_control.force.force_law import (
+    act_beyond,
+    answer_forces,
+    continue_laws,
+    continue_laws_at,
+    design_law,
+    loop_model,
+    make_force_laws,
+)
+from multicontact_control.force.laws import LAWS, LinearLaw, steady_law
+from multicontact_control.force.laws.design import design_for_range
+from multicontact_control.force.laws.margins import (
+    contact_loop,
+    input_rms,
+    margins_of,
+    rise_time,
+)
+from multicontact_control.force.linear_law import step_linear
+from multicontact_control.force.linear_loop import spectral_radius, steady_gain
+from multicontact_control.force.plant_model import delayed_plant
+from multicontact_control.records import CONTACT, CONTROL
+import numpy as np
+import pytest
+
+H, K, DELAY = 0.002, 6000.0, 0.006
+LINEAR = [name for name in LAWS if name != 'aob']
+INTEGRATING = ('aob', 'pi', 'dob', 'lqg', 'admittance')
+
+
+def config_of(law, **force):
+    return resolve('quick', controller={'force': {
+        'law': law, 'damping_rate': 100.0, **force}}).controller
+
+
+def law_of(name, **force):
+    config = config_of(name, **force)
+    design = design_law(config, 'table', K)
+    return design if isinstance(design, LinearLaw) else steady_law(
+        design, steady_gain(design, 0.6))
+
+
+def run_steps(law, alphas, desired, speeds, extra=None):
+    """Return what the compiled law answers to series."""
+    record, contact = law.record()[0], np.zeros(1, dtype=CONTACT)[0]
+    answers = []
+    for k, values in enumerate(zip(alphas, desired, speeds)):
+        contact['alpha_meas'], contact['alpha_des'] = values[:2]
+        if k and extra is not None:
+            record['extra'] = extra[k - 1]
+        u = step_linear(record, contact, values[2])
+        answers.append((u, float(contact['alpha_est']), float(record['p_est'])))
+    return np.array(answers)
+
+
+def series(seed=3, count=200):
+    random = np.random.default_rng(seed)
+    return (10.0 + random.standard_normal(count), np.full(count, 12.0),
+            0.01 * random.standard_normal(count))
+
+
+@pytest.mark.parametrize('name', LINEAR)
+def test_compiled_law_is_its_matrices(name):
+    law = law_of(name)
+    alphas, desired, speeds = series()
+    extra = np.random.default_rng(5).standard_normal(len(alphas))
+    found = run_steps(law, alphas, desired, speeds, extra)
+    x = law.start_force * alphas[0]
+    for k, y in enumerate(zip(alphas, desired, speeds)):
+        x = x + (law.E * extra[k - 1] if k else 0.0)
+        np.testing.assert_allclose(found[k], law.C @ x + law.D @ y, rtol=1e-9, atol=1e-12)
+        x = law.A @ x + law.B @ y
+
+
+def test_pi_is_proportional_and_integral():
+    """By the trapezoidal rule, the force low-passed by the bilinear transformation."""
+    alphas, desired, speeds = series()
+    found = run_steps(law_of('pi', pi={'filter_cutoff': 0.0}), alphas, desired, speeds)[:, 0]
+    gain = 24.0 * 100.0 / K
+    error = desired - alphas
+    integral = np.concatenate([[0.0], np.cumsum(0.5 * H * (error[1:] + error[:-1]))])
+    # At the start only the force counts as known, and the command comes as a step.
+    expected = gain * error + 5.0 * gain * (integral + 0.5 * H * desired[0])
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+
+def test_impedance_is_a_spring_from_the_touch_on():
+    alphas, desired, speeds = series()
+    found = run_steps(law_of('impedance'), alphas, desired, speeds)[:, 0]
+    depth = alphas[0] / K + np.concatenate(
+        [[0.0], np.cumsum(0.5 * H * (speeds[1:] + speeds[:-1]))]) + 0.5 * H * speeds[0]
+    np.testing.assert_allclose(found, 900.0 * (desired / K - depth), rtol=1e-9)
+
+
+def test_feedforward_asks_for_nothing():
+    assert not run_steps(law_of('feedforward'), *series())[:, 0].any()
+
+
+@pytest.mark.parametrize('order', [1, 2])
+def test_settled_observer_is_a_linear_law(order):
+    """On the same samples as the compiled observer once its gain no longer changes."""
+    config = config_of('aob', active_state_order=order)
+    design = design_law(config, 'table', K)
+    observer = aob.make_observers([design])[0]
+    contact = np.zeros(1, dtype=CONTACT)[0]
+    contact['alpha_des'], contact['noise_variance'] = 10.0, 0.6
+    for _ in range(20000):
+        aob.observe_and_command(observer, contact, True)
+    law = steady_law(design, steady_gain(design, 0.6))
+    alphas, desired, speeds = series()
+    aob.predict(observer)
+    n = law.states
+    x = observer['x_1'][:n].copy()
+    answers = []
+    for alpha, y in zip(alphas, zip(alphas, desired, speeds)):
+        contact['alpha_meas'], contact['alpha_des'] = alpha, y[1]
+        aob.correct(observer, alpha - observer['x_1'][0], 0.6)
+        u = aob.command(observer, y[1])
+        expected = law.C @ x + law.D @ y
+        answers.append((u, expected[0]))
+        np.testing.assert_allclose(expected[1:], [
+            observer['x_est'][0], observer['x_est'][n - order]], rtol=1e-6, atol=1e-9)
+        x = law.A @ x + law.B @ y
+        aob.predict(observer)
+    np.testing.assert_allclose(*np.array(answers).T, rtol=1e-6, atol=1e-6)
+
+
+def hold(laws, ticks, *, disturbance, ratio=1.0, desired=10.0, state=None, mass=0.0):
+    """Let the compiled laws of one contact hold a force on a delayed plant; R = 0.6."""
+    contacts, control = np.zeros(1, dtype=CONTACT), np.zeros(1, dtype=CONTROL)
+    contacts['active'], contacts['N'] = True, [0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
+    contacts['noise_variance'], contacts['alpha_des'] = 0.6, desired
+    control['measured'] = True
+    plant = delayed_plant(ratio * K, 100.0, DELAY, H)
+    x = np.zeros(len(plant.Gamma)) if state is None else state
+    if state is None:
+        x[0] = desired
+    inputs, forces = np.empty(1), []
+    for _ in range(ticks):
+        contacts['alpha_meas'] = x[0]
+        control['frame']['twist'][0, 2] = x[1] / (ratio * K)
+        answer_forces(laws, contacts, control[0], np.eye(6), inputs)
+        x = plant.Phi @ x + plant.Gamma * (inputs[0] + disturbance)
+        forces.append(x[0])
+    return np.array(forces), x
+
+
+def laws_of(name, **force):
+    return make_force_laws(config_of(name, **force), np.array([K]))[:1].copy()
+
+
+@pytest.mark.parametrize('name', LAWS)
+def test_constant_disturbance_is_compensated_or_not(name):
+    """0.5 m/s^2 shift the force of a law without integration by a known amount."""
+    forces, _ = hold(laws_of(name), 4000, disturbance=0.5)
+    if name in INTEGRATING:
+        assert abs(forces[-1] - 10.0) < 0.02
+    elif name == 'impedance':
+        assert forces[-1] == pytest.approx(10.0 + K * 0.5 / 900.0, abs=0.01)
+    else:
+        assert forces[-1] > 100.0  # it has nothing to hold the contact with
+
+
+@pytest.mark.parametrize('before', INTEGRATING)
+@pytest.mark.parametrize('after', INTEGRATING)
+def test_law_that_takes_over_knows_force_and_disturbance(before, after):
+    """At rest under a disturbance that by itself would move the force by newtons."""
+    laws = laws_of(before)
+    settled, x = hold(laws, 4000, disturbance=0.5)
+    new = laws_of(after)
+    continue_laws(new, laws)
+    forces, _ = hold(new, 500, disturbance=0.5, state=x)
+    assert np.abs(forces - settled[-1]).max() < 0.4
+
+
+@pytest.mark.parametrize('name', ['pi', 'dob'])
+def test_law_that_does_not_know_the_disturbance_is_disturbed(name):
+    """So the test before can fail."""
+    laws = laws_of('aob')
+    settled, x = hold(laws, 4000, disturbance=0.5)
+    forces, _ = hold(laws_of(name), 500, disturbance=0.5, state=x)
+    assert np.abs(forces - settled[-1]).max() > 0.5
+
+
+@pytest.mark.parametrize('name', INTEGRATING)
+def test_law_goes_on_after_a_pause_if_its_contact_was_held(name):
+    laws = laws_of(name)
+    hold(laws, 2000, disturbance=0.5)
+    part = laws['linear' if laws['is_linear'][0] else 'observer']
+    continue_laws_at(laws, np.array([True]), np.array([10.0]))
+    assert part['running'][0]
+    continue_laws_at(laws, np.array([False]), np.array([10.0]))
+    assert not part['running'][0]
+
+
+@pytest.mark.parametrize('name', ['aob', 'dob', 'lqg'])
+def test_law_is_told_of_what_acts_beyond_its_answer(name):
+    """An acceleration that is clipped away is no disturbance to it."""
+    estimates = []
+    for told in (True, False):
+        laws = laws_of(name)
+        contacts, control = np.zeros(1, dtype=CONTACT), np.zeros(1, dtype=CONTROL)
+        contacts['active'], contacts['N'] = True, [0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
+        contacts['noise_variance'], contacts['alpha_des'] = 0.6, 20.0
+        control['measured'] = True
+        plant, inputs = delayed_plant(K, 100.0, DELAY, H), np.empty(1)
+        x = np.zeros(len(plant.Gamma))
+        for _ in range(100):  # everything is clipped: nothing moves
+            contacts['alpha_meas'] = x[0]
+            answer_forces(laws, contacts, control[0], np.eye(6), inputs)
+            if told:
+                act_beyond(laws, np.array([True]), -inputs)
+        part = laws[0]['linear']['p_est'] if laws['is_linear'][0] else (
+            laws[0]['observer']['x_est'][int(laws[0]['observer']['states']) - 1])
+        estimates.append(abs(float(part)))
+    assert estimates[0] < 0.02 < 0.1 < estimates[1]
+
+
+@pytest.mark.parametrize('name', [name for name in LAWS if name != 'feedforward'])
+def test_margins_are_where_the_loop_becomes_unstable(name):
+    """By eigenvalues of other plants: stiffer ones, and ones with more delay."""
+    config = config_of(name)
+    law, model = law_of(name), loop_model(config, K)
+    margins = margins_of(law, model)
+    if np.isfinite(margins.stiffest):
+        assert spectral_radius(contact_loop(law, model, 0.98 * margins.stiffest)) < 1.0
+        assert spectral_radius(contact_loop(law, model, 1.02 * margins.stiffest)) > 1.0
+        if name != 'impedance':  # which reads the speed, that does not grow with the stiffness
+            assert margins.gain == pytest.approx(margins.stiffest, rel=0.01)
+    for share, stable in ((0.97, True), (1.03, False)):
+        delay = DELAY + share * margins.delay
+        if delay > 10 * H:
+            continue
+        late = loop_model(config_of(name, input_delay=delay), K)
+        assert (spectral_radius(contact_loop(law, late)) < 1.0 + 1e-9) == stable
+
+
+def test_rise_and_noise_of_the_linear_loop_are_those_in_time():
+    law, model = law_of('lqg'), loop_model(config_of('lqg'), K)
+    plant, x, z = model.plant, np.zeros(len(model.plant.Gamma)), np.zeros(law.states)
+    forces = []
+    for _ in range(200):
+        y = np.array([x[0], 1.0, x[1] / K])
+        u = float((law.C @ z + law.D @ y)[0])
+        z, x = law.A @ z + law.B @ y, plant.Phi @ x + plant.Gamma * u
+        forces.append(x[0])
+    first = int(np.flatnonzero(np.array(forces) > 0.63)[0]) + 1
+    assert rise_time(law, model) == pytest.approx(first * H)
+    random, inputs = np.random.default_rng(2), []
+    x, z = np.zeros_like(x), np.zeros_like(z)
+    for _ in range(200_000):
+        y = np.array([x[0] + 0.1 * random.standard_normal(), 0.0, x[1] / K])
+        u = float((law.C @ z + law.D @ y)[0])
+        z, x = law.A @ z + law.B @ y, plant.Phi @ x + plant.Gamma * u
+        inputs.append(u)
+    assert input_rms(law, model, 0.01) == pytest.approx(np.std(inputs), rel=0.05)
+
+
+@pytest.mark.parametrize('name', LAWS)
+def test_design_for_a_range_has_its_margins_on_every_surface(name):
+    found = design_for_range(
+        name, input_delay=DELAY, softest=2000.0, stiffest=8000.0, noise_variance=2.0)
+    force = ForceConfig(**found.values)
+    config = resolve('quick').controller.model_copy(update={'force': force})
+    design = design_law(config, 'table', found.stiffness)
+    law = design if isinstance(design, LinearLaw) else steady_law(design, steady_gain(design, 2.0))
+    for stiffness in (2000.0, 4000.0, 8000.0, 15900.0):
+        model = loop_model(config, stiffness)
+        assert spectral_radius(contact_loop(law, model)) < 1.0 + 1e-9
+    late = loop_model(config.model_copy(update={'force': force.model_copy(
+        update={'input_delay': DELAY + 0.99 * H})}), 8000.0)
+    assert spectral_radius(contact_loop(law, late)) < 1.0 + 1e-9
+
+
+@pytest.mark.parametrize(('values', 'field'), [
+    ({'name': 'pid'}, 'law'), ({'softest': 0.0}, 'stiffness'), ({'stiffest': 1.0}, 'stiffness'),
+    ({'noise_variance': 0.0}, 'noise_variance'), ({'stiffest': 1e9}, 'stiffness')])
+def test_design_says_what_it_cannot_do(values, field):
+    given = {'name': 'dob', 'softest': 1000.0, 'stiffest': 5000.0, 'noise_variance': 0.6, **values}
+    with pytest.raises(ConfigError, match=f'^{field}: '):
+        design_for_range(given.pop('name'), input_delay=DELAY, **given)
+
+
+def test_matrices_of_the_wrong_shape_are_refused():
+    law = law_of('pi')
+    with pytest.raises(ShapeError, match='B'):
+        LinearLaw(law.A, law.B[:, :2], law.C, law.D, law.E, law.start_force,
+                  law.start_disturbance)
+
+
+@pytest.mark.parametrize(('force', 'field'), [
+    ({'law': 'pi', 'allocation': 'paper'}, 'force.allocation'),
+    ({'law': 'pi', 'stiffness': 'adaptive'}, 'force.stiffness'),
+    ({'active_state_order': 0, 'stiffness': 'adaptive'}, 'force.stiffness'),
+    ({'damping_rate': 0.0, 'stiffness': 'adaptive'}, 'force.damping_rate'),
+    ({'adaptive': {'lowest': 10.0, 'highest': 5.0}}, 'adaptive.highest')])
+def test_combinations_that_make_no_sense_are_refused(force, field):
+    with pytest.raises(ConfigError, match=field):
+        resolve('quick', controller={'force': force})
+
+
+def test_contacts_may_have_laws_of_their_own():
+    config = resolve('quick', controller={'contacts': {'board': {'law': 'dob'}}}).controller
+    assert isinstance(config, ControllerConfig)
+    laws = make_force_laws(config, np.array([K, K]))
+    assert [list(LAWS)[kind] for kind in laws['kind']] == ['aob', 'dob']
+    assert laws['is_linear'].tolist() == [False, True]
+
+
+def test_default_values_are_those_of_the_file():
+    from multicontact_control.paths import config_dir
+
+    force = read_parameters(config_dir() / 'controller.yaml')['force']
+    assert {name: getattr(ForceConfig(), name) for name in force} == force

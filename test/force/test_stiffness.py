@@ -1,0 +1,173 @@
+"""The stiffness found on-line: the regression, its standard error, and the model that follows."""
+
+from multicontact_control.config import ForceConfig
+from multicontact_control.force.observer import design_observer, make_observers
+from multicontact_control.force.plant_model import delayed_plant, design_force_loop
+from multicontact_control.force.stiffness import (
+    adopt_stiffness,
+    begin_fit,
+    find_stiffness,
+    follow_stiffness,
+    predictor_gains,
+    take_sample,
+    use_stiffness,
+)
+from multicontact_control.records import STIFFNESS
+import numpy as np
+import pytest
+
+H = 0.002
+
+
+def stiffness_of(k=6000.0, delay=0.006, mass=0.5, **values):
+    """Return the record of an adaptive stiffness, and its observer."""
+    config = ForceConfig(damping_rate=100.0, **values)
+    loop = design_force_loop(k, damping_rate=100.0, input_delay=delay, period=H,
+                             time_constant=0.02)
+    observer = make_observers([design_observer(loop)])[0]
+    record = np.zeros(1, dtype=STIFFNESS)[0]
+    adopt_stiffness(record, loop.plant, k, config, period=H, tool_mass=mass,
+                    ratio_limits=np.linspace(5.0, 1.0, 8).tolist())
+    return record, observer
+
+
+@pytest.mark.parametrize('delay', [0.0, 0.001, 0.002, 0.0037, 0.006, 0.0071])
+def test_feedback_without_delay_is_that_of_ackermann_with_it(delay):
+    """Of another stiffness, and with other poles; P04 eq. 36 is the reference."""
+    record, observer = stiffness_of(delay=delay, mass=0.0)
+    for k in (300.0, 20_000.0, 6000.0):
+        use_stiffness(observer, record, k, 0.0)
+        wanted = make_observers([design_observer(design_force_loop(
+            k, damping_rate=100.0, input_delay=delay, period=H, time_constant=0.02))])[0]
+        for name in ('Phi_n', 'Gamma', 'feedback'):
+            np.testing.assert_allclose(
+                observer[name], wanted[name], rtol=1e-6, atol=1e-9 * np.abs(wanted[name]).max())
+
+
+def test_poles_are_as_fast_as_tool_and_surface_allow():
+    record, observer = stiffness_of()
+    use_stiffness(observer, record, 300.0, 20.0)
+    loop = observer['Phi_n'][:5, :5] - np.outer(observer['Gamma'][:5], observer['feedback'][:5])
+    poles = np.sort(-np.log(np.sort(np.abs(np.linalg.eigvals(loop)))[-2:]) / H)
+    np.testing.assert_allclose(poles, [300.0 / 20.0, np.sqrt(0.8 * 300.0 / 0.5)], rtol=1e-4)
+
+
+def test_predictor_removes_the_delay():
+    """On random inputs: eta of the delayed plant moves as the state of one without delay."""
+    plant = delayed_plant(6000.0, 100.0, 0.0053, H)
+    gains, B = predictor_gains(plant, 6000.0)
+    random, x = np.random.default_rng(4), np.zeros(len(plant.Gamma))
+
+    def eta():
+        return x[:2] + 6000.0 * gains.T @ x[2:]
+
+    for _ in range(50):
+        before, u = eta(), random.standard_normal()
+        x = plant.Phi @ x + plant.Gamma * u
+        np.testing.assert_allclose(
+            eta(), plant.Phi[:2, :2] @ before + 6000.0 * B * u, rtol=1e-9, atol=1e-9)
+
+
+def signals(k, c, mu, mass, seed=1, count=150, noise=0.0):
+    """Return samples of a surface that is pressed and let go: z, v, w and what is measured."""
+    random = np.random.default_rng(seed)
+    t = H * np.arange(count)
+    depth = 2e-3 * (1.0 - np.cos(2.0 * np.pi * 5.0 * t)) + 3e-4 * np.sin(2.0 * np.pi * 9.0 * t)
+    speed = np.gradient(depth, H)
+    others = 10.0 * speed / np.sqrt(speed ** 2 + 0.003 ** 2)
+    alpha = k * depth + c * speed + mu * others + mass * np.gradient(speed, H)
+    return np.column_stack([depth, speed, others, alpha + noise * random.standard_normal(count)])
+
+
+@pytest.mark.parametrize(('k', 'c', 'mu'), [
+    (300.0, 30.0, 0.1), (6000.0, 0.0, 0.0), (60_000.0, 50.0, 0.3)])
+def test_fit_finds_what_the_signals_were_made_with(k, c, mu):
+    record, _ = stiffness_of()
+    fit = record['slow']
+    begin_fit(fit, 0.0)
+    for sample in signals(k, c, mu, 0.5):
+        take_sample(fit, sample, H, 0.5, True, 0.15)
+    assert fit['k'] == pytest.approx(k, rel=0.03)
+    assert fit['mu'] == pytest.approx(mu, abs=0.03)
+    assert fit['c'] == pytest.approx(c, abs=max(0.1 * c, 0.002 * k))
+    assert fit['share'] > 0.99
+
+
+def test_friction_of_the_others_is_told_from_stiffness():
+    """Left out, it would be taken for stiffness and damping of a soft surface."""
+    errors = []
+    for known in (True, False):
+        record, _ = stiffness_of()
+        begin_fit(record['slow'], 0.0)
+        for sample in signals(300.0, 30.0, 0.2, 0.5):
+            sample[2] *= known
+            take_sample(record['slow'], sample, H, 0.5, True, 0.15)
+        errors.append(abs(float(record['slow']['k']) / 300.0 - 1.0))
+    assert errors[0] < 0.03 < 0.1 < errors[1]
+
+
+def test_standard_error_is_that_of_repeated_fits():
+    found = []
+    for seed in range(60):
+        record, _ = stiffness_of()
+        begin_fit(record['slow'], 0.0)
+        for sample in signals(6000.0, 30.0, 0.1, 0.5, seed=seed, noise=0.3):
+            take_sample(record['slow'], sample, H, 0.5, True, 0.15)
+        found.append((float(record['slow']['k']), float(record['slow']['k_std'])))
+    values, errors = np.array(found).T
+    assert 0.5 < np.std(values) / np.median(errors) < 2.0
+
+
+def test_nothing_is_learnt_from_a_tool_that_only_shakes():
+    record, _ = stiffness_of()
+    for sample in signals(6000.0, 0.0, 0.0, 0.0)[:100]:
+        find_stiffness(record, min(sample[3], 0.9), 0.0, sample[1], 0.0)
+    assert not record['felt']
+    assert record['k_est'] == 0.0
+
+
+def test_samples_count_after_a_touch_or_a_step_alone():
+    """While sliding a regression in closed loop would be biased."""
+    record, _ = stiffness_of()
+    weights = []
+    for k, sample in enumerate(signals(6000.0, 0.0, 0.0, 0.5, count=600)):
+        find_stiffness(record, 5.0 + sample[3], 15.0 if k > 400 else 10.0, sample[1], 0.0)
+        weights.append(float(record['slow']['weight']))
+    assert weights[149] > 10.0
+    assert weights[160] == weights[400]
+    assert weights[420] != weights[400]
+
+
+def test_model_follows_no_faster_than_allowed_and_stays_in_its_range():
+    record, observer = stiffness_of(adaptive={'lowest': 1000.0, 'highest': 50_000.0})
+    fit, used = record['slow'], []
+    for target, ticks in ((300.0, 200), (200_000.0, 60)):
+        fit['k'], fit['share'], fit['k_std'] = target, 1.0, 0.0
+        for _ in range(ticks):
+            follow_stiffness(observer, record)
+            used.append(float(record['k']))
+    steps = np.diff(np.log(used))
+    assert steps.min() >= -H / 0.02 - 1e-12
+    assert steps.max() <= H / 0.004 + 1e-12
+    assert (min(used), max(used)) == (pytest.approx(1000.0), pytest.approx(50_000.0))
+
+
+def test_fast_fit_only_raises():
+    record, observer = stiffness_of()
+    fast = record['fast']
+    for k, least, most in ((1000.0, 6000.0, 6000.0), (8000.0, 6000.0, 6000.0),
+                           (20_000.0, 20_000.0 / 1.5, 20_000.0)):
+        fast['k'], fast['share'], fast['k_std'] = k, 0.9, 0.0
+        for _ in range(50):
+            follow_stiffness(observer, record)
+        assert least <= record['k'] <= most
+
+
+def test_force_does_not_jump_when_the_model_changes():
+    """What is known of the force stays, and its rate goes with the stiffness."""
+    record, observer = stiffness_of()
+    observer['x_est'][:2], observer['P'][0, 1], observer['P'][1, 1] = (10.0, 40.0), 2.0, 3.0
+    use_stiffness(observer, record, 12_000.0, 24.0)
+    assert observer['x_est'][:2].tolist() == [10.0, 80.0]
+    assert (observer['P'][0, 1], observer['P'][1, 1]) == (4.0, 12.0)
+    assert observer['damping_time'] == pytest.approx(24.0 / 12_000.0)
