@@ -9,8 +9,10 @@ from multicontact_control.cli.bench import bench
 from multicontact_control.cli.calibrate import calibrate
 from multicontact_control.cli.compare import compare
 from multicontact_control.cli.compile_kernels import compile_kernels
+from multicontact_control.cli.design import design
 from multicontact_control.cli.echo import echo
 from multicontact_control.cli.faults import faults
+from multicontact_control.cli.identify import identify
 from multicontact_control.cli.push_test import push_test
 from multicontact_control.cli.record import record
 from multicontact_control.cli.report import report
@@ -20,6 +22,7 @@ from multicontact_control.cli.simulate import simulate
 from multicontact_control.cli.soak import soak
 from multicontact_control.cli.sweep import sweep
 from multicontact_control.cli.topics import topics
+from multicontact_control.cli.tune import tune
 from multicontact_control.process import limit_threads
 import typer
 
@@ -44,6 +47,9 @@ app.command()(run)
 app.command()(calibrate)
 app.command()(push_test)
 app.command()(compare)
+app.command()(design)
+app.command()(tune)
+app.command()(identify)
 app.command('map')(robustness_map)
 app.command()(sweep)
 app.command()(report)

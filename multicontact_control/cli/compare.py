@@ -6,6 +6,7 @@ from typing import Annotated
 
 from multicontact_control.cli import options
 from multicontact_control.cli.exits import errors_in_one_line, resumable
+from multicontact_control.errors import ConfigError
 import typer
 
 
@@ -20,6 +21,13 @@ def compare(
         help='Number of seeds, from 0: 3, or 1 with --quick.')] = None,
     jobs: options.Jobs = 0, dask: options.Dask = '', out: options.StudyOut = None,
     dry_run: options.DryRun = False, overwrite: options.RunAgain = False,
+    laws: Annotated[bool, typer.Option(
+        '--laws', help='Race force laws instead, each with its supervisor, in everything that a '
+        'contact may meet: steps, pushes, sliding, a surface that vanishes, wrong stiffness, '
+        'delay and friction.')] = False,
+    preset: Annotated[str, typer.Option(
+        help='Presets, with commas between: paper, best, adaptive, laws/pi and the like, or '
+        'paths; with --laws all if not given, without it one, paper if not given.')] = '',
 ) -> None:
     """
     Compare the noise estimators on the paper's disturbances, with and without the active state.
@@ -35,7 +43,19 @@ def compare(
         from multicontact_control.experiment.study.presets.compare.study import ComparisonStudy
         from multicontact_control.experiment.study.study import run_study, StudyOptions
 
+        study_options = StudyOptions(out, jobs, dask, dry_run, overwrite)
+        if laws:
+            from multicontact_control.experiment.study.presets.laws.study import (
+                LawStudy,
+                PRESETS,
+            )
+
+            if estimators:
+                raise ConfigError('estimators', 'nothing with --laws', estimators)
+            run_study(LawStudy(options.split_list(plants), options.split_list(preset) or PRESETS,
+                               seeds, quick), study_options)
+            return
         run_study(
             ComparisonStudy(options.split_list(plants),
-                            options.split_list(estimators), seeds, quick),
-            StudyOptions(out, jobs, dask, dry_run, overwrite))
+                            options.split_list(estimators), seeds, quick,
+                            preset or 'paper'), study_options)

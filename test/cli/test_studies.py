@@ -2,7 +2,8 @@
 
 import pytest
 
-COMMANDS = [('compare',), ('map',), ('sweep', 'stiffness'), ('faults',)]
+COMMANDS = [('compare',), ('map',), ('sweep', 'stiffness'), ('faults',),
+            ('compare', '--laws'), ('tune', 'feedforward')]
 
 
 @pytest.mark.parametrize('command', COMMANDS)
@@ -36,9 +37,10 @@ def test_everything_wrong_with_a_study_is_said_at_once(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(('command', 'line'), list(zip(COMMANDS, [
+@pytest.mark.parametrize(('command', 'line'), list(zip(COMMANDS[:-1], [
     ' estimators: lead_window, fixed, ', ' stiffness ratios: 0.1, ',
-    ' noise_estimator.estimator: lead_window, fixed ', ' phases: rest, sliding, approach '])))
+    ' noise_estimator.estimator: lead_window, fixed ', ' phases: rest, sliding, approach ',
+    ' situations: task, vanishing, '])))
 def test_dry_run_lists_the_grid_and_leaves_nothing(multicontact, tmp_path, command, line):
     quick = () if command[0] == 'sweep' else ('--quick',)
     done = multicontact(*command, *quick, '--jobs', '1', '--dry-run', cwd=tmp_path)

@@ -32,7 +32,8 @@ def test_stamp_follows_what_decides_an_outcome_and_nothing_else(tmp_path, monkey
         before = after
 
 
-@pytest.mark.parametrize('task', ['measure', 'presets.faults.jobs', 'presets.soak.jobs'])
+@pytest.mark.parametrize('task', [
+    'measure', 'presets.faults.jobs', 'presets.laws.jobs', 'presets.soak.jobs'])
 def test_stamp_covers_all_that_a_task_imports(task):
     graph = imports_of(ROOT)
     reached, ahead = set(), [f'multicontact_control.experiment.study.{task}']

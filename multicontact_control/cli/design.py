@@ -1,0 +1,48 @@
+"""`multicontact design`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from multicontact_control.cli.exits import errors_in_one_line
+from multicontact_control.cli.options import read_pair
+import typer
+
+
+def design(
+    law: Annotated[str, typer.Argument(
+        metavar='LAW', help='aob, pi, dob, lqg, admittance, impedance or feedforward.')],
+    stiffness: Annotated[str, typer.Option(
+        help='Softest and stiffest surface [N/m], with a comma between.')] = '1000,10000',
+    input_delay: Annotated[float, typer.Option(
+        help='T_d, from commanded to acting input [s].')] = 0.006,
+    noise: Annotated[float, typer.Option(
+        help='Variance of the measured force [N^2].')] = 0.6,
+    damping_rate: Annotated[float, typer.Option(help='K_2 [1/s].')] = 100.0,
+    rate: Annotated[float, typer.Option(help='Control rate [Hz].')] = 500.0,
+    out: Annotated[Path | None, typer.Option(
+        help='Parameter file to write, for --preset.')] = None,
+) -> None:
+    """
+    Find the fastest gains of a force law that are stable on a range of surfaces.
+
+    With a gain margin of 2 and a control period of delay left on the stiffest one, on the linear
+    model of the contact (P04 eq. 32). Exit code 0; 2: bad input, or no such gains.
+    """
+    with errors_in_one_line():
+        softest, stiffest = read_pair('stiffness', stiffness)
+        if not rate > 0.0:
+            from multicontact_control.errors import ConfigError
+
+            raise ConfigError('rate', 'a positive number', rate)
+        from multicontact_control.experiment.law_report import show_design, write_design
+        from multicontact_control.force.laws.design import design_for_range
+
+        found = design_for_range(
+            law, input_delay=input_delay, softest=softest, stiffest=stiffest,
+            noise_variance=noise, damping_rate=damping_rate, period=1.0 / rate)
+        typer.echo(show_design(found))
+        if out is not None:
+            write_design(found, out)
+            typer.echo(f'written to {out}')

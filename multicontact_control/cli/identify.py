@@ -1,0 +1,41 @@
+"""`multicontact identify`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from multicontact_control.cli.exits import errors_in_one_line
+import typer
+
+
+def identify(
+    run: Annotated[Path, typer.Argument(
+        metavar='RUN', help='Folder of `run` or `simulate`, or of a bag with --config.')],
+    config: Annotated[Path | None, typer.Option(
+        help='Parameter file of the controller, for a bag that was recorded in another way; its '
+             'URDF is looked for beside it.')] = None,
+    out: Annotated[Path | None, typer.Option(help='JSON file to write.')] = None,
+) -> None:
+    """
+    Find out from recorded force steps what the contacts are like.
+
+    For each contact stiffness and damping of the surface, friction of the others, inertia of the
+    tool, noise of the sensor, and the delay from a commanded torque to the motion, each with its
+    standard error, by the band-pass and the regression of the on-line estimate. Exit code 0; 2:
+    bad input, or no force steps.
+    """
+    with errors_in_one_line():
+        from multicontact_control.experiment.contact_identification import (
+            identify_contacts,
+            read_recording,
+            show,
+        )
+        from multicontact_control.files import write_json
+
+        data, controller, base_dir = read_recording(run, config)
+        found = identify_contacts(data, controller, base_dir)
+        typer.echo(show(found))
+        if out is not None:
+            write_json(out, found)
+            typer.echo(f'written to {out}')

@@ -1,0 +1,258 @@
+"""
+What recorded force steps say of the contacts: stiffness, damping, friction, tool, noise, delay.
+
+The signals pass the band-pass of the on-line estimate (`force.stiffness`), whose regression is
+done at once over all samples that it would accept, with the tool's inertia as one more unknown.
+The delay is that at which the acceleration of a contact point by the commanded torque fits best
+what is measured, less what felt forces and gravity do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+import math
+from pathlib import Path
+from typing import Any
+
+from multicontact_control.arrays import Mask, Matrix, Vector
+from multicontact_control.config import ControllerConfig, read_parameters, validate
+from multicontact_control.control.controller import Controller
+from multicontact_control.control.reference import CommandedReference
+from multicontact_control.errors import RunError
+from multicontact_control.experiment.bag import read_bag
+from multicontact_control.experiment.recording import RunData
+from multicontact_control.experiment.results import CONFIG_FOLDER, load_run
+from multicontact_control.force.stiffness import (
+    adopt_band,
+    begin_fit,
+    CORRELATION,
+    filter_sample,
+    friction_of_others,
+    SLOW_BAND,
+    STEP,
+)
+from multicontact_control.records import STIFFNESS_FIT
+import numpy as np
+
+FELT = 1.0  # N, from which on a contact is taken to be there
+QUIET_SPEED = 1e-3  # m/s, below which the contact point counts as being at rest
+LONGEST_DELAY = 0.02  # s
+DELAY_STEP = 1e-4  # s, in which the delay is looked for
+LEAST_SAMPLES = 50
+
+
+@dataclass(frozen=True)
+class ContactSignals:
+    """Signals of one contact, row k of sample k: shapes (m,)."""
+
+    alpha: Vector  # measured force [N]
+    alpha_des: Vector  # desired one [N]
+    speed: Vector  # of the contact point INTO the surface [m/s]
+    friction: Vector  # of the others, per mu [N]
+    commanded: Vector  # acceleration by the commanded torque [m/s^2]
+    resisted: Vector  # and by the felt forces, gravity and the arm's own motion [m/s^2]
+
+
+def read_recording(
+    folder: Path, config: Path | None,
+) -> tuple[RunData, ControllerConfig, Path]:
+    """
+    Read a run, or a bag with the parameter file of its controller.
+
+    Returns
+    -------
+    tuple
+        The series, the controller's configuration, and the folder that its URDF is relative to.
+
+    Raises
+    ------
+    ConfigError, RunError
+        If one of them cannot be read.
+
+    """
+    if config is None:
+        run = load_run(folder)
+        return run.data, run.setup.controller, folder / CONFIG_FOLDER
+    controller = validate(ControllerConfig, read_parameters(config), str(config))
+    return read_bag(folder, controller).data, controller, config.parent
+
+
+def identify_contacts(
+    data: RunData, config: ControllerConfig, base_dir: Path,
+) -> dict[str, dict[str, Any]]:
+    """
+    Find out what the contacts of a recording are like.
+
+    Parameters
+    ----------
+    data
+        The series; the true forces are not used.
+    config, base_dir
+        The controller's, and the folder that its URDF is relative to.
+
+    Returns
+    -------
+    dict
+        By contact: `stiffness_n_m`, `damping_n_s_m`, `friction` of the other surfaces,
+        `tool_mass_kg`, `noise_variance_n2` of the measured force at rest and `delay_s`, each a
+        mapping of `value` and `std`, its standard error; None where the data cannot tell.
+        `samples` is how many were used, `explained` what share of their variance.
+
+    Raises
+    ------
+    RunError
+        If no contact has a step of its command.
+
+    """
+    signals = contact_signals(data, config, base_dir)
+    found = {name: _identify(signal, config) for name, signal in signals.items()}
+    if all(contact['stiffness_n_m'] is None for contact in found.values()):
+        raise RunError('identify: expected force steps on contacts that are felt, found none')
+    return found
+
+
+def contact_signals(
+    data: RunData, config: ControllerConfig, base_dir: Path,
+) -> dict[str, ContactSignals]:
+    """Return the signals of every contact, from joints, wrench and torque alone."""
+    names = config.contact_names
+    controller = Controller.from_config(config, CommandedReference(names), base_dir)
+    controls, contacts = controller.controls, controller.contacts
+    shape = (data.ticks, len(names))
+    alpha, speed, friction, commanded, resisted = (np.full(shape, np.nan) for _ in range(5))
+    for k in range(data.ticks):
+        row = np.concatenate([data.q[k], data.qd[k], data.wrench[k], data.torque[k]])
+        if not np.isfinite(row).all():
+            continue
+        controller.see(data.q[k], data.qd[k], data.wrench[k])
+        alpha[k] = contacts['alpha_meas']
+        speed[k] = contacts['N'] @ controls['frame']['twist'][0]
+        friction[k] = [friction_of_others(controls[0]['frame'], contacts, i)
+                       for i in range(len(names))]
+        commanded[k], resisted[k] = _accelerations(controller, data.torque[k])
+    return {name: ContactSignals(alpha[:, i], np.nan_to_num(data.alpha_des[:, i]), speed[:, i],
+                                 friction[:, i], commanded[:, i], resisted[:, i])
+            for i, name in enumerate(names)}
+
+
+def _accelerations(controller: Controller, torque: Vector) -> tuple[Vector, Vector]:
+    """Return how a torque, and all else, accelerates the contact points, each of shape (r,)."""
+    terms, contacts = controller.robot.terms, controller.contacts
+    M = np.triu(terms.mass_matrix)
+    M += np.triu(M, 1).T
+    felt = terms.jacobian.T @ (contacts['N'].T @ contacts['alpha_meas'])
+    both = np.linalg.solve(M, np.column_stack([torque, controller.arm.bias_torque + felt]))
+    commanded, resisted = (contacts['N'] @ terms.jacobian @ both).T
+    return commanded, resisted
+
+
+def _identify(signal: ContactSignals, config: ControllerConfig) -> dict[str, Any]:
+    h = config.period
+    filtered, accepted = _band_passed(signal, config)
+    z, v, w, y, a = filtered.T
+    unknown = [z, v, a] + ([w] if np.abs(w[accepted]).max(initial=0.0) > STEP else [])
+    names = ['stiffness_n_m', 'damping_n_s_m', 'tool_mass_kg', 'friction']
+    found: dict[str, Any] = dict.fromkeys(names)
+    found |= {'samples': int(accepted.sum()), 'explained': None,
+              'noise_variance_n2': _noise(signal), 'delay_s': _delay(signal, accepted, h)}
+    if accepted.sum() < LEAST_SAMPLES:
+        return found
+    columns = np.column_stack(unknown)[accepted]
+    scale = np.linalg.norm(columns, axis=0)
+    values, _, rank, _ = np.linalg.lstsq(columns / scale, y[accepted], rcond=1e-6)
+    if rank < len(unknown):
+        return found
+    left = y[accepted] - columns @ (values / scale)
+    variance = CORRELATION * float(left @ left) / max(len(left) - len(unknown), 1)
+    spread = np.sqrt(variance * np.diag(np.linalg.inv((columns / scale).T @ (columns / scale))))
+    for name, value, error in zip(names, values / scale, spread / scale):
+        found[name] = {'value': float(value), 'std': float(error)}
+    found['explained'] = 1.0 - float(left @ left) / float(y[accepted] @ y[accepted])
+    return found
+
+
+def _band_passed(signal: ContactSignals, config: ControllerConfig) -> tuple[Matrix, Mask]:
+    """Return z, v, w, alpha and a behind the band-pass, and which samples count."""
+    h, adaptive = config.period, config.force.adaptive
+    fit = np.zeros(1, dtype=STIFFNESS_FIT)[0]
+    adopt_band(fit, SLOW_BAND, h, adaptive.memory)
+    filtered = np.zeros((len(signal.alpha), 5))
+    accepted = np.zeros(len(signal.alpha), dtype=bool)
+    depth, felt, since, out = 0.0, False, math.inf, np.empty(4)
+    for k, (alpha, speed) in enumerate(zip(signal.alpha.tolist(), signal.speed.tolist())):
+        since += h
+        if k and abs(signal.alpha_des[k] - signal.alpha_des[k - 1]) > STEP:
+            since = 0.0
+        if not (alpha > (0.5 * FELT if felt else FELT)):  # nor if it is not known
+            felt = False
+            continue
+        if not felt:
+            begin_fit(fit, alpha)
+            depth, felt, since = 0.0, True, 0.0
+        else:
+            depth += 0.5 * h * (speed + signal.speed[k - 1])
+        before = filtered[k - 1, 1]
+        filter_sample(fit, np.array([depth, speed, signal.friction[k], alpha]), out)
+        filtered[k, :4] = out
+        filtered[k, 4] = (out[1] - before) / h
+        accepted[k] = since <= adaptive.window and abs(out[3]) >= adaptive.smallest_signal
+    return filtered, accepted
+
+
+def _noise(signal: ContactSignals) -> dict[str, float] | None:
+    """Return the variance of the force at rest, from its changes: noise that is white."""
+    quiet = (np.abs(signal.speed) < QUIET_SPEED) & (signal.alpha_des > 0.0)
+    both = quiet[1:] & quiet[:-1] & (np.diff(signal.alpha_des) == 0.0)
+    changes = np.diff(signal.alpha)[both]
+    if len(changes) < LEAST_SAMPLES:
+        return None
+    # Of differences 1.4826 MAD is their standard deviation, whatever a step has left in them.
+    variance = 0.5 * (1.4826 * float(np.median(np.abs(changes - np.median(changes))))) ** 2
+    return {'value': variance, 'std': variance * math.sqrt(3.5 / len(changes))}
+
+
+def _delay(signal: ContactSignals, accepted: Mask, h: float) -> dict[str, float] | None:
+    """Return after what time a commanded acceleration is best seen in the speed."""
+    times = np.flatnonzero(accepted[1:-1]) + 1
+    if len(times) < LEAST_SAMPLES:
+        return None
+    measured = (signal.speed[times + 1] - signal.speed[times]) / h + signal.resisted[times]
+    times, measured = times[np.isfinite(measured)], measured[np.isfinite(measured)]
+    grid = np.arange(len(signal.commanded)) * h
+    known = np.isfinite(signal.commanded)
+    delays = np.arange(0.0, LONGEST_DELAY, DELAY_STEP)
+    losses = []
+    for delay in delays:
+        shifted = np.interp(times * h - delay, grid[known], signal.commanded[known])
+        columns = np.column_stack([shifted, np.ones_like(shifted)])
+        values, *_ = np.linalg.lstsq(columns, measured, rcond=None)
+        left = measured - columns @ values
+        losses.append(float(left @ left))
+    best = int(np.argmin(losses))
+    if not 0 < best < len(delays) - 1:
+        return None
+    curvature = np.polyfit(delays[max(best - 5, 0):best + 6] - delays[best],
+                           losses[max(best - 5, 0):best + 6], 2)[0]
+    variance = CORRELATION * losses[best] / len(times)
+    return {'value': float(delays[best]),
+            'std': math.sqrt(variance / curvature) if curvature > 0.0 else math.inf}
+
+
+def show(found: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return what was identified as lines of text."""
+    texts = {'stiffness_n_m': ('stiffness', 'N/m', 1.0, 0), 'damping_n_s_m': (
+        'damping', 'N s/m', 1.0, 1), 'friction': ('friction of the others', '', 1.0, 3),
+        'tool_mass_kg': ('tool', 'kg', 1.0, 3), 'noise_variance_n2': (
+            'noise variance at rest', 'N^2', 1.0, 5), 'delay_s': ('delay', 'ms', 1e3, 2)}
+    lines = []
+    for name, contact in found.items():
+        share = '' if contact['explained'] is None else (
+            f', {100.0 * contact["explained"]:.1f} % explained')
+        lines.append(f'{name}: {contact["samples"]} samples{share}')
+        for key, (text, unit, scale, digits) in texts.items():
+            value = contact[key]
+            lines.append(f'  {text}: not known from this recording' if value is None else (
+                f'  {text}: {scale * value["value"]:.{digits}f} +- '
+                f'{scale * value["std"]:.{digits}f} {unit}').rstrip())
+    return '\n'.join(lines)

@@ -1,0 +1,61 @@
+"""Tuning: what is tried, what counts as best, and what is written."""
+
+from dataclasses import replace
+
+from multicontact_control.config import read_yaml
+from multicontact_control.errors import ConfigError
+from multicontact_control.experiment.scenario import resolve
+from multicontact_control.experiment.study.presets.laws.jobs import LawJob
+from multicontact_control.experiment.study.presets.tune import study as tuning
+from multicontact_control.experiment.study.presets.tune.study import (
+    cost,
+    read_ranges,
+    SCALES,
+    TuneStudy,
+)
+from multicontact_control.experiment.study.study import run_study, StudyOptions
+from multicontact_control.force.laws import LAWS
+from multicontact_control.paths import config_dir
+import pytest
+
+
+def test_every_law_has_its_ranges_and_all_of_them_are_acceptable():
+    assert set(read_yaml(config_dir() / 'tuning.yaml')) == set(LAWS)
+    for law in LAWS:
+        jobs = TuneStudy(law).jobs()
+        assert len(jobs) == len(set(jobs)) > 1
+        assert {job.seed for job in jobs} == {0}
+        for name in read_ranges(law):  # the ends of each range
+            values = sorted({dict(job.settings)[name] for job in jobs}, key=str)
+            for value in (values[0], values[-1]):
+                next(job for job in jobs if dict(job.settings)[name] == value).setup()
+
+
+def test_unknown_law_is_named():
+    with pytest.raises(ConfigError, match="law: expected one of aob, .*'pid'"):
+        TuneStudy('pid').check()
+
+
+def test_cost_adds_figures_and_refuses_what_is_not_stable():
+    row = {'stable': 1, 'runs': 1, **SCALES}
+    assert cost(row) == pytest.approx(len(SCALES))
+    assert cost(row | {'stable': 0}) == float('inf')
+    assert cost(row | {'rise_s': None}) == float('inf')
+
+
+@pytest.mark.slow
+def test_best_combination_is_written_and_judged_on_other_seeds(tmp_path, monkeypatch):
+    monkeypatch.setattr(tuning, 'read_ranges', lambda law: {
+        'controller.force.damping_rate': [40.0, 100.0]})
+    monkeypatch.setattr(tuning, 'JUDGED_ON', (1,))
+    content = run_study(TuneStudy('dob', ('rigid',)), StudyOptions(tmp_path, 1))
+    costs = [row['cost'] for row in content if row['cost'] is not None]
+    assert costs == sorted(costs)
+    best = content[0]
+    assert best['judged'][0]['stable'] == 1
+    setup = resolve('quick', preset=str(tmp_path / 'dob.yaml'))
+    assert setup.controller.force.law == 'dob'
+    assert setup.controller.force.damping_rate == best['settings'][
+        'controller.force.damping_rate']
+    job = LawJob('laws/dob', 'rigid', 0, 'task')
+    assert replace(job, seed=1).setup().seed == 1

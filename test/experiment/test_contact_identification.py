@@ -1,0 +1,78 @@
+"""What recorded force steps say of contacts, against the plant that they were recorded on."""
+
+from dataclasses import replace
+
+from multicontact_control.errors import RunError
+from multicontact_control.experiment.closed_loop import run_in_process
+from multicontact_control.experiment.contact_identification import identify_contacts, show
+from multicontact_control.experiment.scenario import resolve
+import numpy as np
+import pytest
+
+NOISE = 0.1  # N, per axis
+
+
+@pytest.fixture(scope='module')
+def recorded():
+    setup = resolve('quick', plant='rigid', seed=3, duration=6.0, plant_overrides={
+        'surfaces': {'table': {'stiffness': 4000.0, 'damping': 20.0},
+                     'board': {'stiffness': 9000.0, 'damping': 50.0}},
+        'sensor': {'force_noise_std': NOISE, 'torque_noise_std': 0.0, 'quantise': False}})
+    data = run_in_process(setup, supervised=True).data
+    return setup, data, identify_contacts(data, setup.controller, setup.urdf_dir)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(('contact', 'stiffness', 'damping'), [
+    ('table', 4000.0, 20.0), ('board', 9000.0, 50.0)])
+def test_surface_is_found_within_its_errors(recorded, contact, stiffness, damping):
+    found = recorded[2][contact]
+    assert found['explained'] > 0.95
+    for name, true in (('stiffness_n_m', stiffness), ('damping_n_s_m', damping),
+                       ('tool_mass_kg', 0.491)):
+        assert abs(found[name]['value'] - true) < 4.0 * found[name]['std'], name
+    assert found['stiffness_n_m']['std'] < 0.05 * stiffness
+
+
+@pytest.mark.slow
+def test_more_delay_of_the_actuator_is_found(recorded):
+    """Three periods more."""
+    setup, _, found = recorded
+    late = resolve('quick', plant='rigid', seed=3, duration=6.0, plant_overrides={
+        **setup.plant.model_dump(), 'actuator_delay_ticks': 4})
+    data = run_in_process(late, supervised=True).data
+    later = identify_contacts(data, late.controller, late.urdf_dir)
+    for name in found:
+        change = later[name]['delay_s']['value'] - found[name]['delay_s']['value']
+        assert change == pytest.approx(0.006, abs=0.002)
+
+
+@pytest.mark.slow
+def test_noise_is_that_of_the_sensor_in_the_direction_of_the_contact(recorded):
+    """A force alone has the noise of its axis; lever arms add to it."""
+    for contact in recorded[2].values():
+        assert NOISE ** 2 < 1.2 * contact['noise_variance_n2']['value'] < 4.0 * NOISE ** 2
+
+
+@pytest.mark.slow
+def test_recording_without_steps_is_refused(recorded):
+    setup, data, _ = recorded
+    with pytest.raises(RunError, match='expected force steps'):
+        identify_contacts(data.truncated(300), setup.controller, setup.urdf_dir)
+
+
+@pytest.mark.slow
+def test_gaps_of_a_recording_are_left_out(recorded):
+    setup, data, whole = recorded
+    q = data.q.copy()
+    q[::50] = np.nan
+    found = identify_contacts(replace(data, q=q), setup.controller, setup.urdf_dir)
+    assert found['table']['samples'] < whole['table']['samples']
+
+
+@pytest.mark.slow
+def test_what_is_not_known_is_said(recorded):
+    found = {'table': {**recorded[2]['table'], 'delay_s': None}}
+    text = show(found)
+    assert 'delay: not known' in text
+    assert '+-' in text
