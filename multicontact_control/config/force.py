@@ -77,7 +77,7 @@ class AdaptiveStiffnessConfig(Config):
         0.3, 'Time after a touch or a step of the command in which samples are accepted.',
         unit='s', gt=0.0)
     smallest_signal: Real = parameter(
-        0.15, 'Band-passed force from which on a sample is accepted.', unit='N', ge=0.0)
+        0.15, 'Band-passed force from which on a sample is accepted.', unit='N', gt=0.0)
     fall_time: Real = parameter(
         0.02, 'Shortest time in which the stiffness of the model falls to 1 / e.', unit='s',
         gt=0.0)

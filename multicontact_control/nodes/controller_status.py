@@ -75,6 +75,8 @@ def contact_status(loop: ControlLoop) -> Status:
         values[f'{name} estimated_n'] = float(output.alpha_est[i])
         values[f'{name} desired_n'] = float(output.alpha_des[i])
         values[f'{name} noise_variance_n2'] = float(loop.variance[i])
+        if loop.config.force.stiffness == 'adaptive':
+            values |= _stiffness(name, output.contacts[i])
         if status is None:
             continue
         energy, limit = float(status.energy[i]), float(status.energy_limit[i])
@@ -84,6 +86,16 @@ def contact_status(loop: ControlLoop) -> Status:
         if energy > limit:
             trouble.append(f'{name} has taken up {energy:.3g} J, more than {limit:g} J')
     return Status('contacts', values, warning='; '.join(trouble))
+
+
+def _stiffness(name: str, contact: Any) -> dict[str, Any]:
+    """Return what is known of the stiffness of a contact, in words, and of its stability."""
+    used, found, error = (float(contact[key]) for key in (
+        'stiffness', 'stiffness_est', 'stiffness_std'))
+    known = f'{found:.0f} +- {error:.0f} N/m' if found > 0.0 else 'not known'
+    stable = (f'true/model at most {contact["ratio_bound"]:.2f}, margin {contact["margin"]:.1f}'
+              if found > 0.0 else 'not known')
+    return {f'{name} stiffness': f'{known}, model {used:.0f} N/m', f'{name} stability': stable}
 
 
 def sensor_status(loop: ControlLoop) -> Status:

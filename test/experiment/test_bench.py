@@ -48,6 +48,8 @@ def test_bench_says_what_it_promises(result):
     assert result['ratios']['law_to_tsid'] is result['tsid'] is None
     missing = "tsid: not found, 'no/python': No such file or directory; python3 -m venv"
     assert any(note.startswith(missing) for note in result['notes'])
+    assert {'paper', 'best', 'adaptive', 'laws/dob'} < set(result['laws'])
+    assert all(law['ratio'] > 0.5 for law in result['laws'].values())
     for name in ('tick', 'supervised_tick'):
         assert sum(result[name]['shares'].values()) == pytest.approx(1.0, abs=0.3)
     assert set(result['cold_start']) == {'import_s', 'construct_s', 'process_s'}

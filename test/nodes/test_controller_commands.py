@@ -80,7 +80,9 @@ def test_gains_change_live_and_without_a_bump(graph):
     wait_for_forces(arm, table=3.0, board=0.0)
     for name, value in (('force.time_constant', 0.05), ('motion.natural_frequency', 10.0),
                         ('force.damping_rate', 30.0), ('force.time_constant', 0.02),
-                        ('motion.natural_frequency', 30.0), ('force.damping_rate', 20.0)):
+                        ('motion.natural_frequency', 30.0), ('force.damping_rate', 100.0),
+                        ('force.law', 'dob'), ('force.fed_forward', 'estimate'),
+                        ('force.law', 'aob'), ('force.fed_forward', 'mixed')):
         before = arm.step()
         assert set_parameter(driver, NAME, name, value).successful
         assert get_parameter(driver, NAME, name) == value

@@ -11,7 +11,7 @@ from multicontact_control.experiment.bench.plant import (
     bench_plant,
 )
 from multicontact_control.experiment.bench.scaling import bench_scaling
-from multicontact_control.experiment.bench.tick import bench_tick
+from multicontact_control.experiment.bench.tick import bench_laws, bench_tick
 from multicontact_control.experiment.bench.timing import (
     Bystanders,
     describe_machine,
@@ -46,6 +46,7 @@ def run_bench(
     cold = bench_cold_start()
     tick = bench_tick(count, repeats, supervised=False)
     supervised_tick = bench_tick(count, repeats, supervised=True)
+    laws = bench_laws(count)
     plant = bench_plant(min(count, 5_000))
     duration = 4.0 if quick else None
     in_process = bench_in_process(duration, repeats, supervised=False)
@@ -70,7 +71,8 @@ def run_bench(
         'tick_us': tick['tick_us'], 'supervised_tick_us': supervised_tick['tick_us'],
         'machine': {**machine, 'others_share': others, 'trustworthy': not any(
             note.startswith(TOO_NOISY) for note in notes)},
-        'notes': notes, 'tick': tick, 'supervised_tick': supervised_tick, 'plant': plant,
+        'notes': notes, 'tick': tick, 'supervised_tick': supervised_tick, 'laws': laws,
+        'plant': plant,
         'in_process': in_process, 'supervised_in_process': supervised_run,
         'scaling': scaling, 'cold_start': cold, 'graph': over_ros, 'tsid': tsid}
 
@@ -126,6 +128,8 @@ def print_bench(result: dict[str, Any], console: Console) -> None:
     for name, times in result['scaling'].items():
         console.print(f'{name.removesuffix("_us")}: ' + ', '.join(
             f'{count}: {_us(time)}' for count, time in times.items()))
+    console.print('law alone, over pinocchio: ' + ', '.join(
+        f'{name} {law["ratio"]:.2f}' for name, law in result['laws'].items()))
     for note in result['notes']:
         console.print(note, style='yellow', highlight=False)
     if doubt:

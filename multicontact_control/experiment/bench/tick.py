@@ -20,6 +20,7 @@ from multicontact_control.experiment.bench.timing import (
 )
 from multicontact_control.experiment.closed_loop import estimate_variance, run_in_process
 from multicontact_control.experiment.scenario import resolve, Setup
+from multicontact_control.experiment.study.presets.laws.study import PRESETS as LAW_PRESETS
 from multicontact_control.force.noise import make_noise_estimator, NoiseEstimator
 from multicontact_control.sampling import PairedSample
 from multicontact_control.sensor.front_end import SensorFrontEnd
@@ -29,6 +30,7 @@ from multicontact_control.supervision.supervised_law import SupervisedLaw
 from multicontact_control.supervision.validation import Watchdog
 import numpy as np
 
+LAW_DURATION = 4.0  # s of the scenario, with both contacts held from 1 s on
 # What a tick consists of, in its order: where it is, its name, the stage it counts for.
 BARE = (
     (SensorFrontEnd, 'update', 'sensor'), (RobotModel, 'compute', 'dynamics'),
@@ -92,6 +94,20 @@ class Replay:
     def _floor(self, place: int) -> None:
         sample = self.samples[place]
         self._robot.bare_dynamics(sample.q, sample.qd)
+
+
+def bench_laws(ticks: int) -> dict[str, Any]:
+    """Return for every preset the control law's tick [us], bare, and its ratio to the floor."""
+    found = {}
+    for preset in LAW_PRESETS:
+        replay = Replay(resolve('quick', plant='rigid', duration=LAW_DURATION, preset=preset),
+                        supervised=False)
+        replay.time_law()
+        laps = max(1, round(ticks / len(replay.samples)))
+        times = [replay.time_law() for _ in range(laps)]
+        law, floor = (float(np.median(np.concatenate(each))) for each in zip(*times))
+        found[preset] = {'law_us': round(law, 2), 'ratio': law / floor}
+    return found
 
 
 def bench_tick(ticks: int, repeats: int, *, supervised: bool) -> dict[str, Any]:
