@@ -45,15 +45,13 @@ def compare(
 
         study_options = StudyOptions(out, jobs, dask, dry_run, overwrite)
         if laws:
-            from multicontact_control.experiment.study.presets.laws.study import (
-                LawStudy,
-                PRESETS,
-            )
+            from multicontact_control.experiment.scenario import law_presets
+            from multicontact_control.experiment.study.presets.laws.study import LawStudy
 
             if estimators:
                 raise ConfigError('estimators', 'nothing with --laws', estimators)
-            run_study(LawStudy(options.split_list(plants), options.split_list(preset) or PRESETS,
-                               seeds, quick), study_options)
+            presets = options.split_list(preset) or law_presets()
+            run_study(LawStudy(options.split_list(plants), presets, seeds, quick), study_options)
             return
         run_study(
             ComparisonStudy(options.split_list(plants),

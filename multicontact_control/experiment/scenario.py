@@ -126,6 +126,12 @@ def plant_path(name: str) -> Path:
     raise ConfigError('plant', f'one of {", ".join(PLANTS)}, or a path', f"'{name}'")
 
 
+def law_presets() -> tuple[str, ...]:
+    """Return the names of all presets, those of other laws than the observer last."""
+    others = sorted((config_dir() / 'presets' / 'laws').glob('*.yaml'))
+    return (*PRESETS, *(f'laws/{path.stem}' for path in others))
+
+
 def preset_values(name: str) -> dict[str, dict[str, Any]]:
     """Return what a preset of config/presets, or a file, says of controller and estimator."""
     found = read_node_parameters(named_file('preset', 'presets', name), PRESET_NODES)

@@ -19,8 +19,7 @@ from multicontact_control.experiment.bench.timing import (
     stopwatch,
 )
 from multicontact_control.experiment.closed_loop import estimate_variance, run_in_process
-from multicontact_control.experiment.scenario import resolve, Setup
-from multicontact_control.experiment.study.presets.laws.study import PRESETS as LAW_PRESETS
+from multicontact_control.experiment.scenario import law_presets, resolve, Setup
 from multicontact_control.force.noise import make_noise_estimator, NoiseEstimator
 from multicontact_control.sampling import PairedSample
 from multicontact_control.sensor.front_end import SensorFrontEnd
@@ -99,7 +98,7 @@ class Replay:
 def bench_laws(ticks: int) -> dict[str, Any]:
     """Return for every preset the control law's tick [us], bare, and its ratio to the floor."""
     found = {}
-    for preset in LAW_PRESETS:
+    for preset in law_presets():
         replay = Replay(resolve('quick', plant='rigid', duration=LAW_DURATION, preset=preset),
                         supervised=False)
         replay.time_law()

@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from multicontact_control.errors import check_all, ConfigError
-from multicontact_control.experiment.scenario import plant_path, PLANTS, preset_values, resolve
+from multicontact_control.experiment.scenario import (
+    law_presets,
+    plant_path,
+    PLANTS,
+    preset_values,
+    resolve,
+)
 from multicontact_control.experiment.study.execute import JobRun
 from multicontact_control.experiment.study.page import Page, Section
 from multicontact_control.experiment.study.presets.laws.jobs import (
@@ -28,9 +34,6 @@ from multicontact_control.experiment.study.presets.laws.results import (
 )
 from multicontact_control.experiment.study.study import Study
 
-PRESETS = (
-    'paper', 'best', 'adaptive', 'laws/pi', 'laws/dob', 'laws/lqg', 'laws/admittance',
-    'laws/impedance', 'laws/feedforward')
 FIRST_SEED = 1  # laws are tuned on seed 0
 SEEDS, QUICK_SEEDS = 3, 1
 VALUES = {STIFFNESS: (0.05, 0.1, 0.2, 0.5, 2.0, 5.0, 10.0, 20.0), DELAY: (0.0, 2.0, 3.0),
@@ -61,7 +64,7 @@ class LawStudy(Study[LawJob, list[Mapping[str, Any]]]):
     """
 
     plants: tuple[str, ...] = PLANTS
-    presets: tuple[str, ...] = PRESETS
+    presets: tuple[str, ...] = field(default_factory=law_presets)
     seeds: int | None = None
     quick: bool = False
 
