@@ -41,11 +41,11 @@ def test_situations_change_the_plant_and_nothing_else():
 
 def test_settings_are_laid_over_the_preset():
     job = LawJob('laws/dob', 'puma', 0, TASK, settings=(
-        ('controller.force.dob.bandwidth', 12.0), ('noise_estimator.slew_time', 0.0)))
+        ('controller.force.dob.bandwidth', 33.0), ('noise_estimator.slew_time', 0.02)))
     setup = job.setup()
     assert setup.controller.force.law == 'dob'
-    assert setup.controller.force.dob.bandwidth == 12.0
-    assert setup.noise_estimator.slew_time == 0.0
+    assert setup.controller.force.dob.bandwidth == 33.0
+    assert setup.noise_estimator.slew_time == 0.02
     assert job.key() != LawJob('laws/dob', 'puma', 0, TASK).key()
 
 
