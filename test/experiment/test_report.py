@@ -83,11 +83,11 @@ def test_compare_command_writes_table_and_page_and_resumes(tmp_path):
                  '--jobs', '1', '--out', str(tmp_path)]
     first = CliRunner().invoke(app, arguments)
     assert first.exit_code == 0, first.output
-    assert '5 runs, 0 of them finished before' in first.output
+    assert '9 runs, 0 of them finished before' in first.output
     assert 'will take about' in first.output.replace('\n', ' ')
     content = (tmp_path / 'comparison.json').read_bytes()
     again = CliRunner().invoke(app, arguments)
-    assert '5 runs, 5 of them finished before' in again.output
+    assert '9 runs, 9 of them finished before' in again.output
     assert (tmp_path / 'comparison.json').read_bytes() == content
     rows = json.loads(content)['rows']
     assert rows[0]['stable'] and rows[0]['label'] == 'fixed'

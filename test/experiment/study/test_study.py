@@ -22,7 +22,7 @@ def shown_of(study, options):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(('study', 'jobs', 'words'), [
-    (ComparisonStudy(('rigid',), ('fixed',), 2), 12, [
+    (ComparisonStudy(('rigid',), ('fixed',), 2), 20, [
         'compare: 1 plant, 1 estimator, 2 observers, 2 seeds, 3 values of K_2',
         '  estimators: fixed\n', '  seeds: 0, 1\n', 'lead_window, true stiffness x 5',
         'will take about']),

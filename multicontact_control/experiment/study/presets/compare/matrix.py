@@ -145,13 +145,18 @@ def comparison_matrix(
 
 def beside_the_matrix(
     plants: Sequence[str] = PLANTS, seeds: int = 3, *, quick: bool = False,
-    preset: str = PRESET,
+    preset: str = PRESET, damping_rates: Sequence[float] = (),
 ) -> list[Entry]:
-    """Return the runs that look for causes; with flexible drives, and with a wrong stiffness."""
+    """
+    Return the runs that look for causes, with flexible drives, and those with a wrong stiffness.
+
+    The latter with all `damping_rates`, too [1/s].
+    """
     entries = []
     for plant in plants:
         config = _plant(plant)
-        entries += _entries(plant, _stiffness_variants(config, quick), 1, preset=preset)
+        entries += _entries(plant, _stiffness_variants(config, quick, damping_rates), 1,
+                            preset=preset)
         if config.drives == 'flexible':
             entries += _entries(plant, _cause_variants(config, quick), seeds, preset=preset)
     return entries
@@ -168,10 +173,15 @@ def _entries(
         for label, kind, estimator, controller, overrides in variants for seed in range(seeds)]
 
 
-def _stiffness_variants(config: PlantConfig, quick: bool) -> list[Variant]:
+def _stiffness_variants(
+    config: PlantConfig, quick: bool, damping_rates: Sequence[float],
+) -> list[Variant]:
+    controllers: list[dict[str, Any]] = [{}, *(
+        {'force': {'damping_rate': rate}} for rate in damping_rates)]
     return [(f'lead_window, true stiffness x {ratio:g}', STIFFNESS, {'estimator': 'lead_window'},
-             {}, {'surfaces': {name: {'stiffness': ratio * surface.stiffness}
-                               for name, surface in config.surfaces.items()}})
+             controller, {'surfaces': {name: {'stiffness': ratio * surface.stiffness}
+                                       for name, surface in config.surfaces.items()}})
+            for controller in controllers
             for ratio in ((0.5, 2.0) if quick else (0.2, 0.5, 2.0, 5.0))]
 
 

@@ -113,7 +113,7 @@ def comparison_listing(rows: Sequence[dict[str, Any]], plant: str) -> Listing:
     for row in sorted(rows, key=lambda row: KINDS.index(row['kind'])):
         if row['plant'] == plant:
             kind, rate = row['kind'], row['damping_rate']
-            groups.setdefault((kind if rate == usual or kind != AOB else
+            groups.setdefault((kind if rate == usual or kind == CAUSE else
                                f'{kind}, K_2 = {rate:g} 1/s', row['label']), []).append(row)
     lines: list[Line] = []
     for (kind, label), group in groups.items():
@@ -181,7 +181,7 @@ def findings(rows: Sequence[dict[str, Any]]) -> list[str]:
                             next(iter(each.verdicts.values())).claim for each in open_ones)
                            if open_ones else 'no claim changes its verdict') + '.')
     usual = first_damping(rows)
-    rows = [row for row in rows if row['damping_rate'] == usual or row['kind'] != AOB]
+    rows = [row for row in rows if row['damping_rate'] == usual or row['kind'] == CAUSE]
     for plant, drives in {row['plant']: row['evidence']['drives'] for row in rows}.items():
         here = [row for row in rows if row['plant'] == plant]
         said += _fixed(here, plant, drives) + _causes(here) + _plain(here, plant)

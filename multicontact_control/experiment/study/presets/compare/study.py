@@ -98,7 +98,8 @@ class ComparisonStudy(Study[RunJob, dict[str, Any]]):
 
     def _beside(self) -> list[matrix.Entry]:
         return matrix.beside_the_matrix(
-            self.plants, self.seed_count, quick=self.quick, preset=self.preset)
+            self.plants, self.seed_count, quick=self.quick, preset=self.preset,
+            damping_rates=self.damping_rates[1:])
 
     def jobs(self) -> list[RunJob]:
         """Return the runs."""
