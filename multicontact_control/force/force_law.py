@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any, get_args
 
 from multicontact_control.algebra import dot
 from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.compiled import compiled
-from multicontact_control.config import ControllerConfig, FedForward
+from multicontact_control.config import ControllerConfig, FedForward, ForceConfig
 from multicontact_control.force.laws import design_aob, LAWS, LinearLaw, LoopModel, steady_law
 from multicontact_control.force.linear_law import start_linear, step_linear
 from multicontact_control.force.linear_loop import (
@@ -37,7 +38,7 @@ from multicontact_control.records import FORCE_LAW, Records
 import numpy as np
 
 ESTIMATE, DESIRED, MIXED, MEASURED = range(4)  # as in `FedForward`
-RATIOS = tuple(np.geomspace(1.0, 100.0, 41).tolist())  # where the loop's limit is looked for
+RATIOS = tuple(np.geomspace(1.0, 100.0, 9).tolist())  # where the loop's limit is looked for
 
 
 def loop_model(config: ControllerConfig, stiffness: float) -> LoopModel:
@@ -93,15 +94,24 @@ def make_force_laws(config: ControllerConfig, stiffnesses: Vector) -> Records:
 
 def largest_ratio(config: ControllerConfig, stiffness: float) -> float:
     """Return how many times as stiff as its model [N/m] a surface may be, at the R to start."""
-    design = design_aob(loop_model(config, stiffness), config.force)
-    law = steady_law(design, steady_gain(design, config.initial_noise_variance))
+    return _largest_ratio(config.force, config.loop_delay, config.period,
+                          config.initial_noise_variance, stiffness)
+
+
+@lru_cache(maxsize=64)  # the first sample and a live change are not to wait for it once more
+def _largest_ratio(
+    force: ForceConfig, delay: float, period: float, noise_variance: float, stiffness: float,
+) -> float:
+    rate = force.damping_rate
+    model = LoopModel(
+        delayed_plant(stiffness, rate, delay, period), stiffness, rate, delay, period)
+    design = design_aob(model, force)
+    law = steady_law(design, steady_gain(design, noise_variance))
     none = np.zeros((1, 1))
 
     def stable(ratio: float) -> bool:
-        plant = LinearArmPlant(
-            none, np.array([ratio * stiffness]), np.zeros(1), none, config.loop_delay)
-        loop = closed_loop(plant, law, config.force.damping_rate, config.period)
-        return spectral_radius(loop) < 1.0
+        plant = LinearArmPlant(none, np.array([ratio * stiffness]), np.zeros(1), none, delay)
+        return spectral_radius(closed_loop(plant, law, rate, period)) < 1.0
 
     return min(last_stable(stable, RATIOS, 1e-2)[0], RATIOS[-1])
 

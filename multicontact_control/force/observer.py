@@ -349,12 +349,36 @@ def continue_at(observers: Records, held: Mask, force: Vector) -> None:
 
 
 @compiled
+def observe(observer: Any, contact: Any, measured: bool) -> None:
+    """
+    Predict, and correct by the measured force: one sample of an observer that runs.
+
+    Parameters
+    ----------
+    observer, contact
+        Records of `OBSERVER` and `CONTACT`, both changed.
+    measured
+        Whether the measured force is of this sample; if not, the prediction stands, which is to
+        correct with an infinite R.
+
+    """
+    predict(observer)
+    if not measured:
+        copy_vector(observer.x_1, observer.x_est)
+        return
+    tau, P = observer.damping_time, observer.P
+    contact.prior_variance = P[0, 0] + tau * (2.0 * P[0, 1] + tau * P[1, 1])
+    contact.innovation = contact.alpha_meas - (observer.x_1[0] + tau * observer.x_1[1])
+    contact.variance_used = contact.noise_variance
+    correct(observer, contact.innovation, contact.noise_variance)
+
+
+@compiled
 def observe_and_command(observer: Any, contact: Any, measured: bool) -> float:
     """
     Take the measured force of an active contact into its observer, and work out its input.
 
-    An observer that has not run starts from the measured force. What was not measured is
-    predicted, which is to correct with an infinite R.
+    An observer that has not run starts from the measured force; see `observe`.
 
     Parameters
     ----------
@@ -370,14 +394,7 @@ def observe_and_command(observer: Any, contact: Any, measured: bool) -> float:
 
     """
     if observer.running:
-        predict(observer)
-        if measured:
-            contact.prior_variance = observer.P[0, 0]
-            contact.innovation = contact.alpha_meas - observer.x_1[0]
-            contact.variance_used = contact.noise_variance
-            correct(observer, contact.innovation, contact.noise_variance)
-        else:
-            copy_vector(observer.x_1, observer.x_est)
+        observe(observer, contact, measured)
     else:
         start(observer, contact.alpha_meas)
     contact.alpha_est = observer.x_est[0]

@@ -23,7 +23,7 @@ from multicontact_control.algebra import cholesky, dot, multiply, solve_cholesky
 from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.config import AdaptiveStiffnessConfig, ForceConfig
-from multicontact_control.force.observer import command, correct, predict, start
+from multicontact_control.force.observer import command, observe, start
 from multicontact_control.force.plant_model import DelayedPlant
 from multicontact_control.records import LIMITS
 import numpy as np
@@ -499,17 +499,7 @@ def observe_and_follow(
 
     """
     if observer.running:
-        predict(observer)
-        if measured:
-            tau, P = observer.damping_time, observer.P
-            contact.prior_variance = P[0, 0] + tau * (2.0 * P[0, 1] + tau * P[1, 1])
-            contact.innovation = contact.alpha_meas - (
-                observer.x_1[0] + tau * observer.x_1[1])
-            contact.variance_used = contact.noise_variance
-            correct(observer, contact.innovation, contact.noise_variance)
-        else:
-            for i in range(observer.states):
-                observer.x_est[i] = observer.x_1[i]
+        observe(observer, contact, measured)
     else:
         start(observer, contact.alpha_meas)
         rate = stiffness.k * speed
