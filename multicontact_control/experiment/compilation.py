@@ -126,11 +126,7 @@ def _exercises() -> Mapping[str, Callable[[], object]]:
     from multicontact_control.experiment.scenario import resolve, Setup
     from multicontact_control.force.force_law import continue_laws, make_force_laws
     from multicontact_control.force.noise import ESTIMATORS, make_noise_estimator
-    from multicontact_control.force.stiffness import (
-        begin_fit,
-        filter_sample,
-        friction_of_others,
-    )
+    from multicontact_control.force.stiffness import find_stiffness, friction_of_others
     from multicontact_control.records import CONTACT, FRAME
 
     def setup(plant: str, preset: str = '', **options: object) -> Setup:
@@ -145,9 +141,7 @@ def _exercises() -> Mapping[str, Callable[[], object]]:
         laws[0]['observer']['running'] = True
         for new, old in zip(laws[1:], laws):
             continue_laws(new, old)
-        adaptive = laws[1][0]['stiffness']['slow']
-        begin_fit(adaptive, 1.0)
-        filter_sample(adaptive, np.zeros(4), np.empty(4))
+        find_stiffness(laws[1][0]['stiffness'], 0.0, 0.0, 0.0, 0.0)
         friction_of_others(np.zeros(1, dtype=FRAME)[0], np.zeros(2, dtype=CONTACT), 0)
 
     def estimators() -> None:

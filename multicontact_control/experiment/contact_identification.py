@@ -25,17 +25,15 @@ from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.results import CONFIG_FOLDER, load_run
 from multicontact_control.force.stiffness import (
     adopt_band,
-    begin_fit,
     CORRELATION,
-    filter_sample,
+    find_stiffness,
     friction_of_others,
     SLOW_BAND,
     STEP,
 )
-from multicontact_control.records import STIFFNESS_FIT
+from multicontact_control.records import STIFFNESS
 import numpy as np
 
-FELT = 1.0  # N, from which on a contact is taken to be there
 QUIET_SPEED = 1e-3  # m/s, below which the contact point counts as being at rest
 LONGEST_DELAY = 0.02  # s
 DELAY_STEP = 1e-4  # s, in which the delay is looked for
@@ -173,30 +171,25 @@ def _identify(signal: ContactSignals, config: ControllerConfig) -> dict[str, Any
 
 
 def _band_passed(signal: ContactSignals, config: ControllerConfig) -> tuple[Matrix, Mask]:
-    """Return z, v, w, alpha and a behind the band-pass, and which samples count."""
+    """Return z, v, w, alpha and a behind the on-line estimate's band-pass, and what it takes."""
     h, adaptive = config.period, config.force.adaptive
-    fit = np.zeros(1, dtype=STIFFNESS_FIT)[0]
-    adopt_band(fit, SLOW_BAND, h, adaptive.memory)
+    record: Any = np.zeros(1, dtype=STIFFNESS)[0]
+    record['period'], record['window'] = h, adaptive.window
+    record['smallest_signal'] = adaptive.smallest_signal
+    fit = record['slow']
+    adopt_band(fit, SLOW_BAND, h, math.inf)
     filtered = np.zeros((len(signal.alpha), 5))
     accepted = np.zeros(len(signal.alpha), dtype=bool)
-    depth, felt, since, out = 0.0, False, math.inf, np.empty(4)
-    for k, (alpha, speed) in enumerate(zip(signal.alpha.tolist(), signal.speed.tolist())):
-        since += h
-        if k and abs(signal.alpha_des[k] - signal.alpha_des[k - 1]) > STEP:
-            since = 0.0
-        if not (alpha > (0.5 * FELT if felt else FELT)):  # nor if it is not known
-            felt = False
+    rows = zip(signal.alpha, signal.alpha_des, signal.speed, signal.friction)
+    for k, (alpha, alpha_des, speed, friction) in enumerate(rows):
+        if not math.isfinite(alpha):
+            record['felt'] = False  # a gap: the filters begin anew
             continue
-        if not felt:
-            begin_fit(fit, alpha)
-            depth, felt, since = 0.0, True, 0.0
-        else:
-            depth += 0.5 * h * (speed + signal.speed[k - 1])
-        before = filtered[k - 1, 1]
-        filter_sample(fit, np.array([depth, speed, signal.friction[k], alpha]), out)
-        filtered[k, :4] = out
-        filtered[k, 4] = (out[1] - before) / h
-        accepted[k] = since <= adaptive.window and abs(out[3]) >= adaptive.smallest_signal
+        before, weight = float(fit['stages'][1, 3]), float(fit['weight'])
+        find_stiffness(record, alpha, alpha_des, speed, friction)
+        filtered[k, :4] = fit['stages'][:, 3]
+        filtered[k, 4] = (filtered[k, 1] - before) / h
+        accepted[k] = fit['weight'] > weight
     return filtered, accepted
 
 
