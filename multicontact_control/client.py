@@ -181,14 +181,20 @@ class MultiContactClient:
         if not answer.success:
             raise RunError(f'{topics.CONTROLLER}: {what} refused: {answer.message}')
 
-    def set_forces(self, forces: Mapping[str, float]) -> None:
+    def set_forces(
+        self, forces: Mapping[str, float], centres: Mapping[str, float] | None = None,
+    ) -> None:
         """
         Command contact forces; contacts that are not named keep theirs.
 
         Parameters
         ----------
         forces
-            Desired force by contact name [N]; 0 gives the contact back to motion control.
+            Desired force by contact name [N]; 0 gives the contact back to motion control. The
+            couples of an edge or plane have names of their own, e.g. ``blade/along``.
+        centres
+            Where the centre of pressure is to be instead, by the couple's name: how far from the
+            middle of the contact [m].
 
         Raises
         ------
@@ -200,9 +206,13 @@ class MultiContactClient:
         """
         # A command from before the first sample would be forgotten by it.
         self._link.fresh(topics.DESIRED_FORCES)
-        self._link.publish(self._force_publisher, messages.joint_state_message(
-            0, list(forces), effort=list(forces.values())))
+        for field, values in (('effort', forces), ('position', centres)):
+            if values:
+                self._link.publish(self._force_publisher, messages.joint_state_message(
+                    0, list(values), **{field: list(values.values())}))
         self._commanded.update(forces)
+        for name in centres or {}:
+            self._commanded.pop(name, None)
 
     def move(
         self, position_world: ArrayLike, duration: float, *,

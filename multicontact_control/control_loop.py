@@ -9,6 +9,7 @@ this.
 from __future__ import annotations
 
 from collections import Counter, deque
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -97,7 +98,8 @@ class ControlLoop:
         base_dir: Path, *, supervised: bool = True,
     ) -> None:
         self.limits = limits
-        self._commanded = CommandedReference(config.contact_names) if scenario is None else None
+        self._commanded = CommandedReference(
+            config.column_names, config.leader_of) if scenario is None else None
         self._reference = HoldableReference(
             scenario or self._commanded,  # type: ignore[arg-type]
             locked=config.sensor.require_push_test)
@@ -147,7 +149,7 @@ class ControlLoop:
         self._filtered: WrenchInput | None = None
         self._readings: deque[Vector] = deque(maxlen=TARE_READINGS)
         self.variance: Vector = np.full(
-            len(self.config.contact_names), self.config.initial_noise_variance)
+            len(self.config.columns), self.config.initial_noise_variance)
         self._variance: VarianceInput | None = None
         self.sensor_fault = ''
         self._missed = 0
@@ -333,9 +335,19 @@ class ControlLoop:
         self._expect_pushes()
         return self.push_gate.instruction
 
-    def set_forces(self, forces: dict[str, float]) -> None:
+    def set_forces(
+        self, forces: dict[str, float], centres: Mapping[str, float] | None = None,
+    ) -> None:
         """
         Obey commanded forces.
+
+        Parameters
+        ----------
+        forces
+            Of contacts, and couples of edges and planes, by name [N].
+        centres
+            Where the centre of pressure is to be instead of a couple, by the couple's name: from
+            the centre of the contact, along its direction or across it [m].
 
         Raises
         ------
@@ -344,10 +356,37 @@ class ControlLoop:
 
         """
         reference = self._commandable()
-        self.limits.check_forces(forces, self.config.contact_state.smallest_force)
+        halves = {column.name: column.half_length for column in self.config.columns
+                  if column.half_length > 0.0}
+        self.limits.check_forces(
+            forces, self.config.contact_state.smallest_force, halves)
+        shares = {}
+        for name, centre in (centres or {}).items():
+            if name not in halves:
+                raise CommandError('centre of pressure', f'one of {", ".join(halves)}'
+                                   if halves else 'an edge or plane', f"'{name}'")
+            shares[name] = centre / halves[name]
+        self._check_offsets({**reference.forces, **forces}, shares)
         # A client may repeat its command many times a second: that asks for nothing anew.
-        if reference.set_forces(forces):
+        if reference.set_forces(forces, shares):
             self._try_again()
+
+    def _check_offsets(
+        self, forces: Mapping[str, float], shares: Mapping[str, float],
+    ) -> None:
+        """Raise `CommandError` if a centre of pressure would be outside its contact."""
+        columns = self.config.columns
+        for column in columns:
+            pressed = forces.get(columns[column.leader].name, 0.0)
+            if column.half_length == 0.0 or pressed == 0.0:
+                continue
+            share = shares.get(column.name, forces.get(column.name, 0.0) / pressed)
+            largest = self.config.contacts[column.contact].largest_offset
+            if not abs(share) <= largest + 1e-9:
+                raise CommandError(
+                    f'centre of pressure of {column.name}',
+                    f'at most {largest * column.half_length:.3g} m from the middle',
+                    f'{share * column.half_length:.3g} m')
 
     def set_motion(self, motion: MotionReading) -> None:
         """

@@ -21,7 +21,7 @@ MAX_ORDER = 3  # of an observer's active state
 MAX_STATES = 2 + MAX_DELAY_PERIODS + MAX_ORDER
 LIMITS = 8  # points of the curve of what stiffness a force loop is stable up to
 
-# What is set for the control law; one.
+# What is set for the control law and for taking the measured wrench apart; one.
 LAW = np.dtype([
     ('k_p', F),  # position gain of the motion law [1/s^2]
     ('k_v', F),  # velocity gain of the motion law [1/s]
@@ -32,6 +32,10 @@ LAW = np.dtype([
     ('singular_mobility', F),  # eigenvalue up to which Lambda^-1 is damped, 0 for none [1/kg]
     ('inertia_metric', B),  # whether motion is kept off the contacts in the metric of Lambda
     ('decoupled', B),  # whether the contact points are driven, or the coordinates along N_i
+    ('dependent', B),  # whether columns of N depend on each other: smallest norm
+    ('separated', B),  # whether friction is expected or allowed for in the measured wrench
+    ('force_noise', F),  # of the wrist sensor, per axis [N]
+    ('torque_noise', F),  # the same [N m]
 ], align=True)
 
 # One joint: where it is, its terms of the arm's model, what is set for it, and its torque.
@@ -80,10 +84,29 @@ CONTROL = np.dtype([
     ('measured', B),  # whether that is of this sample; if not, observers only predict
 ], align=True)
 
-# One contact, as the force law sees it.
+# One column of N, as the force law sees it: the normal force of a contact, or one of its couples,
+# which are counted in newtons as `ContactConfig` says.
 CONTACT = np.dtype([
-    ('normal', F, 3),  # unit normal INTO the surface, world axes
-    ('point', F, 3),  # contact point in the operational frame [m]
+    ('kind', I),  # FORCE, ALONG or ACROSS, see `config.columns`
+    ('leader', I),  # index of the normal force of the same contact
+    ('normal', F, 3),  # unit normal INTO the surface, world axes; 0 for couples
+    ('point', F, 3),  # contact point, or centre, in the operational frame [m]
+    ('direction', F, 3),  # of an edge, or of a plane's first side, in the operational frame
+    ('half_length', F),  # unit of a couple's lever, 0 for a force [m]
+    ('largest_offset', F),  # of the centre of pressure, of half lengths
+    ('friction_std', F),  # of friction that is allowed for, 0 for couples [N]
+    ('torsion_std', F),  # of its torque about the normal [N m]
+    ('friction_coefficient', F),  # that is expected while sliding, 0 for couples
+    ('slip_speed', F),  # sliding speed at which 71 % of that is expected [m/s]
+    ('friction', F, 3),  # what of it is found, world axes [N]
+    ('normal_told', F, 3),  # normal as configured
+    ('normal_gain', F),  # share of the way that the estimated normal goes per period
+    ('turn_limit', F),  # how far it goes per period at most, 0 where it is not estimated [rad]
+    ('smallest_cosine', F),  # of the angle between it and the one configured
+    ('surface_speed', F),  # of the surface along its normal, as configured [m/s]
+    ('surface_speed_est', F),  # what is added to that, estimated [m/s]
+    ('surface_gain', F),  # share of the way that it goes per period
+    ('surface_speed_limit', F),  # its bound, 0 where it is not estimated [m/s]
     ('N', F, 6),  # column of N: the wrench of a unit force, world axes
     ('active', B),  # whether its force is controlled
     ('noise_variance', F),  # R_k [N^2]
@@ -208,6 +231,7 @@ FILTER_STATE = np.dtype([('alpha', F), ('filtered', F)])  # [N]
 
 # The supervised state of one contact, and its passivity observer.
 CONTACT_STATE = np.dtype([
+    ('couple', B),  # whether it is a couple, whose state is that of its contact's normal force
     ('state', I),  # see `supervision.contacts`
     ('losses', I),  # how often it was lost since it was first wanted
     ('searches', I),  # in vain, since it held last
@@ -215,6 +239,7 @@ CONTACT_STATE = np.dtype([
     ('again', B),  # whether it is to be sought although it was given up
     ('wanted', B),  # whether the task asks for it
     ('asked', F),  # force the task asks for [N]
+    ('held', F),  # of a couple: normal force that the task asks of its contact [N]
     ('displacement', F),  # of the reference along the normal, relative to the task [m]
     ('speed', F),  # of that displacement [m/s]
     ('acceleration', F),  # of that displacement [m/s^2]

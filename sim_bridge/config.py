@@ -13,6 +13,7 @@ from multicontact_control.config import (
     Vector,
     Vector3,
 )
+from multicontact_control.config.columns import ACROSS, ALONG, SUFFIXES
 from multicontact_control.errors import ConfigError
 from pydantic import model_validator
 
@@ -23,6 +24,12 @@ class SurfaceConfig(Config):
     """One compliant, rough surface that one bar tip may touch."""
 
     tip_link: str = parameter(..., 'URDF link at the tip that meets this surface.')
+    contact: str = parameter(
+        '', 'Contact that this tip is a part of, as an end of an edge or a corner of a plane; '
+        'empty for a contact of its own, named as the surface.')
+    offset: tuple[Real, Real] = parameter(
+        (0.0, 0.0), 'Where on that contact, in half lengths along its direction and half widths '
+        'across it.')
     point_world: Vector3 = parameter(..., 'A point of the mean surface.', unit='m')
     normal_world: UnitVector3 = parameter(..., 'Unit surface normal INTO the surface.')
     stiffness: Real = parameter(6000.0, 'Contact stiffness.', unit='N/m', gt=0.0)
@@ -91,7 +98,7 @@ class PlantConfig(Config):
     torque_limit: Vector = parameter(
         (), "Largest joint torque; empty for the robot's own.", unit='N m')
     contact_names: tuple[str, ...] = parameter(
-        ..., 'Surfaces in the order of every contact vector.')
+        ..., 'Contacts in the order of every contact vector.')
     obstacle_names: tuple[str, ...] = parameter(
         (), 'Further ones of the surfaces, that are in the way and that no controller is told of.')
     surfaces: dict[str, SurfaceConfig]
@@ -109,14 +116,16 @@ class PlantConfig(Config):
 
     @model_validator(mode='after')
     def _check_across_fields(self) -> PlantConfig:
-        for field in ('contact_names', 'obstacle_names'):
+        for field, known in (('contact_names', set(self.contacts.values())),
+                             ('obstacle_names', set(self.surfaces))):
             for name in getattr(self, field):
-                if name not in self.surfaces:
+                if name not in known:
                     raise ConfigError(
-                        field, f'names among {", ".join(sorted(self.surfaces))}', f"'{name}'")
-        if len(set(self.met)) != len(self.met):
-            raise ConfigError('contact_names', 'distinct names, obstacle_names included',
-                              list(self.met))
+                        field, f'names among {", ".join(sorted(known))}', f"'{name}'")
+        for names in (self.met, self.contact_names):
+            if len(set(names)) != len(names):
+                raise ConfigError('contact_names', 'distinct names, obstacle_names included',
+                                  list(names))
         self._check_lengths()
         for name in ('drive_stiffness', 'torque_limit'):
             if min(getattr(self, name), default=1.0) <= 0.0:
@@ -142,9 +151,44 @@ class PlantConfig(Config):
                 raise ConfigError(name, f'{count} values', found)
 
     @property
+    def contacts(self) -> dict[str, str]:
+        """Name of the contact that the tip of each surface is a part of."""
+        return {name: surface.contact or name for name, surface in self.surfaces.items()}
+
+    @property
+    def touched(self) -> tuple[str, ...]:
+        """Names of the surfaces that the contacts are made of, contact by contact."""
+        return tuple(name for contact in self.contact_names
+                     for name, whose in self.contacts.items() if whose == contact)
+
+    @property
     def met(self) -> tuple[str, ...]:
         """Names of all surfaces that may be met, contacts first."""
-        return self.contact_names + self.obstacle_names
+        return self.touched + self.obstacle_names
+
+    @property
+    def columns(self) -> dict[str, dict[str, float]]:
+        """
+        Forces and couples of the contacts by name, and what makes them up.
+
+        Each as the shares of the surfaces' normal forces in it: a couple is the sum of forces
+        times offsets, as `ContactConfig` of the controller counts it.
+        """
+        columns: dict[str, dict[str, float]] = {}
+        for contact in self.contact_names:
+            tips = {name: self.surfaces[name].offset for name in self.touched
+                    if self.contacts[name] == contact}
+            columns[contact] = dict.fromkeys(tips, 1.0)
+            for kind, axis in ((ALONG, 0), (ACROSS, 1)):
+                if any(offset[axis] for offset in tips.values()):
+                    columns[contact + SUFFIXES[kind]] = {
+                        name: offset[axis] for name, offset in tips.items()}
+        return columns
+
+    @property
+    def column_names(self) -> tuple[str, ...]:
+        """Names of the forces and couples of the contacts, in the order of every vector."""
+        return tuple(self.columns)
 
     def substeps(self, rate: float) -> int:
         """

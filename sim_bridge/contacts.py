@@ -33,10 +33,8 @@ class Contacts:
 
     Attributes
     ----------
-    alpha
-        Normal forces of robot on surface, shape (nc,) [N].
     pressed
-        The same with those on the obstacles after them, shape (no,) [N].
+        Normal forces of robot on surface, those on obstacles last, shape (no,) [N].
     forces_world, points_world
         Forces of robot on surface or obstacle, friction included, and where, shape (no, 3) [N],
         [m].
@@ -58,11 +56,22 @@ class Contacts:
             [config.surfaces[name] for name in names], generators)
         self._surfaces['tip'] = _tip_positions(model, config)
         self.pressed: Vector = self._surfaces['alpha']
-        self.alpha: Vector = self.pressed[:len(config.contact_names)]
+        self._columns: Matrix | None = None
+        if config.column_names != names[:len(config.column_names)]:
+            self._columns = np.array([
+                [shares.get(name, 0.0) for name in names] for shares in config.columns.values()])
+        self._count = len(config.column_names)
         self.forces_world: Matrix = self._surfaces['force']
         self.points_world: Matrix = self._surfaces['point']
         self.wrist_world: Vector = self._links['origin'][-1]
         self.load = np.zeros(model.nv)
+
+    @property
+    def alpha(self) -> Vector:
+        """Return the true forces and couples of the contacts, shape (nc,) [N]."""
+        forces: Vector = self.pressed[:self._count].copy() if self._columns is None else (
+            self._columns @ self.pressed)
+        return forces
 
     def shift(self, contact: int, distance: float) -> None:
         """Move a surface along its normal by `distance` [m], away from the robot if positive."""

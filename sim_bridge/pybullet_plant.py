@@ -34,8 +34,8 @@ class Sample(NamedTuple):
     wrench_filtered
         The same behind the sensor's low-passes.
     contact_force
-        True normal forces of robot on surface over the last substep, the one the sensor's reading
-        belongs to, shape (nc,) [N], >= 0.
+        True forces of robot on surface over the last substep, the one the sensor's reading
+        belongs to, and couples of edges and planes, shape (nc,) [N].
     saturated
         Whether a torque was clipped.
     tool_push_world
@@ -89,7 +89,7 @@ class PybulletPlant:
         self._seed = seed
         self._rate = rate
         self._substeps = config.substeps(rate)
-        self.contact_names = config.contact_names
+        self.contact_names = config.column_names
         self.joint_names = self._robot.joint_names
         require_fit(config, self._robot)
         self._model = pin.buildModelFromXML(urdf_text(self._robot))
@@ -221,7 +221,7 @@ class PybulletPlant:
         return Sample(
             q=self._sensed.q.copy(), qd=self._sensed.qd.copy(), effort=effort,
             wrench=self._sensor.reading.copy(), wrench_filtered=self._sensor.filtered.copy(),
-            contact_force=self.contacts.alpha.copy(), saturated=saturated,
+            contact_force=self.contacts.alpha, saturated=saturated,
             tool_push_world=self._tool_push.force_world)
 
 

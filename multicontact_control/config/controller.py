@@ -5,6 +5,13 @@ from __future__ import annotations
 from typing import Literal
 
 from multicontact_control.config.base import Config, parameter, Real, Vector
+from multicontact_control.config.columns import (
+    Column,
+    FORCE,
+    KINDS,
+    leaders,
+    SUFFIXES,
+)
 from multicontact_control.config.force import ForceConfig, LawName
 from multicontact_control.config.law import (
     ContactConfig,
@@ -74,7 +81,55 @@ class ControllerConfig(Config):
             raise ConfigError('contact_names', 'distinct names', list(self.contact_names))
         self._check_delay()
         self._check_laws()
+        self._check_types()
         return self
+
+    def _check_types(self) -> None:
+        for name in self.contact_names:
+            contact = self.contacts[name]
+            if contact.normal_turn_rate and not contact.friction_std:
+                raise ConfigError(
+                    f'contacts.{name}.friction_std', 'above 0 N with normal_turn_rate', 0.0)
+        wide = [name for name in self.contact_names if self.contacts[name].type != 'point']
+        if not wide:
+            return
+        if self.force.allocation != 'decoupled':
+            raise ConfigError(
+                'force.allocation', f'decoupled with the {self.contacts[wide[0]].type} {wide[0]}',
+                self.force.allocation)
+        if self.force.stiffness != 'configured':
+            raise ConfigError(
+                'force.stiffness', f'configured with the {self.contacts[wide[0]].type} {wide[0]}',
+                self.force.stiffness)
+
+    @property
+    def columns(self) -> tuple[Column, ...]:
+        """Return the controlled coordinates of all contacts, in the order of every vector."""
+        columns: list[Column] = []
+        for name in self.contact_names:
+            contact, leader = self.contacts[name], len(columns)
+            halves = (0.0, contact.half_length, contact.half_width)
+            columns += [Column(
+                name=name + SUFFIXES[kind], contact=name, kind=kind, leader=leader,
+                stiffness=contact.stiffness if kind == FORCE else contact.stiffness_of_couples,
+                half_length=halves[kind], direction_operational=contact.direction_operational)
+                for kind in KINDS[contact.type]]
+        return tuple(columns)
+
+    @property
+    def column_names(self) -> tuple[str, ...]:
+        """Return the names of the controlled coordinates; of points, those of the contacts."""
+        return tuple(column.name for column in self.columns)
+
+    @property
+    def leader_of(self) -> tuple[int, ...]:
+        """Return for each column which one is the normal force of its contact."""
+        return tuple(column.leader for column in self.columns)
+
+    @property
+    def leaders(self) -> tuple[int, ...]:
+        """Return which columns are the normal forces of the contacts, in their order."""
+        return leaders(self.columns)
 
     def law_of(self, contact: str) -> LawName:
         """Return the name of a contact's force law."""

@@ -131,5 +131,8 @@ class ForceConfig(Config):
         1, 'Order of the active state p_k, 0 for plain pole placement without it.', ge=0, le=3)
     allocation: Literal['decoupled', 'paper'] = parameter(
         'decoupled', 'Force allocation: f_c* = N (N^T N)^-1 alpha* or N alpha* (eq. 30).')
+    dependent_columns: Literal['refused', 'minimum_norm'] = parameter(
+        'refused', 'What to do with contacts whose forces one wrench cannot tell apart: refuse '
+        'them, or share the wrench among them with the smallest norm.')
     projection: Literal['euclidean', 'inertia'] = parameter(
         'euclidean', 'Metric of Omega_f and Omega_m: eqs 11-12 or dynamically consistent.')

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 from multicontact_control.config.base import Config, parameter, Real, UnitVector3, Vector, Vector3
+from multicontact_control.config.columns import ContactType, UNIFORM
 from multicontact_control.config.force import LawName
 
 
@@ -31,15 +32,69 @@ class FrictionConfig(Config):
 
 
 class ContactConfig(Config):
-    """One point contact."""
+    """
+    One contact: a point, an edge or a plane face of the tool on a surface.
 
+    An edge is pressed with a force and a couple about the axis across it, a plane with a force
+    and two couples. Couples are counted in newtons: that of 1 N is the one by which two forces
+    at the ends of the contact, half_length from its centre, differ by 1 N. So the centre of
+    pressure is alpha_couple / alpha half lengths from the centre, and stays within the contact
+    as long as that is at most 1.
+    """
+
+    type: ContactType = parameter(
+        'point', 'What touches: a point, an edge or a plane face of the tool.')
     normal_world: UnitVector3 = parameter(
-        ..., 'Unit surface normal INTO the surface, in world axes.')
+        ..., 'Unit surface normal INTO the surface, in world axes.', live=True)
     point_operational: Vector3 = parameter(
-        ..., 'Contact point in the operational frame.', unit='m')
+        ..., 'Contact point, or the centre of an edge or plane, in the operational frame.',
+        unit='m')
+    direction_operational: UnitVector3 = parameter(
+        (1.0, 0.0, 0.0), 'Direction of an edge, or of a first side of a plane, in the '
+        'operational frame.')
+    half_length: Real = parameter(
+        0.05, 'Half the length of an edge, or of a plane along its direction.', unit='m', gt=0.0)
+    half_width: Real = parameter(
+        0.05, 'Half the width of a plane across its direction.', unit='m', gt=0.0)
+    largest_offset: Real = parameter(
+        0.8, 'How far from the centre the centre of pressure is commanded at most, relative to '
+        'half_length and half_width.', gt=0.0, le=1.0)
     stiffness: Real = parameter(
-        6000.0, 'Modelled stiffness k_env at the contact point.', unit='N/m', gt=0.0)
+        6000.0, 'Modelled stiffness k_env at the contact.', unit='N/m', gt=0.0)
+    couple_stiffness: Real = parameter(
+        0.0, 'The same for couples, torque per angle and half length squared; 0 for a third of '
+        'stiffness, as of a contact that is equally stiff everywhere.', unit='N/m', ge=0.0)
+    friction_std: Real = parameter(
+        0.0, 'Standard deviation of the friction that is allowed for when the wrench is taken '
+        'apart, so that it is not taken for a normal force; 0 for none.', unit='N', ge=0.0)
+    friction_coefficient: Real = parameter(
+        0.0, 'Coulomb friction that is expected along the sliding velocity when the wrench is '
+        'taken apart; friction_std is then that of what differs from it.', live=True, ge=0.0,
+        le=2.0)
+    slip_speed: Real = parameter(
+        0.01, 'Sliding speed at which 71 % of that is expected.', unit='m/s', live=True, gt=0.0)
+    normal_turn_rate: Real = parameter(
+        0.0, 'How fast the normal may turn to where the force on a sliding contact says that it '
+        'is; 0 to keep to normal_world. Needs friction_std.', unit='rad/s', live=True, ge=0.0,
+        le=10.0)
+    normal_range: Real = parameter(
+        0.6, 'How far from normal_world it may turn.', unit='rad', live=True, gt=0.0, le=1.5)
+    normal_time: Real = parameter(
+        0.15, 'Time constant with which it turns.', unit='s', live=True, gt=0.0, le=10.0)
+    surface_speed: Real = parameter(
+        0.0, 'Speed of the surface along its normal, away from the robot if positive; K_2 damps '
+        'the motion relative to it.', unit='m/s', live=True, ge=-0.5, le=0.5)
+    surface_speed_limit: Real = parameter(
+        0.0, 'Largest speed beyond that which is estimated; 0 to not estimate it.', unit='m/s',
+        live=True, ge=0.0, le=0.5)
+    surface_speed_time: Real = parameter(
+        0.05, 'Time constant of that estimate.', unit='s', live=True, gt=0.0, le=10.0)
     law: Literal[LawName, ''] = parameter('', 'Force law of this contact, empty for force.law.')
+
+    @property
+    def stiffness_of_couples(self) -> float:
+        """Return the stiffness along the couples' coordinates [N/m]."""
+        return self.couple_stiffness or UNIFORM * self.stiffness
 
 
 class TransitionConfig(Config):

@@ -55,6 +55,11 @@ class SensorFrontEndConfig(Config):
         'saturation is not detected.', unit='N, N m')
     saturation_fraction: Real = parameter(
         0.99, 'Share of full scale from which a reading counts as saturated.', gt=0.0, le=1.0)
+    force_noise_std: Real = parameter(
+        0.05, 'Noise of a force axis, by which readings are weighed where friction is allowed '
+        'for (contacts.*.friction_std).', unit='N', gt=0.0)
+    torque_noise_std: Real = parameter(
+        0.004, 'The same of a torque axis.', unit='N m', gt=0.0)
     frozen_ticks: int = parameter(
         0, 'Identical readings in a row that mean a frozen sensor; 0 to not look for one.', ge=0)
     require_push_test: bool = parameter(

@@ -5,14 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from multicontact_control.algebra import cross, dot, multiply
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
+from multicontact_control.config.columns import ALONG, FORCE
 from multicontact_control.errors import ConfigError
 from multicontact_control.records import Records
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-MAX_CONTACTS = 6  # as many as a wrench has components
+MAX_COLUMNS = 12
 SMALLEST_SINGULAR_VALUE = 1e-6  # of N with points of length 1; below it columns are dependent
 ORIENTATIONS = Rotation.from_rotvec(
     [[0.0, 0.0, 0.0], [0.7, -0.4, 0.3], [-0.2, 1.1, 0.5]]).as_matrix()  # any, but not special
@@ -24,7 +26,9 @@ def fill_normal_space(contacts: Any, rotation: Matrix) -> None:
     Fill in N_i, the wrench that a unit force at contact i makes.
 
     N_i = [n_i; n_i x l_i] (P04 eq. 5), with the lever l_i = -R p_i from the contact point to
-    the operational point.
+    the operational point. A couple of 1 N is that of two forces at a distance b on both sides of
+    the centre that differ by 1 N: N_i = [0; b e x n] along a direction e of the tool, and
+    [0; b (e - n (n . e))] across it.
 
     Parameters
     ----------
@@ -35,6 +39,9 @@ def fill_normal_space(contacts: Any, rotation: Matrix) -> None:
 
     """
     for i in range(contacts.shape[0]):
+        if contacts[i].kind != FORCE:
+            fill_couple(contacts[i], contacts[contacts[i].leader].normal, rotation)
+            continue
         normal, point, column = contacts[i].normal, contacts[i].point, contacts[i].N
         nx, ny, nz = normal[0], normal[1], normal[2]
         px, py, pz = point[0], point[1], point[2]
@@ -45,6 +52,34 @@ def fill_normal_space(contacts: Any, rotation: Matrix) -> None:
         column[3] = ny * lz - nz * ly
         column[4] = nz * lx - nx * lz
         column[5] = nx * ly - ny * lx
+
+
+@compiled
+def fill_couple(contact: Any, normal: Vector, rotation: Matrix) -> None:
+    """
+    Fill in the column of a couple; see `fill_normal_space`.
+
+    Parameters
+    ----------
+    contact
+        Record of `CONTACT`, `N` of which is filled.
+    normal
+        Of the surface, world axes, shape (3,).
+    rotation
+        As for `fill_normal_space`.
+
+    """
+    e, couple = np.empty(3), np.empty(3)
+    multiply(rotation, contact.direction, e)
+    if contact.kind == ALONG:
+        cross(e, normal, couple)
+    else:
+        along = dot(e, normal)
+        for k in range(3):
+            couple[k] = e[k] - along * normal[k]
+    for k in range(3):
+        contact.N[k] = 0.0
+        contact.N[3 + k] = contact.half_length * couple[k]
 
 
 def normal_space(contacts: Records, rotation_world: Matrix) -> Matrix:
@@ -69,9 +104,9 @@ def normal_space(contacts: Records, rotation_world: Matrix) -> Matrix:
     return N
 
 
-def check_independent(names: Sequence[str], contacts: Records) -> None:
+def are_independent(contacts: Records) -> bool:
     """
-    Find out whether one wrist sensor can tell the forces of some contacts apart.
+    Return whether one wrist sensor can tell the forces of some contacts apart.
 
     The rank of N is looked at in a few orientations of the operational frame: what depends on
     each other in all of them does so in any, as three collinear points or four coplanar ones with
@@ -79,28 +114,49 @@ def check_independent(names: Sequence[str], contacts: Records) -> None:
 
     Parameters
     ----------
-    names
-        Of the contacts.
     contacts
         Records of `CONTACT` with normals and points, shape (r,).
 
-    Raises
-    ------
-    ConfigError
-        If it cannot.
-
     """
-    copies, count = contacts.copy(), len(names)
+    copies, count = contacts.copy(), len(contacts)
     reach = max(float(np.abs(contacts['point']).max()), 1e-3)
     units = np.repeat([1.0, 1.0 / reach], 3)  # so that moments count as forces do
     for turn in ORIENTATIONS:
         N = normal_space(copies, turn) * units[:, None]
         if np.linalg.matrix_rank(N, SMALLEST_SINGULAR_VALUE) == count:
-            return
-    raise ConfigError(
-        'contacts', f'at most {MAX_CONTACTS} contacts, none of whose forces the others could '
-        'have made (independent columns of N, P04 eq. 5)',
-        f'{", ".join(names)}, which depend on each other')
+            return True
+    return False
+
+
+def check_columns(names: Sequence[str], contacts: Records, *, minimum_norm: bool) -> bool:
+    """
+    Find out whether the wrench is to be shared among columns that depend on each other.
+
+    Parameters
+    ----------
+    names
+        Of the columns.
+    contacts
+        Records of `CONTACT` with normals and points, shape (r,).
+    minimum_norm
+        Whether it may be.
+
+    Raises
+    ------
+    ConfigError
+        If it may not, or there are too many of them.
+
+    """
+    if len(names) > MAX_COLUMNS:
+        raise ConfigError('contacts', f'at most {MAX_COLUMNS} forces and couples', len(names))
+    if are_independent(contacts):
+        return False
+    if not minimum_norm:
+        raise ConfigError(
+            'contacts', 'forces none of which the others could have made (independent columns of '
+            "N, P04 eq. 5), or force.dependent_columns 'minimum_norm'",
+            f'{", ".join(names)}, which depend on each other')
+    return True
 
 
 def operational_stiffness(k_env: float, normal_world: Vector, lever_world: Vector) -> float:

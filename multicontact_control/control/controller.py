@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from pathlib import Path
 from typing import Any, NoReturn
 
 from multicontact_control.arrays import Mask, Matrix, require_shape, Vector
 from multicontact_control.compiled import bound
 from multicontact_control.config import ControllerConfig
-from multicontact_control.contact.geometry import check_independent, operational_stiffness
+from multicontact_control.config.columns import FORCE
+from multicontact_control.contact.geometry import check_columns, operational_stiffness
 from multicontact_control.control.arm_state import AMBIGUOUS, ArmState
 from multicontact_control.control.law import control_law, DEPENDENT, OK, SINGULAR
 from multicontact_control.control.reference import ReferenceSource, TaskArrays
@@ -73,7 +75,7 @@ class Controller:
     def __init__(
         self, config: ControllerConfig, robot: RobotModel, reference: ReferenceSource,
     ) -> None:
-        count = len(config.contact_names)
+        count = len(config.columns)
         self.robot = robot
         self._reference = reference
         self.controls: Any = np.zeros(1, dtype=CONTROL)
@@ -92,7 +94,9 @@ class Controller:
         self._contact_bytes = self.contacts.view(np.uint8)
         self._control_bytes = self.controls.view(np.uint8)
         self._adopt(config)
-        check_independent(config.contact_names, self.contacts)
+        self.controls['law']['dependent'] = check_columns(
+            config.column_names, self.contacts,
+            minimum_norm=config.force.dependent_columns == 'minimum_norm')
         self.reset()
         pose = self._pose()
         pose.quaternion_xyzw  # noqa: B018 - no step is to wait for it to be compiled
@@ -105,13 +109,15 @@ class Controller:
 
     def _adopt(self, config: ControllerConfig) -> None:
         """Set everything that follows from the configuration alone."""
+        before = getattr(self, 'config', None)
         self.config = config
+        dependent = self.controls['law']['dependent'].copy()
         self.controls['law'] = law_record(config)
+        self.controls['law']['dependent'] = dependent
         self.controls['tool'] = tool_record(config.tool, np.array(config.robot.gravity_world))
-        contacts = [config.contacts[name] for name in config.contact_names]
-        self.contacts['normal'] = [contact.normal_world for contact in contacts]
-        self.contacts['point'] = [contact.point_operational for contact in contacts]
-        self.contacts['stiffness'] = [contact.stiffness for contact in contacts]
+        # What has been learnt of the surfaces is kept.
+        if before is None or before.contacts != config.contacts:
+            place_columns(config, self.contacts)
         joints = self.arm.joints
         for name in ('coulomb', 'viscous'):
             joints[name] = getattr(config.friction, name) or 0.0
@@ -146,6 +152,8 @@ class Controller:
     def reset(self) -> None:
         """Forget everything measured; the next sample starts anew."""
         self._started = False
+        self.contacts['normal'] = self.contacts['normal_told']
+        self.contacts['surface_speed_est'] = 0.0
 
     def redesign(self, config: ControllerConfig) -> Records | None:
         """
@@ -167,7 +175,7 @@ class Controller:
             If that is not so, or there is no such design.
 
         """
-        for name in ('rate', 'robot', 'contact_names'):
+        for name in ('rate', 'robot', 'contact_names', 'column_names'):
             if getattr(config, name) != getattr(self.config, name):
                 raise ConfigError(name, f'{getattr(self.config, name)} while in use',
                                   getattr(config, name))
@@ -333,7 +341,7 @@ class Controller:
         if status != SINGULAR:
             raise ContactGeometryError(
                 'N: expected independent columns, found normals and contact points of '
-                f'{", ".join(self.config.contact_names)} that depend on each other')
+                f'{", ".join(self.config.column_names)} that depend on each other')
         state = self.robot.update(self.arm.q, self.arm.velocity)
         task_inertia(state.mass_matrix, state.jacobian)  # says what is wrong
         raise SingularTaskError('J M^-1 J^T: expected a positive definite matrix')
@@ -353,7 +361,39 @@ def law_record(config: ControllerConfig) -> Records:
     law['singular_mobility'] = config.limits.singular_mobility
     law['inertia_metric'] = force.projection == 'inertia'
     law['decoupled'] = force.allocation == 'decoupled'
+    law['separated'] = any(
+        config.contacts[name].friction_std or config.contacts[name].friction_coefficient
+        for name in config.contact_names)
+    law['force_noise'] = config.sensor.force_noise_std
+    law['torque_noise'] = config.sensor.torque_noise_std
     return law
+
+
+def place_columns(config: ControllerConfig, columns: Records) -> None:
+    """Fill in what the configuration says of the columns, records of `CONTACT`, shape (r,)."""
+    for record, column in zip(columns, config.columns):
+        contact, is_force = config.contacts[column.contact], column.kind == FORCE
+        record['kind'], record['leader'] = column.kind, column.leader
+        record['normal'] = contact.normal_world if is_force else (0.0, 0.0, 0.0)
+        record['normal_told'] = record['normal']
+        record['normal_gain'] = config.period / (contact.normal_time + config.period)
+        record['turn_limit'] = contact.normal_turn_rate * config.period
+        record['smallest_cosine'] = math.cos(contact.normal_range)
+        record['point'] = contact.point_operational
+        record['direction'] = contact.direction_operational
+        record['half_length'] = column.half_length
+        record['largest_offset'] = contact.largest_offset
+        record['stiffness'] = column.stiffness
+        if is_force:
+            record['surface_speed'] = contact.surface_speed
+            record['surface_gain'] = config.period / (
+                contact.surface_speed_time + config.period)
+            record['surface_speed_limit'] = contact.surface_speed_limit
+            record['friction_coefficient'] = contact.friction_coefficient
+            record['slip_speed'] = contact.slip_speed
+            record['friction_std'] = contact.friction_std
+            record['torsion_std'] = 0.0 if contact.type == 'point' else (
+                contact.friction_std * contact.half_length)
 
 
 def loop_stiffnesses(config: ControllerConfig, rotation_world: Matrix) -> Vector:
@@ -368,9 +408,9 @@ def loop_stiffnesses(config: ControllerConfig, rotation_world: Matrix) -> Vector
         Axes of the operational frame, shape (3, 3).
 
     """
-    contacts = [config.contacts[name] for name in config.contact_names]
     if config.force.allocation == 'decoupled':  # which drives the contact point itself
-        return np.array([contact.stiffness for contact in contacts])
+        return np.array([column.stiffness for column in config.columns])
+    contacts = [config.contacts[name] for name in config.contact_names]
     return np.array([operational_stiffness(  # `paper` drives the coordinate along N_i
         contact.stiffness, np.array(contact.normal_world),
         -rotation_world @ np.array(contact.point_operational)) for contact in contacts])

@@ -13,7 +13,9 @@ from multicontact_control.contact.projections import (
     compose_acceleration,
     coordinates,
     factorise_contacts,
+    project_forces,
 )
+from multicontact_control.contact.surfaces import follow_surfaces
 from multicontact_control.control.motion import motion_law
 from multicontact_control.dynamics.operational_space import (
     add_nullspace_torque,
@@ -29,14 +31,15 @@ OK, SINGULAR, DEPENDENT = range(3)
 
 @compiled
 def force_law(
-    law: Any, rows: Matrix, factor: Matrix, twist: Vector, inputs: Vector, f_c: Vector,
+    law: Any, rows: Matrix, factor: Matrix, twist: Vector, contacts: Any, inputs: Vector,
+    f_c: Vector,
 ) -> None:
     """
     Fill in f_c*, the acceleration that serves the force loops with damping K_2 (P04 eq. 30).
 
     The damping acts on the rates along the coordinates that the allocation drives: N^+ theta
     where theta_c,i multiplies N_i (P04 eq. 16), N^T theta, the speeds of the contact points along
-    their normals, if `decoupled`.
+    their normals relative to what is known of the surfaces' speeds, if `decoupled`.
 
     Parameters
     ----------
@@ -46,6 +49,8 @@ def force_law(
         N^T of the active contacts, shape (r, 6), and the factor of N^T N, shape (r, r).
     twist
         Of the operational point, shape (6,).
+    contacts
+        Records of `CONTACT`, shape (r,).
     inputs
         u of the force laws, shape (r,) [m/s^2].
     f_c
@@ -55,6 +60,9 @@ def force_law(
     alpha_star = np.empty(inputs.shape[0])
     if law.decoupled:
         multiply(rows, twist, alpha_star)
+        for i in range(inputs.shape[0]):
+            if contacts[i].active:
+                alpha_star[i] -= contacts[i].surface_speed + contacts[i].surface_speed_est
     else:
         coordinates(rows, factor, twist, alpha_star)
     for i in range(inputs.shape[0]):
@@ -135,15 +143,18 @@ def control_law(
     rows = np.empty((count, 6))
     factor = np.empty((count, count))
     active_rows(contacts, False, rows)
-    if not factorise_contacts(contacts, False, rows, rows, factor):
+    if not factorise_contacts(contacts, False, rows, rows, law.dependent, factor):
         return DEPENDENT
+    if law.dependent:
+        project_forces(rows, factor, contacts)
     weighted_rows, weighted_factor = rows, factor
     if law.inertia_metric:
         weighted_rows = np.empty((count, 6))
         weighted_factor = np.empty((count, count))
         for i in range(count):
             multiply(mobility, rows[i], weighted_rows[i])
-        if not factorise_contacts(contacts, False, rows, weighted_rows, weighted_factor):
+        if not factorise_contacts(
+                contacts, False, rows, weighted_rows, law.dependent, weighted_factor):
             return DEPENDENT
     f_t = np.empty(6)
     f_c = np.empty(6)
@@ -153,7 +164,8 @@ def control_law(
     inputs = np.empty(count)
     motion_law(law, task, frame, f_t)
     answer_forces(laws, contacts, controls[0], mobility, inputs)
-    force_law(law, rows, factor, frame.twist, inputs, f_c)
+    force_law(law, rows, factor, frame.twist, contacts, inputs, f_c)
+    follow_surfaces(frame, contacts)
     compose_acceleration(rows, weighted_rows, weighted_factor, f_t, f_c, acceleration)
     bias_acceleration(joints, L, Y, jacobian_rate, bias)
     for i in range(6):

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from multicontact_control.algebra import cross
-from multicontact_control.arrays import require_shape, Vector
+from multicontact_control.algebra import cholesky, cross, dot, multiply, solve_lower
+from multicontact_control.arrays import Matrix, require_shape, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.config import ToolConfig
 from multicontact_control.contact.geometry import fill_normal_space
@@ -70,8 +70,8 @@ def measure_contacts(control: Any, contacts: Any) -> bool:
     """
     Work out the contact forces that the wrist sensor feels.
 
-    alpha = (N^T N)^-1 N^T f_c (P04 eqs 2, 5, 7). All contacts share the wrench among them, at
-    most six.
+    alpha = (N^T N)^-1 N^T f_c (P04 eqs 2, 5, 7), or as `measure_with_friction` says. All
+    contacts share the wrench among them.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def measure_contacts(control: Any, contacts: Any) -> bool:
         Whether the columns of N are independent.
 
     """
-    count = contacts.shape[0]
+    count, law = contacts.shape[0], control.law
     wrench = np.empty(6)
     rows = np.empty((count, 6))
     factor = np.empty((count, count))
@@ -94,12 +94,202 @@ def measure_contacts(control: Any, contacts: Any) -> bool:
     operational_wrench(control, wrench)
     fill_normal_space(contacts, control.frame.rotation)
     active_rows(contacts, True, rows)
-    if not factorise_contacts(contacts, True, rows, rows, factor):
+    W = np.empty((6, 6))
+    if law.separated:
+        expect_friction(control.frame, contacts, rows)
+        allow_for_friction(control, contacts, rows, wrench, W)
+    if not factorise_contacts(contacts, True, rows, rows, law.dependent, factor):
         return False
     coordinates(rows, factor, wrench, alpha)
     for i in range(count):
         contacts[i].alpha_meas = alpha[i]
+    if law.separated:
+        find_friction(control, contacts, rows, wrench, W)
     return True
+
+
+@compiled
+def expect_friction(frame: Any, contacts: Any, rows: Matrix) -> None:
+    """
+    Add the friction that 1 N along the normal is expected to come with.
+
+    The robot drags a surface along its sliding velocity v by mu v / sqrt(v^2 + v_s^2).
+
+    Parameters
+    ----------
+    frame, contacts
+        Records of `FRAME` and `CONTACT`, shape (r,); `friction` is filled in, per newton.
+    rows
+        N^T, shape (r, 6), added to.
+
+    """
+    point, velocity, moment, twist = np.empty(3), np.empty(3), np.empty(3), frame.twist
+    for i in range(contacts.shape[0]):
+        contact = contacts[i]
+        for k in range(3):
+            contact.friction[k] = 0.0
+        if contact.friction_coefficient <= 0.0:
+            continue
+        multiply(frame.rotation, contact.point, point)
+        cross(twist[3:], point, velocity)
+        for k in range(3):
+            velocity[k] += twist[k]
+        into = dot(velocity, contact.normal)
+        for k in range(3):
+            velocity[k] -= into * contact.normal[k]
+        share = contact.friction_coefficient / np.sqrt(
+            dot(velocity, velocity) + contact.slip_speed ** 2)
+        for k in range(3):
+            contact.friction[k] = share * velocity[k]
+        cross(point, contact.friction, moment)
+        for k in range(3):
+            rows[i, k] += contact.friction[k]
+            rows[i, 3 + k] += moment[k]
+
+
+@compiled
+def allow_for_friction(
+    control: Any, contacts: Any, rows: Matrix, wrench: Vector, factor: Matrix,
+) -> None:
+    """
+    Weigh a wrench and the columns of N by what besides the normal forces may be in it.
+
+    Least squares of what is returned are alpha = (N^T W^-1 N)^-1 N^T W^-1 f_c, with
+    W = S + sum T_i T_i^T: the sensor's noise, and friction of a standard deviation in every
+    direction across the normal of each contact, and about it. Friction far above the noise is so
+    taken out of the measured forces, as far as the geometry tells it from them.
+
+    Parameters
+    ----------
+    control, contacts
+        Records of `CONTROL` and `CONTACT`, shape (r,), with `N` filled in.
+    rows, wrench
+        N^T, shape (r, 6), and f_c at the operational point, shape (6,); replaced by W^(-1/2)
+        times themselves.
+    factor
+        Filled with W^(1/2), lower triangular, in units of the noise at the sensor, shape (6, 6).
+
+    """
+    law, frame = control.law, control.frame
+    W = np.eye(6)
+    lever, friction = np.empty(3), np.empty(6)
+    for k in range(3):
+        lever[k] = frame.sensor_position[k] - frame.position[k]
+    for i in range(contacts.shape[0]):
+        contact = contacts[i]
+        if contact.friction_std <= 0.0:
+            continue
+        for axis in range(3):
+            fill_friction(law, frame, contact, axis, lever, friction)
+            add_square(contact.friction_std, friction, W)
+        for k in range(3):
+            friction[k] = 0.0
+            friction[3 + k] = contact.normal[k]
+        weigh_at_sensor(law, lever, friction)
+        add_square(contact.torsion_std, friction, W)
+    cholesky(W, factor, 0.0)  # positive definite, as it is 1 and more
+    weigh_at_sensor(law, lever, wrench)
+    solve_lower(factor, wrench)
+    for i in range(contacts.shape[0]):
+        weigh_at_sensor(law, lever, rows[i])
+        solve_lower(factor, rows[i])
+
+
+@compiled
+def find_friction(
+    control: Any, contacts: Any, rows: Matrix, wrench: Vector, factor: Matrix,
+) -> None:
+    """
+    Fill in the friction of each contact that is most likely, s^2 T^T W^-1 (f_c - N alpha).
+
+    That comes to what was expected, of which N is full.
+
+    Parameters
+    ----------
+    control, contacts
+        As for `allow_for_friction`; `alpha_meas` is there already, and in `friction` what is
+        expected per newton.
+    rows, wrench, factor
+        As `allow_for_friction` leaves them; the wrench is overwritten.
+
+    """
+    law, frame = control.law, control.frame
+    lever, column = np.empty(3), np.empty(6)
+    for i in range(contacts.shape[0]):
+        for k in range(6):
+            wrench[k] -= rows[i, k] * contacts[i].alpha_meas
+    for k in range(3):
+        lever[k] = frame.sensor_position[k] - frame.position[k]
+    for i in range(contacts.shape[0]):
+        contact = contacts[i]
+        for axis in range(3):
+            contact.friction[axis] *= contact.alpha_meas
+            if contact.friction_std > 0.0:
+                fill_friction(law, frame, contact, axis, lever, column)
+                solve_lower(factor, column)
+                contact.friction[axis] += contact.friction_std ** 2 * dot(column, wrench)
+
+
+@compiled
+def fill_friction(
+    law: Any, frame: Any, contact: Any, axis: int, lever: Vector, column: Vector,
+) -> None:
+    """
+    Fill in the wrench of friction at a contact that 1 N along an axis of the world makes.
+
+    Parameters
+    ----------
+    law, frame, contact
+        Records of `LAW`, `FRAME` and `CONTACT`.
+    axis
+        0, 1 or 2; what of it is along the normal is left out.
+    lever
+        As for `weigh_at_sensor`.
+    column
+        Filled, at the sensor and in units of its noise, shape (6,).
+
+    """
+    point, across, moment = np.empty(3), np.empty(3), np.empty(3)
+    multiply(frame.rotation, contact.point, point)
+    for k in range(3):
+        across[k] = -contact.normal[k] * contact.normal[axis]
+    across[axis] += 1.0
+    cross(point, across, moment)
+    for k in range(3):
+        column[k] = across[k]
+        column[3 + k] = moment[k]
+    weigh_at_sensor(law, lever, column)
+
+
+@compiled
+def add_square(scale: float, x: Vector, A: Matrix) -> None:
+    """Add s^2 x x^T to A, for x of shape (n,)."""
+    for j in range(x.shape[0]):
+        for k in range(x.shape[0]):
+            A[j, k] += scale * scale * x[j] * x[k]
+
+
+@compiled
+def weigh_at_sensor(law: Any, lever: Vector, wrench: Vector) -> None:
+    """
+    Move a wrench from the operational point to the sensor, in units of its noise.
+
+    Parameters
+    ----------
+    law
+        Record of `LAW`.
+    lever
+        From the operational point to the sensor, world axes, shape (3,) [m].
+    wrench
+        Changed, shape (6,).
+
+    """
+    moment = np.empty(3)
+    cross(lever, wrench, moment)
+    for k in range(3):
+        wrench[3 + k] = (wrench[3 + k] - moment[k]) / law.torque_noise
+    for k in range(3):
+        wrench[k] /= law.force_noise
 
 
 def tool_record(tool: ToolConfig, gravity_world: Vector) -> Records:

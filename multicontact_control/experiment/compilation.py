@@ -136,7 +136,7 @@ def _exercises() -> Mapping[str, Callable[[], object]]:
 
     def force_laws() -> None:
         configs = [setup('rigid', preset).controller for preset in ('adaptive', 'laws/dob')]
-        laws = [make_force_laws(config, np.full(len(config.contact_names), 6000.0))
+        laws = [make_force_laws(config, np.full(len(config.columns), 6000.0))
                 for config in (configs[0], *configs)]
         laws[0]['observer']['running'] = True
         for new, old in zip(laws[1:], laws):

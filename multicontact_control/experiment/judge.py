@@ -18,6 +18,7 @@ from typing import Any
 from multicontact_control.arrays import Mask, Vector
 from multicontact_control.experiment.metrics import (
     force_oscillations,
+    is_couple,
     losses,
     saturation,
     SETTLE_AFTER_STEP,
@@ -180,6 +181,9 @@ def findings(
 def _contact_findings(
     data: RunData, setup: Setup, contact: int, judged: Mask,
 ) -> list[Finding]:
+    if is_couple(setup, contact):
+        return _oscillations(data, setup, contact, judged & windows(
+            setup.scenario.reference, data.time).loaded)
     if not (data.alpha_des[:, contact] > 0.0).any():
         return [Finding('no contact was made')]
     loaded = judged & windows(setup.scenario.reference, data.time).loaded
@@ -188,13 +192,7 @@ def _contact_findings(
     again = again_at(data.time[begins])
     if again is not None:
         found.append(Finding(f'contact lost {len(begins)} times', again))
-    oscillating = force_oscillations(data, setup, contact, loaded)
-    if oscillating:
-        worst = max(oscillating, key=lambda oscillation: oscillation.rms)
-        total = sum(oscillation.duration for oscillation in oscillating)
-        found.append(Finding(
-            f'oscillates at {worst.frequency:.0f} Hz with {worst.rms:.2g} N rms for {total:.1f} s',
-            oscillating[0].known))
+    found += _oscillations(data, setup, contact, loaded)
     force, command = data.alpha_true[:, contact], setup.commanded(data.time)[:, contact]
     ceiling = setup.controller.contact_state.force_ceiling
     beyond = judged & (force > np.maximum(LARGEST_FORCE * command, IMPACT_SHARE * ceiling))
@@ -204,6 +202,18 @@ def _contact_findings(
             f'force of {force[worst_at]:.0f} N at a command of {command[worst_at]:.3g} N',
             _first(data, beyond)))
     return found
+
+
+def _oscillations(data: RunData, setup: Setup, contact: int, judged: Mask) -> list[Finding]:
+    """Return that a force or a couple oscillates, if it does."""
+    oscillating = force_oscillations(data, setup, contact, judged)
+    if not oscillating:
+        return []
+    worst = max(oscillating, key=lambda oscillation: oscillation.rms)
+    total = sum(oscillation.duration for oscillation in oscillating)
+    return [Finding(
+        f'oscillates at {worst.frequency:.0f} Hz with {worst.rms:.2g} N rms for {total:.1f} s',
+        oscillating[0].known)]
 
 
 def interventions(

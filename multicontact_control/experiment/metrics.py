@@ -88,13 +88,21 @@ def losses(
     (`contact_state.loss_time`): a tool that leaves the ground for one sample of 2 ms on a rough
     surface has not lost it.
 
-    Returns, of the samples `judged`, the first of every loss, and that after its last.
+    Returns, of the samples `judged`, the first of every loss, and that after its last. A couple
+    is not lost by itself.
     """
+    if is_couple(setup, contact):
+        return [], []
     force = bridged(data.alpha_true[:, contact], data.rate)
     least = setup.controller.contact_state.loss_time * data.rate - 1e-9
     found = [(begin, end) for begin, end in zip(*stretches(judged & (force <= 0.0)))
              if end - begin >= least]
     return [begin for begin, _ in found], [end for _, end in found]
+
+
+def is_couple(setup: Setup, contact: int) -> bool:
+    """Return whether what is counted as a contact is a couple of one, not a normal force."""
+    return contact not in setup.controller.leaders
 
 
 def force_error(data: RunData, setup: Setup, contact: int) -> Vector:

@@ -127,7 +127,7 @@ class RunData:
 
 def empty_run_data(ticks: int, controller: ControllerConfig) -> RunData:
     """Return series of NaN to be filled in, with the time axis set."""
-    joints, contacts = controller.robot.joint_names, controller.contact_names
+    joints, contacts = controller.robot.joint_names, controller.column_names
     columns = {
         **dict.fromkeys(('q', 'qd', 'effort', 'torque'), len(joints)),
         **dict.fromkeys(('wrench', 'wrench_filtered'), 6),

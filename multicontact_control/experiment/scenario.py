@@ -67,7 +67,8 @@ class Setup:
         """Return the scenario's reference, at its start."""
         return ScenarioReference(
             self.scenario.reference, rate=self.controller.rate,
-            contact_names=self.controller.contact_names)
+            contact_names=self.controller.column_names,
+            leader_of=self.controller.leader_of)
 
     def commanded(self, time: Vector) -> Matrix:
         """
@@ -215,18 +216,20 @@ def _controller_parameters(plant: str, preset: dict[str, Any]) -> dict[str, Any]
 
 
 def _check_together(setup: Setup, path: Path) -> None:
-    names = setup.controller.contact_names
+    names = setup.controller.column_names
     for what, found in (('noise_estimator.contact_names', setup.noise_estimator.contact_names),
-                        ('plant.contact_names', setup.plant.contact_names)):
+                        ('plant.contact_names', setup.plant.column_names)):
         if found != names:
-            raise ConfigError(what, f"the controller's contacts {list(names)}", list(found))
+            raise ConfigError(
+                what, f"the controller's forces and couples {list(names)}", list(found))
     if setup.noise_estimator.rate != setup.controller.rate:
         raise ConfigError('noise_estimator.rate', f"the controller's {setup.controller.rate:g} Hz",
                           f'{setup.noise_estimator.rate:g} Hz')
     state = setup.controller.contact_state
     for index, step in enumerate(setup.scenario.reference.force_steps):
         for name, force in step.forces.items():
-            if force != 0.0 and not state.smallest_force <= force < state.force_ceiling:
+            if name in setup.controller.contact_names and force != 0.0 and not (
+                    state.smallest_force <= force < state.force_ceiling):
                 raise ConfigError(
                     f'reference.force_steps.{index}.forces.{name}',
                     f'0 or {state.smallest_force:g} to {state.force_ceiling:g} N '

@@ -9,6 +9,7 @@ from multicontact_control.algebra import dot
 from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.config import ControllerConfig, FedForward, ForceConfig
+from multicontact_control.config.columns import FORCE
 from multicontact_control.force.laws import design_aob, LAWS, LinearLaw, LoopModel, steady_law
 from multicontact_control.force.linear_law import start_linear, step_linear
 from multicontact_control.force.linear_loop import (
@@ -73,7 +74,8 @@ def make_force_laws(config: ControllerConfig, stiffnesses: Vector) -> Records:
     names, force = list(LAWS), config.force
     limits = [largest_ratio(config, k) for k in model_stiffnesses(force.adaptive).tolist()] if (
         force.stiffness == 'adaptive') else []
-    for law, contact, stiffness in zip(laws, config.contact_names, stiffnesses.tolist()):
+    for law, column, stiffness in zip(laws, config.columns, stiffnesses.tolist()):
+        contact = column.contact
         if force.stiffness == 'adaptive':
             stiffness = force.adaptive.highest
         design = design_law(config, contact, stiffness)
@@ -209,7 +211,7 @@ def force_to_feed(law: Any, contact: Any, mobility: Matrix) -> float:
 
     """
     if contact.guarded or law.fed == MEASURED:
-        return max(contact.alpha_meas, 0.0)
+        return contact.alpha_meas if contact.kind != FORCE else max(contact.alpha_meas, 0.0)
     if law.fed == ESTIMATE:
         return contact.alpha_est
     desired = law.stiffness.alpha_ref if law.stiffness.adaptive else contact.alpha_des

@@ -65,7 +65,7 @@ class CommandInterface:
     def _on_forces(self, message: Any) -> None:
         with self._refusals.guard(topics.FORCE_COMMAND):
             self._loop.set_forces(
-                messages.read_some_efforts(message, self._loop.config.contact_names))
+                *messages.read_force_command(message, self._loop.config.column_names))
 
     def _on_motion(self, message: Any) -> None:
         with self._refusals.guard(topics.MOTION_COMMAND):

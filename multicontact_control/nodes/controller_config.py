@@ -92,4 +92,5 @@ class ControllerNodeConfig(ManagedConfig):
         # A scenario file holds more than its reference.
         reference = validate(ReferenceConfig, values.get('reference', values), str(path))
         return ScenarioReference(
-            reference, rate=config.rate, contact_names=config.contact_names)
+            reference, rate=config.rate, contact_names=config.column_names,
+            leader_of=config.leader_of)

@@ -105,7 +105,7 @@ class ControllerNode(ManagedNode):
         self._outputs = ControllerOutputs(self, self.streams, config, node_config)
         self._wrench = topics.WRENCH if config.wrench_input == 'raw' else topics.WRENCH_FILTERED
         self._readers = {
-            topics.NOISE_VARIANCE: effort_reader(config.contact_names),
+            topics.NOISE_VARIANCE: effort_reader(config.column_names),
             self._wrench: wrench_reader(),
             topics.JOINT_STATES: joint_state_reader(config.robot.joint_names)}
         callbacks = (self._on_noise_variance, self._on_wrench, self._on_joint_states)

@@ -6,8 +6,9 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from geometry_msgs.msg import Point
-from multicontact_control.arrays import Vector
+from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import ControllerConfig
+from multicontact_control.config.columns import ACROSS
 from multicontact_control.control.controller import ControlOutput
 from multicontact_control.dynamics.pose import Pose
 from multicontact_control.nodes import messages, qos, topics
@@ -52,7 +53,7 @@ class ControllerOutputs:
         self._shown = SHOWN if config.force.stiffness == 'adaptive' else {
             topic: numbers for topic, numbers in SHOWN.items() if topic not in OF_STIFFNESS}
         streams.advertise(
-            examples(config.robot.joint_names, config.contact_names),
+            examples(config.robot.joint_names, config.column_names),
             batched=node_config.recording_batches)
         self._markers_publisher = create_publisher(node, topics.CONTACT_MARKERS)
         bare = node_config.effort_output_topic
@@ -157,8 +158,9 @@ class ContactMarkers:
     """
     Turns contact forces into arrows, one per contact, a few times a second.
 
-    An arrow ends at the contact's tip and points into the surface. It is orange where the force
-    is controlled and grey where it is only felt.
+    An arrow ends at the contact's tip, or at the centre of pressure of an edge or plane, and
+    points into the surface. It is orange where the force is controlled and grey where it is only
+    felt.
 
     Parameters
     ----------
@@ -173,7 +175,8 @@ class ContactMarkers:
 
     def __init__(self, config: ControllerConfig, *, rate: float, scale: float) -> None:
         contacts = [config.contacts[name] for name in config.contact_names]
-        self._names = config.contact_names
+        self._names, self._config = config.contact_names, config
+        self._leaders = list(config.leaders)
         self._normals_world = np.array([contact.normal_world for contact in contacts])
         self._points_operational = np.array([contact.point_operational for contact in contacts])
         self._every = max(1, round(config.rate / rate)) if rate > 0.0 else 0
@@ -199,7 +202,10 @@ class ContactMarkers:
             Measured forces [N] and which of them are controlled, shape (r,).
 
         """
-        tips = pose.position_world + self._points_operational @ pose.rotation_world.T
+        tips = pose.position_world + (
+            self._points_operational + self._centres(alpha, pose)) @ pose.rotation_world.T
+        alpha = alpha[self._leaders]
+        active = np.asarray(active)[self._leaders]
         tails = tips - self._scale * alpha[:, None] * self._normals_world
         markers = []
         for k, name in enumerate(self._names):
@@ -216,6 +222,22 @@ class ContactMarkers:
             marker.lifetime = Duration(seconds=LIFETIME).to_msg()
             markers.append(marker)
         return MarkerArray(markers=markers)
+
+    def _centres(self, alpha: Vector, pose: Pose) -> Matrix:
+        """Return the centres of pressure from those of the contacts, operational axes [m]."""
+        centres = np.zeros((len(self._names), 3))
+        for column, value in zip(self._config.columns, alpha.tolist()):
+            pressed = alpha[column.leader]
+            if column.half_length == 0.0 or pressed <= SMALLEST_FORCE:
+                continue
+            contact = self._names.index(column.contact)
+            direction = np.array(column.direction_operational)
+            if column.kind == ACROSS:
+                direction = np.cross(
+                    pose.rotation_world.T @ self._normals_world[contact], direction)
+            share = min(max(value / pressed, -1.0), 1.0)
+            centres[contact] += share * column.half_length * direction
+        return centres
 
 
 def _point(position: Vector) -> Point:

@@ -68,21 +68,24 @@ def contact_status(loop: ControlLoop) -> Status:
     if output is None:
         return Status('contacts', values)
     trouble = []
-    for i, name in enumerate(loop.config.contact_names):
-        values[name] = status.contact_states[i] if status else (
-            'force' if output.active[i] else 'motion')
+    config = loop.config
+    for i, name in enumerate(config.column_names):
         values[f'{name} measured_n'] = float(output.alpha_meas[i])
         values[f'{name} estimated_n'] = float(output.alpha_est[i])
         values[f'{name} desired_n'] = float(output.alpha_des[i])
         values[f'{name} noise_variance_n2'] = float(loop.variance[i])
+    for contact, (i, name) in enumerate(zip(config.leaders, config.contact_names)):
+        values[name] = status.contact_states[contact] if status else (
+            'force' if output.active[i] else 'motion')
         if loop.config.force.stiffness == 'adaptive':
             values |= _stiffness(name, output.contacts[i])
         if status is None:
             continue
-        energy, limit = float(status.energy[i]), float(status.energy_limit[i])
+        energy = float(status.energy[contact])
+        limit = float(status.energy_limit[contact])
         values[f'{name} energy_j'], values[f'{name} energy_limit_j'] = energy, limit
-        if status.contact_states[i] in TROUBLED:
-            trouble.append(f'{name} is {status.contact_states[i]}')
+        if status.contact_states[contact] in TROUBLED:
+            trouble.append(f'{name} is {status.contact_states[contact]}')
         if energy > limit:
             trouble.append(f'{name} has taken up {energy:.3g} J, more than {limit:g} J')
     return Status('contacts', values, warning='; '.join(trouble))

@@ -133,13 +133,27 @@ def read_innovation(message: JointState, names: Sequence[str]) -> InnovationRead
         variance_used=_ordered(message, names, 'position', message.position)))
 
 
-def read_some_efforts(message: JointState, names: Sequence[str]) -> dict[str, float]:
-    """Read efforts for some of the names."""
+def read_force_command(
+    message: JointState, names: Sequence[str],
+) -> tuple[dict[str, float], dict[str, float]]:
+    """
+    Read a command for some of the names.
+
+    Returns
+    -------
+    forces : dict
+        Forces and couples [N], which are efforts.
+    centres : dict
+        Centres of pressure by couple [m], which are positions; a message has one or the other.
+
+    """
     found = list(message.name)
     if not found or len(set(found)) != len(found) or not set(found) <= set(names):
         raise MessageError('name', f'distinct names among {list(names)}', found)
-    values = finite_array(message.effort, len(found), 'effort')
-    return {name: float(value) for name, value in zip(found, values)}
+    field = 'position' if len(message.position) else 'effort'
+    values = finite_array(getattr(message, field), len(found), field)
+    numbers = {name: float(value) for name, value in zip(found, values)}
+    return ({}, numbers) if field == 'position' else (numbers, {})
 
 
 def read_wrench(message: WrenchStamped) -> WrenchReading:

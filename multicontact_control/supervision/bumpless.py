@@ -61,9 +61,9 @@ class BumplessController:
         self._transition = TorqueTransition(config)
         self._safe = SafeBehaviour(config.safe_behaviour, robot)
         self._safe_running = False
-        self._idle = no_answer(robot.joint_count, len(config.contact_names))
+        self._idle = no_answer(robot.joint_count, len(config.columns))
         self._initial_variance = np.full(
-            len(config.contact_names), config.initial_noise_variance)
+            len(config.columns), config.initial_noise_variance)
         self._adopt(config)
 
     @classmethod

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 from multicontact_control.arrays import Vector
 from multicontact_control.config import Config, LimitsConfig, parameter, Real
@@ -16,16 +16,20 @@ class CommandLimits(Config):
         30.0, 'Largest force that may be commanded at a contact; below '
         'contact_state.force_ceiling, at which a contact is left.', unit='N', live=True, gt=0.0)
 
-    def check_forces(self, forces: Mapping[str, float], smallest: float) -> None:
+    def check_forces(
+        self, forces: Mapping[str, float], smallest: float, couples: Collection[str] = (),
+    ) -> None:
         """
         Refuse forces out of limits.
 
         Parameters
         ----------
         forces
-            By contact [N].
+            By contact, and couples [N].
         smallest
             `contact_state.smallest_force` [N]; 0 is allowed all the same, for no contact.
+        couples
+            Which names are those of couples, which may have either sign.
 
         Raises
         ------
@@ -34,7 +38,11 @@ class CommandLimits(Config):
 
         """
         for name, force in forces.items():
-            if force != 0.0 and not smallest <= force <= self.force_ceiling:
+            if name in couples:
+                if not abs(force) <= self.force_ceiling:
+                    raise CommandError(f'couple {name}', f'at most {self.force_ceiling:g} N',
+                                       f'{force:g} N')
+            elif force != 0.0 and not smallest <= force <= self.force_ceiling:
                 raise CommandError(
                     f'force on {name}', f'0 or {smallest:g} to {self.force_ceiling:g} N',
                     f'{force:g} N')

@@ -16,6 +16,7 @@ Every contact is one record of `CONTACT_STATE`; what is set for all of them is t
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import Enum
 import math
 from typing import Any
@@ -60,10 +61,22 @@ def contact_settings(config: ContactStateConfig, period: float) -> Records:
     return settings
 
 
-def contact_states(stiffness: list[float]) -> Records:
-    """Return contacts that are free, of surfaces of that stiffness [N/m], shape (r,)."""
+def contact_states(stiffness: Sequence[float], couples: Sequence[bool] = ()) -> Records:
+    """
+    Return contacts that are free.
+
+    Parameters
+    ----------
+    stiffness
+        Of their surfaces, shape (r,) [N/m].
+    couples
+        Which of them are couples of others, shape (r,); none if not given.
+
+    """
     states = np.zeros(len(stiffness), dtype=CONTACT_STATE)
     states['stiffness'] = stiffness
+    if couples:
+        states['couple'] = couples
     states['origin'] = math.nan
     return states
 
@@ -82,7 +95,7 @@ def reset(states: Records, which: Mask | None = None) -> None:
     """
     chosen = np.ones(states.shape, dtype=bool) if which is None else which
     for name in states.dtype.names or ():
-        if name not in ('stiffness', 'energy', 'stored'):
+        if name not in ('stiffness', 'couple', 'energy', 'stored'):
             states[name][chosen] = math.nan if name == 'origin' else 0
 
 
@@ -276,6 +289,15 @@ def advance_contact(
 
 
 @compiled
+def follow_leader(couple: Any, leader: Any) -> None:
+    """Let a couple of a contact be in the state of its normal force; both `CONTACT_STATE`."""
+    couple.state = leader.state
+    couple.in_state = leader.in_state
+    couple.level = leader.level
+    couple.held = leader.asked
+
+
+@compiled
 def let_go(contact: Any, place: float, speed: float) -> None:
     """
     Give a contact back to the motion law, from where the tip is.
@@ -322,13 +344,14 @@ def watch_energy(contact: Any, settings: Any, alpha: float, speed: float) -> flo
         Force to take off the torque [N], 0 while the bound is kept.
 
     """
-    pressed = max(alpha, 0.0)
+    pressed = alpha if contact.couple else max(alpha, 0.0)
     stored = pressed * pressed / (2.0 * contact.stiffness)
     work = alpha * speed * settings.period
     contact.energy = settings.energy_keep * contact.energy + work - (stored - contact.stored)
     contact.stored = stored
     if contact.state != HOLDING:
         contact.energy = 0.0
-    held = max(contact.asked, settings.preload + settings.contact_threshold)
+    asked = contact.held if contact.couple else contact.asked
+    held = max(asked, settings.preload + settings.contact_threshold)
     contact.energy_limit = settings.energy_share * held * held / (2.0 * contact.stiffness)
     return 0.0 if contact.energy <= contact.energy_limit else settings.injected_damping * speed

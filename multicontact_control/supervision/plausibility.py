@@ -57,10 +57,12 @@ def check_plausibility(
                 + contact.alpha_rate_est + contact.innovation + contact.prior_variance
                 + contact.variance_used):
             found |= NOT_FINITE
-        pressed += abs(contact.alpha_meas)
         allowed = bounds.pull_threshold
         if states[i].state == LOST:
             allowed += bounds.inertia
+        if states[i].couple:
+            continue
+        pressed += abs(contact.alpha_meas)
         if contact.alpha_meas < -allowed:
             found |= PULL
     sideways = 0.0

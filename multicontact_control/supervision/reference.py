@@ -6,7 +6,8 @@ from typing import Any
 
 from multicontact_control.arrays import Codes, Mask, Matrix, Vector
 from multicontact_control.config import ControllerConfig
-from multicontact_control.control.controller import Controller
+from multicontact_control.config.columns import FORCE
+from multicontact_control.control.controller import Controller, place_columns
 from multicontact_control.control.reference import Reference, TaskArrays, TaskSource
 from multicontact_control.dynamics.pose import Pose
 from multicontact_control.records import CONTACT, CONTACT_REFERENCE, CONTROL, Records
@@ -62,15 +63,16 @@ class ContactReference:
         self._record: Any = np.zeros(1, dtype=CONTACT_REFERENCE) if record is None else record
         self._record['settings'] = contact_settings(contact_state, config.period)
         self._limits = self._record['limits']
-        contacts = [config.contacts[name] for name in config.contact_names]
-        self.contact_states: Any = contact_states([contact.stiffness for contact in contacts])
+        self._leaders = list(config.leaders)
+        self.contact_states: Any = contact_states(
+            [column.stiffness for column in config.columns],
+            [column.kind != FORCE for column in config.columns])
         self._codes: Codes = self.contact_states['state']
         self._energies: Vector = self.contact_states['energy']
         self._wanted = TaskArrays(
             self._record['wanted'], self.contact_states['wanted'], self.contact_states['asked'])
-        contacts_alone: Any = np.zeros(len(contacts), dtype=CONTACT)
-        contacts_alone['normal'] = [contact.normal_world for contact in contacts]
-        contacts_alone['point'] = [contact.point_operational for contact in contacts]
+        contacts_alone: Any = np.zeros(len(config.columns), dtype=CONTACT)
+        place_columns(config, contacts_alone)
         controls: Any = np.zeros(1, dtype=CONTROL)
         controls['frame']['rotation'] = np.eye(3)
         self._use(controls, contacts_alone)
@@ -93,8 +95,8 @@ class ContactReference:
 
     @property
     def states(self) -> tuple[ContactState, ...]:
-        """State of each contact."""
-        return tuple(STATES[code] for code in self.state_codes.tolist())
+        """State of each contact, which is that of its normal force."""
+        return tuple(STATES[code] for code in self._codes[self._leaders].tolist())
 
     @property
     def state_names(self) -> tuple[str, ...]:
@@ -111,14 +113,15 @@ class ContactReference:
 
     @property
     def energies(self) -> Vector:
-        """Energy of each contact's passivity observer, shape (r,) [J]."""
-        return self._energies.copy()
+        """Energy of the passivity observer of each contact's normal force [J]."""
+        energies: Vector = self._energies[self._leaders]
+        return energies
 
     @property
     def energy_limits(self) -> Vector:
-        """Bound of that energy, shape (r,) [J]."""
-        limits: Vector = self.contact_states['energy_limit']
-        return limits.copy()
+        """Bound of that energy [J]."""
+        limits: Vector = self.contact_states['energy_limit'][self._leaders]
+        return limits
 
     def start(self, pose: Pose, normals_world: Vector) -> None:
         """Begin from a pose at rest; see `ReferenceSource.start`."""
@@ -167,7 +170,8 @@ class ContactReference:
 
     def sought_normals(self) -> Matrix:
         """Return the normals of the contacts that are sought or held, shape (k, 3)."""
-        normals: Matrix = self._contacts['normal'][self.state_codes != FREE]
+        sought = [i for i in self._leaders if self._codes[i] != FREE]
+        normals: Matrix = self._contacts['normal'][sought]
         return normals
 
     def retune(self, config: ControllerConfig) -> None:
@@ -214,8 +218,9 @@ class ContactReference:
         """
         self._offset[:] = np.nan  # set at the next update
         self._catching_up = True
-        self._held: Mask = np.array([is_active(state) for state in self.contact_states]) & (
+        held = np.array([is_active(state) for state in self.contact_states]) & (
             self._contacts['alpha_meas'] > self._record['settings']['contact_threshold'])
+        self._held: Mask = held[self._contacts['leader']]
         return self._held
 
     def update(self, time: float, alpha_meas: Vector) -> Reference:

@@ -14,6 +14,7 @@ from multicontact_control.compiled import compiled
 from multicontact_control.dynamics.rotations import rotation_vector
 from multicontact_control.supervision.contacts import (
     advance_contact,
+    follow_leader,
     is_active,
     is_falling,
     watch_energy,
@@ -47,6 +48,11 @@ def follow_contacts(
         moved[i] = states[i].displacement
     lever = np.empty(3)
     for i in range(count):
+        alpha = contacts[i].alpha_meas
+        if states[i].couple:
+            follow_leader(states[i], states[contacts[i].leader])
+            damping[i] = watch_energy(states[i], settings, alpha, dot(contacts[i].N, twist))
+            continue
         normal = contacts[i].normal
         place, speed = 0.0, 0.0
         for k in range(3):
@@ -63,7 +69,6 @@ def follow_contacts(
             normal[0] * (twist[0] + twist[4] * lever[2] - twist[5] * lever[1])
             + normal[1] * (twist[1] + twist[5] * lever[0] - twist[3] * lever[2])
             + normal[2] * (twist[2] + twist[3] * lever[1] - twist[4] * lever[0]))
-        alpha = contacts[i].alpha_meas
         damping[i] = watch_energy(states[i], settings, alpha, point_speed)
         # Turning about the tool moves the operational point, and a surface that is not where the
         # task has it moves the contact point: what escapes does both.
@@ -206,9 +211,16 @@ def limit_reference(reference: Any, control: Any, contacts: Any, states: Any) ->
         contact.active = is_active(state)
         contact.alpha_des = 0.0
         contact.damping = 0.0
-        contact.guarded = is_falling(state, settings, contact.alpha_meas)
+        if state.couple:
+            leader = contacts[contact.leader]  # which comes before
+            contact.guarded = leader.guarded
+            bound = contact.largest_offset * leader.alpha_des
+            wanted_force = min(max(state.asked, -bound), bound)
+        else:
+            contact.guarded = is_falling(state, settings, contact.alpha_meas)
+            wanted_force = min(state.asked, state.force_limit)
         if contact.active:
-            contact.alpha_des = min(state.asked, state.force_limit)
+            contact.alpha_des = wanted_force
             contact.damping = damping[i]
     add_displacements(limits, wanted, contacts, states, task)
     return bound_task(limits, frame, task)

@@ -63,7 +63,10 @@ CONTRADICTIONS = 2  # samples in a row that contradict the contacts, for the wre
 LONGEST_SKIP = 0.1  # s; the task's time does not follow a clock that has been set
 WAITING = ((RECOVERING,), (LATCHED,))
 SATURATED = frozenset(ENFORCED[TORQUE | JOINT_STOP])
-FIXED = ('torque_limit', 'sensor', 'contacts', 'contact_state', 'limits', 'watchdog')
+FIXED = ('torque_limit', 'sensor', 'contact_state', 'limits', 'watchdog')
+LIVE_OF_CONTACTS = (
+    'friction_coefficient', 'slip_speed', 'normal_world', 'normal_turn_rate', 'normal_range',
+    'normal_time', 'surface_speed', 'surface_speed_limit', 'surface_speed_time')
 
 
 class Supervisor(BumplessController):
@@ -119,6 +122,13 @@ class Supervisor(BumplessController):
         for name in FIXED:
             if getattr(config, name) != getattr(self.config, name):
                 raise ConfigError(name, 'what it is while in use', 'another value')
+        for name, contact in self.config.contacts.items():
+            other = config.contacts.get(name)
+            if other is None or other != contact.model_copy(update={
+                    field: getattr(other, field) for field in LIVE_OF_CONTACTS}):
+                raise ConfigError(
+                    f'contacts.{name}', 'what it is while in use, but for '
+                    f'{", ".join(LIVE_OF_CONTACTS)}', 'another value')
         super().check(config)
 
     def stand_still(self, pose: Pose) -> Pose:
@@ -140,7 +150,7 @@ class Supervisor(BumplessController):
         self._arm: ArmState | None = None
         self._too_fast: tuple[str, ...] = ()
         self._wrench_known = False
-        self._output = no_answer(self._robot.joint_count, len(self.config.contact_names))
+        self._output = no_answer(self._robot.joint_count, len(self.config.columns))
         self._status: SupervisorStatus | None = None
         self._last_law: object = None
         self._effort: Vector | None = None

@@ -130,7 +130,7 @@ class Watchdog:
     """
 
     def __init__(self, config: ControllerConfig, places: Places | None = None) -> None:
-        watch, r = config.watchdog, len(config.contact_names)
+        watch, r = config.watchdog, len(config.columns)
         self._names = list(config.robot.joint_names)
         self._in_order = list(range(len(self._names)))
         self._joints: Any = np.zeros(len(self._names), dtype=JOINT_READING)

@@ -233,7 +233,7 @@ def test_seventh_contact_is_refused(tmp_path):
     names = (*config.contact_names, 'seventh')
     contacts = {**config.contacts, 'seventh': config.contacts[config.contact_names[0]]}
     config = config.model_copy(update={'contact_names': names, 'contacts': contacts})
-    with pytest.raises(ConfigError, match='at most 6'):
+    with pytest.raises(ConfigError, match='which depend on each other'):
         Controller.from_config(config, CommandedReference(names), Path(tmp_path))
 
 

@@ -68,7 +68,7 @@ READERS = {
     topics.JOINT_STATES: lambda m: messages.read_joint_state(m, JOINTS),
     topics.WRENCH: messages.read_wrench,
     topics.NOISE_VARIANCE: lambda m: messages.read_effort(m, CONTACTS),
-    topics.FORCE_COMMAND: lambda m: messages.read_some_efforts(m, CONTACTS),
+    topics.FORCE_COMMAND: lambda m: messages.read_force_command(m, CONTACTS),
     topics.MOTION_COMMAND: messages.read_motion}
 PUBLISHED = [topic for topic in topics.published_by(topics.CONTROLLER) if topic.rate == 'control']
 

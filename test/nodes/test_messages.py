@@ -75,17 +75,22 @@ def test_message_error_has_one_cause_whatever_was_found():
     assert len(causes) == 1
 
 
-def test_read_some_efforts_takes_a_part_of_the_names():
+def test_read_force_command_takes_a_part_of_the_names():
     message = messages.joint_state_message(STAMP, ['c'], effort=[5.0])
-    assert messages.read_some_efforts(message, NAMES) == {'c': 5.0}
+    assert messages.read_force_command(message, NAMES) == ({'c': 5.0}, {})
+
+
+def test_positions_of_a_force_command_are_centres_of_pressure():
+    message = messages.joint_state_message(0, ['a', 'c'], position=[0.01, -0.02])
+    assert messages.read_force_command(message, NAMES) == ({}, {'a': 0.01, 'c': -0.02})
 
 
 @pytest.mark.parametrize(('names', 'efforts'), [
     (['d'], [1.0]), (['a', 'a'], [1.0, 2.0]), ([], []), (['a'], []), (['a'], [float('nan')])])
-def test_read_some_efforts_refuses(names, efforts):
+def test_read_force_command_refuses(names, efforts):
     message = JointState(name=names, effort=efforts)
     with pytest.raises(MessageError):
-        messages.read_some_efforts(message, NAMES)
+        messages.read_force_command(message, NAMES)
 
 
 def test_read_wrench_refuses_what_is_not_finite():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 import math
 
 from multicontact_control.arrays import Matrix, Vector
@@ -21,14 +22,18 @@ class CommandedReference:
 
     Parameters
     ----------
-    contact_names
-        Contacts in the order of every contact vector.
+    names
+        Forces and couples in the order of every contact vector.
+    leader_of
+        For each of them which one is the normal force of its contact; itself if not given.
 
     """
 
-    def __init__(self, contact_names: tuple[str, ...]) -> None:
-        self._names = contact_names
-        self._alpha_des = np.zeros(len(contact_names))
+    def __init__(self, names: tuple[str, ...], leader_of: Sequence[int] | None = None) -> None:
+        self._names = names
+        self._leader_of = list(range(len(names)) if leader_of is None else leader_of)
+        self._alpha_des = np.zeros(len(names))
+        self._shares = np.full(len(names), math.nan)
         self._pose: Pose | None = None
         self._twist = np.zeros(6)
         self._acceleration = np.zeros(6)
@@ -39,15 +44,22 @@ class CommandedReference:
         self._twist = np.zeros(6)
         self._acceleration = np.zeros(6)
         self._alpha_des = np.zeros(len(self._names))
+        self._shares = np.full(len(self._names), math.nan)
 
-    def set_forces(self, forces: dict[str, float]) -> bool:
+    def set_forces(
+        self, forces: Mapping[str, float], shares: Mapping[str, float] | None = None,
+    ) -> bool:
         """
         Command contact forces; contacts that are not named keep theirs.
 
         Parameters
         ----------
         forces
-            Desired force per contact [N]; 0 gives the contact back to motion control.
+            Desired force per contact [N]; 0 gives the contact back to motion control. Couples
+            may have either sign, and act while their contact does.
+        shares
+            Couples relative to the force of their contact, which they go on following; that is
+            where the centre of pressure is, in half lengths.
 
         Returns
         -------
@@ -60,17 +72,37 @@ class CommandedReference:
             If a name is unknown or a force is negative or not finite; nothing is changed then.
 
         """
-        desired = self._alpha_des.copy()
+        desired, followed = self._alpha_des.copy(), self._shares.copy()
         for name, force in forces.items():
-            if name not in self._names:
-                raise ConfigError('contact_forces/command',
-                                  f'contacts among {", ".join(self._names)}', f"'{name}'")
-            if not (math.isfinite(force) and force >= 0.0):
-                raise ConfigError(f'contact_forces/command.{name}', 'a force >= 0 N', force)
-            desired[self._names.index(name)] = force
+            index = self._index(name)
+            couple = self._leader_of[index] != index
+            if not (math.isfinite(force) and (couple or force >= 0.0)):
+                raise ConfigError(f'contact_forces/command.{name}', 'a finite couple' if couple
+                                  else 'a force >= 0 N', force)
+            desired[index], followed[index] = force, math.nan
+        for name, share in (shares or {}).items():
+            index = self._index(name)
+            if self._leader_of[index] == index or not math.isfinite(share):
+                raise ConfigError(f'contact_forces/command.{name}',
+                                  'a finite share of a couple', share)
+            followed[index] = share
+        known = ~np.isnan(followed)
+        desired[known] = followed[known] * desired[self._leader_of][known]
+        self._shares = followed
         changed = bool((desired != self._alpha_des).any())
         self._alpha_des = desired
         return changed
+
+    def _index(self, name: str) -> int:
+        if name not in self._names:
+            raise ConfigError('contact_forces/command',
+                              f'contacts among {", ".join(self._names)}', f"'{name}'")
+        return self._names.index(name)
+
+    @property
+    def forces(self) -> dict[str, float]:
+        """Return what is commanded, forces and couples by name [N]."""
+        return dict(zip(self._names, self._alpha_des.tolist()))
 
     def set_motion(
         self, position_world: Vector, quaternion_xyzw: Vector, twist_world: Vector,
@@ -129,4 +161,4 @@ class CommandedReference:
             raise ConfigError('reference', 'start() before update()', 'update()')
         return Reference(
             pose_des=self._pose, twist_des=self._twist, acceleration_des=self._acceleration,
-            active=self._alpha_des > 0.0, alpha_des=self._alpha_des)
+            active=(self._alpha_des > 0.0)[self._leader_of], alpha_des=self._alpha_des)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_right
+from collections.abc import Sequence
 import math
 
 from multicontact_control.arrays import Mask, Vector
@@ -32,7 +33,8 @@ class ForceStepConfig(Config):
     """A step of the desired forces."""
 
     time: Real = parameter(..., 'When.', unit='s', ge=0.0)
-    forces: dict[str, Real] = parameter(..., 'Desired force per contact.', unit='N')
+    forces: dict[str, Real] = parameter(
+        ..., 'Desired force per contact, and couple of an edge or plane.', unit='N')
 
 
 class SineConfig(Config):
@@ -91,7 +93,9 @@ class ScenarioReference:
     rate
         Control rate [Hz].
     contact_names
-        Contacts in the order of every contact vector.
+        Contacts, or their forces and couples, in the order of every contact vector.
+    leader_of
+        For each of them which one is the normal force of its contact; itself if not given.
 
     Raises
     ------
@@ -102,6 +106,7 @@ class ScenarioReference:
 
     def __init__(
         self, config: ReferenceConfig, *, rate: float, contact_names: tuple[str, ...],
+        leader_of: Sequence[int] | None = None,
     ) -> None:
         self._config = config
         self._period = 1.0 / rate
@@ -116,6 +121,8 @@ class ScenarioReference:
             self._steps.append((step.time, forces))
         self._step_times = [step.time for step in config.force_steps]
         self._count = len(contact_names)
+        self._leader_of = list(range(len(contact_names)) if leader_of is None else leader_of)
+        self._is_force = np.array(self._leader_of) == np.arange(len(contact_names))
         motion = config.motion
         self._direction = motion.direction_world if motion is not None else (0.0, 0.0, 0.0)
         self._motion = motion
@@ -175,7 +182,8 @@ class ScenarioReference:
         approach = self._config.approach
         since = time - approach.start_time
         if since >= 0.0:
-            self._active = self._active | (alpha_meas > approach.contact_threshold)
+            touched = (alpha_meas > approach.contact_threshold)[self._leader_of]
+            self._active = self._active | touched
             self._all_active = bool(self._active.all())
             self._steps_done = -1  # the desired forces have changed
         speed, speed_rate = _ramp(since, approach.speed, approach.ramp_time)
@@ -211,7 +219,7 @@ class ScenarioReference:
 
     def forces_after(self, steps: int) -> Vector:
         """Return the desired forces after so many force steps, shape (r,) [N]."""
-        desired = np.full(self._count, self._config.approach.preload)
+        desired = np.where(self._is_force, self._config.approach.preload, 0.0)
         for _, forces in self._steps[:steps]:
             desired = np.where(np.isnan(forces), desired, forces)
         return desired

@@ -1,7 +1,8 @@
-"""How the tick's time grows with contacts, joints and the order of the active state."""
+"""How the tick's time grows with columns of N, joints and the order of the active state."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -16,7 +17,7 @@ from multicontact_control.dynamics.pose import Pose
 from multicontact_control.dynamics.robot import RobotModel
 import numpy as np
 
-CONTACTS = (1, 2, 3, 4, 5, 6)
+COLUMNS = (1, 2, 3, 4, 5, 6, 12)  # 12 are four planes that share the wrench
 JOINTS = (6, 7, 14)
 ORDERS = (0, 1, 2, 3)
 # Six independent contacts: unit normals and points, both in world axes.
@@ -36,13 +37,13 @@ class SyntheticSetup:
 
 
 def synthetic_setup(
-    folder: Path, *, joints: int, contacts: int, order: int = 1,
+    folder: Path, *, joints: int, contacts: int, order: int = 1, planes: bool = False,
 ) -> SyntheticSetup:
     """
     Write the URDF of an arm into a folder and return a configuration for it.
 
-    Its axes, at least 6, go alternately along z and y; it has 1 to 6 contacts, with active states
-    of an order.
+    Its axes, at least 6, go alternately along z and y; it has 1 to 6 contacts, points or planes,
+    with active states of an order.
     """
     path = folder / f'arm{joints}.urdf'
     path.write_text(_urdf(joints), encoding='utf-8')
@@ -56,10 +57,12 @@ def synthetic_setup(
     config = validate(ControllerConfig, {
         'robot': robot,
         'tool': {'mass': 0.5, 'com_sensor': (0.0, 0.02, 0.08)},
-        'force': {'active_state_order': order},
+        'force': {'active_state_order': order,
+                  'dependent_columns': 'minimum_norm' if planes else 'refused'},
         'contact_names': names, 'torque_limit': [200.0] * joints,
         'contacts': {
-            name: {'normal_world': normal, 'point_operational': point}
+            name: {'normal_world': normal, 'point_operational': point,
+                   **({'type': 'plane', 'friction_std': 3.0} if planes else {})}
             for name, normal, point in zip(names, NORMALS, points)}}, path.name)
     return SyntheticSetup(config, home)
 
@@ -88,9 +91,9 @@ def _urdf(joints: int) -> str:
 class _AllContacts:
     """A reference that holds the pose and presses on every contact."""
 
-    def __init__(self, contacts: int) -> None:
-        self._active = np.ones(contacts, dtype=bool)
-        self._forces = np.full(contacts, 5.0)
+    def __init__(self, leader_of: Sequence[int]) -> None:
+        self._active = np.ones(len(leader_of), dtype=bool)
+        self._forces = np.where(np.arange(len(leader_of)) == leader_of, 5.0, 0.0)
         self._still = np.zeros(6)
 
     def start(self, pose: Pose, normals_world: Any) -> None:
@@ -102,8 +105,9 @@ class _AllContacts:
 
 def tick_time(setup: SyntheticSetup, folder: Path, ticks: int) -> float:
     """Return the median time of a tick of the controller [us]."""
-    contacts = len(setup.config.contact_names)
-    controller = Controller.from_config(setup.config, _AllContacts(contacts), folder)
+    contacts = len(setup.config.columns)
+    controller = Controller.from_config(
+        setup.config, _AllContacts(setup.config.leader_of), folder)
     random = np.random.default_rng(0)
     moves = random.standard_normal((100, 2, setup.home.shape[0]))
     wrenches = random.standard_normal((100, 6))
@@ -121,15 +125,18 @@ def tick_time(setup: SyntheticSetup, folder: Path, ticks: int) -> float:
 
 
 def bench_scaling(ticks: int) -> dict[str, dict[str, float]]:
-    """Return median times [us] by number of contacts, of joints (two contacts), and order."""
+    """Return median times [us] by number of columns, of joints (two contacts), and order."""
     with TemporaryDirectory() as name:
         folder = Path(name)
 
-        def at(joints: int = 6, contacts: int = 2, order: int = 1) -> float:
-            setup = synthetic_setup(folder, joints=joints, contacts=contacts, order=order)
+        def at(joints: int = 6, columns: int = 2, order: int = 1) -> float:
+            planes = columns > len(NORMALS)
+            setup = synthetic_setup(
+                folder, joints=joints, contacts=columns // 3 if planes else columns, order=order,
+                planes=planes)
             return tick_time(setup, folder, ticks)
 
         return {
-            'contacts_us': {str(contacts): at(contacts=contacts) for contacts in CONTACTS},
+            'columns_us': {str(columns): at(columns=columns) for columns in COLUMNS},
             'joints_us': {str(joints): at(joints=joints) for joints in JOINTS},
             'order_us': {str(order): at(order=order) for order in ORDERS}}

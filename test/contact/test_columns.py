@@ -1,0 +1,131 @@
+"""Edges and planes: their columns of N, and what is measured along them."""
+
+from multicontact_control.config.columns import ACROSS, ALONG, FORCE
+from multicontact_control.contact.geometry import are_independent, check_columns, normal_space
+from multicontact_control.control.wrench import measure_contacts
+from multicontact_control.errors import ConfigError
+from multicontact_control.records import CONTACT, CONTROL
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+NORMAL = np.array([0.6, 0.0, -0.8])
+POINT = np.array([0.02, -0.05, 0.2])
+HALF = 0.04
+
+
+def columns(kinds, *, friction=0.0, direction=(0.0, 1.0, 0.0), points=None):
+    records = np.zeros(len(kinds), dtype=CONTACT)
+    records['kind'], records['direction'], records['half_length'] = kinds, direction, HALF
+    records['normal'] = [NORMAL if kind == FORCE else np.zeros(3) for kind in kinds]
+    records['point'] = POINT if points is None else points
+    records['leader'] = np.arange(len(kinds)) if points is not None else 0
+    records['friction_std'] = [friction if kind == FORCE else 0.0 for kind in kinds]
+    records['torsion_std'] = HALF * records['friction_std']
+    return records
+
+
+def point_column(point):
+    """Return the wrench of 1 N along the normal at a point, about the origin of world axes."""
+    return np.concatenate([NORMAL, np.cross(point, NORMAL)])
+
+
+def control(wrench, *, separated=False, dependent=False, lever=(0.0, 0.0, 0.06)):
+    """Return a record whose sensor, a lever from the operational point, reads a wrench there."""
+    record = np.zeros(1, dtype=CONTROL)
+    record['frame']['rotation'] = record['frame']['sensor_rotation'] = np.eye(3)
+    record['frame']['sensor_position'] = lever
+    record['law']['separated'], record['law']['dependent'] = separated, dependent
+    record['law']['force_noise'], record['law']['torque_noise'] = 0.05, 0.004
+    moved = wrench.copy()
+    moved[3:] -= np.cross(lever, wrench[:3])
+    record['wrench'] = moved
+    return record[0]
+
+
+def test_a_couple_is_a_difference_of_forces_at_both_ends():
+    """Of 1 N: half a newton more at one end, half a newton less at the other."""
+    turn = Rotation.from_rotvec([0.3, -0.2, 0.9]).as_matrix()
+    records = columns([FORCE, ALONG, ACROSS], direction=turn.T @ [0.0, 1.0, 0.0])
+    records['point'] = POINT @ turn
+    N = normal_space(records, turn)
+    along = np.array([0.0, 1.0, 0.0])
+    across = np.cross(NORMAL, along)
+    np.testing.assert_allclose(N[:, 0], point_column(POINT), atol=1e-15)
+    for column, direction in ((1, along), (2, across)):
+        ends = [point_column(POINT + side * HALF * direction) for side in (1.0, -1.0)]
+        np.testing.assert_allclose(N[:, column], 0.5 * (ends[0] - ends[1]), atol=1e-15)
+
+
+def test_forces_at_the_ends_are_read_as_force_and_centre_of_pressure():
+    records, forces = columns([FORCE, ALONG]), (4.0, 9.0)
+    wrench = sum(force * point_column(POINT + side * HALF * np.array([0.0, 1.0, 0.0]))
+                 for side, force in zip((-1.0, 1.0), forces))
+    assert measure_contacts(control(wrench), records)
+    np.testing.assert_allclose(records['alpha_meas'], [13.0, 5.0], atol=1e-12)
+
+
+@pytest.mark.parametrize('kinds', [[FORCE], [FORCE, ALONG], [FORCE, ALONG, ACROSS]])
+def test_friction_that_is_allowed_for_is_no_normal_force(kinds):
+    """It is 12 N on a lever of 0.2 m: without that, it is read as several newtons."""
+    true = np.array([10.0, 2.0, -1.0])[:len(kinds)]
+    friction = np.array([4.0, 12.0, 3.0]) - NORMAL * (NORMAL @ [4.0, 12.0, 3.0])
+    records = columns(kinds)
+    wrench = normal_space(records, np.eye(3)) @ true
+    wrench += np.concatenate([friction, np.cross(POINT, friction)])
+    assert measure_contacts(control(wrench), records)
+    plain = np.abs(records['alpha_meas'] - true).max()
+    records = columns(kinds, friction=20.0)
+    assert measure_contacts(control(wrench, separated=True), records)
+    assert plain > 1.0 or len(kinds) == 1
+    np.testing.assert_allclose(records['alpha_meas'], true, atol=5e-3)
+    np.testing.assert_allclose(records['friction'][0], friction, atol=5e-3)
+
+
+def test_weighing_by_noise_and_friction_is_generalised_least_squares():
+    """Against the textbook's formula: what a wrench leaves over is shared by the variances."""
+    random = np.random.default_rng(3)
+    lever, wrench = np.array([0.01, 0.02, 0.06]), random.standard_normal(6)
+    records = columns([FORCE, ALONG], friction=0.3)
+    N = normal_space(records, np.eye(3))
+    shift = np.eye(6)  # moves a wrench from the operational point to the sensor
+    shift[3:, :3] = -np.array([[0, -lever[2], lever[1]], [lever[2], 0, -lever[0]],
+                               [-lever[1], lever[0], 0]])
+    across = np.eye(3) - np.outer(NORMAL, NORMAL)
+    T = np.vstack([across, np.cross(POINT, across.T).T])
+    turn = np.concatenate([np.zeros(3), NORMAL])
+    W = np.diag([0.05 ** 2] * 3 + [0.004 ** 2] * 3) + shift @ (
+        0.3 ** 2 * (T @ T.T + HALF ** 2 * np.outer(turn, turn))) @ shift.T
+    A, weight = shift @ N, np.linalg.inv(W)
+    expected = np.linalg.solve(A.T @ weight @ A, A.T @ weight @ shift @ wrench)
+    assert measure_contacts(control(wrench, separated=True, lever=lever), records)
+    np.testing.assert_allclose(records['alpha_meas'], expected, rtol=1e-9)
+    residual = shift @ (wrench - N @ expected)
+    np.testing.assert_allclose(
+        records['friction'][0], 0.3 ** 2 * (shift @ T).T @ weight @ residual, rtol=1e-8,
+        atol=1e-12)
+
+
+def corners(count):
+    places = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [0, 0], [1, 0]])[:count] * HALF
+    return POINT + places @ np.array([[0.0, 1.0, 0.0], np.cross(NORMAL, [0.0, 1.0, 0.0])])
+
+
+def test_what_cannot_be_told_apart_is_refused_or_shared_with_the_smallest_norm():
+    records = columns([FORCE] * 4, points=corners(4))
+    assert are_independent(records[:3]) and not are_independent(records)
+    names = ['a', 'b', 'c', 'd']
+    with pytest.raises(ConfigError, match=r'a, b, c, d, which depend .*|independent columns'):
+        check_columns(names, records, minimum_norm=False)
+    assert check_columns(names, records, minimum_norm=True)
+    N = normal_space(records, np.eye(3))
+    wrench = N @ [1.0, 2.0, 3.0, 4.0]
+    assert not measure_contacts(control(wrench), records.copy())
+    assert measure_contacts(control(wrench, dependent=True), records)
+    np.testing.assert_allclose(records['alpha_meas'], np.linalg.pinv(N) @ wrench, atol=1e-5)
+
+
+def test_no_more_columns_than_there_is_room_for():
+    records = columns([FORCE] * 13, points=np.zeros((13, 3)))
+    with pytest.raises(ConfigError, match='at most 12'):
+        check_columns([str(i) for i in range(13)], records, minimum_norm=True)
