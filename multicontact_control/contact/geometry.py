@@ -159,6 +159,35 @@ def check_columns(names: Sequence[str], contacts: Records, *, minimum_norm: bool
     return True
 
 
+def friction_coupling(contacts: Records, rotation_world: Matrix) -> Matrix:
+    """
+    Return what friction is read as where the wrench is taken apart without allowing for it.
+
+    Parameters
+    ----------
+    contacts
+        Records of `CONTACT`, shape (r,).
+    rotation_world
+        Axes of the operational frame, shape (3, 3).
+
+    Returns
+    -------
+    Matrix
+        Largest force or couple i that 1 N of friction at contact j is read as, in any direction
+        across its normal, shape (r, r); 0 where j is a couple [N].
+
+    """
+    N_inverse = np.linalg.pinv(normal_space(contacts, rotation_world))
+    coupling: Matrix = np.zeros((len(contacts), len(contacts)))
+    for j, contact in enumerate(contacts):
+        if contact['kind'] != FORCE:
+            continue
+        across = np.eye(3) - np.outer(contact['normal'], contact['normal'])
+        moments = np.cross(rotation_world @ contact['point'], across.T).T
+        coupling[:, j] = np.linalg.norm(N_inverse @ np.vstack([across, moments]), axis=1)
+    return coupling
+
+
 def operational_stiffness(k_env: float, normal_world: Vector, lever_world: Vector) -> float:
     """
     Return the stiffness of one contact as felt at the operational point.

@@ -11,7 +11,11 @@ from multicontact_control.arrays import Mask, Matrix, require_shape, Vector
 from multicontact_control.compiled import bound
 from multicontact_control.config import ControllerConfig
 from multicontact_control.config.columns import FORCE
-from multicontact_control.contact.geometry import check_columns, operational_stiffness
+from multicontact_control.contact.geometry import (
+    check_columns,
+    friction_coupling,
+    operational_stiffness,
+)
 from multicontact_control.control.arm_state import AMBIGUOUS, ArmState
 from multicontact_control.control.law import control_law, DEPENDENT, OK, SINGULAR
 from multicontact_control.control.reference import ReferenceSource, TaskArrays
@@ -34,6 +38,7 @@ __all__ = ['Controller', 'ControlOutput', 'Measurement']
 
 
 LARGEST_DRIFT = 0.02  # of a stiffness, from which on an observer is redesigned
+LEVERED = 1.05  # N that 1 N of friction is read as, from which on a lever is to blame
 
 
 class Controller:
@@ -283,6 +288,21 @@ class Controller:
     def _pose(self) -> Pose:
         position, rotation = self.arm.pose
         return Pose(position.copy(), rotation.copy())
+
+    @property
+    def misread_friction(self) -> list[tuple[str, str, float]]:
+        """
+        Return where a lever turns friction into more than itself.
+
+        A contact whose friction is neither expected nor allowed for, the force or couple that it
+        is read as, and how much of it 1 N is [N].
+        """
+        coupling = friction_coupling(self.contacts.copy(), self.arm.pose.rotation_world)
+        names, contacts = self.config.column_names, self.config.contacts
+        return [(names[j], names[i], float(coupling[i, j]))
+                for j in self.config.leaders for i in range(len(names))
+                if coupling[i, j] > LEVERED and not (
+                    contacts[names[j]].friction_std or contacts[names[j]].friction_coefficient)]
 
     def _start(self) -> None:
         """Begin with the first sample."""

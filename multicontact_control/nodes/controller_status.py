@@ -67,8 +67,10 @@ def contact_status(loop: ControlLoop) -> Status:
     values: dict[str, Any] = {'held': loop.held}
     if output is None:
         return Status('contacts', values)
-    trouble = []
     config = loop.config
+    trouble = [f'1 N of friction at {where} is read as {gain:.1f} N at {what}: give '
+               f'contacts.{where}.friction_std'
+               for where, what, gain in loop.controller.controller.misread_friction]
     for i, name in enumerate(config.column_names):
         values[f'{name} measured_n'] = float(output.alpha_meas[i])
         values[f'{name} estimated_n'] = float(output.alpha_est[i])

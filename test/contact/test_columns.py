@@ -1,7 +1,12 @@
 """Edges and planes: their columns of N, and what is measured along them."""
 
 from multicontact_control.config.columns import ACROSS, ALONG, FORCE
-from multicontact_control.contact.geometry import are_independent, check_columns, normal_space
+from multicontact_control.contact.geometry import (
+    are_independent,
+    check_columns,
+    friction_coupling,
+    normal_space,
+)
 from multicontact_control.control.wrench import measure_contacts
 from multicontact_control.errors import ConfigError
 from multicontact_control.records import CONTACT, CONTROL
@@ -129,3 +134,19 @@ def test_no_more_columns_than_there_is_room_for():
     records = columns([FORCE] * 13, points=np.zeros((13, 3)))
     with pytest.raises(ConfigError, match='at most 12'):
         check_columns([str(i) for i in range(13)], records, minimum_norm=True)
+
+
+def test_coupling_is_what_friction_is_read_as():
+    records = columns([FORCE, ALONG])
+    coupling = friction_coupling(records.copy(), np.eye(3))
+    worst = np.zeros(2)
+    across = np.cross(NORMAL, [0.0, 1.0, 0.0])
+    for angle in np.linspace(0.0, np.pi, 721):
+        friction = np.cos(angle) * np.array([0.0, 1.0, 0.0]) + np.sin(angle) * across
+        read = records.copy()
+        wrench = np.concatenate([friction, np.cross(POINT, friction)])
+        assert measure_contacts(control(wrench), read)
+        worst = np.maximum(worst, np.abs(read['alpha_meas']))
+    np.testing.assert_allclose(coupling[:, 0], worst, rtol=1e-4)
+    assert (coupling[:, 1] == 0.0).all()
+    assert coupling[1, 0] > 1.0  # a lever of 0.2 m on an edge of 0.08 m
