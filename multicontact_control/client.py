@@ -206,10 +206,12 @@ class MultiContactClient:
         """
         # A command from before the first sample would be forgotten by it.
         self._link.fresh(topics.DESIRED_FORCES)
-        for field, values in (('effort', forces), ('position', centres)):
-            if values:
-                self._link.publish(self._force_publisher, messages.joint_state_message(
-                    0, list(values), **{field: list(values.values())}))
+        if forces:
+            self._link.publish(self._force_publisher, messages.joint_state_message(
+                0, list(forces), effort=list(forces.values())))
+        if centres:
+            self._link.publish(self._force_publisher, messages.joint_state_message(
+                0, list(centres), position=list(centres.values())))
         self._commanded.update(forces)
         for name in centres or {}:
             self._commanded.pop(name, None)

@@ -180,6 +180,7 @@ STIFFNESS_FIT = np.dtype([
 # The on-line stiffness of one contact.
 STIFFNESS = np.dtype([
     ('adaptive', B),  # whether the observer follows it
+    ('share', F),  # of a couple: its stiffness over that of its contact's normal force
     ('period', F),  # h [s]
     ('lowest', F), ('highest', F),  # k stays within [N/m]
     ('largest_damping', F),  # c stays below [N s/m]

@@ -97,10 +97,6 @@ class ControllerConfig(Config):
             raise ConfigError(
                 'force.allocation', f'decoupled with the {self.contacts[wide[0]].type} {wide[0]}',
                 self.force.allocation)
-        if self.force.stiffness != 'configured':
-            raise ConfigError(
-                'force.stiffness', f'configured with the {self.contacts[wide[0]].type} {wide[0]}',
-                self.force.stiffness)
 
     @property
     def columns(self) -> tuple[Column, ...]:

@@ -34,6 +34,7 @@ from multicontact_control.force.stiffness import (
     learn_stiffness,
     model_stiffnesses,
     observe_and_follow,
+    share_stiffness,
 )
 from multicontact_control.records import FORCE_LAW, Records
 import numpy as np
@@ -91,6 +92,9 @@ def make_force_laws(config: ControllerConfig, stiffnesses: Vector) -> Records:
             adopt_stiffness(
                 law['stiffness'], design.loop.plant, stiffness, force, period=config.period,
                 tool_mass=config.tool.mass, ratio_limits=limits)
+            if column.kind != FORCE:
+                law['stiffness']['share'] = (
+                    column.stiffness / config.columns[column.leader].stiffness)
     return laws
 
 
@@ -252,9 +256,12 @@ def answer_forces(
         contact.prior_variance = 0.0
         contact.variance_used = 0.0
         speed = dot(contact.N, control.frame.twist)
-        if law.stiffness.adaptive:
+        if law.stiffness.adaptive and contact.kind == FORCE:
             learn_stiffness(law.observer, law.stiffness, contact, control.measured, speed,
                             friction_of_others(control.frame, contacts, i))
+        elif law.stiffness.adaptive:
+            share_stiffness(law.observer, law.stiffness, contact, contacts[contact.leader],
+                            laws[contact.leader].stiffness)
         if not contact.active:
             law.observer.running = False
             law.linear.running = False

@@ -23,6 +23,7 @@ from multicontact_control.algebra import cholesky, dot, multiply, solve_cholesky
 from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.config import AdaptiveStiffnessConfig, ForceConfig
+from multicontact_control.config.columns import FORCE
 from multicontact_control.force.observer import command, observe, start
 from multicontact_control.force.plant_model import DelayedPlant
 from multicontact_control.records import LIMITS
@@ -358,7 +359,7 @@ def friction_of_others(frame: Any, contacts: Any, which: int) -> float:
     lever, velocity = np.empty(3), np.empty(3)
     for j in range(contacts.shape[0]):
         other = contacts[j]
-        if j == which or other.alpha_meas <= 0.0:
+        if j == which or other.kind != FORCE or other.alpha_meas <= 0.0:
             continue
         multiply(frame.rotation, other.point, lever)
         velocity[0] = twist[0] + twist[4] * lever[2] - twist[5] * lever[1]
@@ -474,6 +475,29 @@ def learn_stiffness(
 
 
 @compiled
+def share_stiffness(observer: Any, stiffness: Any, contact: Any, leader: Any, whole: Any) -> None:
+    """
+    Let the model of a couple follow what is found for the normal force of its contact.
+
+    Parameters
+    ----------
+    observer, stiffness, contact
+        As for `observe_and_follow`.
+    leader, whole
+        Records of `CONTACT` and `STIFFNESS` of that normal force.
+
+    """
+    share = stiffness.share
+    k = min(max(share * whole.k, stiffness.lowest), stiffness.highest)
+    if k != stiffness.k:
+        use_stiffness(observer, stiffness, k, share * whole.c)
+    contact.stiffness = k
+    contact.stiffness_est = share * leader.stiffness_est
+    contact.stiffness_std = share * leader.stiffness_std
+    contact.ratio_bound, contact.margin = leader.ratio_bound, leader.margin
+
+
+@compiled
 def observe_and_follow(
     observer: Any, stiffness: Any, contact: Any, measured: bool, speed: float,
 ) -> float:
@@ -505,7 +529,9 @@ def observe_and_follow(
         rate = stiffness.k * speed
         observer.x_est[1] = rate
         observer.P[1, 1] += rate * rate  # as long as it is not known how stiff the surface is
-        stiffness.alpha_ref = max(contact.alpha_meas, 0.0)
+        stiffness.alpha_ref = contact.alpha_meas
+        if stiffness.share == 0.0:
+            stiffness.alpha_ref = max(contact.alpha_meas, 0.0)
     step = stiffness.k * stiffness.approach_limit * stiffness.period
     stiffness.alpha_ref += min(max(contact.alpha_des - stiffness.alpha_ref, -step), step)
     u = command(observer, stiffness.alpha_ref)

@@ -40,6 +40,18 @@ def test_friction_that_is_not_allowed_for_is_taken_for_a_couple():
     assert rms_in(window, force_error(data, setup, 1)) > 4.0
 
 
+def test_a_couple_follows_the_stiffness_that_is_found_for_its_contact():
+    """A sixth of what is configured: with that, a step of the couple takes half a second."""
+    ends = {name: {'stiffness': 500.0} for name in ('edge_1', 'edge_2')}
+    setup = resolve('edge', plant='puma', seed=1, duration=8.0, plant_overrides={'surfaces': ends},
+                    controller={'force': {'stiffness': 'adaptive'}})
+    data = run_in_process(setup, supervised=True).data
+    found = data.stiffness[-1]
+    np.testing.assert_allclose(found, 1000.0, rtol=0.25)
+    settled = (data.time > 6.15) & (data.time < 7.5)
+    assert np.abs(force_error(data, setup, 1)[settled]).max() < 0.5
+
+
 def press(changes, *, ticks, each=lambda loop, k: None, plant=None, only=None, motion=None):
     """Return the error of the last contact's true force while something happens [N]."""
     names = ['table', 'board'] if only is None else [only]
