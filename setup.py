@@ -38,6 +38,7 @@ install_requires = [
     'pyarrow>=17,<27',
     'mcap>=1.2,<2',
     'mcap-ros2-support>=0.5.5,<0.7',
+    'zstandard>=0.22,<1',
 ]
 
 extras_require = {

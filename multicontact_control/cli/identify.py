@@ -11,7 +11,8 @@ import typer
 
 def identify(
     run: Annotated[Path, typer.Argument(
-        metavar='RUN', help='Folder of `run` or `simulate`, or of a bag with --config.')],
+        metavar='RUN', help='Folder of `run` or `simulate`, or a bag (folder or .mcap file) with '
+        '--config.')],
     config: Annotated[Path | None, typer.Option(
         help='Parameter file of the controller, for a bag that was recorded in another way; its '
              'URDF is looked for beside it.')] = None,

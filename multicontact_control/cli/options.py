@@ -10,6 +10,7 @@ from typing import Annotated, Any, TYPE_CHECKING
 import typer
 
 if TYPE_CHECKING:
+    from multicontact_control.experiment.external import External
     from multicontact_control.experiment.scenario import Setup
 
 Scenario = Annotated[str, typer.Option(
@@ -41,8 +42,13 @@ Overwrite = Annotated[bool, typer.Option(
 Bare = Annotated[bool, typer.Option(
     '--bare', help='The control law alone, as the claims are measured, without the contact '
     'states, watchdogs, limits and gate of the supervisor.')]
+ControllerFiles = Annotated[list[Path] | None, typer.Option(
+    '--controller', metavar='FILE', help='Parameter file of your controller; may be repeated, '
+    'each laid over those before. A relative URDF is looked for beside the file that names it.')]
 DomainId = Annotated[int | None, typer.Option(
     help='ROS_DOMAIN_ID to look at; that of the environment, or 0, if not given.')]
+Namespace = Annotated[str | None, typer.Option(
+    help='Namespace of the controller; of a recording, the only one in it if not given.')]
 
 # Of the studies: compare, map, sweep, faults.
 StudyOut = Annotated[Path | None, typer.Option(
@@ -105,3 +111,35 @@ def prepare(
         setup = resolve(scenario, **overridden(options, settings, setup))
     return setup, prepare_folder(
         out, setup.scenario.name, overwrite=overwrite, now=datetime.now())
+
+
+def prepare_external(
+    files: Sequence[Path], scenario: str | None, duration: float | None,
+    noise_estimator: str | None, out: Path | None, overwrite: bool, *, preset: str = '',
+    law: str | None = None, settings: Sequence[str] | None = None,
+) -> tuple[External, Path]:
+    """
+    Check everything a run on a robot of somebody else needs, then make its folder.
+
+    Raises
+    ------
+    MulticontactError
+        With the first value that is not acceptable; there is no new folder then.
+
+    """
+    from multicontact_control.experiment.external import resolve_external
+    from multicontact_control.experiment.overrides import overridden
+    from multicontact_control.experiment.results import prepare_folder
+
+    is_file = noise_estimator is not None and Path(noise_estimator).suffix in ('.yaml', '.yml')
+    options: dict[str, Any] = {
+        'scenario': scenario, 'duration': duration, 'preset': preset,
+        'estimator_file': Path(noise_estimator) if noise_estimator and is_file else None,
+        'noise_estimator': {'estimator': noise_estimator} if noise_estimator and (
+            not is_file) else None,
+        'controller': {'force': {'law': law}} if law else None}
+    resolved = resolve_external(files, **options)
+    if settings:
+        resolved = resolve_external(files, **overridden(options, settings, resolved.setup))
+    return resolved, prepare_folder(
+        out, resolved.setup.scenario.name, overwrite=overwrite, now=datetime.now())

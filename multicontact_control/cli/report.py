@@ -6,23 +6,37 @@ from pathlib import Path
 from typing import Annotated
 
 from multicontact_control.cli.exits import errors_in_one_line
+from multicontact_control.cli.options import ControllerFiles, Namespace
 import typer
 
 
 def report(
     runs: Annotated[list[Path], typer.Argument(
-        metavar='RUN...', help='Folders of `run` or `simulate`.')],
+        metavar='RUN...', help='Folders of `run` or `simulate`, bag folders, or .mcap files of '
+        'anybody.')],
     comparison: Annotated[Path | None, typer.Option(
         help='Folder of `compare`, for the claims that compare estimators.')] = None,
     out: Annotated[Path | None, typer.Option(
-        help='Folder for report.html and the figures; the first run if not given.')] = None,
+        help='Folder for report.html and the figures; the first run, or beside the first '
+        'recording, if not given.')] = None,
+    controller: ControllerFiles = None,
+    namespace: Namespace = None,
 ) -> None:
-    """Judge recorded runs by the claims of the paper: report.html, and figures as PNG and PDF."""
+    """
+    Judge recorded runs by the claims of the paper: report.html, and figures as PNG and PDF.
+
+    Of a recording without ground truth the measured forces are shown, and no run is called stable
+    by them. Names and rate are those of the messages, or of --controller.
+    """
     from multicontact_control.experiment.report import write_report
-    from multicontact_control.experiment.results import load_run
+    from multicontact_control.experiment.results import load, report_folder
     from multicontact_control.experiment.study.presets.compare.results import read_comparison
 
     with errors_in_one_line():
         content = read_comparison(comparison) if comparison is not None else None
-        paths = write_report([load_run(folder) for folder in runs], out or runs[0], content)
+        loaded = [load(path, controller or (), namespace) for path in runs]
+        paths = write_report(loaded, out or report_folder(runs[0]), content)
+    for run in loaded:
+        for remark in run.summary.get('remarks', ()):
+            typer.echo(f'{run.folder}: {remark}')
     typer.echo(f'report in {paths[0]}, {len(paths) - 1} figures')

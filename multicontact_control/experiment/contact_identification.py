@@ -16,11 +16,12 @@ from pathlib import Path
 from typing import Any
 
 from multicontact_control.arrays import Mask, Matrix, Vector
-from multicontact_control.config import ControllerConfig, read_parameters, validate
+from multicontact_control.config import ControllerConfig
 from multicontact_control.control.controller import Controller
 from multicontact_control.control.reference import CommandedReference
-from multicontact_control.errors import RunError
+from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.experiment.bag import read_bag
+from multicontact_control.experiment.external import read_controller_files
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.results import CONFIG_FOLDER, load_run
 from multicontact_control.force.stiffness import (
@@ -69,11 +70,27 @@ def read_recording(
         If one of them cannot be read.
 
     """
-    if config is None:
+    if config is None and (folder / CONFIG_FOLDER).is_dir():
         run = load_run(folder)
         return run.data, run.setup.controller, folder / CONFIG_FOLDER
-    controller = validate(ControllerConfig, read_parameters(config), str(config))
-    return read_bag(folder, controller).data, controller, config.parent
+    if config is None:
+        raise ConfigError('--config', 'the parameter file of the controller, for a recording '
+                          'that is no folder of `multicontact run` or `simulate`', folder)
+    read = read_controller_files([config])
+    controller = read.config()
+    content = read_bag(folder, controller)
+    lacking = [text for series, text in (
+        (content.data.q, 'positions of the joints'), (content.data.qd, 'speeds of the joints'),
+        (content.data.wrench, 'the wrench'), (content.data.torque, 'commanded torques'))
+        if not np.isfinite(series).all(axis=1).any()]
+    if lacking:
+        remarks = ''.join(f'; {text}' for text in content.remarks)
+        raise RunError(f'{folder}: expected {", ".join(lacking)}, found none{remarks}')
+    data = content.data
+    if not np.isfinite(np.hstack([data.q, data.wrench, data.torque])).all(axis=1).any():
+        raise RunError(f'{folder}: expected joint states, wrenches and commands with equal '
+                       'stamps, found none')
+    return content.data, controller, read.urdf_dir
 
 
 def identify_contacts(

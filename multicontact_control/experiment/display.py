@@ -8,9 +8,12 @@ from typing import Any, Protocol, TYPE_CHECKING
 
 from multicontact_control.errors import RunError
 from multicontact_control.experiment.judge import (
+    EXTERNAL_RUN,
     HELD,
     HOPELESS,
     NOT_STABLE,
+    REAL_TIME,
+    RECORDED,
     STABLE,
     UNJUDGED,
     verdict_text,
@@ -46,23 +49,24 @@ class ShowProgress(Protocol):
 
 @contextmanager
 def progress_bar(
-    title: str, duration: float, console: Console, waiting: str = '',
+    title: str, duration: float | None, console: Console, waiting: str = '',
 ) -> Iterator[ShowProgress]:
     """
-    Show a bar with the live forces for the time of a run [s].
+    Show a bar with the live forces for the time of a run [s], None if it has no end.
 
     Nothing moves where the console is not a terminal; `waiting` is what is said until the first
     samples come.
     """
+    end = '' if duration is None else f' / {duration:.1f}'
     columns = (TextColumn('{task.description}'), BarColumn(),
-               TextColumn('{task.completed:5.1f} / {task.total:.1f} s'), TimeRemainingColumn(),
+               TextColumn(f'{{task.completed:5.1f}}{end} s'), TimeRemainingColumn(),
                TextColumn('{task.fields[forces]}'))
     with Progress(*columns, console=console, refresh_per_second=5) as progress:
         task = progress.add_task(title, total=duration, forces=waiting)
 
         def show(time: float, forces: Mapping[str, float]) -> None:
             text = '  '.join(f'{name} {force:5.1f} N' for name, force in forces.items())
-            progress.update(task, completed=min(time, duration), forces=text)
+            progress.update(task, completed=min(time, duration or time), forces=text)
 
         yield show
         progress.update(task, forces='')
@@ -108,11 +112,20 @@ class PaceNotice:
             '--lockstep has no deadlines[/yellow]', highlight=False, soft_wrap=True)
 
 
+def headline(summary: Mapping[str, Any]) -> str:
+    """Return what a run was, and what its forces are, in one line."""
+    scenario, estimator = summary['scenario'], summary['noise_estimator']
+    if summary['mode'] in (EXTERNAL_RUN, RECORDED):
+        text = f'{scenario}, {estimator}, {summary["mode"]}'
+    else:
+        text = (f'{scenario}, plant {summary["plant"]}, {estimator}, seed {summary["seed"]}, '
+                f'{summary["mode"]}')
+    return text + ('' if summary['truth'] else ', no ground truth: forces as measured')
+
+
 def summary_table(summary: Mapping[str, Any]) -> Table:
     """Return the short table a run ends with."""
-    table = Table(title=f"{summary['scenario']}, plant {summary['plant']}, "
-                        f"{summary['noise_estimator']}, seed {summary['seed']}, "
-                        f"{summary['mode']}")
+    table = Table(title=escape(headline(summary)))
     table.add_column('')
     for name in summary['contacts']:
         table.add_column(name, justify='right')
@@ -122,7 +135,8 @@ def summary_table(summary: Mapping[str, Any]) -> Table:
         table.add_row(escape(label), *(_number(c[key], digits) for c in contacts))
     for window in ('rest', 'moving'):
         for key, label, digits in (
-                ('true_error_rms_n', 'true error rms [N]', 2),
+                ('true_error_rms_n', 'true error rms [N]', 2) if summary['truth'] else
+                ('measured_error_rms_n', 'measured error rms [N]', 2),
                 ('estimate_error_rms_n', 'estimate error rms [N]', 2),
                 ('noise_variance_median_n2', 'noise variance [N²]', 2),
                 ('contact_loss_fraction', 'contact lost [share]', 4)):
@@ -137,7 +151,7 @@ def verdict_lines(summary: Mapping[str, Any], folder: object) -> list[str]:
     lines = [
         f"motion error {_number(motion['position_rms_m'], 5)} m rms, "
         f"{_number(motion['orientation_max_rad'], 4)} rad at most; torque at most "
-        f"{100.0 * torque['max_fraction_of_limit']:.0f} % of its limit"]
+        f"{_percent(torque['max_fraction_of_limit'])} of its limit"]
     known = summary['kept_real_time'] is not False
     colour = COLOURS[summary['verdict'] if known or not summary['stable'] else HELD]
     lines.append(f'[{colour}]{escape(verdict_text(summary))}[/{colour}]')
@@ -145,6 +159,7 @@ def verdict_lines(summary: Mapping[str, Any], folder: object) -> list[str]:
     lost = timing.get('lost_messages', 0)
     if lost:
         lines.append(f'[yellow]warning: {lost} messages lost[/yellow]')
+    lines += [f'[yellow]{escape(text)}[/yellow]' for text in summary.get('remarks', ())]
     lines.append(f'results in {folder}')
     return lines
 
@@ -154,15 +169,22 @@ def _timeliness_lines(summary: Mapping[str, Any]) -> list[str]:
     timing = summary['timing']
     misses, unanswered = timing.get('deadline_misses', 0), timing.get('unanswered_samples', 0)
     ticks = summary['ticks']
-    counts = f'{misses} of {ticks} deadlines missed, {unanswered} samples not answered'
+    counts = f'{unanswered} samples not answered'
+    if summary['mode'] not in (EXTERNAL_RUN, RECORDED):  # there nobody counts deadlines
+        counts = f'{misses} of {ticks} deadlines missed, {counts}'
     if timing.get('composed') == 'all':
         counts += ' (in one process the simulator waits for them: no force suffers)'
     if summary['kept_real_time'] is False:
         holds, judged = timing['late_reactions'], 100.0 * timing['judged_fraction']
+        hint = '; --lockstep has no deadlines' if summary['mode'] == REAL_TIME else ''
         return [f'[yellow]warning: the machine could not keep real time: {counts}, {holds} '
                 f'holds: figures are not representative, and only {judged:.0f} % of the time '
-                'under load was judged; --lockstep has no deadlines[/yellow]']
+                f'under load was judged{hint}[/yellow]']
     return [f'[yellow]warning: {counts}[/yellow]'] if misses or unanswered else []
+
+
+def _percent(share: float | None) -> str:
+    return '-' if share is None else f'{100.0 * share:.0f} %'
 
 
 def _number(value: float | None, digits: int) -> str:

@@ -13,7 +13,8 @@ from matplotlib.figure import Figure
 from multicontact_control.arrays import Vector
 from multicontact_control.experiment.html_parts import corners, envelope, figure
 from multicontact_control.experiment.judge import STABLE
-from multicontact_control.experiment.metrics import windows
+from multicontact_control.experiment.metrics import judged_windows
+from multicontact_control.experiment.oscillation import stretches
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.scenario import Setup
 import numpy as np
@@ -28,6 +29,7 @@ WINDOW = '#f2f2f2'
 TITLE_WIDTH = 110  # characters of the second line that fit
 STEP_SHOWN = (0.05, 0.35)  # s before and after a step
 BUCKETS = 1500  # that a series is thinned out to on a page
+NO_TRUTH = 'no ground truth'
 PAPER_VARIANCE = ((0.6, 'paper, at rest'), (100.0, 'paper, moving'))  # N^2
 
 
@@ -54,6 +56,14 @@ class Panel(NamedTuple):
     logarithmic: bool = False
 
 
+class Span(NamedTuple):
+    """A stretch of a run that is shaded."""
+
+    name: str
+    start: float  # s
+    end: float
+
+
 class RunFigure(NamedTuple):
     """One figure of a run: in a file, several panels with a title; on a page, one."""
 
@@ -68,8 +78,19 @@ class RunFigure(NamedTuple):
 def run_figures(data: RunData, setup: Setup) -> list[RunFigure]:
     """Return the figures of a run: 3 and 4 for each contact, 5, 6, and the stiffness found."""
     forces = [_force(data, i) for i in range(len(data.contact_names))]
-    figures = [*forces, _motion(data, setup), _noise_variance(data)]
-    return [*figures, _stiffness(data)] if np.isfinite(data.stiffness).any() else figures
+    figures = [*forces, _motion(data, setup), _noise_variance(data), _stiffness(data)]
+    return [known for drawn in figures if (known := _known(drawn)) is not None]
+
+
+def _known(drawn: RunFigure) -> RunFigure | None:
+    """Return a figure without the series of which nothing is known, None if none is left."""
+    panels = [known for panel in drawn.panels if (known := _known_traces(panel)).traces]
+    page = _known_traces(drawn.page)
+    return drawn._replace(panels=panels, page=page) if panels and page.traces else None
+
+
+def _known_traces(panel: Panel) -> Panel:
+    return panel._replace(traces=[x for x in panel.traces if np.isfinite(x.values).any()])
 
 
 def _force(data: RunData, i: int) -> RunFigure:
@@ -79,10 +100,11 @@ def _force(data: RunData, i: int) -> RunFigure:
     true = Trace('true', data.alpha_true[:, i], TRUE, 0.4, faint=True)
     estimated = Trace('estimated (AOB)', data.alpha_est[:, i], ESTIMATED)
     commanded = Trace('commanded', desired, COMMANDED, 1.0, dashed=True, steps=True)
-    largest = float(np.nanmax(desired))
-    limits = (min(-2.0, float(np.nanmin(seen, initial=0.0))),
-              max(1.6 * largest, 5.0, 1.1 * float(np.nanmax(seen, initial=0.0))))
-    label = 'force [N]'
+    largest = float(np.max(desired[np.isfinite(desired)], initial=0.0))
+    finite = seen[np.isfinite(seen)]
+    limits = (min(-2.0, float(np.min(finite, initial=0.0))),
+              max(1.6 * largest, 5.0, 1.1 * float(np.max(finite, initial=0.0))))
+    label = 'force [N]' if data.has_truth else f'force [N], {NO_TRUTH}'
     return RunFigure(
         f'fig{3 + i if i < 2 else f"3_{i + 1}"}_force_{name}', f'Contact force {name}',
         (Panel(label, (measured, commanded), limits),
@@ -93,8 +115,7 @@ def _force(data: RunData, i: int) -> RunFigure:
 
 def _motion(data: RunData, setup: Setup) -> RunFigure:
     """Return the wrist's translation along the motion's direction and its error (P04 Fig. 5)."""
-    motion = setup.scenario.reference.motion
-    direction = np.asarray(motion.direction_world if motion else (1.0, 0.0, 0.0))
+    direction = _direction(data, setup)
     axis = 'xyz'[int(np.argmax(np.abs(direction)))]
     travelled, wanted = data.position @ direction, data.position_des @ direction
     both = Panel(f'{axis} [m]', (
@@ -103,6 +124,15 @@ def _motion(data: RunData, setup: Setup) -> RunFigure:
     error = Panel('error [mm]', (Trace('', 1e3 * (travelled - wanted), TRUE, 0.7),))
     return RunFigure('fig5_motion', f'Wrist motion along {axis}', (both, error), 'motion',
                      f'Fig. 5: wrist motion along {axis}', both)
+
+
+def _direction(data: RunData, setup: Setup) -> Vector:
+    """Return the direction of the motion: that of the scenario, or the axis of the longest way."""
+    motion = setup.scenario.reference.motion
+    if motion or not setup.commanded_by_topic:
+        return np.asarray(motion.direction_world if motion else (1.0, 0.0, 0.0))
+    known = data.position_des[np.isfinite(data.position_des).all(axis=1)]
+    return np.eye(3)[int(np.argmax(np.ptp(known, axis=0)))] if len(known) else np.eye(3)[0]
 
 
 def _noise_variance(data: RunData) -> RunFigure:
@@ -134,6 +164,14 @@ def _stiffness(data: RunData) -> RunFigure:
                      'Stiffness found on-line', Panel('k [N/m]', lines, logarithmic=True))
 
 
+def run_title(setup: Setup) -> str:
+    """Return what a run is called."""
+    name, estimator = setup.scenario.name, setup.noise_estimator.estimator
+    if not setup.simulated:
+        return f'{name}, {setup.plant_name}, {estimator}'
+    return f'{name}, plant {setup.plant_name}, {estimator}, seed {setup.seed}'
+
+
 def draw_figures(
     data: RunData, setup: Setup, folder: Path, *, verdict: str = STABLE,
     formats: Sequence[str] = ('png',),
@@ -158,8 +196,9 @@ def draw_figures(
         The files written.
 
     """
-    title = (f'{setup.scenario.name}, plant {setup.plant_name}, '
-             f'{setup.noise_estimator.estimator}, seed {setup.seed}')
+    title = run_title(setup)
+    if not data.has_truth:
+        title += f', {NO_TRUTH}: errors are of the measured forces'
     if verdict != STABLE:
         title += '\n' + shorten(verdict, TITLE_WIDTH, placeholder=' ...')
     folder.mkdir(parents=True, exist_ok=True)
@@ -203,8 +242,9 @@ def draw_side_by_side(
             axes = grid[contact, column]
             axes.plot(data.time, data.alpha_meas[:, contact], color=MEASURED, linewidth=0.4,
                       label='measured')
-            axes.plot(data.time, data.alpha_true[:, contact], color=TRUE, linewidth=0.3,
-                      alpha=0.6, label='true')
+            if data.has_truth:
+                axes.plot(data.time, data.alpha_true[:, contact], color=TRUE, linewidth=0.3,
+                          alpha=0.6, label='true')
             axes.plot(data.time, data.alpha_des[:, contact], '--', color=COMMANDED,
                       linewidth=1.0, label='commanded')
             axes.set_ylabel(f'{name} [N]')
@@ -215,10 +255,12 @@ def draw_side_by_side(
         last = steps[-1] if steps else 0.0
         shown = (data.time >= last - STEP_SHOWN[0]) & (data.time < last + STEP_SHOWN[1])
         for contact, (name, colour) in enumerate(zip(data.contact_names, (TRUE, ESTIMATED))):
-            axes.plot(1e3 * (data.time[shown] - last), data.alpha_true[shown, contact],
-                      color=colour, linewidth=1.2, label=f'{name}, true')
-        axes.plot(1e3 * (data.time[shown] - last), data.alpha_des[shown, 0], '--',
-                  color=COMMANDED, linewidth=1.0, label='commanded')
+            axes.plot(1e3 * (data.time[shown] - last), data.judged_force[shown, contact],
+                      color=colour, linewidth=1.2,
+                      label=f'{name}, {"true" if data.has_truth else "measured"}')
+        for desired in data.alpha_des[shown].T[:1]:
+            axes.plot(1e3 * (data.time[shown] - last), desired, '--', color=COMMANDED,
+                      linewidth=1.0, label='commanded')
         axes.set_ylabel('force [N]')
         axes.set_xlabel('time after the last step at rest [ms]')
         grid[count - 1, column].set_xlabel('time [s]')
@@ -227,8 +269,8 @@ def draw_side_by_side(
     for row in (0, count):
         grid[row, 0].legend(loc='lower right', fontsize=7)
     for row in range(count):
-        desired = max(float(np.nanmax(data.alpha_des)) for _, data, _ in runs)
-        grid[row, 0].set_ylim(-2.0, 1.6 * max(desired, 5.0))
+        largest = max(float(np.nanmax(data.alpha_des, initial=0.0)) for _, data, _ in runs)
+        grid[row, 0].set_ylim(-2.0, 1.6 * max(largest, 5.0))
     path.parent.mkdir(parents=True, exist_ok=True)
     sheet.savefig(path, dpi=110)
     return path
@@ -263,19 +305,18 @@ def draw_latency(summary: Mapping[str, Any], folder: Path) -> Path:
     return path
 
 
-def _judged(data: RunData, setup: Setup) -> dict[str, tuple[float, float]]:
-    """Return the windows that the numbers of ``summary.json`` are taken from [s]."""
-    judged = windows(setup.scenario.reference, data.time)
-    found = {name: data.time[mask] for name, mask in (
-        ('rest', judged.rest), ('moving', judged.moving))}
-    return {name: (float(times[0]), float(times[-1])) for name, times in found.items()
-            if times.size}
+def _judged(data: RunData, setup: Setup) -> list[Span]:
+    """Return the windows that the numbers of ``summary.json`` are taken from."""
+    judged = judged_windows(data, setup)
+    return [Span(name, float(data.time[begin]), float(data.time[end - 1]))
+            for name, mask in (('rest', judged.rest), ('moving', judged.moving))
+            for begin, end in zip(*stretches(mask))]
 
 
 def _draw_panel(
-    axes: Axes, panel: Panel, time: Vector, shaded: dict[str, tuple[float, float]],
+    axes: Axes, panel: Panel, time: Vector, shaded: Sequence[Span],
 ) -> None:
-    for name, (start, end) in shaded.items():
+    for name, start, end in shaded:
         axes.axvspan(start, end, color=WINDOW, zorder=0)
         axes.annotate(name, (start, 1.0), xycoords=('data', 'axes fraction'), fontsize=7,
                       va='top', color='#777777', xytext=(2, -2), textcoords='offset points')
@@ -323,12 +364,12 @@ def _line(time: Vector, trace: Trace) -> dict[str, Any]:
 
 
 def _layout(
-    heading: str, panel: Panel, shaded: dict[str, tuple[float, float]],
+    heading: str, panel: Panel, shaded: Sequence[Span],
 ) -> dict[str, Any]:
     shapes: list[dict[str, Any]] = [
         {'type': 'rect', 'yref': 'paper', 'y0': 0, 'y1': 1, 'x0': start, 'x1': end,
          'fillcolor': WINDOW, 'line': {'width': 0}, 'layer': 'below'}
-        for start, end in shaded.values()]
+        for _, start, end in shaded]
     shapes += [
         {'type': 'line', 'xref': 'paper', 'x0': 0, 'x1': 1, 'y0': level, 'y1': level,
          'line': {'color': COMMANDED, 'width': 1, 'dash': 'dot'}} for level, _ in panel.levels]

@@ -6,6 +6,9 @@ which the supervisor had to step in again and again: bounds that are kept becaus
 than the control law keeps them are no sign of stability. *Not judged* is one that missed so many
 of its deadlines that the loop had another delay than its own: what came of that cannot be told
 from what the arm did. All others are *stable*.
+
+Where nobody knows the true forces, as on a robot, all this is judged by those measured, and says
+so; but a sensor does not vouch for itself: what would be stable is *not judged* then.
 """
 
 from __future__ import annotations
@@ -17,12 +20,13 @@ from typing import Any
 
 from multicontact_control.arrays import Mask, Vector
 from multicontact_control.experiment.metrics import (
+    commanded,
     force_oscillations,
     is_couple,
+    judged_windows,
     losses,
     saturation,
     SETTLE_AFTER_STEP,
-    windows,
 )
 from multicontact_control.experiment.oscillation import stretches
 from multicontact_control.experiment.recording import RunData
@@ -37,6 +41,10 @@ STABLE, HELD, NOT_STABLE, UNJUDGED = (
     'stable', 'held by the supervisor', 'not stable', 'not judged')
 UNJUDGED_TEXT = 'not judged: the machine could not keep real time'
 # Of a run whose machine was too busy for it: what went wrong with the samples is not judged.
+# Of one without ground truth, after what else is said of it.
+BY_MEASUREMENT = 'by the measured forces'
+UNTRUE_TEXT = f'not judged: no ground truth; {BY_MEASUREMENT} no limit was passed'
+UNFELT_TEXT = 'not judged: neither true nor measured forces'
 AS_FAR_AS_KNOWN = 'stable as far as it could be judged: the machine could not keep real time'
 
 LONGEST_LOSS = 0.1  # s, of contact or to saturation: five time constants of the designed loop
@@ -52,10 +60,14 @@ AGAIN = 5
 AGAIN_TIME = 10.0  # s
 LARGEST_HELD_SHARE = 0.05  # of the time under load, in which reactions replace the control law
 
+TRUE, MEASURED, UNKNOWN = 'true', 'measured', 'unknown'  # forces that a run is judged by
+
 WHOLE = (ContactState.IMPACT.value, ContactState.HOLDING.value)
 GONE = (ContactState.LOST.value, ContactState.RETRACTING.value, ContactState.GIVEN_UP.value)
 
 REAL_TIME = 'real_time'  # the mode with deadlines
+EXTERNAL_RUN, RECORDED = 'external', 'recorded'  # on a robot of others; what anybody recorded
+WITH_DEADLINES = (REAL_TIME, EXTERNAL_RUN, RECORDED)
 HOPELESS = 0.1  # share of the deadlines missed, from which on a run is not judged
 LARGEST_MISS = 0.01  # share of deadlines missed, or samples unanswered, that is still real time
 SHORTEST_GAP = 2  # samples; one that is missing is bridged, and nobody reacts to it
@@ -102,6 +114,12 @@ def verdict_text(summary: Mapping[str, Any]) -> str:
     """Return the verdict of a run and its reasons, as its summary has them."""
     # In a file from before verdicts had names there is none.
     name: str = summary.get('verdict', STABLE if summary['stable'] else NOT_STABLE)
+    forces = summary.get('forces', TRUE)
+    if forces != TRUE and name == UNJUDGED and not summary['instabilities']:
+        return UNTRUE_TEXT if forces == MEASURED else UNFELT_TEXT
+    if forces != TRUE and name != UNJUDGED and summary['instabilities'] != [
+            summary.get('ended_early')]:
+        return f"{name} {BY_MEASUREMENT}: {'; '.join(summary['instabilities'])}"
     if name == UNJUDGED:
         return '; seen: '.join([UNJUDGED_TEXT, *(
             ['; '.join(summary['instabilities'])] if summary['instabilities'] else [])])
@@ -138,14 +156,16 @@ def judge(
     timely = timeliness(data, mode, timing or {}, events)
     found = findings(data, setup, timely.judged, ended_early)
     missing = _missing(data)
-    if mode != REAL_TIME and missing > LARGEST_GAP:
+    if mode not in WITH_DEADLINES and missing > LARGEST_GAP:
         found.append(Finding(f'{100.0 * missing:.1f} % of the samples were not answered'))
     helped = interventions(data, setup, events, timely.judged)
     name = NOT_STABLE if found else HELD if helped else STABLE
     if timely.hopeless and not any(finding.always for finding in found):
         name = UNJUDGED
+    if name == STABLE and not data.has_truth:
+        name = UNJUDGED
     found += helped
-    loaded = windows(setup.scenario.reference, data.time).loaded
+    loaded = judged_windows(data, setup).loaded
     times = [finding.time for finding in found if finding.time is not None]
     return Verdict(
         name, tuple(finding.text for finding in found), min(times, default=None), timely,
@@ -182,18 +202,21 @@ def _contact_findings(
     data: RunData, setup: Setup, contact: int, judged: Mask,
 ) -> list[Finding]:
     if is_couple(setup, contact):
-        return _oscillations(data, setup, contact, judged & windows(
-            setup.scenario.reference, data.time).loaded)
-    if not (data.alpha_des[:, contact] > 0.0).any():
+        return _oscillations(
+            data, setup, contact, judged & judged_windows(data, setup).loaded)
+    wanted, command = data.alpha_des[:, contact], commanded(data, setup)[:, contact]
+    if setup.commanded_by_topic and not (command > 0.0).any():
+        return []
+    if not (wanted > 0.0).any() and np.isfinite(wanted).any():
         return [Finding('no contact was made')]
-    loaded = judged & windows(setup.scenario.reference, data.time).loaded
+    loaded = judged & judged_windows(data, setup).loaded & (command > 0.0)
     begins, ends = losses(data, setup, contact, loaded)
     found = _lasting(data, 'contact lost', begins, ends)
     again = again_at(data.time[begins])
     if again is not None:
         found.append(Finding(f'contact lost {len(begins)} times', again))
     found += _oscillations(data, setup, contact, loaded)
-    force, command = data.alpha_true[:, contact], setup.commanded(data.time)[:, contact]
+    force = data.judged_force[:, contact]
     ceiling = setup.controller.contact_state.force_ceiling
     beyond = judged & (force > np.maximum(LARGEST_FORCE * command, IMPACT_SHARE * ceiling))
     if beyond.any():
@@ -227,7 +250,7 @@ def interventions(
     are sought, touched and pressed are the task; so is a reference that is kept within the
     speeds allowed.
     """
-    loaded = judged & windows(setup.scenario.reference, data.time).loaded
+    loaded = judged & judged_windows(data, setup).loaded
     if not loaded.any():
         return []
     places = [*(round(event.time * data.rate) for event in events), data.ticks]
@@ -311,9 +334,11 @@ def timeliness(
     if the supervisor held the arm even once because samples did not come.
     """
     everything = np.ones(data.ticks, dtype=bool)
-    if mode != REAL_TIME:
+    if mode not in WITH_DEADLINES:
         return Timeliness(None, 0, everything)
     missing = np.asarray(np.isnan(data.torque).any(axis=1))
+    if mode == RECORDED and missing.all():  # of a recording without commands nobody knows
+        return Timeliness(None, 0, everything)
     held = late_reactions(events, float(data.time[-1]))
     misses = int(timing.get('deadline_misses', 0))
     if not held and max(misses, missing.sum()) <= LARGEST_MISS * data.ticks:

@@ -21,6 +21,7 @@ import numpy as np
 
 SETTLE_AFTER_STEP = 1.0  # s, the start of the window `rest` after the last force step
 SETTLE_AFTER_START = 2.0  # s, the start of the window `moving` after the motion's start
+MOVING = 1e-3  # m/s, from which on a commanded pose moves
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,33 @@ def windows(reference: ReferenceConfig, time: Vector) -> Windows:
         loaded=time >= first)
 
 
+def judged_windows(data: RunData, setup: Setup) -> Windows:
+    """
+    Return the judged stretches of a run.
+
+    Those of its scenario; where forces were commanded over topics `loaded` is whenever one is
+    asked for, `moving` while the pose asked for moves, and `rest` what is 1 s away from that and
+    after every change of a command.
+    """
+    if not setup.commanded_by_topic:
+        return windows(setup.scenario.reference, data.time)
+    command = np.nan_to_num(data.command)
+    loaded = np.asarray((command > 0.0).any(axis=1))
+    moving = np.zeros(data.ticks, dtype=bool)
+    moving[1:] = np.linalg.norm(np.diff(data.position_des, axis=0), axis=1) * data.rate > MOVING
+    changed = np.ones(data.ticks, dtype=bool)
+    changed[1:] = (np.diff(command, axis=0) != 0.0).any(axis=1)
+    places = np.arange(data.ticks)
+    last = np.maximum.accumulate(np.where(changed | moving, places, 0))
+    calm = places - last >= SETTLE_AFTER_STEP * data.rate
+    return Windows(rest=loaded & calm, moving=loaded & moving, loaded=loaded)
+
+
+def commanded(data: RunData, setup: Setup) -> Matrix:
+    """Return the forces asked for by the scenario or over topics, shape (m, r) [N]."""
+    return data.command if setup.commanded_by_topic else setup.commanded(data.time)
+
+
 @dataclass(frozen=True)
 class StepResponse:
     """The answer of one contact to one commanded step."""
@@ -55,27 +83,43 @@ class StepResponse:
 
 
 def step_responses(data: RunData, setup: Setup, contact: int) -> list[StepResponse]:
-    """Return the answers of one contact to the scenario's force steps at rest."""
-    reference = setup.scenario.reference
-    name = data.contact_names[contact]
-    stop = reference.motion.start_time if reference.motion else math.inf
-    steps = [(step.time, step.forces[name]) for step in reference.force_steps
-             if name in step.forces and step.time < min(stop, data.time[-1])]
+    """Return the answers of one contact to the force steps at rest, of scenario or commands."""
+    steps, before, stop = _steps(data, setup, contact)
     ends = [time for time, _ in steps[1:]] + [min(stop, float(data.time[-1]))]
-    before = reference.approach.preload
     responses = []
     for (start, after), end in zip(steps, ends):
         window = (data.time >= start - 1e-9) & (data.time < end)
         size = after - before
         if size == 0.0 or not window.any():
             continue
-        travelled = (data.alpha_true[window, contact] - before) / size
+        travelled = (data.judged_force[window, contact] - before) / size
+        before = after
+        if not np.isfinite(travelled).any():
+            continue
         beyond = np.flatnonzero(travelled > 0.63)
         rise = float(data.time[window][beyond[0]] - start) if beyond.size else None
         responses.append(StepResponse(
             start, size, rise, 100.0 * max(float(np.nanmax(travelled)) - 1.0, 0.0)))
-        before = after
     return responses
+
+
+def _steps(
+    data: RunData, setup: Setup, contact: int,
+) -> tuple[list[tuple[float, float]], float, float]:
+    """Return when what force was asked of a contact, the force before, and the end of rest [s]."""
+    if setup.commanded_by_topic:
+        asked = np.nan_to_num(data.command[:, contact])
+        changes = np.concatenate([[False], np.diff(asked) != 0.0, [False]])
+        # What a desired force passes on its way is no step.
+        places = np.flatnonzero(changes[1:-1] & ~changes[:-2] & ~changes[2:]) + 1
+        return ([(float(data.time[k]), float(asked[k])) for k in places], float(asked[0]),
+                math.inf)
+    reference = setup.scenario.reference
+    name = data.contact_names[contact]
+    stop = reference.motion.start_time if reference.motion else math.inf
+    return [(step.time, step.forces[name]) for step in reference.force_steps
+            if name in step.forces and step.time < min(stop, data.time[-1])], (
+                reference.approach.preload), stop
 
 
 def losses(
@@ -84,7 +128,7 @@ def losses(
     """
     Return when a contact was lost.
 
-    A loss is a true force of 0 N for as long as it takes the supervisor to call a contact lost
+    A loss is a force of 0 N for as long as it takes the supervisor to call a contact lost
     (`contact_state.loss_time`): a tool that leaves the ground for one sample of 2 ms on a rough
     surface has not lost it.
 
@@ -93,7 +137,7 @@ def losses(
     """
     if is_couple(setup, contact):
         return [], []
-    force = bridged(data.alpha_true[:, contact], data.rate)
+    force = bridged(data.judged_force[:, contact], data.rate)
     least = setup.controller.contact_state.loss_time * data.rate - 1e-9
     found = [(begin, end) for begin, end in zip(*stretches(judged & (force <= 0.0)))
              if end - begin >= least]
@@ -107,20 +151,20 @@ def is_couple(setup: Setup, contact: int) -> bool:
 
 def force_error(data: RunData, setup: Setup, contact: int) -> Vector:
     """
-    Return the true force of a contact less what the task asks for, shape (m,) [N].
+    Return the force of a contact less what the task asks for, shape (m,) [N].
 
-    The task's command counts, and not what a supervisor makes of it: a contact that is lost or
-    held has an error.
+    The true force, or where nobody knows it, the measured one. The task's command counts, and not
+    what a supervisor makes of it: a contact that is lost or held has an error.
     """
-    error: Vector = data.alpha_true[:, contact] - setup.commanded(data.time)[:, contact]
+    error: Vector = data.judged_force[:, contact] - commanded(data, setup)[:, contact]
     return error
 
 
 def force_oscillations(
     data: RunData, setup: Setup, contact: int, judged: Mask,
 ) -> list[Oscillation]:
-    """Return where the true force of a contact oscillates, among the samples `judged`."""
-    return oscillations(force_error(data, setup, contact), setup.commanded(data.time)[:, contact],
+    """Return where the force of a contact oscillates, among the samples `judged`."""
+    return oscillations(force_error(data, setup, contact), commanded(data, setup)[:, contact],
                         judged, data.rate)
 
 
@@ -142,7 +186,8 @@ def contact_summary(data: RunData, setup: Setup, contact: int) -> dict[str, Any]
 
     The step answers are those to the largest step up; every step is listed under ``steps``.
     """
-    judged = windows(setup.scenario.reference, data.time)
+    judged = judged_windows(data, setup)
+    asked = ~(commanded(data, setup)[:, contact] == 0.0)
     responses = step_responses(data, setup, contact)
     largest = max(responses, key=lambda response: response.size, default=None)
     return {
@@ -151,9 +196,9 @@ def contact_summary(data: RunData, setup: Setup, contact: int) -> dict[str, Any]
         'steps': [{'time_s': response.time, 'size_n': response.size,
                    'rise_63_s': response.rise_63,
                    'overshoot_percent': response.overshoot_percent} for response in responses],
-        **_hold_summary(data, setup, contact, judged.loaded),
-        'rest': _window_summary(data, setup, contact, judged.rest),
-        'moving': _window_summary(data, setup, contact, judged.moving)}
+        **_hold_summary(data, setup, contact, judged.loaded & asked),
+        'rest': _window_summary(data, setup, contact, judged.rest & asked),
+        'moving': _window_summary(data, setup, contact, judged.moving & asked)}
 
 
 def _hold_summary(
@@ -175,12 +220,15 @@ def _hold_summary(
 def _window_summary(
     data: RunData, setup: Setup, contact: int, window: Mask,
 ) -> dict[str, float | None]:
-    true = data.alpha_true[:, contact]
+    force, error = data.judged_force[:, contact], force_error(data, setup, contact)
+    known = {
+        'true_error_rms_n': rms_in(window, error),
+        'estimate_error_rms_n': rms_in(window, data.alpha_est[:, contact] - force)}
+    if not data.has_truth:
+        known = {**dict.fromkeys(known), 'measured_error_rms_n': rms_in(window, error)}
     return {
-        'true_error_rms_n': rms_in(window, force_error(data, setup, contact)),
-        'estimate_error_rms_n': rms_in(window, data.alpha_est[:, contact] - true),
-        'noise_variance_median_n2': median_in(window, data.noise_variance[:, contact]),
-        'contact_loss_fraction': mean_in(window, true <= 0.0)}
+        **known, 'noise_variance_median_n2': median_in(window, data.noise_variance[:, contact]),
+        'contact_loss_fraction': mean_in(window & np.isfinite(force), force <= 0.0)}
 
 
 def value_in(
@@ -215,15 +263,16 @@ def motion_summary(data: RunData, setup: Setup) -> dict[str, float | None]:
     The position error counts along the directions that no contact constrains, the orientation
     error in full, both from the first force step to the end.
     """
-    loaded = windows(setup.scenario.reference, data.time).loaded
-    if not loaded.any():
+    loaded = judged_windows(data, setup).loaded
+    if not (loaded.any() and setup.controller.contacts):
         return {'position_rms_m': None, 'orientation_max_rad': None}
     normals = np.array([setup.controller.contacts[name].normal_world
                         for name in setup.controller.contact_names])
     free = np.eye(3) - np.linalg.pinv(normals) @ normals
     error = (data.position - data.position_des)[loaded] @ free
-    return {'position_rms_m': float(np.sqrt(np.nanmean((error * error).sum(axis=1)))),
-            'orientation_max_rad': float(np.nanmax(orientation_error(data)[loaded]))}
+    square = value_in(np.isfinite(error).all(axis=1), (error * error).sum(axis=1), np.mean)
+    return {'position_rms_m': None if square is None else float(np.sqrt(square)),
+            'orientation_max_rad': value_in(loaded, orientation_error(data), np.max)}
 
 
 def orientation_error(data: RunData) -> Vector:
@@ -233,10 +282,10 @@ def orientation_error(data: RunData) -> Vector:
     return angle
 
 
-def torque_summary(data: RunData, setup: Setup) -> dict[str, float]:
+def torque_summary(data: RunData, setup: Setup) -> dict[str, float | None]:
     """Return how much of the torque limits was used."""
     fraction: Matrix = np.abs(data.torque) / torque_limit(setup)
-    return {'max_fraction_of_limit': float(np.nanmax(fraction)),
+    return {'max_fraction_of_limit': value_in(np.isfinite(fraction), fraction, np.max),
             'saturated_fraction': float(saturation(data, setup).mean())}
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 SERIES_FILE = 'samples.npz'
 OF_STIFFNESS = ('stiffness', 'stiffness_est', 'stiffness_std', 'margin')
-OPTIONAL = ('innovation', *OF_STIFFNESS)
+OPTIONAL = ('innovation', *OF_STIFFNESS, 'command')
 
 
 @dataclass(frozen=True)
@@ -46,6 +46,9 @@ class RunData:
         That of the observers' models, what is estimated on-line and its standard error, and how
         many times as stiff a surface might be, shape (m, r) [N/m], [N/m], [N/m], [-]; NaN
         throughout where the stiffness is configured.
+    command
+        Forces commanded over topics, shape (m, r) [N]: from when the contact was made on, 0 where
+        none is asked for; NaN throughout where a scenario says what is asked for.
     position, quaternion, position_des, quaternion_des
         Operational point, world axes, shapes (m, 3) and (m, 4), scalar last.
 
@@ -72,6 +75,7 @@ class RunData:
     stiffness_est: Matrix
     stiffness_std: Matrix
     margin: Matrix
+    command: Matrix
     position: Matrix
     quaternion: Matrix
     position_des: Matrix
@@ -82,16 +86,30 @@ class RunData:
         """Return the number of samples."""
         return int(self.time.shape[0])
 
+    @property
+    def has_truth(self) -> bool:
+        """Whether somebody who knew the true contact forces published them."""
+        return bool(np.isfinite(self.alpha_true).any())
+
+    @property
+    def judged_force(self) -> Matrix:
+        """Return the forces that errors are taken of: true ones, or else those measured."""
+        return self.alpha_true if self.has_truth else self.alpha_meas
+
     def trajectory_sha256(self) -> str:
         """Return the hash of the commanded torques as little-endian float64, tick by tick."""
         return hashlib.sha256(np.ascontiguousarray(self.torque, dtype='<f8').tobytes()).hexdigest()
 
     def truncated(self, ticks: int) -> RunData:
         """Return the first `ticks` samples."""
+        return self.part(0, ticks)
+
+    def part(self, begin: int, end: int) -> RunData:
+        """Return the samples from one up to another; time begins with the first of them."""
         series: dict[str, Any] = {
-            f.name: getattr(self, f.name)[:ticks] for f in fields(self)
+            f.name: getattr(self, f.name)[begin:end] for f in fields(self)
             if isinstance(getattr(self, f.name), np.ndarray)}
-        return replace(self, **series)
+        return replace(self, **{**series, 'time': self.time[:end - begin]})
 
     def save(self, folder: Path) -> None:
         """Write the series to ``samples.npz`` in a folder."""

@@ -7,8 +7,10 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.claim_metrics import evidence_of
 from multicontact_control.experiment.claims import Claim, judge_claims, judge_over_damping
+from multicontact_control.experiment.display import headline
 from multicontact_control.experiment.figures import (
     draw_figures,
     draw_side_by_side,
@@ -48,7 +50,13 @@ NO_COMPARISON = ('<p class=note>From the trials of this project, not from these 
 
 
 def run_claims(run: LoadedRun, comparison: dict[str, Any] | None = None) -> list[Claim]:
-    """Judge the paper's claims by a run, and those that compare by a ``comparison.json``."""
+    """
+    Judge the paper's claims by a run, and those that compare by a ``comparison.json``.
+
+    They are about the simulated plant: of a robot of others there are none.
+    """
+    if not run.setup.simulated:
+        return []
     evidence = evidence_of(run.data, run.setup, run.summary)
     return judge_claims(evidence, claim_rows(comparison['rows']) if comparison else ())
 
@@ -74,9 +82,13 @@ def write_report(
         The files, the page first.
 
     """
-    out.mkdir(parents=True, exist_ok=True)
-    paths, parts = [], [BACKGROUND, NO_COMPARISON if comparison is None else (
-        _comparison_section(comparison))]
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError('out', 'a folder that can be made',
+                          f'{out} ({error.strerror})') from None
+    paths, parts = [], ['' if not any(run.setup.simulated for run in runs) else BACKGROUND + (
+        NO_COMPARISON if comparison is None else _comparison_section(comparison))]
     for number, run in enumerate(runs):
         folder = out / FIGURE_FOLDER / (run.folder.resolve().name if len(runs) > 1 else '')
         paths += draw_figures(run.data, run.setup, folder, verdict=verdict_text(run.summary),
@@ -86,7 +98,7 @@ def write_report(
         paths.append(draw_side_by_side(
             [(run.folder.resolve().name, run.data, run.setup) for run in runs],
             out / FIGURE_FOLDER / 'side_by_side.png'))
-        parts.insert(2, f'<h2>Side by side</h2>{image(paths[-1], "forces of the runs")}')
+        parts.insert(1, f'<h2>Side by side</h2>{image(paths[-1], "forces of the runs")}')
     page = out / REPORT_FILE
     write_page(page, 'Multi-contact force control: the paper put to the test', '\n'.join(parts))
     return [page, *paths]
@@ -97,11 +109,12 @@ def _run_section(run: LoadedRun, number: int, comparison: dict[str, Any] | None)
     colour = 'yes' if verdict_text(summary) == STABLE else 'no'
     verdict = f'<b class={colour}>{escape(verdict_text(summary))}</b>'
     parts = [
-        f'<h2>{escape(summary["scenario"])}, plant {escape(summary["plant"])}, '
-        f'{escape(summary["noise_estimator"])}, seed {summary["seed"]}, '
-        f'{escape(summary["mode"])}</h2><p>{verdict}. '
+        f'<h2>{escape(headline(summary))}</h2><p>{verdict}. '
         f'Torques sha256 {escape(summary["trajectory_sha256"][:16])}.</p>',
-        '<h3>Claims of the paper</h3>', claims_table(run_claims(run, comparison)),
+        *(f'<p class=note>{escape(text)}</p>' for text in summary.get('remarks', ())),
+        '<h3>Claims of the paper</h3>', claims_table(run_claims(run, comparison)) if (
+            run.setup.simulated) else '<p class=note>Not judged: they are about the simulated '
+        'plant, whose forces are known.</p>',
         '<h3>Figures 3 to 6 of the paper</h3>', interactive_figures(run.data, run.setup, number),
         '<h3>Numbers</h3>', _numbers(summary), '<h3>Timing</h3>', _timing(summary),
         '<h3>Configuration</h3>', _configuration(run)]
@@ -110,6 +123,8 @@ def _run_section(run: LoadedRun, number: int, comparison: dict[str, Any] | None)
 
 def _numbers(summary: dict[str, Any]) -> str:
     contacts = summary['contacts']
+    if not contacts:
+        return '<p class=note>The recording names no contacts.</p>'
     rows = [['step rise 63 % [s]', *(_text(c['step_rise_63_s']) for c in contacts.values())],
             ['overshoot [%]', *(_text(c['step_overshoot_percent']) for c in contacts.values())]]
     for window in ('rest', 'moving'):
@@ -131,8 +146,11 @@ def _timing(summary: dict[str, Any]) -> str:
 
 
 def _configuration(run: LoadedRun) -> str:
+    if not run.setup.controller.contacts:
+        return '<p class=note>Not known: <code>--controller</code> takes the parameter file.</p>'
     parts = []
-    for name in ('scenario', 'controller', 'noise_estimator', 'plant'):
+    names = ('scenario', 'controller', 'noise_estimator', 'plant')
+    for name in names if run.setup.simulated else names[:2]:
         text = yaml.safe_dump(getattr(run.setup, name).model_dump(mode='json'), sort_keys=False)
         parts.append(f'<details><summary>{name}</summary><pre>{escape(text)}</pre></details>')
     return '\n'.join(parts)

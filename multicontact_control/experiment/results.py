@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import datetime
 import os
 from pathlib import Path
@@ -17,10 +18,12 @@ from multicontact_control.config import (
     validate,
 )
 from multicontact_control.errors import ConfigError, RunError
-from multicontact_control.experiment.bag import read_bag
+from multicontact_control.experiment.bag import answered, content_of, read_bag, read_graph
+from multicontact_control.experiment.external import setup_of_recording
+from multicontact_control.experiment.judge import RECORDED
 from multicontact_control.experiment.recording import RunData, SERIES_FILE
-from multicontact_control.experiment.scenario import ScenarioConfig, Setup
-from multicontact_control.experiment.summary import summarise_again
+from multicontact_control.experiment.scenario import EXTERNAL, NO_PLANT, ScenarioConfig, Setup
+from multicontact_control.experiment.summary import summarise, summarise_again
 from multicontact_control.files import read_json
 from sim_bridge.config import PlantConfig
 
@@ -114,6 +117,7 @@ def load_setup(folder: Path) -> Setup:
     summary = read_json(folder / SUMMARY_FILE)
     try:
         plant, seed = str(summary['plant']), int(summary['seed'])
+        commanded = bool(summary.get('commanded_by_topic', False))
     except (KeyError, TypeError, ValueError):
         raise ConfigError(str(folder / SUMMARY_FILE), 'the summary of a run',
                           'no plant and seed') from None
@@ -126,8 +130,8 @@ def load_setup(folder: Path) -> Setup:
         scenario=validate(ScenarioConfig, read_yaml(path), str(path)),
         controller=parameters(ControllerConfig, 'controller.yaml'),
         noise_estimator=parameters(NoiseEstimatorConfig, 'noise_estimator.yaml'),
-        plant=parameters(PlantConfig, 'plant.yaml'),
-        plant_name=plant, seed=seed, urdf_dir=config)
+        plant=NO_PLANT if plant == EXTERNAL else parameters(PlantConfig, 'plant.yaml'),
+        plant_name=plant, seed=seed, urdf_dir=config, commanded_by_topic=commanded)
 
 
 def load_run(folder: Path) -> LoadedRun:
@@ -149,7 +153,9 @@ def load_run(folder: Path) -> LoadedRun:
     """
     setup = load_setup(folder)
     if (folder / BAG_FOLDER).is_dir():
-        data = read_bag(folder / BAG_FOLDER, setup.controller).data
+        content = read_bag(
+            folder / BAG_FOLDER, setup.controller, commanded=setup.commanded_by_topic)
+        data = (content if setup.simulated else answered(content)).data
     elif (folder / SERIES_FILE).is_file():
         data = RunData.load(folder)
     else:
@@ -157,3 +163,72 @@ def load_run(folder: Path) -> LoadedRun:
     # By today's definitions: the summary may be of older code, and a verdict is to be trusted.
     summary = summarise_again(data, setup, read_json(folder / SUMMARY_FILE))
     return LoadedRun(folder, setup, data, summary)
+
+
+def load_recording(
+    path: Path, files: Sequence[Path] = (), namespace: str | None = None,
+) -> LoadedRun:
+    """
+    Read what anybody recorded of a controller.
+
+    Parameters
+    ----------
+    path
+        Bag folder or MCAP file.
+    files
+        Parameter files of the controller; without any, names and rate are those of the messages.
+    namespace
+        That of the graph; if not given, the only one in the recording.
+
+    Raises
+    ------
+    ConfigError
+        If a parameter file is not acceptable.
+    RunError
+        If the recording cannot be read, or holds nothing of a controller.
+
+    """
+    found = read_graph(path, namespace)
+    setup = setup_of_recording(path, found, files)
+    content = answered(content_of(path, found, setup.controller, commanded=True))
+    summary = summarise(content.data, setup, mode=RECORDED, timing={
+        'unanswered_samples': content.missing['joint_effort_command'],
+        'topic_rates_hz': {name: round(rate, 3) for name, rate in content.topic_rates.items()}})
+    return LoadedRun(path, setup, content.data, {
+        **summary, 'supervised': None, 'remarks': list(content.remarks)})
+
+
+def load(path: Path, files: Sequence[Path] = (), namespace: str | None = None) -> LoadedRun:
+    """
+    Read a run of this package, or what anybody recorded.
+
+    Parameters
+    ----------
+    path
+        Folder of a run, of a bag, or an MCAP file.
+    files, namespace
+        As for `load_recording`; a run knows its own.
+
+    Raises
+    ------
+    ConfigError, RunError
+        If there is nothing, or it cannot be read.
+
+    """
+    config, bag = path / CONFIG_FOLDER, path / BAG_FOLDER
+    if not path.exists():
+        raise ConfigError('run', 'a folder of `multicontact run` or `simulate`, or a recording',
+                          path)
+    if config.is_dir() and (path / SUMMARY_FILE).is_file():
+        return load_run(path)
+    if bag.is_dir() and not any(path.glob('*.mcap')):
+        own = config / 'controller.yaml'  # of a run that did not come to its end
+        return load_recording(bag, files or ([own] if own.is_file() else ()), namespace)
+    return load_recording(path, files, namespace)
+
+
+def report_folder(path: Path) -> Path:
+    """Return where the report on a path goes: into a run's folder, beside a recording."""
+    if path.is_dir() and ((path / CONFIG_FOLDER).is_dir() or (path / BAG_FOLDER).is_dir()):
+        return path
+    return path.resolve().with_name(f'{path.resolve().stem}-report')

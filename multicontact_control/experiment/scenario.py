@@ -29,6 +29,7 @@ from sim_bridge.config import PlantConfig
 import yaml
 
 PLANTS = ('rigid', 'puma')
+EXTERNAL = 'external'  # in the place of a plant's name
 PRESETS = ('paper', 'best', 'adaptive')
 PRESET_NODES = ('controller_node', 'noise_estimator_node')
 
@@ -46,6 +47,19 @@ class ScenarioConfig(Config):
     plant: dict[str, Any] = parameter({}, "Values laid over the plant preset's.")
 
 
+class _NoPlant:
+    """What stands for the plant where the robot is somebody else's."""
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith('__'):
+            raise AttributeError(name)
+        raise ConfigError('plant', f'a simulated plant, for its {name}',
+                          "a robot or simulator that is not this package's")
+
+
+NO_PLANT: Any = _NoPlant()
+
+
 @dataclass(frozen=True)
 class Setup:
     """Everything a run needs, resolved and checked."""
@@ -53,10 +67,16 @@ class Setup:
     scenario: ScenarioConfig
     controller: ControllerConfig
     noise_estimator: NoiseEstimatorConfig
-    plant: PlantConfig
-    plant_name: str  # preset or path
+    plant: PlantConfig  # `NO_PLANT` where the robot is somebody else's
+    plant_name: str  # preset or path, or `EXTERNAL`
     seed: int  # of every random number of the plant
     urdf_dir: Path  # that `controller.robot.urdf` is relative to
+    commanded_by_topic: bool = False  # forces; the recording knows them, and not the scenario
+
+    @property
+    def simulated(self) -> bool:
+        """Whether the plant is one of this package."""
+        return self.plant is not NO_PLANT
 
     @property
     def ticks(self) -> int:
@@ -97,11 +117,12 @@ class Setup:
         urdf = Path(self.controller.robot.urdf)
         shutil.copyfile(self.urdf_dir / urdf, folder / urdf.name)
         robot = self.controller.robot.model_copy(update={'urdf': urdf.name})
-        nodes = {
+        nodes: dict[str, tuple[str, Config]] = {
             'controller_node': ('controller.yaml',
                                 self.controller.model_copy(update={'robot': robot})),
-            'noise_estimator_node': ('noise_estimator.yaml', self.noise_estimator),
-            'sim_node': ('plant.yaml', self.plant)}
+            'noise_estimator_node': ('noise_estimator.yaml', self.noise_estimator)}
+        if self.simulated:
+            nodes['sim_node'] = ('plant.yaml', self.plant)
         for node, (name, config) in nodes.items():
             write_parameters(folder / name, config, node)
         for name, config in (('reference.yaml', self.scenario.reference),
@@ -202,7 +223,7 @@ def resolve(
     setup = Setup(
         scenario=config, controller=controller_config, noise_estimator=estimator_config,
         plant=plant_config, plant_name=plant, seed=seed, urdf_dir=folder)
-    _check_together(setup, path)
+    check_together(setup, path)
     return setup
 
 
@@ -215,10 +236,21 @@ def _controller_parameters(plant: str, preset: dict[str, Any]) -> dict[str, Any]
     return values
 
 
-def _check_together(setup: Setup, path: Path) -> None:
+def check_together(setup: Setup, path: Path) -> None:
+    """
+    Check what the parts of a setup say of each other.
+
+    Raises
+    ------
+    ConfigError
+        If estimator, plant or the scenario, whose file is `path`, do not fit the controller.
+
+    """
     names = setup.controller.column_names
-    for what, found in (('noise_estimator.contact_names', setup.noise_estimator.contact_names),
-                        ('plant.contact_names', setup.plant.column_names)):
+    contacts = [('noise_estimator.contact_names', setup.noise_estimator.contact_names)]
+    if setup.simulated:
+        contacts.append(('plant.contact_names', setup.plant.column_names))
+    for what, found in contacts:
         if found != names:
             raise ConfigError(
                 what, f"the controller's forces and couples {list(names)}", list(found))

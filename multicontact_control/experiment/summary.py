@@ -5,7 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from multicontact_control.experiment.judge import judge, STABLE, UNJUDGED
+from multicontact_control.experiment.judge import (
+    judge,
+    MEASURED,
+    STABLE,
+    TRUE,
+    UNJUDGED,
+    UNKNOWN,
+)
 from multicontact_control.experiment.metrics import (
     contact_summary,
     motion_summary,
@@ -14,6 +21,7 @@ from multicontact_control.experiment.metrics import (
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.supervision.event_log import read_event
+import numpy as np
 
 
 def summarise(
@@ -28,7 +36,8 @@ def summarise(
     data, setup
         The run.
     mode
-        ``in_process``, ``lockstep`` or ``real_time``.
+        ``in_process``, ``lockstep`` or ``real_time``; ``external`` on a robot of others, and
+        ``recorded`` of what anybody recorded.
     timing
         Deadline misses, tick times, latencies.
     ended_early
@@ -57,9 +66,18 @@ def summarise(
         'verdict': verdict.name,
         'instabilities': list(verdict.reasons), 'unstable_at_s': verdict.unstable_at,
         'ended_early': ended_early or None, 'kept_real_time': timely.kept, 'claims': [],
+        'truth': data.has_truth, 'forces': _judged_by(data),
+        'commanded_by_topic': setup.commanded_by_topic,
         'supervised': events is not None} | (
             {} if events is None else {'events': [
                 {'time_s': round(time, 6), 'what': what} for time, what in told]})
+
+
+def _judged_by(data: RunData) -> str:
+    """Return which forces the numbers are about."""
+    if data.has_truth:
+        return TRUE
+    return MEASURED if np.isfinite(data.alpha_meas).any() else UNKNOWN
 
 
 def summarise_again(

@@ -1,0 +1,266 @@
+"""A robot or simulator that is not this package's: its configuration, read and checked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from multicontact_control.config import (
+    ControllerConfig,
+    merge,
+    NoiseEstimatorConfig,
+    read_parameters,
+    read_yaml,
+    RobotConfig,
+    validate,
+)
+from multicontact_control.dynamics.robot import RobotModel
+from multicontact_control.errors import ConfigError, RunError
+from multicontact_control.experiment.bag import sample_topic
+from multicontact_control.experiment.bag_messages import BagMessages
+from multicontact_control.experiment.scenario import (
+    check_together,
+    EXTERNAL,
+    NO_PLANT,
+    PRESET_NODES,
+    preset_values,
+    scenario_path,
+    ScenarioConfig,
+    Setup,
+)
+from multicontact_control.paths import config_dir
+import numpy as np
+
+CONTROLLER, ESTIMATOR = PRESET_NODES
+COMMANDS = 'commands'  # in the place of a scenario's name
+UNTIL_STOPPED = 1e6  # s, of a run that Ctrl-C ends
+OF_THE_RUN = ('autostart', 'startup_peers', 'startup_timeout', 'timing_file', 'base_dir',
+              'recording_batches')
+NAMED_BY = ('contact_forces/measured', 'contact_forces/estimated', 'contact_forces/desired',
+            'contact_forces/noise_variance', 'contact_forces/command',
+            'ground_truth/contact_forces')
+
+
+class ControllerFiles(NamedTuple):
+    """What a user's parameter files say of controller and noise estimator."""
+
+    controller: dict[str, Any]
+    node: dict[str, Any]  # of the controller's node, and not of the controller in it
+    estimator: dict[str, Any]
+    urdf_dir: Path  # that a relative URDF is relative to
+    source: str
+
+    def config(self, overrides: Mapping[str, Any] | None = None) -> ControllerConfig:
+        """Return the controller's configuration; ConfigError if it is not acceptable."""
+        return validate(ControllerConfig, merge(self.controller, overrides or {}), self.source)
+
+
+def read_controller_files(files: Sequence[Path]) -> ControllerFiles:
+    """
+    Read the parameter files of a controller, each laid over those before.
+
+    One may have sections of both nodes. A relative URDF is looked for beside the file that names
+    it.
+
+    Raises
+    ------
+    ConfigError
+        If one cannot be read or is no parameter file.
+
+    """
+    values: dict[str, dict[str, Any]] = {CONTROLLER: {}, ESTIMATOR: {}}
+    urdf_dir = Path()
+    for path in files:
+        for name, section in _sections(path).items():
+            values[name] = merge(values[name], section)
+            robot = section.get('robot')
+            if name == CONTROLLER and isinstance(robot, Mapping) and 'urdf' in robot:
+                urdf_dir = path.resolve().parent
+    own = ControllerConfig.model_fields
+    given = values[CONTROLLER]
+    return ControllerFiles(
+        {name: value for name, value in given.items() if name in own},
+        {name: value for name, value in given.items() if name not in own},
+        values[ESTIMATOR], urdf_dir, ', '.join(str(path) for path in files))
+
+
+def _sections(path: Path) -> dict[str, dict[str, Any]]:
+    """Return the parameters in a file by node; those for every node are the controller's."""
+    data = read_yaml(path)
+    if len(data) == 1:
+        name = str(next(iter(data))).rpartition('/')[2]
+        return {ESTIMATOR if name == ESTIMATOR else CONTROLLER: read_parameters(path)}
+    found = {}
+    for key, section in data.items():
+        name = str(key).rpartition('/')[2]
+        if name in PRESET_NODES and isinstance(section, Mapping) and isinstance(
+                section.get('ros__parameters'), Mapping):
+            found[name] = dict(section['ros__parameters'])
+    if not found:
+        raise ConfigError(str(path), f"a section of {' or '.join(PRESET_NODES)} holding "
+                          "'ros__parameters'", list(data))
+    return found
+
+
+class External(NamedTuple):
+    """Everything a run needs on a robot of somebody else."""
+
+    setup: Setup
+    node: dict[str, Any]  # parameters of the controller's node
+    duration: float | None  # s; None until it is stopped
+
+
+def resolve_external(
+    files: Sequence[Path], *, scenario: str | None = None, duration: float | None = None,
+    estimator_file: Path | None = None, preset: str = '',
+    noise_estimator: dict[str, Any] | None = None, controller: dict[str, Any] | None = None,
+    scenario_overrides: dict[str, Any] | None = None,
+) -> External:
+    """
+    Read and check everything for a run on a robot of somebody else.
+
+    Parameters
+    ----------
+    files
+        Parameter files of the controller, each laid over those before.
+    scenario
+        Name or path; None to obey the command topics.
+    duration
+        Length of the run, by default that of the scenario [s].
+    estimator_file
+        Parameter file of the noise estimator; by default that of the package, for the
+        controller's contacts and rate.
+    preset
+        Name or path of what is laid over all these files.
+    noise_estimator, controller
+        Values laid over the files', the preset's and the scenario's.
+    scenario_overrides
+        Values laid over the scenario's file.
+
+    Raises
+    ------
+    ConfigError
+        With the first value that is not acceptable.
+
+    """
+    if not files:
+        raise ConfigError('--controller', 'the parameter file of your controller', 'none')
+    read = read_controller_files(files)
+    chosen = preset_values(preset) if preset else {}
+    path, config = _scenario(scenario, duration, scenario_overrides or {})
+    controller_config = read.config(merge(
+        merge(chosen.get('controller', {}), config.controller), controller or {}))
+    given = merge(read.estimator, read_parameters(estimator_file) if estimator_file else {})
+    defaults = {'contact_names': list(controller_config.column_names),
+                'rate': controller_config.rate}
+    estimator_config = validate(NoiseEstimatorConfig, merge(
+        merge(merge(merge(merge(
+            read_parameters(config_dir() / 'noise_estimator.yaml'), defaults), given),
+            chosen.get('noise_estimator', {})), config.noise_estimator),
+        noise_estimator or {}), str(estimator_file or 'noise_estimator.yaml'))
+    setup = Setup(
+        scenario=config, controller=controller_config, noise_estimator=estimator_config,
+        plant=NO_PLANT, plant_name=EXTERNAL, seed=0, urdf_dir=read.urdf_dir,
+        commanded_by_topic=scenario is None)
+    check_together(setup, path)
+    RobotModel(controller_config.robot, read.urdf_dir)  # now, and not in a node's log
+    return External(setup, _node_parameters(read), (
+        duration if scenario is None else config.duration))
+
+
+def _scenario(
+    scenario: str | None, duration: float | None, overrides: Mapping[str, Any],
+) -> tuple[Path, ScenarioConfig]:
+    """Return the scenario and its file; one without commands if there is none."""
+    values: dict[str, Any] = {'name': COMMANDS, 'duration': UNTIL_STOPPED}
+    path = Path(COMMANDS)
+    if scenario is not None:
+        path = scenario_path(scenario)
+        values = merge(read_yaml(path), overrides)
+    if duration is not None:
+        values['duration'] = duration
+    return path, validate(ScenarioConfig, values, str(path))
+
+
+def _node_parameters(read: ControllerFiles) -> dict[str, Any]:
+    """Return the parameters of the controller's node that are the user's."""
+    for name, instead in (('reference_file', '--scenario'), ('lockstep', 'nothing')):
+        if read.node.get(name):
+            raise ConfigError(name, f'{instead} in an external run', read.node[name], read.source)
+    return {name: value for name, value in read.node.items()
+            if name not in (*OF_THE_RUN, 'reference_file', 'lockstep')}
+
+
+def dotted(values: Mapping[str, Any], start: str = '') -> dict[str, Any]:
+    """Return nested parameters by their dotted names."""
+    found: dict[str, Any] = {}
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            found |= dotted(value, f'{start}{name}.')
+        else:
+            found[start + name] = value
+    return found
+
+
+def setup_of_recording(
+    path: Path, found: BagMessages, files: Sequence[Path] = (),
+) -> Setup:
+    """
+    Return what is known of what a recording was made with.
+
+    Parameters
+    ----------
+    path
+        Of the recording.
+    found
+        Its messages.
+    files
+        Parameter files of the controller; without any, joints, contacts and rate are those of
+        the messages, and nothing else is known.
+
+    Raises
+    ------
+    ConfigError
+        If a file is not acceptable.
+    RunError
+        If the messages tell no rate.
+
+    """
+    urdf_dir = Path()
+    if files:
+        read = read_controller_files(files)
+        controller, urdf_dir = read.config(), read.urdf_dir
+    else:
+        joints = _names(found, ('joint_states', 'joint_effort_command'))
+        robot = RobotConfig.model_construct(
+            urdf='', joint_names=joints, operational_frame='', sensor_frame='')
+        controller = ControllerConfig.model_construct(
+            rate=_rate(path, found), robot=robot, contact_names=_names(found, NAMED_BY),
+            contacts={})
+    unknown: Any = 'noise estimator not known'
+    estimator = NoiseEstimatorConfig.model_construct(
+        estimator=unknown, contact_names=controller.column_names, rate=controller.rate)
+    return Setup(
+        scenario=ScenarioConfig(name=path.stem or 'recording', duration=UNTIL_STOPPED),
+        controller=controller, noise_estimator=estimator, plant=NO_PLANT, plant_name=EXTERNAL,
+        seed=0, urdf_dir=urdf_dir, commanded_by_topic=True)
+
+
+def _names(found: BagMessages, topics: Sequence[str]) -> tuple[str, ...]:
+    """Return the names in the first message of the first topic that has any."""
+    for topic in topics:
+        for recorded in found.by_topic.get(topic, ()):
+            if recorded.message.name:
+                return tuple(dict.fromkeys(recorded.message.name))
+    return ()
+
+
+def _rate(path: Path, found: BagMessages) -> float:
+    """Return the rate that the stamps of most samples are apart by [Hz], if whole, exactly."""
+    topic = sample_topic(found)
+    stamps = np.unique([recorded.stamp for recorded in found.by_topic[topic]])
+    if len(stamps) < 2:
+        raise RunError(f'{path}: {topic}: expected at least 2 samples, found {len(stamps)}')
+    rate = 1e9 / float(np.median(np.diff(stamps)))
+    return float(round(rate)) if abs(rate - round(rate)) < 0.02 * rate and rate >= 1.0 else rate

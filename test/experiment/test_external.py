@@ -1,0 +1,103 @@
+"""What a user's files say of a robot that is not this package's."""
+
+from dataclasses import replace
+
+from foreign_bag import controller_file, JOINTS
+from multicontact_control.cli.options import prepare_external
+from multicontact_control.errors import ConfigError
+from multicontact_control.experiment.external import dotted, resolve_external
+from multicontact_control.experiment.results import load_setup
+from multicontact_control.files import write_json
+import pytest
+import yaml
+
+SCENARIO = {
+    'name': 'mine', 'duration': 5.0, 'reference': {
+        'force_steps': [{'time': 2.0, 'forces': {'wall': 10.0}}]}}
+
+
+@pytest.fixture(name='file')
+def fixture_file(tmp_path):
+    return controller_file(tmp_path)
+
+
+def laid_over(folder, values, name='controller_node'):
+    path = folder / 'over.yaml'
+    path.write_text(yaml.safe_dump({name: {'ros__parameters': values}}))
+    return path
+
+
+def test_controller_file_is_all_that_is_needed(file):
+    setup, node, duration = resolve_external([file])
+    assert setup.controller.robot.joint_names == JOINTS
+    assert setup.noise_estimator.contact_names == ('wall',)
+    assert setup.noise_estimator.rate == setup.controller.rate
+    assert (setup.simulated, setup.commanded_by_topic, node, duration) == (False, True, {}, None)
+    assert setup.urdf_dir == file.parent
+    with pytest.raises(ConfigError, match='plant: expected a simulated plant, for its surfaces'):
+        assert setup.plant.surfaces
+
+
+def test_later_files_preset_scenario_law_and_settings_are_laid_over(file, tmp_path):
+    tool = laid_over(tmp_path, {'tool': {'mass': 0.8}, 'patience': 9.0, 'autostart': True,
+                                'command': {'force_ceiling': 25.0}}, '/**')
+    scenario = tmp_path / 'mine.yaml'
+    scenario.write_text(yaml.safe_dump(SCENARIO))
+    (setup, node, duration), folder = prepare_external(
+        [file, tool], str(scenario), None, 'fixed', tmp_path / 'out', False, preset='adaptive',
+        settings=['controller.force.damping_rate=33', 'scenario.duration=6'])
+    assert setup.controller.tool.mass == 0.8
+    assert setup.controller.force.stiffness == 'adaptive'
+    assert setup.controller.force.damping_rate == 33.0
+    assert setup.noise_estimator.estimator == 'fixed'
+    assert (duration, setup.commanded_by_topic) == (6.0, False)
+    assert dotted(node) == {'patience': 9.0, 'command.force_ceiling': 25.0}
+    assert folder.is_dir()
+
+
+def test_one_file_may_be_of_both_nodes(file, tmp_path):
+    content = yaml.safe_load(file.read_text())
+    content['noise_estimator_node'] = {'ros__parameters': {'estimator': 'window', 'window': 20}}
+    file.write_text(yaml.safe_dump(content))
+    estimator = resolve_external([file]).setup.noise_estimator
+    assert (estimator.estimator, estimator.window) == ('window', 20)
+    own = laid_over(tmp_path, {'estimator': 'fixed'}, 'noise_estimator_node')
+    setup = resolve_external([file], estimator_file=own).setup
+    assert setup.noise_estimator.estimator == 'fixed'
+
+
+def test_setup_that_was_written_is_read_back(file, tmp_path):
+    setup = resolve_external([file], duration=3.0).setup
+    files = setup.write(tmp_path / 'run/config')
+    assert set(files) == {'controller_node', 'noise_estimator_node'}
+    write_json(tmp_path / 'run/summary.json', {
+        'plant': 'external', 'seed': 0, 'commanded_by_topic': True})
+    again = load_setup(tmp_path / 'run')
+    robot = setup.controller.robot
+    assert again == replace(setup, urdf_dir=tmp_path / 'run/config')
+    assert (again.urdf_dir / robot.urdf).is_file()
+
+
+@pytest.mark.parametrize(('changes', 'options', 'message'), [
+    ({'contact_names': ['floor']}, {}, 'contact_names: expected names among wall'),
+    ({'robot': {'urdf': 'none.urdf', 'joint_names': ['a'], 'operational_frame': 'x',
+                'sensor_frame': 'x'}, 'torque_limit': []}, {}, 'robot.urdf: expected a readable'),
+    ({}, {'scenario': 'paper'}, 'expected contacts among wall, found'),
+    ({'reference_file': 'x.yaml'}, {}, 'reference_file: expected --scenario in an external run'),
+    ({}, {'noise_estimator': {'estimator': 'x'}}, 'noise_estimator.yaml: estimator: expected'),
+    ({}, {'duration': -1.0}, 'duration: expected'),
+    ({}, {'preset': 'x'}, 'preset: expected one of')])
+def test_bad_input_is_refused_in_a_line(tmp_path, changes, options, message):
+    file = controller_file(tmp_path, **changes)
+    with pytest.raises(ConfigError, match=message) as caught:
+        resolve_external([file], **options)
+    assert '\n' not in str(caught.value)
+
+
+def test_no_plant_can_be_set(file, tmp_path):
+    with pytest.raises(ConfigError, match='--set.plant.*expected a parameter; plant has no parts'):
+        prepare_external([file], None, None, None, tmp_path / 'out', False,
+                         settings=['plant.surfaces.*.stiffness=1'])
+    with pytest.raises(ConfigError, match='--controller: expected the parameter file'):
+        resolve_external([])
+    assert not (tmp_path / 'out').exists()
