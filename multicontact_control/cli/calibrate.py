@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TYPE_CHECKING
 
-from multicontact_control.cli.exits import errors_in_one_line, EXIT_FAILED
-from multicontact_control.cli.options import Plant, Seed
+from multicontact_control.cli.exits import errors_in_one_line, EXIT_FAILED, require_ros
+from multicontact_control.cli.options import ControllerFiles, DomainId, Namespace, Plant, Seed
 from multicontact_control.errors import ConfigError
 from rich.console import Console
 import typer
+
+if TYPE_CHECKING:
+    from multicontact_control.experiment.calibration import Calibration
 
 
 def calibrate(
@@ -17,33 +21,74 @@ def calibrate(
     out: Annotated[Path, typer.Option(help='Folder for tool.yaml.')] = Path('.'),
     overwrite: Annotated[bool, typer.Option(
         '--overwrite', help='Replace a tool.yaml that is already there.')] = False,
+    from_bag: Annotated[Path | None, typer.Option(
+        metavar='BAG', help='Weigh the tool of your robot from a recording of joint_states and '
+        'ft_sensor/wrench, in which it rests in 4 poses or more that tilt the tool differently, '
+        '1.5 s in each; takes --controller.')] = None,
+    external: Annotated[bool, typer.Option(
+        '--external', help='Weigh the tool of your robot by the controller that runs on it, which '
+        'tilts the tool to four sides; takes --controller.')] = False,
+    controller: ControllerFiles = None,
+    tilt: Annotated[float, typer.Option(
+        help='With --external: how far to tilt the tool [deg].', min=5.0, max=90.0)] = 25.0,
+    move_time: Annotated[float, typer.Option(
+        help='With --external: time from pose to pose [s].', min=0.1)] = 3.0,
+    domain_id: DomainId = None, namespace: Namespace = None,
 ) -> None:
     """
-    Weigh the tool of the simulated arm: mass, centre of mass and bias of the wrist sensor.
+    Weigh the tool: mass, centre of mass and bias of the wrist sensor.
 
-    The arm goes through the poses of config/calibration.yaml. What is found is shown beside the
-    truth, which includes a bias drawn from the seed, and written to tool.yaml, to lay over the
+    The simulated arm goes through the poses of config/calibration.yaml, and what is found is shown
+    beside the truth, which includes a bias drawn from the seed; a robot is weighed from a
+    recording or by its running controller. The result is written to tool.yaml, to lay over the
     controller's parameters. Exit code 0: mass within 2 %, centre of mass within 3 mm, force bias
-    within 0.1 N; 1: not; 2: bad input.
+    within 0.1 N, or found on a robot; 1: not; 2: bad input.
     """
-    from multicontact_control.experiment import calibration
-
     with errors_in_one_line():
+        from multicontact_control.experiment import calibration
+
         target = out / calibration.TOOL_FILE
         if target.exists() and not overwrite:
             raise ConfigError('out', 'a folder without a tool.yaml, or --overwrite', out)
-        setup = calibration.sensor_setup(plant, seed)
-        result = calibration.calibrate(setup, calibration.calibration_config())
+        files = controller or []
+        if from_bag is not None:
+            from multicontact_control.experiment.weighing import weigh_recording
+
+            weighed = weigh_recording(from_bag, files, namespace)
+        elif external:
+            require_ros()
+            from multicontact_control.experiment.weighing import weigh_running
+
+            weighed = weigh_running(
+                files, namespace=namespace or '', domain_id=domain_id, tilt=math.radians(tilt),
+                move_time=move_time, tell=typer.echo)
+        else:
+            setup = calibration.sensor_setup(plant, seed)
+            result = calibration.calibrate(setup, calibration.calibration_config())
+            calibration.write_tool(out, result)
+            show(result, f'tool of {plant}, seed {seed}', target)
+            return
+        for remark in weighed.remarks:
+            typer.echo(remark)
+        result = calibration.Calibration(weighed.found, None)
         calibration.write_tool(out, result)
-    found, (mass, com, bias) = result.found, result.errors
-    console = Console()
-    console.print(calibration.calibration_table(result, f'tool of {plant}, seed {seed}'))
-    for line in (
-            f'{found.poses} poses, condition {found.condition:.3g}, residual '
-            f'{found.force_residual:.3g} N and {found.torque_residual:.3g} N m rms',
+        show(result, 'tool', target)
+
+
+def show(result: Calibration, title: str, target: Path) -> None:
+    """Show what was found; exit code 1 if it is not what there was to find."""
+    from multicontact_control.experiment.calibration import calibration_table
+
+    found, console = result.found, Console()
+    console.print(calibration_table(result, title))
+    lines = [f'{found.poses} poses, condition {found.condition:.3g}, residual '
+             f'{found.force_residual:.3g} N and {found.torque_residual:.3g} N m rms']
+    if result.truth is not None:
+        mass, com, bias = result.errors
+        lines.append(
             f'mass {100.0 * mass:.3f} %, centre of mass {1e3 * com:.3f} mm, force bias '
-            f'{bias:.4f} N off: {"within" if result.good else "NOT within"} 2 %, 3 mm and 0.1 N',
-            f'written to {target}'):
+            f'{bias:.4f} N off: {"within" if result.good else "NOT within"} 2 %, 3 mm and 0.1 N')
+    for line in (*lines, f'written to {target}'):
         console.print(line, highlight=False, soft_wrap=True)
-    if not result.good:
+    if result.truth is not None and not result.good:
         raise typer.Exit(EXIT_FAILED)

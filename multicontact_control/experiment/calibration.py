@@ -1,4 +1,4 @@
-"""Weighing the tool in simulation: the arm goes through poses and the truth is known."""
+"""Weighing the tool in simulation, where the truth is known; what was found, as file and table."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from multicontact_control.config import (
     validate,
     Vector,
 )
-from multicontact_control.errors import ConfigError
+from multicontact_control.errors import CalibrationError, ConfigError
 from multicontact_control.experiment.scenario import resolve, Setup
 from multicontact_control.paths import config_dir
 from multicontact_control.sensor.identification import (
@@ -61,15 +61,17 @@ class CalibrationConfig(Config):
 
 @dataclass(frozen=True)
 class Calibration:
-    """What a simulated weighing found, and what there was to find."""
+    """What a weighing found, and what there was to find; nobody knows that of a robot."""
 
     found: Identification
-    truth: ToolConfig
+    truth: ToolConfig | None
 
     @property
     def errors(self) -> tuple[float, float, float]:
         """Relative error of the mass, distance of the coms [m], largest force bias error [N]."""
         found, truth = self.found, self.truth
+        if truth is None:
+            raise CalibrationError('errors: expected a tool that is known, found that of a robot')
         bias = found.bias_sensor[:3] - np.array(truth.bias_sensor[:3])
         return (abs(found.mass / truth.mass - 1.0),
                 float(np.linalg.norm(found.com_sensor - np.array(truth.com_sensor))),
@@ -162,21 +164,24 @@ def write_tool(folder: Path, calibration: Calibration) -> Path:
 
 
 def calibration_table(calibration: Calibration, title: str) -> Table:
-    """Return found and true values side by side."""
+    """Return found and true values side by side, as far as there are true ones."""
     found, truth = calibration.found, calibration.truth
+    known = truth or found.tool()
     table = Table(title=title)
-    for name in ('', 'identified', 'truth', 'error', 'std. error'):
+    names = ('truth', 'error') if truth is not None else ()
+    for name in ('', 'identified', *names, 'std. error'):
         table.add_column(name, justify='left' if name == '' else 'right')
 
     rows = [
-        ('mass (kg)', found.mass, truth.mass, 5, found.mass_std),
-        *((f'centre of mass {axis} (mm)', 1e3 * found.com_sensor[i], 1e3 * truth.com_sensor[i],
+        ('mass (kg)', found.mass, known.mass, 5, found.mass_std),
+        *((f'centre of mass {axis} (mm)', 1e3 * found.com_sensor[i], 1e3 * known.com_sensor[i],
            3, 1e3 * found.com_std[i]) for i, axis in enumerate('xyz')),
         *((f'{what} bias {axis} ({unit})', found.bias_sensor[start + i],
-           truth.bias_sensor[start + i], digits, None)
+           known.bias_sensor[start + i], digits, None)
           for what, unit, start, digits in (('force', 'N', 0, 4), ('torque', 'N m', 3, 5))
           for i, axis in enumerate('xyz'))]
     for name, value, true, digits, std in rows:
-        table.add_row(name, f'{value:.{digits}f}', f'{true:.{digits}f}',
-                      f'{value - true:+.{digits}f}', '' if std is None else f'{std:.{digits}f}')
+        compared = (f'{true:.{digits}f}', f'{value - true:+.{digits}f}') if names else ()
+        table.add_row(name, f'{value:.{digits}f}', *compared,
+                      '' if std is None else f'{std:.{digits}f}')
     return table

@@ -1,0 +1,73 @@
+"""The push test of a controller that runs: asked for, shown, and waited for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import time
+
+from multicontact_control.errors import RunError
+from multicontact_control.nodes import topics
+from multicontact_control.nodes.link import ControllerLink
+from std_srvs.srv import Trigger
+
+SENSOR_STATUS = f'{topics.CONTROLLER}: sensor'
+DONE = ('push test passed', 'push test failed')
+POLL = 0.05  # s
+
+
+def push_running(
+    *, namespace: str = '', domain_id: int | None = None, timeout: float = 10.0,
+    on_instruction: Callable[[str], None] = lambda text: None,
+) -> bool:
+    """
+    Lead somebody through the push test of a running controller.
+
+    The controller has the time limits of the test. What it says comes with its diagnostics, once
+    a second.
+
+    Parameters
+    ----------
+    namespace, domain_id
+        Where it runs.
+    timeout
+        Longest wait for an answer, and without diagnostics [s].
+    on_instruction
+        Called with what is to be done, whenever that changes, and with the verdict.
+
+    Returns
+    -------
+    bool
+        Whether the test was passed.
+
+    Raises
+    ------
+    RunError
+        If no controller answers, it is not active, or it is silent.
+
+    """
+    with ControllerLink((topics.DIAGNOSTICS,), namespace=namespace, domain_id=domain_id,
+                        timeout=timeout) as link:
+        state = link.state(topics.CONTROLLER, timeout)
+        if state != 'active':
+            raise RunError(f'{topics.CONTROLLER}: expected an active controller, found it {state}')
+        answer = link.require(topics.CONTROLLER, Trigger, 'push_test', Trigger.Request())
+        if not answer.success:
+            raise RunError(f'{topics.CONTROLLER}: push_test refused: {answer.message}')
+        said = answer.message
+        on_instruction(said)
+        heard, report = time.monotonic(), link.newest(topics.DIAGNOSTICS)
+        while True:
+            time.sleep(POLL)
+            newest, now = link.newest(topics.DIAGNOSTICS), time.monotonic()
+            for status in newest.status if newest is not None and newest is not report else ():
+                if status.name.endswith(SENSOR_STATUS):
+                    heard = now
+                    text = next((x.value for x in status.values if x.key == 'push_test'), said)
+                    if text != said:
+                        on_instruction(said := text)
+                    if text.startswith(DONE):
+                        return text.startswith(DONE[0])
+            report = newest
+            if now - heard > timeout:
+                raise RunError(f'{topics.CONTROLLER}: expected diagnostics once a second, found '
+                               f'none for {timeout:g} s')

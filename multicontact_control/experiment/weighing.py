@@ -1,0 +1,307 @@
+"""Weighing the tool of a robot: from a recording of it at rest, or with the running controller."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+import contextlib
+from pathlib import Path
+import time
+from typing import Any, NamedTuple
+
+from multicontact_control.arrays import Matrix, Vector
+from multicontact_control.config import Config, ControllerConfig, parameter, Real
+from multicontact_control.dynamics.robot import RobotModel
+from multicontact_control.errors import CalibrationError, ConfigError, RunError
+from multicontact_control.experiment.bag_messages import (
+    describe_others,
+    read_messages,
+    Recorded,
+)
+from multicontact_control.experiment.external import read_controller_files
+from multicontact_control.experiment.oscillation import stretches
+from multicontact_control.sensor.identification import (
+    Identification,
+    IdentificationConfig,
+    identify_tool,
+    PoseReading,
+)
+from multicontact_control.sensor.tare import TareConfig
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+JOINTS = 'joint_states'
+WRENCHES = {'raw': 'ft_sensor/wrench', 'filtered': 'ft_sensor/wrench_filtered'}
+GRID = 0.02  # s, in which a recording is looked at for rests
+LOOK = 0.1  # s, over which the speed of a joint is taken
+REACHED = 0.1  # rad, of a tilt
+PEAK = 1.875  # largest speed of a quintic, relative to the mean
+SHARE = 0.6  # of the largest angular speed
+TILTS = ((0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))  # about world x and y
+
+Tell = Callable[[str], None]
+
+
+class RestConfig(Config):
+    """What counts as a rest of a robot that somebody leads from pose to pose."""
+
+    speed: Real = parameter(0.02, 'Largest speed of any joint.', unit='rad/s', gt=0.0)
+    settle_time: Real = parameter(0.5, 'Beginning of a rest that is left out.', unit='s', ge=0.0)
+    average_time: Real = parameter(
+        1.0, 'Least time after it, over which readings are averaged.', unit='s', gt=0.0)
+    quiet: TareConfig = TareConfig()
+    identification: IdentificationConfig = IdentificationConfig()
+
+
+class Weighed(NamedTuple):
+    """What was found, and what was done for it in words."""
+
+    found: Identification
+    remarks: tuple[str, ...]
+
+
+def weigh_recording(
+    path: Path, files: Sequence[Path], namespace: str | None = None,
+    config: RestConfig | None = None,
+) -> Weighed:
+    """
+    Identify a tool from a recording of an arm that is at rest in at least four poses.
+
+    Joint states and wrenches may have stamps of their own. Nothing may touch the tool at rest; a
+    rest whose readings are restless is left out.
+
+    Parameters
+    ----------
+    path
+        Bag folder or MCAP file.
+    files
+        Parameter files of the controller, for the arm and the sensor's frame.
+    namespace
+        That of the topics; if not given, the only one in the recording.
+    config
+        What counts as a rest.
+
+    Raises
+    ------
+    ConfigError
+        If a parameter file is not acceptable.
+    RunError
+        If the recording lacks something.
+    CalibrationError
+        If there are too few rests, or the readings do not tell.
+
+    """
+    config = config or RestConfig()
+    controller, robot = _arm(files)
+    wrench = WRENCHES[controller.wrench_input]
+    types = {JOINTS: 'sensor_msgs/msg/JointState', wrench: 'geometry_msgs/msg/WrenchStamped'}
+    found = read_messages(path, types, namespace)
+    for topic in types:
+        if topic not in found.by_topic:
+            text = '; '.join((f'found {describe_others(found)}', *found.unreadable))
+            raise RunError(f'{path}: expected messages on {topic}, {text}')
+    q_time, q = _joints(path, found.by_topic[JOINTS], controller.robot.joint_names)
+    f_time, wrenches = _wrenches(found.by_topic[wrench])
+    if f_time[0] > q_time[-1] or q_time[0] > f_time[-1]:  # clocks of their own
+        q_time = np.array([x.published for x in found.by_topic[JOINTS]]) * 1e-9
+        f_time = np.array([x.published for x in found.by_topic[wrench]]) * 1e-9
+    readings, remarks = [], []
+    for begin, end in find_rests(q_time, q, config):
+        chosen = wrenches[(f_time >= begin) & (f_time <= end)]
+        when = f'rest from {begin - q_time[0]:.1f} to {end - q_time[0]:.1f} s'
+        restless = _restless(chosen, config.quiet)
+        if restless:
+            remarks.append(f'{when} left out: {restless}')
+            continue
+        at_rest = q[(q_time >= begin) & (q_time <= end)].mean(axis=0)
+        pose = robot.update(at_rest, np.zeros(robot.joint_count)).sensor_pose
+        readings.append(PoseReading(pose.rotation_world, chosen.mean(axis=0)))
+        remarks.append(f'{when}: {len(chosen)} readings')
+    if len(readings) < config.identification.min_poses:
+        raise CalibrationError('; '.join((
+            f'{path}: expected at least {config.identification.min_poses} rests of '
+            f'{config.settle_time + config.average_time:g} s, found {len(readings)}', *remarks)))
+    gravity = np.array(controller.robot.gravity_world)
+    return Weighed(identify_tool(readings, gravity, config.identification), tuple(remarks))
+
+
+def _arm(files: Sequence[Path]) -> tuple[ControllerConfig, RobotModel]:
+    if not files:
+        raise ConfigError('--controller', 'the parameter file of your controller', 'none')
+    read = read_controller_files(files)
+    controller = read.config()
+    return controller, RobotModel(controller.robot, read.urdf_dir)
+
+
+def _joints(
+    path: Path, messages: Sequence[Recorded], names: Sequence[str],
+) -> tuple[Vector, Matrix]:
+    """Return times, shape (m,) [s], and angles of the joints, shape (m, n) [rad]."""
+    rows = []
+    for recorded in messages:
+        angles = dict(zip(recorded.message.name, recorded.message.position))
+        rows.append([angles.get(name, np.nan) for name in names])
+    q = np.array(rows)
+    if not np.isfinite(q).all():
+        known = ', '.join(messages[0].message.name) or 'none'
+        raise RunError(f'{path}: joint_states: expected positions of the joints '
+                       f'{", ".join(names)}, found {known}')
+    return np.array([x.stamp for x in messages]) * 1e-9, q
+
+
+def _wrenches(messages: Sequence[Recorded]) -> tuple[Vector, Matrix]:
+    """Return times, shape (m,) [s], and wrenches, shape (m, 6) [N, N m]."""
+    rows = [(w.force.x, w.force.y, w.force.z, w.torque.x, w.torque.y, w.torque.z)
+            for w in (x.message.wrench for x in messages)]
+    return np.array([x.stamp for x in messages]) * 1e-9, np.array(rows)
+
+
+def find_rests(time: Vector, q: Matrix, config: RestConfig) -> list[tuple[float, float]]:
+    """
+    Return from when to when an arm was at rest, without the time to settle [s].
+
+    Parameters
+    ----------
+    time
+        Shape (m,) [s].
+    q
+        Angles of the joints, shape (m, n) [rad].
+    config
+        What counts as a rest.
+
+    """
+    order = np.argsort(time, kind='stable')
+    time, q = time[order], q[order]
+    grid = np.arange(time[0], time[-1], GRID)
+    width = round(LOOK / GRID)
+    if len(grid) <= width:
+        return []
+    angles = np.column_stack([np.interp(grid, time, column) for column in q.T])
+    speed = np.abs(angles[width:] - angles[:-width]).max(axis=1) / LOOK
+    # A gap in the joint states says nothing of what the arm did in it.
+    gaps = np.interp(grid, time[1:], np.diff(time)) if len(time) > 1 else np.zeros(len(grid))
+    still = (speed <= config.speed) & (gaps[width:] <= LOOK)
+    rests = []
+    for begin, end in zip(*stretches(still)):
+        start, stop = grid[begin] + config.settle_time, grid[end - 1]
+        if stop - start >= config.average_time:
+            rests.append((float(start), float(stop)))
+    return rests
+
+
+def _restless(wrenches: Matrix, quiet: TareConfig) -> str:
+    """Return why readings cannot be averaged; empty if they can."""
+    if len(wrenches) < quiet.min_samples:
+        return f'{len(wrenches)} readings'
+    if not np.isfinite(wrenches).all():
+        return 'readings that are not finite'
+    force, torque = wrenches.std(axis=0).reshape(2, 3).max(axis=1)
+    if force > quiet.max_force_std or torque > quiet.max_torque_std:
+        return f'readings with standard deviations of {force:.3g} N and {torque:.3g} N m'
+    return ''
+
+
+def weigh_running(
+    files: Sequence[Path], *, namespace: str = '', domain_id: int | None = None,
+    tilt: float = np.deg2rad(25.0), move_time: float = 3.0, timeout: float = 10.0,
+    config: RestConfig | None = None, tell: Tell = lambda text: None,
+) -> Weighed:
+    """
+    Identify the tool of a robot by a controller that runs: it tilts the tool, and turns it back.
+
+    The operational point stays where it is. No contact may be pressed meanwhile, and the bias of
+    the running controller is that of the first pose afterwards.
+
+    Parameters
+    ----------
+    files
+        Parameter files of the controller, for the arm and the sensor's frame.
+    namespace, domain_id
+        Where it runs.
+    tilt
+        Angle about world x and y, to either side [rad].
+    move_time
+        From pose to pose, or as long as `limits.operational_turn` demands [s].
+    timeout
+        Longest wait for an answer or a sample [s].
+    config
+        How long to settle and to average, and what counts as quiet.
+    tell
+        Called with what is being done.
+
+    Raises
+    ------
+    ConfigError
+        If a parameter file is not acceptable.
+    RunError
+        If no controller answers, if a contact is pressed, or a pose is not reached.
+    CalibrationError
+        If the readings do not tell.
+
+    """
+    from multicontact_control.client import MultiContactClient
+    from multicontact_control.nodes import topics
+    from multicontact_control.nodes.link import ControllerLink
+
+    config = config or RestConfig()
+    controller, robot = _arm(files)
+    wrench = topics.WRENCH if controller.wrench_input == 'raw' else topics.WRENCH_FILTERED
+    readings: list[PoseReading] = []
+    with MultiContactClient(namespace, domain_id=domain_id, timeout=timeout) as arm, (
+            ControllerLink((topics.JOINT_STATES, wrench), namespace=namespace,
+                           domain_id=domain_id, timeout=timeout)) as link:
+        start = arm.read()
+        pressed = [name for name, force in start.forces_desired.items() if force > 0.0]
+        if pressed:
+            raise RunError(f'calibrate: expected free space, found {", ".join(pressed)} pressed')
+        # A weight that is not known is a pull that no surface explains: control waits for us.
+        tell('tare, so that the weight is not taken for a contact')
+        arm.tare()
+        with contextlib.suppress(RunError):  # if it does not wait
+            arm.retry()
+        # From one side to the other, well within the limit of the angular speed.
+        slowest = max(move_time, PEAK * 2.0 * tilt / (SHARE * controller.limits.operational_turn))
+        before = Rotation.from_quat(start.quaternion_desired)
+        poses = [Rotation.from_rotvec([tilt * x, tilt * y, 0.0]) * before for x, y in TILTS]
+        for number, pose in enumerate([*poses, before]):
+            back = number == len(poses)
+            tell('back to the first pose' if back else f'pose {number + 1} of {len(poses)}')
+            arm.move(start.position_desired, slowest, quaternion_xyzw=pose.as_quat())
+            if back:
+                tell('the running controller keeps its tare; what is found is for the next run')
+                break
+            time.sleep(config.settle_time)
+            off = (Rotation.from_quat(arm.read().quaternion_xyzw) * pose.inv()).magnitude()
+            if off > REACHED:
+                raise RunError(
+                    f'calibrate: expected pose {number + 1}, found the tool {np.rad2deg(off):.0f} '
+                    'deg off; it may be beyond a limit, or too heavy not to be known at all: '
+                    'start from another pose, tilt less, or weigh it --from-bag')
+            readings.append(_average(link, topics.JOINT_STATES, wrench, robot, controller, config))
+    gravity = np.array(controller.robot.gravity_world)
+    return Weighed(identify_tool(readings, gravity, config.identification), ())
+
+
+def _average(
+    link: Any, joint_states: Any, wrench: Any, robot: RobotModel, controller: ControllerConfig,
+    config: RestConfig,
+) -> PoseReading:
+    """Return the mean reading from now on."""
+    samples: list[tuple[float, ...]] = []
+    end = time.monotonic() + config.average_time
+    while time.monotonic() < end or len(samples) < config.quiet.min_samples:
+        message, = link.fresh(wrench)
+        w = message.wrench
+        samples.append((w.force.x, w.force.y, w.force.z, w.torque.x, w.torque.y, w.torque.z))
+    wrenches = np.array(samples)
+    restless = _restless(wrenches, config.quiet)
+    if restless:
+        raise CalibrationError(f'calibrate: expected readings at rest, found {restless}')
+    joints, = link.fresh(joint_states)
+    angles = dict(zip(joints.name, joints.position))
+    lacking = [name for name in controller.robot.joint_names if name not in angles]
+    if lacking:
+        raise RunError(f'joint_states: expected the joints {", ".join(lacking)}, found '
+                       f'{", ".join(joints.name) or "none"}')
+    q = np.array([angles[name] for name in controller.robot.joint_names])
+    pose = robot.update(q, np.zeros(robot.joint_count)).sensor_pose
+    return PoseReading(pose.rotation_world, wrenches.mean(axis=0))

@@ -1,0 +1,100 @@
+"""A robot's tool weighed from what somebody recorded of it at rest."""
+
+from foreign_bag import controller_file, JOINTS, RATE, START
+from multicontact_control.cli import app
+from multicontact_control.config import read_parameters, ToolConfig
+from multicontact_control.dynamics.robot import RobotModel
+from multicontact_control.errors import CalibrationError, RunError
+from multicontact_control.experiment.external import read_controller_files
+from multicontact_control.experiment.weighing import find_rests, RestConfig, weigh_recording
+from multicontact_control.nodes import messages, topics
+from multicontact_control.nodes.bag_writer import BagWriter
+from multicontact_control.sensor.weight import weight_reading
+import numpy as np
+import pytest
+from rclpy.serialization import serialize_message
+from typer.testing import CliRunner
+
+pytestmark = pytest.mark.ros
+
+TOOL = ToolConfig(mass=1.3, com_sensor=(0.01, -0.03, 0.07),
+                  bias_sensor=(2.0, -1.0, 3.0, 0.1, -0.05, 0.02))
+POSES = np.zeros((5, 7))
+POSES[:, 3:6] = [[0.9, 0.5, -0.8], [1.4, 0.5, -0.8], [0.4, 0.5, -0.8], [0.9, 1.2, -0.2],
+                 [0.9, -0.3, -1.3]]
+REST, MOVE = 2.0, 0.8  # s
+
+
+def recorded(folder, file, poses=POSES, *, offset=700_000, touched=()):
+    """Record an arm that is led from pose to pose; its sensor has stamps of its own."""
+    read = read_controller_files([file])
+    robot = RobotModel(read.config().robot, read.urdf_dir)
+    random, gravity = np.random.default_rng(0), np.array([0.0, 0.0, -9.81])
+    with BagWriter(folder, chunk_size=4096) as writer:
+        for topic in (topics.JOINT_STATES, topics.WRENCH):
+            writer.add_topic(f'/{topic.name}', topic.type_name, topic.profile)
+        for k in range(round(len(poses) * (REST + MOVE) * RATE)):
+            number, at = divmod(k / RATE, REST + MOVE)
+            here = poses[int(number)]
+            there = poses[min(int(number) + 1, len(poses) - 1)]
+            q = here + max(at - REST, 0.0) / MOVE * (there - here)
+            wrench = weight_reading(
+                robot.update(q, np.zeros(7)).sensor_pose.rotation_world, TOOL, gravity)
+            wrench = wrench + TOOL.bias_sensor + random.normal(size=6) * ([0.1] * 3 + [0.01] * 3)
+            if int(number) in touched:
+                wrench[0] += 5.0 * np.sin(7.0 * at)
+            stamp = START + round(k / RATE * 1e9)
+            for topic, message, late in (
+                    (topics.JOINT_STATES, messages.joint_state_message(
+                        stamp, JOINTS, position=q, velocity=np.zeros(7)), 0),
+                    (topics.WRENCH, messages.wrench_message(
+                        stamp + offset, wrench, 'wrist'), offset)):
+                writer.write(f'/{topic.name}', serialize_message(message), stamp + late % 10 ** 9,
+                             stamp + late % 10 ** 9)
+    return folder
+
+
+@pytest.mark.parametrize('offset', [700_000, 3_600_000_000_700_000])
+def test_tool_is_found_from_rests_whatever_the_clocks(tmp_path, offset):
+    """Stamps of the sensor that never are those of the joints, or are an hour off."""
+    file = controller_file(tmp_path)
+    found, remarks = weigh_recording(recorded(tmp_path / 'bag', file, offset=offset), [file])
+    assert found.poses == 5 and len(remarks) == 5
+    assert found.mass == pytest.approx(TOOL.mass, abs=0.01)
+    np.testing.assert_allclose(found.com_sensor, TOOL.com_sensor, atol=1e-3)
+    np.testing.assert_allclose(found.bias_sensor[:3], TOOL.bias_sensor[:3], atol=0.05)
+
+
+def test_command_leaves_the_rest_in_which_the_tool_was_touched_out(tmp_path):
+    file = controller_file(tmp_path)
+    bag = recorded(tmp_path / 'bag', file, touched=(2,))
+    result = CliRunner().invoke(app, [
+        'calibrate', '--from-bag', str(bag), '--controller', str(file), '--out', str(tmp_path)])
+    assert result.exit_code == 0, result.output
+    assert 'left out: readings with standard deviations of 3.' in result.output
+    assert '4 poses' in result.output and 'truth' not in result.output
+    tool = read_parameters(tmp_path / 'tool.yaml')['tool']
+    assert tool['mass'] == pytest.approx(TOOL.mass, abs=0.02)
+
+
+def test_too_few_rests_and_missing_topics_are_named(tmp_path):
+    file = controller_file(tmp_path)
+    with pytest.raises(CalibrationError, match='at least 4 rests of 1.5 s, found 2; rest from'):
+        weigh_recording(recorded(tmp_path / 'bag', file, POSES[:2]), [file])
+    with pytest.raises(CalibrationError, match='orientations that tilt the tool differently'):
+        weigh_recording(recorded(tmp_path / 'same', file, POSES[:1].repeat(5, axis=0) + 0.2 * (
+            np.arange(5) % 2)[:, None] * np.eye(7)[6]), [file])
+    six = controller_file(tmp_path)
+    six.write_text(six.read_text().replace('j6', 'other').replace('seven.urdf', 'six.urdf'))
+    (tmp_path / 'six.urdf').write_text(
+        (tmp_path / 'seven.urdf').read_text().replace('"j6"', '"other"'))
+    with pytest.raises(RunError, match='positions of the joints .*other, found j0, j1'):
+        weigh_recording(tmp_path / 'bag', [six])
+
+
+def test_gap_and_motion_are_no_rest():
+    time = np.concatenate([np.arange(0.0, 4.0, 0.01), np.arange(10.0, 14.0, 0.01)])
+    q = np.zeros((len(time), 2))
+    q[(time > 11.0), 1] = 0.5 * (time[time > 11.0] - 11.0).clip(0.0, 0.5)
+    rests = find_rests(time, q, RestConfig())
+    np.testing.assert_allclose(rests, [(0.5, 3.9), (12.0, 13.9)], atol=0.1)
