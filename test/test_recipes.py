@@ -3,6 +3,7 @@
 from typing import Literal
 
 from arms import seven_joint_urdf
+from external_arm import Arm
 from multicontact_control.config import (
     ControllerConfig,
     NoiseEstimatorConfig,
@@ -18,7 +19,6 @@ from multicontact_control.paths import config_dir
 from multicontact_control.sampling import PairedSample
 from multicontact_control.supervision.command_limits import CommandLimits
 import numpy as np
-import pinocchio as pin
 import pytest
 import yaml
 
@@ -26,45 +26,6 @@ import yaml
 WALL = {'normal_world': [1.0, 0.0, 0.0], 'point_operational': [0.0, 0.0, 0.24],
         'stiffness': 6000.0}
 NAMES = ['table', 'board', 'wall']
-
-
-class Arm:
-    """A user's simulator: an arm whose wrist meets a springy wall, and a sensor with noise."""
-
-    def __init__(self, urdf, armature, normal, distance, stiffness):
-        self._model = pin.buildModelFromUrdf(str(urdf))
-        self._model.armature = np.array(armature)
-        self._data = self._model.createData()
-        self._wrist = self._model.getFrameId('wrist')
-        self._random = np.random.default_rng(0)
-        self._normal, self._stiffness = np.array(normal), stiffness
-        self.q = np.array([0.3, 0.7, -0.4, 0.9, 0.5, -0.8, 0.6])
-        self.v = np.zeros(7)
-        self._wall = self._normal @ self._place().translation + distance
-
-    def _place(self):
-        pin.framesForwardKinematics(self._model, self._data, self.q)
-        return self._data.oMf[self._wrist]
-
-    @property
-    def force(self):
-        """Return what the wrist presses with, 0 beside the wall [N]."""
-        depth = self._normal @ self._place().translation - self._wall
-        return self._stiffness * max(depth, 0.0)
-
-    def wrench_sensor(self):
-        pressing = self._place().rotation.T @ (self.force * self._normal)
-        noise = self._random.normal(size=6) * ([0.05] * 3 + [0.005] * 3)
-        return np.concatenate([pressing, np.zeros(3)]) + noise
-
-    def step(self, torque, period, substeps=8):
-        for _ in range(substeps):
-            reaction = np.concatenate([-self.force * self._normal, np.zeros(3)])
-            J = pin.computeFrameJacobian(
-                self._model, self._data, self.q, self._wrist, pin.LOCAL_WORLD_ALIGNED)
-            a = pin.aba(self._model, self._data, self.q, self.v, torque + J.T @ reaction)
-            self.v = self.v + a * period / substeps
-            self.q = self.q + self.v * period / substeps
 
 
 @pytest.mark.slow

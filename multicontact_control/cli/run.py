@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 from enum import Enum
-from typing import Annotated
+from typing import Annotated, Any, NoReturn
 
-from multicontact_control.cli.exits import end_by_verdict, errors_in_one_line, EXIT_SIGNAL
+from multicontact_control.cli.exits import (
+    end_by_verdict,
+    errors_in_one_line,
+    EXIT_FAILED,
+    EXIT_SIGNAL,
+)
 from multicontact_control.cli.options import (
     Bare,
+    ControllerFiles,
     Duration,
     Estimator,
     Law,
@@ -15,11 +21,13 @@ from multicontact_control.cli.options import (
     Overwrite,
     Plant,
     prepare,
+    prepare_external,
     Preset,
     Scenario,
     Seed,
     Settings,
 )
+from multicontact_control.errors import ConfigError
 import typer
 
 
@@ -33,16 +41,25 @@ class Composed(str, Enum):
 
 
 def run(
-    scenario: Scenario = 'paper', plant: Plant = 'puma', seed: Seed = 0,
+    context: typer.Context, scenario: Scenario = 'paper', plant: Plant = 'puma', seed: Seed = 0,
     duration: Duration = None, noise_estimator: Estimator = None, out: Out = None,
     overwrite: Overwrite = False, bare: Bare = False, preset: Preset = 'best',
     law: Law = None, settings: Settings = None,
+    external: Annotated[bool, typer.Option(
+        '--external', help='On your own robot or simulator, which is behind the topics: starts '
+        'controller, noise estimator and recorder only, waits for the robot, and obeys the '
+        'command topics, or a --scenario. Ends after --duration, or with Ctrl-C. Takes '
+        '--controller; --noise-estimator may then be a parameter file, too.')] = False,
+    controller: ControllerFiles = None,
+    robot_timeout: Annotated[float, typer.Option(
+        help='With --external: time without a sample after which the robot counts as gone '
+        '[s].')] = 5.0,
     lockstep: Annotated[bool, typer.Option(
         '--lockstep', help='Let the nodes wait for each other instead of for the wall clock: '
         'the same torques as `simulate`, bit for bit.')] = False,
     domain_id: Annotated[int | None, typer.Option(
         help='ROS_DOMAIN_ID of the graph; that of the environment, or the first one without '
-        'participants on this machine, if not given.')] = None,
+        'participants on this machine (0 with --external), if not given.')] = None,
     composed: Annotated[Composed, typer.Option(
         help='Which nodes share a process and hand each other their messages: `none`, `control` '
         '(controller and noise estimator), `all` (the simulated plant, too), or `auto`: none, '
@@ -61,20 +78,58 @@ def run(
     the machine is too slow for that, stops them together, then draws the figures from the bag.
     Exit code 0: stable, or not judged, since the machine missed a tenth of the deadlines; 1: not
     stable, held by the supervisor, or a node died; 2: bad input; 128 + n: ended by signal n.
+    With --external 0 also without ground truth, where nothing is called stable, and 1 also if the
+    robot is gone.
     """
     from multicontact_control.experiment.graph.domain import check_namespace
 
     with errors_in_one_line():
         namespace = check_namespace(namespace)
+        given = given_options(context)
+        # Only now: what is heavy is not loaded for the sake of an error.
+        if external:
+            refuse_options(given, ('plant', 'seed', 'lockstep'), '--external')
+            resolved, folder = prepare_external(
+                controller or (), scenario if 'scenario' in given else None, duration,
+                noise_estimator, out, overwrite, preset=preset if 'preset' in given else '',
+                law=law, settings=settings)
+            from multicontact_control.experiment.run import GraphOptions, run_external
+
+            outcome, interrupted = run_external(resolved, folder, GraphOptions(
+                domain_id=domain_id, namespace=namespace, composed=composed.value,
+                realtime=realtime), robot_timeout=robot_timeout, supervised=not bare)
+            end(outcome, interrupted)
+        refuse_options(given, ('controller', 'robot_timeout'), 'a simulated plant')
         setup, folder = prepare(
             scenario, plant, seed, duration, noise_estimator, out, overwrite, preset=preset,
             law=law, settings=settings)
-        # Only now: what is heavy is not loaded for the sake of an error.
         from multicontact_control.experiment.run import GraphOptions, run_real_time
 
         summary, interrupted = run_real_time(setup, folder, GraphOptions(
             lockstep=lockstep, domain_id=domain_id, namespace=namespace, composed=composed.value,
             realtime=realtime), supervised=not bare)
+    end(summary, interrupted)
+
+
+def end(summary: dict[str, Any] | None, interrupted: int | None) -> NoReturn:
+    """Exit as a run has ended: by a signal, without a sample, or by its verdict."""
     if interrupted is not None:
         raise typer.Exit(EXIT_SIGNAL + interrupted)
+    if summary is None:
+        raise typer.Exit(EXIT_FAILED)
     end_by_verdict(summary)
+    raise typer.Exit
+
+
+def given_options(context: typer.Context) -> set[str]:
+    """Return the names of the options that were given on the command line."""
+    return {name for name in context.params
+            if (source := context.get_parameter_source(name)) is not None
+            and source.name == 'COMMANDLINE'}
+
+
+def refuse_options(given: set[str], names: tuple[str, ...], what: str) -> None:
+    """Refuse options that have no meaning; ConfigError naming the first."""
+    for name in names:
+        if name in given:
+            raise ConfigError(f'--{name.replace("_", "-")}', f'nothing with {what}', 'it')

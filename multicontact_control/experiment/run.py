@@ -9,8 +9,9 @@ import shutil
 from typing import Any, TYPE_CHECKING
 
 from multicontact_control.compiled import compiled_here
+from multicontact_control.config import validate
 from multicontact_control.errors import ConfigError, RunError
-from multicontact_control.experiment.bag import BagContent, read_bag
+from multicontact_control.experiment.bag import answered, BagContent, NOT_RECORDED, read_bag
 from multicontact_control.experiment.claim_metrics import evidence_of
 from multicontact_control.experiment.claims import judge_claims
 from multicontact_control.experiment.closed_loop import run_in_process
@@ -22,8 +23,9 @@ from multicontact_control.experiment.display import (
     TooSlowError,
     verdict_lines,
 )
+from multicontact_control.experiment.external import dotted, External
 from multicontact_control.experiment.figures import draw_figures, draw_latency
-from multicontact_control.experiment.judge import REAL_TIME, verdict_text
+from multicontact_control.experiment.judge import EXTERNAL_RUN, REAL_TIME, verdict_text
 from multicontact_control.experiment.metrics import percentiles
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.results import CONFIG_FOLDER, FIGURE_FOLDER, SUMMARY_FILE
@@ -39,6 +41,9 @@ if TYPE_CHECKING:
 # Periods: a robot moves on while its samples are late, the simulated one has stood still, and a
 # busy machine is no fault of its sensors.
 SIMULATION_PATIENCE = 25.0
+# What of the timing only a plant of this package can tell.
+OF_THE_PLANT = ('deadline_misses', 'pace_slips', 'command_timeouts', 'latency_us', 'plant_us',
+                'latency_histogram', 'realtime_factor')
 AUTO = 'auto'
 
 
@@ -165,6 +170,107 @@ def run_real_time(
     return _finish(content.data, setup, folder, summary, console), result.interrupted
 
 
+def run_external(
+    external: External, folder: Path, options: GraphOptions = GraphOptions(), *,
+    robot_timeout: float = 5.0, supervised: bool = True, console: Console | None = None,
+) -> tuple[dict[str, Any] | None, int | None]:
+    """
+    Run controller, estimator and recorder on a robot of somebody else, and leave the results.
+
+    Parameters
+    ----------
+    external
+        Configuration, and what is to be done for how long.
+    folder, supervised, console
+        As for `run_real_time`.
+    options
+        How to run the graph; its domain is that of the environment, or 0, if none is given.
+    robot_timeout
+        Time without a message after which the robot counts as gone [s].
+
+    Returns
+    -------
+    tuple
+        The content of ``summary.json``, None if no sample was answered, and the signal that ended
+        the run early, if one did: a run without an end is ended by one.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such composition, or a parameter of the controller's node is not acceptable.
+    RunError
+        If ROS cannot be loaded or a node dies; what was recorded stays in the folder.
+
+    """
+    console = console or Console()
+    try:
+        from multicontact_control.experiment.graph.domain import shared_domain
+        from multicontact_control.experiment.graph.external import Robot, run_external_graph
+        from multicontact_control.experiment.graph.spec import CONTROLLER, GraphSpec
+        from multicontact_control.nodes.controller_config import ControllerNodeConfig
+    except ImportError as error:
+        raise RunError(f'ROS 2 (rclpy) cannot be loaded: {error}; install the extra [ros] or '
+                       'source a ROS 2 Jazzy') from None
+    setup, config = external.setup, folder / CONFIG_FOLDER
+    if not setup.commanded_by_topic:
+        refuse_push_test(setup)
+    if options.composed not in (AUTO, 'none', 'control'):
+        raise ConfigError('composed', 'none or control in an external run',
+                          f"'{options.composed}'")
+    node = validate(ControllerNodeConfig, external.node, 'controller_node')
+    ensure_compiled(console)
+    spec = GraphSpec(
+        out=folder, ticks=0, rate=setup.controller.rate, external=True,
+        reference_file=None if setup.commanded_by_topic else config / 'reference.yaml',
+        domain_id=shared_domain(options.domain_id), namespace=options.namespace,
+        extra_parameters={CONTROLLER: {**dotted(external.node), 'supervised': supervised}},
+        parameter_files=setup.write(config), realtime=options.realtime, recording_batches=True,
+        composed='control' if options.composed == 'control' else 'none')
+    robot = Robot(setup.controller.robot.joint_names, setup.controller.wrench_input,
+                  node.effort_output_topic, robot_timeout, external.duration)
+
+    def tell(text: str) -> None:
+        console.print(text, highlight=False, markup=False, soft_wrap=True)
+
+    with progress_bar(f'run {setup.scenario.name}', external.duration, console,
+                      'starting the nodes') as show:
+        result = run_external_graph(
+            spec, robot, lambda progress: show(progress.time, progress.forces),
+            on_domain=lambda number: tell(f'ROS domain {number}, shared with the robot'),
+            tell=tell)
+    if result.ended:
+        tell(f'ended: {result.ended}')
+    if not result.controlled:
+        tell('ended before any sample was answered: there is nothing to report')
+        return None, result.interrupted
+    return _report_external(external, folder, result, options.namespace, supervised, console)
+
+
+def _report_external(
+    external: External, folder: Path, result: GraphResult, namespace: str, supervised: bool,
+    console: Console,
+) -> tuple[dict[str, Any], int | None]:
+    """Leave the results of a run on a robot of somebody else."""
+    interrupted = None if external.duration is None else result.interrupted
+    setup = external.setup
+    content = answered(read_bag(
+        result.bag, setup.controller, namespace=namespace, commanded=setup.commanded_by_topic))
+    data = content.data
+    if external.duration is None:
+        scenario = setup.scenario.model_copy(update={'duration': data.ticks / data.rate})
+        setup = replace(setup, scenario=scenario)
+        setup.write(folder / CONFIG_FOLDER)
+    timing = {name: value for name, value in graph_timing(result.timing, content).items()
+              if name not in OF_THE_PLANT}
+    events = result.timing.get('controller_node', {}).get('events', [])
+    summary = summarise(
+        data, setup, mode=EXTERNAL_RUN, timing=timing, events=events if supervised else None,
+        ended_early=result.ended or ('interrupted by a signal' if interrupted else ''))
+    summary |= {'ros_domain_id': result.domain_id, 'remarks': [
+        x for x in content.remarks if not x.startswith(NOT_RECORDED)]}
+    return _finish(data, setup, folder, summary, console), interrupted
+
+
 def _run_graph(
     spec: GraphSpec, setup: Setup, options: GraphOptions, console: Console,
 ) -> tuple[GraphResult, str]:
@@ -245,8 +351,9 @@ def _finish(
     data: RunData, setup: Setup, folder: Path, summary: dict[str, Any], console: Console,
 ) -> dict[str, Any]:
     """Judge the claims, write figures and summary, show the table."""
-    evidence = evidence_of(data, setup, summary)
-    summary['claims'] = [claim.to_json() for claim in judge_claims(evidence)]
+    if setup.simulated:
+        evidence = evidence_of(data, setup, summary)
+        summary['claims'] = [claim.to_json() for claim in judge_claims(evidence)]
     draw_figures(data, setup, folder / FIGURE_FOLDER, verdict=verdict_text(summary))
     if summary['timing'].get('latency_histogram'):
         draw_latency(summary, folder / FIGURE_FOLDER)

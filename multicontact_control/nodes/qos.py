@@ -53,3 +53,6 @@ GLANCE = profile(1, reliable=False)
 
 LATCHED = profile(1, latched=True)
 """Descriptions: whoever comes late still gets the last one."""
+
+WATCH = profile(100, reliable=False)
+"""Who watches a robot: hears every publisher, and enough of it for a rate."""

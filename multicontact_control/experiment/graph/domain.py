@@ -57,6 +57,11 @@ def reserve_domain(wanted: int | None = None) -> Iterator[int]:
     raise RunError(f'no ROS domain from 0 to {LARGEST_DOMAIN} is free on this machine')
 
 
+def shared_domain(wanted: int | None) -> int | None:
+    """Return the domain of a graph that joins nodes of others: as ROS has it, 0 by default."""
+    return 0 if wanted is None and not os.environ.get('ROS_DOMAIN_ID') else wanted
+
+
 def _from_environment(text: str) -> int:
     try:
         return int(text)

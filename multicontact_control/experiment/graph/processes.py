@@ -20,7 +20,6 @@ from multicontact_control.experiment.graph.spec import (
     node_environment,
     RECORDER,
     SIM,
-    START_ORDER,
     timing_file,
 )
 
@@ -127,7 +126,7 @@ class NodeProcesses:
         names = {process: self._spec.process_of(name) for name, process in self._running.items()}
         for process in [process for process in self._ends if process in names]:
             name, code = names[process], process.returncode
-            if at_its_end and code == 0 and self.ended(SIM):
+            if at_its_end and code == 0 and not self._spec.external and self.ended(SIM):
                 continue
             raise NodeEndedError(name, self.report(name, ending(code)))
 
@@ -174,7 +173,7 @@ class NodeProcesses:
     def timing(self) -> dict[str, dict[str, Any]]:
         """Return what each node wrote about its run; nothing for one that could not."""
         result = {}
-        for name in START_ORDER:
+        for name in self._spec.peers:
             try:
                 text = timing_file(self._spec, name).read_text(encoding='utf-8')
                 result[name] = dict(json.loads(text))

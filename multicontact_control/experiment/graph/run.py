@@ -9,7 +9,7 @@ recorder last, so that every message that was sent is in the bag when it closes.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 import contextlib
 from dataclasses import dataclass
 from functools import partial
@@ -58,6 +58,10 @@ class GraphResult:
         ROS domain it ran in.
     interrupted
         Signal that ended it early, None if it ran to its end.
+    ended
+        What ended it early on the side of a robot that is not this package's; empty if nothing.
+    controlled
+        Whether any sample was answered.
 
     """
 
@@ -65,6 +69,8 @@ class GraphResult:
     timing: Mapping[str, Mapping[str, Any]]
     domain_id: int
     interrupted: int | None
+    ended: str = ''
+    controlled: bool = True
 
 
 def run_graph(
@@ -112,7 +118,7 @@ def run_graph(
                 bring_up(processes, supervision, domain_id, spec.namespace)
                 _watch(processes, supervision, listener, on_progress)
                 failed = False
-            except _InterruptedError:
+            except InterruptedRunError:
                 failed = False
             finally:
                 processes.stop(abort=failed)
@@ -123,7 +129,7 @@ def run_graph(
             interrupted=interrupted[0] if interrupted else None)
 
 
-class _InterruptedError(Exception):
+class InterruptedRunError(Exception):
     """A signal came."""
 
 
@@ -155,12 +161,12 @@ class StartSupervision:
         ------
         NodeEndedError
             If a node has ended that should not have.
-        _InterruptedError
+        InterruptedRunError
             If a signal has come.
 
         """
         if self._interrupted:
-            raise _InterruptedError
+            raise InterruptedRunError
         self._processes.raise_if_ended(at_its_end=True)
 
     def wait(self, what: str) -> None:
@@ -182,12 +188,12 @@ class StartSupervision:
         now = time.monotonic()
         if now > self._start + START_BUDGET:
             raise RunError(f'the graph was not up after {START_BUDGET:g} s, still waiting for '
-                           f'{self._describe(what)}')
+                           f'{self.describe(what)}')
         if now > self._next:
             self._next = now + TELL_PERIOD
-            self._tell(f'{now - self._start:.0f} s: waiting for {self._describe(what)}')
+            self._tell(f'{now - self._start:.0f} s: waiting for {self.describe(what)}')
 
-    def _describe(self, what: str) -> str:
+    def describe(self, what: str) -> str:
         """Return what is waited for, with the last line of each node's log that is concerned."""
         names = [name for name in self._processes.names if what.startswith(name)]
         said = '; '.join(
@@ -198,10 +204,11 @@ class StartSupervision:
 
 def bring_up(
     processes: NodeProcesses, supervision: StartSupervision, domain_id: int, namespace: str,
+    transitions: Sequence[str] = (CONFIGURE, ACTIVATE),
 ) -> None:
     """Configure and activate the managed nodes."""
     with LifecycleDriver(domain_id, supervision.wait, namespace) as driver:
-        for transition in (CONFIGURE, ACTIVATE):
+        for transition in transitions:
             for name in MANAGED:
                 try:
                     driver.change(name, transition)

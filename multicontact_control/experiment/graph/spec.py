@@ -67,6 +67,9 @@ class GraphSpec:
         Which nodes share a process, see `COMPOSED`.
     recording_batches
         Whether the recorder gets what is sent at the control rate in batches.
+    external
+        Whether the robot, or its simulator, is somebody else's: there is no plant among the nodes,
+        and `ticks`, `seed` and `lockstep` have no meaning.
     realtime
         Whether the nodes that control ask for a real-time priority and keep their memory.
 
@@ -87,6 +90,7 @@ class GraphSpec:
     composed: str = 'none'
     recording_batches: bool = False
     realtime: bool = False
+    external: bool = False
 
     @property
     def processes(self) -> dict[str, tuple[str, ...]]:
@@ -104,7 +108,12 @@ class GraphSpec:
     @property
     def node_names(self) -> tuple[str, ...]:
         """Names of all nodes, in the order in which they are started."""
-        return (*START_ORDER[:-1], *self.extra_nodes, SIM)
+        return (*START_ORDER[:-1], *self.extra_nodes, *(() if self.external else (SIM,)))
+
+    @property
+    def peers(self) -> tuple[str, ...]:
+        """Names of the nodes that wait for each other at the start."""
+        return START_ORDER[:-1] if self.external else START_ORDER
 
     @property
     def bag(self) -> Path:
@@ -167,7 +176,7 @@ def _shared_parameters(path: Path, parameters: Mapping[str, Mapping[str, Any]]) 
 def node_parameters(name: str, spec: GraphSpec) -> dict[str, Any]:
     """Return the parameters that belong to the run, not to a file."""
     values: dict[str, Any] = {
-        'timing_file': str(timing_file(spec, name).resolve()), 'startup_peers': list(START_ORDER),
+        'timing_file': str(timing_file(spec, name).resolve()), 'startup_peers': list(spec.peers),
         'recording_batches': spec.recording_batches}
     if name == RECORDER:
         values['folder'] = str(spec.bag.resolve())
@@ -203,7 +212,7 @@ def node_environment(spec: GraphSpec, domain_id: int) -> dict[str, str]:
     environment['ROS_LOG_DIR'] = str((spec.logs / 'ros').resolve())
     environment['PYTHONUNBUFFERED'] = '1'
     environment[FOLLOW_PARENT] = str(os.getpid())
-    root = Path(__file__).resolve().parents[2]
+    root = Path(__file__).resolve().parents[3]
     if (root / 'package.xml').is_file():
         # A checkout that is run without being installed.
         paths = [str(root), *filter(None, environment.get('PYTHONPATH', '').split(os.pathsep))]

@@ -1,0 +1,210 @@
+"""
+Running the graph without a plant of its own: the robot, or its simulator, is behind the topics.
+
+The nodes are configured, then the robot is waited for, for as long as it takes; only when all of
+it is there is the controller activated. The run ends after its time, at a signal, when a node
+dies or when the robot is silent. However it ends, the controller is deactivated first, so that
+the robot gets the declared safe behaviour before it gets nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+import contextlib
+from dataclasses import dataclass
+import time
+
+from multicontact_control.errors import RunError
+from multicontact_control.experiment.graph.domain import reserve_domain
+from multicontact_control.experiment.graph.processes import NodeProcesses
+from multicontact_control.experiment.graph.progress import GraphProgress, ProgressListener
+from multicontact_control.experiment.graph.robot_watch import RobotWatch
+from multicontact_control.experiment.graph.run import (
+    bring_up,
+    collected_signals,
+    GraphResult,
+    InterruptedRunError,
+    PROGRESS_PERIOD,
+    SAMPLES,
+    StartSupervision,
+    Tell,
+    TELL_PERIOD,
+    WATCH_PERIOD,
+)
+from multicontact_control.experiment.graph.spec import CONTROLLER, GraphSpec
+from multicontact_control.nodes import topics
+from multicontact_control.nodes.link import (
+    ACTIVATE,
+    CONFIGURE,
+    DEACTIVATE,
+    LifecycleDriver,
+)
+
+FIRST_TELL = 1.0  # s, before anything is said of what is missing
+SAFE_TIME = 0.5  # s, in which the robot gets the safe behaviour
+DEACTIVATION_TIMEOUT = 5.0
+
+
+@dataclass(frozen=True)
+class Robot:
+    """
+    What is expected behind the topics, and for how long.
+
+    Attributes
+    ----------
+    joint_names
+        Joints that it has, among others.
+    wrench_input
+        Which wrench the controller reads: ``raw`` or ``filtered``.
+    effort_output_topic
+        Topic that it may take efforts from instead of ``joint_effort_command``; empty for none.
+    timeout
+        Time without a message after which it counts as gone [s].
+    duration
+        Length of the run in the time of its samples [s]; None until a signal comes.
+
+    """
+
+    joint_names: Sequence[str]
+    wrench_input: str = 'raw'
+    effort_output_topic: str = ''
+    timeout: float = 5.0
+    duration: float | None = None
+
+
+def run_external_graph(
+    spec: GraphSpec, robot: Robot,
+    on_progress: Callable[[GraphProgress], None] = lambda progress: None,
+    on_domain: Callable[[int], None] = lambda domain_id: None, tell: Tell = lambda text: None,
+) -> GraphResult:
+    """
+    Run the graph on a robot that is not this package's.
+
+    SIGINT and SIGTERM end it cleanly; call it in the main thread for that.
+
+    Parameters
+    ----------
+    spec
+        What to run; `external`.
+    robot
+        What is behind the topics.
+    on_progress
+        Called about 5 times a second once samples are answered.
+    on_domain
+        Called with the ROS domain.
+    tell
+        Called every few seconds of waiting with what is missing, and with what was found.
+
+    Returns
+    -------
+    GraphResult
+        Where everything is.
+
+    Raises
+    ------
+    RunError
+        If a node cannot be started or dies.
+
+    """
+    spec.logs.mkdir(parents=True, exist_ok=True)
+    with reserve_domain(spec.domain_id) as domain_id, collected_signals() as interrupted:
+        on_domain(domain_id)
+        with ProgressListener(domain_id, spec.namespace) as listener, RobotWatch(
+                domain_id, spec.namespace, joint_names=robot.joint_names, rate=spec.rate,
+                wrench=topics.WRENCH if robot.wrench_input == 'raw' else topics.WRENCH_FILTERED,
+                effort_output_topic=robot.effort_output_topic) as watch:
+            session = _Session(
+                spec, robot, domain_id, interrupted, listener, watch, on_progress, tell)
+            ended = session.run()
+        return GraphResult(
+            bag=spec.bag, timing=session.processes.timing(), domain_id=domain_id,
+            interrupted=interrupted[0] if interrupted else None, ended=ended,
+            controlled=session.controlled)
+
+
+class _Session:
+    """One run, from the start of the nodes to their end."""
+
+    def __init__(
+        self, spec: GraphSpec, robot: Robot, domain_id: int, interrupted: list[int],
+        listener: ProgressListener, watch: RobotWatch,
+        on_progress: Callable[[GraphProgress], None], tell: Tell,
+    ) -> None:
+        self._spec, self._robot, self._domain_id = spec, robot, domain_id
+        self._interrupted, self._listener, self._watch = interrupted, listener, watch
+        self._on_progress, self._tell = on_progress, tell
+        self.processes = NodeProcesses(spec, domain_id)
+        self._activated = self.controlled = False
+
+    def run(self) -> str:
+        """Return what ended the run on the side of the robot; empty if nothing did."""
+        failed, ended = True, ''
+        try:
+            self.processes.start_all()
+            self._lead(CONFIGURE)
+            self._wait_for_robot()
+            self._activated = True  # on the way, at least
+            self._lead(ACTIVATE)
+            ended = self._control()
+            failed = False
+        except InterruptedRunError:
+            failed = False
+        finally:
+            if self._activated:
+                self._deactivate()
+            self.processes.stop(abort=failed)
+        return ended
+
+    def _lead(self, transition: str) -> None:
+        supervision = StartSupervision(self.processes, self._interrupted, self._tell)
+        bring_up(self.processes, supervision, self._domain_id, self._spec.namespace,
+                 (transition,))
+
+    def _wait_for_robot(self) -> None:
+        supervision = StartSupervision(self.processes, self._interrupted, self._tell)
+        start = time.monotonic()
+        next_tell = start + FIRST_TELL
+        while missing := self._watch.missing():
+            supervision.check()
+            now = time.monotonic()
+            if now >= next_tell:
+                next_tell = now + TELL_PERIOD
+                self._tell(f'{now - start:.0f} s: waiting for {missing}')
+            time.sleep(WATCH_PERIOD)
+        self._tell(f'found {self._watch.found}')
+
+    def _control(self) -> str:
+        """Watch until the run is over; return what ended it early, if the robot did."""
+        supervision = StartSupervision(self.processes, self._interrupted, self._tell)
+        start = time.monotonic()
+        next_progress, next_tell = start, start + TELL_PERIOD
+        duration = self._robot.duration
+        while True:
+            supervision.check()
+            now = time.monotonic()
+            if now >= next_progress:
+                next_progress = now + PROGRESS_PERIOD
+                progress = self._listener.newest()
+                if progress is not None:
+                    self.controlled = True
+                    self._on_progress(progress)
+                    if duration is not None and progress.time >= duration:
+                        return ''
+            silent = self._watch.silent(self._robot.timeout)
+            if silent:
+                return silent
+            if not self.controlled and now >= next_tell:
+                next_tell = now + TELL_PERIOD
+                what = self._watch.doubts() or supervision.describe(SAMPLES)
+                self._tell(f'{now - start:.0f} s: waiting for {what}')
+            time.sleep(WATCH_PERIOD)
+
+    def _deactivate(self) -> None:
+        """Let the robot have the safe behaviour, as far as the controller still lives."""
+        if CONTROLLER not in self.processes.names or self.processes.ended(CONTROLLER):
+            return
+        with contextlib.suppress(RunError), LifecycleDriver(
+                self._domain_id, namespace=self._spec.namespace, patience=DEACTIVATION_TIMEOUT,
+                name='run_end') as driver:
+            driver.change(CONTROLLER, DEACTIVATE)
+            time.sleep(SAFE_TIME)

@@ -1,0 +1,209 @@
+"""
+A robot of somebody's own behind the topics, on the way that docs/your_robot.md shows.
+
+The robot is `external_arm.py`, a process that knows nothing of this package.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+import re
+import shlex
+import signal
+import subprocess
+import sys
+
+from arms import seven_joint_urdf
+from external_arm import BIAS, TOOL_COM, TOOL_MASS
+from multicontact_control.experiment.bag import read_graph
+from multicontact_control.experiment.graph.domain import reserve_domain, shared_domain
+from multicontact_control.experiment.results import load
+import numpy as np
+import pytest
+from ros_graph import PATIENCE, ROOT, wait_for
+import yaml
+
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
+
+SECTION = '## Your own robot or simulator, step by step'
+# What a test has no time for, and what a busy machine may be late by.
+QUICK = ['--move-time', '0.5']
+NODE = {'patience': 50.0, 'push_test': {'timeout': 1.0}}
+WATCHDOG = {'joint_max_age': 100.0, 'wrench_max_age': 100.0, 'variance_max_age': 500.0,
+            'rate_band': 100.0}
+
+
+def documented():
+    """Return the commands and the program of the section, as they stand there."""
+    text = (ROOT / 'docs/your_robot.md').read_text(encoding='utf-8')
+    section = text.split(SECTION)[1].split('\n## ')[0]
+    lines = [line.split('#')[0].strip() for block in re.findall(r'```sh\n(.*?)```', section, re.S)
+             for line in block.splitlines()]
+    program, = re.findall(r'```python\n(.*?)```', section, re.S)
+    return [shlex.split(line)[1:] for line in lines if line.startswith('multicontact ')], program
+
+
+class Shell:
+    """Processes in one folder and ROS domain, as in a user's terminals."""
+
+    def __init__(self, folder, domain_id):
+        self.folder = folder
+        path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get('PYTHONPATH')]))
+        self._environment = {
+            **os.environ, 'PYTHONPATH': path, 'ROS_DOMAIN_ID': str(domain_id),
+            'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', 'ROS_LOG_DIR': str(folder / 'ros'),
+            'COLUMNS': '200'}
+        self._running = []
+
+    def start(self, *command, log):
+        with (self.folder / log).open('w') as file:
+            process = subprocess.Popen(
+                [sys.executable, *command], cwd=self.folder, env=self._environment, stdout=file,
+                stderr=subprocess.STDOUT, start_new_session=True)
+        self._running.append(process)
+        return process
+
+    def multicontact(self, *arguments, log):
+        return self.start('-m', 'multicontact_control.cli', *arguments, log=log)
+
+    def said(self, log):
+        return (self.folder / log).read_text(encoding='utf-8')
+
+    def wait_until_said(self, process, log, text):
+        def said():
+            assert process.poll() is None or text in self.said(log), self.said(log)
+            return text in self.said(log)
+        wait_for(said, text, lambda: self.said(log))
+
+    def end(self, process, log, number=None):
+        if number is not None:
+            process.send_signal(number)
+        process.wait(PATIENCE)
+        return process.returncode, self.said(log)
+
+    def close(self):
+        for process in self._running:
+            if process.poll() is None:
+                process.kill()
+                process.wait()
+
+
+@pytest.fixture
+def shell(tmp_path):
+    with reserve_domain() as domain_id:
+        terminals = Shell(tmp_path, domain_id)
+        yield terminals
+        terminals.close()
+
+
+def write_controller(folder):
+    """Write what `new-robot` would, for the arm of seven joints, and return its URDF."""
+    urdf = seven_joint_urdf(folder)
+    values = {
+        'robot': {
+            'urdf': urdf.name, 'joint_names': [f'j{i}' for i in range(7)], 'armature': [0.1] * 7,
+            'operational_frame': 'wrist', 'sensor_frame': 'wrist'},
+        'torque_limit': [100.0] * 7, 'limits': {'operational_speed': 0.5}, 'watchdog': WATCHDOG,
+        'contact_names': ['wall'], 'contacts': {'wall': {
+            'normal_world': [1.0, 0.0, 0.0], 'point_operational': [0.0, 0.0, 0.0],
+            'stiffness': 5000.0}}, **NODE}
+    (folder / 'controller.yaml').write_text(
+        yaml.safe_dump({'controller_node': {'ros__parameters': values}}))
+    return urdf
+
+
+def test_domain_is_the_one_that_the_robot_is_in(monkeypatch):
+    monkeypatch.delenv('ROS_DOMAIN_ID', raising=False)
+    assert (shared_domain(None), shared_domain(7)) == (0, 7)
+    monkeypatch.setenv('ROS_DOMAIN_ID', '5')
+    assert (shared_domain(None), shared_domain(7)) == (None, 7)  # None: as the environment says
+
+
+def test_documented_way_leads_from_a_urdf_to_ten_newtons(shell, tmp_path):
+    commands, program = documented()
+    urdf = write_controller(tmp_path)
+    # What `new-robot` writes is written above.
+    commands = [command for command in commands if command[0] != 'new-robot']
+    assert [command[0] for command in commands] == [
+        'run', 'calibrate', 'push-test', 'run', 'report', 'identify']
+    first, calibrate, push, second, report, identify = commands
+
+    running = shell.multicontact(*first, log='first')
+    shell.wait_until_said(running, 'first', 'waiting for /joint_states (sensor_msgs/msg/JointState'
+                          ') from the robot: nobody publishes it')
+    arm = shell.start(str(Path(__file__).parents[2] / 'external_arm.py'), str(urdf), log='arm')
+    shell.wait_until_said(running, 'first', 'found /joint_states from my_arm, /ft_sensor/wrench '
+                          'from my_arm')
+    weighing = shell.multicontact(*calibrate, *QUICK, log='weighing')
+    code, text = shell.end(weighing, 'weighing')
+    assert code == 0, text
+    tool = yaml.safe_load((tmp_path / 'tool.yaml').read_text())['/**']['ros__parameters']['tool']
+    assert tool['mass'] == pytest.approx(TOOL_MASS, abs=0.02)
+    np.testing.assert_allclose(tool['com_sensor'], TOOL_COM, atol=3e-3)
+    np.testing.assert_allclose(tool['bias_sensor'], BIAS, atol=0.1)
+    pushing = shell.multicontact(*push, log='pushing')
+    code, text = shell.end(pushing, 'pushing')  # nobody pushes
+    assert code == 1 and text.startswith('keep off the tool\n'), text
+    assert text.splitlines()[-1].startswith('push test failed'), text
+    code, text = shell.end(running, 'first', signal.SIGINT)
+    assert code == 0 and 'not judged' in text, text
+
+    running = shell.multicontact(*second, log='second')
+    shell.wait_until_said(running, 'second', 'found /joint_states from my_arm')
+    code, text = shell.end(shell.start('-c', program, log='program'), 'program')
+    assert code == 0 and float(re.search(r"'wall': ([\d.]+)", text)[1]) == pytest.approx(
+        10.0, abs=1.0), text
+    code, text = shell.end(running, 'second', signal.SIGINT)
+    assert code == 0, text
+    assert 'not judged: no ground truth; by the measured forces no limit was passed' in text
+    summary = json.loads((tmp_path / 'runs/latest/summary.json').read_text())
+    assert (summary['truth'], summary['mode'], summary['stable']) == (False, 'external', None)
+    assert summary['claims'] == [] and 'deadline_misses' not in summary['timing']
+    forces = load(tmp_path / 'runs/latest').data
+    assert np.nanmax(forces.alpha_meas) > 9.0 and np.nanmax(forces.command) == 10.0
+    recorded = read_graph(tmp_path / 'runs/latest/bag').by_topic
+    # The safe behaviour, after the controller was deactivated.
+    assert recorded['joint_effort_command'][-1].stamp - recorded['contact_forces/measured'][
+        -1].stamp > 100_000_000
+    code, text = shell.end(shell.multicontact(*report, log='report'), 'report')
+    assert code == 0, text
+    assert 'no ground truth' in (tmp_path / 'runs/latest/report.html').read_text(encoding='utf-8')
+    code, text = shell.end(shell.multicontact(*identify, log='identify'), 'identify')
+    assert code == 0 and 'wall: ' in text, text
+    assert arm.poll() is None
+
+
+def test_node_that_dies_before_the_robot_is_there_is_named(shell, tmp_path):
+    write_controller(tmp_path)
+    running = shell.multicontact(
+        'run', '--external', '--controller', 'controller.yaml', '--out', 'out', log='log')
+    shell.wait_until_said(running, 'log', 'nobody publishes it')
+    numbers = [entry for entry in Path('/proc').iterdir() if (entry / 'cmdline').is_file()
+               and f'{tmp_path}/out/logs/noise_estimator_node.json'.encode() in (
+                   entry / 'cmdline').read_bytes()]
+    for number in numbers:
+        os.kill(int(number.name), signal.SIGKILL)
+    code, text = shell.end(running, 'log')
+    assert code == 1 and 'noise_estimator_node was killed by SIGKILL' in text, text
+
+
+def test_robot_that_is_gone_ends_the_run_and_is_named(shell, tmp_path):
+    urdf = write_controller(tmp_path)
+    arm = shell.start(str(Path(__file__).parents[2] / 'external_arm.py'), str(urdf), 'left',
+                      log='arm')
+    running = shell.multicontact(
+        'run', '--external', '--controller', 'controller.yaml', '--namespace', 'left',
+        '--robot-timeout', '3', '--out', 'run', log='left')
+    shell.wait_until_said(running, 'left', 'found /left/joint_states from my_arm')
+    bag = tmp_path / 'run/bag'
+    wait_for(lambda: any(path.stat().st_size > 300_000 for path in bag.glob('*.mcap')), 'samples')
+    arm.kill()
+    code, text = shell.end(running, 'left')
+    assert code == 1, text
+    assert 'ended: my_arm has not published /left/' in text
+    summary = json.loads((tmp_path / 'run/summary.json').read_text())
+    assert summary['ended_early'].startswith('my_arm has not published')
+    assert not summary['truth'] and summary['verdict'] == 'not stable'
+    assert (tmp_path / 'run/figures/fig3_force_wall.png').is_file()
