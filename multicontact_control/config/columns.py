@@ -54,3 +54,19 @@ class Column:
 def leaders(columns: Iterable[Column]) -> tuple[int, ...]:
     """Return the indices of the columns that are normal forces, one per contact."""
     return tuple(i for i, column in enumerate(columns) if column.kind == FORCE)
+
+
+def is_couple_name(name: str) -> bool:
+    """Return whether a name is that of a couple of a contact."""
+    return name.endswith((SUFFIXES[ALONG], SUFFIXES[ACROSS]))
+
+
+def contact_types(names: Iterable[str]) -> dict[str, ContactType]:
+    """Return the contacts that the names of forces and couples are of, and what they are."""
+    known = list(names)
+    types: dict[str, ContactType] = {}
+    for name in known:
+        if not is_couple_name(name):
+            types[name] = 'plane' if name + SUFFIXES[ACROSS] in known else (
+                'edge' if name + SUFFIXES[ALONG] in known else 'point')
+    return types

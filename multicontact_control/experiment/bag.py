@@ -9,6 +9,7 @@ from typing import Any
 
 from multicontact_control.arrays import Matrix
 from multicontact_control.config import ControllerConfig
+from multicontact_control.config.columns import is_couple_name
 from multicontact_control.errors import RunError
 from multicontact_control.experiment.bag_messages import (
     BagMessages,
@@ -185,7 +186,10 @@ def _commands(
         for name, force in zip(sent.message.name, sent.message.effort):
             if name in data.contact_names:
                 command[begin:, data.contact_names.index(name)] = force
-    for asked, wanted in zip(command.T, data.alpha_des.T):
+    for name, asked, wanted in zip(data.contact_names, command.T, data.alpha_des.T):
+        if is_couple_name(name):  # which may be commanded as a centre of pressure
+            asked[:] = wanted
+            continue
         for begin, end in zip(*stretches(asked > 0.0)):
             reached = np.flatnonzero(wanted[begin:end] >= REACHED * asked[begin:end])
             if reached.size:

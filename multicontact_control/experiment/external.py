@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from multicontact_control.config import (
+    ContactConfig,
     ControllerConfig,
     merge,
     NoiseEstimatorConfig,
@@ -15,6 +16,7 @@ from multicontact_control.config import (
     RobotConfig,
     validate,
 )
+from multicontact_control.config.columns import contact_types
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.experiment.bag import sample_topic
@@ -235,9 +237,11 @@ def setup_of_recording(
         joints = _names(found, ('joint_states', 'joint_effort_command'))
         robot = RobotConfig.model_construct(
             urdf='', joint_names=joints, operational_frame='', sensor_frame='')
+        types = contact_types(_names(found, NAMED_BY))
         controller = ControllerConfig.model_construct(
-            rate=_rate(path, found), robot=robot, contact_names=_names(found, NAMED_BY),
-            contacts={})
+            rate=_rate(path, found), robot=robot, contact_names=tuple(types),
+            contacts={name: ContactConfig.model_construct(type=kind)
+                      for name, kind in types.items()})
     unknown: Any = 'noise estimator not known'
     estimator = NoiseEstimatorConfig.model_construct(
         estimator=unknown, contact_names=controller.column_names, rate=controller.rate)

@@ -264,7 +264,7 @@ def motion_summary(data: RunData, setup: Setup) -> dict[str, float | None]:
     error in full, both from the first force step to the end.
     """
     loaded = judged_windows(data, setup).loaded
-    if not (loaded.any() and setup.controller.contacts):
+    if not (loaded.any() and setup.controller.robot.urdf):  # a recording tells no normals
         return {'position_rms_m': None, 'orientation_max_rad': None}
     normals = np.array([setup.controller.contacts[name].normal_world
                         for name in setup.controller.contact_names])
