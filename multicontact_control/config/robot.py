@@ -16,6 +16,11 @@ class RobotConfig(Config):
         ..., 'URDF of the arm with its tool: a path, or a path relative to the parameter file.')
     joint_names: tuple[str, ...] = parameter(
         ..., 'Joints in the order of every joint vector.', min_length=1)
+    locked_joints: tuple[str, ...] = parameter(
+        (), 'Joints of the URDF that are no part of the arm and stay where they are, e.g. the '
+        'fingers of a gripper.')
+    locked_positions: Vector = parameter(
+        (), 'Where each of them is; empty for 0.', unit='rad or m')
     armature: Vector = parameter(
         (), 'Rotor inertia seen at each joint; empty for none.', unit='kg m^2')
     operational_frame: str = parameter(
@@ -23,6 +28,23 @@ class RobotConfig(Config):
     sensor_frame: str = parameter(
         ..., 'URDF link in whose axes and at whose origin the wrist sensor reads.')
     gravity_world: Vector3 = parameter((0.0, 0.0, -9.81), 'Gravity.', unit='m/s^2')
+
+    @model_validator(mode='after')
+    def _check_locked(self) -> RobotConfig:
+        both = sorted(set(self.locked_joints) & set(self.joint_names))
+        if both:
+            raise ConfigError('robot.locked_joints', 'none of robot.joint_names', both)
+        if self.locked_positions and len(self.locked_positions) != len(self.locked_joints):
+            raise ConfigError(
+                'robot.locked_positions', f'{len(self.locked_joints)} values, one per locked '
+                'joint, or none', len(self.locked_positions))
+        return self
+
+    @property
+    def locked(self) -> dict[str, float]:
+        """Return the positions of the locked joints by name [rad or m]."""
+        positions = self.locked_positions or (0.0,) * len(self.locked_joints)
+        return dict(zip(self.locked_joints, positions))
 
 
 class ToolConfig(Config):

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+import xml.etree.ElementTree as ElementTree
 
 from multicontact_control.arrays import Matrix, require_shape, Vector
 from multicontact_control.config import RobotConfig
@@ -97,14 +99,14 @@ class RobotModel:
     """
 
     def __init__(self, config: RobotConfig, base_dir: Path = Path()) -> None:
-        path = base_dir / config.urdf
-        self._model = _load(path)
+        self._model = load_model(base_dir / config.urdf, config.locked)
         names = list(self._model.names)[1:]
         if names != list(config.joint_names):
-            raise ConfigError('robot.joint_names', f"the robot's joints {names}",
-                              list(config.joint_names))
-        if self._model.nq != self._model.nv:
-            raise ConfigError('robot.urdf', 'joints with one coordinate each', str(path))
+            others = [name for name in names if name not in config.joint_names]
+            raise ConfigError(
+                'robot.joint_names', f"the robot's joints {names}" + (
+                    f', or {others} in robot.locked_joints' if others else ''),
+                list(config.joint_names))
         if config.armature:
             self._model.armature = np.array(config.armature)
         self._model.gravity.linear = np.array(config.gravity_world)
@@ -207,17 +209,92 @@ class RobotModel:
             velocity=v.copy(), sensor_pose=_pose(data.oMf[self._sensor]))
 
 
-def _load(path: Path) -> pin.Model:
+def load_model(
+    urdf: Path | str, locked_joints: Mapping[str, float] | None = None,
+) -> pin.Model:
+    """
+    Read an arm from a URDF as its vendor ships it.
+
+    Joints that turn without end (`continuous`) are revolute ones without limits, so that each
+    joint has one coordinate; a joint that is locked is rigid, what it carries goes with its link.
+
+    Parameters
+    ----------
+    urdf
+        Path of the file, or the text itself.
+    locked_joints
+        Positions of the joints that are no part of the arm, by name, e.g. the fingers of a
+        gripper [rad or m].
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read, is no URDF, has joints of more than one coordinate that are
+        not locked, or does not have a joint that is.
+
+    """
+    if isinstance(urdf, Path):
+        source = str(urdf)
+        try:
+            text = urdf.read_text(encoding='utf-8')
+        except OSError as error:
+            raise ConfigError('robot.urdf', 'a readable URDF file',
+                              f'{source} ({error.strerror})') from None
+    else:
+        source, text = 'text', urdf
+    text, endless = _without_continuous(text)
     try:
-        text = path.read_text(encoding='utf-8')
-    except OSError as error:
-        raise ConfigError('robot.urdf', 'a readable URDF file',
-                          f'{path} ({error.strerror})') from None
-    try:
-        return pin.buildModelFromXML(text)
+        model = pin.buildModelFromXML(text)
     except (ValueError, RuntimeError) as error:
         reason = str(error).strip().splitlines()[-1] if str(error).strip() else 'not a URDF'
-        raise ConfigError('robot.urdf', 'a valid URDF', f'{path} ({reason})') from None
+        raise ConfigError('robot.urdf', 'a valid URDF', f'{source} ({reason})') from None
+    locked = dict(locked_joints or {})
+    names = list(model.names)[1:]
+    unknown = [name for name in locked if name not in names]
+    if unknown:
+        raise ConfigError(
+            'robot.locked_joints', f'joints of the robot among {", ".join(names)}', unknown)
+    if locked:
+        model = _locked(model, locked)
+    if model.nq != model.nv:
+        raise ConfigError('robot.urdf', 'joints with one coordinate each', source)
+    for name in endless - set(locked):
+        at = model.joints[model.getJointId(name)].idx_q
+        model.lowerPositionLimit[at], model.upperPositionLimit[at] = -np.inf, np.inf
+    return model
+
+
+def _locked(model: pin.Model, locked: Mapping[str, float]) -> pin.Model:
+    """Return a model with joints at these positions made rigid."""
+    posture = pin.neutral(model)
+    for name, position in locked.items():
+        joint = model.joints[model.getJointId(name)]
+        if joint.nq != 1:
+            raise ConfigError(
+                'robot.locked_joints', 'joints with one coordinate each', f"'{name}'")
+        posture[joint.idx_q] = position
+    return pin.buildReducedModel(model, [model.getJointId(name) for name in locked], posture)
+
+
+def _without_continuous(text: str) -> tuple[str, set[str]]:
+    """Return a URDF whose endless joints are revolute, and their names; others as they are."""
+    if 'continuous' not in text:
+        return text, set()
+    try:
+        root = ElementTree.fromstring(text)
+    except ElementTree.ParseError:
+        return text, set()  # for pinocchio to refuse
+    endless = [x for x in root.findall('joint') if x.get('type') == 'continuous']
+    for joint in endless:
+        joint.set('type', 'revolute')
+        limit = joint.find('limit')
+        if limit is None:
+            limit = ElementTree.SubElement(joint, 'limit')
+        for name, value in (('lower', '-1e30'), ('upper', '1e30')):
+            limit.set(name, value)
+        for name in ('effort', 'velocity'):
+            limit.set(name, limit.get(name, '1e30'))
+    return ElementTree.tostring(root, encoding='unicode'), {x.get('name', '') for x in endless}
 
 
 def _pose(placement: pin.SE3) -> Pose:

@@ -6,7 +6,7 @@ from xml.etree import ElementTree
 
 from arms import controller_config, seven_joint_config, seven_joint_urdf
 from multicontact_control.config import RobotConfig
-from multicontact_control.dynamics.robot import RobotModel
+from multicontact_control.dynamics.robot import load_model, RobotModel
 from multicontact_control.errors import ConfigError, ShapeError
 from multicontact_control.paths import config_dir
 import numpy as np
@@ -106,3 +106,38 @@ def test_update_refuses_vectors_of_another_length(puma):
     """Shapes are checked at the boundary."""
     with pytest.raises(ShapeError, match=r'q: expected shape \(6,\), found \(5,\)'):
         puma.update(np.zeros(5), np.zeros(6))
+
+
+def test_a_vendors_urdf_with_fingers_and_endless_joints_is_the_arm_alone(tmp_path):
+    """Fingers that are locked are a load on the wrist; a joint without limits has one angle."""
+    arm = seven_joint_urdf(tmp_path).read_text()
+    finger = ''.join(
+        f'<link name="{name}"><inertial><origin xyz="0 0 0.02"/><mass value="0.3"/><inertia '
+        'ixx="1e-4" iyy="1e-4" izz="1e-4" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+        f'<joint name="{name}_joint" type="KIND"><parent link="wrist"/><child link="{name}"/>'
+        f'<origin xyz="0 {place} 0.05"/><axis xyz="0 1 0"/>'
+        '<limit lower="0" upper="0.04" effort="20" velocity="0.2"/></joint>'
+        for name, place in (('left', 'LEFT'), ('right', 'RIGHT')))
+    limit = '<limit lower="-3" upper="3" effort="100" velocity="3"/>'
+    vendor = arm.replace('</robot>', finger + '</robot>').replace(
+        'type="revolute"', 'type="continuous"').replace(limit, '')
+    (tmp_path / 'vendor.urdf').write_text(vendor.replace('KIND', 'prismatic').replace(
+        'LEFT', '0').replace('RIGHT', '0'))
+    (tmp_path / 'welded.urdf').write_text(arm.replace('</robot>', finger + '</robot>').replace(
+        'KIND', 'fixed').replace('LEFT', '0.03').replace('RIGHT', '0.01'))
+    config = seven_joint_config(tmp_path / 'vendor.urdf')
+    with pytest.raises(ConfigError, match=r"robot.joint_names: .*'left_joint', 'right_joint'\] in "
+                       'robot.locked_joints, found'):
+        RobotModel(config, tmp_path)
+    locked = config.model_copy(update={
+        'locked_joints': ('left_joint', 'right_joint'), 'locked_positions': (0.03, 0.01)})
+    q, v = np.linspace(-4.0, 4.0, 7), np.linspace(0.3, -0.5, 7)
+    found = RobotModel(locked, tmp_path).update(q, v)
+    welded = RobotModel(seven_joint_config(tmp_path / 'welded.urdf'), tmp_path).update(q, v)
+    for name in ('mass_matrix', 'gravity', 'coriolis', 'jacobian'):
+        np.testing.assert_allclose(
+            getattr(found, name), getattr(welded, name), rtol=0.0, atol=1e-12)
+    model = load_model(tmp_path / 'vendor.urdf', locked.locked)
+    assert model.nq == 7 and (model.upperPositionLimit == np.inf).all()
+    with pytest.raises(ConfigError, match="robot.locked_joints: .*found \\['thumb'\\]"):
+        load_model((tmp_path / 'vendor.urdf').read_text(), {'thumb': 0.0})
