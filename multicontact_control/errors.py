@@ -1,6 +1,9 @@
 """The errors this package raises: one root, each saying what was expected and what was found."""
 
-from collections.abc import Callable
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any
 
 
 class MulticontactError(Exception):
@@ -9,7 +12,7 @@ class MulticontactError(Exception):
 
 class ConfigError(MulticontactError):
     """
-    A value in a configuration is not acceptable.
+    A value in a configuration is not acceptable, or several are: then there is a line for each.
 
     Parameters
     ----------
@@ -22,6 +25,11 @@ class ConfigError(MulticontactError):
     source
         File the value came from, if any.
 
+    Attributes
+    ----------
+    errors
+        One error per value; this one alone if there is only one.
+
     """
 
     def __init__(self, field: str, expected: str, found: object, source: str = '') -> None:
@@ -32,6 +40,29 @@ class ConfigError(MulticontactError):
         self.cause = f'{field}: expected {expected}'  # whatever was found
         where = f'{source}: ' if source else ''
         super().__init__(f'{where}{field}: expected {expected}, found {found}')
+        self._all: tuple[ConfigError, ...] = ()
+
+    @property
+    def errors(self) -> tuple[ConfigError, ...]:
+        """Return the errors one by one."""
+        return self._all or (self,)
+
+    @classmethod
+    def of(cls, errors: Iterable[ConfigError]) -> ConfigError:
+        """Return one error of at least one; it goes by the name of the first."""
+        first, *others = [each for error in errors for each in error.errors]
+        if not others:
+            return first
+        whole = cls(first.field, first.expected, first.found, first.source)
+        whole._all = (first, *others)
+        whole.cause = '; '.join(error.cause for error in whole._all)
+        whole.args = ('\n'.join(map(str, whole._all)),)
+        return whole
+
+    def with_source(self, source: str) -> ConfigError:
+        """Return the same of a file."""
+        return ConfigError.of(
+            ConfigError(x.field, x.expected, x.found, source) for x in self.errors)
 
 
 class ShapeError(MulticontactError):
@@ -81,22 +112,22 @@ class MessageError(RefusalError):
     """A message cannot be used, or must not be sent."""
 
 
-def check_all(*checks: Callable[[], object]) -> None:
+def check_all(*checks: Callable[[], object]) -> list[Any]:
     """
-    Call every check, whatever the others found.
+    Call every check, whatever the others found, and return what they return.
 
     Raises
     ------
     ConfigError
-        With all that was not acceptable, in one line.
+        With all that was not acceptable, a line for each.
 
     """
-    errors = []
+    found, errors = [], []
     for check in checks:
         try:
-            check()
+            found.append(check())
         except ConfigError as error:
             errors.append(error)
     if errors:
-        errors[0].args = ('; '.join(map(str, errors)),)
-        raise errors[0]
+        raise ConfigError.of(errors)
+    return found

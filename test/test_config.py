@@ -3,6 +3,7 @@
 from arms import controller_config
 from multicontact_control.config import (
     ControllerConfig,
+    LimitsConfig,
     merge,
     NoiseEstimatorConfig,
     read_parameters,
@@ -48,6 +49,29 @@ def test_validate_names_field_expectation_and_finding(changes, message):
     with pytest.raises(ConfigError, match=f'^controller.yaml: {message}') as caught:
         controller_config(**changes)
     assert '\n' not in str(caught.value)
+
+
+def test_all_that_is_wrong_is_said_at_once():
+    """Keys, types, and what does not fit together, of every section, a line for each."""
+    with pytest.raises(ConfigError) as caught:
+        controller_config(
+            limits={'joint_speed': [0.0], 'workspace_lower': [1.0], 'workspace_upper': [0.0]},
+            contact_state={'contact_threshold': 99.0}, sensor={'full_scale': [-1.0]},
+            torque_limit=[1.0], contact_names=['table', 'wall'], robot={'armature': [1.0]})
+    lines = str(caught.value).splitlines()
+    assert all(line.startswith('controller.yaml: ') for line in lines)
+    assert [error.field for error in caught.value.errors] == [
+        'sensor.full_scale', 'sensor.full_scale', 'contact_state.contact_threshold',
+        'limits.workspace_lower', 'limits.workspace_lower', 'limits.joint_speed',
+        'robot.armature', 'torque_limit', 'limits.joint_speed', 'contact_names']
+    with pytest.raises(ConfigError) as caught:
+        controller_config(
+            rate='fast', limits={'jointspeed': [1.0]}, motion={'damping_ratio': -1.0},
+            robot={'locked_positions': [1.0]})
+    assert {error.field for error in caught.value.errors} == {
+        'rate', 'limits.jointspeed', 'motion.damping_ratio', 'robot.locked_positions'}
+    with pytest.raises(ConfigError, match='(?s)^limits.*lower.*\nlimits.*3 values.*speed'):
+        LimitsConfig(workspace_lower=(1.0,), workspace_upper=(0.0,), joint_speed=(0.0,))
 
 
 def test_normal_within_a_thousandth_is_normalised():

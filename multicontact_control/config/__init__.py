@@ -6,7 +6,15 @@ parameters of the nodes are generated from these models, the YAML files in ``con
 parameter files that these models validate, and both report a bad value in the same one line.
 """
 
-from multicontact_control.config.base import Config, parameter, Real, UnitVector3, Vector, Vector3
+from multicontact_control.config.base import (
+    Config,
+    cross_check,
+    parameter,
+    Real,
+    UnitVector3,
+    Vector,
+    Vector3,
+)
 from multicontact_control.config.controller import ControllerConfig, MAX_DELAY_PERIODS
 from multicontact_control.config.estimator import NoiseEstimatorConfig
 from multicontact_control.config.files import (
@@ -43,6 +51,6 @@ __all__ = [
     'ControllerConfig', 'FedForward', 'ForceConfig', 'FrictionConfig', 'LawName', 'LimitsConfig',
     'MAX_DELAY_PERIODS', 'MotionConfig', 'NoiseEstimatorConfig', 'Reaction', 'Real',
     'RobotConfig', 'SafeBehaviourConfig', 'SensorFrontEndConfig', 'ToolConfig',
-    'TransitionConfig', 'UnitVector3', 'Vector', 'Vector3', 'WatchdogConfig', 'merge',
-    'parameter', 'read_node_parameters',
+    'TransitionConfig', 'UnitVector3', 'Vector', 'Vector3', 'WatchdogConfig', 'cross_check',
+    'merge', 'parameter', 'read_node_parameters',
     'read_parameters', 'read_yaml', 'validate', 'write_parameters']

@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 import math
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from multicontact_control.errors import ConfigError
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    model_validator,
+    ValidationInfo,
+)
 
 UNIT_NORM_TOLERANCE = 1e-3
 WRENCH_SIZE = 6
@@ -25,6 +34,8 @@ def _unit_length(vector: tuple[float, float, float]) -> tuple[float, float, floa
     x, y, z = (component / norm for component in vector)
     return (x, y, z)
 
+
+ModelT = TypeVar('ModelT', bound='Config')
 
 Real = Annotated[float, AfterValidator(_finite)]
 Vector = tuple[Real, ...]
@@ -65,3 +76,25 @@ class Config(BaseModel):
     """Base of every configuration: frozen, and strict about unknown keys."""
 
     model_config = ConfigDict(extra='forbid', frozen=True, validate_default=True)
+
+
+def cross_check(check: Callable[[ModelT], Iterable[ConfigError]]) -> Any:
+    """
+    Make a method of a configuration one of its checks.
+
+    Parameters
+    ----------
+    check
+        Yields a `ConfigError` for whatever does not fit together. `validate` asks every model for
+        all of them; otherwise, by its constructor, a model raises its own.
+
+    """
+    def run(self: ModelT, info: ValidationInfo) -> ModelT:
+        errors = list(check(self))
+        if errors and isinstance(info.context, list):
+            info.context.extend(errors)
+        elif errors:
+            raise ConfigError.of(errors)
+        return self
+
+    return model_validator(mode='after')(run)

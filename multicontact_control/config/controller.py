@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Literal
 
-from multicontact_control.config.base import Config, parameter, Real, Vector
+from multicontact_control.config.base import Config, cross_check, parameter, Real, Vector
 from multicontact_control.config.columns import (
     Column,
     FORCE,
@@ -27,7 +28,6 @@ from multicontact_control.config.supervision import (
     WatchdogConfig,
 )
 from multicontact_control.errors import ConfigError
-from pydantic import model_validator
 
 MAX_DELAY_PERIODS = 10
 
@@ -60,8 +60,8 @@ class ControllerConfig(Config):
         2.0, 'Joint damping in the null space of arms with more than six joints.',
         unit='1/s', ge=0.0)
 
-    @model_validator(mode='after')
-    def _check_across_fields(self) -> ControllerConfig:
+    @cross_check
+    def _check_across_fields(self) -> Iterator[ConfigError]:
         joints = len(self.robot.joint_names)
         per_joint = {
             'robot.armature': self.robot.armature, 'friction.coulomb': self.friction.coulomb,
@@ -71,30 +71,27 @@ class ControllerConfig(Config):
             'limits.torque_rate': self.limits.torque_rate}
         for name, values in per_joint.items():
             if values and len(values) != joints:
-                raise ConfigError(name, f'{joints} values, one per joint', f'{len(values)}')
-        for name in self.contact_names:
-            if name not in self.contacts:
-                raise ConfigError(
-                    'contact_names', f'names among {", ".join(sorted(self.contacts))}',
-                    f"'{name}'")
+                yield ConfigError(name, f'{joints} values, one per joint', f'{len(values)}')
+        unknown = [name for name in self.contact_names if name not in self.contacts]
+        for name in unknown:
+            yield ConfigError(
+                'contact_names', f'names among {", ".join(sorted(self.contacts))}', f"'{name}'")
         if len(set(self.contact_names)) != len(self.contact_names):
-            raise ConfigError('contact_names', 'distinct names', list(self.contact_names))
-        self._check_delay()
-        self._check_laws()
-        self._check_types()
-        return self
+            yield ConfigError('contact_names', 'distinct names', list(self.contact_names))
+        yield from self._check_delay()
+        if not unknown:
+            yield from self._check_laws()
+            yield from self._check_types()
 
-    def _check_types(self) -> None:
+    def _check_types(self) -> Iterator[ConfigError]:
         for name in self.contact_names:
             contact = self.contacts[name]
             if contact.normal_turn_rate and not contact.friction_std:
-                raise ConfigError(
+                yield ConfigError(
                     f'contacts.{name}.friction_std', 'above 0 N with normal_turn_rate', 0.0)
         wide = [name for name in self.contact_names if self.contacts[name].type != 'point']
-        if not wide:
-            return
-        if self.force.allocation != 'decoupled':
-            raise ConfigError(
+        if wide and self.force.allocation != 'decoupled':
+            yield ConfigError(
                 'force.allocation', f'decoupled with the {self.contacts[wide[0]].type} {wide[0]}',
                 self.force.allocation)
 
@@ -131,38 +128,39 @@ class ControllerConfig(Config):
         """Return the name of a contact's force law."""
         return self.contacts[contact].law or self.force.law
 
-    def _check_laws(self) -> None:
+    def _check_laws(self) -> Iterator[ConfigError]:
         force = self.force
         others = {law for law in map(self.law_of, self.contact_names) if law != 'aob'}
         if others and force.allocation != 'decoupled':
-            raise ConfigError('force.allocation', f'decoupled with the law {min(others)}',
+            yield ConfigError('force.allocation', f'decoupled with the law {min(others)}',
                               force.allocation)
         if force.stiffness == 'configured':
             return
         if others:
-            raise ConfigError('force.stiffness', f'configured with the law {min(others)}',
+            yield ConfigError('force.stiffness', f'configured with the law {min(others)}',
                               force.stiffness)
         if force.allocation != 'decoupled' or not force.active_state_order:
-            raise ConfigError(
+            yield ConfigError(
                 'force.stiffness', 'configured without active state, or with the allocation of '
                 'the paper', force.stiffness)
         if force.damping_rate <= 0.0:
-            raise ConfigError('force.damping_rate', 'above 0 with adaptive stiffness',
+            yield ConfigError('force.damping_rate', 'above 0 with adaptive stiffness',
                               force.damping_rate)
 
-    def _check_delay(self) -> None:
+    def _check_delay(self) -> Iterator[ConfigError]:
         sensor, nyquist = self.sensor, 0.5 * self.rate
         if sensor.filter_order and sensor.filter_cutoff >= nyquist:
-            raise ConfigError(
+            yield ConfigError(
                 'sensor.filter_cutoff', f'below the Nyquist frequency {nyquist:g} Hz',
                 f'{sensor.filter_cutoff:g} Hz')
+            return
         if self.loop_delay * self.rate <= MAX_DELAY_PERIODS + 1e-9:
             return
         field, found = 'force.input_delay', f'{self.force.input_delay:g} s'
         if sensor.filter_order:
             field += ' and the delay of sensor.filter_cutoff'
             found += f' + {sensor.filter_delay(self.rate):.4g} s'
-        raise ConfigError(
+        yield ConfigError(
             field, f'at most {MAX_DELAY_PERIODS} periods ({MAX_DELAY_PERIODS / self.rate:g} s)',
             found)
 

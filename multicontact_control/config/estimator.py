@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Literal
 
-from multicontact_control.config.base import Config, parameter, Real
+from multicontact_control.config.base import Config, cross_check, parameter, Real
 from multicontact_control.errors import ConfigError
-from pydantic import model_validator
 
 
 class NoiseEstimatorConfig(Config):
@@ -49,15 +49,14 @@ class NoiseEstimatorConfig(Config):
     variance_floor: Real = parameter(1e-3, 'Smallest R ever given out.', unit='N^2', gt=0.0)
     variance_ceiling: Real = parameter(1e6, 'Largest R ever given out.', unit='N^2', gt=0.0)
 
-    @model_validator(mode='after')
-    def _check_across_fields(self) -> NoiseEstimatorConfig:
+    @cross_check
+    def _check_across_fields(self) -> Iterator[ConfigError]:
         for name in ('zero_frequency', 'pole_frequency'):
             if getattr(self, name) >= 0.5 * self.rate:
-                raise ConfigError(
+                yield ConfigError(
                     name, f'below the Nyquist frequency {0.5 * self.rate:g} Hz',
                     f'{getattr(self, name):g} Hz')
         if not self.variance_floor < self.variance_ceiling:
-            raise ConfigError(
+            yield ConfigError(
                 'variance_floor', f'below variance_ceiling {self.variance_ceiling:g}',
                 f'{self.variance_floor:g}')
-        return self

@@ -23,30 +23,33 @@ def validate(model: type[ModelT], values: Mapping[str, Any], source: str = '') -
     Raises
     ------
     ConfigError
-        With the first field that is not acceptable, and the file name `source`.
+        With every field that is not acceptable, a line for each, and the file name `source`. What
+        depends on several fields is looked at once each of them is a value of its kind.
 
     """
+    errors: list[ConfigError] = []
+    config = None
     try:
-        return model.model_validate(values)
+        config = model.model_validate(values, context=errors)
     except ConfigError as error:
-        raise ConfigError(error.field, error.expected, error.found, source) from None
+        errors.append(error)
     except ValidationError as error:
-        raise _first_error(error, model, source) from None
+        errors[:0] = [_field_error(detail, model) for detail in error.errors(include_url=False)]
+    if config is None or errors:
+        raise ConfigError.of(errors).with_source(source) from None
+    return config
 
 
-def _first_error(
-    error: ValidationError, model: type[Config], source: str,
-) -> ConfigError:
-    detail = error.errors(include_url=False)[0]
+def _field_error(detail: Mapping[str, Any], model: type[Config]) -> ConfigError:
     field = '.'.join(str(part) for part in detail['loc']) or model.__name__
     kind, message = detail['type'], detail['msg']
     if kind == 'extra_forbidden':
         return ConfigError(field, f'a known key ({_known_keys(model, detail["loc"])})',
-                           f"unknown key '{detail['loc'][-1]}'", source)
+                           f"unknown key '{detail['loc'][-1]}'")
     if kind == 'missing':
-        return ConfigError(field, 'a value', 'nothing', source)
+        return ConfigError(field, 'a value', 'nothing')
     expected = message.removeprefix('Value error, ').removeprefix('Input should be ')
-    return ConfigError(field, expected.removeprefix('expected '), repr(detail['input']), source)
+    return ConfigError(field, expected.removeprefix('expected '), repr(detail['input']))
 
 
 def _known_keys(model: type[Config], location: tuple[int | str, ...]) -> str:

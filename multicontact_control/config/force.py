@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Literal
 
-from multicontact_control.config.base import Config, parameter, Real
+from multicontact_control.config.base import Config, cross_check, parameter, Real
 from multicontact_control.errors import ConfigError
-from pydantic import model_validator
 
 LawName = Literal['aob', 'pi', 'dob', 'lqg', 'admittance', 'impedance', 'feedforward']
 FedForward = Literal['estimate', 'desired', 'mixed', 'measured']
@@ -89,12 +89,11 @@ class AdaptiveStiffnessConfig(Config):
         0.25, 'Speed into the surface at which the desired force is followed at most.',
         unit='m/s', gt=0.0)
 
-    @model_validator(mode='after')
-    def _check_order(self) -> AdaptiveStiffnessConfig:
+    @cross_check
+    def _check_order(self) -> Iterator[ConfigError]:
         if self.highest <= self.lowest:
-            raise ConfigError(
+            yield ConfigError(
                 'adaptive.highest', f'above adaptive.lowest, {self.lowest:g} N/m', self.highest)
-        return self
 
 
 class ForceConfig(Config):

@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 import math
 
-from multicontact_control.config.base import Config, parameter, Real, Vector, Vector3, WRENCH_SIZE
+from multicontact_control.config.base import (
+    Config,
+    cross_check,
+    parameter,
+    Real,
+    Vector,
+    Vector3,
+    WRENCH_SIZE,
+)
 from multicontact_control.errors import ConfigError
-from pydantic import model_validator
 
 
 class RobotConfig(Config):
@@ -29,16 +37,15 @@ class RobotConfig(Config):
         ..., 'URDF link in whose axes and at whose origin the wrist sensor reads.')
     gravity_world: Vector3 = parameter((0.0, 0.0, -9.81), 'Gravity.', unit='m/s^2')
 
-    @model_validator(mode='after')
-    def _check_locked(self) -> RobotConfig:
+    @cross_check
+    def _check_locked(self) -> Iterator[ConfigError]:
         both = sorted(set(self.locked_joints) & set(self.joint_names))
         if both:
-            raise ConfigError('robot.locked_joints', 'none of robot.joint_names', both)
+            yield ConfigError('robot.locked_joints', 'none of robot.joint_names', both)
         if self.locked_positions and len(self.locked_positions) != len(self.locked_joints):
-            raise ConfigError(
+            yield ConfigError(
                 'robot.locked_positions', f'{len(self.locked_joints)} values, one per locked '
                 'joint, or none', len(self.locked_positions))
-        return self
 
     @property
     def locked(self) -> dict[str, float]:
@@ -57,11 +64,10 @@ class ToolConfig(Config):
         (0.0,) * 6, 'Reading of the sensor under no load, force first, subtracted from every one.',
         unit='N, N m', live=True)
 
-    @model_validator(mode='after')
-    def _check_length(self) -> ToolConfig:
+    @cross_check
+    def _check_length(self) -> Iterator[ConfigError]:
         if len(self.bias_sensor) != WRENCH_SIZE:
-            raise ConfigError('tool.bias_sensor', '6 values', len(self.bias_sensor))
-        return self
+            yield ConfigError('tool.bias_sensor', '6 values', len(self.bias_sensor))
 
 
 class SensorFrontEndConfig(Config):
@@ -88,15 +94,14 @@ class SensorFrontEndConfig(Config):
         False, 'Whether force control stays disabled until a push test has proved sign, frame '
         'and scale of the sensor.')
 
-    @model_validator(mode='after')
-    def _check(self) -> SensorFrontEndConfig:
+    @cross_check
+    def _check(self) -> Iterator[ConfigError]:
         if self.full_scale and len(self.full_scale) != WRENCH_SIZE:
-            raise ConfigError('sensor.full_scale', '6 values or none', len(self.full_scale))
+            yield ConfigError('sensor.full_scale', '6 values or none', len(self.full_scale))
         if min(self.full_scale, default=1.0) <= 0.0:
-            raise ConfigError('sensor.full_scale', 'values above 0', min(self.full_scale))
+            yield ConfigError('sensor.full_scale', 'values above 0', min(self.full_scale))
         if self.frozen_ticks == 1:
-            raise ConfigError('sensor.frozen_ticks', '0 or at least 2', 1)
-        return self
+            yield ConfigError('sensor.frozen_ticks', '0 or at least 2', 1)
 
     def filter_delay(self, rate: float) -> float:
         """

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Literal
 
-from multicontact_control.config.base import Config, parameter, Real, Vector, WRENCH_SIZE
+from multicontact_control.config.base import (
+    Config,
+    cross_check,
+    parameter,
+    Real,
+    Vector,
+    WRENCH_SIZE,
+)
 from multicontact_control.errors import ConfigError
-from pydantic import model_validator
 
 Reaction = Literal['hold', 'float', 'damp']
 
@@ -82,14 +89,13 @@ class ContactStateConfig(Config):
         0.0, 'Force per speed into the surface that is taken off the torque while that limit is '
         'passed; 0 for none.', unit='N s/m', ge=0.0, le=1e4)
 
-    @model_validator(mode='after')
-    def _check_across_fields(self) -> ContactStateConfig:
+    @cross_check
+    def _check_across_fields(self) -> Iterator[ConfigError]:
         if not self.release_threshold < self.contact_threshold < self.force_ceiling:
-            raise ConfigError(
+            yield ConfigError(
                 'contact_state.contact_threshold',
                 f'above release_threshold {self.release_threshold:g} N and below force_ceiling '
                 f'{self.force_ceiling:g} N', f'{self.contact_threshold:g} N')
-        return self
 
 
 class LimitsConfig(Config):
@@ -114,19 +120,18 @@ class LimitsConfig(Config):
         0.004, 'Smallest eigenvalue of J M^-1 J^T up to which Lambda is damped, 0 for never.',
         unit='1/kg', ge=0.0, le=1.0)
 
-    @model_validator(mode='after')
-    def _check_across_fields(self) -> LimitsConfig:
+    @cross_check
+    def _check_across_fields(self) -> Iterator[ConfigError]:
         for kind in ('joint', 'workspace'):
             lower, upper = getattr(self, f'{kind}_lower'), getattr(self, f'{kind}_upper')
             if len(lower) != len(upper) or any(a >= b for a, b in zip(lower, upper)):
-                raise ConfigError(
+                yield ConfigError(
                     f'limits.{kind}_lower', f'one value below each of {kind}_upper', list(lower))
         if len(self.workspace_lower) not in (0, 3):
-            raise ConfigError('limits.workspace_lower', '3 values', len(self.workspace_lower))
+            yield ConfigError('limits.workspace_lower', '3 values', len(self.workspace_lower))
         for name in ('joint_speed', 'torque_rate'):
             if min(getattr(self, name), default=1.0) <= 0.0:
-                raise ConfigError(f'limits.{name}', 'values above 0', min(getattr(self, name)))
-        return self
+                yield ConfigError(f'limits.{name}', 'values above 0', min(getattr(self, name)))
 
 
 class WatchdogConfig(Config):
@@ -201,9 +206,8 @@ class WatchdogConfig(Config):
         'control waits for an operator (a command of other forces, ~/retry, ~/hold); 0 for never.',
         ge=0, le=1000)
 
-    @model_validator(mode='after')
-    def _check_lengths(self) -> WatchdogConfig:
+    @cross_check
+    def _check_lengths(self) -> Iterator[ConfigError]:
         if len(self.wrench_full_scale) not in (0, WRENCH_SIZE):
-            raise ConfigError(
+            yield ConfigError(
                 'watchdog.wrench_full_scale', '6 values', len(self.wrench_full_scale))
-        return self

@@ -22,7 +22,7 @@ from multicontact_control.config import (
     write_parameters,
 )
 from multicontact_control.control.reference import ReferenceConfig, ScenarioReference
-from multicontact_control.errors import ConfigError
+from multicontact_control.errors import check_all, ConfigError
 from multicontact_control.paths import config_dir, named_file
 import numpy as np
 from sim_bridge.config import PlantConfig
@@ -195,7 +195,7 @@ def resolve(
     Raises
     ------
     ConfigError
-        With the first value that is not acceptable.
+        With every value that is not acceptable.
 
     """
     if seed < 0:
@@ -206,20 +206,21 @@ def resolve(
         ScenarioConfig, text if duration is None else {**text, 'duration': duration}, str(path))
     folder = config_dir()
     chosen = preset_values(preset) if preset else {}
-    controller_config = validate(
-        ControllerConfig,
-        merge(merge(_controller_parameters(plant, chosen.get('controller', {})),
-                    config.controller), controller or {}),
-        'controller.yaml')
-    estimator_config = validate(
-        NoiseEstimatorConfig,
-        merge(merge(merge(read_parameters(folder / 'noise_estimator.yaml'),
-                          chosen.get('noise_estimator', {})), config.noise_estimator),
-              noise_estimator or {}), 'noise_estimator.yaml')
     plant_file = plant_path(plant)
-    plant_config = validate(
-        PlantConfig, merge(merge(read_parameters(plant_file), config.plant),
-                           plant_overrides or {}), plant_file.name)
+    controller_config, estimator_config, plant_config = check_all(
+        lambda: validate(
+            ControllerConfig,
+            merge(merge(_controller_parameters(plant, chosen.get('controller', {})),
+                        config.controller), controller or {}),
+            'controller.yaml'),
+        lambda: validate(
+            NoiseEstimatorConfig,
+            merge(merge(merge(read_parameters(folder / 'noise_estimator.yaml'),
+                              chosen.get('noise_estimator', {})), config.noise_estimator),
+                  noise_estimator or {}), 'noise_estimator.yaml'),
+        lambda: validate(
+            PlantConfig, merge(merge(read_parameters(plant_file), config.plant),
+                               plant_overrides or {}), plant_file.name))
     setup = Setup(
         scenario=config, controller=controller_config, noise_estimator=estimator_config,
         plant=plant_config, plant_name=plant, seed=seed, urdf_dir=folder)

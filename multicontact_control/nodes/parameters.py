@@ -12,13 +12,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 import copy
 from dataclasses import dataclass
+from functools import partial
 import sys
 from types import NoneType
 import typing
 from typing import Any, Literal
 
 from multicontact_control.config import Config, validate
-from multicontact_control.errors import ConfigError, MulticontactError
+from multicontact_control.errors import check_all, ConfigError, MulticontactError
 from pydantic.fields import FieldInfo
 from rcl_interfaces.msg import (
     FloatingPointRange,
@@ -224,14 +225,15 @@ def refuse_unknown_keys(values: Mapping[str, Any], models: Sequence[type[Config]
     Raises
     ------
     ConfigError
-        Naming the first one that does not.
+        Naming those that do not.
 
     """
     known = {key for model in models for key in model.model_fields}
-    for key in values:
-        if key not in known:
-            raise ConfigError(
-                key, f'a known parameter ({", ".join(sorted(known))})', f"unknown '{key}'")
+    errors = [
+        ConfigError(key, f'a known parameter ({", ".join(sorted(known))})', f"unknown '{key}'")
+        for key in values if key not in known]
+    if errors:
+        raise ConfigError.of(errors)
 
 
 def parameter_value(spec: ParameterSpec, overrides: Mapping[str, Any]) -> Any:
@@ -330,15 +332,17 @@ class ParameterSet:
         Raises
         ------
         ConfigError
-            Naming the first parameter that is unknown, missing or not acceptable.
+            Naming every parameter that is unknown, missing or not acceptable.
 
         """
         values = {**self._undeclared, **self._values(self._specs), **(changes or {})}
-        refuse_unknown_keys(nested(values), self._models)
-        return [
-            validate(model, nested({
-                name: value for name, value in values.items()
-                if name.split('.')[0] in model.model_fields})) for model in self._models]
+        by_key = nested(values)
+        _, *configurations = check_all(
+            partial(refuse_unknown_keys, by_key, self._models),
+            *(partial(validate, model, {
+                key: value for key, value in by_key.items() if key in model.model_fields})
+              for model in self._models))
+        return configurations
 
     def value(self, name: str) -> Any:
         """Return the present value of one parameter, None if it has none."""
@@ -424,7 +428,7 @@ def load_parameters(node: Node, *models: type[Config]) -> list[Any]:
     Raises
     ------
     ConfigError
-        Naming the first parameter that is unknown, missing or not acceptable.
+        Naming every parameter that is unknown, missing or not acceptable.
 
     """
     parameters = ParameterSet(node, *models, constraint='')

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 import math
 from typing import Literal
 
 from multicontact_control.arrays import Matrix
-from multicontact_control.config import Config, parameter, Real
+from multicontact_control.config import Config, cross_check, parameter, Real
 from multicontact_control.errors import ConfigError
 import numpy as np
-from pydantic import model_validator
 
 Direction = Literal['+x', '-x', '+y', '-y', '+z', '-z']
 
@@ -47,17 +47,16 @@ class PushTestConfig(Config):
     min_moment: Real = parameter(
         0.5, 'Moment of a push from which its torque channels are checked.', unit='N m', gt=0.0)
 
-    @model_validator(mode='after')
-    def _check_across_fields(self) -> PushTestConfig:
+    @cross_check
+    def _check_across_fields(self) -> Iterator[ConfigError]:
         if {direction[1] for direction in self.directions} != set('xyz'):
-            raise ConfigError(
+            yield ConfigError(
                 'push_test.directions', 'each of x, y and z at least once', list(self.directions))
         if not self.release_force <= self.detect_force < self.force:
-            raise ConfigError(
+            yield ConfigError(
                 'push_test.detect_force',
                 f'from release_force {self.release_force:g} N to below force {self.force:g} N',
                 f'{self.detect_force:g} N')
-        return self
 
     @property
     def directions_world(self) -> Matrix:
