@@ -275,6 +275,8 @@ class ControlLoop:
         self._inputs = seen
         controller = self.controller
         output, status = controller.safe_step(seen) if self.safe else controller.step(seen)
+        if controller.own_weight is not None:  # the arm adds that itself
+            output = output._replace(torque=output.torque - controller.own_weight.torque)
         self.output, self.status = None if self.safe else output, status
         if status is not None:
             self._note(seen.time, status)

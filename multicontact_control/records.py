@@ -294,13 +294,14 @@ SUPERVISION = np.dtype([
 
 # Limits of one joint at the last gate.
 JOINT_LIMITS = np.dtype([
-    ('torque', F),  # [N m]
+    ('torque', F),  # of the command [N m]
+    ('added', F),  # to the command by the drives themselves, 0 if they add nothing [N m]
     ('step', F),  # of the torque, per period [N m]
     ('lower', F),  # position not to be passed [rad]
     ('upper', F),  # [rad]
     ('speed', F),  # [rad/s]
     ('braking', F),  # deceleration before a stop [rad/s^2]
-    ('last', F),  # torque commanded last [N m]
+    ('last', F),  # what was commanded last and what was added [N m]
 ])
 
 # What comes in at a tick: of joints, wrench and R, in this order, stamp and readability; one.
@@ -354,7 +355,7 @@ READING_SETTINGS = np.dtype([
     ('period', F),
     ('shortest', F), ('longest', F),  # periods that are not odd [s]
     ('max_age', F, 3),  # of each reading [s]
-    ('position_jump', F), ('frozen_samples', I),
+    ('position_jump', F), ('frozen_samples', I), ('frozen_joint_samples', I),
     ('recovery_samples', I),  # `recovery_time`
     ('variance_growth', F), ('variance_floor', F), ('variance_ceiling', F)])
 

@@ -36,6 +36,12 @@ class RobotConfig(Config):
     sensor_frame: str = parameter(
         ..., 'URDF link in whose axes and at whose origin the wrist sensor reads.')
     gravity_world: Vector3 = parameter((0.0, 0.0, -9.81), 'Gravity.', unit='m/s^2')
+    adds_gravity: bool = parameter(
+        False, "Whether the arm's drives add the torque that holds it against gravity "
+        'themselves: then commands and measured efforts are without it.')
+    adds_tool_gravity: bool = parameter(
+        True, "Whether that is with the weight of `tool`, i.e. the arm's own controller has been "
+        'told of what hangs on the sensor.')
 
     @cross_check
     def _check_locked(self) -> Iterator[ConfigError]:
@@ -91,8 +97,8 @@ class SensorFrontEndConfig(Config):
     frozen_ticks: int = parameter(
         0, 'Identical readings in a row that mean a frozen sensor; 0 to not look for one.', ge=0)
     require_push_test: bool = parameter(
-        False, 'Whether force control stays disabled until a push test has proved sign, frame '
-        'and scale of the sensor.')
+        True, 'Whether force control stays disabled until a push test has proved sign, frame '
+        'and scale of the sensor; false where there is nobody to push, as in a simulation.')
 
     @cross_check
     def _check(self) -> Iterator[ConfigError]:

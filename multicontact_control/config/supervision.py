@@ -61,10 +61,11 @@ class ContactStateConfig(Config):
     impact_time: Real = parameter(
         0.05, 'Least time in contact from touch to holding.', unit='s', ge=0.0, le=1.0)
     bounce_time: Real = parameter(
-        0.01, 'The same as loss_time, between touch and holding.', unit='s', ge=0.0, le=1.0)
+        0.01, 'The same as loss_time, between touch and holding; at least 3 periods.', unit='s',
+        ge=0.0, le=1.0)
     loss_time: Real = parameter(
-        0.004, 'Time below the release threshold until a contact is lost.', unit='s', ge=0.0,
-        le=1.0)
+        0.004, 'Time below the release threshold until a contact is lost; at least 2 periods.',
+        unit='s', ge=0.0, le=1.0)
     lost_time: Real = parameter(
         0.05, 'Least time from loss to a new approach.', unit='s', ge=0.0, le=10.0)
     braking: Real = parameter(
@@ -167,8 +168,11 @@ class WatchdogConfig(Config):
         2.5, 'Twice in a row a period beyond 1 / rate_band to rate_band times the right one is '
         'a fault.', gt=1.0, le=100.0)
     frozen_samples: int = parameter(
-        2, 'Repetitions, bit by bit, that make a reading frozen; 0 for a sensor without noise.',
+        2, 'Repetitions, bit by bit, that make a wrench frozen; 0 for a sensor without noise.',
         ge=0, le=1000)
+    frozen_joint_samples: int = parameter(
+        0, 'The same of a joint state while a joint moves; 0 not to look: an encoder whose step '
+        'is not far below what a joint moves in a period repeats itself.', ge=0, le=1000)
     wrench_full_scale: Vector = parameter(
         (), 'Reading of each axis at which the sensor saturates; empty if unknown.',
         unit='N, N m')

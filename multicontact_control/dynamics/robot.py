@@ -65,6 +65,8 @@ class LiveTerms:
         M with armature, shape (n, n); only the upper triangle is filled [kg m^2].
     bias_torque
         C(q, v) v + g(q), shape (n,) [N m].
+    gravity
+        g(q) alone, shape (n,) [N m].
     jacobian, jacobian_rate
         J of the operational point and dJ/dt, world axes, linear rows first, shape (6, n).
     placements
@@ -75,6 +77,7 @@ class LiveTerms:
 
     mass_matrix: Matrix
     bias_torque: Vector
+    gravity: Vector
     jacobian: Matrix
     jacobian_rate: Matrix
     placements: tuple[Vector, Matrix, Vector, Matrix]
@@ -132,7 +135,8 @@ class RobotModel:
         data = self._data
         frame, sensor = data.oMf[self._frame], data.oMf[self._sensor]
         return LiveTerms(
-            mass_matrix=data.M, bias_torque=data.nle, jacobian=np.zeros((6, self._model.nv)),
+            mass_matrix=data.M, bias_torque=data.nle, gravity=data.g,
+            jacobian=np.zeros((6, self._model.nv)),
             jacobian_rate=np.zeros((6, self._model.nv)), placements=(
                 frame.translation, frame.rotation, sensor.translation, sensor.rotation))
 
@@ -159,6 +163,28 @@ class RobotModel:
         terms.jacobian_rate = pin.getFrameJacobianTimeVariation(
             model, data, self._frame, pin.LOCAL_WORLD_ALIGNED)
         return terms
+
+    def load_torque(self, mass: float, com_sensor: Vector) -> Vector:
+        """
+        Return what a load on the sensor adds to g(q), where `compute` was called last.
+
+        Parameters
+        ----------
+        mass, com_sensor
+            Of the load [kg], and its centre of mass in the sensor frame, shape (3,) [m].
+
+        Returns
+        -------
+        Vector
+            Shape (n,) [N m].
+
+        """
+        weight = mass * self._model.gravity.linear
+        lever = self._data.oMf[self._sensor].rotation @ com_sensor
+        jacobian = pin.getFrameJacobian(
+            self._model, self._data, self._sensor, pin.LOCAL_WORLD_ALIGNED)
+        torque: Vector = -jacobian.T @ np.concatenate([weight, np.cross(lever, weight)])
+        return torque
 
     def bare_dynamics(self, q: Vector, v: Vector) -> None:
         """Call pinocchio for M, C v + g, J and dJ/dt v and drop them: the floor of a tick."""

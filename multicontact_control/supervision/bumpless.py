@@ -19,6 +19,7 @@ from multicontact_control.supervision.inputs import (
     VarianceInput,
     WrenchInput,
 )
+from multicontact_control.supervision.own_weight import OwnWeight
 from multicontact_control.supervision.safe_behaviour import SafeBehaviour
 from multicontact_control.supervision.status import no_answer, TickOutput
 from multicontact_control.supervision.transition import TorqueTransition
@@ -33,8 +34,9 @@ class BumplessController:
     """
     A controller whose torque starts where the arm is held and changes laws smoothly.
 
-    The first command is the measured effort, or gravity compensation where there is none; from
-    there, and from one configuration to the next, the torque goes over as `transition` says.
+    The first command is the measured effort, or gravity compensation where there is none (or only
+    zeros, which robots report that do not measure any); from there, and from one configuration
+    to the next, the torque goes over as `transition` says.
 
     Parameters
     ----------
@@ -51,6 +53,8 @@ class BumplessController:
         The configuration in force.
     controller
         The control law.
+    own_weight
+        What the drives add to a command, None if nothing; it is in every torque here.
 
     """
 
@@ -59,7 +63,8 @@ class BumplessController:
     ) -> None:
         self.controller = Controller(config, robot, reference)
         self._transition = TorqueTransition(config)
-        self._safe = SafeBehaviour(config.safe_behaviour, robot)
+        self.own_weight = OwnWeight(config, robot) if config.robot.adds_gravity else None
+        self._safe = SafeBehaviour(config.safe_behaviour, robot, self.own_weight)
         self._safe_running = False
         self._idle = no_answer(robot.joint_count, len(config.columns))
         self._initial_variance = np.full(
@@ -88,9 +93,13 @@ class BumplessController:
         self._safe.config = config.safe_behaviour
         self._limit = np.broadcast_to(
             config.torque_limit or np.inf, (self.controller.robot.joint_count,))
+        if self.own_weight is not None:  # a limit is one of the command
+            self.controller.arm.joints['torque_limit'] = np.inf
 
     def reset(self) -> None:
         """Forget everything measured and commanded; the next sample starts anew."""
+        if self.own_weight is not None:
+            self.own_weight.reset()
         self.controller.reset()
         self._transition.reset()
         self._safe_running = False
@@ -153,14 +162,15 @@ class BumplessController:
         joints, wrench, variance = require_complete(inputs)
         law = self.controller
         law.see(joints.q, joints.qd, wrench.wrench)
+        self._carry()
         output = law.answer(
             inputs.time, self._initial_variance if variance is None else variance.variance)
         if self._safe_running or not self._transition.begun:
             self._transition.begin(lambda: self._held(joints.effort, joints.q))
         self._safe_running = False
         torque = self._transition.apply(LAW, output.torque)
-        if torque is not output.torque:
-            torque = np.clip(torque, -self._limit, self._limit)
+        if torque is not output.torque or self.own_weight is not None:
+            torque = self._limited(torque)
             output = output._replace(torque=torque)
         self._transition.commanded(torque)
         return TickOutput(output, None)
@@ -173,21 +183,36 @@ class BumplessController:
         then.
         """
         joints, _, _ = require_complete(inputs)
+        if self.own_weight is not None:
+            self.controller.arm.update(joints.q, joints.qd)
+            self._carry()
         if not self._safe_running:
             self._safe_running = True
             self._safe.start()
             self.controller.reset()
             self._transition.begin(lambda: self._held(joints.effort, joints.q))
-        torque: Vector = np.clip(
-            self._transition.apply(LAW, self._safe.torque(joints.q, joints.qd)),
-            -self._limit, self._limit)
+        torque = self._limited(
+            self._transition.apply(LAW, self._safe.torque(joints.q, joints.qd)))
         self._transition.commanded(torque)
         return TickOutput(self._idle._replace(torque=torque), None)
 
+    def _carry(self) -> Vector | None:
+        """Take note of what the drives add where the arm is seen now; return the change of it."""
+        if self.own_weight is None:
+            return None
+        change = self.own_weight.update()
+        self._transition.allow_for(change)
+        return change
+
+    def _limited(self, torque: Vector) -> Vector:
+        added = 0.0 if self.own_weight is None else self.own_weight.torque
+        limited: Vector = np.clip(torque, added - self._limit, added + self._limit)
+        return limited
+
     def _held(self, effort: Vector | None, q: Vector | None) -> Vector:
         """Return the torque that acts before any command, shape (n,) [N m]."""
-        if effort is not None and np.isfinite(effort).all():
-            return effort
+        if effort is not None and np.isfinite(effort).all() and effort.any():
+            return effort if self.own_weight is None else effort + self.own_weight.torque
         if q is None:
             return np.zeros_like(self._limit)
         return self.controller.robot.update(q, np.zeros_like(q)).gravity

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 
 from multicontact_control.arrays import Vector
-from multicontact_control.config import Config, LimitsConfig, parameter, Real
+from multicontact_control.config import Config, ControllerConfig, LimitsConfig, parameter, Real
 from multicontact_control.errors import CommandError
+
+START_EXCESS = 1e-3  # m or rad beyond a limit, from where control may start all the same
 
 
 class CommandLimits(Config):
@@ -62,3 +64,33 @@ def check_position(position_world: Vector, limits: LimitsConfig) -> None:
             'xyz', position_world, limits.workspace_lower, limits.workspace_upper):
         if not lower <= x <= upper:
             raise CommandError(f'position {axis}', f'{lower:g} to {upper:g} m', f'{x:g} m')
+
+
+def outside_limits(
+    config: ControllerConfig, q: Vector, position_world: Vector,
+) -> tuple[str, ...]:
+    """
+    Return where an arm is beyond its limits, a line for each.
+
+    Parameters
+    ----------
+    config
+        Box and stops.
+    q
+        Joint positions, shape (n,) [rad].
+    position_world
+        Of the operational point, shape (3,) [m].
+
+    """
+    limits = config.limits
+    bounds = [
+        (f'operational point: expected {axis} in', x, lower, upper, 'm', 'workspace')
+        for axis, x, lower, upper in zip(
+            'xyz', position_world, limits.workspace_lower, limits.workspace_upper)]
+    bounds += [
+        (f'{name}: expected', x, lower, upper, 'rad', 'joint') for name, x, lower, upper in zip(
+            config.robot.joint_names, q, limits.joint_lower, limits.joint_upper)]
+    return tuple(
+        f'{what} {lower:g} to {upper:g} {unit} (limits.{kind}_lower, limits.{kind}_upper), found '
+        f'{x:.4g} {unit}' for what, x, lower, upper, unit, kind in bounds
+        if not lower - START_EXCESS <= x <= upper + START_EXCESS)

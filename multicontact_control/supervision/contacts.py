@@ -34,6 +34,8 @@ TOUCH_SHARE = 0.5  # of the force before a loss, that counts as touch right afte
 GUARD_TIME = 0.3  # s after holding has begun; before, a guard would prolong bounces
 STEP_TIME = 0.02  # s, in which a force step may be taken
 LONGEST_WAIT = 4  # doublings of the time between two searches
+# Periods: one sample, or two between touch and holding, say nothing of a surface.
+LOSS_PERIODS, BOUNCE_PERIODS = 2, 3
 POSITION_RATE = 20.0  # 1/s, of the way left: how a displacement settles
 
 
@@ -54,7 +56,9 @@ STATES = tuple(ContactState)
 
 def contact_settings(config: ContactStateConfig, period: float) -> Records:
     """Return what is set for all contacts as one record of `CONTACT_SETTINGS`; h in [s]."""
-    others = {'period': period, 'energy_keep': math.exp(-period / config.energy_memory)}
+    others = {'period': period, 'energy_keep': math.exp(-period / config.energy_memory),
+              'loss_time': max(config.loss_time, LOSS_PERIODS * period),
+              'bounce_time': max(config.bounce_time, BOUNCE_PERIODS * period)}
     settings = np.zeros(1, dtype=CONTACT_SETTINGS)
     for name in settings.dtype.names or ():
         settings[name] = others[name] if name in others else getattr(config, name)

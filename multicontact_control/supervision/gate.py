@@ -118,7 +118,7 @@ def gate_torque(
         enforced |= JOINT_STOP
     for j in range(n):
         limit = limits[j]
-        clipped = min(max(gated[j], -limit.torque), limit.torque)
+        clipped = min(max(gated[j], limit.added - limit.torque), limit.added + limit.torque)
         if clipped != gated[j]:
             enforced |= TORQUE
         if started:
@@ -166,6 +166,22 @@ class TorqueGate:
     def reset(self) -> None:
         """Forget the last command: the next one may be anything within the limits."""
         self._started = False
+        self.limits['added'] = 0.0
+
+    def allow_for(self, added: Vector, change: Vector) -> None:
+        """
+        Let the limits be those of a command to which the drives add something.
+
+        Parameters
+        ----------
+        added
+            What they add now, shape (n,) [N m].
+        change
+            Since the last command, shape (n,) [N m].
+
+        """
+        self.limits['added'] = added
+        self._last += change
 
     def passed(self) -> Vector:
         """Return the torque that has come through the gate last, shape (n,) [N m]."""
@@ -173,9 +189,9 @@ class TorqueGate:
 
     def carry(self, arm: ArmState | None) -> Vector:
         """Return what carries an arm, within limit and rate, by numpy alone; zero if unknown."""
-        limit, step = self.limits['torque'], self.limits['step']
+        limit, step, added = (self.limits[name] for name in ('torque', 'step', 'added'))
         carried: Vector = np.zeros(limit.shape) if arm is None else np.clip(
-            arm.bias_torque, -limit, limit)
+            arm.bias_torque, added - limit, added + limit)
         if self._started:
             carried = np.clip(carried, self._last - step, self._last + step)
         self._started = True

@@ -110,7 +110,7 @@ def check_joints(joints: Any, elapsed: float, memory: Any, settings: Any) -> int
         memory.distrust -= 1
         return JUMP
     memory.joint_repeats = memory.joint_repeats + 1 if same else 0
-    if 0 < settings.frozen_samples <= memory.joint_repeats:
+    if 0 < settings.frozen_joint_samples <= memory.joint_repeats:
         return FROZEN
     for j in range(joints.shape[0]):
         joints[j].valid_q = joints[j].q

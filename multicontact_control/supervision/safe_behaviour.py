@@ -5,6 +5,7 @@ from __future__ import annotations
 from multicontact_control.arrays import Vector
 from multicontact_control.config import SafeBehaviourConfig
 from multicontact_control.dynamics.robot import RobotModel
+from multicontact_control.supervision.own_weight import OwnWeight
 import numpy as np
 
 
@@ -18,12 +19,16 @@ class SafeBehaviour:
         Which, and how stiff.
     robot
         The arm.
+    own_weight
+        What its drives add to a command, None if nothing.
 
     """
 
-    def __init__(self, config: SafeBehaviourConfig, robot: RobotModel) -> None:
+    def __init__(
+        self, config: SafeBehaviourConfig, robot: RobotModel, own_weight: OwnWeight | None = None,
+    ) -> None:
         self.config = config
-        self._robot = robot
+        self._robot, self._own_weight = robot, own_weight
         self._held: Vector | None = None
 
     def start(self) -> None:
@@ -48,8 +53,9 @@ class SafeBehaviour:
         if self._held is None:
             self._held = np.array(q, dtype=float)
         config = self.config
-        if config.kind == 'zero_torque':
-            return np.zeros_like(self._held)
+        if config.kind == 'zero_torque':  # of what is commanded
+            return np.zeros_like(self._held) if self._own_weight is None else (
+                self._own_weight.torque.copy())
         state = self._robot.update(q, qd)
         if config.kind == 'gravity_compensation':
             acceleration = -config.damping_rate * qd

@@ -16,6 +16,7 @@ from multicontact_control.errors import ConfigError
 from multicontact_control.force.force_law import continue_laws_at
 from multicontact_control.records import SUPERVISION
 from multicontact_control.supervision.bumpless import BumplessController
+from multicontact_control.supervision.command_limits import outside_limits
 from multicontact_control.supervision.fallback import (
     DAMP,
     FLOAT,
@@ -88,6 +89,8 @@ class Supervisor(BumplessController):
         The configuration in force.
     controller, reference
         The control law, and what it is asked for.
+    outside
+        Where the arm is beyond its limits, so that control cannot start, a line for each.
     expects_pushes
         Whether forces are expected that no contact can explain, from pushes on the tool.
 
@@ -143,6 +146,7 @@ class Supervisor(BumplessController):
     def reset(self) -> None:
         """Forget everything measured; the next tick starts anew."""
         super().reset()
+        self.outside: tuple[str, ...] = ()
         self._restart_law()
         self._watchdog.reset()
         self._gate.reset()
@@ -264,6 +268,8 @@ class Supervisor(BumplessController):
 
     def _step(self, valid: ValidatedInputs) -> TickOutput:
         causes = valid.causes + self._too_fast
+        if not self._running:
+            causes += self._start_refused()
         reaction = self._reaction_to(causes) if causes else NONE
         if reaction in (NONE, INFLATE):
             self._good_ticks += 1
@@ -275,19 +281,33 @@ class Supervisor(BumplessController):
             reaction = FLOAT  # what is not seen cannot be held
         return self._react(causes, valid.rejected, reaction)
 
+    def _start_refused(self) -> tuple[str, ...]:
+        """Return why control must not start from here: its limits would move the arm at once."""
+        arm = self._arm
+        if arm is not None:
+            self.outside = outside_limits(self.config, arm.q, arm.pose.position_world)
+        return ('start_outside',) if self.outside else ()
+
     def _update_state(self, valid: ValidatedInputs) -> None:
         """Work out where the arm is."""
         arm, self._wrench_known = self.controller.arm, valid.measured
         if valid.q is not None and arm.refresh():
             self._arm = arm
             self._too_fast = TOO_FAST[arm.found & (OPERATIONAL_SPEED | JOINT_SPEED)]
+            self._carry()
+
+    def _carry(self) -> Vector | None:
+        change = super()._carry()
+        if change is not None and self.own_weight is not None:
+            self._gate.allow_for(self.own_weight.torque, change)
+        return change
 
     def _reaction_to(self, causes: tuple[str, ...]) -> str:
         watch = self.config.watchdog
         reactions = {
             'joints': watch.on_joint_fault, 'wrench': watch.on_wrench_fault, 'variance': INFLATE,
             'clock': watch.on_clock_fault, 'motion': watch.on_motion_fault,
-            'law': watch.on_law_fault}
+            'law': watch.on_law_fault, 'start': HOLD}
         found = [reactions[cause.split('_')[0]] for cause in causes]
         return max(found, key=SEVERITY.index, default=NONE)
 

@@ -40,6 +40,11 @@ class TorqueTransition:
         self._fast.reset()
         self._slow.cancel()
 
+    def allow_for(self, change: Vector) -> None:
+        """Take note that what the drives add to a command has changed, shape (n,) [N m]."""
+        if self._last is not None:
+            self._last = self._last + change
+
     @property
     def begun(self) -> bool:
         """Whether anything has been commanded so far."""

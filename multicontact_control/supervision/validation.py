@@ -236,8 +236,8 @@ def watch_record(config: ControllerConfig) -> Records:
     record = np.zeros(1, dtype=WATCH)
     record['wrench']['full_scale'] = 0.999 * np.array(watch.wrench_full_scale or np.inf)
     settings = record['settings']
-    for name in ('position_jump', 'frozen_samples', 'variance_growth', 'variance_floor',
-                 'variance_ceiling'):
+    for name in ('position_jump', 'frozen_samples', 'frozen_joint_samples', 'variance_growth',
+                 'variance_floor', 'variance_ceiling'):
         settings[name] = getattr(watch, name)
     settings['period'] = h
     settings['shortest'], settings['longest'] = h / watch.rate_band, h * watch.rate_band

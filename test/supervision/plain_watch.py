@@ -193,7 +193,7 @@ class PlainWatchdog:
         same = before is not None and np.abs(qd).max() > STILL and bool(
             (q == before[0]).all() or (qd == before[1]).all())
         self._repeats['joints'] = self._repeats['joints'] + 1 if same else 0
-        limit = self._watch.frozen_samples
+        limit = self._watch.frozen_joint_samples
         return 'frozen' if limit and self._repeats['joints'] >= limit else ''
 
     def _jumped(self, q, qd, before, stamp):

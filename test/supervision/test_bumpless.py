@@ -48,7 +48,7 @@ def test_first_command_is_the_measured_effort():
     np.testing.assert_array_equal(output.torque, EFFORT)
 
 
-@pytest.mark.parametrize('effort', [None, np.full(6, np.nan)])
+@pytest.mark.parametrize('effort', [None, np.full(6, np.nan), np.zeros(6)])
 def test_first_command_without_measured_effort_compensates_gravity(effort):
     controller, _ = make()
     output = controller.step(sample(controller, effort=effort)).output

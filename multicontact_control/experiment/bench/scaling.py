@@ -57,6 +57,7 @@ def synthetic_setup(
     config = validate(ControllerConfig, {
         'robot': robot,
         'tool': {'mass': 0.5, 'com_sensor': (0.0, 0.02, 0.08)},
+        'sensor': {'require_push_test': False},
         'force': {'active_state_order': order,
                   'dependent_columns': 'minimum_norm' if planes else 'refused'},
         'contact_names': names, 'torque_limit': [200.0] * joints,
