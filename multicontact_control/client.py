@@ -15,6 +15,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 import time
 from typing import Any
+import warnings
 
 from geometry_msgs.msg import PoseStamped
 from multicontact_control.arrays import Vector
@@ -36,6 +37,43 @@ STATE_TOPICS = (
 
 class NotReachedError(RunError):
     """The contact forces did not come near their commands in time."""
+
+
+class CommandRefusedError(RunError):
+    """The controller does not obey a command, and says why."""
+
+
+class CommandRefusedWarning(UserWarning):
+    """The controller has refused a command that nobody has waited for."""
+
+
+@dataclass(frozen=True, slots=True)
+class ControllerStatus:
+    """
+    What the controller says of itself.
+
+    Attributes
+    ----------
+    text
+        What it does, ``ok`` if that is what it is asked for.
+    life_cycle
+        ``active`` or ``inactive``.
+    reaction, causes
+        ``none``, or what it does instead of control, and why.
+    contacts
+        State of each contact in words.
+    refused, last_refusal
+        How many commands it has refused so far, and the last of them.
+
+    """
+
+    text: str
+    life_cycle: str
+    reaction: str
+    causes: str
+    contacts: str
+    refused: int
+    last_refusal: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,11 +130,14 @@ class MultiContactClient:
         self, namespace: str = '', *, domain_id: int | None = None, timeout: float = 10.0,
     ) -> None:
         self._link = ControllerLink(
-            (*STATE_TOPICS, topics.NOISE_VARIANCE), namespace=namespace, domain_id=domain_id,
-            timeout=timeout)
+            (*STATE_TOPICS, topics.NOISE_VARIANCE), queued=(topics.STATUS,),
+            namespace=namespace, domain_id=domain_id, timeout=timeout)
         self._force_publisher = self._link.publisher(topics.FORCE_COMMAND)
         self._motion_publisher = self._link.publisher(topics.MOTION_COMMAND)
         self._commanded: dict[str, float] = {}
+        self._obeyed: dict[str, float] = {}
+        self._status: ControllerStatus | None = None
+        self._refusals: dict[topics.Topic, str] = {}
 
     def __enter__(self) -> MultiContactClient:
         """Return the client itself."""
@@ -125,7 +166,7 @@ class MultiContactClient:
         if self._link.has_lifecycle(topics.ESTIMATOR, OPTIONAL_WAIT):
             self._link.bring_up(topics.ESTIMATOR)
         if self._link.bring_up(topics.CONTROLLER):
-            self._commanded.clear()
+            self._forget()
 
     def deactivate(self) -> None:
         """
@@ -138,7 +179,43 @@ class MultiContactClient:
 
         """
         self._link.take_down(topics.CONTROLLER)
+        self._forget()
+
+    def _forget(self) -> None:
+        """Forget what was commanded, as the controller does."""
         self._commanded.clear()
+        self._obeyed.clear()
+
+    def status(self) -> ControllerStatus | None:
+        """Return what the controller has said of itself last, None if nothing so far."""
+        for message in self._link.queue(topics.STATUS):
+            values = {x.key: x.value for x in message.values}
+            status = ControllerStatus(
+                message.message, values['life_cycle'], values['reaction'],
+                values['causes'], values['contacts'], int(values['refused']),
+                values['last_refusal'])
+            # Of those that come close after each other only the count tells; motions go on coming.
+            more = self._status is not None and status.refused > self._status.refused
+            for topic in (topics.FORCE_COMMAND, topics.MOTION_COMMAND):
+                if status.last_refusal.startswith(topic.name) and (
+                        values['event'] == 'refused' or more and topic is topics.FORCE_COMMAND):
+                    self._refusals[topic] = f'{topics.CONTROLLER}: refused: {status.last_refusal}'
+            self._status = status
+        return self._status
+
+    def _refusal(self, topic: topics.Topic) -> str:
+        """Return the newest refusal on a topic that nobody was told of, empty without any."""
+        self.status()
+        told = self._refusals.pop(topic, '')
+        if told and topic is topics.FORCE_COMMAND:
+            self._commanded = dict(self._obeyed)
+        return told
+
+    def _raise_refusal(self, topic: topics.Topic) -> None:
+        """Raise if the controller has refused a command on a topic."""
+        told = self._refusal(topic)
+        if told:
+            raise CommandRefusedError(told)
 
     def hold(self, on: bool = True) -> None:
         """
@@ -187,6 +264,9 @@ class MultiContactClient:
         """
         Command contact forces; contacts that are not named keep theirs.
 
+        If the controller refuses them, `wait_until_reached` raises that; the next command warns
+        of it if that was not called.
+
         Parameters
         ----------
         forces
@@ -199,13 +279,22 @@ class MultiContactClient:
         Raises
         ------
         RunError
-            If no controller runs or listens.
+            If no controller runs or listens, or it has no such contact.
         MessageError
             If a force is not finite.
 
         """
         # A command from before the first sample would be forgotten by it.
-        self._link.fresh(topics.DESIRED_FORCES)
+        desired, = self._link.fresh(topics.DESIRED_FORCES)
+        unknown = sorted({*forces, *(centres or {})} - set(desired.name))
+        if unknown:
+            raise RunError(f'{topics.FORCE_COMMAND.name}: expected contacts among '
+                           f'{", ".join(desired.name)}, found {", ".join(unknown)}')
+        self._link.is_heard(topics.STATUS, OPTIONAL_WAIT)
+        told = self._refusal(topics.FORCE_COMMAND)
+        if told:
+            warnings.warn(told, CommandRefusedWarning, stacklevel=2)
+        self._obeyed = dict(self._commanded)
         if forces:
             self._link.publish(self._force_publisher, messages.joint_state_message(
                 0, list(forces), effort=list(forces.values())))
@@ -240,6 +329,8 @@ class MultiContactClient:
         ------
         RunError
             If no controller listens, or samples stop coming.
+        CommandRefusedError
+            If the controller does not obey; the arm stays where it got to.
         MessageError
             If a number is not finite.
 
@@ -251,7 +342,10 @@ class MultiContactClient:
             messages.finite_array(quaternion_xyzw, 4, 'quaternion_xyzw'))
         rotation_vector = (last * turn.inv()).as_rotvec()
         first_stamp, elapsed = messages.stamp_to_ns(start.header.stamp), 0.0
+        self._link.is_heard(topics.STATUS, OPTIONAL_WAIT)
+        self._refusal(topics.MOTION_COMMAND)  # of a motion that has ended
         while elapsed < duration:
+            self._raise_refusal(topics.MOTION_COMMAND)
             sample, = self._link.fresh(topics.POSE_DESIRED)
             elapsed = (messages.stamp_to_ns(sample.header.stamp) - first_stamp) * 1e-9
             s, ds, dds = quintic(min(elapsed, duration), duration)
@@ -260,6 +354,8 @@ class MultiContactClient:
                 position + s * change[:3],
                 (Rotation.from_rotvec(s * rotation_vector) * turn).as_quat(),
                 ds * change, dds * change))
+        self._link.fresh(topics.POSE_DESIRED)
+        self._raise_refusal(topics.MOTION_COMMAND)
 
     def read(self) -> ArmState:
         """
@@ -306,7 +402,9 @@ class MultiContactClient:
         Raises
         ------
         NotReachedError
-            Naming the contacts that are still off.
+            Naming the contacts that are still off, and what the controller does instead.
+        CommandRefusedError
+            If it does not obey a command.
         RunError
             If samples stop coming.
 
@@ -316,6 +414,7 @@ class MultiContactClient:
         give_up = time.monotonic() + timeout
         while True:
             message, = self._link.fresh(topics.MEASURED_FORCES)
+            self._raise_refusal(topics.FORCE_COMMAND)
             now, forces = messages.stamp_to_ns(message.header.stamp) * 1e-9, _by_name(message)
             missing = set(self._commanded) - set(forces)
             if missing:
@@ -332,7 +431,14 @@ class MultiContactClient:
                 raise NotReachedError(f'not within {force_tolerance:g} N after {timeout:g} s: ' + (
                     ', '.join(f'{name} is off by {value:.3g} N' for name, value
                               in zip(self._commanded, off) if value > force_tolerance)
-                    or 'too few samples'))
+                    or 'too few samples') + self._doing())
+
+    def _doing(self) -> str:
+        """Say what the controller does instead of pressing, if it is known."""
+        status = self.status()
+        if status is None:
+            return ''
+        return f'; the controller: {status.text} (contacts: {status.contacts or "unknown"})'
 
 
 def _by_name(message: JointState) -> dict[str, float]:

@@ -45,7 +45,7 @@ class MotionReading:
 
 @dataclass(frozen=True, slots=True)
 class PairedSample:
-    """Joint state and wrist wrench with one stamp [ns]; the effort if it was read."""
+    """Joint state and wrist wrench at the stamp of the joints [ns]; the effort if it was read."""
 
     stamp: int
     q: Vector
@@ -56,22 +56,31 @@ class PairedSample:
 
 class SamplePairing:
     """
-    Pairs readings by equal stamp and hands out the newest pair once.
+    Pairs readings of one time and hands out the newest pair once.
 
     One message of a kind is kept: the two topics are filled together, so what waits is at most
-    the half of the newest sample, and halves that never met are counted.
+    the half of the newest sample, and halves that never met are counted. With a tolerance of half
+    a period two sensors that are read at one rate, but not at one time, always find each other.
+
+    Parameters
+    ----------
+    tolerance
+        Largest difference between the stamps of a pair [ns]; 0 for equal ones alone.
 
     Attributes
     ----------
     unpaired
         Readings that were overtaken before their other half came.
+    apart
+        By how much the stamps of the newest two differ if they are no pair [ns].
 
     """
 
-    def __init__(self) -> None:
+    def __init__(self, tolerance: int = 0) -> None:
         self._joints: JointReading | None = None
         self._wrench: WrenchReading | None = None
-        self.unpaired = 0
+        self._tolerance = tolerance
+        self.unpaired = self.apart = 0
 
     def add_joints(self, reading: JointReading) -> PairedSample | None:
         """Take in a joint state; return the pair if it completes one."""
@@ -86,10 +95,10 @@ class SamplePairing:
         return self._pair()
 
     def take_half(self, after: int) -> JointReading | WrenchReading | None:
-        """Return the newest half that waits, if it is newer than a stamp [ns]."""
+        """Return the newest half that waits, if it is newer than of the sample of a stamp [ns]."""
         halves = [reading for reading in (self._joints, self._wrench) if reading is not None]
         newest = max(halves, key=lambda reading: reading.stamp, default=None)
-        if newest is None or newest.stamp <= after:
+        if newest is None or newest.stamp <= after + self._tolerance:
             return None
         self.unpaired += 1
         if newest is self._joints:
@@ -100,8 +109,13 @@ class SamplePairing:
 
     def _pair(self) -> PairedSample | None:
         joints, wrench = self._joints, self._wrench
-        if joints is None or wrench is None or joints.stamp != wrench.stamp:
+        if joints is None or wrench is None:
             return None
+        if joints.stamp != wrench.stamp and (
+                abs(wrench.stamp - joints.stamp) > self._tolerance):
+            self.apart = wrench.stamp - joints.stamp
+            return None
+        self.apart = 0
         self._joints = self._wrench = None
         return PairedSample(joints.stamp, joints.q, joints.qd, wrench.wrench_sensor, joints.effort)
 

@@ -9,7 +9,12 @@ import sys
 import threading
 
 from lifecycle_msgs.srv import ChangeState, GetState
-from multicontact_control.client import MultiContactClient, NotReachedError
+from multicontact_control.client import (
+    CommandRefusedError,
+    CommandRefusedWarning,
+    MultiContactClient,
+    NotReachedError,
+)
 from multicontact_control.errors import RunError
 from multicontact_control.experiment.graph.domain import reserve_domain
 from multicontact_control.nodes import messages
@@ -103,15 +108,41 @@ def test_client_holds_and_lets_go(arm):
     reached(arm)
     before = arm.read()
     arm.hold()
-    # Refused while it is held: neither force nor place is obeyed.
+    # Refused while it is held: neither force nor place is obeyed, and the client says so.
     arm.set_forces({'table': 12.0})
-    arm.move(before.position_desired + [0.02, 0.0, 0.0], duration=0.2)
+    with pytest.raises(CommandRefusedError, match='contact_forces/command: ~/hold: expected rel'):
+        reached(arm)
+    with pytest.raises(CommandRefusedError, match='refused: motion/command: ~/hold: expected rel'):
+        arm.move(before.position_desired + [0.02, 0.0, 0.0], duration=0.2)
+    assert arm.status().refused > 1
     held = arm.read()
     assert held.forces_desired == {'table': 8.0, 'board': 4.0}
     np.testing.assert_allclose(held.position_desired, before.position_world, atol=0.002)
     arm.hold(False)
     arm.set_forces({'table': 12.0})
     assert reached(arm).forces_desired == {'table': 12.0, 'board': 4.0}
+
+
+def test_client_refuses_contacts_that_are_none_and_says_what_the_controller_refuses(arm):
+    with pytest.raises(RunError, match='expected contacts among table, board, found tabel$'):
+        arm.set_forces({'tabel': 5.0, 'board': 4.0})
+    arm.set_forces({'board': 4.0})
+    reached(arm)
+    arm.set_forces({'board': 99.0})
+    with pytest.raises(CommandRefusedError, match='force on board: expected 0 or 3 to 30 N, fou'):
+        reached(arm)
+    assert reached(arm).forces_desired['board'] == 4.0
+    start = arm.read()
+    with pytest.raises(CommandRefusedError, match='motion/command: position x: expected -0.6 to'):
+        arm.move(start.position_desired + [2.0, 0.0, 0.0], duration=0.3)
+    arm.move(start.position_desired, duration=0.5)
+    arm.set_forces({'board': 99.0})
+    arm.read()
+    while arm.status().last_refusal.startswith('motion'):
+        arm.read()
+    with pytest.warns(CommandRefusedWarning, match='force on board'):
+        arm.set_forces({'board': 4.0})
+    reached(arm)
 
 
 def test_client_tares_where_nothing_touches_only(arm, domain_id):

@@ -50,6 +50,32 @@ def test_pairing_never_mixes_stamps():
     assert pairing.unpaired == 2
 
 
+@pytest.mark.parametrize('offset', [50_000, -50_000, 600_000, -900_000, 1_000_000])
+def test_sensors_that_are_read_at_another_time_of_the_period_are_paired(offset):
+    """Each pair once, at the stamp of the joints, and never with what is a period away."""
+    pairing = SamplePairing(tolerance=PERIOD // 2)
+    sent = sorted([(k * PERIOD, 0, joints(k * PERIOD)) for k in range(1, 8)] + [
+        (k * PERIOD + offset, 1, wrench(k * PERIOD + offset)) for k in range(1, 8)],
+        key=lambda each: each[:2])
+    pairs = [pair for _, kind, reading in sent if (pair := (
+        pairing.add_wrench if kind else pairing.add_joints)(reading)) is not None]
+    assert [pair.stamp for pair in pairs] == [k * PERIOD for k in range(1, 8)]
+    assert all(abs(pair.wrench_sensor[0] - pair.stamp) <= PERIOD // 2 for pair in pairs)
+    assert pairing.unpaired == 0
+
+
+def test_late_half_of_a_sample_that_was_answered_is_none_of_the_next():
+    """The joints alone were answered; their wrench, 50 us newer, is no news."""
+    pairing = SamplePairing(tolerance=PERIOD // 2)
+    pairing.add_joints(joints(PERIOD))
+    assert pairing.take_half(0).stamp == PERIOD
+    assert pairing.add_wrench(wrench(PERIOD + 50_000)) is None
+    assert pairing.take_half(PERIOD) is None
+    assert pairing.add_joints(joints(2 * PERIOD)) is None
+    assert pairing.add_wrench(wrench(2 * PERIOD + 50_000)).stamp == 2 * PERIOD
+    assert SamplePairing().take_half(0) is None
+
+
 @given(st.integers(-2 ** 31 * 10 ** 9, 2 ** 31 * 10 ** 9))
 def test_where_a_clock_starts_does_not_matter(origin):
     clock = SampleClock(H)

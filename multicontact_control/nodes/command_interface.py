@@ -9,7 +9,7 @@ from multicontact_control.control_loop import ControlLoop
 from multicontact_control.errors import MulticontactError
 from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.nodes.controller_config import ControllerNodeConfig
-from multicontact_control.nodes.graph_node import Refusals
+from multicontact_control.nodes.graph_node import create_subscription, Refusals
 from rclpy.node import Node
 from rclpy.subscription import Subscription
 from std_srvs.srv import SetBool, Trigger
@@ -42,7 +42,7 @@ class CommandInterface:
         self._set_bias = set_bias
         self._config = ControllerNodeConfig()
         self.subscriptions: dict[topics.Topic, Subscription] = {
-            topic: node.create_subscription(topic.message, topic.name, callback, qos.COMMAND)
+            topic: create_subscription(node, topic, callback, qos.COMMAND)
             for topic, callback in ((topics.FORCE_COMMAND, self._on_forces),
                                     (topics.MOTION_COMMAND, self._on_motion))}
         self._services = [

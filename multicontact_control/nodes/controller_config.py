@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 import sys
 
 from multicontact_control.config import (
     ControllerConfig,
+    cross_check,
     parameter,
     read_yaml,
     Real,
@@ -20,7 +22,6 @@ from multicontact_control.paths import config_dir
 from multicontact_control.sensor.push_config import PushTestConfig
 from multicontact_control.sensor.tare import TareConfig
 from multicontact_control.supervision.command_limits import CommandLimits
-from pydantic import model_validator
 
 
 class ControllerNodeConfig(ManagedConfig):
@@ -35,6 +36,9 @@ class ControllerNodeConfig(ManagedConfig):
         1.5, 'Periods after a sample from which the next is waited for no longer: what has come '
         'of it is used, and one period later the tick is taken without it. 0 to wait for ever; '
         'only with supervision, and not in lockstep.', ge=0.0, le=100.0)
+    pair_tolerance: Real = parameter(
+        0.5, 'Largest difference between the stamps of a joint state and a wrench that are taken '
+        'for one sample.', unit='periods', ge=0.0, le=0.5)
     reference_file: str = parameter(
         '', 'YAML file of a scenario or its reference; empty to obey the command topics.')
     base_dir: str = parameter(
@@ -53,13 +57,12 @@ class ControllerNodeConfig(ManagedConfig):
         (), 'Where the tool is pushed in the push test, sensor frame, so that the torque channels '
         'are checked too; empty not to.', unit='m')
 
-    @model_validator(mode='after')
-    def _check(self) -> ControllerNodeConfig:
+    @cross_check
+    def _check(self) -> Iterator[ConfigError]:
         if self.patience and self.patience < 1.0:
-            raise ConfigError('patience', '0, or at least 1 period', self.patience)
+            yield ConfigError('patience', '0, or at least 1 period', self.patience)
         if len(self.push_point_sensor) not in (0, 3):
-            raise ConfigError('push_point_sensor', '3 values or none', len(self.push_point_sensor))
-        return self
+            yield ConfigError('push_point_sensor', '3 values or none', len(self.push_point_sensor))
 
     @property
     def folder(self) -> Path:

@@ -20,6 +20,7 @@ from multicontact_control.errors import (
 from multicontact_control.nodes import qos, topics
 from multicontact_control.nodes.command_interface import CommandInterface
 from multicontact_control.nodes.controller_config import ControllerNodeConfig
+from multicontact_control.nodes.controller_events import ControllerEvents
 from multicontact_control.nodes.controller_outputs import Command, ControllerOutputs
 from multicontact_control.nodes.controller_status import (
     contact_status,
@@ -41,6 +42,7 @@ from multicontact_control.nodes.loop_statistics import (
     NANOSECONDS,
 )
 from multicontact_control.nodes.managed_node import ACTIVE, ManagedNode
+from multicontact_control.nodes.missing_inputs import MissingInputs
 from multicontact_control.nodes.raw_messages import (
     effort_reader,
     joint_state_reader,
@@ -53,6 +55,8 @@ import numpy as np
 
 # What is timed of a tick: a message into a reading (twice), the loop, the command, all the rest.
 STAGES = ('read', 'step', 'send', 'show')
+# Samples from which on a rate is known, and the factor from which on it is a wrong one.
+FEWEST, WRONG_RATE = 10, 1.3
 
 
 class ControllerNode(ManagedNode):
@@ -81,6 +85,11 @@ class ControllerNode(ManagedNode):
         self._node_config = ControllerNodeConfig()
         self._watch, self._fresh = LoopStatistics(), Freshness()
         self._pairing = SamplePairing()
+        self._events: ControllerEvents | None = None
+        self._missing: MissingInputs | None = None
+        self._last_taken = self._taken = 0
+        self._reported_at = (0, -1)
+        self._frame_warned = self._apart_told = self._rate_told = False
         self._stages = {stage: DurationLog() for stage in STAGES}
         self._restarts = 0
         self._waiting: PairedSample | None = None
@@ -106,17 +115,40 @@ class ControllerNode(ManagedNode):
         self._wrench = topics.WRENCH if config.wrench_input == 'raw' else topics.WRENCH_FILTERED
         self._readers = {
             topics.NOISE_VARIANCE: effort_reader(config.column_names),
-            self._wrench: wrench_reader(),
+            self._wrench: wrench_reader(config.robot.sensor_frame, self._warn_of_frame),
             topics.JOINT_STATES: joint_state_reader(config.robot.joint_names)}
         callbacks = (self._on_noise_variance, self._on_wrench, self._on_joint_states)
-        profile = qos.INPUT if node_config.lockstep else qos.NEWEST
+        lockstep = node_config.lockstep
+        profile = qos.INPUT if lockstep else qos.NEWEST
         for topic, callback in zip(self._readers, callbacks):
-            self.streams.subscribe(topic, callback, profile)
+            self.streams.subscribe(topic, callback, profile, adapt=(
+                topic is not topics.NOISE_VARIANCE and not lockstep))
+        least = profile if lockstep else qos.SENSOR
+        self._pairing = SamplePairing(
+            round(node_config.pair_tolerance * config.period * NANOSECONDS))
+        contents = (
+            f'an effort [N^2] for each of {", ".join(config.column_names)}; the last R is held',
+            f'force [N] and torque [N m] in the axes of {config.robot.sensor_frame}, stamped',
+            'position and velocity [rad, rad/s] of '
+            f'{", ".join(config.robot.joint_names)}, stamped')
+        self._missing = MissingInputs(
+            self, self._fresh,
+            dict(zip(self._readers, zip((profile, least, least), contents))))
+        self._events = ControllerEvents(self, loop, lambda: self.state)
+        self.refusals.told = self._events.refused
         self._commands = CommandInterface(
             self, loop, self.refusals,
             lambda bias: self.parameter_set.assign('tool.bias_sensor', bias))
         self._commands.adopt(node_config)
         self._forget()
+
+    def _warn_of_frame(self) -> None:
+        """Say that wrenches do not say what frame they are of."""
+        if not self._frame_warned:
+            self._frame_warned = True
+            self.get_logger().warning(
+                f'{self._wrench.name}: header.frame_id is empty: it is taken for '
+                f'{self._configured.config.robot.sensor_frame} (robot.sensor_frame)')
 
     def _set_patience(self, config: ControllerConfig) -> None:
         waits = self._node_config.supervised and not self._node_config.lockstep
@@ -129,6 +161,8 @@ class ControllerNode(ManagedNode):
         self._forget()
         commands = self._commands.subscriptions if self._commands else {}
         outputs = self._outputs.publishers if self._outputs else {}
+        if self._events is not None:
+            outputs = {**outputs, topics.STATUS: self._events.publisher}
         return StartupGate(
             self, outputs, {**self.streams.subscriptions, **commands}, self._node_config)
 
@@ -144,10 +178,12 @@ class ControllerNode(ManagedNode):
 
     def clean_up(self) -> None:
         """Free the controller, and the topics that are no streams."""
-        for ends in (self._commands, self._outputs):
+        for ends in (self._commands, self._outputs, self._events):
             if ends is not None:
                 ends.close()
-        self._loop = self._commands = self._outputs = self._report = None
+        self.refusals.told = lambda source, error: None
+        self._loop = self._commands = self._outputs = self._report = self._events = None
+        self._missing = None
         self._patience.stop()
         self._readers = {}
 
@@ -186,6 +222,8 @@ class ControllerNode(ManagedNode):
         if not self._node_config.lockstep:
             self._waiting = None  # it may be old; in lockstep nothing is
         self._fresh.expect(*(topic.name for topic in self._readers))
+        if self._missing is not None:
+            self._missing.restart()
 
     def _hear(self, topic: topics.Topic) -> int:
         self._heard += 1
@@ -230,6 +268,8 @@ class ControllerNode(ManagedNode):
         if sample is None:
             return
         self._watch.add_period(self._received)
+        self._last_taken = self._received
+        self._taken += 1
         again = self._waiting is not None and self._waiting.stamp == sample.stamp
         self._waiting = sample
         self._answer()
@@ -281,6 +321,9 @@ class ControllerNode(ManagedNode):
     def look(self, spinner: Spinner) -> None:
         """Go on with half a sample, or without any, if it is time."""
         loop, due, heard = self._loop, self._patience.due, -1
+        if self._missing is not None and self.state == ACTIVE:
+            self._missing.poll()
+        self.streams.meet_publishers()
         if loop is None or not due or time.monotonic_ns() < due:
             return
         while heard != self._heard and not spinner.stop:
@@ -326,6 +369,8 @@ class ControllerNode(ManagedNode):
             stages['step'].add(answered - start)
             stages['send'].add(sent - answered)
             stages['show'].add(time.perf_counter_ns() - sent)
+        if self._events is not None:
+            self._events.look()
 
     def _show(self, loop: ControlLoop, stamp: int) -> None:
         if self._outputs is not None and loop.output is not None:
@@ -342,6 +387,8 @@ class ControllerNode(ManagedNode):
     def statuses(self) -> list[Status]:
         """Return what diagnostics report."""
         loop = self._configured
+        if self._events is not None:
+            self._events.repeat()
         self._watch.missed, loop.skipped = loop.skipped, 0
         timing = {**self._watch.report(), 'steps': self._stages['step'].count,
                   'restarts': self._restarts, 'safe_behaviour': loop.safe,
@@ -349,7 +396,9 @@ class ControllerNode(ManagedNode):
         missed = timing['deadline_misses']
         statuses = [
             Status('loop', timing,
-                   warning=f'{missed} samples without a command' if missed else ''),
+                   warning='; '.join(filter(None, (
+                       f'{missed} samples without a command' if missed else '',
+                       self._without_pairs(loop), self._at_another_rate(loop))))),
             input_status(self._fresh, STALE_PERIODS * loop.config.period,
                          needed=self.state == ACTIVE,
                          consequence=self._without_variance(loop)),
@@ -359,6 +408,38 @@ class ControllerNode(ManagedNode):
         if loop.supervisor is not None and self._report is not None:
             statuses.append(self._report.status())
         return statuses
+
+    def _at_another_rate(self, loop: ControlLoop) -> str:
+        """Say at what rate samples have come since this was asked last, if it is a wrong one."""
+        (taken, stamp), self._reported_at = self._reported_at, (self._taken, loop.last_stamp)
+        count, elapsed = self._taken - taken, (loop.last_stamp - stamp) / NANOSECONDS
+        if self.state != ACTIVE or stamp < 0 or count < FEWEST or elapsed <= 0.0:
+            return ''
+        rate, expected = count / elapsed, loop.config.rate
+        if expected / WRONG_RATE < rate < expected * WRONG_RATE:
+            return ''
+        text = f'samples come at {rate:.4g} Hz: expected {expected:g} Hz (rate)'
+        if not self._rate_told:
+            self._rate_told = True
+            self.get_logger().warning(text)
+        return text
+
+    def _without_pairs(self, loop: ControlLoop) -> str:
+        """Return how far joint states and wrenches are apart if none of them is a pair."""
+        ages = self._fresh.ages()
+        both = [ages.get(topic.name) for topic in (topics.JOINT_STATES, self._wrench)]
+        since = (time.monotonic_ns() - self._last_taken) / NANOSECONDS
+        if self.state != ACTIVE or since < 1.0 or not self._pairing.apart or any(
+                age is None or age > 1.0 for age in both):
+            return ''
+        text = (f'{topics.JOINT_STATES.name} and {self._wrench.name} come, but their stamps are '
+                f'{abs(self._pairing.apart) * 1e-6:.6g} ms apart: expected at most '
+                f'{self._node_config.pair_tolerance:g} periods of {1e3 * loop.config.period:g} ms '
+                '(pair_tolerance), of one clock')
+        if not self._apart_told:
+            self._apart_told = True
+            self.get_logger().warning(text)
+        return text
 
     def _without_variance(self, loop: ControlLoop) -> str:
         """Return what is done about an R that is not renewed, nothing if it is."""

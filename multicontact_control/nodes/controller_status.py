@@ -36,8 +36,9 @@ class SupervisorReport:
         values |= {f'limited {name}': n for name, n in counts[2].items()}
         causes = ', '.join(status.causes)
         if SEVERITY.index(status.reaction) > SEVERITY.index(INFLATE):
-            return Status('supervisor', values,
-                          error=f'{status.reaction} instead of control: {causes}')
+            outside = loop.supervisor.outside if loop.supervisor is not None else ()
+            return Status('supervisor', values, error=': '.join(filter(None, (
+                f'{status.reaction} instead of control: {causes}', '; '.join(outside)))))
         return Status('supervisor', values, warning='; '.join(filter(None, [
             f'R is inflated: {causes}' if status.reaction == INFLATE else '',
             _told_rates(loop),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 import time
 from typing import Any
@@ -15,16 +15,21 @@ from multicontact_control.nodes import qos
 from multicontact_control.nodes.runtime import loaded_kernels
 from multicontact_control.nodes.topics import Topic
 from multicontact_control.process import claim_processor, describe_claim
+from rclpy.clock import Clock, ClockType
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
+from rclpy.timer import Timer
 from std_msgs.msg import Empty
 
 GATE_POLL = 0.02
 REPORT_PERIOD = 5.0
 NAMED = 3  # connections that a line names
+NAME_DELAY = 0.5  # s
+STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 
 
 class StartupConfig(Config):
@@ -55,8 +60,97 @@ class StartupConfig(Config):
 
 
 def create_publisher(node: Node, topic: Topic) -> Publisher:
-    """Create the publisher of a topic of the table."""
-    return node.create_publisher(topic.message, topic.name, topic.profile)
+    """Create the publisher of a topic of the table; readers it cannot serve are logged."""
+    return node.create_publisher(
+        topic.message, topic.name, topic.profile, event_callbacks=PublisherEventCallbacks(
+            incompatible_qos=_name_mismatches(
+                node, topic.name, lambda: topic.profile, publishing=True)))
+
+
+def create_subscription(
+    node: Node, topic: Topic, callback: Callable[[Any], None], profile: QoSProfile, *,
+    raw: bool = False, asked: Callable[[], QoSProfile] | None = None,
+) -> Subscription:
+    """
+    Subscribe to a topic of the table; publishers that cannot serve it are logged.
+
+    Parameters
+    ----------
+    node, topic, callback, profile, raw
+        As for rclpy.
+    asked
+        Returns the quality of service that is asked for by then, if that may change.
+
+    """
+    return node.create_subscription(
+        topic.message, topic.name, callback, profile, raw=raw,
+        event_callbacks=SubscriptionEventCallbacks(
+            incompatible_qos=_name_mismatches(
+                node, topic.name, asked or (lambda: profile), publishing=False)))
+
+
+def _name_mismatches(
+    node: Node, name: str, profile: Callable[[], QoSProfile], *, publishing: bool,
+) -> Callable[[Any], None]:
+    """Return a callback that logs whom an end of a topic cannot connect to, and why."""
+    timers: list[Timer] = []
+
+    def tell() -> None:
+        node.destroy_timer(timers.pop())
+        full = node.resolve_topic_name(name)
+        unlike = quality_mismatches(node, full, profile(), publishing=publishing)
+        if unlike:  # otherwise it has gone
+            node.get_logger().error(f'{full}: {"; ".join(unlike)}')
+
+    def wait(_event: object) -> None:
+        # The name of its node is known a little later than the end of a topic.
+        if not timers:
+            timers.append(node.create_timer(NAME_DELAY, tell, clock=STEADY))
+
+    return wait
+
+
+def served_profile(node: Node, full_name: str, profile: QoSProfile) -> QoSProfile:
+    """
+    Return with which quality of service every publisher of a topic that is known can be heard.
+
+    That is the one that is asked for, or best effort and volatile: a reader that asks for more
+    than a publisher gives gets nothing at all from it.
+    """
+    return qos.profile(profile.depth, reliable=False) if quality_mismatches(
+        node, full_name, profile, publishing=False) else profile
+
+
+def quality_mismatches(
+    node: Node, full_name: str, profile: QoSProfile, *, publishing: bool,
+) -> list[str]:
+    """
+    Return with whom an end of a topic cannot connect, and by which policy.
+
+    Parameters
+    ----------
+    node
+        Whose end it is.
+    full_name, profile
+        Of the topic, and of this end.
+    publishing
+        Whether it is the publisher's.
+
+    """
+    others = (node.get_subscriptions_info_by_topic if publishing
+              else node.get_publishers_info_by_topic)(full_name)
+    found = []
+    for other in others:
+        offered, requested = (profile, other.qos_profile) if publishing else (
+            other.qos_profile, profile)
+        policies = _unlike_policies(offered, requested)
+        if policies:
+            who = f'{other.node_namespace.rstrip("/")}/{other.node_name}'
+            found.append(
+                f'no message goes {"to" if publishing else "from"} {who}: ' + ', '.join(
+                    f'{policy} is {offers} by the publisher and {wants} by the subscriber'
+                    for policy, offers, wants in policies))
+    return found
 
 
 def take(subscription: Subscription) -> tuple[Any, dict[str, Any]] | None:
@@ -78,17 +172,29 @@ def ready_topic(node_name: str) -> str:
 
 
 class Refusals:
-    """Counts what was refused, and logs it once per cause."""
+    """
+    Counts what was refused, and logs it once per cause.
+
+    Attributes
+    ----------
+    counts
+        By cause.
+    told
+        Called with source and error of everything that is refused.
+
+    """
 
     def __init__(self, logger: RcutilsLogger) -> None:
         self._logger = logger
         self._guards: dict[Topic, _Guard] = {}
         self.counts: Counter[str] = Counter()
+        self.told: Callable[[str, Exception], None] = lambda source, error: None
 
     def refuse(self, source: str, error: Exception) -> None:
         """Take note of what came from a topic, service or parameter and cannot be used."""
         cause = f'{source}: {getattr(error, "cause", error)}'
         self.counts[cause] += 1
+        self.told(source, error)
         if self.counts[cause] == 1:
             self._logger.error(f'{source}: refused: {error} (further ones are only counted)')
 
@@ -239,8 +345,17 @@ def _can_connect(offered: QoSProfile, requested: QoSProfile) -> bool:
 
     rclpy's own check takes the endless deadline of a discovered reader for one that is set.
     """
-    unreliable = offered.reliability == ReliabilityPolicy.BEST_EFFORT
-    unlatched = offered.durability == DurabilityPolicy.VOLATILE
-    return not (
-        (unreliable and requested.reliability == ReliabilityPolicy.RELIABLE)
-        or (unlatched and requested.durability == DurabilityPolicy.TRANSIENT_LOCAL))
+    return not _unlike_policies(offered, requested)
+
+
+def _unlike_policies(offered: QoSProfile, requested: QoSProfile) -> list[tuple[str, str, str]]:
+    """Return policies of which less is offered than requested, and what is."""
+    found = []
+    if offered.reliability == ReliabilityPolicy.BEST_EFFORT and (
+            requested.reliability == ReliabilityPolicy.RELIABLE):
+        found.append(('reliability', 'best effort', 'reliable'))
+    if offered.durability == DurabilityPolicy.VOLATILE and (
+            requested.durability == DurabilityPolicy.TRANSIENT_LOCAL):
+        found.append(('durability', 'volatile', 'transient local'))
+    return [(policy, f'offered as {offers}', f'requested as {wants}')
+            for policy, offers, wants in found]

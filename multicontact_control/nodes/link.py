@@ -16,7 +16,7 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from multicontact_control.errors import RunError
 from multicontact_control.nodes import qos
-from multicontact_control.nodes.graph_node import create_publisher, take
+from multicontact_control.nodes.graph_node import create_publisher, ignore, take
 from multicontact_control.nodes.runtime import prepare_environment
 from multicontact_control.nodes.topics import Topic
 from rclpy.context import Context
@@ -277,6 +277,8 @@ class ControllerLink(LifecycleDriver):
     ----------
     topics
         What to listen to.
+    queued
+        What to listen to without losing anything.
     namespace, domain_id
         Where the controller is.
     timeout
@@ -285,10 +287,15 @@ class ControllerLink(LifecycleDriver):
     """
 
     def __init__(
-        self, topics: Sequence[Topic], *, namespace: str, domain_id: int | None, timeout: float,
+        self, topics: Sequence[Topic], *, queued: Sequence[Topic] = (), namespace: str,
+        domain_id: int | None, timeout: float,
     ) -> None:
         super().__init__(domain_id, namespace=namespace, patience=timeout,
                          name=f'multicontact_client_{os.getpid()}')
+        self._queues: dict[Topic, Subscription] = {
+            topic: self.node.create_subscription(
+                topic.message, topic.name, ignore, qos.QUEUE)
+            for topic in queued}
         self._newest: dict[Topic, Any] = {}
         self._subscriptions: dict[Topic, Subscription] = {
             topic: self.node.create_subscription(
@@ -337,6 +344,22 @@ class ControllerLink(LifecycleDriver):
             self.newest(topic)
             self._newest.pop(topic, None)
         return [self._wait_for(topic) for topic in topics]
+
+    def queue(self, topic: Topic) -> list[Any]:
+        """Return the messages of a topic that have come since this was called last."""
+        found = []
+        while (taken := take(self._queues[topic])) is not None:
+            found.append(taken[0])
+        return found
+
+    def is_heard(self, topic: Topic, timeout: float) -> bool:
+        """Return whether somebody publishes a topic, looking for up to a time [s]."""
+        give_up = time.monotonic() + timeout
+        while self._queues[topic].get_publisher_count() == 0:
+            if time.monotonic() > give_up:
+                return False
+            time.sleep(POLL_PERIOD)
+        return True
 
     def newest(self, topic: Topic) -> Any | None:
         """Return the newest message of a topic, None if none has come so far."""

@@ -98,6 +98,30 @@ def _ordered(
     return numbers[[found.index(name) for name in names]]
 
 
+def places_among(found: Sequence[str], names: Sequence[str]) -> list[int]:
+    """
+    Return where names are among others.
+
+    Raises
+    ------
+    MessageError
+        If one is not there, or twice.
+
+    """
+    others = list(found)
+    missing = [name for name in names if others.count(name) != 1]
+    if missing:
+        raise MessageError('name', f'each of {list(names)} once', others)
+    return [others.index(name) for name in names]
+
+
+def _picked(message: JointState, places: Sequence[int], field: str, values: Any) -> Vector:
+    """Return the numbers at some places of a field that has one per name."""
+    if len(values) != len(message.name):
+        raise MessageError(field, f'{len(message.name)} values', f'{len(values)}')
+    return finite_array([values[place] for place in places], len(places), field)
+
+
 def read_joint_state(message: JointState, names: Sequence[str]) -> JointReading:
     """
     Read positions and velocities, and the effort if it is there: not every robot measures it.
@@ -105,18 +129,19 @@ def read_joint_state(message: JointState, names: Sequence[str]) -> JointReading:
     Parameters
     ----------
     message
-        Joint states in any order.
+        Joint states in any order, of a gripper's joints too.
     names
-        The joints that must be there, no more and no fewer, in the order to return.
+        The joints that must be there, in the order to return.
 
     """
+    places = places_among(message.name, names)
     effort = None
     with contextlib.suppress(MessageError):
-        effort = _ordered(message, names, 'effort', message.effort)
+        effort = _picked(message, places, 'effort', message.effort)
     return JointReading(
         stamp_to_ns(message.header.stamp),
-        _ordered(message, names, 'position', message.position),
-        _ordered(message, names, 'velocity', message.velocity), effort)
+        _picked(message, places, 'position', message.position),
+        _picked(message, places, 'velocity', message.velocity), effort)
 
 
 def read_effort(message: JointState, names: Sequence[str]) -> NamedReading:
@@ -156,8 +181,22 @@ def read_force_command(
     return ({}, numbers) if field == 'position' else (numbers, {})
 
 
-def read_wrench(message: WrenchStamped) -> WrenchReading:
-    """Read a wrench, force first."""
+def read_wrench(message: WrenchStamped, frame: str = '') -> WrenchReading:
+    """
+    Read a wrench, force first.
+
+    Parameters
+    ----------
+    message
+        The wrench.
+    frame
+        Frame that it must be of; empty for any. A message that names none is taken at its word.
+
+    """
+    found = message.header.frame_id.lstrip('/')
+    if frame and found and found != frame:
+        raise MessageError('header.frame_id', f"'{frame}' (robot.sensor_frame), or none",
+                           f"'{found}'")
     force, torque = message.wrench.force, message.wrench.torque
     values = (force.x, force.y, force.z, torque.x, torque.y, torque.z)
     return WrenchReading(

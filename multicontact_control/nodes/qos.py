@@ -33,8 +33,17 @@ NEWEST = profile(4)
 was late by more goes on with the newest samples. What it overtakes is counted; to work through it
 one by one would keep it late. Not in lockstep, where nobody is late."""
 
+SENSOR = profile(4, reliable=False)
+"""What joint states and wrenches must have at least in real time. They are subscribed to as
+NEWEST, and best effort where they are published so, as many drivers do: a reader that asks for
+reliability gets nothing from these. What is lost then is a missing sample like any other. In
+lockstep they are INPUT: there a loss would stop everything."""
+
 COMMAND = profile(10)
 """What a user sends now and then: no command may be lost, nor an old one be replayed."""
+
+QUEUE = profile(1000)
+"""A client, of what a controller tells it now and then: it may not look for minutes."""
 
 REPORT = profile(10)
 """Diagnostics: one a second and node; a viewer that is late wants the last few of each."""

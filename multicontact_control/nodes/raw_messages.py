@@ -24,6 +24,7 @@ from multicontact_control.nodes.loop_statistics import NANOSECONDS
 from multicontact_control.nodes.messages import all_finite, InnovationReading, NamedReading
 from multicontact_control.sampling import JointReading, WrenchReading
 import numpy as np
+from numpy.typing import NDArray
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 
@@ -36,6 +37,8 @@ JOINT_FIELDS = ('position', 'velocity', 'effort')
 STAMP_TYPE = 'builtin_interfaces/Time'
 
 Reading = TypeVar('Reading')
+Index = NDArray[np.int64]
+Arrangement = tuple[Sequence[int], Index | None]
 
 
 @dataclass
@@ -246,8 +249,8 @@ class MessageReader(Generic[Reading]):
     by_class
         Reads a message; raises `MessageError` if it cannot be used.
     arrange
-        Returns which runs of its numbers make up a reading, None if they are not in the order
-        that is asked for.
+        Returns which runs of its numbers make up a reading, and which numbers of each, None for
+        all as they are; or None if it cannot be read in place.
     by_numbers
         Makes the reading of a stamp and these runs.
 
@@ -260,13 +263,14 @@ class MessageReader(Generic[Reading]):
 
     def __init__(
         self, message_class: Any, by_class: Callable[[Any], Reading],
-        arrange: Callable[[Any], Sequence[int] | None],
+        arrange: Callable[[Any], Arrangement | None],
         by_numbers: Callable[..., Reading],
     ) -> None:
         self._class = message_class
         self._by_class, self._arrange, self._by_numbers = by_class, arrange, by_numbers
         self._template: MessageTemplate | None = None
         self._runs: Sequence[int] = ()
+        self._places: Index | None = None
         self.slow = 0
 
     def read(self, data: bytes) -> Reading:
@@ -283,6 +287,8 @@ class MessageReader(Generic[Reading]):
         if found is not None:
             stamp, numbers = found
             runs = [numbers[run] for run in self._runs]
+            if self._places is not None:
+                runs = [run[self._places] for run in runs]
             if all(map(all_finite, runs)):
                 return self._by_numbers(stamp, *runs)
         return self._read_by_class(data)
@@ -295,9 +301,10 @@ class MessageReader(Generic[Reading]):
         except Exception as error:  # of whatever kind the middleware raises
             raise MessageError('data', f'a {self._class.__name__}', error) from None
         reading = self._by_class(message)
-        runs = self._arrange(message)
-        if runs is not None and data[:2] == LITTLE_ENDIAN:
-            self._template, self._runs = MessageTemplate(self._class, data), runs
+        arrangement = self._arrange(message)
+        if arrangement is not None and data[:2] == LITTLE_ENDIAN:
+            self._template = MessageTemplate(self._class, data)
+            self._runs, self._places = arrangement
         return reading
 
 
@@ -306,9 +313,16 @@ def joint_state_reader(names: Sequence[str]) -> MessageReader[JointReading]:
     def make(stamp: int, q: Vector, qd: Vector, effort: Vector | None = None) -> JointReading:
         return JointReading(stamp, q, qd, effort)
 
-    def arrange(message: Any) -> Sequence[int] | None:
-        with_effort = len(message.effort) == len(names) and all(map(math.isfinite, message.effort))
-        return _named_runs(message, names, JOINT_FIELDS if with_effort else JOINT_FIELDS[:2])
+    def arrange(message: Any) -> Arrangement | None:
+        if not names:
+            return None
+        places = messages.places_among(message.name, names)
+        efforts = message.effort
+        with_effort = len(efforts) == len(message.name) and all(
+            math.isfinite(efforts[place]) for place in places)
+        as_they_are = places == list(range(len(message.name)))
+        return (_runs(message, JOINT_FIELDS if with_effort else JOINT_FIELDS[:2]),
+                None if as_they_are else np.array(places))
 
     return MessageReader(
         JointState, lambda message: messages.read_joint_state(message, names), arrange, make)
@@ -331,18 +345,41 @@ def innovation_reader(names: Sequence[str]) -> MessageReader[InnovationReading]:
         lambda message: _named_runs(message, names, JOINT_FIELDS), make)
 
 
-def wrench_reader() -> MessageReader[WrenchReading]:
-    """Return a reader of wrenches, force first."""
+def wrench_reader(
+    frame: str = '', on_nameless: Callable[[], None] = lambda: None,
+) -> MessageReader[WrenchReading]:
+    """
+    Return a reader of wrenches, force first.
+
+    Parameters
+    ----------
+    frame
+        Frame that they must be of; see `messages.read_wrench`.
+    on_nameless
+        Called when messages begin to come that name no frame.
+
+    """
+    def by_class(message: Any) -> WrenchReading:
+        reading = messages.read_wrench(message, frame)
+        if frame and not message.header.frame_id:
+            on_nameless()
+        return reading
+
     return MessageReader(
-        WrenchStamped, messages.read_wrench, lambda message: (0,), WrenchReading)
+        WrenchStamped, by_class, lambda message: ((0,), None), WrenchReading)
 
 
 def _named_runs(
     message: Any, names: Sequence[str], fields: Sequence[str],
-) -> Sequence[int] | None:
+) -> Arrangement | None:
     """Return which runs of numbers fields of a JointState are, None in another order."""
     if not names or list(message.name) != list(names):
         return None
+    return _runs(message, fields), None
+
+
+def _runs(message: Any, fields: Sequence[str]) -> Sequence[int]:
+    """Return which runs of numbers of a JointState its fields are."""
     filled = [field for field in JOINT_FIELDS if len(getattr(message, field))]
     return [filled.index(field) for field in fields]
 

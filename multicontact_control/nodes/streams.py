@@ -9,7 +9,11 @@ from typing import Any
 
 from multicontact_control.arrays import Vector
 from multicontact_control.nodes import topics
-from multicontact_control.nodes.graph_node import create_publisher
+from multicontact_control.nodes.graph_node import (
+    create_publisher,
+    create_subscription,
+    served_profile,
+)
 from multicontact_control.nodes.local_delivery import LocalDelivery, LocalSubscription
 from multicontact_control.nodes.raw_messages import MessageTemplate, template_of
 from multicontact_control.nodes.recording_batch import RecordingBatch
@@ -20,6 +24,7 @@ from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 
 POLL_PERIOD = 20_000_000  # ns, between two batches for the recorder
+MEETING_PERIOD = 100_000_000  # ns, between two looks at publishers that are not heard
 POLLS_PER_LOOK = 5  # between two looks who listens
 
 
@@ -70,19 +75,65 @@ class Streams:
         self._outputs: dict[Topic, _Output] = {}
         self._batch: RecordingBatch | None = None
         self._batch_publisher: Publisher | None = None
-        self._polls = self._next_poll = 0
+        self._polls = self._next_poll = self._next_meeting = 0
+        self._adaptive: dict[Topic, QoSProfile] = {}
+        self._callbacks: dict[Topic, Callable[[bytes], None]] = {}
 
     def subscribe(
-        self, topic: Topic, callback: Callable[[bytes], None], profile: QoSProfile,
+        self, topic: Topic, callback: Callable[[bytes], None], profile: QoSProfile, *,
+        adapt: bool = False,
     ) -> None:
-        """Call back with every message of a topic of the table."""
+        """
+        Call back with every message of a topic of the table.
+
+        Parameters
+        ----------
+        topic, callback
+            Which, and what to call.
+        profile
+            Quality of service to ask for.
+        adapt
+            Whether to be content with less where a publisher gives less; see `meet_publishers`.
+
+        """
         end: Subscription | LocalSubscription
         if topic.publisher in self._local.members:
             end = self._local.subscribe(self._node.resolve_topic_name(topic.name), callback)
         else:
-            end = self._node.create_subscription(
-                topic.message, topic.name, callback, profile, raw=True)
+            if adapt:
+                profile = self._adaptive[topic] = self._served(topic, profile)
+            self._callbacks[topic] = callback
+            end = self._create(topic, profile)
         self.subscriptions[topic] = end
+
+    def _create(self, topic: Topic, profile: QoSProfile) -> Subscription:
+        return create_subscription(
+            self._node, topic, self._callbacks[topic], profile, raw=True,
+            asked=lambda: self._adaptive.get(topic, profile))
+
+    def _served(self, topic: Topic, profile: QoSProfile) -> QoSProfile:
+        """Return how a topic can be heard; see `served_profile`."""
+        served = served_profile(self._node, self._node.resolve_topic_name(topic.name), profile)
+        if served is not profile:
+            self._node.get_logger().info(
+                f'{topic.name}: subscribed best effort, as it is published')
+        return served
+
+    def meet_publishers(self) -> None:
+        """Ask for less on topics that nobody is heard on, if it is published with less."""
+        now = time.monotonic_ns()
+        if now < self._next_meeting:
+            return
+        self._next_meeting = now + MEETING_PERIOD
+        for topic, profile in self._adaptive.items():
+            end = self.subscriptions[topic]
+            if end.get_publisher_count():
+                continue
+            served = self._served(topic, profile)
+            if served is not profile:
+                self._node.destroy_subscription(end)
+                self._adaptive[topic] = served
+                self.subscriptions[topic] = self._create(topic, served)
 
     def advertise(self, patterns: dict[Topic, Any], *, batched: bool = False) -> None:
         """
@@ -176,4 +227,5 @@ class Streams:
             else:
                 self._node.destroy_subscription(subscription)
         self.publishers, self.subscriptions, self._outputs = {}, {}, {}
+        self._adaptive, self._callbacks = {}, {}
         self._batch = self._batch_publisher = None

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from multicontact_control.nodes import qos
 from rclpy.qos import QoSProfile
@@ -95,6 +95,9 @@ FORCE_COMMAND = Topic(
     'contact_forces/command', JointState, USER, (RECORDER,), qos.COMMAND, 'event')
 MOTION_COMMAND = Topic(
     'motion/command', MultiDOFJointTrajectoryPoint, USER, (RECORDER,), qos.COMMAND, 'event')
+# `~/status` of the controller: a message for every command it refuses and change of its state.
+STATUS = Topic(
+    f'{CONTROLLER}/status', DiagnosticStatus, CONTROLLER, (RECORDER,), qos.COMMAND, 'event')
 ROBOT_DESCRIPTION = Topic(
     'robot_description', String, SIM, (RECORDER,), qos.LATCHED, 'event')
 CONTACT_MARKERS = Topic(
@@ -108,7 +111,7 @@ TOPICS: tuple[Topic, ...] = (
     JOINT_STATES, WRENCH, WRENCH_FILTERED, TRUE_FORCES, EFFORT_COMMAND, MEASURED_FORCES,
     ESTIMATED_FORCES, DESIRED_FORCES, INNOVATION, STIFFNESS, STABILITY_MARGIN, POSE,
     POSE_DESIRED, NOISE_VARIANCE,
-    FORCE_COMMAND, MOTION_COMMAND, ROBOT_DESCRIPTION, CONTACT_MARKERS,
+    FORCE_COMMAND, MOTION_COMMAND, STATUS, ROBOT_DESCRIPTION, CONTACT_MARKERS,
     DIAGNOSTICS, CLOCK)
 
 

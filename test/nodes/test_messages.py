@@ -53,8 +53,8 @@ def test_read_joint_state_follows_names_not_places():
 
 
 @pytest.mark.parametrize(('changes', 'match'), [
-    ({'name': ['a', 'b']}, r"name: expected \['a', 'b', 'c'\], found \['a', 'b'\]"),
-    ({'name': ['a', 'b', 'd']}, r"name: expected .*'c'\], found .*'d'\]"),
+    ({'name': ['a', 'b']}, r"name: expected each of \['a', 'b', 'c'\] once, found \['a', 'b'\]"),
+    ({'name': ['a', 'b', 'd']}, r"name: expected .*'c'\] once, found .*'d'\]"),
     ({'name': ['a', 'b', 'b']}, 'name: expected'),
     ({'position': [1.0, 2.0]}, 'position: expected 3 values, found 2'),
     ({'velocity': []}, 'velocity: expected 3 values, found 0'),

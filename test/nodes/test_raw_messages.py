@@ -59,6 +59,45 @@ def outcome(read, data):
         return str(error)
 
 
+def test_joints_among_others_are_read_in_place():
+    """A gripper's joints are passed over, whatever their numbers; ours come in our order."""
+    reader = joint_state_reader(['a', 'b', 'c'])
+    for k in range(4):
+        message = JointState(
+            header=Header(stamp=messages.ns_to_stamp(STAMP + k)), name=['f', 'c', 'a', 'b'],
+            position=[math.nan, 3.0 + k, 1.0, 2.0], velocity=[0.0, 30.0, 10.0, 20.0],
+            effort=[math.inf, 300.0, 100.0, 200.0])
+        found = reader.read(serialize_message(message))
+        assert found.stamp == STAMP + k
+        assert found.q.tolist() == [1.0, 2.0, 3.0 + k]
+        assert found.qd.tolist() == [10.0, 20.0, 30.0]
+        assert found.effort.tolist() == [100.0, 200.0, 300.0]
+        assert found.q.flags.c_contiguous
+    assert reader.slow == 1
+    message.name = ['f', 'g', 'a', 'b']
+    with pytest.raises(MessageError, match=r"name: expected each of \['a', 'b', 'c'\] once"):
+        reader.read(serialize_message(message))
+    assert reader.slow == 2
+
+
+def test_wrench_of_another_frame_is_refused_and_one_of_none_is_told_once():
+    told = []
+    reader = wrench_reader('ft', lambda: told.append(1))
+
+    def send(frame):
+        return reader.read(serialize_message(
+            messages.wrench_message(STAMP, np.arange(6.0), frame)))
+
+    for frame in ('ft', '/ft', 'ft', 'ft'):
+        np.testing.assert_array_equal(send(frame).wrench_sensor, np.arange(6.0))
+    assert (reader.slow, told) == (3, [])
+    for frame in ('', '', ''):
+        send(frame)
+    assert told == [1]
+    with pytest.raises(MessageError, match="header.frame_id: expected 'ft' .*, found 'tool0'"):
+        send('tool0')
+
+
 @settings(max_examples=300, deadline=None)
 @given(sent=st.lists(joint_states(), min_size=1, max_size=4), repeat=st.booleans(),
        data=st.data())
@@ -131,8 +170,12 @@ def test_a_stream_in_another_order_is_read_rightly_and_counted():
     shuffled = good(name=['joint5', *good().name[:5]])
     np.testing.assert_array_equal(reader.read(serialize_message(shuffled)).q[5], 0.0)
     assert reader.slow == 2
-    reader.read(serialize_message(good()))
-    assert reader.slow == 2, 'the layout in order is still known'
+    shuffled.velocity[0] = 1.0
+    assert reader.read(serialize_message(shuffled)).qd[5] == 1.0
+    assert reader.slow == 2, 'the other order is known'
+    for _ in range(2):
+        reader.read(serialize_message(good()))
+    assert reader.slow == 3
 
 
 def test_what_fills_up_the_end_and_the_gaps_does_not_matter():

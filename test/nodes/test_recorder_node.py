@@ -8,7 +8,7 @@ import time
 
 from mcap.exceptions import McapError
 from mcap.reader import NonSeekingReader
-from multicontact_control.nodes import messages, topics
+from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.nodes.graph_node import ready_topic
 import pytest
 from rclpy.duration import Duration
@@ -82,6 +82,21 @@ def test_recorder_keeps_every_message_and_closes_the_bag(
     counts = json.loads(counts_file.read_text(encoding='utf-8'))
     assert (counts['messages'], counts['lost'], counts['before_start']) == (
         COUNT * len(RECORDED), 0, 0)
+
+
+def test_what_is_published_best_effort_is_recorded_so(middleware, tmp_path):
+    publisher = middleware.node.create_publisher(JointState, 'joint_states', qos.SENSOR)
+    process = middleware.start(
+        RECORDER, f'folder:={tmp_path / "bag"}', 'topics:=["joint_states"]')
+    wait_for(publisher.get_subscription_count, 'a reader that asks for no more')
+    for k in range(50):
+        publisher.publish(messages.joint_state_message(k, ['a'], effort=[k]))
+        time.sleep(0.005)
+    process.send_signal(signal.SIGINT)
+    _, errors = end_of(process)
+    assert 'joint_states: recorded best effort, as published' in errors
+    with Reader(tmp_path / 'bag') as reader:
+        assert sum(x.msgcount for x in reader.connections) > 25
 
 
 def test_recorder_that_is_killed_leaves_all_whole_chunks(middleware, publishers, tmp_path):
