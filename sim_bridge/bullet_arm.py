@@ -57,9 +57,9 @@ class BulletArm:
         """Apply a force [N] at a point [m] of the tool for one step, world axes."""
         self._push(self._tool, force, point)
 
-    def push_wrist(self, force: list[float], point: list[float]) -> None:
-        """Apply a force [N] at a point [m] of the last link for one step, world axes."""
-        self._push(self._joints[-1], force, point)
+    def push_link(self, joint: int, force: list[float], point: list[float]) -> None:
+        """Apply a force [N] at a point [m] of the link behind a joint for one step, world axes."""
+        self._push(self._joints[joint], force, point)
 
     def _push(self, link: int, force: list[float], point: list[float]) -> None:
         bullet.applyExternalForce(

@@ -23,7 +23,10 @@ MAX_ACTUATOR_DELAY = 5
 class SurfaceConfig(Config):
     """One compliant, rough surface that one bar tip may touch."""
 
-    tip_link: str = parameter(..., 'URDF link at the tip that meets this surface.')
+    tip_link: str = parameter(
+        ..., 'URDF link that meets this surface, at the tip of the tool or anywhere on the arm.')
+    tip_point: Vector3 = parameter(
+        (0.0, 0.0, 0.0), 'What of it does, in its own axes.', unit='m')
     contact: str = parameter(
         '', 'Contact that this tip is a part of, as an end of an edge or a corner of a plane; '
         'empty for a contact of its own, named as the surface.')

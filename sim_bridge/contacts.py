@@ -20,7 +20,7 @@ from sim_bridge.surface import build_surfaces, press
 
 class Contacts:
     """
-    The bar tips and the surfaces they may touch.
+    The bar tips, and other points of the arm, and the surfaces they may touch.
 
     Parameters
     ----------
@@ -38,6 +38,8 @@ class Contacts:
     forces_world, points_world
         Forces of robot on surface or obstacle, friction included, and where, shape (no, 3) [N],
         [m].
+    carriers
+        Number of the joint that carries each of these points.
     wrist_world
         Origin of the last link, shape (3,) [m].
     load
@@ -54,7 +56,8 @@ class Contacts:
         self._surfaces: Any
         self._surfaces, self._heights, self._slopes = build_surfaces(
             [config.surfaces[name] for name in names], generators)
-        self._surfaces['tip'] = _tip_positions(model, config)
+        self._surfaces['joint'], self._surfaces['tip'] = _carried_tips(model, config)
+        self.carriers: list[int] = self._surfaces['joint'].tolist()
         self.pressed: Vector = self._surfaces['alpha']
         self._columns: Matrix | None = None
         if config.column_names != names[:len(config.column_names)]:
@@ -119,11 +122,13 @@ class Contacts:
                                 self._slopes, self.load)
 
 
-def _tip_positions(model: pin.Model, config: PlantConfig) -> Matrix:
-    """Return the tip that may meet each surface, in the last link's frame, shape (no, 3) [m]."""
-    links = [config.surfaces[name].tip_link for name in config.met]
-    frames = [model.frames[model.getFrameId(link)] for link in links]
-    return np.array([frame.placement.translation for frame in frames]).reshape(-1, 3)
+def _carried_tips(model: pin.Model, config: PlantConfig) -> tuple[list[int], Matrix]:
+    """Return the joint that carries each tip, and the tip in its frame, shape (no, 3) [m]."""
+    surfaces = [config.surfaces[name] for name in config.met]
+    frames = [model.frames[model.getFrameId(surface.tip_link)] for surface in surfaces]
+    tips = [frame.placement.act(np.array(surface.tip_point))
+            for frame, surface in zip(frames, surfaces)]
+    return [frame.parentJoint - 1 for frame in frames], np.array(tips).reshape(-1, 3)
 
 
 @compiled
@@ -154,23 +159,23 @@ def advance_contacts(
 
     """
     joints = q.shape[0]
-    rotation = np.empty((3, 3))
+    last_rotation = np.empty((3, 3))
     velocity = np.empty(3)
-    forward_kinematics(q, links, rotation)
-    wrist = links[joints - 1].origin
+    forward_kinematics(q, links, last_rotation)
     for joint in range(joints):
         load[joint] = 0.0
-    add_joint_torque(wrist, push, 1.0, links, load)
+    add_joint_torque(links[joints - 1].origin, push, 1.0, links, joints - 1, load)
     pressed = False
     for i in range(surfaces.shape[0]):
         surface = surfaces[i]
+        carrier = links[surface.joint]
         for row in range(3):
-            surface.point[row] = wrist[row]
+            surface.point[row] = carrier.origin[row]
             for column in range(3):
-                surface.point[row] += rotation[row, column] * surface.tip[column]
-        point_velocity(surface.point, qd, links, velocity)
+                surface.point[row] += carrier.axes[row, column] * surface.tip[column]
+        point_velocity(surface.point, qd, links, surface.joint, velocity)
         press(surface, velocity, heights[i], slopes[i])
         if surface.alpha > 0.0:
             pressed = True
-            add_joint_torque(surface.point, surface.force, -1.0, links, load)
+            add_joint_torque(surface.point, surface.force, -1.0, links, surface.joint, load)
     return pressed

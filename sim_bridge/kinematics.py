@@ -16,6 +16,7 @@ LINK = np.dtype([
     ('rotation', np.float64, (3, 3)),  # axes of the joint frame in the link before it
     ('offset', np.float64, 3),  # its origin there [m]
     ('axis', np.float64, 3),  # z axis of the joint, world axes
+    ('axes', np.float64, (3, 3)),  # axes of the link as columns, world axes
     ('origin', np.float64, 3),  # origin of the joint, world axes [m]
 ])
 
@@ -45,7 +46,7 @@ def forward_kinematics(q: Vector, links: Any, last_rotation: Matrix) -> None:
     q
         Joint angles, shape (n,) [rad].
     links
-        Records of `LINK`, shape (n,): axis and origin are filled in.
+        Records of `LINK`, shape (n,): axis, axes and origin are filled in.
     last_rotation
         Filled with the last link's axes as columns, world axes, shape (3, 3).
 
@@ -71,18 +72,21 @@ def forward_kinematics(q: Vector, links: Any, last_rotation: Matrix) -> None:
             rotation[row, 2] = turned[row, 2]
             links[joint].axis[row] = turned[row, 2]
             links[joint].origin[row] = position[row]
+        copy_matrix(rotation, links[joint].axes)
     copy_matrix(rotation, last_rotation)
 
 
 @compiled
-def point_velocity(point: Vector, qd: Vector, links: Any, velocity: Vector) -> None:
+def point_velocity(
+    point: Vector, qd: Vector, links: Any, last: int, velocity: Vector,
+) -> None:
     """
-    Fill `velocity` with that of a point fixed in the last link, world axes, shape (3,) [m/s].
+    Fill `velocity` with that of a point fixed in link `last`, world axes, shape (3,) [m/s].
 
-    v = sum_i qd_i z_i x (p - o_i), with the axes z and origins o of `forward_kinematics`.
+    v = sum_i<=last qd_i z_i x (p - o_i), with the axes z and origins o of `forward_kinematics`.
     """
     velocity[0], velocity[1], velocity[2] = 0.0, 0.0, 0.0
-    for joint in range(qd.shape[0]):
+    for joint in range(last + 1):
         axis, origin = links[joint].axis, links[joint].origin
         x = point[0] - origin[0]
         y = point[1] - origin[1]
@@ -94,14 +98,14 @@ def point_velocity(point: Vector, qd: Vector, links: Any, velocity: Vector) -> N
 
 @compiled
 def add_joint_torque(
-    point: Vector, force: Vector, sign: float, links: Any, torque: Vector,
+    point: Vector, force: Vector, sign: float, links: Any, last: int, torque: Vector,
 ) -> None:
     """
-    Add J^T (sign * force) of a force at a point of the last link, world axes, to `torque`.
+    Add J^T (sign * force) of a force at a point of link `last`, world axes, to `torque`.
 
-    tau_i = z_i . ((p - o_i) x f), shape (n,) [N m].
+    tau_i = z_i . ((p - o_i) x f) for i <= last, shape (n,) [N m].
     """
-    for joint in range(torque.shape[0]):
+    for joint in range(last + 1):
         axis, origin = links[joint].axis, links[joint].origin
         x = point[0] - origin[0]
         y = point[1] - origin[1]

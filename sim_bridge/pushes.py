@@ -109,5 +109,6 @@ class ToolPush(Pushes):
         rotation = np.empty((3, 3))
         forward_kinematics(q, self._links, rotation)
         self.point_world = self._links['origin'][-1] + rotation @ self._local
-        add_joint_torque(self.point_world, self.force_world, 1.0, self._links, load)
+        add_joint_torque(
+            self.point_world, self.force_world, 1.0, self._links, len(load) - 1, load)
         return True

@@ -13,7 +13,7 @@ from sim_bridge.config import PlantConfig
 from sim_bridge.contacts import Contacts
 from sim_bridge.drives import clip_torque, FlexibleDrives, RigidDrives
 from sim_bridge.joint_friction import joint_friction
-from sim_bridge.puma560 import load_robot, RobotData, SENSOR_FRAME, urdf_text
+from sim_bridge.puma560 import load_robot, SENSOR_FRAME, TOOL_LINK, urdf_text
 from sim_bridge.pushes import Pushes, ToolPush
 from sim_bridge.wrench_sensor import WrenchSensor
 
@@ -91,8 +91,12 @@ class PybulletPlant:
         self._substeps = config.substeps(rate)
         self.contact_names = config.column_names
         self.joint_names = self._robot.joint_names
-        require_fit(config, self._robot)
         self._model = pin.buildModelFromXML(urdf_text(self._robot))
+        require_fit(config, self._model)
+        # What touches the tool is felt by the wrist sensor, what touches a link is not.
+        self._sensed_tips = [
+            config.surfaces[name].tip_link in (TOOL_LINK, *self._robot.tool.tips)
+            for name in config.met]
         self._model.gravity.linear = np.array(config.gravity_world)
         self._home = np.array(config.home)
         still = np.zeros(self._model.nv)
@@ -198,13 +202,15 @@ class PybulletPlant:
             arm.push_tool(tool.force_world.tolist(), tool.point_world.tolist())
         link_torque = self._drives.advance(torque, contacts.load, q, qd)
         if pressed:
-            for alpha, force, point in zip(
+            for alpha, force, point, joint, sensed in zip(
                     contacts.pressed.tolist(), (-contacts.forces_world).tolist(),
-                    contacts.points_world.tolist()):
-                if alpha > 0.0:
+                    contacts.points_world.tolist(), contacts.carriers, self._sensed_tips):
+                if alpha > 0.0 and sensed:
                     arm.push_tool(force, point)
+                elif alpha > 0.0:
+                    arm.push_link(joint, force, point)
         if wrist.acting:
-            arm.push_wrist(wrist.force_world.tolist(), contacts.wrist_world.tolist())
+            arm.push_link(-1, wrist.force_world.tolist(), contacts.wrist_world.tolist())
         return arm.step(link_torque)
 
     def _static_wrench(self) -> Vector:
@@ -225,22 +231,22 @@ class PybulletPlant:
             tool_push_world=self._tool_push.force_world)
 
 
-def require_fit(config: PlantConfig, robot: RobotData) -> None:
+def require_fit(config: PlantConfig, model: pin.Model) -> None:
     """
     Check a plant against its arm.
 
     Raises
     ------
     ConfigError
-        If the number of joints or the name of a tip does not match.
+        If the number of joints does not match, or a tip is on no link that a joint carries.
 
     """
-    joints = len(robot.joint_names)
-    if len(config.home) != joints:
-        raise ConfigError('home', f'{joints} values, one per joint', len(config.home))
+    if len(config.home) != model.nv:
+        raise ConfigError('home', f'{model.nv} values, one per joint', len(config.home))
+    links = [frame.name for frame in model.frames
+             if frame.type == pin.FrameType.BODY and frame.parentJoint > 0]
     for name in config.met:
         tip = config.surfaces[name].tip_link
-        if tip not in robot.tool.tips:
+        if tip not in links:
             raise ConfigError(
-                f'surfaces.{name}.tip_link', f'one of {", ".join(sorted(robot.tool.tips))}',
-                f"'{tip}'")
+                f'surfaces.{name}.tip_link', f'one of {", ".join(sorted(links))}', f"'{tip}'")

@@ -28,7 +28,8 @@ SURFACE = np.dtype([
     ('friction', np.float64),  # coefficient
     ('slip_speed', np.float64),  # [m/s]
     ('spacing', np.float64),  # of the points of the profile [m]
-    ('tip', np.float64, 3),  # the tip in the last link's frame [m]
+    ('joint', np.int64),  # number of the joint that carries the tip
+    ('tip', np.float64, 3),  # the tip in that joint's frame [m]
     ('point', np.float64, 3),  # where the tip is [m]
     ('alpha', np.float64),  # normal force of robot on surface [N]
     ('force', np.float64, 3),  # force of robot on surface, friction included [N]

@@ -40,7 +40,7 @@ def test_mass_matrix_agrees_with_pinocchio(arm, model, rng):
 
 
 def test_step_is_pinocchio_aba_with_symplectic_euler(arm, model, rng):
-    """Forces at the tool and at the wrist included."""
+    """Forces at the tool, at the wrist and at the elbow included."""
     data = model.createData()
     q, qd = rng.uniform(-0.7, 0.7, (2, 6))
     torque, force, push = rng.uniform(-5, 5, 6), rng.uniform(-9, 9, 3), rng.uniform(-9, 9, 3)
@@ -49,11 +49,13 @@ def test_step_is_pinocchio_aba_with_symplectic_euler(arm, model, rng):
     tip = model.getFrameId('tip_board')
     pin.computeJointJacobians(model, data, q)
     lever = [pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)[:3]
-             for frame in (tip, model.getFrameId('wrist_point'))]
+             for frame in (tip, model.getFrameId('wrist_point'), model.getFrameId('link3'))]
     arm.push_tool(force.tolist(), data.oMf[tip].translation.tolist())
-    arm.push_wrist(push.tolist(), data.oMi[6].translation.tolist())
+    arm.push_link(-1, push.tolist(), data.oMi[6].translation.tolist())
+    arm.push_link(2, force.tolist(), data.oMi[3].translation.tolist())
     arm.step(torque)
-    qdd = pin.aba(model, data, q, qd, torque + lever[0].T @ force + lever[1].T @ push)
+    qdd = pin.aba(model, data, q, qd, torque + (
+        lever[0] + lever[2]).T @ force + lever[1].T @ push)
     np.testing.assert_allclose(arm.qd, qd + STEP * qdd, atol=1e-11)
     np.testing.assert_allclose(arm.q, q + STEP * (qd + STEP * qdd), atol=1e-13)
 

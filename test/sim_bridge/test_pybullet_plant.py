@@ -227,3 +227,35 @@ def test_plant_that_does_not_fit_the_arm_is_refused():
             ({'substep': 7e-4}, 'substep: expected a whole fraction')):
         with pytest.raises(ConfigError, match=message):
             PybulletPlant(config.model_copy(update=change), rate=500.0, seed=0)
+
+
+def test_obstacle_on_a_link_loads_the_joints_before_it(make_plant, model):
+    """The elbow's point, force and load, as pinocchio has them."""
+    surface = {'tip_link': 'link3', 'tip_point': (0.02, -0.05, 0.1), 'roughness_std': 0.0,
+               'point_world': (9.0, 0.0, 0.0), 'normal_world': (1.0, 0.0, 0.0),
+               'stiffness': 3000.0}
+    config = plant_config('rigid', obstacle_names=['elbow'], surfaces={'elbow': surface})
+    plant = PybulletPlant(config, rate=500.0, seed=0)
+    try:
+        contacts, q = plant.contacts, np.array(config.home)
+        contacts.update(q, np.zeros(6), np.zeros(3))  # where the elbow is
+        contacts.put_before_tip(2, -5e-3)
+        contacts.update(q, np.zeros(6), np.zeros(3))
+        frame, data = model.getFrameId('link3'), model.createData()
+        pin.framesForwardKinematics(model, data, q)
+        point = data.oMf[frame].act(np.array(surface['tip_point']))
+        np.testing.assert_allclose(contacts.points_world[2], point, atol=1e-12)
+        J = pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)
+        lever = point - data.oMf[frame].translation
+        force = np.array([15.0, 0.0, 0.0])
+        np.testing.assert_allclose(contacts.forces_world[2], force, atol=1e-9)
+        np.testing.assert_allclose(
+            contacts.load, -J.T @ np.concatenate([force, np.cross(lever, force)]), atol=1e-9)
+        assert (contacts.load[3:] == 0.0).all()
+        plant.reset()
+        still = plant.step(plant.initial_torque).wrench
+        plant.contacts.put_before_tip(2, -5e-3)
+        # The sensor feels the tool's inertia, not the 15 N.
+        assert np.abs(plant.step(plant.initial_torque).wrench - still).max() < 3.0
+    finally:
+        plant.close()
