@@ -18,7 +18,7 @@ from multicontact_control.config import ControllerConfig
 from multicontact_control.control.controller import ControlOutput
 from multicontact_control.control.reference import CommandedReference
 from multicontact_control.control.reference.holdable import HeldSource, HoldableReference
-from multicontact_control.errors import CommandError
+from multicontact_control.errors import CommandError, ConfigError
 from multicontact_control.sampling import (
     JointReading,
     MotionReading,
@@ -31,6 +31,7 @@ from multicontact_control.sensor.push_config import PushTestConfig
 from multicontact_control.sensor.push_gate import PushGate
 from multicontact_control.sensor.tare import tare_bias, TareConfig
 from multicontact_control.supervision.bumpless import BumplessController, not_supervised
+from multicontact_control.supervision.collision import COLLISION
 from multicontact_control.supervision.command_limits import check_position, CommandLimits
 from multicontact_control.supervision.event_log import EventLog
 from multicontact_control.supervision.inputs import (
@@ -76,6 +77,8 @@ class ControlLoop:
         What the supervisor says of that, None without one.
     events, reactions, rejected, limited
         What the supervisor did since the last restart, and in how many ticks.
+    collisions
+        How often something has touched the arm before its wrist sensor, by cause.
     safe
         Whether samples are answered by the declared safe behaviour.
     push_gate
@@ -97,6 +100,9 @@ class ControlLoop:
         self, config: ControllerConfig, scenario: HeldSource | None, limits: CommandLimits,
         base_dir: Path, *, supervised: bool = True,
     ) -> None:
+        self._feels = config.wrench_input != 'momentum'
+        if not (self._feels or supervised):
+            raise ConfigError('wrench_input', 'raw or filtered without a supervisor', 'momentum')
         self.limits = limits
         self._commanded = CommandedReference(
             config.column_names, config.leader_of) if scenario is None else None
@@ -141,6 +147,8 @@ class ControlLoop:
         self.reactions: Counter[str] = Counter()
         self.rejected: Counter[str] = Counter()
         self.limited: Counter[str] = Counter()
+        self.collisions: Counter[str] = Counter()
+        self._touched = ''
         self.safe = False
         self.first_stamp = self.last_stamp = self.variance_stamp = -1
         self.skipped = 0
@@ -223,9 +231,12 @@ class ControlLoop:
             Without supervisor, if something is missing or there is no torque for this posture.
 
         """
-        new = inputs.wrench is not None and self._take_wrench(*inputs.wrench)
+        wrench = inputs.wrench
+        if not self._feels:
+            wrench = None if inputs.joints is None else WrenchInput(inputs.joints.stamp, None)
+        new = wrench is not None and self._take_wrench(*wrench)
         return self._answer(TickInputs(
-            inputs.time, inputs.joints, None if inputs.wrench is None else self._filtered,
+            inputs.time, inputs.joints, None if wrench is None else self._filtered,
             inputs.variance, self.sensor_fault), new)
 
     def stop(self) -> Vector:
@@ -256,6 +267,10 @@ class ControlLoop:
     def _take_wrench(self, stamp: Any, reading: Any) -> bool:
         """Let a reading that is new through the front end; return whether it is one."""
         if self._filtered is not None and stamp == self._filtered.stamp:
+            return False
+        if not self._feels:  # the momentum observer's word, which `see_arm` renews
+            self._filtered = WrenchInput(
+                stamp, self.controller.controller.controls['wrench'][0].copy())
             return False
         raw = np.empty(6)
         if not copy_numbers(reading, raw):
@@ -296,6 +311,10 @@ class ControlLoop:
             self.rejected.update(status.rejected)
         if status.limits:
             self.limited.update(status.limits)
+        touched = next((cause for cause in status.causes if cause.startswith(COLLISION)), '')
+        if touched and not self._touched:
+            self.collisions[touched] += 1
+        self._touched = touched
 
     def _push(self, seen: TickInputs) -> None:
         """Lead on with a push test, and obey its verdict."""

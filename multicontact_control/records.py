@@ -28,6 +28,12 @@ LAW = np.dtype([
     ('K_2', F),  # damping of the force loops [1/s]
     ('friction_speed', F),  # v_0 of the joints' Coulomb friction [rad/s]
     ('nullspace_damping', F),  # d [1/s]
+    ('posture_stiffness', F),  # k_q of the posture in the null space, 0 for none [1/s^2]
+    ('stop_stiffness', F),  # k_s by which joints are kept off their stops there [1/s^2]
+    ('stop_margin', F),  # from how far before a stop on [rad]
+    ('manipulability', F),  # gain by which they are kept off singularities there [rad^2/s^2]
+    ('least_share', F),  # s_0 of what goes beyond the priority, at a torque limit
+    ('limited', B),  # whether the law keeps to the torque limits itself, not a gate after it
     ('max_condition', F),  # largest accepted condition number of Lambda^-1
     ('singular_mobility', F),  # eigenvalue up to which Lambda^-1 is damped, 0 for none [1/kg]
     ('inertia_metric', B),  # whether motion is kept off the contacts in the metric of Lambda
@@ -46,9 +52,18 @@ JOINT = np.dtype([
     ('bias_torque', F),  # element of C v + g [N m]
     ('coulomb', F),  # Coulomb friction to compensate [N m]
     ('viscous', F),  # viscous friction to compensate [N m s/rad]
+    ('lower', F), ('upper', F),  # stops [rad]
+    ('posture', F),  # q_0, where the null space takes it [rad]
     ('torque_limit', F),  # [N m]
     ('speed_limit', F),  # beyond which it is too fast [rad/s]
     ('torque', F),  # Gamma, what the law answers [N m]
+    ('priority', F),  # of that, what goes before the rest at a limit: see `limit_torque` [N m]
+    ('effort', F),  # torque that acted since the sample before [N m]
+    ('last_velocity', F), ('last_bias', F),  # of that sample [rad/s], [N m]
+    ('residual', F),  # what touches the arm before the wrist sensor takes of it [N m]
+    ('doubt', F),  # by how much the effort may be another [N m]
+    ('threshold', F),  # of the residual, from which on it counts, at rest [N m]
+    ('slack', F),  # added to that, as the arm accelerates or the effort is in doubt [N m]
 ], align=True)
 
 # The operational frame and the wrist sensor's, world axes; one.
@@ -67,6 +82,17 @@ TOOL = np.dtype([
     ('com_sensor', F, 3),  # centre of mass in the sensor frame [m]
     ('weight', F, 3),  # m g, world axes [N]
     ('bias', F, 6),  # the sensor's reading under no load, in its frame [N, N m]
+    ('mass', F),  # m [kg]
+], align=True)
+
+# The generalised-momentum observer; one.
+MOMENTUM = np.dtype([
+    ('bandwidth', F),  # K [1/s], 0 for none
+    ('dynamic_share', F),  # of what accelerates the arm, added to the thresholds
+    ('elapsed', F),  # since the sample before; 0 if it is not known what acted since then [s]
+    ('com_velocity', F, 3),  # of what hangs on the sensor, at the sample before [m/s]
+    ('collided', B),  # whether something touches the arm
+    ('is_input', B),  # whether the residual is the wrench of the contacts: there is no sensor
 ], align=True)
 
 # What the motion law is asked for, world axes; one.
@@ -79,7 +105,7 @@ TASK = np.dtype([
 
 # All that the control law works on besides joints, contacts and observers; one.
 CONTROL = np.dtype([
-    ('law', LAW), ('frame', FRAME), ('tool', TOOL), ('task', TASK),
+    ('law', LAW), ('frame', FRAME), ('tool', TOOL), ('task', TASK), ('momentum', MOMENTUM),
     ('wrench', F, 6),  # what the wrist sensor reads, in its frame [N, N m]
     ('measured', B),  # whether that is of this sample; if not, observers only predict
 ], align=True)

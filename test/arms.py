@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from external_arm import Arm
 from multicontact_control.config import (
     ControllerConfig,
     merge,
@@ -9,7 +10,10 @@ from multicontact_control.config import (
     RobotConfig,
     validate,
 )
+from multicontact_control.control_loop import ControlLoop
 from multicontact_control.paths import config_dir
+from multicontact_control.sampling import PairedSample
+from multicontact_control.supervision.command_limits import CommandLimits
 import numpy as np
 from sim_bridge.config import PlantConfig
 
@@ -21,6 +25,11 @@ def controller_config(**changes):
     """Return the PUMA's configuration with nested changes."""
     values = read_parameters(config_dir() / 'controller.yaml')
     return validate(ControllerConfig, merge(values, changes), 'controller.yaml')
+
+
+def still_config(**changes):
+    """Return the same for an arm that stands still whatever its torques and its wrench say."""
+    return controller_config(**merge({'collision': {'threshold': [1e9] * 6}}, changes))
 
 
 def plant_config(name, **changes):
@@ -54,3 +63,31 @@ def seven_joint_config(path: Path) -> RobotConfig:
     return RobotConfig(
         urdf=path.name, joint_names=tuple(f'j{i}' for i in range(7)), armature=(0.1,) * 7,
         operational_frame='wrist', sensor_frame='wrist')
+
+
+def seven_joint_loop(folder, **changes):
+    """Return that arm before a wall along x, and a commanded loop of it, with nested changes."""
+    urdf = seven_joint_urdf(folder)
+    config = controller_config(**merge({
+        'robot': {**seven_joint_config(urdf).model_dump()}, 'tool': {
+            'mass': 0.0, 'com_sensor': [0.0, 0.0, 0.0]},
+        'torque_limit': [100.0] * 7, 'limits': {
+            'joint_lower': [], 'joint_upper': [], 'joint_speed': [], 'torque_rate': [],
+            'workspace_lower': [], 'workspace_upper': []},
+        'contact_names': ['wall'], 'contacts': {'wall': {
+            'normal_world': [1.0, 0.0, 0.0], 'point_operational': [0.0, 0.0, 0.0],
+            'stiffness': 5000.0}}}, changes))
+    arm = Arm(urdf, config.robot.armature, [1.0, 0.0, 0.0], 0.005, 5000.0)
+    return arm, ControlLoop(config, None, CommandLimits(), folder)
+
+
+def run_loop(arm, loop, seconds, first=0, each=None):
+    """Take an arm and its loop through some time; return what `each` says at every tick."""
+    config, found = loop.config, []
+    for k in range(first, first + round(seconds * config.rate)):
+        torque = loop.step(PairedSample(
+            round(k * config.period * 1e9), arm.q, arm.v, arm.wrench_sensor()))
+        arm.step(torque, config.period)
+        if each is not None:
+            found.append(each())
+    return np.array(found)

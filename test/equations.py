@@ -116,12 +116,29 @@ def operational_space(state, singular_mobility=0.0):
         state.jacobian_drift), J_bar.T @ state.gravity)
 
 
-def joint_torque(wrench, state, space, nullspace_damping=0.0):
-    """Return J^T F + (1 - J^T J_bar^T)(C v + g - d M v) (P04 sec. 3)."""
+def joint_torque(wrench, state, space, nullspace_damping=0.0, pull=0.0):
+    """Return J^T F + (1 - J^T J_bar^T)(C v + g + M (pull - d v)) (P04 sec. 3)."""
     J = state.jacobian
-    free = state.coriolis + state.gravity - nullspace_damping * (
-        state.mass_matrix @ state.velocity)
+    free = state.coriolis + state.gravity + state.mass_matrix @ (
+        pull - nullspace_damping * state.velocity)
     return J.T @ wrench + free - J.T @ (space.J_bar.T @ free)
+
+
+def posture_pull(q, posture, lower, upper, frequency, margin):
+    """Return w^2 (q_0 - q), and 16 w^2 (m - x)^2 / m away from a stop nearer than m."""
+    push = [np.maximum(margin - way, 0.0) ** 2 / margin for way in (q - lower, upper - q)]
+    return frequency ** 2 * (posture - q + 16.0 * (push[0] - push[1]))
+
+
+def limited_torque(torque, priority, limit, least_share):
+    """Scale what goes beyond a priority as far as any joint asks for; cut what is left."""
+    over = np.abs(torque) > limit
+    if not over.any():
+        return torque
+    shares = [(np.sign(t) * m - p) / (t - p) for t, p, m in zip(
+        torque[over], priority[over], limit[over]) if np.sign(t) * p < m]
+    share = max(least_share, min([1.0, *shares]))
+    return np.clip(priority + share * (torque - priority), -limit, limit)
 
 
 class Observer:

@@ -21,7 +21,17 @@ BIAS = np.array([1.5, -0.7, 2.0, 0.05, -0.02, 0.03])  # N, N m
 
 
 class Arm:
-    """An arm whose wrist meets a springy wall, and a sensor with noise."""
+    """
+    An arm whose wrist meets a springy wall, and a sensor with noise.
+
+    Attributes
+    ----------
+    q, v
+        Joint angles and speeds, shape (7,) [rad], [rad/s].
+    pushes
+        Forces on origins of frames by name, world axes, shape (3,) [N].
+
+    """
 
     def __init__(self, urdf, armature, normal, distance, stiffness):
         self._model = pin.buildModelFromUrdf(str(urdf))
@@ -32,38 +42,50 @@ class Arm:
         self._normal, self._stiffness = np.array(normal), stiffness
         self.q = np.array([0.3, 0.7, -0.4, 0.9, 0.5, -0.8, 0.6])
         self.v = np.zeros(7)
-        self._wall = self._normal @ self._place().translation + distance
+        self.pushes = {}
+        self._wall = self._normal @ self.wrist.translation + distance
 
-    def _place(self):
+    @property
+    def wrist(self):
+        """Return where the wrist is."""
         pin.framesForwardKinematics(self._model, self._data, self.q)
         return self._data.oMf[self._wrist]
 
     @property
     def force(self):
         """Return what the wrist presses with, 0 beside the wall [N]."""
-        depth = self._normal @ self._place().translation - self._wall
+        depth = self._normal @ self.wrist.translation - self._wall
         return self._stiffness * max(depth, 0.0)
 
     def weight_sensor(self):
         """Return what the sensor reads of its tool, and of itself."""
-        force = -TOOL_MASS * self._place().rotation.T @ self._model.gravity.linear
+        force = -TOOL_MASS * self.wrist.rotation.T @ self._model.gravity.linear
         return np.concatenate([force, np.cross(TOOL_COM, force)]) + BIAS
 
     def wrench_sensor(self):
-        pressing = self._place().rotation.T @ (self.force * self._normal)
+        """Return a reading, shape (6,) [N, N m]."""
+        pressing = self.wrist.rotation.T @ (self.force * self._normal)
         noise = self._random.normal(size=6) * ([0.05] * 3 + [0.005] * 3)
         return np.concatenate([pressing, np.zeros(3)]) + noise
 
+    def jacobian(self, frame):
+        """Return the Jacobian of the origin of a frame, shape (3, 7)."""
+        return pin.computeFrameJacobian(
+            self._model, self._data, self.q, self._model.getFrameId(frame),
+            pin.LOCAL_WORLD_ALIGNED)[:3]
+
     def step(self, torque, period, substeps=8):
+        """Advance by a period."""
         for _ in range(substeps):
-            reaction = np.concatenate([-self.force * self._normal, np.zeros(3)])
-            J = pin.computeFrameJacobian(
-                self._model, self._data, self.q, self._wrist, pin.LOCAL_WORLD_ALIGNED)
-            a = pin.aba(self._model, self._data, self.q, self.v, torque + J.T @ reaction)
+            load = self.jacobian('wrist').T @ (-self.force * self._normal)
+            for frame, force in self.pushes.items():
+                load = load + self.jacobian(frame).T @ force
+            a = pin.aba(self._model, self._data, self.q, self.v, torque + load)
             self.v = self.v + a * period / substeps
             self.q = self.q + self.v * period / substeps
 
     def brake(self):
+        """Stand still."""
         self.v = np.zeros_like(self.v)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from arms import controller_config, HOME
+from arms import HOME, still_config
 from multicontact_control.config import ControllerConfig
 from multicontact_control.control_loop import ControlLoop
 from multicontact_control.dynamics.robot import RobotModel
@@ -34,7 +34,7 @@ class Bench:
     """A loop, and an arm at home that feels what it is told to."""
 
     def __init__(self, *, supervised=True, **changes):
-        self.config: ControllerConfig = controller_config(**changes)
+        self.config: ControllerConfig = still_config(**changes)
         self.loop = ControlLoop(
             self.config, None, CommandLimits(), config_dir(), supervised=supervised)
         self.state = RobotModel(self.config.robot, config_dir()).update(HOME, np.zeros(6))
@@ -122,7 +122,7 @@ def test_reconfigure_repeats_the_last_command_and_a_refusal_changes_nothing():
     bench = Bench()
     make_contact(bench)
     before = bench.step()
-    config = controller_config(force={'time_constant': 0.05}, motion={'natural_frequency': 15.0})
+    config = still_config(force={'time_constant': 0.05}, motion={'natural_frequency': 15.0})
     bench.loop.controller.reconfigure(config)
     assert bench.loop.config is config
     after = [bench.step() for _ in range(200)]
@@ -131,7 +131,7 @@ def test_reconfigure_repeats_the_last_command_and_a_refusal_changes_nothing():
     for changes in ({'limits': {'operational_speed': 0.1}}, {'watchdog': {'rate_band': 3.0}},
                     {'contact_state': {'preload': 1.0}}, {'rate': 400.0}):
         with pytest.raises(ConfigError, match=f'^{next(iter(changes))}: expected .* while in use'):
-            bench.loop.controller.reconfigure(controller_config(**changes))
+            bench.loop.controller.reconfigure(still_config(**changes))
         assert bench.loop.config is config
 
 

@@ -18,11 +18,13 @@ from multicontact_control.config.law import (
     ContactConfig,
     FrictionConfig,
     MotionConfig,
+    PostureConfig,
     SafeBehaviourConfig,
     TransitionConfig,
 )
 from multicontact_control.config.robot import RobotConfig, SensorFrontEndConfig, ToolConfig
 from multicontact_control.config.supervision import (
+    CollisionConfig,
     ContactStateConfig,
     LimitsConfig,
     WatchdogConfig,
@@ -40,6 +42,7 @@ class ControllerConfig(Config):
     tool: ToolConfig = ToolConfig()
     sensor: SensorFrontEndConfig = SensorFrontEndConfig()
     motion: MotionConfig = MotionConfig()
+    posture: PostureConfig = PostureConfig()
     force: ForceConfig = ForceConfig()
     friction: FrictionConfig = FrictionConfig()
     transition: TransitionConfig = TransitionConfig()
@@ -50,15 +53,17 @@ class ControllerConfig(Config):
     contact_state: ContactStateConfig = ContactStateConfig()
     limits: LimitsConfig = LimitsConfig()
     watchdog: WatchdogConfig = WatchdogConfig()
-    wrench_input: Literal['raw', 'filtered'] = parameter(
-        'raw', 'Which wrench feeds the loop: ft_sensor/wrench or ft_sensor/wrench_filtered.')
+    collision: CollisionConfig = CollisionConfig()
+    wrench_input: Literal['raw', 'filtered', 'momentum'] = parameter(
+        'raw', 'Which wrench feeds the loop: ft_sensor/wrench, ft_sensor/wrench_filtered, or '
+        'what the joint torques say, for an arm without a wrist sensor.')
     initial_noise_variance: Real = parameter(
         0.6, 'R until an estimate arrives.', unit='N^2', gt=0.0)
     torque_limit: Vector = parameter(
         (), 'Largest commanded torque per joint; empty for none.', unit='N m')
     nullspace_damping: Real = parameter(
-        2.0, 'Joint damping in the null space of arms with more than six joints.',
-        unit='1/s', ge=0.0)
+        2.0, 'Least joint damping in the null space, of arms with more than six joints and near '
+        'singularities.', unit='1/s', ge=0.0)
 
     @cross_check
     def _check_across_fields(self) -> Iterator[ConfigError]:
@@ -68,7 +73,9 @@ class ControllerConfig(Config):
             'friction.viscous': self.friction.viscous, 'torque_limit': self.torque_limit,
             'limits.joint_lower': self.limits.joint_lower,
             'limits.joint_speed': self.limits.joint_speed,
-            'limits.torque_rate': self.limits.torque_rate}
+            'limits.torque_rate': self.limits.torque_rate,
+            'posture.joints': self.posture.joints,
+            'collision.threshold': self.collision.threshold}
         for name, values in per_joint.items():
             if values and len(values) != joints:
                 yield ConfigError(name, f'{joints} values, one per joint', f'{len(values)}')
@@ -78,6 +85,12 @@ class ControllerConfig(Config):
                 'contact_names', f'names among {", ".join(sorted(self.contacts))}', f"'{name}'")
         if len(set(self.contact_names)) != len(self.contact_names):
             yield ConfigError('contact_names', 'distinct names', list(self.contact_names))
+        if (self.wrench_input == 'momentum') != (not self.robot.sensor_frame):
+            yield ConfigError('robot.sensor_frame', 'a link of the robot with a wrist sensor, and '
+                              'empty with wrench_input momentum', f"'{self.robot.sensor_frame}'")
+        if self.wrench_input == 'momentum' and self.sensor.require_push_test:
+            yield ConfigError(
+                'sensor.require_push_test', 'false without a wrist sensor', True)
         yield from self._check_delay()
         if not unknown:
             yield from self._check_laws()
@@ -157,6 +170,9 @@ class ControllerConfig(Config):
         if self.loop_delay * self.rate <= MAX_DELAY_PERIODS + 1e-9:
             return
         field, found = 'force.input_delay', f'{self.force.input_delay:g} s'
+        if self.wrench_input == 'momentum':
+            field += ' and 1 / collision.bandwidth'
+            found += f' + {1.0 / self.collision.bandwidth:.4g} s'
         if sensor.filter_order:
             field += ' and the delay of sensor.filter_cutoff'
             found += f' + {sensor.filter_delay(self.rate):.4g} s'
@@ -166,8 +182,9 @@ class ControllerConfig(Config):
 
     @property
     def loop_delay(self) -> float:
-        """T_d of the force loop: force.input_delay and that of the sensor's low-pass [s]."""
-        return self.force.input_delay + self.sensor.filter_delay(self.rate)
+        """T_d of the force loop: force.input_delay and that of what measures the forces [s]."""
+        observer = 1.0 / self.collision.bandwidth if self.wrench_input == 'momentum' else 0.0
+        return self.force.input_delay + self.sensor.filter_delay(self.rate) + observer
 
     @property
     def period(self) -> float:

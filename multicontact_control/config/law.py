@@ -31,6 +31,23 @@ class FrictionConfig(Config):
         unit='rad/s', live=True, gt=0.0)
 
 
+class PostureConfig(Config):
+    """What an arm with more joints than its task needs does with the rest."""
+
+    natural_frequency: Real = parameter(
+        5.0, 'Natural frequency, critically damped, by which joints go to the posture as far as '
+        'the operational point does not see it; 0 to damp them only (nullspace_damping).',
+        unit='rad/s', live=True, ge=0.0, le=50.0)
+    joints: Vector = parameter(
+        (), 'The posture; empty for the one the arm starts in.', unit='rad')
+    limit_margin: Real = parameter(
+        0.1, 'How far before its stop (limits.joint_lower, joint_upper) a joint begins to be '
+        'pushed away from it; 0 for never.', unit='rad', ge=0.0, le=1.0)
+    manipulability: Real = parameter(
+        0.0, 'Acceleration per gradient of log sqrt(det(J J^T)), by which joints leave singular '
+        'postures; 0 for none.', unit='rad^2/s^2', live=True, ge=0.0, le=1e3)
+
+
 class ContactConfig(Config):
     """
     One contact: a point, an edge or a plane face of the tool on a surface.

@@ -110,6 +110,10 @@ class LimitsConfig(Config):
     joint_braking: Real = parameter(
         5.0, 'Deceleration counted on before a stop.', unit='rad/s^2', gt=0.0, le=500.0)
     torque_rate: Vector = parameter((), 'Largest rate of each torque.', unit='N m/s')
+    least_task_share: Real = parameter(
+        0.5, 'At a torque limit all that the task asks for beyond weight, friction and held '
+        'forces is scaled down, so that its direction stays, but not below this share: what then '
+        'exceeds is cut joint by joint.', ge=0.0, le=1.0)
     operational_speed: Real = parameter(
         0.5, 'Largest speed of the operational point.', unit='m/s', gt=0.0, le=10.0)
     operational_turn: Real = parameter(
@@ -133,6 +137,41 @@ class LimitsConfig(Config):
         for name in ('joint_speed', 'torque_rate'):
             if min(getattr(self, name), default=1.0) <= 0.0:
                 yield ConfigError(f'limits.{name}', 'values above 0', min(getattr(self, name)))
+
+
+class CollisionConfig(Config):
+    """
+    When something touches the arm before its wrist sensor, and what is done about it.
+
+    What the joint torques do beside moving and carrying the arm, overcoming its friction and
+    pressing as the wrist sensor says (a generalised-momentum observer).
+    """
+
+    reaction: Literal['none', 'hold', 'float', 'damp'] = parameter(
+        'hold', 'Reaction: none but to report it, the posture held while contact forces fade, '
+        'only carried once it is at rest, or carried and damped.')
+    bandwidth: Real = parameter(
+        200.0, 'K of the observer: what touches is seen with a time constant of 1 / K.',
+        unit='1/s', gt=0.0, le=2000.0)
+    threshold: Vector = parameter(
+        (), 'Torque in each joint from which on it counts, at rest; empty for the shares below.',
+        unit='N m')
+    limit_share: Real = parameter(
+        0.03, "That torque over the joint's limit (torque_limit, or that of the URDF)...", ge=0.0,
+        le=1.0)
+    friction_share: Real = parameter(
+        1.0, '...and over its Coulomb friction (friction.coulomb), added to it.', ge=0.0, le=10.0)
+    dynamic_share: Real = parameter(
+        0.1, 'Added to it, over the torque that accelerates the joint.', ge=0.0, le=1.0)
+    command_delay: int = parameter(
+        1, 'Periods from a sample to the torque that answers it, for an arm that measures no '
+        'torque: what is commanded is taken for it then.', ge=0, le=10)
+
+    @model_validator(mode='after')
+    def _check(self) -> CollisionConfig:
+        if min(self.threshold, default=1.0) <= 0.0:
+            raise ConfigError('collision.threshold', 'values above 0', min(self.threshold))
+        return self
 
 
 class WatchdogConfig(Config):

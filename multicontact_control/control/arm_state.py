@@ -7,6 +7,7 @@ from typing import Any
 from multicontact_control.algebra import copy_matrix, copy_vector
 from multicontact_control.arrays import Matrix, require_shape, Vector
 from multicontact_control.compiled import bound, compiled
+from multicontact_control.control.momentum import observe_momentum, wrench_of_residual
 from multicontact_control.control.wrench import measure_contacts
 from multicontact_control.dynamics.pose import Pose
 from multicontact_control.dynamics.robot import RobotModel
@@ -15,7 +16,7 @@ import numpy as np
 
 # What `see_arm` returns: that the model gave no numbers, or what is unusual, added up.
 NO_NUMBERS = -1
-OPERATIONAL_SPEED, JOINT_SPEED, AMBIGUOUS = 1, 2, 4
+OPERATIONAL_SPEED, JOINT_SPEED, AMBIGUOUS, TOUCHED = 1, 2, 4, 8
 
 
 @compiled
@@ -45,6 +46,7 @@ def fill_joints(
             return False
     for j in range(joints.shape[0]):
         joint = joints[j]
+        joint.last_velocity, joint.last_bias = joint.velocity, joint.bias_torque
         joint.q = q[j]
         joint.velocity = velocity[j]
         joint.inertia = mass_matrix[j, j]
@@ -131,8 +133,8 @@ def see_arm(
     -------
     int
         NO_NUMBERS if the model gives none, and nothing has changed; otherwise the sum of
-        OPERATIONAL_SPEED, JOINT_SPEED and AMBIGUOUS (the contacts depend on each other, and what
-        they bear has not changed).
+        OPERATIONAL_SPEED, JOINT_SPEED, AMBIGUOUS (the contacts depend on each other, and what
+        they bear has not changed) and TOUCHED (by something before the wrist sensor).
 
     """
     control, velocity = controls[0], motion[1]
@@ -140,6 +142,11 @@ def see_arm(
         return NO_NUMBERS
     fill_frame(velocity, jacobian, placements, control.frame)
     found = check_speeds(joints, control.frame)
+    if control.momentum.bandwidth > 0.0:
+        if observe_momentum(control, joints, mass_matrix, jacobian):
+            found += TOUCHED
+        if control.momentum.is_input:
+            wrench_of_residual(control, joints, mass_matrix, jacobian)
     if not measure_contacts(control, contacts):
         found += AMBIGUOUS
     return found

@@ -9,7 +9,7 @@ from typing import Any, NoReturn
 
 from multicontact_control.arrays import Mask, Matrix, require_shape, Vector
 from multicontact_control.compiled import bound
-from multicontact_control.config import ControllerConfig
+from multicontact_control.config import ControllerConfig, ToolConfig
 from multicontact_control.config.columns import FORCE
 from multicontact_control.contact.geometry import (
     check_columns,
@@ -37,6 +37,8 @@ import numpy as np
 __all__ = ['Controller', 'ControlOutput', 'Measurement']
 
 
+TASK_SIZE = 6  # joints with which an arm has no null space
+STOP_RATIO = 4.0  # frequency by which joints are kept off their stops, over the posture's
 LARGEST_DRIFT = 0.02  # of a stiffness, from which on an observer is redesigned
 LEVERED = 1.05  # N that 1 N of friction is read as, from which on a lever is to blame
 
@@ -119,7 +121,10 @@ class Controller:
         dependent = self.controls['law']['dependent'].copy()
         self.controls['law'] = law_record(config)
         self.controls['law']['dependent'] = dependent
-        self.controls['tool'] = tool_record(config.tool, np.array(config.robot.gravity_world))
+        by_momentum = config.wrench_input == 'momentum'  # from which nothing has to be taken off
+        self.controls['tool'] = tool_record(
+            ToolConfig() if by_momentum else config.tool, np.array(config.robot.gravity_world))
+        self.controls['momentum']['is_input'] = by_momentum
         # What has been learnt of the surfaces is kept.
         if before is None or before.contacts != config.contacts:
             place_columns(config, self.contacts)
@@ -127,6 +132,8 @@ class Controller:
         for name in ('coulomb', 'viscous'):
             joints[name] = getattr(config.friction, name) or 0.0
         joints['torque_limit'] = config.torque_limit or np.inf
+        joints['lower'] = config.limits.joint_lower or -np.inf
+        joints['upper'] = config.limits.joint_upper or np.inf
         self._coordinate_driven = config.force.allocation == 'paper'
 
     @classmethod
@@ -310,6 +317,10 @@ class Controller:
         self._stiffnesses = loop_stiffnesses(self.config, pose.rotation_world)
         self.laws = self._design(self.config, pose.rotation_world)
         self._reference.start(pose, self.contacts['normal'].copy())
+        joints, margin = self.arm.joints, self.config.posture.limit_margin
+        joints['posture'] = np.clip(  # what lies beyond a stop would be fought over
+            self.config.posture.joints or self.arm.q, joints['lower'] + margin,
+            joints['upper'] - margin)
         self._started = True
 
     def decide(self) -> None:
@@ -377,6 +388,13 @@ def law_record(config: ControllerConfig) -> Records:
     law['K_2'] = force.damping_rate
     law['friction_speed'] = config.friction.speed
     law['nullspace_damping'] = config.nullspace_damping
+    if len(config.robot.joint_names) > TASK_SIZE:
+        w = config.posture.natural_frequency
+        law['nullspace_damping'] = max(config.nullspace_damping, 2.0 * w)
+        law['posture_stiffness'], law['stop_stiffness'] = w ** 2, (STOP_RATIO * w) ** 2
+        law['stop_margin'] = config.posture.limit_margin
+        law['manipulability'] = config.posture.manipulability
+    law['limited'], law['least_share'] = True, config.limits.least_task_share
     law['max_condition'] = MAX_CONDITION
     law['singular_mobility'] = config.limits.singular_mobility
     law['inertia_metric'] = force.projection == 'inertia'

@@ -73,7 +73,7 @@ def force_law(
 @compiled
 def finish_torque(law: Any, joints: Any) -> None:
     """
-    Add the friction that the joints are expected to take, then keep to the limits.
+    Add the friction that the joints are expected to take, then keep to the limits if asked to.
 
     Gamma += F_c tanh(v / v_0) + F_v v.
 
@@ -82,19 +82,76 @@ def finish_torque(law: Any, joints: Any) -> None:
     law
         Record of `LAW`.
     joints
-        Records of `JOINT`, shape (n,); their torque is changed.
+        Records of `JOINT`, shape (n,); their torque and its priority are changed.
 
     """
-    for j in range(joints.shape[0]):
+    n = joints.shape[0]
+    for j in range(n):
         joint = joints[j]
         if joint.coulomb != 0.0:
-            joint.torque += joint.coulomb * np.tanh(joint.velocity / law.friction_speed)
+            friction = joint.coulomb * np.tanh(joint.velocity / law.friction_speed)
+            joint.torque += friction
+            joint.priority += friction
         joint.torque += joint.viscous * joint.velocity
-        limit = joint.torque_limit
-        if joint.torque > limit:  # written so that what is not a number stays that
-            joint.torque = limit
-        elif joint.torque < -limit:
-            joint.torque = -limit
+        joint.priority += joint.viscous * joint.velocity
+    if law.limited:
+        torque = np.empty(n)
+        for j in range(n):
+            torque[j] = joints[j].torque
+        if limit_torque(joints, law.least_share, torque):
+            for j in range(n):
+                joints[j].torque = torque[j]
+
+
+@compiled
+def limit_torque(joints: Any, least_share: float, torque: Vector) -> bool:
+    """
+    Bring a torque within the limits of the joints without turning what the task asks for.
+
+    Gamma = Gamma_p + s (Gamma - Gamma_p) with the largest s in [s_0, 1] within all limits. The
+    priority Gamma_p carries the arm, overcomes its friction and presses with the forces that are
+    fed forward; cut joint by joint, the rest would accelerate the arm in another direction, into
+    its contacts. What still exceeds is cut: in a joint that Gamma_p alone takes beyond its limit,
+    and in one, of the wrist say, for whose sake less than s_0 of the task would be left.
+
+    Parameters
+    ----------
+    joints
+        Records of `JOINT`, shape (n,): limit and priority are used.
+    least_share
+        s_0; 1 to cut joint by joint.
+    torque
+        Changed if need be, shape (n,) [N m]; what is not a number stays that.
+
+    Returns
+    -------
+    bool
+        Whether it was.
+
+    """
+    n = joints.shape[0]
+    share, exceeded = 1.0, False
+    for j in range(n):
+        limit, first = joints[j].torque_limit, joints[j].priority
+        if torque[j] > limit:
+            exceeded = True
+            if first < limit:
+                share = min(share, (limit - first) / (torque[j] - first))
+        elif torque[j] < -limit:
+            exceeded = True
+            if first > -limit:
+                share = min(share, (limit + first) / (first - torque[j]))
+    if not exceeded:
+        return False
+    share = max(share, least_share)
+    for j in range(n):
+        limit, first = joints[j].torque_limit, joints[j].priority
+        torque[j] = first + share * (torque[j] - first)
+        if torque[j] > limit:
+            torque[j] = limit
+        elif torque[j] < -limit:
+            torque[j] = -limit
+    return True
 
 
 @compiled
@@ -106,8 +163,8 @@ def control_law(
     Work out the joint torque of one tick.
 
     F = Lambda (Omega_m f_t* + Omega_c f_c*) + mu + p + N alpha_fed, Gamma = J^T F (P04
-    eqs 23-27), then null space, friction and limits. As published alpha_fed is the estimate; see
-    `force_to_feed`.
+    eqs 23-27), then null space, friction and, if they are the law's, limits. As published
+    alpha_fed is the estimate; see `force_to_feed`.
 
     Parameters
     ----------
@@ -171,17 +228,20 @@ def control_law(
     for i in range(6):
         acceleration[i] += bias[i]
     multiply(Lambda, acceleration, force)
+    held = np.zeros(6)
     for i in range(count):
         contact = contacts[i]
         for k in range(6):
             force[k] += rows[i, k] * (contact.alpha_fed - contact.damping)
+            held[k] += rows[i, k] * (contact.alpha_fed - contact.damping)
     for j in range(n):
-        joints[j].torque = 0.0
+        joints[j].torque, joints[j].priority = 0.0, joints[j].bias_torque
     for i in range(6):
         for j in range(n):
             joints[j].torque += jacobian[i, j] * force[i]
+            joints[j].priority += jacobian[i, j] * held[i]
     if n > 6 or damping > 0.0:
         add_nullspace_torque(
-            joints, mass_matrix, jacobian, L, Y, Lambda, law.nullspace_damping)
+            joints, mass_matrix, jacobian, L, Y, Lambda, law)
     finish_torque(law, joints)
     return OK

@@ -24,7 +24,7 @@ class Measurement:
     wrench_sensor
         Reading of the wrist sensor in its frame, force first, shape (6,) [N, N m].
     effort
-        Measured joint torque, shape (n,) [N m]; only the first one counts, to start from.
+        Measured joint torque, shape (n,) [N m].
 
     """
 

@@ -296,7 +296,7 @@ def tool_record(tool: ToolConfig, gravity_world: Vector) -> Records:
     """Return what hangs on the sensor as one record of `TOOL`; g in [m/s^2], shape (3,)."""
     record = np.zeros(1, dtype=TOOL)
     record['com_sensor'], record['bias'] = tool.com_sensor, tool.bias_sensor
-    record['weight'] = tool.mass * gravity_world
+    record['weight'], record['mass'] = tool.mass * gravity_world, tool.mass
     return record
 
 

@@ -90,14 +90,16 @@ class RobotModel:
     Parameters
     ----------
     config
-        Names and armature of the arm.
+        Names and armature of the arm; without a wrist sensor, the operational frame is in its
+        place.
     base_dir
         Folder that a relative ``config.urdf`` is relative to.
 
     Raises
     ------
     ConfigError
-        If the URDF cannot be read, or a joint or frame name does not match it.
+        If the URDF cannot be read, a joint or frame name does not match it, or the wrist sensor
+        does not feel what the operational frame touches.
 
     """
 
@@ -114,7 +116,10 @@ class RobotModel:
             self._model.armature = np.array(config.armature)
         self._model.gravity.linear = np.array(config.gravity_world)
         self._frame = self._frame_id('robot.operational_frame', config.operational_frame)
-        self._sensor = self._frame_id('robot.sensor_frame', config.sensor_frame)
+        self._sensor = self._frame
+        if config.sensor_frame:
+            self._sensor = self._frame_id('robot.sensor_frame', config.sensor_frame)
+            self._require_felt(config)
         self._data = self._model.createData()
         self._zero = np.zeros(self._model.nv)
         self.terms = self._live_terms()
@@ -123,6 +128,22 @@ class RobotModel:
     def joint_count(self) -> int:
         """Return the number of joints n."""
         return int(self._model.nv)
+
+    @property
+    def torque_limit(self) -> Vector:
+        """Return what the URDF says of the joints' largest torques, shape (n,) [N m]."""
+        limit: Vector = np.array(self._model.effortLimit)
+        return np.where(limit > 0.0, limit, np.inf)
+
+    def _require_felt(self, config: RobotConfig) -> None:
+        """Refuse contacts that the wrist sensor cannot feel: those of a link before it."""
+        joints = [self._model.names[self._model.frames[frame].parentJoint]
+                  for frame in (self._frame, self._sensor)]
+        if joints[0] != joints[1]:
+            raise ConfigError(
+                'robot.operational_frame', f'a link that is carried by {joints[1]}, as the wrist '
+                f"sensor on '{config.sensor_frame}' is, which feels nothing else",
+                f"'{config.operational_frame}', carried by {joints[0]}")
 
     def _frame_id(self, field: str, name: str) -> int:
         if not self._model.existFrame(name):

@@ -57,6 +57,7 @@ import numpy as np
 STAGES = ('read', 'step', 'send', 'show')
 # Samples from which on a rate is known, and the factor from which on it is a wrong one.
 FEWEST, WRONG_RATE = 10, 1.3
+NO_WRENCH = np.zeros(6)
 
 
 class ControllerNode(ManagedNode):
@@ -96,7 +97,9 @@ class ControllerNode(ManagedNode):
         self._older_stamp: int | None = None
         self._patience = SampleTimeout(0.0, 1.0)
         self._heard = self._received = 0
+        self._feels = True
         self._instruction = ''
+        self._collisions = 0
         self._last_command: Command | None = None
 
     def configure(self, configurations: Sequence[Any]) -> None:
@@ -113,27 +116,33 @@ class ControllerNode(ManagedNode):
         self._set_patience(config)
         self._outputs = ControllerOutputs(self, self.streams, config, node_config)
         self._wrench = topics.WRENCH if config.wrench_input == 'raw' else topics.WRENCH_FILTERED
+        self._feels = config.wrench_input != 'momentum'
         self._readers = {
             topics.NOISE_VARIANCE: effort_reader(config.column_names),
-            self._wrench: wrench_reader(config.robot.sensor_frame, self._warn_of_frame),
+            **({self._wrench: wrench_reader(config.robot.sensor_frame, self._warn_of_frame)}
+               if self._feels else {}),
             topics.JOINT_STATES: joint_state_reader(config.robot.joint_names)}
-        callbacks = (self._on_noise_variance, self._on_wrench, self._on_joint_states)
         lockstep = node_config.lockstep
         profile = qos.INPUT if lockstep else qos.NEWEST
-        for topic, callback in zip(self._readers, callbacks):
-            self.streams.subscribe(topic, callback, profile, adapt=(
-                topic is not topics.NOISE_VARIANCE and not lockstep))
         least = profile if lockstep else qos.SENSOR
+        inputs = {
+            topics.NOISE_VARIANCE: (
+                self._on_noise_variance, profile,
+                f'an effort [N^2] for each of {", ".join(config.column_names)}; the last R is '
+                'held'),
+            self._wrench: (
+                self._on_wrench, least, 'force [N] and torque [N m] in the axes of '
+                f'{config.robot.sensor_frame}, stamped'),
+            topics.JOINT_STATES: (
+                self._on_joint_states, least, 'position and velocity [rad, rad/s] of '
+                f'{", ".join(config.robot.joint_names)}, stamped')}
+        for topic in self._readers:
+            self.streams.subscribe(topic, inputs[topic][0], profile, adapt=(
+                topic is not topics.NOISE_VARIANCE and not lockstep))
         self._pairing = SamplePairing(
             round(node_config.pair_tolerance * config.period * NANOSECONDS))
-        contents = (
-            f'an effort [N^2] for each of {", ".join(config.column_names)}; the last R is held',
-            f'force [N] and torque [N m] in the axes of {config.robot.sensor_frame}, stamped',
-            'position and velocity [rad, rad/s] of '
-            f'{", ".join(config.robot.joint_names)}, stamped')
         self._missing = MissingInputs(
-            self, self._fresh,
-            dict(zip(self._readers, zip((profile, least, least), contents))))
+            self, self._fresh, {topic: inputs[topic][1:] for topic in self._readers})
         self._events = ControllerEvents(self, loop, lambda: self.state)
         self.refusals.told = self._events.refused
         self._commands = CommandInterface(
@@ -234,7 +243,9 @@ class ControllerNode(ManagedNode):
             return
         self._received = self._hear(topics.JOINT_STATES)
         with self.refusals.guard(topics.JOINT_STATES):
-            self._take(self._pairing.add_joints(self._read(topics.JOINT_STATES, data)))
+            reading = self._read(topics.JOINT_STATES, data)
+            self._take(self._pairing.add_joints(reading) if self._feels else PairedSample(
+                reading.stamp, reading.q, reading.qd, NO_WRENCH, reading.effort))
 
     def _on_wrench(self, data: bytes) -> None:
         if self._loop is None:
@@ -377,12 +388,18 @@ class ControllerNode(ManagedNode):
             self._outputs.show(stamp, loop.tick, loop.output)
 
     def _guide(self, loop: ControlLoop) -> None:
-        """Say what a push test waits for, whenever that changes."""
+        """Say what a push test waits for, whenever that changes, and what the arm meets."""
         instruction = loop.push_gate.instruction
         if instruction != self._instruction:
             self._instruction = instruction
             if instruction:
                 self.get_logger().info(f'push test: {instruction}')
+        collisions = loop.collisions.total()
+        if collisions > self._collisions and loop.status is not None:
+            self.get_logger().warning(
+                f'{" ".join(loop.status.causes)}: something touches the arm before its wrist '
+                f'sensor; reaction: {loop.status.reaction}')
+        self._collisions = collisions
 
     def statuses(self) -> list[Status]:
         """Return what diagnostics report."""

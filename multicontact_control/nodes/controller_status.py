@@ -31,6 +31,8 @@ class SupervisorReport:
             return Status('supervisor', values)
         values |= {'causes': ' '.join(status.causes) or 'none',
                    'task_time_s': status.task_time, 'events': len(loop.events.events)}
+        values |= {name: n for name, n in loop.collisions.items()}
+        values |= _residuals(loop)
         values |= {f'ticks with {name}': n for name, n in counts[0].items() if name != NONE}
         values |= {f'rejected {name}': n for name, n in counts[1].items()}
         values |= {f'limited {name}': n for name, n in counts[2].items()}
@@ -44,6 +46,14 @@ class SupervisorReport:
             _told_rates(loop),
             _told('reacted', {k: n for k, n in since[0].items() if k not in (NONE, INFLATE)}),
             _told('rejected', since[1]), _told('limited', since[2])])))
+
+
+def _residuals(loop: ControlLoop) -> dict[str, Any]:
+    """Return what touches the arm before its wrist sensor does to each joint."""
+    if loop.supervisor is None:
+        return {}
+    return {f'{name} residual_nm': value for name, value in zip(
+        loop.config.robot.joint_names, loop.supervisor.collisions.residual.tolist())}
 
 
 def _since(now: Counter[str], before: Counter[str]) -> dict[str, int]:

@@ -199,7 +199,7 @@ class TorqueGate:
         return carried
 
     def apply(
-        self, torque: Vector, fallback: Vector, arm: ArmState | None,
+        self, torque: Vector, fallback: Vector, arm: ArmState | None, *, limited: bool = False,
     ) -> tuple[Vector, tuple[str, ...]]:
         """
         Let a torque through as far as the limits allow.
@@ -210,6 +210,8 @@ class TorqueGate:
             What is wanted, and what to do if that is not finite, shape (n,) [N m].
         arm
             The arm at its last valid state; None if there was none.
+        limited
+            Whether the torque has been brought within the torque limits already.
 
         Returns
         -------
@@ -224,7 +226,7 @@ class TorqueGate:
             torque, fallback, self._nowhere if arm is None else arm.joints, arm is not None,
             self.limits, self._started, gated)
         self._started = True
-        return gated, ENFORCED[enforced]
+        return gated, ENFORCED[enforced | TORQUE if limited else enforced]
 
 
 def joint_limits(config: ControllerConfig, joints: int) -> Records:

@@ -18,7 +18,8 @@ class JointInput(NamedTuple):
     names
         Joint names in that order; None where the order is known.
     effort
-        Measured joint torques [N m]; only the first ones count, to start from.
+        Measured joint torques over the period that ends here [N m]: to start from, and for what
+        touches the arm; None where the robot measures none.
 
     """
 

@@ -7,7 +7,8 @@ from multicontact_control.config import WatchdogConfig
 RECOVERING, LATCHED = 'recovering', 'latched'
 GROWTH = 3.0  # of the time that all must be well, from relapse to relapse
 # What comes from what the arm does and meets, and not from readings that are missing.
-PHYSICAL = ('motion', 'law', 'internal', 'wrench_pull', 'wrench_sideways', 'wrench_saturated')
+PHYSICAL = ('motion', 'law', 'internal', 'wrench_pull', 'wrench_sideways', 'wrench_saturated',
+            'collision')
 SOON = 1.0  # s; missing readings come and go by chance, and are no relapse after this
 
 
@@ -23,9 +24,9 @@ class Recovery:
     Control resumes once all inputs have been good for `recovery_time`. A reaction within
     `relapse_time` after that (within 1 s if readings are missing) is a relapse, as is a law that
     cannot resume: each makes the time three times as long, up to `longest_recovery`. After
-    `relapses` in a row of what the arm does or meets (a side wall, a speed, a posture without a
-    torque) it is latched: the posture is held until an operator says otherwise. Missing readings
-    are never latched.
+    `relapses` in a row of what the arm does or meets (a side wall, a collision, a speed, a posture
+    without a torque) it is latched: the posture is held until an operator says otherwise. Missing
+    readings are never latched.
 
     Parameters
     ----------

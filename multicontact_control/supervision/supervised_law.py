@@ -12,9 +12,9 @@ from typing import Any
 from multicontact_control.arrays import Matrix
 from multicontact_control.compiled import bound, compiled
 from multicontact_control.control.controller import Controller
-from multicontact_control.control.law import control_law, OK
+from multicontact_control.control.law import control_law, limit_torque, OK
 from multicontact_control.records import Records
-from multicontact_control.supervision.gate import gate_torque, TorqueGate
+from multicontact_control.supervision.gate import gate_torque, TORQUE, TorqueGate
 from multicontact_control.supervision.plausibility import (
     check_plausibility,
     NOT_FINITE,
@@ -78,7 +78,8 @@ def supervised_law(
         torque[j] = joints[j].torque
         fallback[j] = joints[j].bias_torque
     # What is settled is known and started; numba would compile the gate once more for constants.
-    enforced = gate_torque(torque, fallback, joints, settled, limits, settled, gated)
+    enforced = TORQUE if limit_torque(joints, control.law.least_share, torque) else 0
+    enforced |= gate_torque(torque, fallback, joints, settled, limits, settled, gated)
     return found | PASSED | GATE * enforced
 
 

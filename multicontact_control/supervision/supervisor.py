@@ -9,6 +9,7 @@ from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.control.arm_state import ArmState, JOINT_SPEED, OPERATIONAL_SPEED
 from multicontact_control.control.controller import ControlOutput
+from multicontact_control.control.law import limit_torque
 from multicontact_control.control.reference import TaskSource
 from multicontact_control.dynamics.pose import Pose
 from multicontact_control.dynamics.robot import RobotModel
@@ -16,6 +17,7 @@ from multicontact_control.errors import ConfigError
 from multicontact_control.force.force_law import continue_laws_at
 from multicontact_control.records import SUPERVISION
 from multicontact_control.supervision.bumpless import BumplessController
+from multicontact_control.supervision.collision import COLLISION, CollisionWatch
 from multicontact_control.supervision.command_limits import outside_limits
 from multicontact_control.supervision.fallback import (
     DAMP,
@@ -64,7 +66,7 @@ CONTRADICTIONS = 2  # samples in a row that contradict the contacts, for the wre
 LONGEST_SKIP = 0.1  # s; the task's time does not follow a clock that has been set
 WAITING = ((RECOVERING,), (LATCHED,))
 SATURATED = frozenset(ENFORCED[TORQUE | JOINT_STOP])
-FIXED = ('torque_limit', 'sensor', 'contact_state', 'limits', 'watchdog')
+FIXED = ('torque_limit', 'sensor', 'contact_state', 'limits', 'watchdog', 'collision')
 LIVE_OF_CONTACTS = (
     'friction_coefficient', 'slip_speed', 'normal_world', 'normal_turn_rate', 'normal_range',
     'normal_time', 'surface_speed', 'surface_speed_limit', 'surface_speed_time')
@@ -93,6 +95,8 @@ class Supervisor(BumplessController):
         Where the arm is beyond its limits, so that control cannot start, a line for each.
     expects_pushes
         Whether forces are expected that no contact can explain, from pushes on the tool.
+    collisions
+        What touches the arm before its wrist sensor.
 
     """
 
@@ -105,6 +109,7 @@ class Supervisor(BumplessController):
         self._gate = TorqueGate(config, robot.joint_count)
         self._reactions = Reactions(config, self.controller)
         self._recovery = Recovery(config.watchdog, config.period)
+        self.collisions = CollisionWatch(config, self.controller)
         self.expects_pushes = False
         arm = self.controller.arm
         limit_speeds(arm.joints, arm.frames, config)
@@ -118,7 +123,7 @@ class Supervisor(BumplessController):
         super()._adopt(config)
         self.reference.retune(config)
         self._record['plausibility'] = plausibility_limits(config)
-        self.controller.arm.joints['torque_limit'] = np.inf  # the gate has it, and says so
+        self.controller.controls['law']['limited'] = False  # that is done, and told, at the gate
 
     def check(self, config: ControllerConfig) -> None:
         """Find out whether `reconfigure` would take a configuration; see `BumplessController`."""
@@ -149,10 +154,12 @@ class Supervisor(BumplessController):
         self.outside: tuple[str, ...] = ()
         self._restart_law()
         self._watchdog.reset()
+        self.collisions.reset()
         self._gate.reset()
         self._reactions.end()
         self._arm: ArmState | None = None
         self._too_fast: tuple[str, ...] = ()
+        self._touched: tuple[str, ...] = ()
         self._wrench_known = False
         self._output = no_answer(self._robot.joint_count, len(self.config.columns))
         self._status: SupervisorStatus | None = None
@@ -227,6 +234,7 @@ class Supervisor(BumplessController):
         if self._running and not self._paused and 0.0 < skipped <= LONGEST_SKIP:
             self._task_ticks += round(skipped / self._period)
         self._time = now
+        self.collisions.take(inputs.joints)
         if not self._transition.begun and inputs.joints is not None:
             self._effort = np.zeros(self._robot.joint_count)
             if not copy_numbers(inputs.joints.effort, self._effort):
@@ -267,7 +275,7 @@ class Supervisor(BumplessController):
         return self._output._replace(torque=torque, contacts=contacts)
 
     def _step(self, valid: ValidatedInputs) -> TickOutput:
-        causes = valid.causes + self._too_fast
+        causes = valid.causes + self._too_fast + self._touched
         if not self._running:
             causes += self._start_refused()
         reaction = self._reaction_to(causes) if causes else NONE
@@ -291,9 +299,13 @@ class Supervisor(BumplessController):
     def _update_state(self, valid: ValidatedInputs) -> None:
         """Work out where the arm is."""
         arm, self._wrench_known = self.controller.arm, valid.measured
+        self.collisions.look(self._watchdog.joint_stamp, valid.measured)
         if valid.q is not None and arm.refresh():
             self._arm = arm
             self._too_fast = TOO_FAST[arm.found & (OPERATIONAL_SPEED | JOINT_SPEED)]
+            touched = self.collisions.cause(arm.found)
+            # The wrench is not to be believed before the pushes that prove it.
+            self._touched = (touched,) if touched and not self.expects_pushes else ()
             self._carry()
 
     def _carry(self) -> Vector | None:
@@ -307,7 +319,8 @@ class Supervisor(BumplessController):
         reactions = {
             'joints': watch.on_joint_fault, 'wrench': watch.on_wrench_fault, 'variance': INFLATE,
             'clock': watch.on_clock_fault, 'motion': watch.on_motion_fault,
-            'law': watch.on_law_fault, 'start': HOLD}
+            'law': watch.on_law_fault, 'start': HOLD,
+            COLLISION: self.config.collision.reaction}
         found = [reactions[cause.split('_')[0]] for cause in causes]
         return max(found, key=SEVERITY.index, default=NONE)
 
@@ -353,9 +366,12 @@ class Supervisor(BumplessController):
                 limits + ENFORCED[found // GATE])
         active = self.controller.active.tobytes()
         self._last_law = NONE, active, False
-        output = self.controller.output(self.controller.arm.joints['torque'].copy())
+        torque = self.controller.arm.joints['torque'].copy()
+        limited = limit_torque(
+            self.controller.arm.joints, self.config.limits.least_task_share, torque)
         finished = self._finish(
-            output, (NONE, active, resumed), causes, valid.rejected, reaction, limits)
+            self.controller.output(torque), (NONE, active, resumed), causes, valid.rejected,
+            reaction, limits, limited=limited)
         # A blend passes in a moment, and a limited rate is caught up with: they are left out.
         if not SATURATED.isdisjoint(finished.status.limits if finished.status else ()):
             self.controller.account_for(finished.output.torque)
@@ -393,19 +409,21 @@ class Supervisor(BumplessController):
             self._reactions.begin(self._output)
         self._paused, self._last_reaction = True, reaction
         with np.errstate(all='ignore'):  # numbers that are none are for the gate to find
-            output = self._idle_output(
-                self._reactions.torque(reaction, self._arm, self._wrench_known))
+            # What blocks the arm may be what the contacts' forces press it against: they fade.
+            felt = self._wrench_known and not self._touched
+            output = self._idle_output(self._reactions.torque(reaction, self._arm, felt))
             self._transition.drop_slow_blend(self._acting)
             return self._finish(output, reaction, causes, rejected, reaction, ())
 
     def _finish(
         self, output: ControlOutput, law: object, causes: tuple[str, ...],
-        rejected: tuple[str, ...], reaction: str, limits: tuple[str, ...],
+        rejected: tuple[str, ...], reaction: str, limits: tuple[str, ...], *,
+        limited: bool = False,
     ) -> TickOutput:
-        """Blend, pass the gate, report."""
+        """Blend, pass the gate, report; `limited` if the torque is at its limits already."""
         blended = self._transition.apply(law, output.torque)
         fallback = np.zeros_like(blended) if self._arm is None else self._arm.bias_torque.copy()
-        torque, enforced = self._gate.apply(blended, fallback, self._arm)
+        torque, enforced = self._gate.apply(blended, fallback, self._arm, limited=limited)
         self._transition.commanded(torque)
         return self._report(
             ControlOutput(torque, *output[1:]), reaction, causes, rejected, limits + enforced)
@@ -415,6 +433,7 @@ class Supervisor(BumplessController):
         rejected: tuple[str, ...], limits: tuple[str, ...],
     ) -> TickOutput:
         reference = self.reference
+        self.collisions.commanded(output.torque)
         self._output, self._status = output, SupervisorStatus(
             reaction, causes, rejected, limits, reference.state_names, reference.energies,
             reference.energy_limits, self._task_time())
@@ -422,7 +441,7 @@ class Supervisor(BumplessController):
 
     def _last_resort(self, cause: str) -> TickOutput:
         """Answer after something failed that should not: what is known of the arm is its past."""
-        self._too_fast, self._wrench_known = (), False
+        self._too_fast, self._touched, self._wrench_known = (), (), False
         reaction = DAMP if self._arm is None else FLOAT
         try:
             return self._react((cause,), (), reaction)

@@ -152,6 +152,7 @@ class Watchdog:
         wrench = self._watch['wrench'][0]
         self._new_wrench: Vector = wrench['new']
         self._new_variance: Vector = self._variances['new']
+        self._valid_stamps: Vector = self._watch['memory']['valid'][0]
         self._all_well = ValidatedInputs(
             motion[0], motion[1], valid_wrench, noise_variance, (), ())
         self._check_inputs = bound(check_inputs, *self._arguments)
@@ -165,6 +166,11 @@ class Watchdog:
             memory[name] = math.nan
         memory['inflation'] = 1.0
         self._variances['valid'] = self._variances['used'] = self._initial_variance
+
+    @property
+    def joint_stamp(self) -> float:
+        """Return the stamp of the newest valid joint state, NaN if there was none [s]."""
+        return float(self._valid_stamps[JOINTS])
 
     def validate(self, inputs: TickInputs) -> ValidatedInputs:
         """Take in what is known at a tick and say what of it is valid."""

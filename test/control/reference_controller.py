@@ -11,9 +11,11 @@ from equations import (
     euclidean_projections,
     inertia_projections,
     joint_torque,
+    limited_torque,
     motion_acceleration,
     Observer,
     operational_space,
+    posture_pull,
 )
 from multicontact_control.contact.geometry import operational_stiffness
 from multicontact_control.control.controller import ControlOutput
@@ -55,6 +57,7 @@ class ReferenceController:
         alpha_meas = contact_coordinates(N_all, wrench)
         if not self._observers:
             self._observers, self._designed = self._design_observers(levers), levers
+            self._start = measurement.q.copy()
             self._reference.start(state.pose, self._normals_world)
         self._redesign_if_turned(levers)
         reference = self._reference.update(measurement.time, alpha_meas)
@@ -67,9 +70,11 @@ class ReferenceController:
         alpha_est = self._estimates(0)
         fed = self._fed_forward(N_all, space, alpha_meas, alpha_est, reference.alpha_des)
         force = space.Lambda @ acceleration + space.mu + space.p + N @ fed[self._active]
-        torque = joint_torque(
-            force, state, space, nullspace_damping=self.config.nullspace_damping)
-        torque += self._friction(measurement.qd)
+        torque = joint_torque(force, state, space, **self._nullspace(measurement.q))
+        friction = self._friction(measurement.qd)
+        torque += friction
+        priority = state.coriolis + state.gravity + friction + state.jacobian.T @ (
+            N @ fed[self._active])
         contacts = np.zeros(self._active.shape, dtype=CONTACT)
         contacts['active'], contacts['alpha_meas'] = self._active, alpha_meas
         contacts['alpha_des'], contacts['alpha_est'] = reference.alpha_des, alpha_est
@@ -80,7 +85,8 @@ class ReferenceController:
         for name, pose in (('frame', state.pose), ('task', reference.pose_des)):
             controls[name]['position'], controls[name]['rotation'] = pose
         return ControlOutput(
-            np.clip(torque, -self._torque_limit, self._torque_limit), contacts, controls)
+            limited_torque(torque, priority, self._torque_limit,
+                           self.config.limits.least_task_share), contacts, controls)
 
     def _fed_forward(self, N, space, alpha_meas, alpha_est, alpha_des):
         """Return the contact forces that are fed forward, shape (r,) [N]."""
@@ -92,6 +98,19 @@ class ReferenceController:
         share = {'estimate': 0.0, 'desired': 1.0, 'mixed': np.minimum(
             force.damping_rate ** 2 / (2.0 * k * along), 1.0)}[force.fed_forward]
         return alpha_est + share * (alpha_des - alpha_est)
+
+    def _nullspace(self, q):
+        """Return damping and pull in the null space, which six joints do not have."""
+        config = self.config
+        if self.robot.joint_count <= 6:
+            return {'nullspace_damping': config.nullspace_damping}
+        w, margin, limits = (
+            config.posture.natural_frequency, config.posture.limit_margin, config.limits)
+        lower = np.array(limits.joint_lower or [-np.inf] * len(q))
+        upper = np.array(limits.joint_upper or [np.inf] * len(q))
+        posture = np.clip(self._start, lower + margin, upper - margin)
+        return {'nullspace_damping': max(config.nullspace_damping, 2.0 * w),
+                'pull': posture_pull(q, posture, lower, upper, w, margin)}
 
     def _friction(self, qd):
         """Return the torque that the joints' friction is expected to take, shape (n,) [N m]."""

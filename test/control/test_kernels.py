@@ -6,7 +6,7 @@ import time
 from equations import contact_normals, rotation_error
 from multicontact_control import algebra
 from multicontact_control.contact import geometry, projections
-from multicontact_control.control import arm_state, law, motion, wrench
+from multicontact_control.control import arm_state, law, momentum, motion, wrench
 from multicontact_control.dynamics import operational_space, rotations
 from multicontact_control.dynamics.pose import Pose
 from multicontact_control.force import force_law, linear_law, observer, stiffness
@@ -25,7 +25,7 @@ import numpy as np
 import pytest
 
 MODULES = (
-    algebra, arm_state, contacts, force_law, gate, geometry, law, linear_law, motion,
+    algebra, arm_state, contacts, force_law, gate, geometry, law, linear_law, momentum, motion,
     noise_kernels, observer, operational_space, plausibility, projections, readings,
     reference_limits, rotations, stiffness, supervised_law, wrench)
 

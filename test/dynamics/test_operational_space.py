@@ -4,6 +4,7 @@ from arms import controller_config, HOME, seven_joint_config, seven_joint_urdf
 import equations
 from multicontact_control.control.arm_state import ArmState
 from multicontact_control.dynamics.operational_space import (
+    add_manipulability_gradient,
     add_nullspace_torque,
     bias_acceleration,
     mobility_and_inertia,
@@ -12,6 +13,7 @@ from multicontact_control.dynamics.operational_space import (
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import ShapeError, SingularTaskError
 from multicontact_control.paths import config_dir
+from multicontact_control.records import LAW
 import numpy as np
 import pytest
 
@@ -27,8 +29,8 @@ def _acceleration(state, torque):
     return state.jacobian @ qdd + state.jacobian_drift
 
 
-def torque_for(model, q, v, acceleration, damping=None):
-    """Return J^T Lambda (a + bias), with the null space where a damping is given."""
+def torque_for(model, q, v, acceleration, **nullspace):
+    """Return J^T Lambda (a + bias), with the null space as records of `LAW` and `JOINT` say it."""
     arm = ArmState(model)
     arm.update(q, v)
     terms, n = model.terms, len(q)
@@ -39,9 +41,12 @@ def torque_for(model, q, v, acceleration, damping=None):
     np.testing.assert_allclose(mobility @ Lambda, np.eye(6), atol=1e-9)
     bias_acceleration(arm.joints, L, Y, terms.jacobian_rate, bias)
     arm.joints['torque'] = terms.jacobian.T @ (Lambda @ (acceleration + bias))
-    if damping is not None:
+    if nullspace:
+        law = np.zeros(1, dtype=LAW)
+        for name, value in nullspace.items():
+            (law if name in LAW.names else arm.joints)[name] = value
         add_nullspace_torque(
-            arm.joints, terms.mass_matrix, terms.jacobian, L, Y, Lambda, damping)
+            arm.joints, terms.mass_matrix, terms.jacobian, L, Y, Lambda, law[0])
     return arm.joints['torque'].copy()
 
 
@@ -64,13 +69,36 @@ def test_redundant_arm_gives_the_commanded_acceleration_and_damps_the_rest(tmp_p
     rng = np.random.default_rng(2)
     q, v = rng.standard_normal((2, 7))
     a = rng.standard_normal(6)
-    torque, undamped = (torque_for(model, q, v, a, damping) for damping in (3.0, 0.0))
+    torque, undamped = (
+        torque_for(model, q, v, a, nullspace_damping=damping) for damping in (3.0, 0.0))
     state = model.update(q, v)
     np.testing.assert_allclose(_acceleration(state, torque), a, atol=1e-9)
     assert (torque - undamped) @ v < 0.0
     space = equations.operational_space(state)
     np.testing.assert_allclose(torque, equations.joint_torque(
         space.Lambda @ a + space.mu + space.p, state, space, nullspace_damping=3.0), atol=1e-9)
+
+
+def test_posture_moves_the_arm_and_not_its_operational_point(tmp_path):
+    """J M^-1 of what the posture and the stops add is 0, to rounding."""
+    model = RobotModel(seven_joint_config(seven_joint_urdf(tmp_path)), tmp_path)
+    rng = np.random.default_rng(4)
+    for _ in range(10):
+        q, v, a, posture = *rng.standard_normal((2, 7)), rng.standard_normal(6), np.ones(7)
+        wanted = {'posture_stiffness': 25.0, 'stop_stiffness': 400.0, 'stop_margin': 0.3,
+                  'posture': posture, 'lower': q - 0.2,
+                  'upper': q + np.array([0.1] * 3 + [np.inf] * 4)}
+        torque, without = (torque_for(model, q, v, a, nullspace_damping=10.0, **each)
+                           for each in (wanted, {}))
+        state, added = model.update(q, v), torque - without
+        moved = np.linalg.solve(state.mass_matrix, added)
+        assert np.abs(added).max() > 1.0
+        assert np.abs(moved).max() > 1.0
+        np.testing.assert_allclose(state.jacobian @ moved, 0.0, atol=1e-8)
+        space = equations.operational_space(state)
+        np.testing.assert_allclose(torque, equations.joint_torque(
+            space.Lambda @ a + space.mu + space.p, state, space, 10.0, equations.posture_pull(
+                q, posture, wanted['lower'], wanted['upper'], 5.0, 0.3)), atol=1e-8)
 
 
 def test_task_inertia_is_the_equation(puma):
@@ -105,3 +133,20 @@ def test_task_inertia_refuses_a_jacobian_of_another_width():
     """The message names the array."""
     with pytest.raises(ShapeError, match=r'jacobian: expected shape \(6, 3\), found \(2, 4\)'):
         task_inertia(np.eye(3), np.zeros((2, 4)))
+
+
+def test_manipulability_grows_along_its_gradient(tmp_path):
+    """Against differences of log sqrt(det(J J^T))."""
+    model = RobotModel(seven_joint_config(seven_joint_urdf(tmp_path)), tmp_path)
+
+    def manipulability(q):
+        jacobian = model.update(q, np.zeros(7)).jacobian
+        return 0.5 * np.log(np.linalg.det(jacobian @ jacobian.T))
+
+    q = np.random.default_rng(5).standard_normal(7)
+    gradient = np.ones(7)
+    add_manipulability_gradient(model.compute(q, np.zeros(7)).jacobian, 2.0, gradient)
+    step = 1e-5 * np.eye(7)
+    np.testing.assert_allclose(gradient, 1.0 + 2.0 * np.array([
+        (manipulability(q + each) - manipulability(q - each)) / 2e-5 for each in step]),
+        atol=1e-6)

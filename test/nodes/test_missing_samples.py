@@ -7,7 +7,7 @@ import threading
 import time
 
 from arms import HOME
-from fake_arm import FakeArm, PERIOD
+from fake_arm import FakeArm, PERIOD, UNFELT
 from multicontact_control.nodes import messages
 from multicontact_control.paths import config_dir
 import numpy as np
@@ -19,7 +19,7 @@ pytestmark = pytest.mark.ros
 
 MODULE = 'multicontact_control.nodes.controller_node'
 FILE = config_dir() / 'controller.yaml'
-STILL = ('autostart:=true', 'watchdog.frozen_samples:=0', 'sensor.frozen_ticks:=0')
+STILL = ('autostart:=true', 'watchdog.frozen_samples:=0', 'sensor.frozen_ticks:=0', UNFELT)
 # Far longer than the pauses of a busy machine, so that only what is left out is missed.
 PATIENT = (*STILL, 'patience:=50.0')
 

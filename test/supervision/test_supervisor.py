@@ -1,6 +1,6 @@
 """The supervisor: whatever comes in, finite torques within limits; reactions; recovery."""
 
-from arms import controller_config, HOME
+from arms import HOME, still_config
 from hypothesis import given, HealthCheck, settings
 from hypothesis import strategies as st
 from multicontact_control.control.arm_state import see_arm
@@ -25,7 +25,7 @@ from multicontact_control.supervision.validation import (
 import numpy as np
 import pytest
 
-CONFIG = controller_config()
+CONFIG = still_config()
 H = CONFIG.period
 LIMIT = np.array(CONFIG.torque_limit)
 STEP = np.array(CONFIG.limits.torque_rate) * H

@@ -50,7 +50,7 @@ class Replay:
         wrench = data.wrench if config.wrench_input == 'raw' else data.wrench_filtered
         self.samples = [
             PairedSample(round(k * config.period * 1e9), data.q[k].copy(), data.qd[k].copy(),
-                         wrench[k].copy())
+                         wrench[k].copy(), data.effort[k].copy())
             for k in range(data.ticks)]
         self._loop = ControlLoop(
             config, setup.reference(), CommandLimits(), setup.urdf_dir, supervised=supervised)

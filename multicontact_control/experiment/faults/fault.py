@@ -137,6 +137,9 @@ class Fault:
         Whether a declared reaction may not wait until the reading has become too old.
     ticks
         How long it lasts in process, at least and less than.
+    meets
+        Number of the surface that the arm meets before its wrist sensor, in process: it must
+        notice, and not press hard.
 
     """
 
@@ -149,6 +152,7 @@ class Fault:
     goes_on: bool = True
     at_once: bool = False
     ticks: tuple[int, int] = (5, 150)
+    meets: int | None = None
 
     @property
     def passes(self) -> bool:

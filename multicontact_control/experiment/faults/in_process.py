@@ -178,19 +178,20 @@ def run_fault(
     random = fault.random(seed)
     for _ in range(int(random.integers(5, 60))):
         loop.advance()
-    begin = loop.tick
+    begin, known = loop.tick, loop.control.collisions.total()
     found = [Occurrence(fault, random, loop)]
     if other is not None:
         found.append(Occurrence(other, other.random(seed), loop))
     lasted = max(each.lasts for each in found)
     before = loop.command.copy()
-    torques, forces, reactions = [], [], []
+    torques, forces, met, reactions = [], [], [], []
     problems: set[str] = set()
 
     for _ in range(RUN_TICKS):
         advance_with(found, loop)
         torques.append(loop.command.copy())
         forces.append(loop.true_forces)
+        met.append(0.0 if fault.meets is None else loop.plant.contacts.pressed[fault.meets])
         reactions.append(loop.status.reaction)
         if any(cause.startswith('internal') for cause in loop.status.causes) and not any(
                 isinstance(each.action, Breakdown) for each in (fault, other) if each):
@@ -202,6 +203,7 @@ def run_fault(
         torque=np.array(torques), before=before, time=time, force=np.max(forces, axis=1),
         reaction=max(reactions[:lasted], key=SEVERITY.index), reactions=reactions,
         forces=np.array(forces), wanted=loop.setup.commanded(begin * period + time),
+        met=np.array(met), noticed=bool(loop.control.collisions.total() > known),
         lasted=lasted, problems=problems), where=PROCESS, phase=phase)
 
 

@@ -20,6 +20,7 @@ RETRACT_TIME = 0.1  # s, in which a contact beyond that must have been left
 SILENCE = 0.1  # s without a command while samples come that counts as silence
 STOPPED = 0.3  # s of silence that a controller which should go on may not be guilty of
 TOLERANCE = 1e-9  # of a limit
+MET_FORCE, NOTICED_FORCE = 40.0, 30.0  # N on what the arm meets: at most; from where it is told
 OFF_TIME, OFF_FORCE, OFF_SHARE = 0.02, 2.0, 0.2  # s, N, share of the command: off it beyond both
 BACK_TIME = 0.6  # s after a fault, in which the arm is back: waiting, and five time constants
 AGAIN = 10  # changes of the reaction, within a run of 1.2 s and 2/s over 5 s
@@ -42,13 +43,14 @@ class FaultRow:
         come again, and every true force is, and stays, within the ceiling [s]; infinite numbers
         do not occur: -1 says never.
     peak_force_n
-        Largest true normal force from its beginning on [N].
+        Largest true normal force from its beginning on, also on what is met at the elbow [N].
     peak_torque_fraction
         Largest commanded torque over its limit.
     safe
         Every command finite, within the torque limits and their rates; in process, a declared
         reaction within two ticks, of R within its largest age; every true force within 1.25
-        times the force ceiling, or back within it in 0.1 s; over the graph, everything that is
+        times the force ceiling, or back within it in 0.1 s; what is met at the elbow is noticed,
+        and pressed by less than 40 N; over the graph, everything that is
         said finite, no silence of a controller that should go on, no wrong command obeyed; no
         exception, no hang.
     plant, phase, problems
@@ -103,6 +105,9 @@ class Observation:
         The reaction in each tick, in process.
     forces, wanted
         True forces, and those that the task asks for, in process, shape (ticks, r) [N].
+    met, noticed
+        Forces on what the arm meets before its wrist sensor, shape (ticks,) [N], and whether a
+        collision was told of, in process.
     lasted
         How many ticks the fault lasted, in process.
     silences
@@ -122,6 +127,8 @@ class Observation:
     reactions: Sequence[str] = ()
     forces: Matrix | None = None
     wanted: Matrix | None = None
+    met: Vector | None = None
+    noticed: bool = False
     lasted: int = 0
     silences: Sequence[tuple[float, float]] = ()
     recovered: bool = True
@@ -141,6 +148,11 @@ def judge(
     if _longest(seen.time, seen.force > FORCE_MARGIN * ceiling, period) > (
             RETRACT_TIME * (1.0 + TOLERANCE)):
         problems.add('force beyond the ceiling for too long')
+    met = float(seen.met.max(initial=0.0)) if seen.met is not None else 0.0
+    if met > MET_FORCE:
+        problems.add('obstacle pressed too hard')
+    if met > NOTICED_FORCE and not seen.noticed:
+        problems.add('obstacle not noticed')
     latest = _latest(fault, config.watchdog)
     told = bool(seen.reactions) and seen.lasted > latest
     reached = _reaction_tick(seen.reactions, fault.expected(phase)) if told else 0
@@ -161,7 +173,7 @@ def judge(
     return FaultRow(
         kind=fault.kind, input=fault.input, seed=seed, reaction=seen.reaction,
         time_to_safe_s=-1.0 if never else round(max(safe_from), 6),
-        peak_force_n=round(float(seen.force.max(initial=0.0)), 3),
+        peak_force_n=round(max(met, float(seen.force.max(initial=0.0))), 3),
         peak_torque_fraction=round(fraction, 5), safe=not problems, plant=setup.plant_name,
         phase=phase, problems=', '.join(sorted(problems)), where=where,
         off_command_s=-1.0 if seen.forces is None or phase not in (REST, SLIDING) else round(

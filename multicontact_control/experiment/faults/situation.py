@@ -5,12 +5,17 @@ from __future__ import annotations
 from multicontact_control.experiment.faults.vocabulary import FAR
 from multicontact_control.experiment.scenario import resolve, Setup
 
+ELBOW = 'link3'  # of the simulated arm: its origin is on the axis of the elbow
 
-def with_side_wall(scenario: str, plant: str, seed: int) -> Setup:
-    """Resolve a scenario with a wall far away, that the first contact's tip may meet."""
+
+def with_obstacles(scenario: str, plant: str, seed: int) -> Setup:
+    """Resolve a scenario with walls far away that the first contact's tip, or the elbow, meets."""
     setup = resolve(scenario, plant=plant, seed=seed)
     tip = setup.plant.surfaces[setup.plant.contact_names[0]].tip_link
-    wall = {'tip_link': tip, 'point_world': [FAR, 0.0, 0.0], 'normal_world': [1.0, 0.0, 0.0],
-            'stiffness': 3000.0, 'roughness_std': 0.0}
+    walls = {name: {
+        'tip_link': link, 'point_world': [along * FAR, 0.0, 0.0],
+        'normal_world': [along, 0.0, 0.0], 'stiffness': stiffness, 'roughness_std': 0.0}
+        for name, link, along, stiffness in (
+            ('side_wall', tip, 1.0, 3000.0), ('elbow_wall', ELBOW, -1.0, 6000.0))}
     return resolve(scenario, plant=plant, seed=seed, plant_overrides={
-        'obstacle_names': ['side_wall'], 'surfaces': {'side_wall': wall}})
+        'obstacle_names': list(walls), 'surfaces': walls})

@@ -47,8 +47,8 @@ PERIOD = 0.002  # s, by which clocks are moved
 LOSS = 0.3  # share of messages that an intermittent stream loses
 BURST = 10  # messages that come at once
 JUMP = 0.1  # m
-OBSTACLE = 2  # number of a surface that is no contact
-FAR = 10.0  # m, where it is not in the way
+SIDE_WALL, ELBOW_WALL = 2, 3  # numbers of surfaces that are no contacts
+FAR = 10.0  # m, where they are not in the way
 # What a tick calls of a supervisor, one after the other.
 PARTS = ('_watchdog.validate', 'controller.arm.refresh', 'reference.ask', '_answer',
          '_contradiction', '_reactions.torque', '_transition.apply', '_gate.apply')
@@ -212,6 +212,10 @@ def _plants() -> list[Fault]:
 
         return PlantEdit(change(there), None if back is None else change(back))
 
+    def wall(number: int) -> PlantEdit:
+        return PlantEdit(lambda plant, choice: plant.contacts.put_before_tip(number, 2e-3),
+                         lambda plant, choice: plant.contacts.shift(number, FAR))
+
     def torque_limit(there: float, back: float) -> PlantEdit:
         return PlantEdit(lambda plant, choice: plant.scale_torque_limit(there),
                          lambda plant, choice: plant.scale_torque_limit(back))
@@ -225,12 +229,13 @@ def _plants() -> list[Fault]:
         'surface_jump_2mm_up': surface('shift', -2e-3, None),
         'surface_jump_2mm_down': surface('shift', 2e-3, None),
         'friction_x5': surface('scale_friction', 5.0, 0.2),
-        'side_wall': PlantEdit(
-            lambda plant, choice: plant.contacts.put_before_tip(OBSTACLE, 2e-3),
-            lambda plant, choice: plant.contacts.shift(OBSTACLE, FAR)),
+        'side_wall': wall(SIDE_WALL),
         'torque_limit_halved': torque_limit(0.5, 2.0),
         'torque_limit_to_a_fifth': torque_limit(0.2, 5.0)}
-    return [Fault(kind, 'plant', edit, where=IN_PROCESS) for kind, edit in edits.items()]
+    return [*(Fault(kind, 'plant', edit, where=IN_PROCESS) for kind, edit in edits.items()),
+            # It is met once the slide has turned round, as long as it takes.
+            Fault('elbow_obstacle', 'plant', wall(ELBOW_WALL), where=IN_PROCESS,
+                  ticks=(590, 600), meets=ELBOW_WALL)]
 
 
 def _breakdowns() -> list[Fault]:

@@ -3,9 +3,11 @@
 from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.faults.fault import PROCESS
 from multicontact_control.experiment.faults.in_process import RUN_TICKS
+from multicontact_control.experiment.faults.situation import with_obstacles
 from multicontact_control.experiment.faults.vocabulary import faults_of
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.experiment.study.presets.faults.jobs import in_fork
+from multicontact_control.supervision.collision import CollisionWatch
 from multicontact_control.supervision.validation import Watchdog
 import pytest
 
@@ -64,3 +66,20 @@ def test_fault_that_kills_its_process_is_not_safe(world, monkeypatch):
 def test_run_is_long_enough_to_recover_in():
     """The longest fault and the recovery time fit into it."""
     assert RUN_TICKS >= 150 + 300 + 100
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('plant', ['rigid', 'puma'])
+def test_obstacle_at_the_elbow_is_noticed_and_not_pressed_hard(plant, monkeypatch):
+    """Without a reaction the slide goes on into it: 193 N once, for as long as it took."""
+    world = ClosedLoop(with_obstacles('quick', plant, 0))
+    while world.tick < 4100:
+        world.advance()
+    row = in_fork(world, KINDS['elbow_obstacle', 'plant'], 1, 'sliding')
+    assert (row.reaction, row.safe, row.problems) == ('hold', True, '')
+    assert 10.0 < row.peak_force_n < 40.0
+    monkeypatch.setattr(CollisionWatch, 'cause', lambda self, found: '')
+    row = in_fork(world, KINDS['elbow_obstacle', 'plant'], 1, 'sliding')
+    assert not row.safe
+    assert 'obstacle not noticed' in row.problems
+    world.close()

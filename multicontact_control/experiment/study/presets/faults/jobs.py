@@ -16,7 +16,7 @@ from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.faults.fault import APPROACH, Fault, PROCESS, REST, SLIDING
 from multicontact_control.experiment.faults.in_process import run_fault, RUN_TICKS
 from multicontact_control.experiment.faults.judge import FaultRow
-from multicontact_control.experiment.faults.situation import with_side_wall
+from multicontact_control.experiment.faults.situation import with_obstacles
 from multicontact_control.experiment.faults.vocabulary import faults_of
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.experiment.study.jobs import content_key, JobResult, setup_content
@@ -51,7 +51,7 @@ class FaultJob:
 
     def setup(self) -> Setup:
         """Return the scenario in which they happen."""
-        return with_side_wall(SCENARIO, self.plant, self.first_seed)
+        return with_obstacles(SCENARIO, self.plant, self.first_seed)
 
     def key(self) -> str:
         """Return the hash of all that decides the outcome; see `Job.key`."""

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 import time
 from typing import Any, ClassVar
 
-from multicontact_control.experiment.faults.situation import with_side_wall
+from multicontact_control.experiment.faults.situation import with_obstacles
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.experiment.soak import Soak
 from multicontact_control.experiment.study.jobs import content_key, JobResult, setup_content
@@ -27,7 +27,7 @@ class SoakJob:
 
     def setup(self) -> Setup:
         """Return the arm and what surrounds it."""
-        return with_side_wall(SCENARIO, self.plant, self.seed)
+        return with_obstacles(SCENARIO, self.plant, self.seed)
 
     def key(self) -> str:
         """Return the hash of all that decides the outcome; see `Job.key`."""

@@ -1,7 +1,7 @@
 """Soaks: what they find, and that a quarter of an hour on each plant finds nothing."""
 
 from multicontact_control.errors import ConfigError
-from multicontact_control.experiment.faults.situation import with_side_wall
+from multicontact_control.experiment.faults.situation import with_obstacles
 from multicontact_control.experiment.soak import Soak
 from multicontact_control.experiment.study.presets.soak.study import (
     is_good,
@@ -14,7 +14,7 @@ import pytest
 
 @pytest.fixture
 def soak():
-    soak = Soak(with_side_wall('quick', 'rigid', 0), 0)
+    soak = Soak(with_obstacles('quick', 'rigid', 0), 0)
     yield soak
     soak.close()
 
@@ -29,7 +29,7 @@ def test_half_a_minute_finds_nothing_and_does_something(soak):
 def test_same_seed_same_soak():
     outcomes = []
     for _ in range(2):
-        soak = Soak(with_side_wall('quick', 'rigid', 3), 3)
+        soak = Soak(with_obstacles('quick', 'rigid', 3), 3)
         outcomes.append(soak.run(10.0))
         soak.close()
     assert outcomes[0] == outcomes[1]

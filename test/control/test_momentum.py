@@ -1,0 +1,81 @@
+"""The momentum observer, against what really touches a simulated arm."""
+
+from arms import controller_config, HOME, plant_config
+from multicontact_control.control.arm_state import ArmState, TOUCHED
+from multicontact_control.control.wrench import tool_record
+from multicontact_control.dynamics.robot import RobotModel
+from multicontact_control.paths import config_dir
+from multicontact_control.records import CONTROL
+import numpy as np
+import pinocchio as pin
+from sim_bridge.pybullet_plant import PybulletPlant
+
+H, K = 0.002, 200.0
+FAR = {'table': {'point_world': [0.0, 0.55, -5.0]}, 'board': {'point_world': [0.0, 5.0, 0.46]}}
+PUSH, TOOL_PUSH = np.array([12.0, -5.0, 8.0]), np.array([3.0, -6.0, 4.0])
+
+
+def classic_observer(model, q, v, torque):
+    """Return r = K (p_0 - p + int (Gamma + C^T v - g - r) dt), as published, at every sample."""
+    data, n = model.createData(), q.shape[1]
+    momenta, rates = [], []
+    for each_q, each_v in zip(q, v):
+        M = pin.crba(model, data, each_q)
+        M = np.triu(M) + np.triu(M, 1).T
+        C = pin.computeCoriolisMatrix(model, data, each_q, each_v)
+        momenta.append(M @ each_v)
+        rates.append(C.T @ each_v - pin.computeGeneralizedGravity(model, data, each_q))
+    found, integral = [np.zeros(n)], np.zeros(n)
+    for k in range(1, len(q)):
+        integral = integral + H * (torque[k] + 0.5 * (rates[k] + rates[k - 1]))
+        # r enters its own integral: backward Euler.
+        found.append((K * (momenta[0] - momenta[k] + integral)) / (1.0 + K * H))
+        integral = integral - H * found[-1]
+    return np.array(found)
+
+
+def test_residual_is_what_touches_the_arm_before_its_sensor_and_nothing_else():
+    """A swinging arm, its tool pushed all the time, its wrist from 0.5 s on."""
+    config = controller_config()
+    robot = RobotModel(config.robot, config_dir())
+    controls = np.zeros(1, dtype=CONTROL)
+    controls['tool'] = tool_record(config.tool, np.array(config.robot.gravity_world))
+    controls['law']['friction_speed'], controls['momentum']['bandwidth'] = 1.0, K
+    arm = ArmState(robot, controls)
+    arm.joints['threshold'] = 1.0
+    plant = PybulletPlant(plant_config(
+        'rigid', surfaces=FAR, substep=2.5e-4, push_start=[0.5], push_duration=[9.0],
+        push_force_world=PUSH.tolist(), tool_push_start=[0.0], tool_push_duration=[9.0],
+        tool_push_force_world=TOOL_PUSH.tolist(), sensor={'noise': False, 'quantise': False}),
+        rate=1.0 / H, seed=0)
+    residuals, expected, found, q, v, efforts, felt = [], [], [], [], [], [], []
+    try:
+        sample = plant.reset()
+        for k in range(500):
+            controls['wrench'], arm.joints['effort'] = sample.wrench, sample.effort
+            controls['momentum']['elapsed'] = H if k else 0.0
+            arm.update(sample.q, sample.qd)
+            residuals.append(arm.joints['residual'].copy())
+            found.append(bool(arm.found & TOUCHED))
+            state = robot.update(sample.q, sample.qd)
+            expected.append(-state.jacobian[:3].T @ PUSH if k * H > 0.55 else np.zeros(6))
+            q.append(sample.q), v.append(sample.qd), efforts.append(sample.effort)
+            tip = plant.model.getFrameId('tip_board')
+            felt.append(pin.computeFrameJacobian(
+                plant.model, plant.model.createData(), sample.q, tip,
+                pin.LOCAL_WORLD_ALIGNED)[:3].T @ TOOL_PUSH)
+            wanted = HOME + 0.15 * np.sin(6.0 * k * H)
+            sample = plant.step(state.gravity + state.coriolis + state.mass_matrix @ (
+                400.0 * (wanted - sample.q) - 40.0 * sample.qd))
+        reference = classic_observer(
+            plant.model, np.array(q), np.array(v), np.array(efforts) + np.array(felt))
+    finally:
+        plant.close()
+    assert np.abs(v).max() > 0.5
+    residuals, expected, found = np.array(residuals), np.array(expected), np.array(found)
+    assert np.abs(expected[300:]).max() > 3.0
+    np.testing.assert_allclose(residuals[20:250], expected[20:250], atol=0.2)
+    np.testing.assert_allclose(residuals[290:], expected[290:], atol=0.2)
+    np.testing.assert_allclose(residuals[20:], reference[20:], atol=0.4)
+    assert not found[:250].any()
+    assert found[253:].all()

@@ -1,0 +1,121 @@
+"""What touches the arm before its wrist sensor: seen, told, reacted to, and never made up."""
+
+from multicontact_control.errors import ConfigError
+from multicontact_control.experiment.closed_loop import ClosedLoop
+from multicontact_control.experiment.faults.situation import with_obstacles
+from multicontact_control.experiment.faults.vocabulary import ELBOW_WALL, FAR
+from multicontact_control.experiment.scenario import resolve
+import numpy as np
+import pytest
+
+DEPTH = 2.5e-3  # m, at once: 15 N on the obstacle of 6000 N/m
+
+
+def standing(plant, **controller):
+    """Return a loop that stands still with an obstacle far from its elbow."""
+    setup = with_obstacles('quick', plant, 0)
+    overrides = setup.plant.model_dump(include={'obstacle_names', 'surfaces'})
+    loop = ClosedLoop(resolve('quick', plant=plant, plant_overrides=overrides,
+                              controller=controller), commanded=True)
+    for _ in range(150):
+        loop.advance()
+    assert not loop.control.collisions
+    return loop
+
+
+def without_effort(inputs):
+    return inputs._replace(joints=inputs.joints._replace(effort=None))
+
+
+def advance(loop, ticks, corrupt=None):
+    """Advance; return the statuses and the forces on the obstacle."""
+    statuses, forces = [], []
+    for _ in range(ticks):
+        loop.advance(corrupt)
+        statuses.append(loop.status)
+        forces.append(loop.plant.contacts.pressed[ELBOW_WALL])
+    return statuses, np.array(forces)
+
+
+@pytest.mark.parametrize('corrupt', [None, without_effort])
+def test_15_newtons_at_the_elbow_are_seen_within_20_ms_held_against_and_left(corrupt):
+    """On rigid drives, from measured torques and from commanded ones."""
+    loop = standing('rigid')
+    try:
+        advance(loop, 10, corrupt)
+        loop.plant.contacts.put_before_tip(ELBOW_WALL, -DEPTH)
+        statuses, forces = advance(loop, 300, corrupt)
+        seen = [bool(status.causes) for status in statuses]
+        assert 10.0 < forces[0] <= 15.0
+        assert seen.index(True) <= 10
+        # What is on the elbow's axis loads the joints before it alone.
+        assert {cause for status in statuses for cause in status.causes} <= {
+            'collision_joint1', 'collision_joint2', 'recovering'}
+        assert statuses[seen.index(True)].reaction == 'hold'
+        assert forces.max() < 20.0
+        assert loop.control.collisions.total() >= 1
+        assert any('collision_joint' in what for _, what in loop.control.events.events)
+        loop.plant.contacts.shift(ELBOW_WALL, FAR)
+        statuses, _ = advance(loop, 1500, corrupt)
+    finally:
+        loop.close()
+    assert (statuses[-1].reaction, statuses[-1].causes) == ('none', ())
+
+
+@pytest.mark.parametrize(('reaction', 'seen'), [
+    ('none', 'none'), ('float', 'float'), ('damp', 'damp')])
+def test_reaction_is_the_declared_one(reaction, seen):
+    loop = standing('rigid', collision={'reaction': reaction})
+    try:
+        loop.plant.contacts.put_before_tip(ELBOW_WALL, -DEPTH)
+        statuses, _ = advance(loop, 20)
+    finally:
+        loop.close()
+    collided = [status for status in statuses if any(
+        cause.startswith('collision') for cause in status.causes)]
+    assert collided
+    assert {status.reaction for status in collided} == {seen}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('plant', ['rigid', 'puma'])
+def test_nothing_is_made_up_in_forces_motion_and_pushes_of_5_newtons(plant):
+    """Friction, flexible drives and a hand at the wrist stay below the thresholds."""
+    loop = ClosedLoop(resolve('disturbance', plant=plant, duration=16.0))
+    largest, watch = 0.0, loop.control.supervisor.collisions
+    joints = loop.control.supervisor.controller.arm.joints
+    try:
+        for _ in range(loop.setup.ticks):
+            loop.advance()
+            largest = max(largest, (np.abs(watch.residual) / joints['threshold']).max())
+    finally:
+        loop.close()
+    assert not loop.control.collisions
+    assert 0.1 < largest < 0.9
+
+
+@pytest.mark.slow
+def test_forces_are_controlled_without_a_wrist_sensor():
+    """10 N on both surfaces, by the joint torques alone, on rigid drives without friction."""
+    loop = ClosedLoop(resolve('quick', plant='rigid', controller={
+        'wrench_input': 'momentum', 'robot': {'sensor_frame': ''}}), commanded=True)
+    try:
+        loop.advance()
+        loop.control.set_forces({'table': 10.0, 'board': 10.0})
+        forces = []
+        for _ in range(2000):
+            loop.advance()
+            forces.append(loop.true_forces)
+    finally:
+        loop.close()
+    assert loop.status.contact_states == ('holding',) * 2
+    assert np.max(forces) < 25.0
+    late = np.array(forces[-500:])
+    np.testing.assert_allclose(late.mean(axis=0), 10.0, atol=0.3)
+    assert late.std(axis=0).max() < 0.5
+
+
+def test_arm_without_a_wrist_sensor_says_so():
+    for changes in ({'wrench_input': 'momentum'}, {'robot': {'sensor_frame': ''}}):
+        with pytest.raises(ConfigError, match='robot.sensor_frame'):
+            resolve('quick', controller=changes)
