@@ -31,7 +31,7 @@ class SupervisorReport:
             return Status('supervisor', values)
         values |= {'causes': ' '.join(status.causes) or 'none',
                    'task_time_s': status.task_time, 'events': len(loop.events.events)}
-        values |= {name: n for name, n in loop.collisions.items()}
+        values |= loop.collisions
         values |= _residuals(loop)
         values |= {f'ticks with {name}': n for name, n in counts[0].items() if name != NONE}
         values |= {f'rejected {name}': n for name, n in counts[1].items()}

@@ -84,7 +84,7 @@ def test_update_returns_arrays_of_its_own(puma):
     ({'joint_names': ('a', 'b')}, r"robot.joint_names: expected the robot's joints .*joint1"),
     ({'operational_frame': 'hand'}, r'robot.operational_frame: expected a link .*wrist_point'),
     ({'sensor_frame': 'hand'}, r"robot.sensor_frame: expected a link .*, found 'hand'"),
-    ({'operational_frame': 'link3'}, r"robot.operational_frame: expected a link that is carried "
+    ({'operational_frame': 'link3'}, r'robot.operational_frame: expected a link that is carried '
      r"by joint6, as the wrist sensor on 'ft_face' is, .*, found 'link3', carried by joint3"),
     ({'urdf': 'nowhere.urdf'}, r'robot.urdf: expected a readable URDF file, found .*nowhere'),
 ])
