@@ -167,11 +167,10 @@ class CollisionConfig(Config):
         1, 'Periods from a sample to the torque that answers it, for an arm that measures no '
         'torque: what is commanded is taken for it then.', ge=0, le=10)
 
-    @model_validator(mode='after')
-    def _check(self) -> CollisionConfig:
+    @cross_check
+    def _check(self) -> Iterator[ConfigError]:
         if min(self.threshold, default=1.0) <= 0.0:
-            raise ConfigError('collision.threshold', 'values above 0', min(self.threshold))
-        return self
+            yield ConfigError('collision.threshold', 'values above 0', min(self.threshold))
 
 
 class WatchdogConfig(Config):
