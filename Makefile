@@ -33,7 +33,7 @@ ifeq ($(ROS),native)
   PYTHON ?= $(if $(WITH_ROS),/usr/bin/python3,python3)
   VENV_FLAGS := --system-site-packages
   RUN_PACKAGE := .
-  TEST_PACKAGE := .[dask,test]
+  TEST_PACKAGE := .[robots,mujoco,dask,test]
 else
   # PyBullet has wheels up to Python 3.11: such a Python goes before a newer python3.
   PYTHON ?= $(shell for python in python3 python3.11 python3.10; do \
@@ -42,7 +42,7 @@ else
     done; echo python3)
   VENV_FLAGS :=
   RUN_PACKAGE := .[ros]
-  TEST_PACKAGE := .[ros,rostest,dask,test]
+  TEST_PACKAGE := .[ros,rostest,robots,mujoco,dask,test]
 endif
 
 BIN := $(VENV)/bin

@@ -50,6 +50,14 @@ extras_require = {
         'ros-jazzy-rmw-fastrtps-cpp==8.4.3',
         'ros-jazzy-common-interfaces==5.3.6',
     ],
+    # URDFs of robots of config/robots that PyBullet does not bring.
+    'robots': [
+        'example-robot-data>=4.4,<7',
+    ],
+    # The second engine of the simulated plant.
+    'mujoco': [
+        'mujoco>=3.2,<5',
+    ],
     # To run sweeps on a cluster.
     'dask': [
         'distributed>=2024.8,<2028',

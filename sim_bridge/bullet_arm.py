@@ -8,7 +8,7 @@ from tempfile import TemporaryDirectory
 from multicontact_control.arrays import Vector
 import numpy as np
 import pybullet as bullet
-from sim_bridge.puma560 import link_inertias, RobotData, SENSOR_FRAME, TOOL_LINK, urdf_text
+from sim_bridge.arm import Arm, SENSOR_FRAME, TOOL_LINK, urdf_text
 
 MAX_JOINT_SPEED = 1e4
 
@@ -19,8 +19,8 @@ class BulletArm:
 
     Parameters
     ----------
-    robot
-        The arm's data.
+    arm
+        The arm.
     gravity_world
         Gravity [m/s^2].
     step
@@ -36,13 +36,13 @@ class BulletArm:
     """
 
     def __init__(
-        self, robot: RobotData, gravity_world: tuple[float, float, float], step: float,
+        self, arm: Arm, gravity_world: tuple[float, float, float], step: float,
     ) -> None:
-        self._robot = robot
+        self._arm = arm
         self._gravity = gravity_world
         self._step = step
         self.client: int = bullet.connect(bullet.DIRECT)
-        self.q: Vector = np.zeros(len(robot.joint_names))
+        self.q: Vector = np.zeros(len(arm.links))
         self.qd: Vector = np.zeros_like(self.q)
 
     def reset(self, q: Vector) -> None:
@@ -87,6 +87,10 @@ class BulletArm:
         wrench: tuple[float, ...] = sensor[2]
         return wrench
 
+    def native_forces(self) -> Vector:
+        """Return no forces: this world has no contacts."""
+        return np.zeros(0)
+
     def close(self) -> None:
         """Give the world back."""
         if bullet.isConnected(physicsClientId=self.client):
@@ -101,7 +105,7 @@ class BulletArm:
             numSubSteps=0, numSolverIterations=1, enableFileCaching=0, physicsClientId=client)
         with TemporaryDirectory() as folder:
             path = Path(folder) / 'arm.urdf'
-            path.write_text(urdf_text(self._robot, for_bullet=True), encoding='utf-8')
+            path.write_text(urdf_text(self._arm, for_bullet=True), encoding='utf-8')
             self.body: int = bullet.loadURDF(
                 str(path), useFixedBase=True, flags=bullet.URDF_USE_INERTIA_FROM_FILE,
                 physicsClientId=client)
@@ -109,7 +113,7 @@ class BulletArm:
         for joint in range(bullet.getNumJoints(self.body, physicsClientId=client)):
             info = bullet.getJointInfo(self.body, joint, physicsClientId=client)
             indices[info[1].decode()] = joint
-        self._joints = [indices[name] for name in self._robot.joint_names]
+        self._joints = [indices[name] for name in self._arm.joint_names]
         sensor = indices[f'{SENSOR_FRAME}_joint']
         self._tool = indices[f'{TOOL_LINK}_joint']
         self._read_joints = [*self._joints, sensor]
@@ -122,10 +126,10 @@ class BulletArm:
         bullet.changeDynamics(
             self.body, -1, linearDamping=0.0, angularDamping=0.0, physicsClientId=client)
         joints = [*self._joints, sensor, self._tool]
-        for joint, inertia in zip(joints, link_inertias(self._robot), strict=True):
+        for joint, body in zip(joints, self._arm.bodies, strict=True):
             # A call of its own: beside a damping, the value would go to the base unnoticed.
             bullet.changeDynamics(
-                self.body, joint, localInertiaDiagonal=inertia, physicsClientId=client)
+                self.body, joint, localInertiaDiagonal=body.inertia, physicsClientId=client)
             bullet.changeDynamics(
                 self.body, joint, jointDamping=0.0, maxJointVelocity=MAX_JOINT_SPEED,
                 physicsClientId=client)

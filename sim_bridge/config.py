@@ -34,7 +34,21 @@ class SurfaceConfig(Config):
         (0.0, 0.0), 'Where on that contact, in half lengths along its direction and half widths '
         'across it.')
     point_world: Vector3 = parameter(..., 'A point of the mean surface.', unit='m')
-    normal_world: UnitVector3 = parameter(..., 'Unit surface normal INTO the surface.')
+    normal_world: UnitVector3 = parameter(
+        ..., 'Unit surface normal INTO the surface, at that point.')
+    shape: Literal['plane', 'cylinder', 'sphere'] = parameter(
+        'plane', 'Cylinders are curved along the track of the height profile (world x laid into '
+        'the surface, or y for one that faces along x).')
+    radius: Real = parameter(
+        0.0, 'Of a cylinder or sphere: above 0 with its centre behind the surface, as of a ball, '
+        'below 0 with its centre on the side of the robot, as of a bowl.', unit='m')
+    velocity: Real = parameter(
+        0.0, 'Largest speed at which the surface moves along its normal, first away from the '
+        'robot if positive.', unit='m/s')
+    motion_start: Real = parameter(0.0, 'When it begins to move.', unit='s', ge=0.0)
+    motion_period: Real = parameter(
+        0.0, 'Period of v sin(2 pi t / T), which leads it back; 0 for a constant velocity.',
+        unit='s', ge=0.0)
     stiffness: Real = parameter(6000.0, 'Contact stiffness.', unit='N/m', gt=0.0)
     damping: Real = parameter(30.0, 'Contact damping.', unit='N s/m', ge=0.0)
     friction: Real = parameter(0.1, 'Coulomb friction coefficient.', ge=0.0, le=2.0)
@@ -44,6 +58,13 @@ class SurfaceConfig(Config):
         4e-5, 'Standard deviation of the height profile, 0 for a smooth one.', unit='m', ge=0.0)
     roughness_length: Real = parameter(
         1e-4, 'Standard deviation of the Gaussian that smooths the profile.', unit='m', gt=0.0)
+
+    @model_validator(mode='after')
+    def _check_shape(self) -> SurfaceConfig:
+        if (self.shape == 'plane') != (self.radius == 0.0):
+            raise ConfigError('radius', '0 for a plane, and another number for what is curved',
+                              f'{self.radius:g} of a {self.shape}')
+        return self
 
 
 class SensorConfig(Config):
@@ -80,6 +101,15 @@ class SensorConfig(Config):
 class PlantConfig(Config):
     """The simulated arm, its drives, its sensor and what it touches."""
 
+    robot: str = parameter('puma', 'Robot: a name of config/robots, or the path of such a file.')
+    engine: Literal['pybullet', 'mujoco'] = parameter(
+        'pybullet', 'What works out how the arm moves.')
+    contact: Literal['compliant', 'native'] = parameter(
+        'compliant', 'Whether surfaces push as they are configured, the same with every engine, '
+        'or the contact solver of the engine does, with planes at rest and without roughness.')
+    tip_radius: Real = parameter(
+        0.005, "Radius of the balls at the tips that the engine's own contacts have.", unit='m',
+        gt=0.0)
     home: Vector = parameter(..., 'Joint angles at the start.', unit='rad')
     gravity_world: Vector3 = parameter((0.0, 0.0, -9.81), 'Gravity.', unit='m/s^2')
     substep: Real = parameter(2.5e-4, 'Integration step.', unit='s', gt=0.0)
@@ -130,6 +160,7 @@ class PlantConfig(Config):
                 raise ConfigError('contact_names', 'distinct names, obstacle_names included',
                                   list(names))
         self._check_lengths()
+        self._check_native()
         for name in ('drive_stiffness', 'torque_limit'):
             if min(getattr(self, name), default=1.0) <= 0.0:
                 raise ConfigError(name, 'values above 0', min(getattr(self, name)))
@@ -138,6 +169,20 @@ class PlantConfig(Config):
             if min(getattr(self, name), default=0.0) < 0.0:
                 raise ConfigError(name, 'no negative value', min(getattr(self, name)))
         return self
+
+    def _check_native(self) -> None:
+        if self.contact == 'compliant':
+            return
+        if self.engine != 'mujoco':
+            raise ConfigError('contact', 'compliant with this engine', 'native')
+        if self.drives == 'rigid' and self.joint_friction_scale > 0.0:
+            raise ConfigError('joint_friction_scale', '0 with rigid drives and native contacts',
+                              self.joint_friction_scale)
+        for name in self.met:
+            surface = self.surfaces[name]
+            if surface.shape != 'plane' or surface.velocity != 0.0:
+                raise ConfigError(f'surfaces.{name}', 'a plane at rest with native contacts',
+                                  f'a {surface.shape} at {surface.velocity:g} m/s')
 
     def _check_lengths(self) -> None:
         joints, pushes = len(self.home), len(self.push_start)

@@ -8,6 +8,7 @@ from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 import numpy as np
 import pinocchio as pin
+from sim_bridge.arm import OPERATIONAL_FRAME
 from sim_bridge.config import PlantConfig
 from sim_bridge.kinematics import (
     add_joint_torque,
@@ -41,7 +42,7 @@ class Contacts:
     carriers
         Number of the joint that carries each of these points.
     wrist_world
-        Origin of the last link, shape (3,) [m].
+        The operational point, shape (3,) [m].
     load
         What the surfaces, and pushes at the wrist and the tool, do to the joints, shape (n,)
         [N m].
@@ -58,6 +59,14 @@ class Contacts:
             [config.surfaces[name] for name in names], generators)
         self._surfaces['joint'], self._surfaces['tip'] = _carried_tips(model, config)
         self.carriers: list[int] = self._surfaces['joint'].tolist()
+        if config.contact == 'native':
+            for name in ('stiffness', 'damping', 'friction'):
+                self._surfaces[name] = 0.0  # only where the tips are is asked of them
+        self._moving = [(i, config.surfaces[name]) for i, name in enumerate(names)
+                        if config.surfaces[name].velocity != 0.0]
+        self._time = 0.0
+        frame = model.frames[model.getFrameId(OPERATIONAL_FRAME)]
+        self._operational: Vector = np.array(frame.placement.translation)
         self.pressed: Vector = self._surfaces['alpha']
         self._columns: Matrix | None = None
         if config.column_names != names[:len(config.column_names)]:
@@ -66,7 +75,7 @@ class Contacts:
         self._count = len(config.column_names)
         self.forces_world: Matrix = self._surfaces['force']
         self.points_world: Matrix = self._surfaces['point']
-        self.wrist_world: Vector = self._links['origin'][-1]
+        self.wrist_world: Vector = np.zeros(3)
         self.load = np.zeros(model.nv)
 
     @property
@@ -75,6 +84,19 @@ class Contacts:
         forces: Vector = self.pressed[:self._count].copy() if self._columns is None else (
             self._columns @ self.pressed)
         return forces
+
+    def move(self, step: float) -> None:
+        """Let the surfaces that move do so for one step [s], before it is taken."""
+        if not self._moving:
+            return
+        self._time += step
+        for i, config in self._moving:
+            time = self._time - config.motion_start
+            speed = 0.0 if time <= 0.0 else config.velocity
+            if config.motion_period > 0.0:
+                speed *= np.sin(2.0 * np.pi * time / config.motion_period)
+            self._surfaces[i]['speed'] = speed
+            self.shift(i, speed * step)
 
     def shift(self, contact: int, distance: float) -> None:
         """Move a surface along its normal by `distance` [m], away from the robot if positive."""
@@ -118,8 +140,9 @@ class Contacts:
             Whether any surface is pressed on.
 
         """
-        return advance_contacts(q, qd, push_world, self._links, self._surfaces, self._heights,
-                                self._slopes, self.load)
+        return advance_contacts(q, qd, push_world, self._operational, self._links,
+                                self._surfaces, self._heights, self._slopes, self.load,
+                                self.wrist_world)
 
 
 def _carried_tips(model: pin.Model, config: PlantConfig) -> tuple[list[int], Matrix]:
@@ -133,8 +156,8 @@ def _carried_tips(model: pin.Model, config: PlantConfig) -> tuple[list[int], Mat
 
 @compiled
 def advance_contacts(
-    q: Vector, qd: Vector, push: Vector, links: Any, surfaces: Any, heights: Matrix,
-    slopes: Matrix, load: Vector,
+    q: Vector, qd: Vector, push: Vector, push_point: Vector, links: Any, surfaces: Any,
+    heights: Matrix, slopes: Matrix, load: Vector, pushed_at: Vector,
 ) -> bool:
     """
     Work out every contact for a state of the arm.
@@ -144,13 +167,17 @@ def advance_contacts(
     q, qd
         Joint angles and speeds, link side, shape (n,) [rad], [rad/s].
     push
-        Force on the origin of the last link, world axes, shape (3,) [N].
+        Force on a point of the last link, world axes, shape (3,) [N].
+    push_point
+        That point in the last link's frame, shape (3,) [m].
     links, surfaces
         Records of `LINK`, shape (n,), and `SURFACE`, shape (nc,), changed.
     heights, slopes
         See `Surfaces`.
     load
         Filled with what surfaces and push do to the joints, shape (n,) [N m].
+    pushed_at
+        Filled with the point that is pushed, world axes, shape (3,) [m].
 
     Returns
     -------
@@ -164,7 +191,12 @@ def advance_contacts(
     forward_kinematics(q, links, last_rotation)
     for joint in range(joints):
         load[joint] = 0.0
-    add_joint_torque(links[joints - 1].origin, push, 1.0, links, joints - 1, load)
+    last = links[joints - 1]
+    for row in range(3):
+        pushed_at[row] = last.origin[row]
+        for column in range(3):
+            pushed_at[row] += last_rotation[row, column] * push_point[column]
+    add_joint_torque(pushed_at, push, 1.0, links, joints - 1, load)
     pressed = False
     for i in range(surfaces.shape[0]):
         surface = surfaces[i]

@@ -127,8 +127,9 @@ class RigidDrives:
     """
     The torque that makes links without rotors move as links with rotors do.
 
-    PyBullet knows no armature Ja. All forces being known, the acceleration with it is too
-    (pinocchio's articulated-body algorithm), and tau - Ja qdd makes PyBullet find the same.
+    PyBullet knows no armature Ja, nor does MuJoCo here. All forces being known, the acceleration
+    with it is too (pinocchio's articulated-body algorithm), and tau - Ja qdd makes the engine
+    find the same.
 
     Parameters
     ----------
@@ -180,6 +181,17 @@ class RigidDrives:
         slowed = (speed - qd) / self._step
         friction = inertia @ (acceleration - slowed)
         return np.asarray(torque - friction - self._armature * slowed)
+
+
+class EngineDrives:
+    """Rotors that turn with the links, in an engine that knows of them: it gets the torque."""
+
+    def reset(self, _q: Vector, _torque: Vector) -> None:
+        """Rest: nothing is remembered."""
+
+    def advance(self, torque: Vector, _load: Vector, _q: Vector, _qd: Vector) -> Vector:
+        """Return the motor torque as it is, shape (n,) [N m]."""
+        return torque
 
 
 @compiled

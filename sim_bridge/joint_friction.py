@@ -7,7 +7,7 @@ from typing import Any
 from multicontact_control.compiled import compiled
 from multicontact_control.records import Records
 import numpy as np
-from sim_bridge.puma560 import RobotData
+from sim_bridge.arm import Arm
 
 # Friction of one joint, joint side.
 FRICTION = np.dtype([
@@ -20,14 +20,14 @@ NEWTON_STEPS = 50
 NEWTON_TOLERANCE = 1e-13
 
 
-def joint_friction(robot: RobotData, scale: float, speed: float) -> Records:
+def joint_friction(arm: Arm, scale: float, speed: float) -> Records:
     """
     Return the joint-side friction of every joint.
 
     Parameters
     ----------
-    robot
-        The arm's data, friction on the motor's side of the gear.
+    arm
+        The arm, with its friction.
     scale
         Factor on it.
     speed
@@ -39,13 +39,10 @@ def joint_friction(robot: RobotData, scale: float, speed: float) -> Records:
         Records of `FRICTION`, shape (n,).
 
     """
-    joints = np.zeros(len(robot.motors), dtype=FRICTION)
-    for joint, motor in zip(joints, robot.motors):
-        gear = abs(motor.gear)
-        positive, negative = motor.coulomb
-        joint['viscous'] = scale * motor.viscous * gear ** 2
-        joint['coulomb_positive'] = scale * abs(positive) * gear
-        joint['coulomb_negative'] = scale * abs(negative) * gear
+    joints = np.zeros(len(arm.links), dtype=FRICTION)
+    for joint, link in zip(joints, arm.links):
+        for name in ('viscous', 'coulomb_positive', 'coulomb_negative'):
+            joint[name] = scale * getattr(link, name)
         joint['speed'] = speed
     return joints
 

@@ -53,10 +53,10 @@ import numpy as np
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from sim_bridge.actuator_delay import ActuatorDelay
+from sim_bridge.arm import SENSOR_FRAME
 from sim_bridge.config import PlantConfig
+from sim_bridge.plant import Plant, Sample
 from sim_bridge.position_hold import PositionHold
-from sim_bridge.puma560 import load_robot, urdf_text
-from sim_bridge.pybullet_plant import PybulletPlant, Sample
 from std_msgs.msg import String
 
 MAX_LATE_PERIODS = 2
@@ -101,7 +101,7 @@ class SimNode(Node):
         config: SimNodeConfig
         plant_config, config = load_parameters(self, PlantConfig, SimNodeConfig)
         self._config = config
-        self._plant = PybulletPlant(plant_config, rate=config.rate, seed=config.seed)
+        self._plant = Plant(plant_config, rate=config.rate, seed=config.seed)
         # The first step ever takes many times as long as all others: not in the run.
         self._plant.step(self._plant.initial_torque)
         self._sample: Sample = self._plant.reset()
@@ -127,7 +127,7 @@ class SimNode(Node):
         self._fresh.expect(topics.EFFORT_COMMAND.name)
         self._diagnostics = Diagnostics(self, self._statuses)
         # Kept by the publisher for whoever comes late.
-        description.publish(String(data=urdf_text(load_robot())))
+        description.publish(String(data=self._plant.description.urdf))
         self._gate = StartupGate(
             self, {**self.streams.publishers, topics.ROBOT_DESCRIPTION: description},
             self.streams.subscriptions, config)
@@ -137,7 +137,7 @@ class SimNode(Node):
         """Return a message of each topic that is published at the control rate."""
         joints, contacts = self._plant.joint_names, self._plant.contact_names
         build, n = messages.joint_state_message, np.zeros(len(joints))
-        wrench = messages.wrench_message(0, np.zeros(6), 'ft_face')
+        wrench = messages.wrench_message(0, np.zeros(6), SENSOR_FRAME)
         return {
             topics.WRENCH: wrench, topics.WRENCH_FILTERED: wrench,
             topics.JOINT_STATES: build(0, joints, position=n, velocity=n, effort=n),

@@ -1,6 +1,8 @@
 """
 What the bar tips meet: compliant, one-sided, rough surfaces with friction.
 
+They may be curved, and move along their normal.
+
 Forces are what the robot does to the surface, and normals point into it, so a pressing force has a
 positive normal component.
 """
@@ -30,6 +32,10 @@ SURFACE = np.dtype([
     ('spacing', np.float64),  # of the points of the profile [m]
     ('joint', np.int64),  # number of the joint that carries the tip
     ('tip', np.float64, 3),  # the tip in that joint's frame [m]
+    ('radius', np.float64),  # of a curved one, 0 for a plane, > 0 for the outside of a ball [m]
+    ('ball', np.uint8),  # whether curved all around, as a ball, or along the track alone
+    ('speed', np.float64),  # at which it moves along its normal, away from the robot [m/s]
+    ('facing', np.float64, 3),  # unit normal INTO the surface where the tip is
     ('point', np.float64, 3),  # where the tip is [m]
     ('alpha', np.float64),  # normal force of robot on surface [N]
     ('force', np.float64, 3),  # force of robot on surface, friction included [N]
@@ -82,6 +88,8 @@ def build_surfaces(
         for name in ('stiffness', 'damping', 'friction', 'slip_speed'):
             record[name] = getattr(config, name)
         record['spacing'] = spacing
+        record['radius'], record['ball'] = config.radius, config.shape == 'sphere'
+        record['facing'] = record['normal']
     return Surfaces(records, heights, slopes)
 
 
@@ -138,6 +146,42 @@ def profile_at(values: Vector, spacing: float, position: float) -> float:
 
 
 @compiled
+def mean_depth(surface: Any) -> float:
+    """
+    Return how deep the tip is in the mean surface [m], and fill in which way that faces.
+
+    On a curved one, depth and normal are those towards its centre, or its axis.
+    """
+    normal, facing = surface.normal, surface.facing
+    depth = 0.0
+    for i in range(3):
+        facing[i] = normal[i]
+        depth += (surface.point[i] - surface.place[i]) * normal[i]
+    if surface.radius == 0.0:
+        return depth
+    away = np.empty(3)
+    across = 0.0  # along the axis of a cylinder, which is normal x track
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        axis = normal[j] * surface.track[k] - normal[k] * surface.track[j]
+        away[i] = surface.place[i] + surface.radius * normal[i] - surface.point[i]
+        across += away[i] * axis
+    squared = 0.0
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        axis = normal[j] * surface.track[k] - normal[k] * surface.track[j]
+        if not surface.ball:
+            away[i] -= across * axis
+        squared += away[i] * away[i]
+    distance = np.sqrt(squared)
+    sign = 1.0 if surface.radius > 0.0 else -1.0
+    if distance > 0.0:
+        for i in range(3):
+            facing[i] = sign * away[i] / distance
+    return float(surface.radius - sign * distance)
+
+
+@compiled
 def press(surface: Any, velocity: Vector, heights: Vector, slopes: Vector) -> None:
     """
     Work out what a moving tip does to a surface.
@@ -155,18 +199,20 @@ def press(surface: Any, velocity: Vector, heights: Vector, slopes: Vector) -> No
         Rows of `Surfaces`.
 
     """
-    normal, track, force = surface.normal, surface.track, surface.force
-    depth = 0.0
-    rate = 0.0
+    normal, track, force = surface.facing, surface.track, surface.force
     along = 0.0
+    for i in range(3):
+        along += (surface.point[i] - surface.place[i]) * track[i]
+    depth = mean_depth(surface)
+    rate = 0.0
     along_rate = 0.0
     for i in range(3):
-        offset = surface.point[i] - surface.place[i]
-        depth += offset * normal[i]
         rate += velocity[i] * normal[i]
-        along += offset * track[i]
         along_rate += velocity[i] * track[i]
     normal_speed = rate
+    # A surface that moves goes along its own normal, not along that where the tip is.
+    for i in range(3):
+        rate -= surface.speed * surface.normal[i] * normal[i]
     depth += profile_at(heights, surface.spacing, along)
     rate += profile_at(slopes, surface.spacing, along) * along_rate
     force[0], force[1], force[2] = 0.0, 0.0, 0.0

@@ -13,9 +13,11 @@ from multicontact_control.cli.design import design
 from multicontact_control.cli.echo import echo
 from multicontact_control.cli.faults import faults
 from multicontact_control.cli.identify import identify
+from multicontact_control.cli.new_robot import new_robot
 from multicontact_control.cli.push_test import push_test
 from multicontact_control.cli.record import record
 from multicontact_control.cli.report import report
+from multicontact_control.cli.robots import robots
 from multicontact_control.cli.robustness_map import robustness_map
 from multicontact_control.cli.run import run
 from multicontact_control.cli.simulate import simulate
@@ -46,11 +48,13 @@ app.command()(simulate)
 app.command()(run)
 app.command()(calibrate)
 app.command()(push_test)
+app.command('new-robot')(new_robot)
 app.command()(compare)
 app.command()(design)
 app.command()(tune)
 app.command()(identify)
 app.command('map')(robustness_map)
+app.command()(robots)
 app.command()(sweep)
 app.command()(report)
 app.command()(topics)

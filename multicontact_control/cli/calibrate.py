@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, TYPE_CHECKING
 
 from multicontact_control.cli.exits import errors_in_one_line, EXIT_FAILED, require_ros
-from multicontact_control.cli.options import ControllerFiles, DomainId, Namespace, Plant, Seed
+from multicontact_control.cli.options import ControllerFiles, DomainId, Namespace, Plant, Robot, Seed
 from multicontact_control.errors import ConfigError
 from rich.console import Console
 import typer
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def calibrate(
-    plant: Plant = 'puma', seed: Seed = 0,
+    robot: Robot = '', plant: Plant = '', seed: Seed = 0,
     out: Annotated[Path, typer.Option(help='Folder for tool.yaml.')] = Path('.'),
     overwrite: Annotated[bool, typer.Option(
         '--overwrite', help='Replace a tool.yaml that is already there.')] = False,
@@ -38,7 +38,7 @@ def calibrate(
     """
     Weigh the tool: mass, centre of mass and bias of the wrist sensor.
 
-    The simulated arm goes through the poses of config/calibration.yaml, and what is found is shown
+    The simulated arm goes through the poses of its robot (config/calibration.yaml for the PUMA), and what is found is shown
     beside the truth, which includes a bias drawn from the seed; a robot is weighed from a
     recording or by its running controller. The result is written to tool.yaml, to lay over the
     controller's parameters. Exit code 0: mass within 2 %, centre of mass within 3 mm, force bias
@@ -63,10 +63,11 @@ def calibrate(
                 files, namespace=namespace or '', domain_id=domain_id, tilt=math.radians(tilt),
                 move_time=move_time, tell=typer.echo)
         else:
-            setup = calibration.sensor_setup(plant, seed)
-            result = calibration.calibrate(setup, calibration.calibration_config())
+            setup = calibration.sensor_setup(plant, seed, robot)
+            result = calibration.calibrate(
+                setup, calibration.calibration_config(setup.plant.robot))
             calibration.write_tool(out, result)
-            show(result, f'tool of {plant}, seed {seed}', target)
+            show(result, f'tool of {setup.plant_name}, seed {seed}', target)
             return
         for remark in weighed.remarks:
             typer.echo(remark)

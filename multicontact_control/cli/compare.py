@@ -14,8 +14,7 @@ def compare(
     quick: Annotated[bool, typer.Option(
         '--quick', help='A reduced matrix: four estimators, one seed, no runs without active '
         'state.')] = False,
-    plants: Annotated[str, typer.Option(
-        help='Plants, with commas between: presets or paths.')] = 'rigid,puma',
+    robot: options.Robot = '', plants: options.Plants = '',
     estimators: options.Estimators = '',
     seeds: Annotated[int | None, typer.Option(
         help='Number of seeds, from 0: 3, or 1 with --quick.')] = None,
@@ -40,10 +39,12 @@ def compare(
     """
     with resumable(), errors_in_one_line():
         # Only now: what is heavy is not loaded for the sake of an error.
+        from multicontact_control.experiment.scenario import plants_of
         from multicontact_control.experiment.study.presets.compare.study import ComparisonStudy
         from multicontact_control.experiment.study.study import run_study, StudyOptions
 
         study_options = StudyOptions(out, jobs, dask, dry_run, overwrite)
+        names = plants_of(robot, options.split_list(plants))
         if laws:
             from multicontact_control.experiment.scenario import law_presets
             from multicontact_control.experiment.study.presets.laws.study import LawStudy
@@ -51,9 +52,8 @@ def compare(
             if estimators:
                 raise ConfigError('estimators', 'nothing with --laws', estimators)
             presets = options.split_list(preset) or law_presets()
-            run_study(LawStudy(options.split_list(plants), presets, seeds, quick), study_options)
+            run_study(LawStudy(names, presets, seeds, quick), study_options)
             return
         run_study(
-            ComparisonStudy(options.split_list(plants),
-                            options.split_list(estimators), seeds, quick,
+            ComparisonStudy(names, options.split_list(estimators), seeds, quick,
                             preset or 'paper'), study_options)

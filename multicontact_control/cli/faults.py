@@ -23,6 +23,7 @@ def faults(
     graph: Annotated[bool, typer.Option(
         '--graph', help='Also kill nodes, damage messages and send wrong commands in a running '
         'ROS 2 graph, in real time; these are run anew each time.')] = False,
+    robot: options.Robot = '', plants: options.Plants = '',
     jobs: options.Jobs = 0, dask: options.Dask = '', out: options.StudyOut = None,
     dry_run: options.DryRun = False, overwrite: options.RunAgain = False,
 ) -> None:
@@ -38,6 +39,7 @@ def faults(
         if graph:
             require_ros()
         # Only now: what is heavy is not loaded for the sake of an error.
+        from multicontact_control.experiment.scenario import plants_of
         from multicontact_control.experiment.study.presets.faults.study import FaultStudy
         from multicontact_control.experiment.study.study import (
             report_study,
@@ -45,7 +47,8 @@ def faults(
             StudyOptions,
         )
 
-        study, console = FaultStudy(seed, quick, graph), Console()
+        names = plants_of(robot, options.split_list(plants))
+        study, console = FaultStudy(seed, quick, graph, names), Console()
         run = run_study_jobs(study, StudyOptions(out, jobs, dask, dry_run, overwrite), console)
         if run is None:
             return
@@ -53,7 +56,8 @@ def faults(
         if graph:
             from multicontact_control.experiment.faults.in_graph import run_graph_campaign
 
-            over_graph, interrupted = run_graph_campaign(seed, run.folder, quick=quick)
+            over_graph, interrupted = run_graph_campaign(
+                study.plants, seed, run.folder, quick=quick)
             rows += over_graph
         report_study(study, rows, run, console)
     if interrupted is not None:

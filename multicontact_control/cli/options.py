@@ -15,9 +15,19 @@ if TYPE_CHECKING:
 
 Scenario = Annotated[str, typer.Option(
     help='Scenario: a name from config/scenarios (paper, quick) or the path of a YAML file.')]
+Robot = Annotated[str, typer.Option(
+    help='Robot: a name from config/robots (puma, panda, iiwa, ur5) or the path of such a file; '
+         'puma if not given.')]
 Plant = Annotated[str, typer.Option(
-    help='Plant: `puma` (flexible drives, joint friction), `rigid` (ideal drives) or the path of '
-         'a parameter file.')]
+    help='How the robot is simulated: `rigid` (ideal drives), `flexible` (drives with springs and '
+         'friction; of the PUMA, also called `puma`), ROBOT/PLANT, or the path of a parameter '
+         'file; the default of the robot if not given.')]
+Engine = Annotated[str, typer.Option(
+    help='What simulates it: pybullet, or mujoco (extra [mujoco]); as configured, pybullet, if '
+         'not given.')]
+Plants = Annotated[str, typer.Option(
+    help='Plants, with commas between: names, ROBOT/PLANT, or paths; all of the robot if not '
+         'given.')]
 Seed = Annotated[int, typer.Option(help='Seed of the sensor noise and the surface roughness.')]
 Duration = Annotated[float | None, typer.Option(
     help="Length of the run [s]; the scenario's own if not given.")]
@@ -87,7 +97,7 @@ def read_pair(name: str, text: str) -> tuple[float, float]:
 def prepare(
     scenario: str, plant: str, seed: int, duration: float | None, noise_estimator: str | None,
     out: Path | None, overwrite: bool, *, preset: str = '', law: str | None = None,
-    settings: Sequence[str] | None = None,
+    settings: Sequence[str] | None = None, robot: str = '', engine: str = '',
 ) -> tuple[Setup, Path]:
     """
     Check everything a run needs, then make its folder.
@@ -103,9 +113,10 @@ def prepare(
     from multicontact_control.experiment.scenario import resolve
 
     options: dict[str, Any] = {
-        'plant': plant, 'seed': seed, 'duration': duration, 'preset': preset,
+        'plant': plant, 'robot': robot, 'seed': seed, 'duration': duration, 'preset': preset,
         'noise_estimator': {'estimator': noise_estimator} if noise_estimator else None,
-        'controller': {'force': {'law': law}} if law else None}
+        'controller': {'force': {'law': law}} if law else None,
+        'plant_overrides': {'engine': engine} if engine else None}
     setup = resolve(scenario, **options)
     if settings:
         setup = resolve(scenario, **overridden(options, settings, setup))

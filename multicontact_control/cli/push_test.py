@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import Annotated
 
 from multicontact_control.cli.exits import errors_in_one_line, EXIT_FAILED, require_ros
-from multicontact_control.cli.options import DomainId, Namespace, Plant, Seed
+from multicontact_control.cli.options import DomainId, Namespace, Plant, Robot, Seed
 import typer
 
 
 def push_test(
-    plant: Plant = 'puma', seed: Seed = 0,
+    robot: Robot = '', plant: Plant = '', seed: Seed = 0,
     fault: Annotated[str, typer.Option(
         help='What is wrong with the sensor: none, sign (flipped), rotate (a quarter turn, about '
         'x, y, z for seeds 0, 1, 2, the other way for 3, 4, 5) or scale (half).')] = 'none',
@@ -38,7 +38,7 @@ def push_test(
 
         config = push_trial.PushTestConfig()
         setup = push_trial.push_setup(
-            plant, seed, config, push_trial.fault_mounting(fault, seed))
+            plant, seed, config, push_trial.fault_mounting(fault, seed), robot)
         result = push_trial.run_push_test(setup, config, on_instruction=typer.echo)
     if not result.passed:
         raise typer.Exit(EXIT_FAILED)

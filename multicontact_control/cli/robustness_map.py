@@ -11,9 +11,8 @@ import typer
 
 def robustness_map(
     quick: Annotated[bool, typer.Option(
-        '--quick', help='Two estimators on plant `rigid`, a coarse grid.')] = False,
-    plants: Annotated[str, typer.Option(
-        help='Plants, with commas between; rigid,puma, or rigid with --quick.')] = '',
+        '--quick', help='Two estimators on the first plant, a coarse grid.')] = False,
+    robot: options.Robot = '', plants: options.Plants = '',
     estimators: options.Estimators = '',
     jobs: options.Jobs = 0, dask: options.Dask = '', out: options.StudyOut = None,
     dry_run: options.DryRun = False, overwrite: options.RunAgain = False,
@@ -29,12 +28,14 @@ def robustness_map(
     """
     with resumable(), errors_in_one_line():
         # Only now: what is heavy is not loaded for the sake of an error.
+        from multicontact_control.experiment.scenario import plants_of
         from multicontact_control.experiment.study.presets.robustness.study import (
             robustness_study,
         )
         from multicontact_control.experiment.study.study import run_study, StudyOptions
 
+        names = plants_of(robot, options.split_list(plants))
         run_study(
-            robustness_study(options.split_list(plants),
+            robustness_study(names[:1] if quick and not plants else names,
                              options.split_list(estimators), quick=quick),
             StudyOptions(out, jobs, dask, dry_run, overwrite))

@@ -15,6 +15,7 @@ from multicontact_control.cli.options import (
     Bare,
     ControllerFiles,
     Duration,
+    Engine,
     Estimator,
     Law,
     Out,
@@ -23,6 +24,7 @@ from multicontact_control.cli.options import (
     prepare,
     prepare_external,
     Preset,
+    Robot,
     Scenario,
     Seed,
     Settings,
@@ -41,10 +43,10 @@ class Composed(str, Enum):
 
 
 def run(
-    context: typer.Context, scenario: Scenario = 'paper', plant: Plant = 'puma', seed: Seed = 0,
-    duration: Duration = None, noise_estimator: Estimator = None, out: Out = None,
-    overwrite: Overwrite = False, bare: Bare = False, preset: Preset = 'best',
-    law: Law = None, settings: Settings = None,
+    context: typer.Context, scenario: Scenario = 'paper', robot: Robot = '', plant: Plant = '',
+    seed: Seed = 0, duration: Duration = None, noise_estimator: Estimator = None,
+    out: Out = None, overwrite: Overwrite = False, bare: Bare = False, preset: Preset = 'best',
+    law: Law = None, settings: Settings = None, engine: Engine = '',
     external: Annotated[bool, typer.Option(
         '--external', help='On your own robot or simulator, which is behind the topics: starts '
         'controller, noise estimator and recorder only, waits for the robot, and obeys the '
@@ -88,7 +90,7 @@ def run(
         given = given_options(context)
         # Only now: what is heavy is not loaded for the sake of an error.
         if external:
-            refuse_options(given, ('plant', 'seed', 'lockstep'), '--external')
+            refuse_options(given, ('robot', 'plant', 'seed', 'lockstep', 'engine'), '--external')
             resolved, folder = prepare_external(
                 controller or (), scenario if 'scenario' in given else None, duration,
                 noise_estimator, out, overwrite, preset=preset if 'preset' in given else '',
@@ -102,7 +104,7 @@ def run(
         refuse_options(given, ('controller', 'robot_timeout'), 'a simulated plant')
         setup, folder = prepare(
             scenario, plant, seed, duration, noise_estimator, out, overwrite, preset=preset,
-            law=law, settings=settings)
+            law=law, settings=settings, robot=robot, engine=engine)
         from multicontact_control.experiment.run import GraphOptions, run_real_time
 
         summary, interrupted = run_real_time(setup, folder, GraphOptions(

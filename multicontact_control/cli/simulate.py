@@ -6,6 +6,7 @@ from multicontact_control.cli.exits import end_by_verdict, errors_in_one_line
 from multicontact_control.cli.options import (
     Bare,
     Duration,
+    Engine,
     Estimator,
     Law,
     Out,
@@ -13,6 +14,7 @@ from multicontact_control.cli.options import (
     Plant,
     prepare,
     Preset,
+    Robot,
     Scenario,
     Seed,
     Settings,
@@ -20,10 +22,10 @@ from multicontact_control.cli.options import (
 
 
 def simulate(
-    scenario: Scenario = 'paper', plant: Plant = 'puma', seed: Seed = 0,
+    scenario: Scenario = 'paper', robot: Robot = '', plant: Plant = '', seed: Seed = 0,
     duration: Duration = None, noise_estimator: Estimator = None, out: Out = None,
     overwrite: Overwrite = False, bare: Bare = False, preset: Preset = 'best',
-    law: Law = None, settings: Settings = None,
+    law: Law = None, settings: Settings = None, engine: Engine = '',
 ) -> None:
     """
     Run a scenario in one process, without ROS, as fast as it goes.
@@ -34,7 +36,7 @@ def simulate(
     with errors_in_one_line():
         setup, folder = prepare(
             scenario, plant, seed, duration, noise_estimator, out, overwrite, preset=preset,
-            law=law, settings=settings)
+            law=law, settings=settings, robot=robot, engine=engine)
         # Only now: what is heavy is not loaded for the sake of an error.
         from multicontact_control.experiment.run import run_simulate
 

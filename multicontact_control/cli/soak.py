@@ -12,8 +12,7 @@ import typer
 def soak(
     hours: Annotated[float, typer.Option(
         help='Simulated hours, of all processes together.')] = 1.0,
-    plants: Annotated[str, typer.Option(
-        help='Plants, with commas between; rigid,puma if not given.')] = '',
+    robot: options.Robot = '', plants: options.Plants = '',
     seed: Annotated[int, typer.Option(help='Seed of the first process.')] = 0,
     parts: Annotated[int, typer.Option(help='Processes per plant, which share the hours.')] = 1,
     jobs: options.Jobs = 0, dask: options.Dask = '', out: options.StudyOut = None,
@@ -30,12 +29,12 @@ def soak(
     """
     with resumable(), errors_in_one_line():
         # Only now: what is heavy is not loaded for the sake of an error.
-        from multicontact_control.experiment.scenario import PLANTS
+        from multicontact_control.experiment.scenario import plants_of
         from multicontact_control.experiment.study.presets.soak.study import is_good, SoakStudy
         from multicontact_control.experiment.study.study import run_study, StudyOptions
 
         content = run_study(
-            SoakStudy(hours, options.split_list(plants) or PLANTS, seed, parts),
+            SoakStudy(hours, plants_of(robot, options.split_list(plants)), seed, parts),
             StudyOptions(out, jobs, dask, dry_run, overwrite))
     if content is not None and not all(map(is_good, content)):
         raise typer.Exit(EXIT_FAILED)

@@ -17,7 +17,8 @@ def sweep(
         'YAML file.')],
     seeds: Annotated[str, typer.Option(
         help="How many seeds, from 0, or a list with commas; the study's own if not given.")] = '',
-    jobs: options.Jobs = 0, dask: options.Dask = '', out: options.StudyOut = None,
+    robot: options.Robot = '', jobs: options.Jobs = 0, dask: options.Dask = '',
+    out: options.StudyOut = None,
     dry_run: options.DryRun = False, overwrite: options.RunAgain = False,
 ) -> None:
     r"""
@@ -58,7 +59,7 @@ def sweep(
 
         asked = StudyOptions(out, jobs, dask, dry_run, overwrite)
         check_all(partial(study_path, study), partial(_seeds, seeds), asked.check)
-        run_study(sweep_study(study, _seeds(seeds)), asked)
+        run_study(sweep_study(study, _seeds(seeds), robot), asked)
 
 
 def _seeds(text: str) -> tuple[int, ...] | None:

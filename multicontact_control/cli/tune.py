@@ -12,8 +12,10 @@ import typer
 def tune(
     law: Annotated[str, typer.Argument(
         metavar='LAW', help='aob, pi, dob, lqg, admittance, impedance or feedforward.')],
+    robot: options.Robot = '',
     plants: Annotated[str, typer.Option(
-        help='Plants, with commas between; the worst of them counts.')] = 'puma',
+        help="Plants, with commas between; the worst of them counts; the robot's default if not "
+        'given.')] = '',
     jobs: options.Jobs = 0, dask: options.Dask = '', out: options.StudyOut = None,
     dry_run: options.DryRun = False, overwrite: options.RunAgain = False,
 ) -> None:
@@ -26,8 +28,10 @@ def tune(
     """
     with resumable(), errors_in_one_line():
         # Only now: what is heavy is not loaded for the sake of an error.
+        from multicontact_control.experiment.scenario import plant_source, plants_of
         from multicontact_control.experiment.study.presets.tune.study import TuneStudy
         from multicontact_control.experiment.study.study import run_study, StudyOptions
 
-        run_study(TuneStudy(law, options.split_list(plants)),
+        names = plants_of(robot, options.split_list(plants) or (plant_source('', robot).plant,))
+        run_study(TuneStudy(law, names),
                   StudyOptions(out, jobs, dask, dry_run, overwrite))

@@ -10,15 +10,13 @@ from multicontact_control.arrays import Vector as Array
 from multicontact_control.config import (
     Config,
     parameter,
-    read_yaml,
     Real,
     ToolConfig,
     validate,
     Vector,
 )
 from multicontact_control.errors import CalibrationError, ConfigError
-from multicontact_control.experiment.scenario import resolve, Setup
-from multicontact_control.paths import config_dir
+from multicontact_control.experiment.scenario import plant_source, resolve, Setup
 from multicontact_control.sensor.identification import (
     Identification,
     IdentificationConfig,
@@ -28,13 +26,12 @@ from multicontact_control.sensor.identification import (
 import numpy as np
 from pydantic import model_validator
 from rich.table import Table
-from sim_bridge.puma560 import load_robot
+from sim_bridge.robots import DEFAULT, find_robot
 import yaml
 
 if TYPE_CHECKING:
     from multicontact_control.experiment.position_controlled_plant import ServoedPlant
 
-POSES_FILE = 'calibration.yaml'
 TOOL_FILE = 'tool.yaml'
 # What has to be met in simulation, where the truth is known.
 MASS_TOLERANCE, COM_TOLERANCE, BIAS_TOLERANCE = 0.02, 3e-3, 0.1  # share, m, N
@@ -84,13 +81,15 @@ class Calibration:
             self.errors, (MASS_TOLERANCE, COM_TOLERANCE, BIAS_TOLERANCE)))
 
 
-def calibration_config() -> CalibrationConfig:
-    """Read the poses that come with the package."""
-    path = config_dir() / POSES_FILE
-    return validate(CalibrationConfig, read_yaml(path), str(path))
+def calibration_config(robot: str = '') -> CalibrationConfig:
+    """Return the poses of a robot, the default one if none is named."""
+    chosen = find_robot(robot or DEFAULT)
+    return validate(CalibrationConfig, chosen.calibration_values(), f'poses of {chosen.name}')
 
 
-def sensor_setup(plant: str, seed: int, **plant_overrides: object) -> Setup:
+def sensor_setup(
+    plant: str, seed: int, robot: str = '', **plant_overrides: object,
+) -> Setup:
     """
     Resolve a run of the sensor's front end: a plant in the first pose, with a bias to be found.
 
@@ -98,8 +97,9 @@ def sensor_setup(plant: str, seed: int, **plant_overrides: object) -> Setup:
     file has one of its own.
     """
     # The scenario only carries the configuration; nothing of it is run.
-    setup = resolve('quick', plant=plant, seed=seed, plant_overrides={
-        'home': calibration_config().poses[0], **plant_overrides})
+    source = plant_source(plant, robot)
+    setup = resolve('quick', plant=plant, robot=robot, seed=seed, plant_overrides={
+        'home': calibration_config(source.robot.name).poses[0], **plant_overrides})
     sensor = setup.plant.sensor
     if not any(sensor.bias):
         bias = np.random.default_rng(seed).uniform(-1.0, 1.0, 6) * BIAS_RANGE
@@ -143,10 +143,9 @@ def _reading(arm: ServoedPlant, pose: Array, config: CalibrationConfig) -> PoseR
 
 def true_tool(setup: Setup) -> ToolConfig:
     """Return what really hangs on the simulated sensor, the moving half of its face included."""
-    tool = load_robot().tool
-    mass = tool.mass + tool.face_mass
-    x, y, z = (tool.mass / mass * value for value in tool.com)
-    return ToolConfig(mass=mass, com_sensor=(x, y, z), bias_sensor=setup.plant.sensor.bias)
+    arm = find_robot(setup.plant.robot).arm
+    return ToolConfig(mass=arm.carried_mass, com_sensor=arm.carried_com,
+                      bias_sensor=setup.plant.sensor.bias)
 
 
 def write_tool(folder: Path, calibration: Calibration) -> Path:

@@ -28,7 +28,7 @@ from multicontact_control.supervision.inputs import (
 from multicontact_control.supervision.status import SupervisorStatus
 import numpy as np
 from sim_bridge.actuator_delay import ActuatorDelay
-from sim_bridge.pybullet_plant import PybulletPlant, Sample
+from sim_bridge.plant import Plant, Sample
 
 HISTORY = 65  # ticks
 PROGRESS_TICKS = 100
@@ -83,7 +83,7 @@ class ClosedLoop:
             config, None if commanded else setup.reference(), CommandLimits(), setup.urdf_dir,
             supervised=supervised)
         self._estimator = make_noise_estimator(setup.noise_estimator)
-        self.plant = PybulletPlant(setup.plant, rate=config.rate, seed=setup.seed)
+        self.plant = Plant(setup.plant, rate=config.rate, seed=setup.seed)
         self._delay = ActuatorDelay(setup.plant.actuator_delay_ticks, self.plant.initial_torque)
         self.tick = 0
         self.sample: Sample = self.plant.reset()

@@ -1,9 +1,10 @@
 """
 Compiling is a step of its own: every kernel a command or node may need, before any of them runs.
 
-What is to be compiled is found by doing it once, in short: every estimator, both plants, with the
-supervisor and without. A file beside the cache says that all of it is there, for these sources,
-these libraries and this processor; a command that finds none compiles first, and says so.
+What is to be compiled is found by doing it once, in short: every estimator, both kinds of drives,
+with the supervisor and without. A file beside the cache says that all of it is there, for these
+sources, these libraries and this processor; a command that finds none compiles first, and says
+so.
 """
 
 from __future__ import annotations
@@ -145,20 +146,20 @@ def _exercises() -> Mapping[str, Callable[[], object]]:
         friction_of_others(np.zeros(1, dtype=FRAME)[0], np.zeros(2, dtype=CONTACT), 0)
 
     def estimators() -> None:
-        config = setup('puma').noise_estimator
+        config = setup('flexible').noise_estimator
         for name in ESTIMATORS:
             make_noise_estimator(config.model_copy(update={'estimator': name}))
 
     def calibration() -> None:
-        puma = setup('puma')
-        arm = ServoedPlant(puma)
-        arm.hold(puma.controller.period)
+        flexible = setup('flexible')
+        arm = ServoedPlant(flexible)
+        arm.hold(flexible.controller.period)
         arm.close()
 
     return {
         'noise estimators': estimators, 'force laws': force_laws,
-        'control law and flexible drives': lambda: run_in_process(setup('puma')),
-        'supervisor': lambda: run_in_process(setup('puma'), supervised=True),
+        'control law and flexible drives': lambda: run_in_process(setup('flexible')),
+        'supervisor': lambda: run_in_process(setup('flexible'), supervised=True),
         'rigid drives': lambda: run_in_process(setup('rigid')),
         'rigid drives with friction': lambda: run_in_process(
             setup('rigid', joint_friction_scale=0.25)),

@@ -8,7 +8,7 @@ from multicontact_control.experiment.scenario import Setup
 from multicontact_control.quintic import quintic
 import numpy as np
 from sim_bridge.actuator_delay import ActuatorDelay
-from sim_bridge.pybullet_plant import PybulletPlant, Sample
+from sim_bridge.plant import Plant, Sample
 
 NATURAL_FREQUENCY = 30.0  # rad/s, as the controller's motion loop
 
@@ -26,7 +26,7 @@ class ServoedPlant:
 
     def __init__(self, setup: Setup) -> None:
         self._robot = RobotModel(setup.controller.robot, setup.urdf_dir)
-        self._plant = PybulletPlant(setup.plant, rate=setup.controller.rate, seed=setup.seed)
+        self._plant = Plant(setup.plant, rate=setup.controller.rate, seed=setup.seed)
         self._delay = ActuatorDelay(setup.plant.actuator_delay_ticks, self._plant.initial_torque)
         self._period = setup.controller.period
         self._tick = 0

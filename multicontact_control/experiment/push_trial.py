@@ -18,7 +18,7 @@ from multicontact_control.sensor.push_verdict import PushTestResult
 from multicontact_control.sensor.tare import TareConfig
 import numpy as np
 from scipy.spatial.transform import Rotation
-from sim_bridge.puma560 import load_robot
+from sim_bridge.robots import find_robot
 
 FAULTS = ('none', 'sign', 'rotate', 'scale')
 WRONG_SCALE = 0.5
@@ -56,7 +56,9 @@ def fault_mounting(fault: str, seed: int) -> Matrix:
     return made[fault]
 
 
-def push_setup(plant: str, seed: int, config: PushTestConfig, mounting: Matrix) -> Setup:
+def push_setup(
+    plant: str, seed: int, config: PushTestConfig, mounting: Matrix, robot: str = '',
+) -> Setup:
     """Resolve a plant whose sensor is mounted like that and which is pushed as the test asks."""
     length = config.settle_time + config.hold_time + MARGIN
     count = len(config.directions)
@@ -64,7 +66,7 @@ def push_setup(plant: str, seed: int, config: PushTestConfig, mounting: Matrix) 
         raise ConfigError('push_test.rest_time', f'at most {FIRST_PUSH - TARE_TIME:g} s in '
                           'simulation', f'{config.rest_time:g} s')
     setup = sensor_setup(
-        plant, seed, sensor={'mounting': mounting.ravel().tolist()},
+        plant, seed, robot, sensor={'mounting': mounting.ravel().tolist()},
         tool_push_start=[FIRST_PUSH + i * (length + GAP) for i in range(count)],
         tool_push_duration=[length] * count,
         tool_push_force_world=(config.force * config.directions_world).ravel().tolist())
@@ -109,7 +111,8 @@ def run_push_test(
         tool = control.config.tool.model_copy(
             update={'bias_sensor': tuple(control.tare(TareConfig()).tolist())})
         control.controller.reconfigure(control.config.model_copy(update={'tool': tool}))
-        said = control.push_test(config, load_robot().tool.tips[setup.plant.tool_push_link])
+        tips = find_robot(setup.plant.robot).arm.tips
+        said = control.push_test(config, tips[setup.plant.tool_push_link])
         if on_instruction is not None:
             on_instruction(said)
         for _ in range(round(3.0 * config.timeout * rate)):

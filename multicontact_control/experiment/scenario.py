@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 import shutil
@@ -26,9 +27,9 @@ from multicontact_control.errors import check_all, ConfigError
 from multicontact_control.paths import config_dir, named_file
 import numpy as np
 from sim_bridge.config import PlantConfig
+from sim_bridge.robots import DEFAULT, find_robot, Robot
 import yaml
 
-PLANTS = ('rigid', 'puma')
 EXTERNAL = 'external'  # in the place of a plant's name
 PRESETS = ('paper', 'best', 'adaptive')
 PRESET_NODES = ('controller_node', 'noise_estimator_node')
@@ -68,7 +69,7 @@ class Setup:
     controller: ControllerConfig
     noise_estimator: NoiseEstimatorConfig
     plant: PlantConfig  # `NO_PLANT` where the robot is somebody else's
-    plant_name: str  # preset or path, or `EXTERNAL`
+    plant_name: str  # as `plants_of` names it, or a path, or `EXTERNAL`
     seed: int  # of every random number of the plant
     urdf_dir: Path  # that `controller.robot.urdf` is relative to
     commanded_by_topic: bool = False  # forces; the recording knows them, and not the scenario
@@ -138,14 +139,76 @@ def scenario_path(name: str) -> Path:
     return named_file('scenario', 'scenarios', name)
 
 
-def plant_path(name: str) -> Path:
-    """Return the parameter file of a plant preset, or the path given; ConfigError without."""
-    if name in PLANTS:
-        return config_dir() / f'plant_{name}.yaml'
-    path = Path(name)
-    if path.is_file():
-        return path
-    raise ConfigError('plant', f'one of {", ".join(PLANTS)}, or a path', f"'{name}'")
+@dataclass(frozen=True)
+class PlantSource:
+    """
+    A robot, and the way to simulate it.
+
+    Attributes
+    ----------
+    robot
+        The robot.
+    name
+        What the plant is called: alone for the default robot, ``ROBOT/PLANT`` for others.
+    plant
+        Of the robot's plants; empty for a file.
+    file
+        Parameter file, if it is none of them.
+
+    """
+
+    robot: Robot
+    name: str
+    plant: str
+    file: Path | None = None
+
+    def values(self) -> dict[str, Any]:
+        """Return the plant's parameters."""
+        if self.file is None:
+            return self.robot.plant_values(self.plant)
+        return {'robot': self.robot.name, **read_parameters(self.file)}
+
+
+def plant_source(name: str = '', robot: str = '') -> PlantSource:
+    """
+    Return what a plant's name stands for.
+
+    Parameters
+    ----------
+    name
+        ``PLANT``, ``ROBOT/PLANT``, or the path of a parameter file; empty for the robot's
+        default plant.
+    robot
+        Name or path; empty for that in the name, or else the default robot.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such robot or plant.
+
+    """
+    chosen = find_robot(robot or DEFAULT)
+    found = chosen.plant_name(name)
+    if not found and Path(name).is_file():
+        path = Path(name)
+        told = read_parameters(path).get('robot', '')
+        return PlantSource(find_robot(robot or told or DEFAULT), name, '', path)
+    first, slash, last = name.rpartition('/')
+    if not found and slash and not robot:
+        return plant_source(last, first)
+    if not found:
+        raise ConfigError('plant', f'one of {", ".join(chosen.plant_names)}, or a path',
+                          f"'{name}'")
+    title = found if chosen.name == DEFAULT else f'{chosen.name}/{found}'
+    return PlantSource(chosen, title, found)
+
+
+def plants_of(robot: str = '', names: Sequence[str] = ()) -> tuple[str, ...]:
+    """Return the names of some plants of a robot, of all if none are given; see `PlantSource`."""
+    if names and not robot:
+        return tuple(names)
+    return tuple(plant_source(name, robot).name
+                 for name in names or find_robot(robot or DEFAULT).plant_names)
 
 
 def law_presets() -> tuple[str, ...]:
@@ -161,7 +224,8 @@ def preset_values(name: str) -> dict[str, dict[str, Any]]:
 
 
 def resolve(
-    scenario: str, *, plant: str = 'puma', seed: int = 0, duration: float | None = None,
+    scenario: str, *, plant: str = '', robot: str = '', seed: int = 0,
+    duration: float | None = None,
     noise_estimator: dict[str, Any] | None = None, controller: dict[str, Any] | None = None,
     plant_overrides: dict[str, Any] | None = None,
     scenario_overrides: dict[str, Any] | None = None, preset: str = '',
@@ -173,8 +237,8 @@ def resolve(
     ----------
     scenario
         Name or path.
-    plant
-        Preset or path.
+    plant, robot
+        As for `plant_source`.
     seed
         Seed of the plant's noise and roughness.
     duration
@@ -201,40 +265,46 @@ def resolve(
     if seed < 0:
         raise ConfigError('seed', 'a whole number >= 0', seed)
     path = scenario_path(scenario)
-    text = merge(read_yaml(path), scenario_overrides or {})
+    source = plant_source(plant, robot)
+    text = merge(_with_motion(read_yaml(path), source.robot), scenario_overrides or {})
     config = validate(
         ScenarioConfig, text if duration is None else {**text, 'duration': duration}, str(path))
     folder = config_dir()
     chosen = preset_values(preset) if preset else {}
-    plant_file = plant_path(plant)
     controller_config, estimator_config, plant_config = check_all(
         lambda: validate(
             ControllerConfig,
-            merge(merge(_controller_parameters(plant, chosen.get('controller', {})),
+            merge(merge(_controller_parameters(source, chosen.get('controller', {})),
                         config.controller), controller or {}),
             'controller.yaml'),
         lambda: validate(
             NoiseEstimatorConfig,
-            merge(merge(merge(read_parameters(folder / 'noise_estimator.yaml'),
-                              chosen.get('noise_estimator', {})), config.noise_estimator),
-                  noise_estimator or {}), 'noise_estimator.yaml'),
+            merge(merge(merge(merge(
+                read_parameters(folder / 'noise_estimator.yaml'),
+                {'contact_names': source.robot.controller_base()['contact_names']}),
+                chosen.get('noise_estimator', {})), config.noise_estimator),
+                noise_estimator or {}), 'noise_estimator.yaml'),
         lambda: validate(
-            PlantConfig, merge(merge(read_parameters(plant_file), config.plant),
-                               plant_overrides or {}), plant_file.name))
+            PlantConfig, merge(merge(source.values(), config.plant), plant_overrides or {}),
+            f'plant {source.name}' if source.file is None else source.file.name))
     setup = Setup(
         scenario=config, controller=controller_config, noise_estimator=estimator_config,
-        plant=plant_config, plant_name=plant, seed=seed, urdf_dir=folder)
+        plant=plant_config, plant_name=source.name, seed=seed, urdf_dir=source.robot.urdf_dir())
     check_together(setup, path)
     return setup
 
 
-def _controller_parameters(plant: str, preset: dict[str, Any]) -> dict[str, Any]:
+def _with_motion(text: dict[str, Any], robot: Robot) -> dict[str, Any]:
+    """Return a scenario whose motion, if it has one, is one that the robot can do."""
+    if not (text.get('reference') or {}).get('motion'):
+        return text
+    return merge(text, {'reference': {'motion': robot.file.motion}})
+
+
+def _controller_parameters(source: PlantSource, preset: dict[str, Any]) -> dict[str, Any]:
     """Return the controller's parameters, with those of a preset and of the plant over them."""
-    values = merge(read_parameters(config_dir() / 'controller.yaml'), preset)
-    special = config_dir() / f'controller_{plant}.yaml'
-    if plant in PLANTS and special.is_file():
-        values = merge(values, read_parameters(special))
-    return values
+    values = merge(source.robot.controller_base(), preset)
+    return merge(values, source.robot.controller_special(source.plant)) if source.plant else values
 
 
 def check_together(setup: Setup, path: Path) -> None:

@@ -8,7 +8,7 @@ from multicontact_control.paths import config_dir
 from multicontact_control.records import CONTROL
 import numpy as np
 import pinocchio as pin
-from sim_bridge.pybullet_plant import PybulletPlant
+from sim_bridge.plant import Plant
 
 H, K = 0.002, 200.0
 FAR = {'table': {'point_world': [0.0, 0.55, -5.0]}, 'board': {'point_world': [0.0, 5.0, 0.46]}}
@@ -43,7 +43,7 @@ def test_residual_is_what_touches_the_arm_before_its_sensor_and_nothing_else():
     controls['law']['friction_speed'], controls['momentum']['bandwidth'] = 1.0, K
     arm = ArmState(robot, controls)
     arm.joints['threshold'] = 1.0
-    plant = PybulletPlant(plant_config(
+    plant = Plant(plant_config(
         'rigid', surfaces=FAR, substep=2.5e-4, push_start=[0.5], push_duration=[9.0],
         push_force_world=PUSH.tolist(), tool_push_start=[0.0], tool_push_duration=[9.0],
         tool_push_force_world=TOOL_PUSH.tolist(), sensor={'noise': False, 'quantise': False}),

@@ -11,7 +11,7 @@ from multicontact_control.errors import ConfigError, ShapeError
 from multicontact_control.paths import config_dir
 import numpy as np
 import pytest
-from sim_bridge.puma560 import load_robot, urdf_text
+from sim_bridge.puma560 import load_robot, puma_arm
 
 REFERENCE = json.loads(
     (Path(__file__).parents[1] / 'data' / 'puma560_reference.json').read_text())
@@ -21,7 +21,7 @@ REFERENCE = json.loads(
 def puma(tmp_path):
     """Return the arm of the reference values: without tool, armature to the last digit."""
     data = load_robot()
-    urdf = ElementTree.fromstring(urdf_text(data))
+    urdf = ElementTree.fromstring(puma_arm(data).urdf)
     for link in urdf.findall('link'):
         if link.get('name') in ('ft_face', 'tool'):
             link.remove(link.find('inertial'))

@@ -6,7 +6,7 @@ from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.overrides import overridden, read_settings
 from multicontact_control.experiment.scenario import (
     law_presets,
-    PLANTS,
+    plants_of,
     preset_values,
     PRESETS,
     resolve,
@@ -22,7 +22,7 @@ def test_every_preset_is_named():
     assert set(PRESETS) < set(law_presets()) == set(NAMES)
 
 
-@pytest.mark.parametrize('plant', PLANTS)
+@pytest.mark.parametrize('plant', plants_of())
 @pytest.mark.parametrize('name', NAMES)
 def test_preset_says_what_it_sets_and_nothing_else_changes(name, plant):
     plain, setup = resolve('quick', plant=plant), resolve('quick', plant=plant, preset=name)

@@ -2,10 +2,9 @@
 
 from arms import plant_config
 import numpy as np
-import pinocchio as pin
 import pytest
-from sim_bridge.puma560 import load_robot, urdf_text
-from sim_bridge.pybullet_plant import PybulletPlant
+from sim_bridge.plant import Plant
+from sim_bridge.puma560 import load_robot, puma_arm
 
 
 @pytest.fixture(scope='session')
@@ -16,7 +15,7 @@ def robot():
 @pytest.fixture
 def model(robot):
     """Return the arm with its tool, without armature."""
-    return pin.buildModelFromXML(urdf_text(robot))
+    return puma_arm(robot).model()
 
 
 @pytest.fixture
@@ -37,7 +36,7 @@ def make_plant():
                 for name, surface in config.surfaces.items()}
         if sensor is not None:
             changes['sensor'] = config.sensor.model_copy(update=sensor)
-        plants.append(PybulletPlant(config.model_copy(update=changes), rate=500.0, seed=seed))
+        plants.append(Plant(config.model_copy(update=changes), rate=500.0, seed=seed))
         return plants[-1]
 
     yield make

@@ -3,6 +3,7 @@ import pinocchio as pin
 import pybullet as bullet
 import pytest
 from sim_bridge.bullet_arm import BulletArm
+from sim_bridge.puma560 import puma_arm
 
 GRAVITY = (0.0, 0.0, -9.81)
 STEP = 5e-4
@@ -11,7 +12,7 @@ JOINTS = range(6)
 
 @pytest.fixture
 def arm(robot):
-    arm = BulletArm(robot, GRAVITY, STEP)
+    arm = BulletArm(puma_arm(robot), GRAVITY, STEP)
     arm.reset(np.zeros(6))
     yield arm
     arm.close()

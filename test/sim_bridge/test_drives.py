@@ -5,6 +5,7 @@ import pytest
 from sim_bridge.drives import FlexibleDrives, implicit_joint_speed, RigidDrives
 from sim_bridge.joint_friction import FRICTION, friction_torque, joint_friction
 from sim_bridge.kinematics import mass_matrix
+from sim_bridge.puma560 import puma_arm
 
 STEP = 1e-3
 NO_FRICTION = np.array([(0.0, 0.0, 0.0, 1e-3)] * 2, dtype=FRICTION)
@@ -60,7 +61,7 @@ def arm_with_rotors(robot, model):
 
 def test_rigid_drives_make_bare_links_accelerate_as_with_rotors(robot, arm_with_rotors, rng):
     model = arm_with_rotors
-    drives = RigidDrives(model, joint_friction(robot, 0.0, 1e-3), STEP)
+    drives = RigidDrives(model, joint_friction(puma_arm(robot), 0.0, 1e-3), STEP)
     bare = model.copy()
     bare.armature = np.zeros(6)
     for _ in range(5):
@@ -72,7 +73,7 @@ def test_rigid_drives_make_bare_links_accelerate_as_with_rotors(robot, arm_with_
 
 
 def test_implicit_joint_speed_solves_its_equation(robot, arm_with_rotors, rng):
-    model, table = arm_with_rotors, joint_friction(robot, 1.0, 1e-3)
+    model, table = arm_with_rotors, joint_friction(puma_arm(robot), 1.0, 1e-3)
     for _ in range(50):
         inertia = mass_matrix(model, model.createData(), rng.uniform(-1, 1, 6))
         free = rng.standard_normal(6) * 10 ** rng.uniform(-6, 0.5, 6)
@@ -85,7 +86,7 @@ def test_implicit_joint_speed_solves_its_equation(robot, arm_with_rotors, rng):
 
 def test_rigid_drives_with_friction_brake_like_the_implicit_solution(
         robot, arm_with_rotors, rng):
-    model, table = arm_with_rotors, joint_friction(robot, 0.6, 1e-3)
+    model, table = arm_with_rotors, joint_friction(puma_arm(robot), 0.6, 1e-3)
     drives = RigidDrives(model, table, STEP)
     bare = model.copy()
     bare.armature = np.zeros(6)

@@ -7,6 +7,7 @@ from sim_bridge.joint_friction import (
     implicit_speed,
     joint_friction,
 )
+from sim_bridge.puma560 import puma_arm
 
 ROW = np.array([(0.5, 27.0, 25.0, 1e-3)], dtype=FRICTION)[0]
 STEP, INERTIA = 2.5e-4, 0.784
@@ -14,7 +15,7 @@ STEP, INERTIA = 2.5e-4, 0.784
 
 def test_joint_friction_refers_friction_to_the_joint(robot):
     """Both b G^2 and F |G|: 24.7 and 27.2 N m on joint 1."""
-    table = np.array(joint_friction(robot, 0.6, 1e-3).tolist())
+    table = np.array(joint_friction(puma_arm(robot), 0.6, 1e-3).tolist())
     np.testing.assert_allclose(
         table[0] / 0.6, [1.48e-3 * 62.6111 ** 2, 0.395 * 62.6111, 0.435 * 62.6111, 1e-3 / 0.6])
     assert np.all(table >= 0.0)

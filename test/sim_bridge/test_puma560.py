@@ -7,15 +7,8 @@ from multicontact_control.paths import config_dir
 import numpy as np
 import pinocchio as pin
 import pytest
-from sim_bridge.puma560 import (
-    DATA_FILE,
-    load_robot,
-    OPERATIONAL_FRAME,
-    RobotData,
-    SENSOR_FRAME,
-    URDF_FILE,
-    urdf_text,
-)
+from sim_bridge.arm import OPERATIONAL_FRAME, SENSOR_FRAME
+from sim_bridge.puma560 import DATA_FILE, load_robot, puma_arm, RobotData, URDF_FILE
 
 REFERENCE = json.loads(
     (Path(__file__).parents[1] / 'data' / 'puma560_reference.json').read_text())['samples']
@@ -49,7 +42,7 @@ def test_urdf_dynamics_agree_with_roboticstoolbox(bare_model, sample):
 
 def test_urdf_in_config_is_the_generated_one(robot):
     committed = (config_dir() / URDF_FILE).read_text(encoding='utf-8')
-    assert committed == urdf_text(robot), 'run python3 -m sim_bridge.puma560'
+    assert committed == puma_arm(robot).urdf, 'run python3 -m sim_bridge.puma560'
 
 
 def test_exact_armature_rounds_to_the_published_one(robot):

@@ -4,7 +4,7 @@ from multicontact_control.errors import ConfigError
 import numpy as np
 import pinocchio as pin
 import pytest
-from sim_bridge.puma560 import SENSOR_FRAME
+from sim_bridge.arm import SENSOR_FRAME
 
 IDEAL_SENSOR = {'noise': False, 'quantise': False, 'saturate': False}
 FREE = {'contact_names': (), 'joint_friction_scale': 0.0}

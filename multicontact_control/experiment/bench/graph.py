@@ -33,7 +33,7 @@ import numpy as np
 import rclpy
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
-from sim_bridge.pybullet_plant import PybulletPlant
+from sim_bridge.plant import Plant
 
 NAMES = tuple(f'joint{i + 1}' for i in range(6))
 START_TIMEOUT, ANSWER_TIMEOUT = 20.0, 1.0
@@ -84,7 +84,7 @@ def in_process_times(duration: float, period: float) -> dict[str, float]:
     With the `period` [s] of the graph between them, caches are as cold as there; with 0, not.
     """
     setup = _setup(duration)
-    places = ((ControlLoop, 'answer', 'tick'), (PybulletPlant, 'step', 'plant'))
+    places = ((ControlLoop, 'answer', 'tick'), (Plant, 'step', 'plant'))
     loop = ClosedLoop(setup)
     with stopwatch(places) as spent:
         for _ in range(setup.ticks):

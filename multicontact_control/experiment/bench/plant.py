@@ -19,7 +19,8 @@ from multicontact_control.experiment.closed_loop import run_in_process
 from multicontact_control.experiment.scenario import resolve
 import numpy as np
 import pybullet
-from sim_bridge.pybullet_plant import PybulletPlant
+from sim_bridge.bullet_arm import BulletArm
+from sim_bridge.plant import Plant
 
 RESTART = 250  # periods after which an arm that falls is put back
 READY = (
@@ -39,13 +40,14 @@ def bench_plant(ticks: int) -> dict[str, Any]:
     The floor is the plain step of an arm in the same world, as often as the plant takes substeps.
     """
     config = resolve('quick', plant='rigid', seed=0, duration=None).plant
-    plant, bare = (PybulletPlant(config, rate=500.0, seed=0) for _ in range(2))
+    plant = Plant(config, rate=500.0, seed=0)
+    bare, home = BulletArm(plant.description, config.gravity_world, config.substep), config.home
     substeps = config.substeps(500.0)
-    client = bare.arm.client
+    client = bare.client
 
     def reset() -> None:
         plant.reset()
-        bare.reset()
+        bare.reset(np.array(home))
 
     def floor(_: int) -> None:
         for _ in range(substeps):

@@ -21,7 +21,6 @@ from multicontact_control.experiment.scenario import resolve
 import numpy as np
 from rich.console import Console
 
-PLANTS, QUICK_PLANTS = ('rigid', 'puma'), ('puma',)
 SEEDS, QUICK_SEEDS = 2, 1
 QUIET = (0.0, 0.3)  # s of normal operation before a fault
 BUSY = 0.1  # share of the time from which on to say so
@@ -38,19 +37,23 @@ class _InterruptedError(Exception):
     """A signal came."""
 
 
-def graph_tasks(seed: int, *, quick: bool = False) -> dict[str, list[Task]]:
+def graph_tasks(
+    plants: Sequence[str], seed: int, *, quick: bool = False,
+) -> dict[str, list[Task]]:
     """
     Return the faults of a campaign and their seeds, by plant, in random order.
 
     Parameters
     ----------
+    plants
+        Where they happen.
     seed
         Seeds of the faults count from here.
     quick
-        One fault of every kind, on one plant.
+        One fault of every kind, on the last plant alone.
 
     """
-    plants, seeds = (QUICK_PLANTS, QUICK_SEEDS) if quick else (PLANTS, SEEDS)
+    plants, seeds = (plants[-1:], QUICK_SEEDS) if quick else (plants, SEEDS)
     kinds = quick_faults(GRAPH, seed) if quick else list(faults_of(GRAPH).values())
     tasks = [(kind, seed + n) for n in range(seeds) for kind in kinds]
     orders = np.random.default_rng(seed)
@@ -158,7 +161,7 @@ class GraphCampaign:
     def _new_folder(self, plant: str) -> Path:
         """Make the folder of a graph; none that is there is touched."""
         number = 1
-        while (folder := self._out / FOLDER / f'{number:03d}-{plant}').exists():
+        while (folder := self._out / FOLDER / f'{number:03d}-{plant.replace("/", "-")}').exists():
             number += 1
         folder.mkdir(parents=True)
         return folder
@@ -194,14 +197,15 @@ def _about_graph(kind: str, problems: list[str], plant: str, seed: int) -> Fault
 
 
 def run_graph_campaign(
-    seed: int, out: Path, *, quick: bool = False, console: Console | None = None,
+    plants: Sequence[str], seed: int, out: Path, *, quick: bool = False,
+    console: Console | None = None,
 ) -> tuple[list[FaultRow], int | None]:
     """
     Run the campaign over the graph with a bar that says how long it will take.
 
     Parameters
     ----------
-    seed, quick
+    plants, seed, quick
         As for `graph_tasks`.
     out
         Folder; every graph gets one of its own in it.
@@ -217,7 +221,7 @@ def run_graph_campaign(
     with count_bar(console) as progress:
         task = progress.add_task('faults over the graph')
         campaign = GraphCampaign(
-            graph_tasks(seed, quick=quick), seed, out,
+            graph_tasks(plants, seed, quick=quick), seed, out,
             on_progress=lambda done, total: progress.update(task, completed=done, total=total))
         progress.update(task, total=campaign.total)
         rows = campaign.run()

@@ -11,7 +11,7 @@ from typing import Any, Protocol, TypeVar
 from multicontact_control.arrays import Matrix
 from multicontact_control.experiment.scenario import resolve, Setup
 from multicontact_control.experiment.study.stamp import code_stamp
-from sim_bridge.puma560 import load_robot
+from sim_bridge.robots import find_robot
 
 JOB_SCHEMA = 2  # to be raised when a job's result means something else than before
 
@@ -92,7 +92,7 @@ def setup_content(setup: Setup) -> dict[str, Any]:
         name: getattr(setup, name).model_dump(mode='json')
         for name in ('scenario', 'controller', 'noise_estimator', 'plant')}
     return {'seed': setup.seed, 'urdf': hashlib.sha256(urdf).hexdigest(),
-            'arm': load_robot().model_dump(mode='json'), **configurations}
+            'arm': find_robot(setup.plant.robot).arm.content(), **configurations}
 
 
 @dataclass(frozen=True, slots=True, order=True)

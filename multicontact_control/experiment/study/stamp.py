@@ -16,7 +16,7 @@ DECISIVE = (
     'oscillation.py', 'overrides.py', 'recording.py', 'scenario.py', 'soak.py', 'study/jobs.py',
     'study/measure.py', 'study/presets/faults/jobs.py', 'study/presets/laws/jobs.py',
     'study/presets/soak/jobs.py', 'summary.py')
-LIBRARIES = ('numba', 'numpy', 'pin', 'pybullet', 'scipy')
+LIBRARIES = ('mujoco', 'numba', 'numpy', 'pin', 'pybullet', 'scipy')
 
 
 @cache

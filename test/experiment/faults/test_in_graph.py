@@ -173,7 +173,7 @@ def test_graph_faults_have_every_kind_in_short_and_each_once_per_seed():
     assert len(quick) == len(set(map(general_kind, quick))) < 60
     assert {fault.input for seed in range(3) for fault in quick_faults(GRAPH, seed)} == {
         source for _, source in FAULTS}
-    assert graph_tasks(5) == graph_tasks(5) != graph_tasks(6)
+    assert graph_tasks(('rigid',), 5) == graph_tasks(('rigid',), 5) != graph_tasks(('rigid',), 6)
 
 
 def test_graph_faults_know_the_nodes_and_their_transitions():

@@ -24,7 +24,7 @@ def test_stamp_follows_what_decides_an_outcome_and_nothing_else(tmp_path, monkey
         name = f'multicontact_control/{name}'
         (tmp_path / name).write_text('# other text')
     assert _stamp_of(tmp_path, monkeypatch) == before
-    for name in ('multicontact_control/force/kalman.py', 'sim_bridge/pybullet_plant.py',
+    for name in ('multicontact_control/force/kalman.py', 'sim_bridge/plant.py',
                  'multicontact_control/experiment/metrics.py'):
         (tmp_path / name).write_text('# other text')
         after = _stamp_of(tmp_path, monkeypatch)

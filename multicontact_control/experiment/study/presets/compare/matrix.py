@@ -15,7 +15,7 @@ from multicontact_control.config import (
 )
 from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.claims import MATCHED, MAYBECK
-from multicontact_control.experiment.scenario import plant_path, PLANTS
+from multicontact_control.experiment.scenario import plant_source, plants_of
 from multicontact_control.experiment.study.jobs import job_of, RunJob
 from multicontact_control.force.noise import lead_filter
 from multicontact_control.paths import config_dir
@@ -94,23 +94,23 @@ def name_checks(
     plants: Sequence[str], labels: Sequence[str],
 ) -> list[Callable[[], object]]:
     """Return what checks the names of plants and estimators, one by one."""
-    return [*(partial(plant_path, name) for name in plants),
+    return [*(partial(plant_source, name) for name in plants),
             *(partial(estimator_values, label) for label in labels)]
 
 
 def controller_values(plant: str) -> dict[str, Any]:
     """
-    Return what the controller of a plant needs to differ from config/controller.yaml.
+    Return what the controller of a plant needs to differ from its files.
 
-    The friction compensation there is that of the plant `puma`. On joints without friction it
-    pushes the arm along, which makes a limit cycle at rest of 1.5 N at the board.
+    Without joint friction there is none to compensate: on such joints a compensation pushes the
+    arm along, which makes a limit cycle at rest of 1.5 N at the board.
     """
     return {} if _plant(plant).joint_friction_scale > 0.0 else {
         'friction': {'coulomb': [], 'viscous': []}}
 
 
 def _plant(name: str) -> PlantConfig:
-    return validate(PlantConfig, read_parameters(plant_path(name)), name)
+    return validate(PlantConfig, plant_source(name).values(), name)
 
 
 # Label, kind, and what is laid over the files of estimator, controller and plant.
@@ -118,12 +118,12 @@ Variant = tuple[str, str, dict[str, Any], dict[str, Any], dict[str, Any]]
 
 
 def comparison_matrix(
-    plants: Sequence[str] = PLANTS, labels: Sequence[str] = LABELS, seeds: int = 3, *,
+    plants: Sequence[str] = (), labels: Sequence[str] = LABELS, seeds: int = 3, *,
     plain: bool = True, duration: float | None = None, preset: str = PRESET,
     damping_rates: Sequence[float] = (),
 ) -> list[Entry]:
     """
-    Return the matrix of plants, estimators, observers and seeds.
+    Return the matrix of plants (none for all), estimators, observers and seeds.
 
     Seeds count from 0; `plain` runs every estimator without the active state too, and `duration`
     [s] goes before that of the scenario. The claims' estimators run with all `damping_rates`
@@ -139,12 +139,12 @@ def comparison_matrix(
         (label, AOB, estimator_values(label),
          merge(observer_values(label), {'force': {'damping_rate': rate}}), {})
         for rate in damping_rates for label in labels if label in QUICK_LABELS]
-    return [entry for plant in plants
+    return [entry for plant in plants or plants_of()
             for entry in _entries(plant, variants, seeds, duration, preset)]
 
 
 def beside_the_matrix(
-    plants: Sequence[str] = PLANTS, seeds: int = 3, *, quick: bool = False,
+    plants: Sequence[str] = (), seeds: int = 3, *, quick: bool = False,
     preset: str = PRESET, damping_rates: Sequence[float] = (),
 ) -> list[Entry]:
     """
@@ -153,7 +153,7 @@ def beside_the_matrix(
     The latter with all `damping_rates`, too [1/s].
     """
     entries = []
-    for plant in plants:
+    for plant in plants or plants_of():
         config = _plant(plant)
         entries += _entries(plant, _stiffness_variants(config, quick, damping_rates), 1,
                             preset=preset)

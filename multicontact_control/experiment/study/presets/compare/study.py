@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ from typing import Any
 from multicontact_control.errors import check_all, ConfigError
 from multicontact_control.experiment.claims import judge_over_damping
 from multicontact_control.experiment.html_parts import claims_over_damping, claims_table
-from multicontact_control.experiment.scenario import PLANTS, preset_values
+from multicontact_control.experiment.scenario import plants_of, preset_values
 from multicontact_control.experiment.study.cache import JobCache
 from multicontact_control.experiment.study.execute import JobRun
 from multicontact_control.experiment.study.jobs import RunJob
@@ -46,7 +46,7 @@ class ComparisonStudy(Study[RunJob, dict[str, Any]]):
 
     """
 
-    plants: tuple[str, ...] = PLANTS
+    plants: tuple[str, ...] = field(default_factory=plants_of)
     estimators: tuple[str, ...] = ()
     seeds: int | None = None
     quick: bool = False

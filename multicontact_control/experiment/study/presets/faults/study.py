@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,7 @@ from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.faults.fault import GRAPH, PHASES, PROCESS, TWO
 from multicontact_control.experiment.faults.judge import FaultRow
 from multicontact_control.experiment.faults.vocabulary import faults_of, pairs_of_faults
-from multicontact_control.experiment.scenario import PLANTS
+from multicontact_control.experiment.scenario import plants_of
 from multicontact_control.experiment.study.execute import JobRun
 from multicontact_control.experiment.study.page import Page, Section
 from multicontact_control.experiment.study.presets.faults.jobs import (
@@ -35,9 +35,9 @@ COLUMNS = (
 SAFE = 11  # place of that column
 
 
-def situation(number: int) -> tuple[str, str]:
+def situation(number: int, plants: Sequence[str]) -> tuple[str, str]:
     """Return plant and phase of the number-th seed of a kind: all pairs in turn."""
-    return PLANTS[number % 2], PHASES[number // 2 % 3]
+    return plants[number % len(plants)], PHASES[number // len(plants) % 3]
 
 
 @dataclass(frozen=True)
@@ -53,12 +53,15 @@ class FaultStudy(Study[FaultJob, list[FaultRow]]):
         One fault of each kind instead of 14.
     graph
         Whether faults of a running graph come after these.
+    plants
+        Where they happen.
 
     """
 
     seed: int = 0
     quick: bool = False
     graph: bool = False
+    plants: tuple[str, ...] = field(default_factory=plants_of)
 
     title = 'faults'
     name = 'faults'
@@ -75,14 +78,15 @@ class FaultStudy(Study[FaultJob, list[FaultRow]]):
         found: dict[str, Sequence[Any]] = {
             'kinds': [f'{source} {kind}' for kind, source in faults_of(PROCESS)],
             'seeds': range(self.seed, self.seed + (1 if self.quick else SEEDS)),
-            'plants': PLANTS, 'phases': PHASES}
+            'plants': self.plants, 'phases': PHASES}
         found['pairs of faults at once'] = range(QUICK_PAIRS if self.quick else PAIRS)
         if self.graph:
             from multicontact_control.experiment.faults.in_graph import graph_tasks  # needs ROS
 
             found['faults over the graph, run anew each time'] = [
                 f'{plant} {fault.input} {fault.kind} {seed}'
-                for plant, tasks in graph_tasks(self.seed, quick=self.quick).items()
+                for plant, tasks in graph_tasks(
+                    self.plants, self.seed, quick=self.quick).items()
                 for fault, seed in tasks]
         return found
 
@@ -94,14 +98,14 @@ class FaultStudy(Study[FaultJob, list[FaultRow]]):
         """
         places: dict[tuple[str, str], list[tuple[Any, ...]]] = {
             (plant, phase): [] for phase in sorted(PHASE_TIMES, key=PHASE_TIMES.__getitem__)
-            for plant in PLANTS}
+            for plant in self.plants}
         for index, fault in enumerate(faults_of(PROCESS)):
             # One of each, yet in every situation.
             for number in (index % 6,) if self.quick else range(SEEDS):
-                places[situation(number)].append((*fault, self.seed + number))
+                places[situation(number, self.plants)].append((*fault, self.seed + number))
         pairs = pairs_of_faults(QUICK_PAIRS if self.quick else PAIRS, self.seed)
         for number, (one, other) in enumerate(pairs):
-            places[situation(number)].append(
+            places[situation(number, self.plants)].append(
                 (one.kind, one.input, self.seed + number, other.kind, other.input))
         return [FaultJob(plant, phase, self.seed, tuple(faults[i:i + FAULTS_PER_JOB]))
                 for (plant, phase), faults in places.items()

@@ -11,8 +11,8 @@ from typing import Any
 from multicontact_control.errors import check_all, ConfigError
 from multicontact_control.experiment.scenario import (
     law_presets,
-    plant_path,
-    PLANTS,
+    plant_source,
+    plants_of,
     preset_values,
     resolve,
 )
@@ -63,7 +63,7 @@ class LawStudy(Study[LawJob, list[Mapping[str, Any]]]):
 
     """
 
-    plants: tuple[str, ...] = PLANTS
+    plants: tuple[str, ...] = field(default_factory=plants_of)
     presets: tuple[str, ...] = field(default_factory=law_presets)
     seeds: int | None = None
     quick: bool = False
@@ -86,7 +86,7 @@ class LawStudy(Study[LawJob, list[Mapping[str, Any]]]):
 
     def check(self) -> None:
         """Check the options; ConfigError with all that are not acceptable."""
-        check_all(*(partial(plant_path, name) for name in self.plants),
+        check_all(*(partial(plant_source, name) for name in self.plants),
                   *(partial(preset_values, name) for name in self.presets), self._check_seeds)
 
     def _check_seeds(self) -> None:

@@ -13,7 +13,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from multicontact_control.errors import check_all
 from multicontact_control.experiment.claims import MATCHED
-from multicontact_control.experiment.scenario import PLANTS
+from multicontact_control.experiment.scenario import plants_of
 from multicontact_control.experiment.study.execute import JobRun
 from multicontact_control.experiment.study.jobs import RunJob
 from multicontact_control.experiment.study.measure import measure_run
@@ -32,7 +32,7 @@ from multicontact_control.files import finite
 import numpy as np
 
 MAP_LABELS = tuple(label for label in LABELS if label != MATCHED)  # those of one Q
-QUICK_PLANTS, QUICK_LABELS = ('rigid',), ('lead_window', 'fixed')
+QUICK_LABELS = ('lead_window', 'fixed')
 RATIOS, QUICK_RATIOS = 13, 8  # how many
 VARIANCES = (0.6, 100.0)  # N^2, of the linear boundaries: at rest and in motion
 EXPLANATION = (
@@ -121,7 +121,7 @@ def robustness_study(
 ) -> RobustnessStudy:
     """Return the map of some plants and estimators, none for all, or those of the quick map."""
     return RobustnessStudy(
-        plants or (QUICK_PLANTS if quick else PLANTS),
+        plants or (plants_of()[:1] if quick else plants_of()),
         estimators or (QUICK_LABELS if quick else MAP_LABELS),
         tuple(ratios(QUICK_RATIOS if quick else RATIOS)))
 

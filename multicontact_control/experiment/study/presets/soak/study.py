@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from multicontact_control.errors import check_all, ConfigError
-from multicontact_control.experiment.scenario import PLANTS
+from multicontact_control.experiment.scenario import plants_of
 from multicontact_control.experiment.study.execute import JobRun
 from multicontact_control.experiment.study.page import Page, Section
 from multicontact_control.experiment.study.presets.soak.jobs import run_soak_job, SoakJob
@@ -47,7 +47,7 @@ class SoakStudy(Study[SoakJob, list[dict[str, Any]]]):
     """
 
     hours: float = 1.0
-    plants: tuple[str, ...] = PLANTS
+    plants: tuple[str, ...] = field(default_factory=plants_of)
     seed: int = 0
     parts: int = 1
 

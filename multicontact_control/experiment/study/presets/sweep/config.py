@@ -8,9 +8,11 @@ from typing import Any, Literal
 
 from multicontact_control.config import Config, parameter, read_yaml, Real, validate
 from multicontact_control.errors import ConfigError
+from multicontact_control.experiment.scenario import plant_source, plants_of
 from multicontact_control.paths import named_file
 import numpy as np
 from pydantic import field_validator, model_validator
+from sim_bridge.robots import find_robot
 
 DIGITS = 12  # of the values of a range, such that 0.1 is not 0.09999999999999999
 LISTED = 'a list of values, or a range of start, stop and count'
@@ -46,7 +48,8 @@ class StudyConfig(Config):
     description: str = parameter('', 'What it is to show.')
     scenario: str = parameter(..., 'What is run: a name from config/scenarios, or a path.')
     plants: tuple[str, ...] = parameter(
-        ('puma',), 'Presets or paths; everything is run on each.', min_length=1)
+        ('',), 'Names or paths, everything is run on each; the default one if not given.',
+        min_length=1)
     seeds: tuple[int, ...] = parameter(
         (0,), 'Seeds, or how many of them, from 0; everything is run with each.', min_length=1)
     duration: Real | None = parameter(
@@ -117,8 +120,21 @@ def study_path(name: str) -> Path:
     return named_file('study', 'studies', name)
 
 
-def read_study(path: Path, *, seeds: tuple[int, ...] | None = None) -> StudyConfig:
-    """Read and check a study, with other seeds if they are given; ConfigError if it is bad."""
+def read_study(
+    path: Path, *, seeds: tuple[int, ...] | None = None, robot: str = '',
+) -> StudyConfig:
+    """
+    Read and check a study; ConfigError if it is bad.
+
+    With other seeds if they are given, and on another robot: on those of the study's plants that
+    it has, or on its default one.
+    """
     values = read_yaml(path)
-    return validate(
+    study = validate(
         StudyConfig, values if seeds is None else {**values, 'seeds': seeds}, str(path))
+    plants = study.plants
+    if robot:
+        known = find_robot(robot)
+        plants = tuple(name for name in plants if known.plant_name(name)) or ('',)
+    plants = plants_of(robot, [name or plant_source('', robot).plant for name in plants])
+    return study.model_copy(update={'plants': plants})

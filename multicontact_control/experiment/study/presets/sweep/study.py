@@ -98,7 +98,9 @@ class SweepStudy(Study[RunJob, pa.Table]):
             figure=draw_sweep(self.plan, content, metrics) if metrics else None)
 
 
-def sweep_study(name: str, seeds: tuple[int, ...] | None = None) -> SweepStudy:
+def sweep_study(
+    name: str, seeds: tuple[int, ...] | None = None, robot: str = '',
+) -> SweepStudy:
     """
     Return the study of a file.
 
@@ -108,10 +110,12 @@ def sweep_study(name: str, seeds: tuple[int, ...] | None = None) -> SweepStudy:
         Name of a file in config/studies, or a path.
     seeds
         Instead of the study's; None for those.
+    robot
+        Instead of the study's; empty for that.
 
     """
     path = study_path(name)
-    return SweepStudy(plan_sweep(read_study(path, seeds=seeds), str(path)))
+    return SweepStudy(plan_sweep(read_study(path, seeds=seeds, robot=robot), str(path)))
 
 
 def _counts(table: pa.Table) -> str:

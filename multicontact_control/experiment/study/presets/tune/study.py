@@ -13,7 +13,7 @@ from multicontact_control.config import merge, read_yaml
 from multicontact_control.errors import check_all, ConfigError
 from multicontact_control.experiment.law_report import write_preset
 from multicontact_control.experiment.overrides import overrides_of
-from multicontact_control.experiment.scenario import plant_path, preset_values
+from multicontact_control.experiment.scenario import plant_source, preset_values
 from multicontact_control.experiment.study.execute import JobRun
 from multicontact_control.experiment.study.page import Page, Section
 from multicontact_control.experiment.study.presets.laws.jobs import (
@@ -68,7 +68,7 @@ class TuneStudy(Study[LawJob, list[dict[str, Any]]]):
     """
 
     law: str
-    plants: tuple[str, ...] = ('puma',)
+    plants: tuple[str, ...] = ('',)
 
     title = 'tune'
     name = 'tuning'
@@ -86,7 +86,7 @@ class TuneStudy(Study[LawJob, list[dict[str, Any]]]):
 
     def check(self) -> None:
         """Check law and plants; ConfigError with all that are not acceptable."""
-        check_all(lambda: read_ranges(self.law), lambda: [*map(plant_path, self.plants)])
+        check_all(lambda: read_ranges(self.law), lambda: [*map(plant_source, self.plants)])
 
     def grid(self) -> Mapping[str, Sequence[Any]]:
         """Return the ranges, and plants and seed."""

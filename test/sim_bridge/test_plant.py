@@ -3,8 +3,8 @@ from multicontact_control.errors import ConfigError, RunError, ShapeError
 import numpy as np
 import pinocchio as pin
 import pytest
-from sim_bridge.puma560 import SENSOR_FRAME
-from sim_bridge.pybullet_plant import PybulletPlant
+from sim_bridge.arm import SENSOR_FRAME
+from sim_bridge.plant import Plant
 
 IDEAL_SENSOR = {'noise': False, 'quantise': False, 'saturate': False}
 
@@ -226,7 +226,7 @@ def test_plant_that_does_not_fit_the_arm_is_refused():
             ({'surfaces': {**config.surfaces, 'table': table}}, 'surfaces.table.tip_link'),
             ({'substep': 7e-4}, 'substep: expected a whole fraction')):
         with pytest.raises(ConfigError, match=message):
-            PybulletPlant(config.model_copy(update=change), rate=500.0, seed=0)
+            Plant(config.model_copy(update=change), rate=500.0, seed=0)
 
 
 def test_obstacle_on_a_link_loads_the_joints_before_it(make_plant, model):
@@ -235,7 +235,7 @@ def test_obstacle_on_a_link_loads_the_joints_before_it(make_plant, model):
                'point_world': (9.0, 0.0, 0.0), 'normal_world': (1.0, 0.0, 0.0),
                'stiffness': 3000.0}
     config = plant_config('rigid', obstacle_names=['elbow'], surfaces={'elbow': surface})
-    plant = PybulletPlant(config, rate=500.0, seed=0)
+    plant = Plant(config, rate=500.0, seed=0)
     try:
         contacts, q = plant.contacts, np.array(config.home)
         contacts.update(q, np.zeros(6), np.zeros(3))  # where the elbow is

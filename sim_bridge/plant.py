@@ -8,13 +8,14 @@ from multicontact_control.arrays import require_shape, Vector
 from multicontact_control.errors import ConfigError, RunError
 import numpy as np
 import pinocchio as pin
-from sim_bridge.bullet_arm import BulletArm
+from sim_bridge.arm import SENSOR_FRAME, TOOL_LINK
 from sim_bridge.config import PlantConfig
 from sim_bridge.contacts import Contacts
-from sim_bridge.drives import clip_torque, FlexibleDrives, RigidDrives
+from sim_bridge.drives import clip_torque, EngineDrives, FlexibleDrives, RigidDrives
+from sim_bridge.engine import EngineArm, make_engine
 from sim_bridge.joint_friction import joint_friction
-from sim_bridge.puma560 import load_robot, SENSOR_FRAME, TOOL_LINK, urdf_text
 from sim_bridge.pushes import Pushes, ToolPush
+from sim_bridge.robots import find_robot
 from sim_bridge.wrench_sensor import WrenchSensor
 
 
@@ -54,7 +55,7 @@ class Sample(NamedTuple):
     tool_push_world: Vector
 
 
-class PybulletPlant:
+class Plant:
     """
     A simulated arm that touches surfaces.
 
@@ -75,6 +76,8 @@ class PybulletPlant:
         Holds the arm at its home, tool included, shape (n,) [N m].
     contacts, arm
         What really goes on, for evaluation: a controller must not look.
+    description
+        The arm as it is simulated.
 
     Raises
     ------
@@ -85,28 +88,29 @@ class PybulletPlant:
 
     def __init__(self, config: PlantConfig, *, rate: float, seed: int) -> None:
         self.config = config
-        self._robot = load_robot()
+        self.description = find_robot(config.robot).arm
         self._seed = seed
         self._rate = rate
         self._substeps = config.substeps(rate)
         self.contact_names = config.column_names
-        self.joint_names = self._robot.joint_names
-        self._model = pin.buildModelFromXML(urdf_text(self._robot))
+        self.joint_names = self.description.joint_names
+        self._model = self.description.model()
         require_fit(config, self._model)
         # What touches the tool is felt by the wrist sensor, what touches a link is not.
         self._sensed_tips = [
-            config.surfaces[name].tip_link in (TOOL_LINK, *self._robot.tool.tips)
+            config.surfaces[name].tip_link in (TOOL_LINK, *self.description.tips)
             for name in config.met]
         self._model.gravity.linear = np.array(config.gravity_world)
         self._home = np.array(config.home)
         still = np.zeros(self._model.nv)
         self.initial_torque: Vector = pin.rnea(
             self._model, self._model.createData(), self._home, still, still).copy()
-        self._model.armature = np.array(self._robot.exact_armature)
-        self._limit = np.array(config.torque_limit or self._robot.torque_limit)
+        self._model.armature = np.array(self.description.armature)
+        self._limit = np.array(config.torque_limit or self.description.torque_limit)
         self._drives = self._build_drives()
-        self.arm = BulletArm(self._robot, config.gravity_world, config.substep)
-        self._sensed: BulletArm | FlexibleDrives = self.arm
+        self.arm = make_engine(config, self.description)
+        self._native = config.contact == 'native'
+        self._sensed: EngineArm | FlexibleDrives = self.arm
         if isinstance(self._drives, FlexibleDrives) and config.joint_sensing == 'motor':
             self._sensed = self._drives
         self.reset()
@@ -183,10 +187,12 @@ class PybulletPlant:
         """Give the simulator's memory back."""
         self.arm.close()
 
-    def _build_drives(self) -> RigidDrives | FlexibleDrives:
+    def _build_drives(self) -> RigidDrives | FlexibleDrives | EngineDrives:
         config = self.config
         friction = joint_friction(
-            self._robot, config.joint_friction_scale, config.joint_friction_speed)
+            self.description, config.joint_friction_scale, config.joint_friction_speed)
+        if config.drives == 'rigid' and config.contact == 'native':
+            return EngineDrives()
         if config.drives == 'rigid':
             return RigidDrives(self._model, friction, config.substep)
         return FlexibleDrives(
@@ -197,6 +203,7 @@ class PybulletPlant:
         """Take one integration step and return the true wrench at the sensor."""
         contacts, arm, wrist, tool = self.contacts, self.arm, self._wrist_push, self._tool_push
         q, qd = arm.q, arm.qd
+        contacts.move(self.config.substep)
         pressed = contacts.update(q, qd, wrist.force_world)
         if tool.add_load(q, contacts.load):
             arm.push_tool(tool.force_world.tolist(), tool.point_world.tolist())
@@ -211,16 +218,18 @@ class PybulletPlant:
                     arm.push_link(joint, force, point)
         if wrist.acting:
             arm.push_link(-1, wrist.force_world.tolist(), contacts.wrist_world.tolist())
-        return arm.step(link_torque)
+        wrench = arm.step(link_torque)
+        if self._native:
+            contacts.pressed[:] = arm.native_forces()
+        return wrench
 
     def _static_wrench(self) -> Vector:
         """Return what the sensor reads at rest at home: the weight it carries, held."""
-        model, data, tool = self._model, self._model.createData(), self._robot.tool
+        model, data, arm = self._model, self._model.createData(), self.description
         pin.framesForwardKinematics(model, data, self._home)
         rotation = data.oMf[model.getFrameId(SENSOR_FRAME)].rotation
-        weight_held = -(tool.mass + tool.face_mass) * (
-            rotation.T @ np.array(self.config.gravity_world))
-        lever = tool.mass / (tool.mass + tool.face_mass) * np.array(tool.com)
+        weight_held = -arm.carried_mass * (rotation.T @ np.array(self.config.gravity_world))
+        lever = arm.tool.mass / arm.carried_mass * np.array(arm.tool.com.position)
         return np.concatenate((weight_held, np.cross(lever, weight_held)))
 
     def _sample(self, effort: Vector, saturated: bool) -> Sample:

@@ -1,0 +1,1 @@
+"""Robots, engines and scenarios."""

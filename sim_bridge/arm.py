@@ -1,0 +1,309 @@
+"""
+An arm with a wrist sensor and a tool, as every engine is told of it.
+
+A chain of joints that turn about the z axis of their own frame, each with one rigid link. Whatever
+an arm is made from (`puma560`, `urdf_arm`) ends here, and what an engine or the controller reads
+(a URDF, a MuJoCo model) is written from here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass
+from functools import cached_property
+import math
+from typing import Any
+
+from multicontact_control.config import Vector3
+from multicontact_control.dynamics.robot import load_model
+import numpy as np
+import pinocchio as pin
+
+BASE_LINK = 'base_link'
+OPERATIONAL_FRAME = 'wrist_point'
+SENSOR_FRAME = 'ft_face'
+TOOL_LINK = 'tool'
+FACE_INERTIA = 1e-6  # kg m^2, of the sensor's face about its origin
+NO_LIMIT = 1e9  # what an endless joint's limit is in a URDF [rad]
+
+
+@dataclass(frozen=True)
+class Placement:
+    """
+    A frame in another one.
+
+    Attributes
+    ----------
+    position
+        Of its origin [m].
+    rpy
+        Its axes: turned about the other's x, then y, then z [rad].
+
+    """
+
+    position: Vector3 = (0.0, 0.0, 0.0)
+    rpy: Vector3 = (0.0, 0.0, 0.0)
+
+    @classmethod
+    def of(cls, placement: pin.SE3) -> Placement:
+        """Return pinocchio's placement."""
+        position, rpy = placement.translation, pin.rpy.matrixToRpy(placement.rotation)
+        return cls(_triple(position), _triple(rpy))
+
+    @property
+    def se3(self) -> pin.SE3:
+        """Return it as pinocchio's."""
+        return pin.SE3(pin.rpy.rpyToMatrix(*self.rpy), np.array(self.position))
+
+
+@dataclass(frozen=True)
+class Body:
+    """
+    Mass properties.
+
+    Attributes
+    ----------
+    mass
+        [kg].
+    com
+        Centre of mass, and the principal axes of inertia there.
+    inertia
+        About these axes [kg m^2].
+
+    """
+
+    mass: float
+    com: Placement
+    inertia: Vector3
+
+    @classmethod
+    def of(cls, inertia: pin.Inertia) -> Body:
+        """Return pinocchio's inertia, with its principal axes found."""
+        matrix = np.array(inertia.inertia)
+        if np.count_nonzero(matrix - np.diag(np.diag(matrix))) == 0:
+            moments, axes = np.diag(matrix), np.eye(3)
+        else:
+            moments, axes = np.linalg.eigh(matrix)
+            axes[:, 2] *= np.sign(np.linalg.det(axes))
+        com = Placement.of(pin.SE3(axes, np.array(inertia.lever)))
+        return cls(float(inertia.mass), com, _triple(moments))
+
+
+@dataclass(frozen=True)
+class Link:
+    """
+    One joint and what it carries.
+
+    Attributes
+    ----------
+    joint
+        Name of the joint.
+    placement
+        Of the joint's frame in the link before; the joint turns about its z axis.
+    body
+        In the joint's frame.
+    lower, upper
+        Range, infinite for a joint without end [rad].
+    speed_limit, torque_limit
+        [rad/s], [N m].
+    armature
+        Rotor inertia, joint side [kg m^2].
+    viscous, coulomb_positive, coulomb_negative
+        Friction, joint side, Coulomb friction for either direction >= 0 [N m s/rad], [N m].
+
+    """
+
+    joint: str
+    placement: Placement
+    body: Body
+    lower: float
+    upper: float
+    speed_limit: float
+    torque_limit: float
+    armature: float = 0.0
+    viscous: float = 0.0
+    coulomb_positive: float = 0.0
+    coulomb_negative: float = 0.0
+
+
+@dataclass(frozen=True)
+class Arm:
+    """
+    A chain of links with a wrist sensor and a tool on the last one.
+
+    Attributes
+    ----------
+    name
+        Of the robot, in the URDF.
+    links
+        Base to wrist.
+    operational, sensor
+        Frames of the operational point and of the sensor's face, in the last link's frame.
+    face_mass
+        What the sensor weighs of itself [kg].
+    tool
+        What hangs on the sensor, in its frame.
+    tips
+        Points of the tool that may touch, by URDF link, in the sensor's frame [m].
+
+    """
+
+    name: str
+    links: tuple[Link, ...]
+    operational: Placement
+    sensor: Placement
+    face_mass: float
+    tool: Body
+    tips: Mapping[str, Vector3]
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Joint names, base to wrist."""
+        return tuple(link.joint for link in self.links)
+
+    @property
+    def armature(self) -> tuple[float, ...]:
+        """Rotor inertia of each joint [kg m^2]."""
+        return tuple(link.armature for link in self.links)
+
+    @property
+    def torque_limit(self) -> tuple[float, ...]:
+        """Largest torque of each joint [N m]."""
+        return tuple(link.torque_limit for link in self.links)
+
+    @property
+    def bodies(self) -> tuple[Body, ...]:
+        """Bodies of links, sensor face and tool, each in its own frame."""
+        face = Body(self.face_mass, Placement(), (FACE_INERTIA,) * 3)
+        return (*(link.body for link in self.links), face, self.tool)
+
+    @property
+    def carried_mass(self) -> float:
+        """All that the sensor weighs: its face and the tool [kg]."""
+        return self.tool.mass + self.face_mass
+
+    @property
+    def carried_com(self) -> Vector3:
+        """Centre of mass of that, in the sensor's frame [m]."""
+        x, y, z = (self.tool.mass / self.carried_mass * value for value in
+                   self.tool.com.position)
+        return (x, y, z)
+
+    @cached_property
+    def urdf(self) -> str:
+        """URDF text of the arm with its tool, whose joints all turn about z."""
+        return urdf_text(self)
+
+    def model(self) -> pin.Model:
+        """Return a rigid-body model of the arm with its tool, without armature."""
+        return load_model(self.urdf)
+
+    def content(self) -> dict[str, Any]:
+        """Return everything as JSON values; infinite limits as text."""
+        return {key: _plain(value) for key, value in asdict(self).items()}
+
+
+def urdf_text(arm: Arm, *, for_bullet: bool = False) -> str:
+    """
+    Return the URDF of an arm with its tool.
+
+    Parameters
+    ----------
+    arm
+        The arm.
+    for_bullet
+        Whether PyBullet is to read it: without the links that only name a place (operational
+        point, tips), which would cost it time at every step, with a mass for the base, without
+        joint limits, which are the controller's to keep, and with every inertia made isotropic,
+        since the importer refuses some that have been published. The true ones have to be set
+        afterwards.
+
+    Returns
+    -------
+    str
+        The XML.
+
+    """
+    bodies = arm.bodies
+    parts = [f'  <link name="{BASE_LINK}"/>']
+    if for_bullet:
+        bodies = tuple(Body(body.mass, body.com, (max(body.inertia),) * 3) for body in bodies)
+        parts = _link(BASE_LINK, Body(1.0, Placement(), (1.0, 1.0, 1.0)))
+    parent = BASE_LINK
+    for number, (link, body) in enumerate(zip(arm.links, bodies), start=1):
+        name = f'link{number}'
+        parts += [*_link(name, body), *_joint(link, parent, name, endless=for_bullet)]
+        parent = name
+    parts += _link(SENSOR_FRAME, bodies[-2])
+    parts += _fixed_joint(parent, SENSOR_FRAME, arm.sensor)
+    parts += _link(TOOL_LINK, bodies[-1])
+    parts += _fixed_joint(SENSOR_FRAME, TOOL_LINK, Placement())
+    if not for_bullet:
+        parts.append(f'  <link name="{OPERATIONAL_FRAME}"/>')
+        parts += _fixed_joint(parent, OPERATIONAL_FRAME, arm.operational)
+        for tip, point in arm.tips.items():
+            parts.append(f'  <link name="{tip}"/>')
+            parts += _fixed_joint(TOOL_LINK, tip, Placement(point))
+    return '\n'.join([_HEADER, f'<robot name="{arm.name}">', *parts, '</robot>',
+                      ''])
+
+
+_HEADER = """<?xml version="1.0"?>
+<!-- Generated from the configuration of the robot by sim_bridge/arm.py: change that. -->"""
+
+
+def _joint(link: Link, parent: str, child: str, *, endless: bool) -> list[str]:
+    endless = endless or not (math.isfinite(link.lower) and math.isfinite(link.upper))
+    limits = (-NO_LIMIT, NO_LIMIT) if endless else (link.lower, link.upper)
+    return [
+        f'  <joint name="{link.joint}" type="{"continuous" if endless else "revolute"}">',
+        f'    <parent link="{parent}"/>',
+        f'    <child link="{child}"/>',
+        f'    {_origin(link.placement)}',
+        '    <axis xyz="0 0 1"/>',
+        f'    <limit lower="{limits[0]!r}" upper="{limits[1]!r}" effort="{link.torque_limit!r}"'
+        f' velocity="{link.speed_limit!r}"/>',
+        '  </joint>']
+
+
+def _link(name: str, body: Body) -> list[str]:
+    ixx, iyy, izz = body.inertia
+    return [
+        f'  <link name="{name}">',
+        '    <inertial>',
+        f'      {_origin(body.com)}',
+        f'      <mass value="{body.mass!r}"/>',
+        f'      <inertia ixx="{ixx!r}" iyy="{iyy!r}" izz="{izz!r}" ixy="0" ixz="0" iyz="0"/>',
+        '    </inertial>',
+        '  </link>']
+
+
+def _fixed_joint(parent: str, child: str, placement: Placement) -> list[str]:
+    return [
+        f'  <joint name="{child}_joint" type="fixed">',
+        f'    <parent link="{parent}"/>',
+        f'    <child link="{child}"/>',
+        f'    {_origin(placement)}',
+        '  </joint>']
+
+
+def _origin(placement: Placement) -> str:
+    return f'<origin xyz="{numbers(placement.position)}" rpy="{numbers(placement.rpy)}"/>'
+
+
+def numbers(values: Iterable[float]) -> str:
+    """Return numbers with blanks between, with every digit they have."""
+    return ' '.join(repr(float(value)) for value in values)
+
+
+def _triple(values: Any) -> Vector3:
+    x, y, z = (float(value) for value in values)
+    return (x, y, z)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, (tuple, list)):
+        return [_plain(item) for item in value]
+    return str(value) if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,257 @@
+"""The arm in MuJoCo: the same chain of links, with or without contacts of the engine's own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+from multicontact_control.arrays import Matrix, Vector
+import numpy as np
+import pinocchio as pin
+from sim_bridge.arm import Arm, Body, numbers, Placement, SENSOR_FRAME, TOOL_LINK
+from sim_bridge.config import PlantConfig
+
+# Impedance of the engine's contacts. Beside the spring it makes a contact as heavy as
+# d / (1 - d) of what it meets, so it is small; spring and damper are then set by solref.
+IMPEDANCE = 0.01
+PLANE_SIZE = '1 1 0.1'
+FRICTION_RATIO = 100.0  # how much harder friction holds than the surface: else it creeps
+
+
+@dataclass(frozen=True)
+class NativePlane:
+    """
+    A plane and the tip that may touch it.
+
+    Attributes
+    ----------
+    point, normal
+        Of the plane, world axes, the normal INTO it.
+    tip
+        In the sensor's frame [m].
+    stiffness, damping, friction
+        [N/m], [N s/m], coefficient.
+
+    """
+
+    point: Sequence[float]
+    normal: Sequence[float]
+    tip: Sequence[float]
+    stiffness: float
+    damping: float
+    friction: float
+
+
+@dataclass(frozen=True)
+class NativeContacts:
+    """
+    What the engine's contact solver has to deal with.
+
+    Attributes
+    ----------
+    planes
+        In the order of `PlantConfig.met`.
+    radius
+        Of the balls at the tips [m].
+    home
+        Posture in which each ball touches its plane with the tip itself, shape (n,) [rad].
+    armature
+        The rotors, which the engine then carries itself, shape (n,) [kg m^2]; none where they
+        are behind springs.
+
+    """
+
+    planes: tuple[NativePlane, ...]
+    radius: float
+    home: Vector
+    armature: Vector
+
+    @classmethod
+    def of(cls, config: PlantConfig, arm: Arm) -> NativeContacts:
+        """Return those of a plant."""
+        planes = []
+        for name in config.met:
+            surface = config.surfaces[name]
+            planes.append(NativePlane(
+                surface.point_world, surface.normal_world, arm.tips[surface.tip_link],
+                surface.stiffness, surface.damping, surface.friction))
+        armature = np.array(arm.armature) * (config.drives == 'rigid')
+        return cls(tuple(planes), config.tip_radius, np.array(config.home), armature)
+
+
+class MujocoArm:
+    """
+    One arm alone in a MuJoCo world; `reset` puts it there. See `EngineArm`.
+
+    Parameters
+    ----------
+    arm
+        The arm.
+    gravity_world
+        Gravity [m/s^2].
+    step
+        Integration step [s].
+    native
+        Contacts of the engine's own; None for a world without.
+
+    """
+
+    def __init__(
+        self, arm: Arm, gravity_world: Sequence[float], step: float,
+        native: NativeContacts | None = None,
+    ) -> None:
+        self._model = mujoco.MjModel.from_xml_string(
+            mjcf_text(arm, gravity_world, step, native))
+        self._set_inertias(arm)
+        self._planes = () if native is None else native.planes
+        self._data = mujoco.MjData(self._model)
+        self._sensor = self._model.body(SENSOR_FRAME).id
+        self._tool = self._model.body(TOOL_LINK).id
+        self._wrist = self._model.body(f'link{len(arm.links)}').id
+        if native is not None:
+            self._model.dof_armature[:] = native.armature
+            mujoco.mj_setConst(self._model, self._data)
+            self._set_springs(native)
+        self._placed = False
+        self._forces = np.zeros(len(self._planes))
+        self._touch = np.zeros(6)
+        self.q: Vector = np.zeros(len(arm.links))
+        self.qd: Vector = np.zeros_like(self.q)
+
+    def reset(self, q: Vector) -> None:
+        """Start afresh from rest at joint angles `q`; nothing of the past is left."""
+        mujoco.mj_resetData(self._model, self._data)
+        self._data.qpos[:] = q
+        self._forces[:] = 0.0
+        self._placed = False
+        self.q[:], self.qd[:] = q, 0.0
+
+    def push_tool(self, force: list[float], point: list[float]) -> None:
+        """Apply a force [N] at a point [m] of the tool for one step, world axes."""
+        self._push(self._tool, force, point)
+
+    def push_link(self, joint: int, force: list[float], point: list[float]) -> None:
+        """Apply a force [N] at a point [m] of the link behind a joint for one step, world axes."""
+        self._push(self._links[joint], force, point)
+
+    def _push(self, body: int, force: list[float], point: list[float]) -> None:
+        data = self._data
+        if not self._placed:
+            mujoco.mj_kinematics(self._model, data)  # where the body is now, not a step ago
+            self._placed = True
+        f, lever = np.array(force), np.array(point) - data.xipos[body]
+        data.xfrc_applied[body, :3] += f
+        data.xfrc_applied[body, 3:] += np.cross(lever, f)
+
+    def step(self, torque: Vector) -> tuple[float, ...]:
+        """Advance by one step and return what the arm exerts on the tool; see `EngineArm`."""
+        model, data = self._model, self._data
+        data.qfrc_applied[:] = torque
+        mujoco.mj_step(model, data)
+        data.xfrc_applied[:] = 0.0
+        self._placed = False
+        self.q[:], self.qd[:] = data.qpos, data.qvel
+        self._read_contacts()
+        wrench: tuple[float, ...] = tuple(data.sensordata.tolist())
+        return wrench
+
+    def native_forces(self) -> Vector:
+        """Return the normal forces of the engine's own contacts, shape (no,) [N]."""
+        return self._forces
+
+    def close(self) -> None:
+        """Give the world back."""
+
+    def _read_contacts(self) -> None:
+        """Add up the normal forces on each plane."""
+        if not self._planes:
+            return
+        self._forces[:] = 0.0
+        for i in range(self._data.ncon):
+            contact = self._data.contact[i]
+            mujoco.mj_contactForce(self._model, self._data, i, self._touch)
+            plane = self._model.geom(int(contact.geom[0])).name
+            self._forces[int(plane.removeprefix('plane'))] += self._touch[0]
+
+    def _set_inertias(self, arm: Arm) -> None:
+        """Set the true inertias: the compiler refuses those that break the triangle inequality."""
+        names = [*(f'link{i + 1}' for i in range(len(arm.links))), SENSOR_FRAME, TOOL_LINK]
+        for name, body in zip(names, arm.bodies, strict=True):
+            self._model.body(name).inertia[:] = body.inertia
+        mujoco.mj_setConst(self._model, mujoco.MjData(self._model))
+
+    def _set_springs(self, native: NativeContacts) -> None:
+        """
+        Make the engine's contacts as stiff and damped as the surfaces are configured.
+
+        Its force is (-b v - k r - a) / R with R = A (1 - d) / d, A the inverse mass it takes the
+        contact for and d its impedance; solref is (-k d, -b d).
+        """
+        model = self._model
+        tool, last = self._tool, 0
+        for i, plane in enumerate(native.planes):
+            inverse_mass = model.body_invweight0[tool, 0] + model.body_invweight0[last, 0]
+            scale = inverse_mass * (1.0 - IMPEDANCE)
+            model.pair_solref[i] = (-plane.stiffness * scale, -plane.damping * scale)
+
+
+def mjcf_text(
+    arm: Arm, gravity_world: Sequence[float], step: float, native: NativeContacts | None = None,
+) -> str:
+    """Return the MJCF of an arm; with isotropic inertias, the true ones have to be set."""
+    parts, end = [], []
+    bodies = arm.bodies
+    for number, (link, body) in enumerate(zip(arm.links, bodies), start=1):
+        parts += [_body(f'link{number}', link.placement, body),
+                  f'<joint name="{link.joint}" type="hinge" axis="0 0 1" limited="false"/>']
+        end.append('</body>')
+    parts += [_body(SENSOR_FRAME, arm.sensor, bodies[-2]), f'<site name="{SENSOR_FRAME}"/>',
+              _body(TOOL_LINK, Placement(), bodies[-1])]
+    pairs = []
+    if native is not None:
+        turn = _sensor_axes(arm, native.home)
+        for i, plane in enumerate(native.planes):
+            centre = np.array(plane.tip) - native.radius * (turn.T @ np.array(plane.normal))
+            parts.append(f'<geom name="tip{i}" type="sphere" size="{native.radius!r}" '
+                         f'pos="{numbers(centre)}" contype="0" conaffinity="0" mass="0"/>')
+            mu = max(plane.friction, 1e-6)
+            pairs.append(f'<pair geom1="plane{i}" geom2="tip{i}" condim="3" '
+                         f'friction="{mu!r} {mu!r} 0 0 0" solref="-1 -1" '
+                         f'solimp="{IMPEDANCE!r} {IMPEDANCE!r} 0.001 0.5 1"/>')
+    end += ['</body>', '</body>']
+    flag = '' if native else '<flag contact="disable" constraint="disable"/>'
+    planes = [] if native is None else [
+        f'<geom name="plane{i}" type="plane" size="{PLANE_SIZE}" pos="{numbers(plane.point)}" '
+        f'zaxis="{numbers([-x for x in plane.normal])}" contype="0" conaffinity="0"/>'
+        for i, plane in enumerate(native.planes)]
+    return ''.join([
+        f'<mujoco model="{arm.name}"><compiler angle="radian" autolimits="false"/>',
+        f'<option timestep="{step!r}" gravity="{numbers(gravity_world)}" integrator="Euler" '
+        f'cone="elliptic" impratio="{FRICTION_RATIO!r}" solver="Newton" iterations="100" '
+        f'tolerance="1e-12">{flag}</option>',
+        '<worldbody>', *planes, *parts, *end, '</worldbody>',
+        '<contact>', *pairs, '</contact>' if pairs else '</contact>',
+        f'<sensor><force site="{SENSOR_FRAME}"/><torque site="{SENSOR_FRAME}"/></sensor>',
+        '</mujoco>'])
+
+
+def _sensor_axes(arm: Arm, home: Vector) -> Matrix:
+    """Return the sensor's axes as columns, world axes, in a posture."""
+    model = arm.model()
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, home)
+    return np.array(data.oMf[model.getFrameId(SENSOR_FRAME)].rotation)
+
+
+def _body(name: str, placement: Placement, body: Body) -> str:
+    """Return the beginning of a body."""
+    inertia = numbers((max(body.inertia),) * 3)
+    return (f'<body name="{name}" {_frame(placement)}>'
+            f'<inertial {_frame(body.com)} mass="{body.mass!r}" diaginertia="{inertia}"/>')
+
+
+def _frame(placement: Placement) -> str:
+    quaternion = pin.Quaternion(placement.se3.rotation)
+    values = (quaternion.w, quaternion.x, quaternion.y, quaternion.z)
+    return f'pos="{numbers(placement.position)}" quat="{numbers(values)}"'

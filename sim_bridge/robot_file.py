@@ -1,0 +1,118 @@
+"""What a file of config/robots says of an arm."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from multicontact_control.config import Config, parameter, Real, UnitVector3, Vector, Vector3
+from multicontact_control.errors import ConfigError
+from pydantic import model_validator
+from sim_bridge.tool import ToolData
+
+
+class SideConfig(Config):
+    """A contact, and the simulated surface it meets from the home posture."""
+
+    tip: str = parameter(..., 'Tip of the tool that touches.')
+    normal_world: UnitVector3 = parameter(..., 'Unit surface normal INTO the surface.')
+    gap: Real = parameter(
+        0.007, 'From the tip at home to the simulated surface.', unit='m', gt=0.0)
+    stiffness: Real = parameter(
+        6000.0, 'Contact stiffness, of the surface and of its model.', unit='N/m', gt=0.0)
+
+
+class PlantVariant(Config):
+    """One way to simulate a robot, and what the controller then knows of it."""
+
+    file: str = parameter(
+        '', 'Parameter file of the whole plant; empty for what follows from the robot.')
+    plant: dict[str, Any] = parameter({}, 'Values laid over that.')
+    controller_file: str = parameter('', "Parameter file laid over the controller's; or none.")
+    controller: dict[str, Any] = parameter({}, "Values laid over the controller's.")
+
+
+class RobotFile(Config):
+    """
+    An arm with a wrist sensor and a tool, and how it is simulated and controlled.
+
+    What can be derived from arm and home is: the limits, the contacts' points, the simulated
+    surfaces, what the sensor weighs.
+    """
+
+    description: str = parameter('', 'What it is, and where its numbers come from.')
+    dh: str = parameter(
+        '', 'File of published Denavit-Hartenberg parameters, instead of a URDF.')
+    urdf: str = parameter(
+        '', 'URDF: package://NAME/... for one that comes with a Python package, or a path, '
+        'relative to this file.')
+    joint_names: tuple[str, ...] = parameter((), 'Joints of the arm, base to wrist.')
+    locked_joints: tuple[str, ...] = parameter((), 'All other joints of the URDF.')
+    locked_positions: Vector = parameter((), 'Where each of them is; empty for 0.',
+                                         unit='rad or m')
+    mount_link: str = parameter('', 'URDF link that carries the wrist sensor.')
+    mount_rpy: Vector3 = parameter(
+        (0.0, 0.0, 0.0), 'Axes of operational point and sensor in that link.', unit='rad')
+    tool: ToolData | None = parameter(
+        None, 'Our tool, instead of all that the URDF has beyond mount_link; none for that.')
+    tip_links: tuple[str, ...] = parameter(
+        (), 'Of a tool in the URDF, the links that may touch.')
+    home: Vector = parameter((), 'Joint angles at the start, the tool at the surfaces.',
+                             unit='rad')
+    armature: Vector = parameter((), 'Rotor inertia at each joint; empty for none.',
+                                 unit='kg m^2')
+    viscous: Vector = parameter((), 'Viscous friction of each joint; empty for none.',
+                                unit='N m s/rad')
+    coulomb: Vector = parameter((), 'Coulomb friction of each joint; empty for none.', unit='N m')
+    torque_limit: Vector = parameter((), "Largest joint torque; empty for the URDF's.",
+                                     unit='N m')
+    speed_limit: Vector = parameter((), "Largest joint speed; empty for the URDF's.",
+                                    unit='rad/s')
+    contacts: dict[str, SideConfig] = parameter({}, 'Contacts, in their order.')
+    controller_file: str = parameter(
+        '', "The controller's parameter file; empty for what follows from the robot.")
+    controller: dict[str, Any] = parameter({}, 'Values laid over that, on every plant.')
+    calibration_file: str = parameter(
+        '', 'Poses for weighing the tool; empty for some around home.')
+    motion: dict[str, Any] = parameter(
+        {}, "Values laid over a scenario's reference.motion, where it has one.")
+    plants: dict[str, PlantVariant] = parameter(
+        {'rigid': PlantVariant()}, 'Ways to simulate it.', min_length=1)
+    plant_aliases: dict[str, str] = parameter({}, 'Other names of these.')
+    default_plant: str = parameter('rigid', 'Which of them is taken if none is named.')
+
+    @model_validator(mode='after')
+    def _check(self) -> RobotFile:
+        if bool(self.dh) == bool(self.urdf):
+            raise ConfigError('urdf', 'a URDF, or dh', 'both' if self.dh else 'neither')
+        if self.urdf:
+            self._check_urdf()
+        for name in (self.default_plant, *self.plant_aliases.values()):
+            if name not in self.plants:
+                raise ConfigError('plants', f"'{name}' among them", list(self.plants))
+        return self
+
+    def _check_urdf(self) -> None:
+        for name in ('joint_names', 'mount_link', 'home', 'contacts'):
+            if not getattr(self, name):
+                raise ConfigError(name, 'a value, with a URDF', 'nothing')
+        joints = len(self.joint_names)
+        for name in ('home', 'armature', 'viscous', 'coulomb', 'torque_limit', 'speed_limit'):
+            found = len(getattr(self, name))
+            if found not in (0, joints):
+                raise ConfigError(name, f'{joints} values, one per joint', found)
+        if self.locked_positions and len(self.locked_positions) != len(self.locked_joints):
+            raise ConfigError('locked_positions', f'{len(self.locked_joints)} values, one per '
+                              'locked joint', len(self.locked_positions))
+        if self.tool is not None and self.tip_links:
+            raise ConfigError('tip_links', 'nothing with a tool of ours', list(self.tip_links))
+        tips = self.tip_links if self.tool is None else tuple(self.tool.tips)
+        for name, contact in self.contacts.items():
+            if contact.tip not in tips:
+                raise ConfigError(f'contacts.{name}.tip', f'one of {", ".join(tips)}',
+                                  f"'{contact.tip}'")
+
+    @property
+    def locked(self) -> dict[str, float]:
+        """Return the positions of the locked joints by name [rad or m]."""
+        return dict(zip(self.locked_joints,
+                        self.locked_positions or (0.0,) * len(self.locked_joints)))

@@ -1,0 +1,297 @@
+"""
+The robots: a file of config/robots becomes an arm, and parameters of its plants and controller.
+
+The one place that knows where URDFs come from.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+import hashlib
+from importlib.util import find_spec
+import os
+from pathlib import Path
+import sys
+import tempfile
+from typing import Any
+
+from multicontact_control.compiled import cache_folder
+from multicontact_control.config import merge, read_parameters, read_yaml, validate
+from multicontact_control.errors import ConfigError
+from multicontact_control.paths import config_dir, named_file
+import numpy as np
+import pinocchio as pin
+from sim_bridge.arm import Arm, OPERATIONAL_FRAME, SENSOR_FRAME
+from sim_bridge.posture import frame_pose, limits_of, reach
+from sim_bridge.puma560 import load_robot, puma_arm
+from sim_bridge.robot_file import PlantVariant, RobotFile
+from sim_bridge.urdf_arm import Mount, read_arm
+
+FOLDER = 'robots'
+DEFAULT = 'puma'
+SCHEME = 'package://'
+EXTRAS = {'example-robot-data': 'robots', 'pybullet_data': ''}
+SHARED = Path('share') / 'example-robot-data' / 'robots'
+# Of the controller's file, what belongs to another arm.
+OF_THE_ARM = ('robot', 'tool', 'contacts', 'contact_names', 'torque_limit', 'friction')
+RANGE_OF_CONTINUOUS = 1e3  # rad, which no run gets to
+TORQUE_RATE_SHARE = 0.4  # of the torque limit in one period
+WORKSPACE = ((-0.6, -0.45, -0.4), (0.6, 0.4, 0.6))  # m, around the operational point at home
+LIFT, TILT = 0.12, 0.5  # m and rad, for weighing the tool
+
+
+@dataclass(frozen=True)
+class Robot:
+    """
+    A robot of config/robots, or of a file.
+
+    Attributes
+    ----------
+    name
+        Name, or path of the file.
+    file
+        What it says.
+    folder
+        That its paths are relative to.
+
+    """
+
+    name: str
+    file: RobotFile
+    folder: Path
+
+    @cached_property
+    def arm(self) -> Arm:
+        """The arm with its tool."""
+        file = self.file
+        if file.dh:
+            return puma_arm(load_robot(self._path(file.dh)))
+        arm = read_arm(urdf_path(file.urdf, self.folder), file.joint_names, Mount(
+            file.mount_link, file.mount_rpy, file.tool, file.tip_links), file.locked)
+        none = (0.0,) * len(arm.links)
+        given = zip(arm.links, file.armature or none, file.viscous or none, file.coulomb or none,
+                    file.torque_limit or arm.torque_limit,
+                    file.speed_limit or [link.speed_limit for link in arm.links])
+        links = tuple(replace(
+            link, armature=armature, viscous=viscous, coulomb_positive=coulomb,
+            coulomb_negative=coulomb, torque_limit=torque, speed_limit=speed)
+            for link, armature, viscous, coulomb, torque, speed in given)
+        for name in ('torque_limit', 'speed_limit'):
+            if min(getattr(link, name) for link in links) <= 0.0:
+                raise ConfigError(name, 'a value above 0, since the URDF has none', 'nothing',
+                                  self.name)
+        return replace(arm, links=links)
+
+    @property
+    def plant_names(self) -> tuple[str, ...]:
+        """Return the ways to simulate it."""
+        return tuple(self.file.plants)
+
+    def plant_name(self, name: str) -> str:
+        """Return the name of a plant, the default one for none, aliases resolved, '' if none."""
+        name = self.file.plant_aliases.get(name, name) or self.file.default_plant
+        return name if name in self.file.plants else ''
+
+    def plant_values(self, name: str) -> dict[str, Any]:
+        """Return the parameters of a plant of `plant_names`."""
+        variant = self._variant(name)
+        base = self._parameters(variant.file) if variant.file else self._derived_plant()
+        return merge(base, {**variant.plant, 'robot': self.name})
+
+    def controller_base(self) -> dict[str, Any]:
+        """Return the controller's parameters, whatever the plant."""
+        file = self.file
+        base = self._parameters(file.controller_file) if file.controller_file else (
+            self._derived_controller())
+        return merge(base, file.controller)
+
+    def controller_special(self, plant: str) -> dict[str, Any]:
+        """Return what the controller knows of a plant of `plant_names`; laid over a preset."""
+        variant = self._variant(plant)
+        given = self._parameters(variant.controller_file) if variant.controller_file else {}
+        return merge(given, variant.controller)
+
+    def urdf_dir(self) -> Path:
+        """Return the folder that the controller's `robot.urdf` is relative to."""
+        return self.folder_of_config if self.file.controller_file else _urdf_file(self.arm).parent
+
+    @property
+    def folder_of_config(self) -> Path:
+        """Return the folder of its parameter files."""
+        return self._path(self.file.controller_file).parent
+
+    def calibration_values(self) -> dict[str, Any]:
+        """Return the poses in which its tool is weighed, as config/calibration.yaml has them."""
+        file = self.file
+        if file.calibration_file:
+            return read_yaml(self._path(file.calibration_file))
+        home = np.array(file.home)
+        model = self.arm.model()
+        pose = frame_pose(model, home)
+        poses, q = [], home
+        for turn in ((0.0, 0.0, 0.0), (TILT, 0.0, 0.0), (-TILT, 0.0, 0.0), (0.0, TILT, 0.0),
+                     (0.0, -TILT, 0.0), (TILT, TILT, 0.0)):
+            away = pose.translation - LIFT * sum(
+                (np.array(contact.normal_world) for contact in file.contacts.values()),
+                np.zeros(3))
+            found = reach(model, pin.SE3(pin.exp3(np.array(turn)) @ pose.rotation, away), q)
+            if found is not None:
+                q = found
+                poses.append(q.tolist())
+        return {'poses': poses}
+
+    def _variant(self, name: str) -> PlantVariant:
+        return self.file.plants[self.plant_name(name)]
+
+    def _path(self, name: str) -> Path:
+        """Return a file that the robot's names: beside it, or in config/."""
+        beside = self.folder / name
+        return beside if beside.is_file() else config_dir() / name
+
+    def _parameters(self, name: str) -> dict[str, Any]:
+        return read_parameters(self._path(name))
+
+    def _derived_plant(self) -> dict[str, Any]:
+        """Return a rigid plant, its surfaces before the tips at home."""
+        model, home = self.arm.model(), np.array(self.file.home)
+        surfaces = {}
+        for name, contact in self.file.contacts.items():
+            tip, normal = frame_pose(model, home, contact.tip).translation, contact.normal_world
+            surfaces[name] = {
+                'tip_link': contact.tip, 'normal_world': list(normal),
+                'point_world': (tip + contact.gap * np.array(normal)).tolist(),
+                'stiffness': contact.stiffness, 'slip_speed': 0.01}
+        tips = list(dict.fromkeys(contact.tip for contact in self.file.contacts.values()))
+        return {
+            'home': list(self.file.home), 'drives': 'rigid', 'joint_sensing': 'joint',
+            'substep': 1e-3, 'joint_friction_scale': 0.0, 'contact_names': list(surfaces),
+            'surfaces': surfaces, 'tool_push_link': tips[-1]}
+
+    def _derived_controller(self) -> dict[str, Any]:
+        """Return controller.yaml with this arm in the place of its own."""
+        arm, file = self.arm, self.file
+        base = read_parameters(config_dir() / 'controller.yaml')
+        rate, limits = float(base.get('rate', 500.0)), base.get('limits', {})
+        model = arm.model()
+        home = frame_pose(model, np.array(file.home)).translation
+        operational, sensor = arm.operational.se3, arm.sensor.se3
+        points = {name: operational.actInv(sensor.act(np.array(arm.tips[contact.tip]))).tolist()
+                  for name, contact in file.contacts.items()}
+        lower, upper = (np.clip(limit, -RANGE_OF_CONTINUOUS, RANGE_OF_CONTINUOUS).tolist()
+                        for limit in limits_of(model))
+        derived = {
+            'robot': {
+                'urdf': _urdf_file(arm).name, 'joint_names': list(arm.joint_names),
+                'armature': list(arm.armature), 'operational_frame': OPERATIONAL_FRAME,
+                'sensor_frame': SENSOR_FRAME},
+            'tool': {'mass': arm.carried_mass, 'com_sensor': list(arm.carried_com)},
+            'contact_names': list(file.contacts),
+            'contacts': {name: {
+                'normal_world': list(contact.normal_world), 'point_operational': points[name],
+                'stiffness': contact.stiffness} for name, contact in file.contacts.items()},
+            'torque_limit': list(arm.torque_limit),
+            'limits': {
+                **limits, 'joint_lower': lower, 'joint_upper': upper,
+                'joint_speed': [link.speed_limit for link in arm.links],
+                'torque_rate': [TORQUE_RATE_SHARE * rate * limit for limit in arm.torque_limit],
+                'workspace_lower': (home + WORKSPACE[0]).tolist(),
+                'workspace_upper': (home + WORKSPACE[1]).tolist()}}
+        kept = {key: value for key, value in base.items() if key not in OF_THE_ARM}
+        return {**kept, **derived}
+
+
+def robot_names() -> tuple[str, ...]:
+    """Return the names of the robots that come with the package, the default one first."""
+    names = sorted(path.stem for path in (config_dir() / FOLDER).glob('*.yaml'))
+    return tuple(sorted(names, key=lambda name: name != DEFAULT))
+
+
+def find_robot(name: str = DEFAULT) -> Robot:
+    """
+    Return a robot of config/robots, or of the file at a path.
+
+    Raises
+    ------
+    ConfigError
+        If there is none, or a value in its file is not acceptable.
+
+    """
+    path = named_file('robot', FOLDER, name)
+    known = path.parent == config_dir() / FOLDER
+    return _robot(path.stem if known else str(path.resolve()), path, path.stat().st_mtime_ns)
+
+
+@lru_cache(maxsize=32)
+def _robot(name: str, path: Path, _changed: int) -> Robot:
+    return Robot(name, validate(RobotFile, read_yaml(path), str(path)), path.resolve().parent)
+
+
+def urdf_path(name: str, folder: Path) -> Path:
+    """
+    Return the file of a URDF.
+
+    Parameters
+    ----------
+    name
+        ``package://NAME/...`` for one that comes with a Python package, or a path.
+    folder
+        That a path is relative to.
+
+    Raises
+    ------
+    ConfigError
+        If it is not there, with the extra that brings it.
+
+    """
+    if not name.startswith(SCHEME):
+        path = folder / name
+    else:
+        package, _, inside = name.removeprefix(SCHEME).partition('/')
+        if package not in EXTRAS:
+            raise ConfigError('urdf', f'a package among {", ".join(sorted(EXTRAS))}',
+                              f"'{package}'")
+        root = _package_folder(package)
+        if root is None or not (root / inside).is_file():
+            extra = EXTRAS[package]
+            what = f'multicontact_control[{extra}]' if extra else 'multicontact_control'
+            raise ConfigError('urdf', f'the package {package}: pip install "{what}"', name)
+        path = root / inside
+    if not path.is_file():
+        raise ConfigError('urdf', 'a readable URDF file', path)
+    return path
+
+
+def has_urdf(robot: Robot) -> bool:
+    """Return whether the URDF of a robot is installed."""
+    try:
+        return bool(robot.file.dh) or urdf_path(robot.file.urdf, robot.folder).is_file()
+    except ConfigError:
+        return False
+
+
+def _package_folder(package: str) -> Path | None:
+    """Return where the URDFs of a package are, None if it is not installed."""
+    if package == 'example-robot-data':
+        # Its wheel has no module, only a folder within that of cmeel.
+        folders = [Path(path) / 'cmeel.prefix' / SHARED for path in sys.path]
+        prefixes = [sys.prefix, *os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)]
+        folders += [Path(prefix) / SHARED for prefix in prefixes if prefix]
+        return next((folder for folder in folders if folder.is_dir()), None)
+    spec = find_spec(package)
+    places = [] if spec is None else spec.submodule_search_locations or []
+    return next((Path(place) for place in places), None)
+
+
+def _urdf_file(arm: Arm) -> Path:
+    """Write the URDF of an arm where the same text is found again, and return its path."""
+    text = arm.urdf
+    stamp = hashlib.sha256(text.encode()).hexdigest()[:16]
+    folder = (cache_folder() or Path(tempfile.gettempdir())) / f'urdf-{stamp}'
+    path = folder / f'{arm.name}.urdf'
+    if not path.is_file() or path.read_text(encoding='utf-8') != text:
+        folder.mkdir(parents=True, exist_ok=True)
+        unfinished = path.with_suffix(f'.{os.getpid()}')
+        unfinished.write_text(text, encoding='utf-8')
+        unfinished.replace(path)
+    return path

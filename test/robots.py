@@ -1,0 +1,21 @@
+"""The robots and engines that are installed here; the others are skipped, with the reason."""
+
+from importlib.util import find_spec
+
+import pytest
+from sim_bridge.robots import find_robot, has_urdf, robot_names
+
+NO_MUJOCO = 'MuJoCo is not installed: extra [mujoco]'
+needs_mujoco = pytest.mark.skipif(find_spec('mujoco') is None, reason=NO_MUJOCO)
+ENGINES = ['pybullet', pytest.param('mujoco', marks=needs_mujoco)]
+
+
+def robot_parameters(names):
+    """Return robots as parameters of a test."""
+    return [pytest.param(name, marks=pytest.mark.skipif(
+        not has_urdf(find_robot(name)),
+        reason=f'the URDF of {name} is not installed: extra [robots]')) for name in names]
+
+
+ROBOTS = robot_parameters(robot_names())
+OTHERS = robot_parameters([name for name in robot_names() if name != 'puma'])

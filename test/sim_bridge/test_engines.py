@@ -1,0 +1,169 @@
+"""Every robot on every engine: the same rigid bodies as pinocchio's."""
+
+from multicontact_control.config import validate
+from multicontact_control.errors import ConfigError
+import numpy as np
+import pinocchio as pin
+import pytest
+from robots import ENGINES, needs_mujoco, ROBOTS
+from sim_bridge.arm import SENSOR_FRAME
+from sim_bridge.config import PlantConfig
+from sim_bridge.engine import make_engine
+from sim_bridge.plant import Plant
+from sim_bridge.robots import find_robot
+
+STEP = 5e-4
+IDEAL = {'noise': False, 'quantise': False, 'saturate': False, 'low_pass': False}
+
+
+def plant_config(name, **changes):
+    robot = find_robot(name)
+    plant = validate(PlantConfig, robot.plant_values('rigid'))
+    sensor = plant.sensor.model_copy(update=IDEAL)
+    return plant.model_copy(update={'substep': STEP, 'sensor': sensor, **changes})
+
+
+def carried(arm):
+    """Return the inertia that hangs on the sensor, in its frame."""
+    com = arm.tool.com.se3
+    tool = pin.Inertia(arm.tool.mass, com.translation,
+                       com.rotation @ np.diag(arm.tool.inertia) @ com.rotation.T)
+    return tool + pin.Inertia(arm.face_mass, np.zeros(3), 1e-6 * np.eye(3))
+
+
+@pytest.mark.parametrize('engine', ENGINES)
+@pytest.mark.parametrize('name', ROBOTS)
+def test_steps_are_those_of_pinocchio_and_so_is_the_wrench(name, engine, rng):
+    """Twenty steps from rest, alone and pushed: ABA, symplectic Euler, Newton and Euler."""
+    arm = find_robot(name).arm
+    model, data = arm.model(), arm.model().createData()
+    n, tip = model.nv, list(arm.tips)[-1]
+    body = make_engine(plant_config(name, engine=engine), arm)
+    frames = [model.getFrameId(frame) for frame in (tip, 'wrist_point', SENSOR_FRAME)]
+    face = model.frames[frames[2]].placement
+    fastest = 0.0
+    for largest_push in (0.0, 1.0):
+        # PyBullet takes a pushed link for where it was a step before, and leaves a term of the
+        # order of m w^2 r out of the wrench.
+        exact = engine == 'mujoco' or not largest_push
+        q, qd = rng.uniform(-0.7, 0.7, n), np.zeros(n)
+        body.reset(q)
+        for _ in range(20):
+            torque = 0.02 * np.array(arm.torque_limit) * rng.uniform(-1.0, 1.0, n)
+            force, push = largest_push * rng.uniform(-1.0, 1.0, (2, 3))
+            pin.computeJointJacobians(model, data, q)
+            pin.updateFramePlacements(model, data)
+            points = [data.oMf[frame].translation.copy() for frame in frames]
+            levers = [pin.getFrameJacobian(
+                model, data, frame, pin.LOCAL_WORLD_ALIGNED)[:3].copy() for frame in frames]
+            if largest_push:
+                body.push_tool(force.tolist(), points[0].tolist())
+                body.push_link(-1, push.tolist(), points[1].tolist())
+            wrench = np.array(body.step(torque))
+            qdd = pin.aba(model, data, q, qd, torque + levers[0].T @ force + levers[1].T @ push)
+            pin.forwardKinematics(model, data, q, qd, qdd)
+            pin.updateFramePlacements(model, data)
+            pose, inertia = data.oMf[frames[2]], carried(arm)
+            speed, acceleration = face.actInv(data.v[n]), face.actInv(data.a[n])
+            acceleration.linear -= pose.rotation.T @ model.gravity.linear
+            expected = (inertia * acceleration + speed.cross(inertia * speed)).vector.copy()
+            local = pose.rotation.T @ force
+            expected -= np.concatenate((local, np.cross(pose.actInv(points[0]), local)))
+            np.testing.assert_allclose(wrench, expected, atol=1e-8 if engine == 'mujoco' else 0.03)
+            qd = qd + STEP * qdd
+            q = q + STEP * qd
+            np.testing.assert_allclose(body.qd, qd, atol=1e-9 if exact else 2e-4)
+            np.testing.assert_allclose(body.q, q, atol=1e-11 if exact else 1e-6)
+        fastest = max(fastest, np.abs(qd).max())
+    assert fastest > 0.05
+    body.close()
+
+
+@pytest.mark.parametrize('engine', ENGINES)
+@pytest.mark.parametrize('name', ROBOTS)
+def test_plant_rests_at_home_and_reads_the_weight(name, engine):
+    config = plant_config(name, engine=engine)
+    plant, arm = Plant(config, rate=500.0, seed=0), find_robot(name).arm
+    start = plant.reset()
+    for _ in range(20):
+        sample = plant.step(plant.initial_torque)
+    np.testing.assert_allclose(sample.q, config.home, atol=1e-9)
+    np.testing.assert_array_equal(sample.contact_force, 0.0)
+    # The sensor's z points straight down: the arm holds up, along -z, all that hangs on it.
+    weight = 9.81 * arm.carried_mass
+    lever = np.cross(arm.carried_com, [0.0, 0.0, -weight])
+    np.testing.assert_allclose(start.wrench, [0, 0, -weight, *lever], atol=1e-6)
+    np.testing.assert_allclose(sample.wrench, start.wrench, atol=1e-4)
+    plant.close()
+
+
+@needs_mujoco
+@pytest.mark.parametrize('name', ROBOTS)
+def test_engines_agree_on_a_fall_onto_the_surfaces(name):
+    """A second with the same torques, on smooth surfaces with friction."""
+    config, runs = plant_config(name), []
+    smooth = {contact: surface.model_copy(update={'roughness_std': 0.0})
+              for contact, surface in config.surfaces.items()}
+    for engine in ('pybullet', 'mujoco'):
+        changed = config.model_copy(update={'engine': engine, 'surfaces': smooth})
+        plant = Plant(changed, rate=500.0, seed=0)
+        weak = np.ones(len(plant.initial_torque))
+        weak[1] = 0.97
+        rows = []
+        for tick in range(500):
+            sample = plant.step(weak * plant.initial_torque * (1.0 + 0.02 * np.sin(0.03 * tick)))
+            rows.append((sample.q, sample.contact_force, sample.wrench))
+        runs.append([np.array(part) for part in zip(*rows)])
+        plant.close()
+    (q, force, wrench), (q_other, force_other, wrench_other) = runs
+    touched = np.flatnonzero(force.any(axis=1))[0]
+    assert 50 < touched < 400
+    np.testing.assert_allclose(q[:touched], q_other[:touched], atol=1e-10)
+    # What PyBullet makes of a push (above) adds up, since nothing holds the arm.
+    np.testing.assert_allclose(q, q_other, atol=2e-3)
+    assert np.abs(force - force_other).mean() < 0.2
+    np.testing.assert_allclose(wrench[:touched], wrench_other[:touched], atol=0.01)
+
+
+@needs_mujoco
+@pytest.mark.parametrize('name', ROBOTS)
+def test_native_contact_is_as_stiff_as_the_surface_is_configured(name):
+    """Pressed down with 12 N by a weak servo, the tip sinks in by 12 N over the stiffness."""
+    config = plant_config(name, engine='mujoco', contact='native', contact_names=('table',))
+    surface = config.surfaces['table'].model_copy(update={'friction': 0.0})
+    config = config.model_copy(update={'surfaces': {'table': surface}})
+    plant = Plant(config, rate=500.0, seed=0)
+    model, data, home = plant.model, plant.model.createData(), np.array(config.home)
+    frame = model.getFrameId('wrist_point')
+    sample = plant.reset()
+    for _ in range(1000):
+        pin.computeJointJacobians(model, data, sample.q)
+        pin.updateFramePlacements(model, data)
+        jacobian = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
+        servo = np.array([2000.0, 2000.0, 0.0, 100.0, 100.0, 100.0])
+        damper = np.array([200.0, 200.0, 200.0, 10.0, 10.0, 10.0])
+        gravity = pin.computeGeneralizedGravity(model, data, sample.q)
+        sample = plant.step(gravity - 3.0 * sample.qd + jacobian.T @ (
+            [0.0, 0.0, -12.0, 0.0, 0.0, 0.0] - servo * (jacobian @ (sample.q - home))
+            - damper * (jacobian @ sample.qd)))
+    force = sample.contact_force[0]
+    assert force == pytest.approx(12.0, abs=0.5)
+    depth = surface.point_world[2] - plant.contacts.points_world[0, 2]
+    assert depth == pytest.approx(force / surface.stiffness, rel=0.05)
+    assert sample.wrench[2] == pytest.approx(
+        force - 9.81 * plant.description.carried_mass, abs=0.05)
+    plant.close()
+
+
+@pytest.mark.parametrize(('changes', 'message'), [
+    ({'contact': 'native'}, 'contact: expected compliant with this engine'),
+    ({'contact': 'native', 'engine': 'mujoco', 'joint_friction_scale': 0.5},
+     'joint_friction_scale: expected 0 with rigid drives'),
+    ({'contact': 'native', 'engine': 'mujoco', 'surfaces': {'table': {
+        'shape': 'sphere', 'radius': 1.0}}}, 'surfaces.table: expected a plane at rest'),
+    ({'engine': 'ode'}, 'engine: expected')])
+def test_what_an_engine_cannot_do_is_refused(changes, message):
+    from multicontact_control.config import merge
+
+    with pytest.raises(ConfigError, match=message):
+        validate(PlantConfig, merge(find_robot().plant_values('rigid'), changes))

@@ -1,0 +1,202 @@
+"""Arms from their vendors' URDFs, and what is derived from them."""
+
+from multicontact_control.config import ControllerConfig, read_yaml, validate
+from multicontact_control.dynamics.robot import load_model, RobotModel
+from multicontact_control.errors import ConfigError
+from multicontact_control.paths import config_dir
+import numpy as np
+import pinocchio as pin
+import pytest
+from robots import OTHERS, robot_parameters, ROBOTS
+from sim_bridge.arm import Body, OPERATIONAL_FRAME, Placement
+from sim_bridge.config import PlantConfig
+from sim_bridge.contacts import Contacts
+from sim_bridge.new_robot import new_robot
+from sim_bridge.posture import condition, frame_pose, limits_of
+from sim_bridge.puma560 import load_robot, puma_arm
+from sim_bridge.robots import find_robot, robot_names, urdf_path
+import yaml
+
+
+def vendor(name):
+    """Return the vendor's own model of a robot."""
+    file = find_robot(name).file
+    path = urdf_path(file.urdf, config_dir())
+    model = load_model(path)
+    return load_model(path, {joint: 0.0 for joint in list(model.names)[1:]
+                             if joint not in file.joint_names})
+
+
+def test_puma_comes_through_the_same_door():
+    assert robot_names()[0] == 'puma'
+    assert find_robot().arm == puma_arm(load_robot())
+    assert find_robot().plant_name('flexible') == find_robot().plant_name('') == 'puma'
+
+
+@pytest.mark.parametrize('name', OTHERS)
+def test_joints_turned_to_z_move_the_mount_as_the_vendor_does(name, rng):
+    arm, own = find_robot(name).arm, vendor(name)
+    model, mount = arm.model(), find_robot(name).file.mount_link
+    turn = pin.rpy.rpyToMatrix(*find_robot(name).file.mount_rpy)
+    for _ in range(5):
+        q = rng.uniform(-1.0, 1.0, model.nv)
+        expected = frame_pose(own, q, mount)
+        found = frame_pose(model, q)
+        np.testing.assert_allclose(found.translation, expected.translation, atol=1e-12)
+        np.testing.assert_allclose(found.rotation, expected.rotation @ turn, atol=1e-12)
+    for placement in list(model.jointPlacements)[1:]:
+        np.testing.assert_allclose(
+            Placement.of(placement).se3.homogeneous, placement.homogeneous, atol=1e-14)
+
+
+@pytest.mark.parametrize('name', robot_parameters(['iiwa', 'ur5']))
+def test_inertia_is_that_of_the_vendor_with_the_tool(name, rng):
+    """M = M_vendor + J^T I_tool J, and gravity likewise; these two have nothing on the flange."""
+    arm, own = find_robot(name).arm, vendor(name)
+    model = arm.model()
+    com = arm.tool.com.se3
+    tool = pin.Inertia(arm.tool.mass, com.translation,
+                       com.rotation @ np.diag(arm.tool.inertia) @ com.rotation.T)
+    tool += pin.Inertia(arm.face_mass, np.zeros(3), 1e-6 * np.eye(3))
+    own.armature = np.zeros(own.nv)
+    data, other = model.createData(), own.createData()
+    for _ in range(3):
+        q = rng.uniform(-1.0, 1.0, model.nv)
+        jacobian = pin.computeFrameJacobian(model, data, q, model.getFrameId('ft_face'), pin.LOCAL)
+        expected = np.triu(pin.crba(own, other, q) + jacobian.T @ tool.matrix() @ jacobian)
+        np.testing.assert_allclose(np.triu(pin.crba(model, data, q)), expected, atol=1e-9)
+
+
+def test_body_finds_its_principal_axes(rng):
+    axes = pin.exp3(rng.standard_normal(3))
+    inertia = pin.Inertia(2.0, rng.standard_normal(3), axes @ np.diag([0.1, 0.25, 0.3]) @ axes.T)
+    body = Body.of(inertia)
+    turn = body.com.se3.rotation
+    np.testing.assert_allclose(turn @ np.diag(body.inertia) @ turn.T, inertia.inertia, atol=1e-15)
+    np.testing.assert_allclose(np.linalg.det(turn), 1.0)
+    np.testing.assert_allclose(body.com.position, inertia.lever)
+
+
+@pytest.mark.parametrize('name', OTHERS)
+def test_home_has_tool_down_and_room_to_move(name):
+    robot = find_robot(name)
+    model, home = robot.arm.model(), np.array(robot.file.home)
+    lower, upper = limits_of(model)
+    assert (home > lower + 0.3).all() and (home < upper - 0.3).all()
+    np.testing.assert_allclose(
+        frame_pose(model, home).rotation, np.diag([-1.0, 1.0, -1.0]), atol=1e-8)
+    assert condition(model, home) < 20.0
+
+
+@pytest.mark.parametrize('name', ROBOTS)
+def test_controller_and_plant_speak_of_the_same_arm(name):
+    robot = find_robot(name)
+    controller = validate(ControllerConfig, robot.controller_base())
+    plant = validate(PlantConfig, robot.plant_values('rigid'))
+    assert controller.contact_names == plant.contact_names
+    assert plant.robot == name
+    model = RobotModel(controller.robot, robot.urdf_dir())
+    state = model.update(np.array(plant.home), np.zeros(len(plant.home)))
+    limits = controller.limits
+    place = state.pose.position_world
+    assert (place > limits.workspace_lower).all() and (place < limits.workspace_upper).all()
+    for contact in controller.contact_names:
+        surface, told = plant.surfaces[contact], controller.contacts[contact]
+        tip = place + state.pose.rotation_world @ told.point_operational
+        gap = (np.array(surface.point_world) - tip) @ surface.normal_world
+        assert 5e-3 <= gap <= 10e-3
+        assert told.normal_world == surface.normal_world
+    assert controller.tool.mass == pytest.approx(robot.arm.carried_mass)
+    poses = robot.calibration_values()['poses']
+    assert len(poses) >= 4 and {len(pose) for pose in poses} == {len(plant.home)}
+
+
+def test_several_tips_meet_one_plane_each_with_its_own_friction(tmp_path, rng):
+    """The force on each is k depth along the normal and friction against its own sliding."""
+    values = read_yaml(config_dir() / 'robots' / 'iiwa.yaml')
+    feet = {'foot_a': [0.05, 0.0, 0.184], 'foot_b': [-0.03, 0.05, 0.184],
+            'foot_c': [-0.03, -0.05, 0.184]}
+    values['tool']['tips'] = feet
+    values['contacts'] = {name: {'tip': name, 'normal_world': [0.0, 0.0, -1.0], 'gap': 0.005}
+                          for name in feet}
+    path = tmp_path / 'three_feet.yaml'
+    path.write_text(yaml.safe_dump(values), encoding='utf-8')
+    robot = find_robot(str(path))
+    config = validate(PlantConfig, robot.plant_values(''))
+    surfaces = {name: surface.model_copy(update={'roughness_std': 0.0})
+                for name, surface in config.surfaces.items()}
+    model = robot.arm.model()
+    data, home = model.createData(), np.array(config.home)
+    contacts = Contacts(config.model_copy(update={'surfaces': surfaces}), model,
+                        [rng] * len(feet))
+    for contact in range(3):
+        contacts.shift(contact, -6e-3)  # 1 mm into the tips
+    qd = rng.uniform(-0.01, 0.01, model.nv)
+    assert contacts.update(home, qd, np.zeros(3))
+    pin.computeJointJacobians(model, data, home)
+    pin.updateFramePlacements(model, data)
+    load = np.zeros(model.nv)
+    for i, name in enumerate(feet):
+        jacobian = pin.getFrameJacobian(
+            model, data, model.getFrameId(name), pin.LOCAL_WORLD_ALIGNED)[:3]
+        speed = jacobian @ qd
+        alpha = 6000.0 * 1e-3 - 30.0 * speed[2]
+        slide = np.array([speed[0], speed[1], 0.0])
+        expected = alpha * np.array([0.0, 0.0, -1.0]) + 0.1 * alpha * slide / np.sqrt(
+            slide @ slide + 0.01 ** 2)
+        np.testing.assert_allclose(contacts.forces_world[i], expected, atol=1e-4)
+        load -= jacobian.T @ contacts.forces_world[i]
+    np.testing.assert_allclose(contacts.load, load, atol=1e-9)
+
+
+@pytest.mark.parametrize(('changes', 'message'), [
+    ({'joint_names': ['lbr_iiwa_joint_1']}, 'joint_names: expected 1 values|home: expected 1'),
+    ({'mount_link': 'hand'}, "mount_link: expected a link of the URDF among .*found 'hand'"),
+    ({'mount_link': 'lbr_iiwa_link_5'}, 'joint_names: expected the joints up to mount_link'),
+    ({'urdf': 'package://nowhere/a.urdf'}, 'urdf: expected a package among'),
+    ({'urdf': 'package://example-robot-data/none.urdf'}, r'multicontact_control\[robots\]'),
+    ({'tool': None, 'tip_links': ['lbr_iiwa_link_7'],
+      'contacts': {'table': {'tip': 'lbr_iiwa_link_7', 'normal_world': [0, 0, -1]}}},
+     'tool: expected a tool, or one with a mass beyond'),
+    ({'dh': 'puma560.yaml'}, 'urdf: expected a URDF, or dh, found both')])
+def test_what_is_wrong_with_a_robot_is_said(tmp_path, changes, message):
+    values = {**read_yaml(config_dir() / 'robots' / 'iiwa.yaml'), **changes}
+    path = tmp_path / 'mine.yaml'
+    path.write_text(yaml.safe_dump(values), encoding='utf-8')
+    with pytest.raises(ConfigError, match=message) as error:
+        assert find_robot(str(path)).arm
+    assert '\n' not in str(error.value)
+
+
+WELDED = """<link name="sensor"/><joint name="sensor_joint" type="fixed"><parent link="l6"/>
+<child link="sensor"/><origin xyz="0 0 0.05"/></joint>
+<link name="stick"><inertial><origin xyz="0 0 0.1"/><mass value="0.4"/>
+<inertia ixx="0.002" iyy="0.002" izz="0.0002" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="stick_joint" type="fixed"><parent link="sensor"/><child link="stick"/></joint>
+<link name="tip"/><joint name="tip_joint" type="fixed"><parent link="stick"/>
+<child link="tip"/><origin xyz="0 0 0.2"/></joint></robot>"""
+
+
+@pytest.mark.parametrize('welded', [True, False])
+def test_new_robot_writes_a_file_that_works_and_says_what_is_missing(tmp_path, welded):
+    """With the tool in the URDF, and without."""
+    from arms import seven_joint_urdf
+
+    urdf = seven_joint_urdf(tmp_path)
+    if welded:
+        urdf.write_text(urdf.read_text().replace('</robot>', WELDED))
+    made = new_robot(urdf, 'sensor' if welded else 'wrist', 'tip' if welded else 'wrist',
+                     tmp_path / 'mine.yaml')
+    assert any('armature' in text for text in made.missing)
+    assert any('tool' in text for text in made.missing) != welded
+    robot = find_robot(str(made.path))
+    assert 'PLACEHOLDER' in made.path.read_text()
+    model, home = robot.arm.model(), np.array(robot.file.home)
+    assert robot.arm.carried_mass == pytest.approx(0.401 if welded else 0.501)
+    pose = frame_pose(model, home, OPERATIONAL_FRAME)
+    np.testing.assert_allclose(pose.rotation[:, 2], [0.0, 0.0, -1.0], atol=1e-6)
+    tip = frame_pose(model, home, 'tip' if welded else 'wrist').translation
+    np.testing.assert_allclose(
+        pose.translation - tip, [0.0, 0.0, 0.2 if welded else 0.15], atol=1e-6)
+    validate(ControllerConfig, robot.controller_base())
+    validate(PlantConfig, robot.plant_values('rigid'))
