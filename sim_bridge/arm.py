@@ -16,6 +16,7 @@ from typing import Any
 
 from multicontact_control.config import Vector3
 from multicontact_control.dynamics.robot import load_model
+from multicontact_control.errors import ConfigError
 import numpy as np
 import pinocchio as pin
 
@@ -146,6 +147,11 @@ class Arm:
     tips
         Points of the tool that may touch, by URDF link, in the sensor's frame [m].
 
+    Raises
+    ------
+    ConfigError
+        If a tip has the name of a link or joint of the arm.
+
     """
 
     name: str
@@ -155,6 +161,13 @@ class Arm:
     face_mass: float
     tool: Body
     tips: Mapping[str, Vector3]
+
+    def __post_init__(self) -> None:
+        own = (BASE_LINK, *(f'link{i + 1}' for i in range(len(self.links))), SENSOR_FRAME,
+               TOOL_LINK, OPERATIONAL_FRAME, *self.joint_names)
+        for tip in self.tips:
+            if tip in own:
+                raise ConfigError('tips', 'names that the arm itself does not have', f"'{tip}'")
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -191,7 +204,7 @@ class Arm:
 
     @cached_property
     def urdf(self) -> str:
-        """URDF text of the arm with its tool, whose joints all turn about z."""
+        """Return the URDF text of the arm with its tool, whose joints all turn about z."""
         return urdf_text(self)
 
     def model(self) -> pin.Model:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 import math
-import os
 from pathlib import Path
 import xml.etree.ElementTree as ElementTree
 
@@ -15,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 from sim_bridge.arm import Arm
 from sim_bridge.posture import condition, limits_of, reach
-from sim_bridge.robots import find_robot
+from sim_bridge.robots import find_robot, SCHEME, urdf_name
 from sim_bridge.tool import ToolData
 from sim_bridge.urdf_arm import Mount, read_arm
 
@@ -83,6 +82,7 @@ def new_robot(urdf: Path, sensor: str, tip: str, out: Path) -> NewRobot:
     except ConfigError as error:
         if error.field not in ('tool', 'tip_links'):
             raise
+        tip = f'{tip}_tip'  # the arm may have a link or joint of that name
         tool = _guessed_tool(tip)
         missing.append('tool: weigh it (`multicontact calibrate` shows how) and measure the tip')
         arm = read_arm(urdf, joints, Mount(sensor, tool=ToolData.model_validate(
@@ -193,11 +193,12 @@ def _text(
     tip: str, tool: str, arm: Arm, home: Vector, missing: list[str],
 ) -> str:
     """Return the file, and add to what is missing."""
-    path = os.path.relpath(urdf.resolve(), out.resolve().parent)
+    name = urdf_name(urdf, out.parent)
+    relative = '' if name.startswith(SCHEME) else '  # relative to this file'
     lines = [
         f'# Written by `multicontact new-robot {urdf.name}`; what is marked {MARK} is a guess.',
         '# SI units. What is not here follows from the URDF (docs/your_robot.md).',
-        f'urdf: {path}  # relative to this file', f'joint_names: {_list(joints)}']
+        f'urdf: {name}{relative}', f'joint_names: {_list(joints)}']
     if locked:
         lines += ['# Joints that are no part of the arm, and where they stay.',
                   f'locked_joints: {_list(list(locked))}',

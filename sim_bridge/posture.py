@@ -21,8 +21,7 @@ def reach(
     """
     Return joint angles that put the operational frame there, None if none are found.
 
-    Damped least squares from a posture on, within the joints' limits; what the task leaves free
-    stays as it is, or goes to the middle of their range.
+    Damped least squares from a posture on, within the joints' limits.
 
     Parameters
     ----------
@@ -32,6 +31,8 @@ def reach(
         Wanted, in the world.
     start
         Shape (n,) [rad].
+    centred
+        Whether what the task leaves free goes to the middle of the joints' range, or stays.
 
     """
     data, frame = model.createData(), model.getFrameId(OPERATIONAL_FRAME)

@@ -63,7 +63,7 @@ class Robot:
 
     @cached_property
     def arm(self) -> Arm:
-        """The arm with its tool."""
+        """Return the arm with its tool."""
         file = self.file
         if file.dh:
             return puma_arm(load_robot(self._path(file.dh)))
@@ -260,6 +260,15 @@ def urdf_path(name: str, folder: Path) -> Path:
     if not path.is_file():
         raise ConfigError('urdf', 'a readable URDF file', path)
     return path
+
+
+def urdf_name(path: Path, folder: Path) -> str:
+    """Return how a URDF is named in a robot's file in a folder; the other way of `urdf_path`."""
+    for package in EXTRAS:
+        root = _package_folder(package)
+        if root is not None and path.resolve().is_relative_to(root.resolve()):
+            return f'{SCHEME}{package}/{path.resolve().relative_to(root.resolve()).as_posix()}'
+    return os.path.relpath(path.resolve(), folder.resolve())
 
 
 def has_urdf(robot: Robot) -> bool:

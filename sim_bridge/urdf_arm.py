@@ -85,7 +85,7 @@ def read_arm(
             joint_names[number], Placement.of(placement), body,
             *_range(model, number), *limits[number]))
         before = turn
-    flange = turns[-1].inverse() * model.frames[model.getFrameId(mount.link)].placement
+    flange = turns[-1].inverse() * _frame(model, mount.link).placement
     sensor = flange * pin.SE3(pin.rpy.rpyToMatrix(*mount.rpy), np.zeros(3))
     tool = mount.tool
     if tool is None:
@@ -153,8 +153,13 @@ def _check_chain(model: pin.Model, joint_names: Sequence[str], mount: str) -> No
                 f', or {others} in locked_joints' if others else ''), list(joint_names))
     if list(model.parents)[1:] != list(range(model.njoints - 1)):
         raise ConfigError('joint_names', 'one joint after the other', 'a tree')
-    if model.frames[model.getFrameId(mount)].parentJoint != model.njoints - 1:
+    if _frame(model, mount).parentJoint != model.njoints - 1:
         raise ConfigError('mount_link', 'a link carried by the last joint', f"'{mount}'")
+
+
+def _frame(model: pin.Model, link: str) -> pin.Frame:
+    """Return the frame of a link, of which a joint may have the name."""
+    return model.frames[model.getFrameId(link, pin.FrameType.BODY)]
 
 
 def _turn(model: pin.Model, joint: int) -> pin.SE3:
@@ -208,9 +213,9 @@ def _with_tool_of_urdf(
     tool = (turn * sensor).actInv(full.inertias[last] - bare.inertias[last])
     tips = {}
     for link in mount.tip_links:
-        if not full.existFrame(link):
+        if not full.existFrame(link, pin.FrameType.BODY):
             raise ConfigError('tip_links', 'links of the URDF', f"'{link}'")
-        frame = full.frames[full.getFrameId(link)]
+        frame = _frame(full, link)
         if frame.parentJoint != last:
             raise ConfigError('tip_links', 'links that the last joint carries', f"'{link}'")
         x, y, z = (turn * sensor).actInv(frame.placement.translation)

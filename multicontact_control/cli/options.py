@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 Scenario = Annotated[str, typer.Option(
     help='Scenario: a name from config/scenarios (paper, quick) or the path of a YAML file.')]
 Robot = Annotated[str, typer.Option(
-    help='Robot: a name from config/robots (puma, panda, iiwa, ur5) or the path of such a file; '
-         'puma if not given.')]
+    help='Robot: a name from config/robots (puma, panda, iiwa, ur5, kinova) or the path of such a '
+         'file; puma if not given.')]
 Plant = Annotated[str, typer.Option(
     help='How the robot is simulated: `rigid` (ideal drives), `flexible` (drives with springs and '
          'friction; of the PUMA, also called `puma`), ROBOT/PLANT, or the path of a parameter '

@@ -3,7 +3,7 @@
 import pytest
 
 COMMANDS = [('compare',), ('map',), ('sweep', 'stiffness'), ('faults',),
-            ('compare', '--laws'), ('tune', 'feedforward')]
+            ('compare', '--laws'), ('tune', 'feedforward'), ('robots',)]
 
 
 @pytest.mark.parametrize('command', COMMANDS)
@@ -25,7 +25,9 @@ def test_bad_options_are_all_said_in_one_line(multicontact, tmp_path, command):
       'seeds: expected at least 1, found 0']),
     (('map', '--plants', 'ur5', '--estimators', 'kalman'), ["found 'ur5'", "found 'kalman'"]),
     (('sweep', 'stifness', '--seeds', 'x'), ["found 'stifness'", "found 'x'"]),
-    (('faults', '--seed', '-4'), ['seed: expected a whole number >= 0, found -4'])])
+    (('faults', '--seed', '-4'), ['seed: expected a whole number >= 0, found -4']),
+    (('robots', '--robots', 'robbie', '--engines', 'ode', '--seeds', '0'),
+     ["found 'robbie'", "found 'ode'", 'seeds: expected at least 1, found 0'])])
 def test_everything_wrong_with_a_study_is_said_at_once(
         multicontact, tmp_path, arguments, messages):
     done = multicontact(*arguments, '--jobs', '-1', cwd=tmp_path)
@@ -37,7 +39,7 @@ def test_everything_wrong_with_a_study_is_said_at_once(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(('command', 'line'), list(zip(COMMANDS[:-1], [
+@pytest.mark.parametrize(('command', 'line'), list(zip(COMMANDS[:5], [
     ' estimators: lead_window, fixed, ', ' stiffness ratios: 0.1, ',
     ' noise_estimator.estimator: lead_window, fixed ', ' phases: rest, sliding, approach ',
     ' situations: task, vanishing, '])))

@@ -49,9 +49,9 @@ def test_joints_turned_to_z_move_the_mount_as_the_vendor_does(name, rng):
             Placement.of(placement).se3.homogeneous, placement.homogeneous, atol=1e-14)
 
 
-@pytest.mark.parametrize('name', robot_parameters(['iiwa', 'ur5']))
+@pytest.mark.parametrize('name', robot_parameters(['iiwa', 'kinova', 'ur5']))
 def test_inertia_is_that_of_the_vendor_with_the_tool(name, rng):
-    """M = M_vendor + J^T I_tool J, and gravity likewise; these two have nothing on the flange."""
+    """M = M_vendor + J^T I_tool J, and gravity likewise; these have nothing beyond it."""
     arm, own = find_robot(name).arm, vendor(name)
     model = arm.model()
     com = arm.tool.com.se3
@@ -111,6 +111,24 @@ def test_controller_and_plant_speak_of_the_same_arm(name):
     assert len(poses) >= 4 and {len(pose) for pose in poses} == {len(plant.home)}
 
 
+@pytest.mark.parametrize('period', [0.0, 0.5])
+def test_surface_moves_as_configured_and_nothing_else_does(period, rng):
+    """By v (t - t_0), or by v T / 2 pi (1 - cos 2 pi (t - t_0) / T)."""
+    config = validate(PlantConfig, find_robot('panda').plant_values('rigid'))
+    moved = config.surfaces['table'].model_copy(update={
+        'velocity': 0.02, 'motion_start': 0.1, 'motion_period': period})
+    config = config.model_copy(update={'surfaces': {**config.surfaces, 'table': moved}})
+    contacts = Contacts(config, find_robot('panda').arm.model(), [rng, rng])
+    before = contacts._surfaces['place'].copy()
+    for _ in range(400):
+        contacts.move(1e-3)
+    way = 0.02 * 0.3 if not period else 0.02 * period / (2.0 * np.pi) * (
+        1.0 - np.cos(2.0 * np.pi * 0.3 / period))
+    after = contacts._surfaces['place']
+    np.testing.assert_allclose(after[0] - before[0], [0.0, 0.0, -way], atol=3e-5)
+    np.testing.assert_array_equal(after[1], before[1])
+
+
 def test_several_tips_meet_one_plane_each_with_its_own_friction(tmp_path, rng):
     """The force on each is k depth along the normal and friction against its own sliding."""
     values = read_yaml(config_dir() / 'robots' / 'iiwa.yaml')
@@ -168,6 +186,19 @@ def test_what_is_wrong_with_a_robot_is_said(tmp_path, changes, message):
     assert '\n' not in str(error.value)
 
 
+def test_tip_may_be_called_like_a_joint_of_the_urdf_but_not_like_the_arms_own(tmp_path):
+    from arms import seven_joint_urdf
+
+    urdf = seven_joint_urdf(tmp_path)
+    welded = urdf.read_text().replace('</robot>', WELDED)
+    urdf.write_text(welded.replace('name="tip_joint"', 'name="tip"'))
+    made = new_robot(urdf, 'sensor', 'tip', tmp_path / 'mine.yaml')
+    assert list(find_robot(str(made.path)).arm.tips) == ['tip']
+    urdf.write_text(welded.replace('"tip"', '"link3"'))
+    with pytest.raises(ConfigError, match="tips: expected names that the arm itself .*'link3'"):
+        new_robot(urdf, 'sensor', 'link3', tmp_path / 'other.yaml')
+
+
 WELDED = """<link name="sensor"/><joint name="sensor_joint" type="fixed"><parent link="l6"/>
 <child link="sensor"/><origin xyz="0 0 0.05"/></joint>
 <link name="stick"><inertial><origin xyz="0 0 0.1"/><mass value="0.4"/>
@@ -195,7 +226,7 @@ def test_new_robot_writes_a_file_that_works_and_says_what_is_missing(tmp_path, w
     assert robot.arm.carried_mass == pytest.approx(0.401 if welded else 0.501)
     pose = frame_pose(model, home, OPERATIONAL_FRAME)
     np.testing.assert_allclose(pose.rotation[:, 2], [0.0, 0.0, -1.0], atol=1e-6)
-    tip = frame_pose(model, home, 'tip' if welded else 'wrist').translation
+    tip = frame_pose(model, home, 'tip' if welded else 'wrist_tip').translation
     np.testing.assert_allclose(
         pose.translation - tip, [0.0, 0.0, 0.2 if welded else 0.15], atol=1e-6)
     validate(ControllerConfig, robot.controller_base())

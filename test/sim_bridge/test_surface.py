@@ -1,3 +1,4 @@
+from multicontact_control.errors import ConfigError
 import numpy as np
 import pytest
 from sim_bridge.config import SurfaceConfig
@@ -111,3 +112,39 @@ def test_build_surfaces_gives_each_its_own_roughness():
         build_surfaces([config], [np.random.default_rng(seed)]).heights for seed in (1, 2, 1))
     np.testing.assert_array_equal(one, same)
     assert abs(np.corrcoef(one[0], two[0])[0, 1]) < 0.05
+
+
+@pytest.mark.parametrize('shape', ['cylinder', 'sphere'])
+@pytest.mark.parametrize('radius', [0.5, -0.5])
+def test_curved_surface_is_pressed_towards_its_centre_or_axis(shape, radius, rng):
+    surfaces = surface(shape=shape, radius=radius, friction=0.0, damping=0.0)
+    record = surfaces.records[0]
+    place, track = record['place'].copy(), record['track'].copy()
+    axis, centre = np.cross(NORMAL, track), place + radius * NORMAL
+    for _ in range(20):
+        record['point'] = place + rng.uniform(-0.1, 0.1) * track + rng.uniform(
+            -0.1, 0.1) * axis + rng.uniform(-0.01, 0.05) * NORMAL
+        press(record, np.zeros(3), surfaces.heights[0], surfaces.slopes[0])
+        way = centre - record['point']
+        if shape == 'cylinder':
+            way -= (way @ axis) * axis
+        depth = radius - np.sign(radius) * np.linalg.norm(way)
+        normal = np.sign(radius) * way / np.linalg.norm(way)
+        np.testing.assert_allclose(
+            record['force'], 6000.0 * max(0.0, depth) * normal, atol=1e-9)
+    record['point'] = place + 1e-3 * NORMAL
+    press(record, np.zeros(3), surfaces.heights[0], surfaces.slopes[0])
+    np.testing.assert_allclose(record['force'], 6.0 * NORMAL, atol=1e-9)
+
+
+def test_surface_that_goes_away_is_damped_by_the_speed_between_it_and_the_tip():
+    surfaces = surface()
+    surfaces.records['speed'] = 0.02
+    alpha, _ = touch(surfaces, 1e-3, 0.03 * NORMAL)
+    assert alpha == pytest.approx(6000.0 * 1e-3 + 30.0 * 0.01)
+
+
+@pytest.mark.parametrize('changes', [{'shape': 'sphere'}, {'radius': 1.0}])
+def test_shape_and_radius_belong_together(changes):
+    with pytest.raises(ConfigError, match='radius: expected 0 for a plane, and another number'):
+        surface(**changes)

@@ -5,6 +5,7 @@ import io
 from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.study.presets.compare.study import ComparisonStudy
 from multicontact_control.experiment.study.presets.faults.study import FaultStudy
+from multicontact_control.experiment.study.presets.robots.study import RobotStudy
 from multicontact_control.experiment.study.presets.robustness.study import RobustnessStudy
 from multicontact_control.experiment.study.presets.sweep.study import sweep_study
 from multicontact_control.experiment.study.study import run_study, StudyOptions
@@ -29,6 +30,8 @@ def shown_of(study, options):
     (SMALL, 2, ['map: 1 plant, 1 estimator, 2 stiffness ratios, 1 delay\n', '  delays: 1\n',
                 'will take about']),
     (sweep_study('delay'), None, ['study delay: ', 'controller.force.input_delay [s]: ']),
+    (RobotStudy(('puma', 'iiwa'), ('pybullet', 'mujoco-native'), ('quick', 'curved')), 6, [
+        'robots: 2 robots, 2 engines, 2 scenarios, 1 seed\n', '  engines: pybullet, mujoco-nat']),
     (FaultStudy(7, quick=True), None, [
         'kinds', '  seeds: 7\n', 'joints nan_q, ', 'will take about'])])
 def test_dry_run_says_what_would_be_run_and_leaves_nothing(tmp_path, study, jobs, words):
