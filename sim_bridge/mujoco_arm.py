@@ -108,7 +108,7 @@ class MujocoArm:
         self._data = mujoco.MjData(self._model)
         self._sensor = self._model.body(SENSOR_FRAME).id
         self._tool = self._model.body(TOOL_LINK).id
-        self._wrist = self._model.body(f'link{len(arm.links)}').id
+        self._links = [self._model.body(f'link{i + 1}').id for i in range(len(arm.links))]
         if native is not None:
             self._model.dof_armature[:] = native.armature
             mujoco.mj_setConst(self._model, self._data)

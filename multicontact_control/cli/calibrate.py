@@ -7,7 +7,14 @@ from pathlib import Path
 from typing import Annotated, TYPE_CHECKING
 
 from multicontact_control.cli.exits import errors_in_one_line, EXIT_FAILED, require_ros
-from multicontact_control.cli.options import ControllerFiles, DomainId, Namespace, Plant, Robot, Seed
+from multicontact_control.cli.options import (
+    ControllerFiles,
+    DomainId,
+    Namespace,
+    Plant,
+    Robot,
+    Seed,
+)
 from multicontact_control.errors import ConfigError
 from rich.console import Console
 import typer
@@ -38,11 +45,11 @@ def calibrate(
     """
     Weigh the tool: mass, centre of mass and bias of the wrist sensor.
 
-    The simulated arm goes through the poses of its robot (config/calibration.yaml for the PUMA), and what is found is shown
-    beside the truth, which includes a bias drawn from the seed; a robot is weighed from a
-    recording or by its running controller. The result is written to tool.yaml, to lay over the
-    controller's parameters. Exit code 0: mass within 2 %, centre of mass within 3 mm, force bias
-    within 0.1 N, or found on a robot; 1: not; 2: bad input.
+    The simulated arm goes through the poses of its robot (config/calibration.yaml for the PUMA),
+    and what is found is shown beside the truth, which includes a bias drawn from the seed; a robot
+    is weighed from a recording or by its running controller. The result is written to tool.yaml,
+    to lay over the controller's parameters. Exit code 0: mass within 2 %, centre of mass within
+    3 mm, force bias within 0.1 N, or found on a robot; 1: not; 2: bad input.
     """
     with errors_in_one_line():
         from multicontact_control.experiment import calibration
