@@ -151,7 +151,8 @@ class CollisionConfig(Config):
         'hold', 'Reaction: none but to report it, the posture held while contact forces fade, '
         'only carried once it is at rest, or carried and damped.')
     bandwidth: Real = parameter(
-        200.0, 'K of the observer: what touches is seen with a time constant of 1 / K.',
+        200.0, 'K of the observer: what touches is seen with a time constant of 1 / K, at least '
+        '2.5 periods.',
         unit='1/s', gt=0.0, le=2000.0)
     threshold: Vector = parameter(
         (), 'Torque in each joint from which on it counts, at rest; empty for the shares below.',

@@ -15,6 +15,7 @@ from multicontact_control.supervision.validation import copy_numbers
 import numpy as np
 
 COLLISION = 'collision'
+FASTEST = 0.4  # per period: between two samples forces change, which only a mean evens out
 UNEVEN = 0.5  # share of a period that a sample may be early or late, to be the one after another
 
 
@@ -51,7 +52,8 @@ class CollisionWatch:
         self._commands: deque[Vector] = deque(maxlen=config.collision.command_delay + 2)
         self._threshold[:] = collision_thresholds(config, controller.robot) if (
             self._feels) else np.inf
-        self._momentum['bandwidth'] = config.collision.bandwidth
+        self._momentum['bandwidth'] = min(
+            config.collision.bandwidth, FASTEST * config.rate)
         self._momentum['dynamic_share'] = config.collision.dynamic_share
         self.reset()
 
