@@ -21,6 +21,27 @@ class SideConfig(Config):
         6000.0, 'Contact stiffness, of the surface and of its model.', unit='N/m', gt=0.0)
 
 
+class WideConfig(Config):
+    """
+    An edge or a face of the tool, for scenarios that press with it.
+
+    All else follows from where its tips are: the middle, direction and size of the contact.
+    """
+
+    like: str = parameter(..., 'Contact whose surface it meets, in the place of its tip.')
+    tips: tuple[str, ...] = parameter(
+        ..., 'Tips of the tool at both ends of the edge, or at the corners of the face, one after '
+        'another in the sense of a screw that goes into the surface.')
+    friction_std: Real = parameter(
+        3.0, 'Friction that the controller allows for.', unit='N', ge=0.0)
+
+    @model_validator(mode='after')
+    def _check(self) -> WideConfig:
+        if len(self.tips) not in (2, 4):
+            raise ConfigError('wide_contacts.tips', '2 ends or 4 corners', len(self.tips))
+        return self
+
+
 class PlantVariant(Config):
     """One way to simulate a robot, and what the controller then knows of it."""
 
@@ -68,6 +89,8 @@ class RobotFile(Config):
     speed_limit: Vector = parameter((), "Largest joint speed; empty for the URDF's.",
                                     unit='rad/s')
     contacts: dict[str, SideConfig] = parameter({}, 'Contacts, in their order.')
+    wide_contacts: dict[str, WideConfig] = parameter(
+        {}, 'Edges and faces of the tool, which scenarios may name among their contacts.')
     controller_file: str = parameter(
         '', "The controller's parameter file; empty for what follows from the robot.")
     controller: dict[str, Any] = parameter({}, 'Values laid over that, on every plant.')

@@ -6,6 +6,7 @@ The one place that knows where URDFs come from.
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 import hashlib
@@ -23,6 +24,7 @@ from multicontact_control.paths import config_dir, named_file
 import numpy as np
 import pinocchio as pin
 from sim_bridge.arm import Arm, OPERATIONAL_FRAME, SENSOR_FRAME
+from sim_bridge.config import SurfaceConfig
 from sim_bridge.posture import frame_pose, limits_of, reach
 from sim_bridge.puma560 import load_robot, puma_arm
 from sim_bridge.robot_file import PlantVariant, RobotFile
@@ -35,6 +37,9 @@ EXTRAS = {'example-robot-data': 'robots', 'pybullet_data': ''}
 SHARED = Path('share') / 'example-robot-data' / 'robots'
 # Of the controller's file, what belongs to another arm.
 OF_THE_ARM = ('robot', 'tool', 'contacts', 'contact_names', 'torque_limit', 'friction')
+# Where the tips of edges and faces are on them, in half lengths and half widths.
+EDGE = ((-1.0, 0.0), (1.0, 0.0))
+FACE = ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0))
 RANGE_OF_CONTINUOUS = 1e3  # rad, which no run gets to
 TORQUE_RATE_SHARE = 0.4  # of the torque limit in one period
 WORKSPACE = ((-0.6, -0.45, -0.4), (0.6, 0.4, 0.6))  # m, around the operational point at home
@@ -93,18 +98,60 @@ class Robot:
         name = self.file.plant_aliases.get(name, name) or self.file.default_plant
         return name if name in self.file.plants else ''
 
-    def plant_values(self, name: str) -> dict[str, Any]:
-        """Return the parameters of a plant of `plant_names`."""
+    def plant_values(self, name: str, contacts: Collection[str] = ()) -> dict[str, Any]:
+        """Return the parameters of a plant of `plant_names`, with some of `wide_contacts`."""
         variant = self._variant(name)
         base = self._parameters(variant.file) if variant.file else self._derived_plant()
-        return merge(base, {**variant.plant, 'robot': self.name})
+        values = merge(base, {**variant.plant, 'robot': self.name})
+        for wide in contacts:
+            if wide in self.file.wide_contacts:
+                values = merge(values, {'surfaces': self._wide_surfaces(wide, values)})
+        return values
 
-    def controller_base(self) -> dict[str, Any]:
-        """Return the controller's parameters, whatever the plant."""
+    def controller_base(self, contacts: Collection[str] = ()) -> dict[str, Any]:
+        """Return the controller's parameters, whatever the plant, with some `wide_contacts`."""
         file = self.file
         base = self._parameters(file.controller_file) if file.controller_file else (
             self._derived_controller())
-        return merge(base, file.controller)
+        values = merge(base, file.controller)
+        for wide in contacts:
+            if wide in file.wide_contacts:
+                values = merge(values, {'contacts': {wide: self._wide_contact(wide, values)}})
+        return values
+
+    def _wide_surfaces(self, name: str, plant: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the surface of each tip of an edge or face, which share its stiffness."""
+        wide, surface = self.file.wide_contacts[name], plant['surfaces']
+        like = surface.get(wide.like)
+        if like is None:
+            raise ConfigError(f'wide_contacts.{name}.like', f'one of {", ".join(surface)}',
+                              f"'{wide.like}'", self.name)
+        shared = {key: like.get(key, SurfaceConfig.model_fields[key].default) / len(wide.tips)
+                  for key in ('stiffness', 'damping')}
+        return {tip: {
+            **like, **shared, 'tip_link': tip, 'contact': name, 'offset': list(offset)}
+            for tip, offset in zip(wide.tips, EDGE if len(wide.tips) == 2 else FACE)}
+
+    def _wide_contact(self, name: str, controller: Mapping[str, Any]) -> dict[str, Any]:
+        """Return an edge or face as the controller has it, from where its tips are."""
+        wide = self.file.wide_contacts[name]
+        to_operational = self.arm.operational.se3.inverse() * self.arm.sensor.se3
+        unknown = [tip for tip in wide.tips if tip not in self.arm.tips]
+        if unknown:
+            raise ConfigError(f'wide_contacts.{name}.tips', f'of {", ".join(self.arm.tips)}',
+                              f"'{unknown[0]}'", self.name)
+        tips = np.array([to_operational.act(np.array(self.arm.tips[tip])) for tip in wide.tips])
+        length = np.linalg.norm(tips[1] - tips[0])
+        like = controller['contacts'][wide.like]
+        size = {} if len(tips) == 2 else {
+            'half_width': float(0.5 * np.linalg.norm(tips[2] - tips[1]))}
+        return {**like, 'type': 'edge' if len(tips) == 2 else 'plane',
+                'point_operational': tips.mean(axis=0).tolist(),
+                'direction_operational': ((tips[1] - tips[0]) / length).tolist(),
+                'half_length': float(0.5 * length), **size,
+                # It touches at its ends alone, unlike an edge that is stiff everywhere.
+                'couple_stiffness': like.get('stiffness', 6000.0),
+                'friction_std': wide.friction_std}
 
     def controller_special(self, plant: str) -> dict[str, Any]:
         """Return what the controller knows of a plant of `plant_names`; laid over a preset."""

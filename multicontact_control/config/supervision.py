@@ -160,6 +160,9 @@ class CollisionConfig(Config):
     limit_share: Real = parameter(
         0.03, "That torque over the joint's limit (torque_limit, or that of the URDF)...", ge=0.0,
         le=1.0)
+    least_threshold: Real = parameter(
+        1.0, '...and that torque in joints for which this share is less, as the wrist sensor is '
+        'no better...', unit='N m', gt=0.0)
     friction_share: Real = parameter(
         1.0, '...and over its Coulomb friction (friction.coulomb), added to it.', ge=0.0, le=10.0)
     dynamic_share: Real = parameter(

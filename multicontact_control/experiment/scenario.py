@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 import shutil
@@ -162,10 +162,10 @@ class PlantSource:
     plant: str
     file: Path | None = None
 
-    def values(self) -> dict[str, Any]:
-        """Return the plant's parameters."""
+    def values(self, contacts: Collection[str] = ()) -> dict[str, Any]:
+        """Return the plant's parameters, with the surfaces of some edges or faces of its tool."""
         if self.file is None:
-            return self.robot.plant_values(self.plant)
+            return self.robot.plant_values(self.plant, contacts)
         return {'robot': self.robot.name, **read_parameters(self.file)}
 
 
@@ -271,10 +271,11 @@ def resolve(
         ScenarioConfig, text if duration is None else {**text, 'duration': duration}, str(path))
     folder = config_dir()
     chosen = preset_values(preset) if preset else {}
+    wanted = merge(config.controller, controller or {}).get('contact_names', ())
     controller_config, estimator_config, plant_config = check_all(
         lambda: validate(
             ControllerConfig,
-            merge(merge(_controller_parameters(source, chosen.get('controller', {})),
+            merge(merge(_controller_parameters(source, chosen.get('controller', {}), wanted),
                         config.controller), controller or {}),
             'controller.yaml'),
         lambda: validate(
@@ -285,7 +286,8 @@ def resolve(
                 chosen.get('noise_estimator', {})), config.noise_estimator),
                 noise_estimator or {}), 'noise_estimator.yaml'),
         lambda: validate(
-            PlantConfig, merge(merge(source.values(), config.plant), plant_overrides or {}),
+            PlantConfig, merge(
+                merge(source.values(wanted), config.plant), plant_overrides or {}),
             f'plant {source.name}' if source.file is None else source.file.name))
     setup = Setup(
         scenario=config, controller=controller_config, noise_estimator=estimator_config,
@@ -301,9 +303,11 @@ def _with_motion(text: dict[str, Any], robot: Robot) -> dict[str, Any]:
     return merge(text, {'reference': {'motion': robot.file.motion}})
 
 
-def _controller_parameters(source: PlantSource, preset: dict[str, Any]) -> dict[str, Any]:
+def _controller_parameters(
+    source: PlantSource, preset: dict[str, Any], contacts: Collection[str],
+) -> dict[str, Any]:
     """Return the controller's parameters, with those of a preset and of the plant over them."""
-    values = merge(source.robot.controller_base(), preset)
+    values = merge(source.robot.controller_base(contacts), preset)
     return merge(values, source.robot.controller_special(source.plant)) if source.plant else values
 
 

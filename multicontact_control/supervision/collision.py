@@ -126,5 +126,7 @@ def collision_thresholds(config: ControllerConfig, robot: RobotModel) -> Vector:
         return np.array(collision.threshold)
     limit = np.array(config.torque_limit) if config.torque_limit else robot.torque_limit
     coulomb = np.array(config.friction.coulomb or 0.0)
-    thresholds: Vector = collision.limit_share * limit + collision.friction_share * coulomb
+    thresholds: Vector = np.maximum(
+        collision.limit_share * limit, collision.least_threshold) + (
+        collision.friction_share * coulomb)
     return thresholds
