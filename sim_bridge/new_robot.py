@@ -9,6 +9,7 @@ from pathlib import Path
 import xml.etree.ElementTree as ElementTree
 
 from multicontact_control.arrays import Vector
+from multicontact_control.config import ControllerConfig, validate
 from multicontact_control.errors import ConfigError
 import numpy as np
 import pinocchio as pin
@@ -17,6 +18,7 @@ from sim_bridge.posture import condition, limits_of, reach
 from sim_bridge.robots import find_robot, SCHEME, urdf_name
 from sim_bridge.tool import ToolData
 from sim_bridge.urdf_arm import Mount, read_arm
+import yaml
 
 MARK = 'PLACEHOLDER'
 GUESSED_TOOL = {
@@ -97,6 +99,40 @@ def new_robot(urdf: Path, sensor: str, tip: str, out: Path) -> NewRobot:
     missing += ['armature: rotor inertia x gear ratio squared of each joint',
                 'contacts: the surfaces your tip really meets, and their stiffness']
     return NewRobot(out, tuple(missing), _found(out))
+
+
+def write_controller(path: Path, out: Path) -> None:
+    """
+    Write what the controller on the real arm needs, beside the URDF of the arm with its tool.
+
+    Parameters
+    ----------
+    path
+        A robot's file.
+    out
+        Parameter file to write; the URDF is written next to it.
+
+    Raises
+    ------
+    ConfigError
+        If a value in the robot's file is not acceptable.
+
+    """
+    robot = find_robot(str(path))
+    values = robot.controller_base()
+    urdf = out.with_name(f'{path.stem}_with_tool.urdf')
+    source = robot.urdf_dir() / values['robot']['urdf']
+    values['robot'] = {**values['robot'], 'urdf': urdf.name}
+    # Nothing of the sensor that is simulated; and no contact before this one is known to be right.
+    values['sensor'], values['watchdog'] = {'require_push_test': True}, {}
+    validate(ControllerConfig, values, str(out))
+    out.parent.mkdir(parents=True, exist_ok=True)
+    urdf.write_text(source.read_text(encoding='utf-8'), encoding='utf-8')
+    body = yaml.safe_dump({'/**': {'ros__parameters': values}}, sort_keys=False)
+    out.write_text(
+        f'# Written by `multicontact new-robot` beside {path.name}, yours from here on. Check\n'
+        "# every contact's normal and point, what hangs on the sensor, the torque limits and the\n"
+        f"# sensor's frame.\n{body}", encoding='utf-8')
 
 
 def _root(urdf: Path) -> ElementTree.Element:

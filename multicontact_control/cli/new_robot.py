@@ -17,11 +17,14 @@ def new_robot(
         help='Link of the URDF that carries the wrist sensor; what is beyond it is the tool.')],
     out: Annotated[Path | None, typer.Option(
         help='File to write; NAME.yaml of NAME.urdf if not given.')] = None,
+    controller: Annotated[Path, typer.Option(
+        help='Parameter file of the controller on the real arm, for `run --external`.',
+        )] = Path('controller.yaml'),
     overwrite: Annotated[bool, typer.Option(
-        '--overwrite', help='Replace a file that is already there.')] = False,
+        '--overwrite', help='Replace files that are already there.')] = False,
 ) -> None:
     """
-    Write a configuration for an arm from its URDF, and say what is missing.
+    Write configurations for an arm from its URDF, and say what is missing.
 
     Joints, limits and masses are those of the URDF; home is a posture with the tool straight
     down, by inverse kinematics. `multicontact simulate --robot FILE --scenario one_contact` then
@@ -29,15 +32,20 @@ def new_robot(
     """
     with errors_in_one_line():
         target = out or Path(f'{urdf.stem}.yaml')
-        if target.exists() and not overwrite:
-            raise ConfigError('out', 'a new file, or --overwrite', target)
+        for name, path in (('out', target), ('controller', controller)):
+            if path.exists() and not overwrite:
+                raise ConfigError(name, 'a new file, or --overwrite', path)
         # Only now: what is heavy is not loaded for the sake of an error.
         from sim_bridge.new_robot import new_robot as write
+        from sim_bridge.new_robot import write_controller
 
         robot = write(urdf, sensor, tip, target)
+        write_controller(robot.path, controller)
     for text in robot.found:
         typer.echo(text)
     for text in robot.missing:
         typer.echo(f'missing: {text}')
     typer.echo(f'written to {robot.path}; try: multicontact simulate --robot {robot.path} '
                '--scenario one_contact')
+    typer.echo(f'and to {controller}, for the arm itself: multicontact run --external '
+               f'--controller {controller}')

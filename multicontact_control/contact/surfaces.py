@@ -15,7 +15,7 @@ from multicontact_control.compiled import compiled
 from multicontact_control.config.columns import FORCE
 import numpy as np
 
-SLIDING_SPEED = 0.03  # m/s, from which on the direction of sliding is known; above that of approaches
+SLIDING_SPEED = 0.03  # m/s, from which on sliding has a direction; above that of approaches
 PRESSED = 3.0  # N, from which on the direction of a force is
 
 

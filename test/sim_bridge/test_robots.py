@@ -3,6 +3,7 @@
 from multicontact_control.config import ControllerConfig, read_yaml, validate
 from multicontact_control.dynamics.robot import load_model, RobotModel
 from multicontact_control.errors import ConfigError
+from multicontact_control.experiment.external import read_controller_files
 from multicontact_control.paths import config_dir
 import numpy as np
 import pinocchio as pin
@@ -11,7 +12,7 @@ from robots import OTHERS, robot_parameters, ROBOTS
 from sim_bridge.arm import Body, OPERATIONAL_FRAME, Placement
 from sim_bridge.config import PlantConfig
 from sim_bridge.contacts import Contacts
-from sim_bridge.new_robot import new_robot
+from sim_bridge.new_robot import new_robot, write_controller
 from sim_bridge.posture import condition, frame_pose, limits_of
 from sim_bridge.puma560 import load_robot, puma_arm
 from sim_bridge.robots import find_robot, robot_names, urdf_path
@@ -231,3 +232,10 @@ def test_new_robot_writes_a_file_that_works_and_says_what_is_missing(tmp_path, w
         pose.translation - tip, [0.0, 0.0, 0.2 if welded else 0.15], atol=1e-6)
     validate(ControllerConfig, robot.controller_base())
     validate(PlantConfig, robot.plant_values('rigid'))
+    write_controller(made.path, tmp_path / 'controller.yaml')
+    found = read_controller_files([tmp_path / 'controller.yaml'])
+    config = found.config()
+    assert config.sensor.require_push_test and config.contact_names == ('table',)
+    assert config.tool.mass == pytest.approx(robot.arm.carried_mass)
+    there = RobotModel(config.robot, found.urdf_dir).update(home, np.zeros(len(home))).pose
+    np.testing.assert_allclose(there.position_world, pose.translation, atol=1e-9)
