@@ -168,8 +168,9 @@ class CollisionConfig(Config):
     dynamic_share: Real = parameter(
         0.1, 'Added to it, over the torque that accelerates the joint.', ge=0.0, le=1.0)
     command_delay: int = parameter(
-        1, 'Periods from a sample to the torque that answers it, for an arm that measures no '
-        'torque: what is commanded is taken for it then.', ge=0, le=10)
+        -1, 'For an arm that measures no torque, periods from a sample to the torque that answers '
+        'it: what is commanded is taken for what acts then; -1 to look for no collision.',
+        ge=-1, le=10)
 
     @cross_check
     def _check(self) -> Iterator[ConfigError]:

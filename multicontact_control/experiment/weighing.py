@@ -255,6 +255,8 @@ def weigh_running(
             raise RunError(f'calibrate: expected free space, found {", ".join(pressed)} pressed')
         # A weight that is not known is a pull that no surface explains: control waits for us.
         tell('tare, so that the weight is not taken for a contact')
+        for _ in range(2 * config.quiet.min_samples):  # of a controller that has just begun
+            arm.read()
         arm.tare()
         with contextlib.suppress(RunError):  # if it does not wait
             arm.retry()

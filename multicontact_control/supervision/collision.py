@@ -24,9 +24,9 @@ class CollisionWatch:
     Feeds the momentum observer of a controller, and says what it finds.
 
     The observer needs the torque that acted since the sample before: what the robot has measured,
-    or what was commanded `collision.command_delay` periods before; that may be a period off, so
-    what commands change from one to the next is added to the thresholds then. After a sample that
-    does not come, or has no wrench, it goes on from the next two.
+    or, if that is allowed, what was commanded `collision.command_delay` periods before; that may
+    be a period off, so what commands change from one to the next is added to the thresholds then.
+    After a sample that does not come, or has no wrench, it goes on from the next two.
 
     Parameters
     ----------
@@ -49,7 +49,9 @@ class CollisionWatch:
         self._momentum: Any = controller.controls['momentum']
         self._elapsed: Vector = self._momentum['elapsed']
         self._controls = controller.controls
-        self._commands: deque[Vector] = deque(maxlen=config.collision.command_delay + 2)
+        self._by_command = config.collision.command_delay >= 0
+        self._commands: deque[Vector] = deque(
+            maxlen=max(config.collision.command_delay, 0) + 2)
         self._threshold[:] = collision_thresholds(config, controller.robot) if (
             self._feels) else np.inf
         self._momentum['bandwidth'] = min(
@@ -72,10 +74,11 @@ class CollisionWatch:
     def take(self, joints: JointInput | None) -> None:
         """Take note of the torque that has acted before a sample."""
         self._acted = joints is not None and joints.effort is not None and (
-            joints.names is None) and copy_numbers(joints.effort, self._effort)
+            joints.names is None) and copy_numbers(joints.effort, self._effort) and bool(
+                self._effort.any())  # a driver that measures nothing may say 0
         self._doubt[:] = 0.0
         commands = self._commands
-        if not self._acted and len(commands) == commands.maxlen:
+        if self._by_command and not self._acted and len(commands) == commands.maxlen:
             before, acted, after = commands[0], commands[1], commands[min(2, len(commands) - 1)]
             self._doubt[:] = np.maximum(np.abs(acted - before), np.abs(after - acted))
             self._effort[:], self._acted = acted, True

@@ -34,7 +34,7 @@ def test_everything_wrong_with_a_study_is_said_at_once(
     assert done.returncode == 2
     for message in ['jobs: expected a whole number >= 0, found -1', *messages]:
         assert message in done.stderr
-    assert done.stderr.count('\n') == 1
+    assert done.stderr.count('\n') == 1 + len(messages)  # a line for each
     assert list(tmp_path.iterdir()) == []
 
 

@@ -40,7 +40,7 @@ def advance(loop, ticks, corrupt=None):
 @pytest.mark.parametrize('corrupt', [None, without_effort])
 def test_15_newtons_at_the_elbow_are_seen_within_20_ms_held_against_and_left(corrupt):
     """On rigid drives, from measured torques and from commanded ones."""
-    loop = standing('rigid')
+    loop = standing('rigid', collision={'command_delay': 1})
     try:
         advance(loop, 10, corrupt)
         loop.plant.contacts.put_before_tip(ELBOW_WALL, -DEPTH)

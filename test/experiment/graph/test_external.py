@@ -29,7 +29,7 @@ pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 SECTION = '## Your own robot or simulator, step by step'
 # What a test has no time for, and what a busy machine may be late by.
-QUICK = ['--move-time', '0.5']
+QUICK = ['--move-time', '1.0']
 NODE = {'patience': 50.0, 'push_test': {'timeout': 1.0},
         'sensor': {'require_push_test': False}}  # no hand is there
 WATCHDOG = {'joint_max_age': 100.0, 'wrench_max_age': 100.0, 'variance_max_age': 500.0,

@@ -66,12 +66,12 @@ def test_cluster_gives_the_same_as_this_machine(tmp_path, dask_cluster):
 
 
 @pytest.mark.parametrize(('options', 'message'), [
-    ({'jobs': -2}, '^jobs: expected a whole number >= 0, found -2; plant: '),
+    ({'jobs': -2}, '^jobs: expected a whole number >= 0, found -2\nplant: '),
     ({'jobs': 2, 'dask': 'tcp://127.0.0.1:1'},
-     "^jobs: expected nothing together with --dask, .*; plant: .*'ur5'; estimators: ")])
+     "^jobs: expected nothing together with --dask, .*\nplant: .*'ur5'\nestimators: ")])
 def test_all_that_is_wrong_is_said_before_the_folder_is_made(tmp_path, options, message):
     study = ComparisonStudy(('ur5',), ('kalman',))
     with pytest.raises(ConfigError, match=message) as error:
         run_study(study, StudyOptions(tmp_path / 'out', **options), Console(quiet=True))
-    assert '\n' not in str(error.value)
+    assert str(error.value).count('\n') == 2  # a line for each
     assert not (tmp_path / 'out').exists()

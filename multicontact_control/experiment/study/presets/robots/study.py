@@ -24,7 +24,7 @@ ENGINES: Mapping[str, dict[str, Any]] = {
     'pybullet': {'engine': 'pybullet'},
     'mujoco': {'engine': 'mujoco'},
     'mujoco-native': {'engine': 'mujoco', 'contact': 'native'}}
-SCENARIOS = ('quick', 'moving_surface', 'curved', 'tilt')
+SCENARIOS = ('quick', 'moving_surface', 'curved', 'tilt', 'edge', 'plane')
 PRESET = 'best'
 COLUMNS = (
     Column('robot', number=False), Column('engine', number=False),

@@ -25,7 +25,7 @@ def test_quick_map_is_a_part_of_the_whole():
 
 
 def test_bad_names_are_all_said():
-    with pytest.raises(ConfigError, match="plant: .*'ur5'; estimators: .*'kalman'"):
+    with pytest.raises(ConfigError, match="plant: .*'ur5'\nestimators: .*'kalman'"):
         robustness_study(('ur5',), ('kalman',)).check()
 
 
