@@ -217,7 +217,7 @@ class PlantConfig(Config):
     @property
     def columns(self) -> dict[str, dict[str, float]]:
         """
-        Forces and couples of the contacts by name, and what makes them up.
+        Return the forces and couples of the contacts by name, and what makes them up.
 
         Each as the shares of the surfaces' normal forces in it: a couple is the sum of forces
         times offsets, as `ContactConfig` of the controller counts it.

@@ -59,7 +59,7 @@ class ContactConfig(Config):
     as long as that is at most 1.
     """
 
-    type: ContactType = parameter(
+    type: ContactType = parameter(  # noqa: A003 - that is what it is called
         'point', 'What touches: a point, an edge or a plane face of the tool.')
     normal_world: UnitVector3 = parameter(
         ..., 'Unit surface normal INTO the surface, in world axes.', live=True)

@@ -71,11 +71,12 @@ class CollisionWatch:
         """Take note of a command, shape (n,) [N m]."""
         self._commands.append(torque)
 
-    def take(self, joints: JointInput | None) -> None:
-        """Take note of the torque that has acted before a sample."""
+    def take(self, joints: JointInput | None, added: Vector | float = 0.0) -> None:
+        """Take note of the torque that acted before a sample, and of what the arm adds to it."""
         self._acted = joints is not None and joints.effort is not None and (
             joints.names is None) and copy_numbers(joints.effort, self._effort) and bool(
                 self._effort.any())  # a driver that measures nothing may say 0
+        self._effort += added
         self._doubt[:] = 0.0
         commands = self._commands
         if self._by_command and not self._acted and len(commands) == commands.maxlen:

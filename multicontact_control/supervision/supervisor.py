@@ -234,7 +234,8 @@ class Supervisor(BumplessController):
         if self._running and not self._paused and 0.0 < skipped <= LONGEST_SKIP:
             self._task_ticks += round(skipped / self._period)
         self._time = now
-        self.collisions.take(inputs.joints)
+        self.collisions.take(
+            inputs.joints, 0.0 if self.own_weight is None else self.own_weight.torque)
         if not self._transition.begun and inputs.joints is not None:
             self._effort = np.zeros(self._robot.joint_count)
             if not copy_numbers(inputs.joints.effort, self._effort):

@@ -80,7 +80,7 @@ def test_causes_are_looked_for_only_with_flexible_drives():
     ({'estimators': ('kalman',)}, "^estimators: .*lead_window.*'kalman'$"),
     ({'plants': ('ur5',)}, "^plant: .*'ur5'$"), ({'seeds': 0}, '^seeds: expected at least 1'),
     ({'plants': ('ur5',), 'estimators': ('kalman',), 'seeds': -1},
-     "^plant: .*'ur5'; estimators: .*'kalman'; seeds: expected at least 1, found -1$")])
+     "^plant: .*'ur5'\nestimators: .*'kalman'\nseeds: expected at least 1, found -1$")])
 def test_bad_study_says_all_that_is_expected(changes, match):
     with pytest.raises(ConfigError, match=match):
         ComparisonStudy(**changes).check()
