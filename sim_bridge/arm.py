@@ -8,8 +8,8 @@ an arm is made from (`puma560`, `urdf_arm`) ends here, and what an engine or the
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 import math
 from typing import Any
@@ -19,6 +19,7 @@ from multicontact_control.dynamics.robot import load_model
 from multicontact_control.errors import ConfigError
 import numpy as np
 import pinocchio as pin
+from sim_bridge.visuals import Visual, with_visuals
 
 BASE_LINK = 'base_link'
 OPERATIONAL_FRAME = 'wrist_point'
@@ -146,6 +147,8 @@ class Arm:
         What hangs on the sensor, in its frame.
     tips
         Points of the tool that may touch, by URDF link, in the sensor's frame [m].
+    visuals
+        What links look like, by their name in the URDF.
 
     Raises
     ------
@@ -161,6 +164,7 @@ class Arm:
     face_mass: float
     tool: Body
     tips: Mapping[str, Vector3]
+    visuals: Mapping[str, Sequence[Visual]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         own = (BASE_LINK, *(f'link{i + 1}' for i in range(len(self.links))), SENSOR_FRAME,
@@ -205,7 +209,7 @@ class Arm:
     @cached_property
     def urdf(self) -> str:
         """Return the URDF text of the arm with its tool, whose joints all turn about z."""
-        return urdf_text(self)
+        return with_visuals(urdf_text(self), self.visuals)
 
     def model(self) -> pin.Model:
         """Return a rigid-body model of the arm with its tool, without armature."""

@@ -22,6 +22,7 @@ from multicontact_control.errors import ConfigError
 from multicontact_control.paths import config_dir
 from pydantic import model_validator
 from sim_bridge.arm import Arm, Body, Link, Placement
+from sim_bridge.puma_visuals import VISUALS
 from sim_bridge.tool import ToolData
 
 DATA_FILE = 'puma560.yaml'
@@ -124,7 +125,7 @@ def puma_arm(data: RobotData) -> Arm:
         name=ROBOT_NAME,
         links=tuple(_arm_link(data, i, inertia) for i, inertia in enumerate(inertias)),
         operational=Placement(), sensor=Placement((0.0, 0.0, tool.face_offset)),
-        face_mass=tool.face_mass, tool=tool.body, tips=tool.tips)
+        face_mass=tool.face_mass, tool=tool.body, tips=tool.tips, visuals=VISUALS)
 
 
 def _arm_link(data: RobotData, index: int, inertia: Vector3) -> Link:
