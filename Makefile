@@ -33,7 +33,8 @@ ifeq ($(ROS),native)
   PYTHON ?= $(if $(WITH_ROS),/usr/bin/python3,python3)
   VENV_FLAGS := --system-site-packages
   RUN_PACKAGE := .
-  TEST_PACKAGE := .[robots,mujoco,dask,test]
+  VIEW_PACKAGE := .[view]
+  TEST_PACKAGE := .[robots,mujoco,dask,view,test]
 else
   # PyBullet has wheels up to Python 3.11: such a Python goes before a newer python3.
   PYTHON ?= $(shell for python in python3 python3.11 python3.10; do \
@@ -42,7 +43,8 @@ else
     done; echo python3)
   VENV_FLAGS :=
   RUN_PACKAGE := .[ros]
-  TEST_PACKAGE := .[ros,rostest,robots,mujoco,dask,test]
+  VIEW_PACKAGE := .[ros,view]
+  TEST_PACKAGE := .[ros,rostest,robots,mujoco,dask,view,test]
 endif
 
 BIN := $(VENV)/bin
@@ -52,6 +54,7 @@ KEY := $(ROS)-$(shell (pwd; cat $(DESCRIPTION)) | sha256sum | cut -c1-12)
 VENV_STAMP := $(VENV)/.made-$(ROS)-$(shell pwd | sha256sum | cut -c1-12)
 RUN_STAMP := $(VENV)/.run-$(KEY)
 TEST_STAMP := $(VENV)/.test-$(KEY)
+VIEW_STAMP := $(VENV)/.view-$(KEY)
 DATA_STAMP := $(VENV)/.data
 COMPILED_STAMP := $(VENV)/.compiled
 KERNELS := $(shell grep -rl --include='*.py' '^@compiled' multicontact_control sim_bridge)
@@ -68,13 +71,16 @@ if sys.version_info >= (3, 12) and not (headers.is_file() and shutil.which('c++'
 endef
 export CHECK_PYTHON
 
-.PHONY: help setup run simulate test check lint clean
+.PHONY: help setup demo run simulate test check lint clean
 
 help:  ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "make %-10s %s\n", $$1, $$2}' Makefile
 	@echo 'Pass arguments on with RUN_ARGS="--scenario quick" and TEST_ARGS="-k force".'
 
 setup: $(RUN_STAMP) $(DATA_STAMP) $(COMPILED_STAMP)  ## Set up .venv and compile the kernels
+
+demo: setup $(VIEW_STAMP)  ## See and steer the simulated arm in the browser
+	@$(WITH_ROS) exec $(BIN)/multicontact view --open $(RUN_ARGS)
 
 run: setup  ## Run the experiment over ROS 2: RUN_ARGS="--scenario quick --out DIR"
 	@$(WITH_ROS) exec $(BIN)/multicontact run --preset paper $(RUN_ARGS)
@@ -107,12 +113,17 @@ $(VENV_STAMP):
 $(RUN_STAMP): | $(VENV_STAMP)
 	@echo 'Installing the dependencies.'
 	@$(PIP) 'setuptools>=70.1,<80' --editable '$(RUN_PACKAGE)'
-	@rm -f $(VENV)/.run-* $(VENV)/.test-* $(DATA_STAMP) $(COMPILED_STAMP)
+	@rm -f $(VENV)/.run-* $(VENV)/.test-* $(VENV)/.view-* $(DATA_STAMP) $(COMPILED_STAMP)
 	@touch $@
 
 $(TEST_STAMP): $(RUN_STAMP)
 	@echo 'Installing what the tests need.'
 	@$(PIP) --editable '$(TEST_PACKAGE)'
+	@touch $@
+
+$(VIEW_STAMP): $(RUN_STAMP)
+	@echo 'Installing what the page needs.'
+	@$(PIP) --editable '$(VIEW_PACKAGE)'
 	@touch $@
 
 $(COMPILED_STAMP): $(RUN_STAMP) $(KERNELS)

@@ -62,11 +62,17 @@ extras_require = {
     'dask': [
         'distributed>=2024.8,<2028',
     ],
+    # To see and steer it on a page in the browser: `multicontact view`. viser brings websockets.
+    'view': [
+        'viser>=1.1,<1.2',
+    ],
     'test': [
         'pytest>=8,<10',
         'pytest-xdist>=3.6,<4',
         'hypothesis>=6.100,<7',
         'rosbags>=0.10,<0.12',
+        # Only where there is a Chromium for it to drive; the page's test is skipped elsewhere.
+        'playwright>=1.50,<2',
         'ruff>=0.17.5,<0.18',
         'mypy>=2.4,<3',
         'types-PyYAML>=6.0,<7',

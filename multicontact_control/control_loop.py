@@ -18,6 +18,7 @@ from multicontact_control.config import ControllerConfig
 from multicontact_control.control.controller import ControlOutput
 from multicontact_control.control.reference import CommandedReference
 from multicontact_control.control.reference.holdable import HeldSource, HoldableReference
+from multicontact_control.dynamics.pose import Pose
 from multicontact_control.errors import CommandError, ConfigError
 from multicontact_control.sampling import (
     JointReading,
@@ -425,6 +426,16 @@ class ControlLoop:
             self.supervisor.reference.sought_normals())
         reference.set_motion(motion.position_world, motion.quaternion_xyzw, motion.twist_world,
                              motion.acceleration_world, normals)
+
+    @property
+    def commanded_pose(self) -> Pose | None:
+        """Return the pose that is obeyed, without what contacts add to it; None in a scenario."""
+        return None if self._commanded is None else self._commanded.pose
+
+    @property
+    def commanded_forces(self) -> dict[str, float]:
+        """Return the forces and couples that are obeyed, by name [N]; none in a scenario."""
+        return {} if self._commanded is None else self._commanded.forces
 
     def _commandable(self) -> CommandedReference:
         if self._commanded is None:

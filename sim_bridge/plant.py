@@ -183,6 +183,23 @@ class Plant:
         """Multiply what the drives can do, unknown to whoever commands them."""
         self._limit = factor * self._limit
 
+    def push(self, force_world: Vector, duration: float, *, tool: bool = False) -> None:
+        """
+        Push the arm from the next control period on, at the operational point or at the tool.
+
+        Parameters
+        ----------
+        force_world
+            Shape (3,) [N].
+        duration
+            How long [s].
+        tool
+            Whether at `tool_push_link`, beyond the wrist sensor, which then reads it.
+
+        """
+        pushes = self._tool_push if tool else self._wrist_push
+        pushes.add(self._tick, max(1, round(duration * self._rate)), force_world)
+
     def close(self) -> None:
         """Give the simulator's memory back."""
         self.arm.close()

@@ -45,6 +45,11 @@ class Pushes:
         self.force_world: Vector = np.zeros(3)
         self.acting = False
 
+    def add(self, first: int, ticks: int, force_world: Vector) -> None:
+        """Push also with a force [N] over some control periods from a tick on."""
+        self._pushes = [push for push in self._pushes if push[1] > first]
+        self._pushes.append((first, first + ticks, np.array(force_world, dtype=float)))
+
     def start_period(self, tick: int) -> None:
         """Take the forces of the control period that begins with a tick."""
         forces = [force for first, end, force in self._pushes if first <= tick < end]

@@ -11,8 +11,8 @@ ROOT = Path(__file__).resolve().parents[1]
 # What is not listed (config, errors, arrays, paths, sampling, ...) lies at the bottom.
 LAYERS = {
     'dynamics': 1, 'contact': 1, 'force': 1, 'control': 2, 'sensor': 3, 'supervision': 3,
-    'control_loop': 4, 'nodes': 5, 'experiment': 6, 'tools': 6, 'client': 6, 'cli': 7,
-    '__main__': 7}
+    'control_loop': 4, 'nodes': 5, 'experiment': 6, 'tools': 6, 'client': 6, 'view': 7,
+    'cli': 8, '__main__': 8}
 PINOCCHIO_HOME = 'multicontact_control.dynamics.robot'
 STEPPED = (
     'multicontact_control.supervision.supervisor', 'multicontact_control.supervision.bumpless')
@@ -39,6 +39,8 @@ def broken_rule(module: str, target: str) -> str:
         return 'the core knows neither ROS nor the simulation'
     if module == STRANGER:
         return 'it runs where this package is not' if top in PACKAGES else ''
+    if top in ('viser', 'websockets') and area(module) != 'view':
+        return 'the page is an extra, known to view/ alone'
     if top == 'pinocchio' and module != PINOCCHIO_HOME and not module.startswith('sim_bridge'):
         return 'pinocchio is wrapped in dynamics/robot.py'
     if target.startswith(STEPPED) and area(module) not in ('supervision', 'control_loop'):
@@ -125,12 +127,15 @@ def test_checker_accepts_a_good_tree(tmp_path):
     ('control_loop.py', 'from multicontact_control.nodes import qos', 'flow downwards'),
     ('supervision/gate.py', 'from multicontact_control import control_loop', 'flow downwards'),
     ('experiment/loop.py', 'from multicontact_control import cli', 'imports flow downwards'),
+    ('experiment/loop.py', 'from multicontact_control import view', 'imports flow downwards'),
+    ('cli/run.py', 'import viser', 'known to view/ alone'),
     ('errors.py', 'from multicontact_control.config import Config', 'import cycle'),
     ('force/noise.py', 'from .observer import Observer', 'import cycle'),
     ('experiment/bench/tsid_tick.py', 'import multicontact_control.errors', 'this package is not'),
     ('../sim_bridge/plant.py', 'import multicontact_control.experiment.loop', 'import cycle'),
 ])
 def test_checker_finds_a_broken_rule(tmp_path, path, text, complaint):
-    write_tree(tmp_path, GOOD | {'multicontact_control/nodes/qos.py': ''})
+    write_tree(tmp_path, GOOD | {
+        'multicontact_control/nodes/qos.py': '', 'multicontact_control/view/__init__.py': ''})
     write_tree(tmp_path / 'multicontact_control', {path: text})
     assert any(complaint in violation for violation in violations(tmp_path))

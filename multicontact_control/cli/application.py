@@ -25,6 +25,7 @@ from multicontact_control.cli.soak import soak
 from multicontact_control.cli.sweep import sweep
 from multicontact_control.cli.topics import topics
 from multicontact_control.cli.tune import tune
+from multicontact_control.cli.view import view
 from multicontact_control.process import limit_threads
 import typer
 
@@ -46,6 +47,7 @@ def _root(
 
 app.command()(simulate)
 app.command()(run)
+app.command()(view)
 app.command()(calibrate)
 app.command()(push_test)
 app.command('new-robot')(new_robot)

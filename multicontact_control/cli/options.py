@@ -108,18 +108,13 @@ def prepare(
         With the first value that is not acceptable; there is no new folder then.
 
     """
-    from multicontact_control.experiment.overrides import overridden
     from multicontact_control.experiment.results import prepare_folder
-    from multicontact_control.experiment.scenario import resolve
 
-    options: dict[str, Any] = {
+    setup = resolve_settings(scenario, {
         'plant': plant, 'robot': robot, 'seed': seed, 'duration': duration, 'preset': preset,
         'noise_estimator': {'estimator': noise_estimator} if noise_estimator else None,
         'controller': {'force': {'law': law}} if law else None,
-        'plant_overrides': {'engine': engine} if engine else None}
-    setup = resolve(scenario, **options)
-    if settings:
-        setup = resolve(scenario, **overridden(options, settings, setup))
+        'plant_overrides': {'engine': engine} if engine else None}, settings)
     return setup, prepare_folder(
         out, setup.scenario.name, overwrite=overwrite, now=datetime.now())
 
@@ -154,3 +149,14 @@ def prepare_external(
         resolved = resolve_external(files, **overridden(options, settings, resolved.setup))
     return resolved, prepare_folder(
         out, resolved.setup.scenario.name, overwrite=overwrite, now=datetime.now())
+
+
+def resolve_settings(
+    scenario: str, options: dict[str, Any], settings: Sequence[str] | None,
+) -> Setup:
+    """Return a scenario with options of `resolve` and settings over all files, checked."""
+    from multicontact_control.experiment.overrides import overridden
+    from multicontact_control.experiment.scenario import resolve
+
+    setup = resolve(scenario, **options)
+    return resolve(scenario, **overridden(options, settings, setup)) if settings else setup

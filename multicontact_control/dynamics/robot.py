@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 import xml.etree.ElementTree as ElementTree
@@ -254,6 +254,29 @@ class RobotModel:
             mass_matrix=mass_matrix, coriolis=coriolis, gravity=gravity, jacobian=jacobian,
             jacobian_drift=drift, pose=_pose(data.oMf[self._frame]), twist_world=jacobian @ v,
             velocity=v.copy(), sensor_pose=_pose(data.oMf[self._sensor]))
+
+    def link_poses(self, q: Vector, links: Sequence[str]) -> list[Pose]:
+        """
+        Return where links are, to draw the arm.
+
+        Parameters
+        ----------
+        q
+            Joint positions, shape (n,) [rad].
+        links
+            Names of links of the URDF.
+
+        Raises
+        ------
+        ConfigError
+            If there is no such link.
+        ShapeError
+            If `q` is not of shape (n,).
+
+        """
+        require_shape('q', q, (self._model.nv,))
+        pin.framesForwardKinematics(self._model, self._data, q)
+        return [_pose(self._data.oMf[self._frame_id('link', name)]) for name in links]
 
 
 def load_model(

@@ -9,6 +9,8 @@ import pytest
     (('simulate', '--plant', 'x'), "plant: expected one of rigid, puma, or a path, found 'x'"),
     (('calibrate', '--plant', 'x'), "plant: expected one of rigid, puma, or a path, found 'x'"),
     (('push-test', '--fault', 'x'), "fault: expected one of none, sign, rotate, scale, found 'x'"),
+    (('view', '--plant', 'x'), "plant: expected one of rigid, puma, or a path, found 'x'"),
+    (('view', 'nowhere'), 'recording: expected a folder of `multicontact run` or `simulate`'),
     (('run', '--seed', '-3'), 'seed: expected a whole number >= 0, found -3'),
     (('run', '--namespace', '1st'), 'namespace: expected names of letters, digits and _')])
 def test_bad_input_exits_with_two_and_one_line(multicontact, tmp_path, arguments, message):
@@ -22,7 +24,7 @@ def test_bad_input_exits_with_two_and_one_line(multicontact, tmp_path, arguments
 
 @pytest.mark.parametrize('command', [
     (), ('run',), ('simulate',), ('calibrate',), ('push-test',), ('topics',), ('echo',),
-    ('record',), ('compare',), ('map',), ('report',)])
+    ('record',), ('compare',), ('map',), ('report',), ('view',)])
 def test_help_teaches(multicontact, command):
     """Every command explains itself."""
     done = multicontact(*command, '--help')

@@ -147,6 +147,11 @@ class CommandedReference:
         self._pose = Pose.from_quaternion(position, quaternion_xyzw)
         self._twist, self._acceleration = twist, acceleration
 
+    @property
+    def pose(self) -> Pose | None:
+        """Return the commanded pose, None before the start."""
+        return self._pose
+
     def contact_state(self, default: ContactStateConfig) -> ContactStateConfig:
         """Return the default: a command says nothing of how contacts are made."""
         return default

@@ -1,0 +1,1 @@
+"""See and steer the controller on a page in the browser."""

@@ -1,0 +1,181 @@
+"""Curves over a sliding window: forces, R, innovation, and torque against its limit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import threading
+from typing import Any, NamedTuple
+
+from multicontact_control.arrays import Matrix, Vector
+from multicontact_control.view import source
+from multicontact_control.view.source import CurveLayout, RATE
+import numpy as np
+
+FIRST = '10 s'
+WINDOWS = {'5 s': 5.0, '10 s': 10.0, '30 s': 30.0, '60 s': 60.0}
+DRAWN = 250  # points per curve at most
+HEIGHT = 92  # px
+COLOURS = ('#e07a28', '#2e74be', '#34965c', '#8a5fb0', '#b04a5a', '#7a7f87')
+JOINTS = ('#4c6a92', '#7a9cc6', '#5aa08c', '#c29b4b', '#c46f5a', '#8d6b94', '#6b7280')
+GRID = {'stroke': '#eceef0', 'width': 1}
+AXIS = {'font': '11px sans-serif', 'stroke': '#6b7280', 'grid': GRID, 'ticks': {'show': False}}
+LOGARITHMIC = {'distr': 3}
+FLOOR = 1e-4  # N^2, where a logarithm of R ends
+
+
+class History:
+    """
+    The newest points of all curves, in one array that is made once.
+
+    Parameters
+    ----------
+    layout
+        Of the points.
+    time
+        That can be looked back [s].
+
+    """
+
+    def __init__(self, layout: CurveLayout, time: float = 60.0) -> None:
+        self._points = np.full((2 * round(time * RATE * source.POINTS), layout.width), np.nan)
+        self._end = 0
+
+    def add(self, points: Matrix) -> None:
+        """Take points; time that goes back begins anew."""
+        count = len(points)
+        if not count:
+            return
+        if self._end and points[0, 0] <= self._points[self._end - 1, 0]:
+            self._end = 0
+        points = points[-len(self._points) // 2:]
+        count = len(points)
+        if self._end + count > len(self._points):
+            kept = len(self._points) // 2
+            self._points[:kept] = self._points[self._end - kept:self._end]
+            self._end = kept
+        self._points[self._end:self._end + count] = points
+        self._end += count
+
+    def last(self, time: float) -> Matrix:
+        """Return the points of the last seconds, few enough to be drawn."""
+        points = self._points[:self._end]
+        if not len(points):
+            return points
+        points = points[points[:, 0] > points[-1, 0] - time]
+        step = -(-len(points) // DRAWN)
+        return points[(len(points) - 1) % step::step]
+
+
+class Chart(NamedTuple):
+    """
+    What a chart shows.
+
+    Attributes
+    ----------
+    title
+        Above it.
+    labels, columns, colours
+        Of its curves: where they are in the points, and by what they are told apart.
+    y
+        Its axis, as uPlot wants it.
+    scale
+        What the values are multiplied by.
+
+    """
+
+    title: str
+    labels: Sequence[str]
+    columns: list[int]
+    colours: Sequence[str]
+    y: dict[str, Any]
+    scale: float = 1.0
+
+
+class Curves:
+    """
+    The charts of a page.
+
+    Parameters
+    ----------
+    gui
+        The page's elements; made where the caller is.
+    names
+        Forces and couples.
+    joints
+        Names of the joints.
+
+    """
+
+    def __init__(self, gui: Any, names: Sequence[str], joints: Sequence[str]) -> None:
+        self.layout = CurveLayout(len(names), len(joints))
+        self.history = History(self.layout)
+        self._gui, self._lock = gui, threading.Lock()
+        self._window = gui.add_dropdown('window', tuple(WINDOWS), initial_value=FIRST)
+        self._charts = charts_of(self.layout, names, joints)
+        self._folder = gui.add_folder('last seconds, from now')
+        self._plots: list[Any] = []
+        self._make()
+        self._window.on_update(lambda _: self._make())
+
+    def _make(self) -> None:
+        """Make the charts; anew for another window, as those of a browser keep their axes."""
+        with self._lock, self._folder:
+            for plot in self._plots:
+                plot.remove()
+            x = {'time': False, 'range': (-WINDOWS[self._window.value], 0.0)}
+            self._plots = [self._gui.add_uplot(
+                data, ({'label': 's'}, *({
+                    'label': label, 'stroke': chart.colours[i % len(chart.colours)],
+                    'width': 1.5, 'points': {'show': False}}
+                    for i, label in enumerate(chart.labels))),
+                title=chart.title, height=HEIGHT, scales={'x': x, 'y': chart.y},
+                axes=({'size': 30, **AXIS}, {'size': 44, **AXIS}),
+                legend={'show': len(chart.labels) <= 3, 'live': False}, padding=(6, 12, 0, 0))
+                for chart, data in zip(self._charts, self._data())]
+
+    def draw(self) -> None:
+        """Show what has come."""
+        with self._lock:
+            for plot, data in zip(self._plots, self._data()):
+                plot.data = data
+
+    def _data(self) -> list[tuple[Vector, ...]]:
+        """Return what each chart shows: seconds from now, then its curves."""
+        points = self.history.last(WINDOWS[self._window.value])
+        if not len(points):
+            points = np.zeros((1, self.layout.width))
+        time: Vector = points[:, 0] - points[-1, 0]
+        found = []
+        for chart in self._charts:
+            # uPlot loses its axis over a single number that is none.
+            values = chart.scale * np.nan_to_num(points[:, chart.columns])
+            if chart.y == LOGARITHMIC:
+                values = np.maximum(values, FLOOR)
+            found.append((time, *(np.ascontiguousarray(column) for column in values.T)))
+        return found
+
+
+def charts_of(
+    layout: CurveLayout, names: Sequence[str], joints: Sequence[str],
+) -> list[Chart]:
+    """Return what there is to show of these forces, couples and joints."""
+    def of(kind: int) -> list[int]:
+        return [layout.of(kind, i) for i in range(len(names))]
+
+    kinds = {'measured': source.MEASURED, 'estimated': source.ESTIMATED,
+             'desired': source.DESIRED}
+    forces = [Chart(
+        f'force on {name} [N]', tuple(kinds), [layout.of(kind, i) for kind in kinds.values()],
+        COLOURS, from_zero(5.0)) for i, name in enumerate(names)]
+    use = layout.torque_use
+    return [
+        *forces, Chart('R [N^2], logarithmic', names, of(source.VARIANCE), COLOURS, LOGARITHMIC),
+        Chart('innovation, rms [N]', names, of(source.INNOVATION), COLOURS, from_zero(0.2)),
+        Chart('torque, % of the limit of each joint', joints, list(range(use.start, use.stop)),
+              JOINTS, {'range': (0.0, 100.0)}, 100.0)]
+
+
+def from_zero(least: float) -> dict[str, Any]:
+    """Return an axis that holds 0 and a least value, so that noise is not all there is to see."""
+    return {'range': {'min': {'pad': 0.1, 'soft': 0.0, 'mode': 1},
+                      'max': {'pad': 0.1, 'soft': least, 'mode': 1}}}

@@ -1,0 +1,344 @@
+"""A graph that runs, joined from outside: its topics are listened to, its commands are used."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Mapping
+from concurrent import futures
+import queue
+import threading
+import time
+from typing import Any
+
+from multicontact_control.errors import CommandError, MulticontactError, RunError
+from multicontact_control.experiment.scenario import Setup
+from multicontact_control.nodes import messages, topics
+from multicontact_control.nodes.link import ControllerLink
+from multicontact_control.sampling import MotionReading
+from multicontact_control.supervision.command_limits import CommandLimits
+from multicontact_control.view import source
+from multicontact_control.view.motion import Motion, Pattern
+from multicontact_control.view.source import (
+    CurveLayout,
+    no_points,
+    PLAYING,
+    POINTS,
+    RATE,
+    refuse_if_unknown,
+    Scene,
+    SIMULATED,
+    Snapshot,
+    Surface,
+    Timing,
+)
+import numpy as np
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import GetParameters, SetParametersAtomically
+from std_srvs.srv import SetBool, Trigger
+
+REFUSALS = dict.fromkeys(PLAYING, 'a recording') | dict.fromkeys(
+    SIMULATED, "a simulation of the page's own")
+MOTION_RATE = 100.0  # Hz, of motion commands, and of looking for anything
+PATIENCE = 5.0  # s
+SILENCE = 1.0  # s without a sample, after which it is said
+KEPT = round(2.0 * RATE)
+LISTENED = (
+    topics.JOINT_STATES, topics.MEASURED_FORCES, topics.ESTIMATED_FORCES, topics.DESIRED_FORCES,
+    topics.INNOVATION, topics.NOISE_VARIANCE, topics.EFFORT_COMMAND, topics.POSE,
+    topics.POSE_DESIRED, topics.DIAGNOSTICS)
+GAINS = ('motion.natural_frequency', 'force.time_constant', 'force.damping_rate')
+
+
+class GraphSource:
+    """
+    Listens to a controller and commands it, in a thread of its own.
+
+    Parameters
+    ----------
+    setup
+        What is known of controller and arm.
+    namespace, domain_id
+        Where the controller is.
+
+    Raises
+    ------
+    RunError
+        If no controller is active there, or it is another one.
+
+    """
+
+    def __init__(self, setup: Setup, *, namespace: str = '', domain_id: int | None = None) -> None:
+        config = self._config = setup.controller
+        self._link = ControllerLink(
+            LISTENED, namespace=namespace, domain_id=domain_id, timeout=PATIENCE)
+        try:
+            message, = self._link.fresh(topics.MEASURED_FORCES)
+            if tuple(message.name) != config.column_names:
+                raise RunError(
+                    f'contact_forces/measured: expected {", ".join(config.column_names)}, found '
+                    f'{", ".join(message.name)}; name its --scenario and --plant')
+            self._gains = self._read_gains()
+        except BaseException:
+            self._link.close()
+            raise
+        self._force = self._link.publisher(topics.FORCE_COMMAND)
+        self._motion_command = self._link.publisher(topics.MOTION_COMMAND)
+        self._layout = CurveLayout(len(config.columns), len(config.robot.joint_names))
+        self._leaders = list(config.leaders)
+        self._motion = Motion(config.limits, 1.0 / MOTION_RATE)
+        self._scene = Scene(
+            'graph, as it runs', config, setup.urdf_dir, tuple(
+                Surface(name, config.contacts[name].normal_world, None)
+                for name in config.contact_names))
+        self._commands: Mapping[str, Callable[..., str]] = {
+            source.FORCES: self._set_forces, source.GO_TO: self._go_to, source.JOG: self._jog,
+            source.PATTERN: self._pattern, source.STOP: self._stop, source.HOLD: self._hold,
+            source.RETRY: lambda: self._ask('retry'), source.TARE: lambda: self._ask('tare'),
+            source.PUSH_TEST: lambda: self._ask('push_test'), source.GAINS: self._set_gains}
+        self._commanded: dict[str, float] = {}
+        self._told: dict[str, dict[str, str]] = {}
+        self._refused: dict[str, int] | None = None
+        self._diagnostics: Any = None
+        self._events: list[tuple[float, str]] = []
+        self._points: list[Any] = []
+        self._stamp, self._heard = -1, time.monotonic()
+        self._snapshots: deque[Snapshot] = deque(maxlen=KEPT)
+        self._jobs: queue.Queue[tuple[Callable[[], str], futures.Future[str]]] = queue.Queue()
+        self._over, self._why = threading.Event(), ''
+        self._thread = threading.Thread(target=self._work, daemon=True, name='graph')
+        self._thread.start()
+
+    @property
+    def scene(self) -> Scene:
+        """Return what does not change."""
+        return self._scene
+
+    @property
+    def refusals(self) -> Mapping[str, str]:
+        """Return the commands that are never obeyed here, each with the reason."""
+        return REFUSALS
+
+    def poll(self) -> list[Snapshot]:
+        """Return the snapshots since the last call; RunError if the graph cannot be heard."""
+        found = []
+        while self._snapshots:
+            found.append(self._snapshots.popleft())
+        if not found and self._why:
+            raise RunError(self._why)
+        return found
+
+    def command(self, name: str, /, **values: Any) -> str:
+        """Give a command, and return what comes of it; see `Source.command`."""
+        refuse_if_unknown(name, REFUSALS)
+        done: futures.Future[str] = futures.Future()
+        self._jobs.put((lambda: self._commands[name](**values), done))
+        try:
+            return done.result(2.0 * PATIENCE)
+        except futures.TimeoutError:
+            raise RunError(f'{name}: no answer within {2.0 * PATIENCE:g} s') from None
+
+    def close(self) -> None:
+        """Leave the graph, which goes on."""
+        self._over.set()
+        self._thread.join(2.0 * PATIENCE)
+        self._link.close()
+
+    # ---------------------------------------------------------------------------- its thread
+
+    def _work(self) -> None:
+        every = max(1, round(MOTION_RATE / RATE))
+        turn, due = 0, time.monotonic()
+        try:
+            while not self._over.is_set():
+                self._carry_out()
+                wanted = self._motion.advance()
+                if wanted is not None:
+                    self._send(wanted)
+                if turn % max(1, every // POINTS) == 0:
+                    self._look()
+                turn += 1
+                if turn % every == 0:
+                    self._show()
+                due = max(due + 1.0 / MOTION_RATE, time.monotonic() - 0.1)
+                self._over.wait(max(0.0, due - time.monotonic()))
+        except Exception as error:  # whatever it is, the page is to say it
+            self._why = f'the graph cannot be shown: {error}'
+            raise
+
+    def _carry_out(self) -> None:
+        while not self._jobs.empty():
+            job, done = self._jobs.get()
+            try:
+                done.set_result(job())
+            except MulticontactError as error:
+                done.set_exception(error)
+            except (TypeError, ValueError, KeyError) as error:  # of values that no page sends
+                done.set_exception(CommandError('command', 'values that it takes', error))
+
+    def _values(self, topic: topics.Topic, names: tuple[str, ...], field: str = 'effort') -> Any:
+        message = self._link.newest(topic)
+        known = {} if message is None else dict(zip(message.name, getattr(message, field)))
+        return np.array([known.get(name, np.nan) for name in names])
+
+    def _look(self) -> None:
+        """Take a point of the curves, and what the diagnostics say."""
+        names, joints = self._config.column_names, self._config.robot.joint_names
+        message = self._link.newest(topics.MEASURED_FORCES)
+        stamp = messages.stamp_to_ns(message.header.stamp) if message is not None else -1
+        if stamp != self._stamp:
+            self._stamp, self._heard = stamp, time.monotonic()
+            limit = np.array(self._config.torque_limit or [np.inf] * len(joints))
+            self._points.append(np.concatenate([
+                [1e-9 * stamp], *(self._values(topic, names) for topic in (
+                    topics.MEASURED_FORCES, topics.ESTIMATED_FORCES, topics.DESIRED_FORCES,
+                    topics.NOISE_VARIANCE)),
+                np.abs(self._values(topics.INNOVATION, names)),
+                np.abs(self._values(topics.EFFORT_COMMAND, joints)) / limit]))
+        report = self._link.newest(topics.DIAGNOSTICS)
+        if report is not None and report is not self._diagnostics:
+            self._diagnostics = report
+            for status in report.status:
+                node, _, part = status.name.partition(': ')
+                if node.rpartition('/')[2] == topics.CONTROLLER:
+                    self._told[part] = {each.key: each.value for each in status.values}
+            self._note_refusals()
+
+    def _note_refusals(self) -> None:
+        """Say what the controller has refused since the last report, and why."""
+        now = {key: int(value) for key, value in self._told.get('messages', {}).items()
+               if key.startswith('refused ')}
+        before = now if self._refused is None else self._refused
+        self._refused = now
+        self._events += [(1e-9 * self._stamp, key) for key, count in now.items()
+                         if count > before.get(key, 0)]
+
+    def _show(self) -> None:
+        config, told = self._config, self._told
+        pose, wanted = (self._link.newest(topic) for topic in (topics.POSE, topics.POSE_DESIRED))
+        if pose is None or wanted is None:
+            return
+        contacts, loop = told.get('contacts', {}), told.get('loop', {})
+        supervisor = told.get('supervisor', {})
+        silent = time.monotonic() - self._heard > SILENCE
+        desired = self._values(topics.DESIRED_FORCES, config.column_names)
+        points, self._points = self._points, []
+        events, self._events = self._events, []
+        position, turn = pose.pose.position, pose.pose.orientation
+        place = wanted.pose.position
+        self._snapshots.append(Snapshot(
+            time=1e-9 * self._stamp,
+            q=self._values(topics.JOINT_STATES, config.robot.joint_names, 'position'),
+            position=np.array([position.x, position.y, position.z]),
+            quaternion=np.array([turn.x, turn.y, turn.z, turn.w]),
+            position_des=np.array([place.x, place.y, place.z]),
+            measured=self._values(topics.MEASURED_FORCES, config.column_names),
+            estimated=self._values(topics.ESTIMATED_FORCES, config.column_names),
+            desired=desired, normals_world=np.array([
+                config.contacts[name].normal_world for name in config.contact_names]),
+            states=tuple(contacts.get(name, 'free') for name in config.contact_names),
+            reaction='no samples' if silent else supervisor.get('reaction', 'none'),
+            reasons=tuple(word for word in supervisor.get('causes', '').split()
+                          if word != 'none'),
+            points=np.array(points) if points else no_points(self._layout),
+            commanded=dict(self._commanded), goal=self._motion.goal, events=tuple(events),
+            timing=Timing(_number(loop.get('latency_us_p50')), _number(loop.get('latency_us_p99')),
+                          int(_number(loop.get('deadline_misses_in_all', '0')))),
+            held=contacts.get('held') == 'True', moving=self._motion.what,
+            push_test=_unless_none(told.get('sensor', {}).get('push_test', '')),
+            gains=self._gains, playing=True))
+
+    # ------------------------------------------------------------------------------ commands
+
+    def _set_forces(self, **forces: float) -> str:
+        config = self._config
+        halves = {column.name for column in config.columns if column.half_length > 0.0}
+        unknown = set(forces) - set(config.column_names)
+        if unknown:
+            raise CommandError('contact', f'one of {", ".join(config.column_names)}',
+                               ', '.join(sorted(unknown)))
+        CommandLimits().check_forces(forces, config.contact_state.smallest_force, halves)
+        self._link.publish(self._force, messages.joint_state_message(
+            0, list(forces), effort=list(forces.values())))
+        self._commanded.update(forces)
+        return ', '.join(f'{name} {force:g} N' for name, force in forces.items())
+
+    def _send(self, reading: MotionReading) -> None:
+        self._motion_command.publish(messages.motion_message(
+            reading.position_world, reading.quaternion_xyzw, reading.twist_world,
+            reading.acceleration_world))
+
+    def _ready(self) -> None:
+        """Begin where the point should be, unless a motion is being made."""
+        if self._told.get('contacts', {}).get('held') == 'True':
+            raise CommandError('~/hold', 'released, to obey commands', 'held')
+        if self._motion.what:
+            return
+        wanted, = self._link.fresh(topics.POSE_DESIRED)
+        p, q = wanted.pose.position, wanted.pose.orientation
+        self._motion.start(np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w]))
+
+    def _go_to(self, position: list[float]) -> str:
+        self._ready()
+        self._motion.go_to(position)
+        return 'going there'
+
+    def _jog(self, offset: list[float]) -> str:
+        self._ready()
+        self._motion.jog(offset)
+        return 'going there'
+
+    def _pattern(self, kind: str, axes: str, amplitude: float, period: float) -> str:
+        self._ready()
+        pattern = Pattern(kind, axes, amplitude, period)
+        self._motion.start_pattern(pattern)
+        return pattern.name
+
+    def _stop(self) -> str:
+        self._motion.stop()
+        return 'coming to rest'
+
+    def _hold(self, on: bool) -> str:
+        if on and self._motion.what:
+            self._send(self._motion.halt())
+        return self._service(SetBool, 'hold', SetBool.Request(data=bool(on)))
+
+    def _ask(self, name: str) -> str:
+        return self._service(Trigger, name, Trigger.Request())
+
+    def _service(self, kind: Any, name: str, request: Any) -> str:
+        answer = self._link.require(topics.CONTROLLER, kind, name, request)
+        if not answer.success:
+            raise RunError(str(answer.message))
+        return str(answer.message) or name
+
+    def _read_gains(self) -> tuple[float, float, float]:
+        answer = self._link.require(topics.CONTROLLER, GetParameters, 'get_parameters',
+                                    GetParameters.Request(names=list(GAINS)))
+        found = [value.double_value for value in answer.values]
+        return (found[0], found[1], found[2]) if len(found) == len(GAINS) else (np.nan,) * 3
+
+    def _set_gains(
+        self, natural_frequency: float, time_constant: float, damping_rate: float,
+    ) -> str:
+        values = (natural_frequency, time_constant, damping_rate)
+        request = SetParametersAtomically.Request(parameters=[
+            Parameter(name=name, value=ParameterValue(
+                type=ParameterType.PARAMETER_DOUBLE, double_value=float(value)))
+            for name, value in zip(GAINS, values)])
+        answer = self._link.require(
+            topics.CONTROLLER, SetParametersAtomically, 'set_parameters_atomically', request)
+        if not answer.result.successful:
+            raise RunError(str(answer.result.reason))
+        self._gains = values
+        return 'gains are set'
+
+
+def _number(text: str | None) -> float:
+    try:
+        return float(text or 'nan')
+    except ValueError:
+        return float('nan')
+
+
+def _unless_none(text: str) -> str:
+    return '' if text == 'none' else text

@@ -1,0 +1,247 @@
+"""The page: it knows snapshots and commands, not where they come from or go to."""
+
+from __future__ import annotations
+
+from collections import deque
+from contextlib import redirect_stdout
+import html
+import io
+import threading
+import time
+from typing import Any
+
+from multicontact_control.errors import RunError
+from multicontact_control.view.access import Access, is_loopback, PARAMETER
+from multicontact_control.view.commander import Commander, Outcome
+from multicontact_control.view.controls import Controls
+from multicontact_control.view.curves import Curves
+from multicontact_control.view.events import EventReader
+from multicontact_control.view.installed import require_viser
+from multicontact_control.view.scene import newtons, SceneView, STATE_COLOURS
+from multicontact_control.view.source import RATE, Snapshot, Source
+import numpy as np
+
+HOST, PORT = '127.0.0.1', 8080
+TEXT_EVERY, CURVES_EVERY = 6, 4  # snapshots
+LISTED = 12  # events
+TOAST_TIME = 6.0  # s
+AGAIN = 3.0  # s, after which the same refusal is said again
+CURVES_WIDTH, CONTROLS_WIDTH = 370, 340  # px
+SMALL = 'font-size:12px;line-height:1.5;padding:2px 14px'
+
+
+class Page:
+    """
+    A page in the browser for one source.
+
+    Parameters
+    ----------
+    source
+        What is shown and steered.
+    host, port
+        To listen on; the next port that is free.
+    token
+        That has to be known, empty for none on this machine and one that is made up elsewhere.
+
+    Attributes
+    ----------
+    url
+        Of the page, with its token.
+    commander
+        Who gives the commands.
+    newest
+        Snapshot, None before the first.
+    ended
+        Why there is nothing more to see, empty as long as there is.
+
+    """
+
+    def __init__(
+        self, source: Source, host: str = HOST, port: int = PORT, token: str = '',
+    ) -> None:
+        viser = require_viser()
+        self.source = source
+        access = Access(host, token)
+        with access.guarding(), redirect_stdout(io.StringIO()):
+            self.server: Any = viser.ViserServer(host=host, port=port, verbose=False)
+        self.server.request_share_url = _share_nothing  # a client could ask for a public tunnel
+        port = self.server.get_port()
+        shown = 'localhost' if host in ('0.0.0.0', '::') else f'[{host}]' if ':' in host else host
+        self.url = f'http://{shown}:{port}/' + (
+            f'?{PARAMETER}={access.token}' if access.token else '')
+        self.local = is_loopback(host)
+        self.ended = ''
+        self._outcomes: deque[Outcome] = deque(maxlen=8)
+        self._events: deque[tuple[float, str]] = deque(maxlen=LISTED)
+        self._refused = ('', 0.0)
+        self._count = 0
+        self._gains: tuple[float, ...] = ()
+        self.newest: Snapshot | None = None
+        self._reader = EventReader(source.scene.config.contact_names)
+        self.commander = Commander(source, self._outcomes.append)
+        self._build()
+
+    def _build(self) -> None:
+        server, scene = self.server, self.source.scene
+        gui = server.gui
+        gui.configure_theme(
+            show_logo=False, show_share_button=False, brand_color=(46, 116, 190),
+            control_width='medium')
+        gui.set_panel_label('multicontact view')
+        self.scene_view = SceneView(server, scene)
+        self._status = gui.add_html('')
+        self._contacts = gui.add_html('')
+        self._answer = gui.add_html('')
+        self.controls = Controls(gui, self.source, self.commander, self.scene_view)
+        with gui.add_folder('Events', expand_by_default=True):
+            self._list = gui.add_html('')
+        gui.main_panel.dock_right()
+        gui.main_panel.set_width(CONTROLS_WIDTH)
+        panel = gui.add_panel()
+        with panel.add_tab('Curves'):
+            self.curves = Curves(
+                gui, scene.config.column_names, scene.config.robot.joint_names)
+        panel.dock_left()
+        panel.set_width(CURVES_WIDTH)
+        self._status.content = _line(f'<b>{html.escape(scene.title)}</b>: waiting for samples')
+
+    def run(self, stop: threading.Event) -> None:
+        """Show what comes until it is to stop; what has ended stays to be seen."""
+        while not stop.wait(1.0 / RATE):
+            self.update()
+
+    def update(self) -> None:
+        """Show what has come since the last call."""
+        if self.ended:
+            return
+        try:
+            found = self.source.poll()
+        except RunError as error:
+            self.ended = str(error)
+            self._status.content = _line(
+                f'<b style="color:#c0392b">{html.escape(self.ended)}</b>')
+            self._tell('ended', self.ended)
+            return
+        watched = bool(self.server.get_clients())
+        if found and self.newest is not None and found[-1].time < self.newest.time:
+            self._begin_anew()
+        for snapshot in found:
+            self.curves.history.add(snapshot.points)
+            self._events.extend(
+                (moment, text) for moment, what in snapshot.events
+                if (text := self._reader.read(what)))
+        while self._outcomes:
+            self._show_outcome(self._outcomes.popleft())
+        if found:
+            self.newest = found[-1]
+            if watched:
+                self._show(found[-1], bool(sum(len(each.events) for each in found)))
+
+    def _begin_anew(self) -> None:
+        """Forget what was said: time has gone back."""
+        self._events.clear()
+        self._reader = EventReader(self.source.scene.config.contact_names)
+        self._list.content = ''
+
+    def _show(self, snapshot: Snapshot, eventful: bool) -> None:
+        self._count += 1
+        texts = self._count % TEXT_EVERY == 1
+        with self.server.atomic():
+            self.scene_view.show(snapshot, labels=texts)
+            if texts:
+                self._status.content = status_html(self.source.scene.title, snapshot)
+                self._contacts.content = contacts_html(
+                    self.source.scene.config.column_names, self.source.scene.config.leaders,
+                    snapshot)
+                if eventful or len(self._events) and not self._list.content:
+                    self._list.content = events_html(list(self._events))
+                self.controls.show(snapshot)
+                if snapshot.gains != self._gains:
+                    self._gains = snapshot.gains
+                    self.controls.show_gains(snapshot)
+            elif eventful:
+                self._list.content = events_html(list(self._events))
+            if self._count % CURVES_EVERY == 0:
+                self.curves.draw()
+
+    def _show_outcome(self, outcome: Outcome) -> None:
+        colour = '#34965c' if outcome.obeyed else '#c0392b'
+        what = '' if outcome.obeyed else 'refused: '
+        self._answer.content = _line(
+            f'<span style="color:{colour}">{what}{html.escape(outcome.text)}</span>')
+        if not outcome.obeyed:
+            self._tell('refused', outcome.text)
+
+    def _tell(self, title: str, text: str) -> None:
+        """Say something to everybody, but not the same again and again."""
+        now = time.monotonic()
+        before, when = self._refused
+        if text == before and now - when < AGAIN:
+            return
+        self._refused = text, now
+        for client in self.server.get_clients().values():
+            client.add_notification(
+                title, text, color='red', auto_close_seconds=TOAST_TIME)
+
+    def close(self) -> None:
+        """Close the page and its source."""
+        self.commander.close()
+        with redirect_stdout(io.StringIO()):
+            self.server.stop()
+        self.source.close()
+
+
+def _share_nothing(*_arguments: Any, **_options: Any) -> None:
+    """Open no tunnel: the page is for this machine, or for who has the token."""
+
+
+def _line(content: str) -> str:
+    return f'<div style="{SMALL}">{content}</div>'
+
+
+def status_html(title: str, snapshot: Snapshot) -> str:
+    """Return the time, how regular the loop is, and what it does."""
+    timing = snapshot.timing
+    parts = [f'<b>{snapshot.time:.1f} s</b>']
+    if np.isfinite(timing.typical):
+        parts.append(f'tick {1e-3 * timing.typical:.2f} ms, at worst {1e-3 * timing.worst:.2f}')
+        late = f'{timing.misses} late' if timing.misses else 'none late'
+        slow = f', {timing.pace:.2f} of real time' if timing.pace < 0.97 else ''
+        parts.append(f'{late}{slow}')
+    reaction = snapshot.reaction
+    if reaction not in ('none', '', 'recorded'):
+        reasons = html.escape(' '.join(snapshot.reasons))
+        parts.append(f'<b style="color:#c0392b">{html.escape(reaction)}</b> {reasons}')
+    if snapshot.held:
+        parts.append('<b>held</b>')
+    if snapshot.moving:
+        parts.append(html.escape(snapshot.moving))
+    return _line(f'<span style="color:#6b7280">{html.escape(title)}</span><br>'
+                 + ' &middot; '.join(parts))
+
+
+def contacts_html(names: Any, leaders: Any, snapshot: Snapshot) -> str:
+    """Return a table of the contacts: state, measured, estimated and desired force."""
+    rows = []
+    for i, name in enumerate(names):
+        state = ''
+        if i in leaders:
+            found = snapshot.states[list(leaders).index(i)]
+            r, g, b = STATE_COLOURS.get(found, STATE_COLOURS['free'])
+            state = (f'<span style="color:rgb({r},{g},{b})">&#9679;</span> {html.escape(found)}')
+        numbers = ''.join(
+            f'<td style="text-align:right">{newtons(float(values[i]))}</td>'
+            for values in (snapshot.measured, snapshot.estimated, snapshot.desired))
+        rows.append(f'<tr><td><b>{html.escape(name)}</b></td><td>{state}</td>{numbers}</tr>')
+    head = ''.join(
+        f'<td style="text-align:right;color:{colour}">{text}</td>' for text, colour in (
+            ('meas.', '#e07a28'), ('est.', '#2e74be'), ('des. N', '#34965c')))
+    return (f'<div style="{SMALL}"><table style="width:100%;border-spacing:0">'
+            f'<tr><td></td><td></td>{head}</tr>{"".join(rows)}</table></div>')
+
+
+def events_html(events: list[tuple[float, str]]) -> str:
+    """Return the newest events, the newest first."""
+    return _line('<br>'.join(
+        f'<span style="color:#6b7280">{moment:.2f} s</span> {html.escape(what)}'
+        for moment, what in reversed(events)) or 'none yet')

@@ -1,0 +1,255 @@
+"""A recording, played back: pause, speed, and anywhere in it."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+import threading
+import time
+from typing import Any
+import warnings
+
+from multicontact_control.arrays import Matrix, Vector
+from multicontact_control.config import ControllerConfig
+from multicontact_control.errors import CommandError, ConfigError
+from multicontact_control.experiment.bag import read_bag
+from multicontact_control.experiment.recording import RunData, SERIES_FILE
+from multicontact_control.experiment.results import (
+    BAG_FOLDER,
+    CONFIG_FOLDER,
+    load_setup,
+    SUMMARY_FILE,
+)
+from multicontact_control.experiment.scenario import Setup
+from multicontact_control.files import read_json
+from multicontact_control.supervision.event_log import read_event
+from multicontact_control.view import source
+from multicontact_control.view.events import EventReader
+from multicontact_control.view.source import (
+    CurveLayout,
+    no_points,
+    POINTS,
+    RATE,
+    refuse_if_unknown,
+    Scene,
+    Snapshot,
+    Surface,
+    surfaces_of,
+)
+import numpy as np
+
+RECORDED = 'a controller that runs, not a recording'
+REFUSALS = dict.fromkeys((*source.STEERING, *source.SIMULATED), RECORDED)
+LOOKED_BACK = 60.0  # s, of curves after a jump
+SPEEDS = (0.05, 20.0)
+
+
+class ReplaySource:
+    """
+    Plays a recording.
+
+    Parameters
+    ----------
+    scene
+        What it shows; its duration and marks are found here.
+    data
+        The series.
+    events
+        Of the supervisor: time [s] and what changed.
+    marks
+        Further times to jump to [s], and what is there.
+    clock
+        Monotonic time [s].
+
+    """
+
+    def __init__(
+        self, scene: Scene, data: RunData, events: Sequence[tuple[float, str]] = (),
+        marks: Sequence[tuple[float, str]] = (), clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._data, self._clock = data, clock
+        config = scene.config
+        self._layout = CurveLayout(len(config.columns), len(config.robot.joint_names))
+        self._leaders = list(config.leaders)
+        self._normals = np.array([
+            config.contacts[name].normal_world for name in config.contact_names])
+        self._points = block_points(data, config, self._layout)
+        self._events = [(moment, what) for moment, what in sorted(events)]
+        self._event_times = [moment for moment, _ in self._events]
+        reader = EventReader(config.contact_names)
+        told = [(moment, text) for moment, what in self._events if (text := reader.read(what))]
+        self._end = (data.ticks - 1) / data.rate
+        self._scene = replace(
+            scene, duration=self._end, marks=tuple(sorted([*marks, *told])))
+        self._lock = threading.Lock()
+        self._since, self._from = clock(), 0.0
+        self._speed, self._playing = 1.0, True
+        self._shown = -np.inf
+        self._changed = True
+
+    @property
+    def scene(self) -> Scene:
+        """Return what does not change."""
+        return self._scene
+
+    @property
+    def refusals(self) -> Mapping[str, str]:
+        """Return the commands that are never obeyed here, each with the reason."""
+        return REFUSALS
+
+    def _now(self) -> float:
+        """Return the time in the recording [s], and stop at its end."""
+        if not self._playing:
+            return self._from
+        now = self._from + self._speed * (self._clock() - self._since)
+        if now >= self._end:
+            self._from, self._playing, self._changed = self._end, False, True
+            return self._end
+        return now
+
+    def poll(self) -> list[Snapshot]:
+        """Return a snapshot of now, if that is another one than the last."""
+        with self._lock:
+            now = self._now()
+            if not (self._playing or self._changed):
+                return []
+            self._changed = False
+            last, self._shown = self._shown, now
+            return [self._snapshot(now, last)]
+
+    def _snapshot(self, now: float, last: float) -> Snapshot:
+        data, k = self._data, int(now * self._data.rate + 1e-6)
+        first, end = np.searchsorted(self._points[:, 0], (last, now), side='right')
+        active = np.nan_to_num(data.alpha_des[k][self._leaders]) > 0.0
+        states = tuple('force' if each else 'free' for each in active)
+        reasons: tuple[str, ...] = ()
+        reaction, index = 'recorded', bisect_right(self._event_times, now + 1e-9)
+        if index:
+            event = read_event(*self._events[index - 1])
+            states, reaction = event.contact_states, event.reaction
+            reasons = event.causes + event.limits
+        return Snapshot(
+            time=now, q=data.q[k], position=data.position[k], quaternion=data.quaternion[k],
+            position_des=data.position_des[k], measured=data.alpha_meas[k],
+            estimated=data.alpha_est[k], desired=data.alpha_des[k],
+            normals_world=self._normals, states=states, reaction=reaction, reasons=reasons,
+            points=self._points[first:end],
+            events=tuple(self._events[bisect_right(self._event_times, last):index]),
+            playing=self._playing, speed=self._speed)
+
+    def command(self, name: str, /, **values: Any) -> str:
+        """Play, pause, jump, or play at another speed; see `Source.command`."""
+        refuse_if_unknown(name, REFUSALS)
+        with self._lock:
+            now = self._now()
+            self._from, self._since, self._changed = now, self._clock(), True
+            if name == source.PLAY:
+                self._playing = bool(values['on'])
+                if self._playing and now >= self._end:
+                    self._jump(0.0)
+                return 'playing' if self._playing else f'paused at {now:.2f} s'
+            if name == source.SPEED:
+                factor = float(values['factor'])
+                if not SPEEDS[0] <= factor <= SPEEDS[1]:
+                    raise CommandError('speed', f'{SPEEDS[0]:g} to {SPEEDS[1]:g}', f'{factor:g}')
+                self._speed = factor
+                return f'{factor:g} times as fast'
+            moment = float(values['time'])
+            if not 0.0 <= moment <= self._end:
+                raise CommandError('time', f'0 to {self._end:g} s', f'{moment:g} s')
+            self._jump(moment)
+            return f'at {moment:.2f} s'
+
+    def _jump(self, moment: float) -> None:
+        self._from, self._shown = moment, moment - LOOKED_BACK
+
+    def close(self) -> None:
+        """Nothing has been started."""
+
+
+def block_points(data: RunData, config: ControllerConfig, layout: CurveLayout) -> Matrix:
+    """Return the curves of a recording, as `Snapshot` has them."""
+    size = max(1, round(data.rate / RATE / POINTS))
+    count = data.ticks // size
+    if not count:
+        return no_points(layout)
+
+    def blocks(series: Matrix) -> Matrix:
+        return series[:count * size].reshape(count, size, -1)
+
+    limit: Vector = np.array(config.torque_limit or [np.inf] * layout.joints)
+    with warnings.catch_warnings():  # where nothing was recorded there is nothing to average
+        warnings.simplefilter('ignore', RuntimeWarning)
+        return np.column_stack([
+            blocks(data.time[:, None])[:, -1, 0], np.nanmean(blocks(data.alpha_meas), axis=1),
+            np.nanmean(blocks(data.alpha_est), axis=1), blocks(data.alpha_des)[:, -1],
+            np.nanmean(blocks(data.noise_variance), axis=1),
+            np.sqrt(np.nanmean(blocks(data.innovation) ** 2, axis=1)),
+            np.nanmax(np.abs(blocks(data.torque)) / limit, axis=1)])
+
+
+def load_replay(path: Path, setup: Setup) -> ReplaySource:
+    """
+    Read a run, or a bag that was recorded in any other way.
+
+    Parameters
+    ----------
+    path
+        Folder of `run` or `simulate`, of a bag, or the bag's file.
+    setup
+        What is known of a bag that has no configuration beside it.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such thing.
+    RunError
+        If it cannot be read.
+
+    """
+    folder = path.parent if path.is_file() else path
+    if not folder.is_dir():
+        raise ConfigError('recording', 'a folder of `multicontact run` or `simulate`, or a bag',
+                          path)
+    run = folder.parent if folder.name == BAG_FOLDER else folder
+    surfaces: tuple[Surface, ...]
+    events: list[tuple[float, str]] = []
+    marks: list[tuple[float, str]] = []
+    if (run / CONFIG_FOLDER).is_dir():
+        setup = load_setup(run)
+        surfaces = surfaces_of(setup)
+        events = [(event['time_s'], event['what']) for event in read_json(
+            run / SUMMARY_FILE).get('events', ())]
+        marks = scenario_marks(setup)
+        bag = run / BAG_FOLDER
+    else:
+        bag, config = folder, setup.controller
+        surfaces = tuple(Surface(name, config.contacts[name].normal_world, None)
+                         for name in config.contact_names)
+    if bag.is_dir():
+        data = read_bag(bag, setup.controller).data
+    elif (run / SERIES_FILE).is_file():
+        data = RunData.load(run)
+    else:
+        raise ConfigError('recording', f'{BAG_FOLDER}/ or {SERIES_FILE} in it', run)
+    if not np.isfinite(data.q).any():
+        raise ConfigError(
+            'recording', f'the joints {", ".join(setup.controller.robot.joint_names)}, or '
+            '--scenario and --plant that it was recorded with', 'others')
+    return ReplaySource(
+        Scene(f'recording {run.resolve().name}', setup.controller, setup.urdf_dir, surfaces),
+        data, events, marks)
+
+
+def scenario_marks(setup: Setup) -> list[tuple[float, str]]:
+    """Return when a scenario asks for something else, and for what."""
+    reference = setup.scenario.reference
+    marks = [(reference.approach.start_time, 'approach')]
+    marks += [(step.time, 'force step: ' + ', '.join(
+        f'{name} {force:g} N' for name, force in step.forces.items()))
+        for step in reference.force_steps]
+    if reference.motion is not None:
+        marks.append((reference.motion.start_time, 'motion starts'))
+    return [(moment, what) for moment, what in marks if moment < setup.scenario.duration]

@@ -1,0 +1,215 @@
+"""The arm, its surfaces and its contact forces, drawn in three dimensions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from multicontact_control.arrays import Matrix, Vector
+from multicontact_control.dynamics.robot import RobotModel
+from multicontact_control.view.shapes import BOX, CYLINDER, read_shapes
+from multicontact_control.view.source import Scene, Snapshot, Surface
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+METRES_PER_NEWTON = 0.012
+SMALLEST_ARROW = 0.015  # m
+HEAD = 0.022  # m
+BESIDE = 0.022  # m, between the arrows of a contact
+PATCH, THICKNESS = (0.70, 0.34), 0.016  # m, of a surface as it is drawn
+TOUCH = 1.5  # N, from which a surface is known to be there
+MEASURED, ESTIMATED, DESIRED = (205, 82, 0), (10, 78, 165), (10, 122, 58)
+STATE_COLOURS = {
+    'free': (150, 155, 162), 'approaching': (232, 176, 48), 'impact': (120, 190, 90),
+    'holding': (52, 150, 92), 'lost': (208, 60, 50), 'retracting': (208, 60, 50),
+    'given up': (128, 40, 60), 'force': (52, 150, 92)}
+SURFACE_COLOURS = ((196, 186, 168), (176, 190, 204), (186, 200, 180), (204, 184, 190))
+BACK = np.array([1.50, -0.55, 0.42])  # m, of the camera from what it looks at
+
+
+class SceneView:
+    """
+    Draws one arm.
+
+    Parameters
+    ----------
+    server
+        The page's viser server.
+    scene
+        What there is to draw.
+
+    """
+
+    def __init__(self, server: Any, scene: Scene) -> None:
+        self._scene = scene
+        config = scene.config
+        self._robot = RobotModel(config.robot, scene.urdf_dir)
+        urdf = (scene.urdf_dir / config.robot.urdf).read_text(encoding='utf-8')
+        self._shapes = read_shapes(urdf)
+        self._links = list(dict.fromkeys(shape.link for shape in self._shapes))
+        self._leaders = list(config.leaders)
+        self._points = np.array([
+            config.contacts[name].point_operational for name in config.contact_names])
+        self._api = server.scene
+        self._draw_arm()
+        self._draw_contacts()
+        self._patches: dict[str, Any] = {}
+        for surface in scene.surfaces:
+            self._draw_surface(surface)
+        self._handle: Any = None
+        self._dragged = False
+        self._look(server)
+
+    def _look(self, server: Any) -> None:
+        placed = [surface.point_world for surface in self._scene.surfaces if surface.point_world]
+        middle = np.mean(placed, axis=0) if placed else np.array([0.0, 0.5, 0.5])
+        target = middle * np.array([1.0, 0.62, 1.0]) + np.array([0.0, 0.0, 0.12])
+        server.initial_camera.look_at = target
+        server.initial_camera.position = target + BACK
+        server.initial_camera.fov = np.radians(42.0)
+
+    def _draw_arm(self) -> None:
+        api = self._api
+        api.add_grid('/floor', width=3.0, height=3.0, cell_size=0.1, section_size=0.5,
+                     cell_color=(226, 228, 231), section_color=(205, 208, 213),
+                     position=(0.0, 0.0, 0.0), plane='xy')
+        self._frames = [api.add_frame(f'/arm/{link}', show_axes=False) for link in self._links]
+        for number, shape in enumerate(self._shapes):
+            name = f'/arm/{shape.link}/{number}'
+            place = {'position': shape.position, 'wxyz': shape.wxyz,
+                     'color': tuple(round(255 * x) for x in shape.colour)}
+            if shape.kind == BOX:
+                api.add_box(name, dimensions=shape.size, **place)
+            elif shape.kind == CYLINDER:
+                api.add_cylinder(name, radius=shape.size[0], height=shape.size[1],
+                                 radial_segments=40, flat_shading=False, **place)
+            else:
+                api.add_icosphere(name, radius=shape.size[0], flat_shading=False, **place)
+
+    def _draw_surface(self, surface: Surface) -> None:
+        if surface.point_world is None:
+            return
+        normal = np.array(surface.normal_world)
+        first = np.array([1.0, 0.0, 0.0]) if abs(normal[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
+        first = first - normal * (normal @ first)
+        first /= np.linalg.norm(first)
+        axes = np.column_stack([first, np.cross(normal, first), normal])
+        number = len(self._patches)
+        self._patches[surface.name] = self._api.add_box(
+            f'/surfaces/{surface.name}', dimensions=(*PATCH, THICKNESS),
+            color=SURFACE_COLOURS[number % len(SURFACE_COLOURS)],
+            position=np.array(surface.point_world) + 0.5 * THICKNESS * normal, wxyz=_wxyz(axes),
+            cast_shadow=False)
+
+    def _draw_contacts(self) -> None:
+        api, names = self._api, self._scene.config.contact_names
+        nothing = np.zeros((len(names), 2, 3))
+        self._arrows = [
+            api.add_arrows(f'/forces/{kind}', nothing, colour, shaft_radius=0.0055,
+                           head_radius=0.012, head_length=HEAD)
+            for kind, colour in (
+                ('measured', MEASURED), ('estimated', ESTIMATED), ('desired', DESIRED))]
+        self._tips = [api.add_icosphere(
+            f'/contacts/{name}', radius=0.011, color=STATE_COLOURS['free']) for name in names]
+        self._labels = [api.add_label(
+            f'/labels/{name}', name, anchor='bottom-center', font_screen_scale=1.0)
+            for name in names]
+        self._colours: list[tuple[int, int, int] | None] = [None] * len(names)
+
+    def add_handle(self, on_drag: Callable[[Vector], None]) -> None:
+        """Let the operational point be dragged; `on_drag` is called with where to [m]."""
+        self._handle = self._api.add_transform_controls(
+            '/handle', scale=0.16, disable_rotations=True, disable_sliders=True, depth_test=False,
+            opacity=0.9, visible=False)
+
+        def moved(event: Any) -> None:
+            self._dragged = event.phase != 'end'
+            if event.phase != 'start':
+                on_drag(np.array(event.target.position))
+
+        self._handle.on_update(moved)
+
+    def show_handle(self, on: bool) -> None:
+        """Show that handle, or hide it."""
+        if self._handle is not None:
+            self._handle.visible = on
+
+    def show(self, snapshot: Snapshot, *, labels: bool = True) -> None:
+        """Draw a snapshot; the labels only now and then, as nobody reads faster."""
+        if np.isfinite(snapshot.q).all():
+            for frame, pose in zip(
+                    self._frames, self._robot.link_poses(snapshot.q, self._links)):
+                frame.position, frame.wxyz = pose.position_world, _wxyz(pose.rotation_world)
+        if not (np.isfinite(snapshot.position).all() and np.isfinite(snapshot.quaternion).all()):
+            return
+        rotation = Rotation.from_quat(snapshot.quaternion).as_matrix()
+        points = snapshot.position + self._points @ rotation.T
+        self._show_forces(snapshot, points, labels)
+        self._find_surfaces(snapshot, points)
+        if self._handle is not None and self._handle.visible and not self._dragged:
+            place = snapshot.position_des if snapshot.goal is None else snapshot.goal
+            if np.abs(np.array(self._handle.position) - place).max() > 5e-4:
+                self._handle.position = place
+
+    def _show_forces(self, snapshot: Snapshot, points: Matrix, labels: bool) -> None:
+        for number, (arrows, forces) in enumerate(zip(
+                self._arrows, (snapshot.measured, snapshot.estimated, snapshot.desired))):
+            arrows.points = np.array([
+                _arrow(point, normal, force, number - 1) for point, normal, force in zip(
+                    points, snapshot.normals_world, forces[self._leaders])]).astype(np.float32)
+        for i, (tip, state, point) in enumerate(zip(self._tips, snapshot.states, points)):
+            tip.position = point
+            colour = STATE_COLOURS.get(state, STATE_COLOURS['free'])
+            if colour != self._colours[i]:
+                self._colours[i] = tip.color = colour
+            if not labels:
+                continue
+            force = float(snapshot.measured[self._leaders[i]])
+            normal = snapshot.normals_world[i]
+            label = self._labels[i]
+            label.text = f'{self._scene.config.contact_names[i]}  {newtons(force)} N  {state}'
+            label.position = point - 0.02 * normal + 6.5 * BESIDE * _sideways(point, normal)
+
+    def _find_surfaces(self, snapshot: Snapshot, points: Matrix) -> None:
+        """Draw the surfaces that nobody told of, where they are felt."""
+        for i, surface in enumerate(self._scene.surfaces):
+            if surface.point_world is None and surface.name not in self._patches and (
+                    snapshot.measured[self._leaders[i]] > TOUCH):
+                x, y, z = points[i].tolist()
+                self._draw_surface(surface._replace(point_world=(x, y, z)))
+
+
+def newtons(force: float) -> str:
+    """Return a force as it is read."""
+    text = f'{force:.1f}' if np.isfinite(force) else '-'
+    return '0.0' if text == '-0.0' else text
+
+
+def _length(force: float) -> float:
+    return METRES_PER_NEWTON * abs(force)
+
+
+def _sideways(point: Vector, normal: Vector) -> Vector:
+    """
+    Return a direction in a surface, along which the arrows of a contact are set out.
+
+    It is up, or on a table towards the arm: where the camera, from the side, sees them apart.
+    """
+    axis = np.array([0.0, 0.0, 1.0]) if abs(normal[2]) < 0.8 else point * (-1.0, -1.0, 0.0)
+    along = axis - normal * (normal @ axis)
+    return np.asarray(along / max(float(np.linalg.norm(along)), 1e-9))
+
+
+def _arrow(point: Vector, normal: Vector, force: float, place: int) -> Matrix:
+    """Return an arrow that ends on the surface; nothing for next to no force."""
+    length = _length(force) if np.isfinite(force) else 0.0
+    if length < SMALLEST_ARROW:
+        return np.tile(point + normal * 10.0, (2, 1))  # out of sight: a point has no direction
+    foot = point + (place + 2.0) * BESIDE * _sideways(point, normal)
+    ends = np.array([foot - normal * length, foot])
+    return ends if force > 0.0 else ends[::-1]
+
+
+def _wxyz(rotation: Matrix) -> Vector:
+    x, y, z, w = Rotation.from_matrix(rotation).as_quat()
+    return np.array([w, x, y, z])

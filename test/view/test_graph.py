@@ -1,0 +1,121 @@
+"""The page's view of a graph that runs: what it hears, what it commands, what is refused."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+from multicontact_control.errors import MulticontactError, RunError
+from multicontact_control.experiment.graph.domain import reserve_domain
+from multicontact_control.experiment.scenario import resolve
+from multicontact_control.view import source
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy', reason='ROS 2 is not installed')
+from multicontact_control.view.graph import GraphSource  # noqa: E402, I100
+from ros_graph import end_of, PATIENCE, ROOT  # noqa: E402, I100
+
+pytestmark = pytest.mark.ros
+
+RUN = """
+import sys
+from pathlib import Path
+from multicontact_control.experiment.graph.run import GraphSpec, run_graph
+from multicontact_control.experiment.scenario import resolve
+folder = Path(sys.argv[1])
+setup = resolve('quick', plant='rigid', seed=0)
+config = folder / 'config'
+setup.write(config)
+run_graph(GraphSpec(
+    out=folder, ticks=0, rate=500.0, namespace='arm', lockstep=True, domain_id=int(sys.argv[2]),
+    composed='all',
+    parameter_files={'controller_node': config / 'controller.yaml',
+                     'sim_node': config / 'plant.yaml',
+                     'noise_estimator_node': config / 'noise_estimator.yaml'}))
+"""
+
+
+@pytest.fixture(scope='module')
+def shown(tmp_path_factory):
+    """Return what joins a graph in lockstep that obeys commands."""
+    saved = os.environ.pop('ROS_DOMAIN_ID', None)
+    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    with reserve_domain() as domain_id:
+        run = subprocess.Popen(
+            [sys.executable, '-c', RUN, str(tmp_path_factory.mktemp('graph')), str(domain_id)],
+            cwd=ROOT, stderr=subprocess.PIPE, text=True)
+        try:
+            joined = join(domain_id)
+            yield joined
+            joined.close()
+        finally:
+            run.send_signal(signal.SIGINT)
+            _, errors = end_of(run)
+        assert run.returncode == 0, errors
+    if saved is not None:
+        os.environ['ROS_DOMAIN_ID'] = saved
+
+
+def join(domain_id):
+    give_up = time.monotonic() + PATIENCE
+    while True:  # the nodes may take a while to come up
+        try:
+            return GraphSource(resolve('paper'), namespace='arm', domain_id=domain_id)
+        except RunError:
+            if time.monotonic() > give_up:
+                raise
+
+
+def until(shown, condition, what):
+    give_up = time.monotonic() + PATIENCE
+    last = None
+    while time.monotonic() < give_up:
+        for snapshot in shown.poll():
+            if condition(last := snapshot):
+                return snapshot
+        time.sleep(0.01)
+    raise AssertionError(f'{what}: did not happen; last: {last}')
+
+
+def test_page_joins_a_graph_presses_moves_and_tunes(shown):
+    snapshot = until(shown, lambda found: np.isfinite(found.q).all(), 'samples')
+    assert snapshot.gains == (30.0, 0.02, 100.0)
+    shown.command(source.FORCES, table=8.0, board=6.0)
+    snapshot = until(shown, lambda found: (np.abs(found.measured - (8.0, 6.0)) < 0.5).all() and
+                     set(found.states) == {'holding'}, 'the forces')
+    assert len(snapshot.points) and np.isfinite(snapshot.points[-1]).all()
+    start = snapshot.position_des
+    shown.command(source.JOG, offset=[0.02, 0.0, 0.0])
+    snapshot = until(shown, lambda found: found.position_des[0] > start[0] + 0.0199, 'the jog')
+    until(shown, lambda found: found.moving == '', 'rest')
+    shown.command(source.GAINS, natural_frequency=25.0, time_constant=0.03, damping_rate=60.0)
+    assert until(shown, lambda found: found.gains[0] == 25.0, 'the gains')
+
+
+def test_what_a_graph_refuses_is_said(shown):
+    for name, values, words in (
+            (source.FORCES, {'table': 40.0}, '0 or 3 to 30 N'),
+            (source.FORCES, {'floor': 4.0}, 'one of table, board'),
+            (source.TARE, {}, 'none under force control'),
+            (source.GO_TO, {'position': [0.0, 0.5, 9.0]}, 'position z'),
+            (source.GAINS, {'natural_frequency': -1.0, 'time_constant': 0.02,
+                            'damping_rate': 60.0}, 'natural_frequency'),
+            (source.PUSH, {'force': [5.0, 0.0, 0.0]}, 'a simulation of the page'),
+            (source.SEEK, {'time': 1.0}, 'a recording')):
+        with pytest.raises(MulticontactError, match=words):
+            shown.command(name, **values)
+    shown.command(source.HOLD, on=True)
+    until(shown, lambda found: found.held, 'the hold')
+    with pytest.raises(MulticontactError, match='hold'):
+        shown.command(source.JOG, offset=[0.01, 0.0, 0.0])
+    shown.command(source.HOLD, on=False)
+    until(shown, lambda found: not found.held, 'the release')
+
+
+def test_where_no_graph_runs_it_is_said_at_once():
+    with reserve_domain() as nobody, pytest.raises(RunError, match='is the controller active'):
+        GraphSource(resolve('paper'), domain_id=nobody)

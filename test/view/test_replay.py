@@ -1,0 +1,94 @@
+"""A recording: played, paused, scrubbed through, jumped in."""
+
+from __future__ import annotations
+
+from multicontact_control.errors import CommandError, ConfigError
+from multicontact_control.experiment.recording import RunData
+from multicontact_control.experiment.scenario import resolve
+from multicontact_control.view import source
+from multicontact_control.view.replay import load_replay, ReplaySource
+import numpy as np
+import pytest
+
+
+class Clock:
+    def __init__(self):
+        self.now = 100.0
+
+    def __call__(self):
+        return self.now
+
+
+@pytest.fixture
+def clock():
+    return Clock()
+
+
+@pytest.fixture
+def replay(recorded_run, clock):
+    loaded = load_replay(recorded_run, resolve('paper'))
+    return ReplaySource(loaded.scene, RunData.load(recorded_run), loaded._events, (), clock)
+
+
+def test_it_plays_what_was_recorded_as_fast_as_is_asked_for(replay, recorded_run, clock):
+    data = RunData.load(recorded_run)
+    clock.now += 0.5
+    snapshot, = replay.poll()
+    assert snapshot.time == pytest.approx(0.5) and snapshot.playing
+    np.testing.assert_array_equal(snapshot.q, data.q[250])
+    np.testing.assert_array_equal(snapshot.measured, data.alpha_meas[250])
+    replay.command(source.SPEED, factor=2.0)
+    clock.now += 0.5
+    assert replay.poll()[0].time == pytest.approx(1.5)
+    replay.command(source.PLAY, on=False)
+    clock.now += 10.0
+    snapshot, = replay.poll()
+    assert snapshot.time == pytest.approx(1.5) and not snapshot.playing
+    assert replay.poll() == [], 'nothing has changed'
+    replay.command(source.PLAY, on=True)
+    clock.now += 10.0
+    snapshot, = replay.poll()
+    assert snapshot.time == pytest.approx(replay.scene.duration) and not snapshot.playing
+    replay.command(source.PLAY, on=True)
+    assert replay.poll()[0].time == pytest.approx(0.0)
+
+
+def test_scrubbing_shows_states_events_and_curves_of_then(replay, clock):
+    replay.command(source.PLAY, on=False)
+    replay.poll()
+    replay.command(source.SEEK, time=2.5)
+    snapshot, = replay.poll()
+    assert snapshot.states == ('holding', 'holding')
+    assert snapshot.reaction == 'none'
+    assert len(snapshot.points) == pytest.approx(2.5 * source.RATE * source.POINTS, abs=1)
+    np.testing.assert_allclose(snapshot.points[-1, 1:3], snapshot.measured, atol=2.0)
+    assert np.isfinite(snapshot.points).all()
+    replay.command(source.SEEK, time=0.1)
+    snapshot, = replay.poll()
+    assert snapshot.states == ('free', 'free')
+    assert snapshot.points[-1, 0] <= 0.1
+    with pytest.raises(CommandError, match='time: expected 0 to 2.998 s, found 9 s'):
+        replay.command(source.SEEK, time=9.0)
+
+
+def test_events_can_be_jumped_to(replay):
+    marks = {what: moment for moment, what in replay.scene.marks}
+    touched = marks['table impact']
+    replay.command(source.SEEK, time=touched + 0.01)
+    snapshot, = replay.poll()
+    assert snapshot.states[0] in ('impact', 'holding')
+    assert any(moment == touched for moment, _ in snapshot.events)
+
+
+def test_a_recording_cannot_be_steered(replay):
+    for name in source.STEERING:
+        assert name in replay.refusals
+        with pytest.raises(CommandError, match='not a recording'):
+            replay.command(name)
+
+
+def test_what_is_no_recording_is_refused(tmp_path, recorded_run):
+    setup = resolve('paper')
+    for path in (tmp_path, tmp_path / 'nothing', recorded_run / 'config'):
+        with pytest.raises((ConfigError, Exception), match='expected'):
+            load_replay(path, setup)
