@@ -71,7 +71,7 @@ if sys.version_info >= (3, 12) and not (headers.is_file() and shutil.which('c++'
 endef
 export CHECK_PYTHON
 
-.PHONY: help setup demo run simulate test check lint clean
+.PHONY: help setup demo run simulate test browser check lint clean
 
 help:  ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "make %-10s %s\n", $$1, $$2}' Makefile
@@ -94,6 +94,9 @@ lint: $(TEST_STAMP)  ## Check style and types
 
 test: $(TEST_STAMP) $(DATA_STAMP) $(COMPILED_STAMP) lint  ## Check style and types, then run the tests
 	@$(WITH_ROS) exec $(PYTEST) $(TEST_ARGS)
+
+browser: $(TEST_STAMP) $(DATA_STAMP) $(COMPILED_STAMP)  ## Drive the live view in Chromium (Debian: chromium)
+	@$(WITH_ROS) MULTICONTACT_BROWSER=1 exec $(BIN)/python -m pytest test/view/test_browser.py
 
 check: $(TEST_STAMP) $(DATA_STAMP) $(COMPILED_STAMP) lint  ## For every commit: style, types, unit tests, one run
 	@$(WITH_ROS) $(PYTEST) -m 'not (ros or slow or colcon or linter)' $(TEST_ARGS)

@@ -8,9 +8,11 @@ from typing import Annotated
 from multicontact_control.cli.exits import errors_in_one_line, EXIT_FAILED
 from multicontact_control.cli.options import (
     DomainId,
+    Engine,
     Plant,
     Preset,
     resolve_settings,
+    Robot,
     Scenario,
     Seed,
     Settings,
@@ -25,8 +27,8 @@ def view(
         '--graph', help='Join the ROS 2 graph that runs, instead of simulating.')] = False,
     namespace: Annotated[str, typer.Option(help='Namespace of that graph.')] = '',
     domain_id: DomainId = None,
-    scenario: Scenario = 'paper', plant: Plant = 'puma', seed: Seed = 0,
-    preset: Preset = 'best', settings: Settings = None,
+    scenario: Scenario = 'paper', robot: Robot = '', plant: Plant = '', seed: Seed = 0,
+    preset: Preset = 'best', settings: Settings = None, engine: Engine = '',
     host: Annotated[str, typer.Option(
         help='Address to listen on; any other than that of this machine needs a token.')] = '',
     port: Annotated[int, typer.Option(help='Port, or the next one that is free.')] = 8080,
@@ -45,7 +47,8 @@ def view(
     """
     with errors_in_one_line():
         setup = resolve_settings(
-            scenario, {'plant': plant, 'seed': seed, 'preset': preset}, settings)
+            scenario, {'plant': plant, 'robot': robot, 'seed': seed, 'preset': preset,
+                       'plant_overrides': {'engine': engine} if engine else None}, settings)
         # Only now: what is heavy is not loaded for the sake of an error.
         from multicontact_control.view.installed import require_viser
 

@@ -39,7 +39,6 @@ from multicontact_control.view.source import (
     Timing,
 )
 import numpy as np
-from sim_bridge.puma560 import load_robot
 
 NANOSECONDS = 1_000_000_000
 LONGEST_LAG = 0.1  # s, that is made up for; beyond it time is lost
@@ -264,7 +263,7 @@ class Simulation:
     def _push_test(self) -> str:
         with contextlib.suppress(CommandError):
             self.loop.control.set_motion(self._motion.halt())
-        tips = load_robot().tool.tips
+        tips = self.loop.plant.description.tips
         return self.loop.control.push_test(
             self._push_config, tips[self._setup.plant.tool_push_link])
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import threading
 import time
@@ -15,8 +16,13 @@ pytest.importorskip('viser', reason='viser is not installed (extra [view])')
 playwright = pytest.importorskip(
     'playwright.sync_api', reason='playwright is not installed (pip install playwright)')
 CHROMIUM = next(filter(None, map(shutil.which, NAMES)), None)
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(
-    CHROMIUM is None, reason='Chromium is not installed (apt-get install chromium)')]
+pytestmark = [
+    pytest.mark.slow,
+    # Chromium draws in software: beside other tests that takes longer than any patience.
+    pytest.mark.skipif(not os.environ.get('MULTICONTACT_BROWSER'),
+                       reason='MULTICONTACT_BROWSER is not set: `make browser` does'),
+    pytest.mark.skipif(
+        CHROMIUM is None, reason='Chromium is not installed (apt-get install chromium)')]
 
 PATIENCE = 120.0  # s
 
