@@ -62,9 +62,10 @@ extras_require = {
     'dask': [
         'distributed>=2024.8,<2028',
     ],
-    # To see and steer it on a page in the browser: `multicontact view`. viser brings websockets.
+    # To see and steer it in the browser: `multicontact view`; viser listens by websockets.
     'view': [
         'viser>=1.1,<1.2',
+        'websockets>=14,<17',
     ],
     'test': [
         'pytest>=8,<10',

@@ -128,7 +128,7 @@ def test_every_imported_distribution_is_declared(described):
     keywords = described()
     required = [Requirement(line).name.lower()
                 for line in keywords['install_requires'] + keywords['extras_require']['dask']
-                + keywords['extras_require']['mujoco']]
+                + keywords['extras_require']['mujoco'] + keywords['extras_require']['view']]
     declared = {IMPORT_NAMES.get(name, name) for name in required}
     used = {target.split('.')[0] for module, targets in imports_of(ROOT).items()
             for target in targets if module != STRANGER}
