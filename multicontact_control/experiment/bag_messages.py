@@ -17,7 +17,8 @@ import zstandard
 
 # What a file that is cut off, or holds something else, makes its readers raise.
 DAMAGED = (McapError, EOFError, struct.error, ValueError, LookupError, RuntimeError, OverflowError,
-           TypeError, AttributeError, OSError, zstandard.ZstdError)
+           TypeError, AttributeError, OSError, zstandard.ZstdError,
+           MemoryError)  # a length that has been damaged may be any
 NAMED = 6  # topics that a line names
 
 
