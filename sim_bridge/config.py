@@ -233,6 +233,11 @@ class PlantConfig(Config):
                         name: offset[axis] for name, offset in tips.items()}
         return columns
 
+    def stiffness_of(self, column: str) -> float:
+        """Return the stiffness of the surfaces along a force or couple of `columns` [N/m]."""
+        return sum(share * share * self.surfaces[name].stiffness
+                   for name, share in self.columns[column].items())
+
     @property
     def column_names(self) -> tuple[str, ...]:
         """Names of the forces and couples of the contacts, in the order of every vector."""

@@ -99,10 +99,10 @@ def _contact_evidence(data: RunData, setup: Setup, i: int) -> dict[str, Any]:
     error, command = force_error(data, setup, i), setup.commanded(data.time)[:, i]
     variance = data.noise_variance[:, i]
     steps = [step for step in step_responses(data, setup, i) if step.size > 0.0]
-    true_stiffness = setup.plant.surfaces[name].stiffness
+    true_stiffness = setup.plant.stiffness_of(name)
     start = _motion_start(setup)
     return {
-        'stiffness_ratio': true_stiffness / setup.controller.contacts[name].stiffness,
+        'stiffness_ratio': true_stiffness / setup.controller.columns[i].stiffness,
         'variance_rest_n2': median_in(rest, variance),
         'variance_moving_n2': median_in(moving, variance),
         'rises_s': [step.rise_63 for step in steps],

@@ -106,7 +106,8 @@ def _force(data: RunData, i: int) -> RunFigure:
               max(1.6 * largest, 5.0, 1.1 * float(np.max(finite, initial=0.0))))
     label = 'force [N]' if data.has_truth else f'force [N], {NO_TRUTH}'
     return RunFigure(
-        f'fig{3 + i if i < 2 else f"3_{i + 1}"}_force_{name}', f'Contact force {name}',
+        f'fig{3 + i if i < 2 else f"3_{i + 1}"}_force_{name.replace("/", "_")}',
+        f'Contact force {name}',
         (Panel(label, (measured, commanded), limits),
          Panel(label, (estimated, commanded, true), limits)),
         f'force{i}', f'Fig. {3 + i if i < 2 else "3/4"}: contact force {name}',

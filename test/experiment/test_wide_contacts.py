@@ -2,10 +2,12 @@
 
 from multicontact_control.control_loop import ControlLoop
 from multicontact_control.errors import CommandError, ConfigError
+from multicontact_control.experiment.claim_metrics import evidence_of
 from multicontact_control.experiment.closed_loop import ClosedLoop, run_in_process
 from multicontact_control.experiment.judge import judge, STABLE
 from multicontact_control.experiment.metrics import force_error, losses, rms_in, windows
 from multicontact_control.experiment.scenario import resolve
+from multicontact_control.experiment.summary import summarise
 from multicontact_control.supervision.command_limits import CommandLimits
 import numpy as np
 import pytest
@@ -22,7 +24,10 @@ def test_forces_and_couples_are_kept_at_rest_and_while_sliding(scenario, plant, 
     result = run_in_process(setup, supervised=True)
     data, window = result.data, windows(setup.scenario.reference, result.data.time)
     assert judge(data, setup, mode='in_process', events=()).name == STABLE
+    evidence = evidence_of(data, setup, summarise(
+        data, setup, mode='in_process', timing={}, events=result.events))
     for i, name in enumerate(data.contact_names):
+        assert evidence['contacts'][name]['stiffness_ratio'] == pytest.approx(1.0)
         error = force_error(data, setup, i)
         assert rms_in(window.rest, error) < 0.2, name
         assert rms_in(window.moving, error) < bound, name
