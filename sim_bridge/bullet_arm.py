@@ -6,16 +6,16 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from multicontact_control.arrays import Vector
-import numpy as np
-import pybullet as bullet
 from sim_bridge.arm import Arm, SENSOR_FRAME, TOOL_LINK, urdf_text
+from sim_bridge.engine_arm import EngineArm
+from sim_bridge.quiet_bullet import bullet
 
 MAX_JOINT_SPEED = 1e4
 
 
-class BulletArm:
+class BulletArm(EngineArm):
     """
-    One arm alone in a PyBullet world of its own; `reset` puts it there.
+    One arm alone in a PyBullet world; see `EngineArm`.
 
     Parameters
     ----------
@@ -30,36 +30,23 @@ class BulletArm:
     ----------
     client, body
         PyBullet's names for the world and the arm.
-    q, qd
-        Joint angles and speeds now, shape (n,) [rad], [rad/s].
 
     """
 
     def __init__(
         self, arm: Arm, gravity_world: tuple[float, float, float], step: float,
     ) -> None:
+        super().__init__(len(arm.links))
         self._arm = arm
         self._gravity = gravity_world
         self._step = step
         self.client: int = bullet.connect(bullet.DIRECT)
-        self.q: Vector = np.zeros(len(arm.links))
-        self.qd: Vector = np.zeros_like(self.q)
 
-    def reset(self, q: Vector) -> None:
-        """Start afresh from rest at joint angles `q`; nothing of the past is left."""
+    def _place(self, q: Vector) -> None:
         bullet.resetSimulation(physicsClientId=self.client)
         self._load()
-        for joint, angle in zip(self._joints, q.tolist(), strict=True):
+        for joint, angle in zip(self._links, q.tolist(), strict=True):
             bullet.resetJointState(self.body, joint, angle, 0.0, physicsClientId=self.client)
-        self.q[:], self.qd[:] = q, 0.0
-
-    def push_tool(self, force: list[float], point: list[float]) -> None:
-        """Apply a force [N] at a point [m] of the tool for one step, world axes."""
-        self._push(self._tool, force, point)
-
-    def push_link(self, joint: int, force: list[float], point: list[float]) -> None:
-        """Apply a force [N] at a point [m] of the link behind a joint for one step, world axes."""
-        self._push(self._joints[joint], force, point)
 
     def _push(self, link: int, force: list[float], point: list[float]) -> None:
         bullet.applyExternalForce(
@@ -78,7 +65,7 @@ class BulletArm:
         """
         client, body, unused, q, qd = self.client, self.body, self._unused, self.q, self.qd
         bullet.setJointMotorControlArray(  # keywords would take as long again
-            body, self._joints, bullet.TORQUE_CONTROL, unused, unused, torque.tolist(), unused,
+            body, self._links, bullet.TORQUE_CONTROL, unused, unused, torque.tolist(), unused,
             unused, client)
         bullet.stepSimulation(client)
         *joints, sensor = bullet.getJointStates(body, self._read_joints, client)
@@ -86,10 +73,6 @@ class BulletArm:
             q[i], qd[i] = angle, speed
         wrench: tuple[float, ...] = sensor[2]
         return wrench
-
-    def native_forces(self) -> Vector:
-        """Return no forces: this world has no contacts."""
-        return np.zeros(0)
 
     def close(self) -> None:
         """Give the world back."""
@@ -113,11 +96,11 @@ class BulletArm:
         for joint in range(bullet.getNumJoints(self.body, physicsClientId=client)):
             info = bullet.getJointInfo(self.body, joint, physicsClientId=client)
             indices[info[1].decode()] = joint
-        self._joints = [indices[name] for name in self._arm.joint_names]
+        self._links = [indices[name] for name in self._arm.joint_names]
         sensor = indices[f'{SENSOR_FRAME}_joint']
         self._tool = indices[f'{TOOL_LINK}_joint']
-        self._read_joints = [*self._joints, sensor]
-        self._unused = [0.0] * len(self._joints)
+        self._read_joints = [*self._links, sensor]
+        self._unused = [0.0] * len(self._links)
         self._remove_surprises(sensor)
 
     def _remove_surprises(self, sensor: int) -> None:
@@ -125,7 +108,7 @@ class BulletArm:
         client = self.client
         bullet.changeDynamics(
             self.body, -1, linearDamping=0.0, angularDamping=0.0, physicsClientId=client)
-        joints = [*self._joints, sensor, self._tool]
+        joints = [*self._links, sensor, self._tool]
         for joint, body in zip(joints, self._arm.bodies, strict=True):
             # A call of its own: beside a damping, the value would go to the base unnoticed.
             bullet.changeDynamics(
@@ -135,6 +118,6 @@ class BulletArm:
                 physicsClientId=client)
         # Every joint is born with a motor that holds its speed at zero.
         bullet.setJointMotorControlArray(
-            self.body, self._joints, bullet.VELOCITY_CONTROL, forces=[0.0] * len(self._joints),
+            self.body, self._links, bullet.VELOCITY_CONTROL, forces=[0.0] * len(self._links),
             physicsClientId=client)
         bullet.enableJointForceTorqueSensor(self.body, sensor, True, physicsClientId=client)

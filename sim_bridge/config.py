@@ -215,6 +215,14 @@ class PlantConfig(Config):
         return self.touched + self.obstacle_names
 
     @property
+    def drawn(self) -> dict[str, str]:
+        """Name of one surface for each contact and obstacle: the tips of a contact share it."""
+        found: dict[str, str] = {}
+        for name in self.met:
+            found.setdefault(self.contacts[name] if name in self.touched else name, name)
+        return found
+
+    @property
     def columns(self) -> dict[str, dict[str, float]]:
         """
         Return the forces and couples of the contacts by name, and what makes them up.

@@ -39,6 +39,8 @@ class Contacts:
     forces_world, points_world
         Forces of robot on surface or obstacle, friction included, and where, shape (no, 3) [N],
         [m].
+    places_world
+        A point of each mean surface now, shape (no, 3) [m].
     carriers
         Number of the joint that carries each of these points.
     wrist_world
@@ -75,6 +77,7 @@ class Contacts:
         self._count = len(config.column_names)
         self.forces_world: Matrix = self._surfaces['force']
         self.points_world: Matrix = self._surfaces['point']
+        self.places_world: Matrix = self._surfaces['place']
         self.wrist_world: Vector = np.zeros(3)
         self.load = np.zeros(model.nv)
 

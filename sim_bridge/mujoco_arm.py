@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 from sim_bridge.arm import Arm, Body, numbers, Placement, SENSOR_FRAME, TOOL_LINK
 from sim_bridge.config import PlantConfig
+from sim_bridge.engine_arm import EngineArm
 
 # Impedance of the engine's contacts. Beside the spring it makes a contact as heavy as
 # d / (1 - d) of what it meets, so it is small; spring and damper are then set by solref.
@@ -80,9 +81,9 @@ class NativeContacts:
         return cls(tuple(planes), config.tip_radius, np.array(config.home), armature)
 
 
-class MujocoArm:
+class MujocoArm(EngineArm):
     """
-    One arm alone in a MuJoCo world; `reset` puts it there. See `EngineArm`.
+    One arm alone in a MuJoCo world; see `EngineArm`.
 
     Parameters
     ----------
@@ -101,6 +102,7 @@ class MujocoArm:
         self, arm: Arm, gravity_world: Sequence[float], step: float,
         native: NativeContacts | None = None,
     ) -> None:
+        super().__init__(len(arm.links))
         self._model = mujoco.MjModel.from_xml_string(
             mjcf_text(arm, gravity_world, step, native))
         self._set_inertias(arm)
@@ -116,33 +118,21 @@ class MujocoArm:
         self._placed = False
         self._forces = np.zeros(len(self._planes))
         self._touch = np.zeros(6)
-        self.q: Vector = np.zeros(len(arm.links))
-        self.qd: Vector = np.zeros_like(self.q)
 
-    def reset(self, q: Vector) -> None:
-        """Start afresh from rest at joint angles `q`; nothing of the past is left."""
+    def _place(self, q: Vector) -> None:
         mujoco.mj_resetData(self._model, self._data)
         self._data.qpos[:] = q
         self._forces[:] = 0.0
         self._placed = False
-        self.q[:], self.qd[:] = q, 0.0
 
-    def push_tool(self, force: list[float], point: list[float]) -> None:
-        """Apply a force [N] at a point [m] of the tool for one step, world axes."""
-        self._push(self._tool, force, point)
-
-    def push_link(self, joint: int, force: list[float], point: list[float]) -> None:
-        """Apply a force [N] at a point [m] of the link behind a joint for one step, world axes."""
-        self._push(self._links[joint], force, point)
-
-    def _push(self, body: int, force: list[float], point: list[float]) -> None:
+    def _push(self, link: int, force: list[float], point: list[float]) -> None:
         data = self._data
         if not self._placed:
-            mujoco.mj_kinematics(self._model, data)  # where the body is now, not a step ago
+            mujoco.mj_kinematics(self._model, data)  # where the link is now, not a step ago
             self._placed = True
-        f, lever = np.array(force), np.array(point) - data.xipos[body]
-        data.xfrc_applied[body, :3] += f
-        data.xfrc_applied[body, 3:] += np.cross(lever, f)
+        f, lever = np.array(force), np.array(point) - data.xipos[link]
+        data.xfrc_applied[link, :3] += f
+        data.xfrc_applied[link, 3:] += np.cross(lever, f)
 
     def step(self, torque: Vector) -> tuple[float, ...]:
         """Advance by one step and return what the arm exerts on the tool; see `EngineArm`."""
@@ -157,11 +147,8 @@ class MujocoArm:
         return wrench
 
     def native_forces(self) -> Vector:
-        """Return the normal forces of the engine's own contacts, shape (no,) [N]."""
+        """Return the normal forces on its planes, shape (no,) [N]."""
         return self._forces
-
-    def close(self) -> None:
-        """Give the world back."""
 
     def _read_contacts(self) -> None:
         """Add up the normal forces on each plane."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from multicontact_control.arrays import Vector
+from multicontact_control.arrays import Matrix, Vector
 import numpy as np
 import pinocchio as pin
 from sim_bridge.arm import OPERATIONAL_FRAME
@@ -80,9 +80,14 @@ def frame_pose(model: pin.Model, q: Vector, frame: str = OPERATIONAL_FRAME) -> p
 
 def condition(model: pin.Model, q: Vector) -> float:
     """Return the condition number of the operational point's Jacobian [m, rad]."""
+    return float(np.linalg.cond(frame_jacobian(model, q)))
+
+
+def frame_jacobian(model: pin.Model, q: Vector, frame: str = OPERATIONAL_FRAME) -> Matrix:
+    """Return the Jacobian of a frame, world axes, linear rows first, shape (6, n) [m, rad]."""
     data = model.createData()
     pin.computeJointJacobians(model, data, q)
     pin.updateFramePlacements(model, data)
-    jacobian = pin.getFrameJacobian(
-        model, data, model.getFrameId(OPERATIONAL_FRAME), pin.LOCAL_WORLD_ALIGNED)
-    return float(np.linalg.cond(jacobian))
+    jacobian: Matrix = pin.getFrameJacobian(
+        model, data, model.getFrameId(frame), pin.LOCAL_WORLD_ALIGNED)
+    return jacobian

@@ -17,6 +17,7 @@ import sys
 import tempfile
 from typing import Any
 
+from multicontact_control.arrays import Vector
 from multicontact_control.compiled import cache_folder
 from multicontact_control.config import merge, read_parameters, read_yaml, validate
 from multicontact_control.errors import ConfigError
@@ -25,7 +26,7 @@ import numpy as np
 import pinocchio as pin
 from sim_bridge.arm import Arm, OPERATIONAL_FRAME, SENSOR_FRAME
 from sim_bridge.config import SurfaceConfig
-from sim_bridge.posture import frame_pose, limits_of, reach
+from sim_bridge.posture import frame_jacobian, frame_pose, limits_of, reach
 from sim_bridge.puma560 import load_robot, puma_arm
 from sim_bridge.robot_file import PlantVariant, RobotFile
 from sim_bridge.urdf_arm import Mount, read_arm
@@ -87,6 +88,30 @@ class Robot:
                 raise ConfigError(name, 'a value above 0, since the URDF has none', 'nothing',
                                   self.name)
         return replace(arm, links=links)
+
+    @property
+    def home(self) -> Vector:
+        """Return the joint angles at the start, shape (n,) [rad]."""
+        return np.array(self.plant_values('')['home'])
+
+    def elbow(self) -> tuple[str, Vector]:
+        """
+        Return where an obstacle meets the arm before its wrist sensor.
+
+        Returns
+        -------
+        tuple of str and Vector
+            The link whose origin meets it, and the unit normal into its surface, shape (3,). If
+            the file has none: the elbow of most arms, (n + 1) // 2, and of the two horizontal
+            axes that along which a force there takes the largest share of a joint's limit.
+
+        """
+        if self.file.elbow is not None:
+            return f'link{self.file.elbow.link}', np.array(self.file.elbow.normal_world)
+        link = f'link{(len(self.arm.links) + 1) // 2}'
+        torques = frame_jacobian(self.arm.model(), self.home, link)[:3] / self.arm.torque_limit
+        axis = int(np.argmax(np.abs(torques[:2]).max(axis=1)))
+        return link, np.eye(3)[axis]
 
     @property
     def plant_names(self) -> tuple[str, ...]:

@@ -57,6 +57,7 @@ from sim_bridge.arm import SENSOR_FRAME
 from sim_bridge.config import PlantConfig
 from sim_bridge.plant import Plant, Sample
 from sim_bridge.position_hold import PositionHold
+from sim_bridge.surface_markers import SurfaceMarkers
 from std_msgs.msg import String
 
 MAX_LATE_PERIODS = 2
@@ -120,6 +121,8 @@ class SimNode(Node):
         self._wall = 0
         self._published = np.zeros(REMEMBERED, dtype=np.int64)
         description = create_publisher(self, topics.ROBOT_DESCRIPTION)
+        self._surfaces = SurfaceMarkers(plant_config, rate=config.rate)
+        self._surface_publisher = create_publisher(self, topics.SURFACE_MARKERS)
         self.streams.advertise(self._examples(), batched=config.recording_batches)
         self._reader = effort_reader(self._plant.joint_names)
         self.streams.subscribe(topics.EFFORT_COMMAND, self._on_command, qos.INPUT)
@@ -129,7 +132,8 @@ class SimNode(Node):
         # Kept by the publisher for whoever comes late.
         description.publish(String(data=self._plant.description.urdf))
         self._gate = StartupGate(
-            self, {**self.streams.publishers, topics.ROBOT_DESCRIPTION: description},
+            self, {**self.streams.publishers, topics.ROBOT_DESCRIPTION: description,
+                   topics.SURFACE_MARKERS: self._surface_publisher},
             self.streams.subscriptions, config)
         self._origin = 0  # stamp of sample 0 [ns]
 
@@ -191,6 +195,7 @@ class SimNode(Node):
         period = stamp_of(1, self._config.rate)
         # Lockstep knows no wall clock; one period on, so that no stamp is the zero of "none".
         self._origin = period if self._config.lockstep else time.time_ns() // period * period
+        self._publish_surfaces()
         # Behind the gate it cannot have been lost; a second copy would only be in the bag.
         resend = RESEND_PERIOD_GATED if self._config.startup_peers else RESEND_PERIOD
         while not spinner.stop and self._answered < 0:
@@ -319,6 +324,13 @@ class SimNode(Node):
         """Publish what only an observer may know."""
         self.streams.send(
             topics.TRUE_FORCES, self._stamp(self._tick), self._sample.contact_force)
+        if self._surfaces.due(self._tick):
+            self._publish_surfaces()
+
+    def _publish_surfaces(self) -> None:
+        """Publish what there is to be touched; kept by the publisher for whoever comes late."""
+        self._surface_publisher.publish(self._surfaces.message(
+            self._stamp(self._tick), self._plant.contacts.places_world))
 
     def _stamp(self, tick: int) -> int:
         return self._origin + stamp_of(tick, self._config.rate)
