@@ -33,7 +33,13 @@ from multicontact_control.sensor.push_gate import PushGate
 from multicontact_control.sensor.tare import tare_bias, TareConfig
 from multicontact_control.supervision.bumpless import BumplessController, not_supervised
 from multicontact_control.supervision.collision import COLLISION
-from multicontact_control.supervision.command_limits import check_position, CommandLimits
+from multicontact_control.supervision.command_limits import (
+    check_offsets,
+    check_position,
+    CommandLimits,
+    half_lengths,
+    offset_shares,
+)
 from multicontact_control.supervision.event_log import EventLog
 from multicontact_control.supervision.inputs import (
     JointInput,
@@ -157,6 +163,7 @@ class ControlLoop:
         self._inputs = TickInputs(0.0)
         self._filtered: WrenchInput | None = None
         self._readings: deque[Vector] = deque(maxlen=TARE_READINGS)
+        self._postures: deque[Vector] = deque(maxlen=TARE_READINGS)
         self.variance: Vector = np.full(
             len(self.config.columns), self.config.initial_noise_variance)
         self._variance: VarianceInput | None = None
@@ -289,6 +296,8 @@ class ControlLoop:
         Every way of a sample into a torque is through here.
         """
         self._inputs = seen
+        if new and seen.joints is not None:
+            self._postures.append(seen.joints.q.copy())
         controller = self.controller
         output, status = controller.safe_step(seen) if self.safe else controller.step(seen)
         if controller.own_weight is not None:  # the arm adds that itself
@@ -378,37 +387,13 @@ class ControlLoop:
 
         """
         reference = self._commandable()
-        halves = {column.name: column.half_length for column in self.config.columns
-                  if column.half_length > 0.0}
-        self.limits.check_forces(
-            forces, self.config.contact_state.smallest_force, halves)
-        shares = {}
-        for name, centre in (centres or {}).items():
-            if name not in halves:
-                raise CommandError('centre of pressure', f'one of {", ".join(halves)}'
-                                   if halves else 'an edge or plane', f"'{name}'")
-            shares[name] = centre / halves[name]
-        self._check_offsets({**reference.forces, **forces}, shares)
+        halves = half_lengths(self.config)
+        self.limits.check_forces(forces, self.config.contact_state.smallest_force, halves)
+        shares = offset_shares(halves, centres or {})
+        check_offsets(self.config, {**reference.forces, **forces}, shares)
         # A client may repeat its command many times a second: that asks for nothing anew.
         if reference.set_forces(forces, shares):
             self._try_again()
-
-    def _check_offsets(
-        self, forces: Mapping[str, float], shares: Mapping[str, float],
-    ) -> None:
-        """Raise `CommandError` if a centre of pressure would be outside its contact."""
-        columns = self.config.columns
-        for column in columns:
-            pressed = forces.get(columns[column.leader].name, 0.0)
-            if column.half_length == 0.0 or pressed == 0.0:
-                continue
-            share = shares.get(column.name, forces.get(column.name, 0.0) / pressed)
-            largest = self.config.contacts[column.contact].largest_offset
-            if not abs(share) <= largest + 1e-9:
-                raise CommandError(
-                    f'centre of pressure of {column.name}',
-                    f'at most {largest * column.half_length:.3g} m from the middle',
-                    f'{share * column.half_length:.3g} m')
 
     def set_motion(self, motion: MotionReading) -> None:
         """
@@ -425,7 +410,7 @@ class ControlLoop:
         normals = np.zeros((0, 3)) if self.supervisor is None else (
             self.supervisor.reference.sought_normals())
         reference.set_motion(motion.position_world, motion.quaternion_xyzw, motion.twist_world,
-                             motion.acceleration_world, normals)
+                             motion.acceleration_world, normals, self.limits.motion_timeout)
 
     @property
     def commanded_pose(self) -> Pose | None:
@@ -508,7 +493,8 @@ class ControlLoop:
         Raises
         ------
         CommandError
-            If forces are being controlled: what presses would be taken for bias.
+            If forces are being controlled or the arm moves: what presses, or slows the tool down,
+            would be taken for bias.
         CalibrationError
             If there are too few readings, or they are restless.
 
@@ -519,6 +505,12 @@ class ControlLoop:
         readings = np.array(self._readings).reshape(-1, 6)
         if joints is None:
             raise CommandError('samples', 'some, for a tare', 'none')
+        postures = self._postures or (joints.q,)  # none without a reading, which is refused below
+        way = float(np.abs(postures[-1] - postures[0]).max())
+        fastest = way / (max(len(postures) - 1, 1) * self._period)
+        if not fastest <= config.max_joint_speed:
+            raise CommandError('joint speeds', f'at most {config.max_joint_speed:g} rad/s for a '
+                               'tare', f'{fastest:.3g} rad/s')
         model = self.config
         pose = self.controller.controller.robot.update(joints.q, joints.qd).sensor_pose
         return tare_bias(readings, pose.rotation_world, model.tool,

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 
@@ -82,6 +83,30 @@ class ContactGeometryError(MulticontactError):
 
 class RunError(MulticontactError):
     """A run could not start or did not end as it should."""
+
+
+@contextmanager
+def importing_ros(*others: str) -> Iterator[None]:
+    """
+    Say what to do where ROS 2 cannot be loaded.
+
+    Parameters
+    ----------
+    others
+        Ways to do without.
+
+    Raises
+    ------
+    RunError
+        For an `ImportError`.
+
+    """
+    try:
+        yield
+    except ImportError as error:
+        *ways, last = 'install the extra [ros]', 'source a ROS 2 Jazzy', *others
+        raise RunError(f'ROS 2 (rclpy) cannot be loaded: {error}; '
+                       f'{", ".join(ways)} or {last}') from None
 
 
 class CalibrationError(MulticontactError):

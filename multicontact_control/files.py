@@ -7,9 +7,15 @@ from contextlib import contextmanager
 import json
 import math
 from pathlib import Path
+import re
 from typing import Any
 
 from multicontact_control.errors import ConfigError
+
+
+def file_name(text: str) -> str:
+    """Return text as part of a file's name, with what not every system has in one replaced."""
+    return re.sub(r'[^\w.-]', '_', text)
 
 
 @contextmanager

@@ -36,6 +36,11 @@ import pytest
      "force.stifness: expected a known key .* unknown key 'stifness'"),
     ({'force': {'active_state_order': 4}}, 'force.active_state_order: expected'),
     ({'force': {'allocation': 'best'}}, "force.allocation: expected 'decoupled' or 'paper'"),
+    ({'force': {'allocation': 'paper'}, 'contacts': {'table': {'surface_speed_limit': 0.1}}},
+     'contacts.table.surface_speed_limit: expected 0 m/s unless force.allocation is decoupled, '
+     'found 0.1 m/s with paper'),
+    ({'force': {'allocation': 'paper'}, 'contacts': {'board': {'surface_speed': -0.02}}},
+     'contacts.board.surface_speed: expected 0 m/s unless'),
     ({'torque_limit': [1.0]}, 'torque_limit: expected 6 values, one per joint, found 1'),
     ({'robot': {'armature': [1.0]}}, 'robot.armature: expected 6 values, one per joint, found 1'),
     ({'rate': 'fast'}, "rate: expected a valid number, .* found 'fast'"),

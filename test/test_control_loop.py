@@ -6,7 +6,7 @@ from arms import HOME, still_config
 from multicontact_control.config import ControllerConfig
 from multicontact_control.control_loop import ControlLoop
 from multicontact_control.dynamics.robot import RobotModel
-from multicontact_control.errors import CommandError, ConfigError
+from multicontact_control.errors import CalibrationError, CommandError, ConfigError
 from multicontact_control.paths import config_dir
 from multicontact_control.sampling import (
     JointReading,
@@ -14,6 +14,7 @@ from multicontact_control.sampling import (
     PairedSample,
     WrenchReading,
 )
+from multicontact_control.sensor.tare import TareConfig
 from multicontact_control.sensor.weight import weight_reading
 from multicontact_control.supervision.command_limits import CommandLimits
 from multicontact_control.supervision.inputs import (
@@ -277,6 +278,29 @@ def test_bias_of_the_sensor_is_not_taken_for_a_sideways_force():
     bench.push = np.array(bias)
     bench.step(30)
     assert bench.reaction == 'none'
+
+
+def test_tare_waits_for_an_arm_that_stands_still():
+    """What slows the tool down would be taken for bias."""
+    bench = Bench()
+    bench.step(100)
+    speed = np.array([0.0, 0.0, -0.03, 0.0, 0.0, 0.0])
+    for k in range(100):
+        bench.loop.step(PairedSample(
+            bench.stamp, HOME + 0.002 * k * speed, speed, bench.wrench(), EFFORT))
+        bench.k += 1
+    with pytest.raises(CommandError, match='joint speeds: expected at most 0.02 rad/s for a tare'
+                       ', found 0.03 rad/s'):
+        bench.loop.tare(TareConfig())
+    bench.step(100)
+    np.testing.assert_allclose(bench.loop.tare(TareConfig()), 0.0, atol=0.02)
+
+
+def test_tare_without_a_reading_is_refused():
+    bench = Bench(wrench_input='momentum', robot={'sensor_frame': ''})
+    bench.step(30)
+    with pytest.raises(CalibrationError, match='expected at least 25 readings, found 0'):
+        bench.loop.tare(TareConfig())
 
 
 def raw_inputs(bench, wrench, stamp=None):

@@ -102,6 +102,12 @@ class ControllerConfig(Config):
             if contact.normal_turn_rate and not contact.friction_std:
                 yield ConfigError(
                     f'contacts.{name}.friction_std', 'above 0 N with normal_turn_rate', 0.0)
+            for field in ('surface_speed', 'surface_speed_limit'):
+                speed = getattr(contact, field)
+                if speed and self.force.allocation != 'decoupled':  # of coordinates, not of points
+                    yield ConfigError(
+                        f'contacts.{name}.{field}', '0 m/s unless force.allocation is decoupled',
+                        f'{speed:g} m/s with {self.force.allocation}')
         wide = [name for name in self.contact_names if self.contacts[name].type != 'point']
         if wide and self.force.allocation != 'decoupled':
             yield ConfigError(

@@ -79,10 +79,11 @@ class AdaptiveStiffnessConfig(Config):
     smallest_signal: Real = parameter(
         0.15, 'Band-passed force from which on a sample is accepted.', unit='N', gt=0.0)
     fall_time: Real = parameter(
-        0.02, 'Shortest time in which the stiffness of the model falls to 1 / e.', unit='s',
-        gt=0.0)
+        0.02, 'Shortest time in which the stiffness of the model falls to 1 / e; at least a '
+        'period counts.', unit='s', gt=0.0)
     rise_time: Real = parameter(
-        0.004, 'Shortest time in which it rises to e times its value.', unit='s', gt=0.0)
+        0.004, 'Shortest time in which it rises to e times its value; at least a period counts.',
+        unit='s', gt=0.0)
     input_limit: Real = parameter(
         40.0, 'Largest acceleration that the force law asks for.', unit='m/s^2', gt=0.0)
     approach_limit: Real = parameter(

@@ -69,6 +69,10 @@ class Controller:
         first sample on, of `FORCE_LAW`, shape (r,).
     active
         Which contacts are force controlled, in these records, shape (r,).
+    misread_friction
+        From the first sample on, where a lever turns friction into more than itself: a contact
+        whose friction is neither expected nor allowed for, the force or couple that it is read
+        as, and how much of it 1 N is [N].
     measured
         Where what is measured goes: q and v, shape (2, n), wrench, shape (6,), and R, shape (r,).
 
@@ -100,6 +104,7 @@ class Controller:
         # numpy copies a structured array field by field, which takes five times as long.
         self._contact_bytes = self.contacts.view(np.uint8)
         self._control_bytes = self.controls.view(np.uint8)
+        self.misread_friction: list[tuple[str, str, float]] = []
         self._adopt(config)
         self.controls['law']['dependent'] = check_columns(
             config.column_names, self.contacts,
@@ -207,6 +212,7 @@ class Controller:
         self._adopt(config)
         if laws is not None:
             self.laws = laws
+            self.misread_friction = self._find_misread_friction()
             self._stiffnesses = loop_stiffnesses(config, self.arm.pose.rotation_world)
 
     def step(self, measurement: Measurement, noise_variance: Vector) -> ControlOutput:
@@ -296,14 +302,8 @@ class Controller:
         position, rotation = self.arm.pose
         return Pose(position.copy(), rotation.copy())
 
-    @property
-    def misread_friction(self) -> list[tuple[str, str, float]]:
-        """
-        Return where a lever turns friction into more than itself.
-
-        A contact whose friction is neither expected nor allowed for, the force or couple that it
-        is read as, and how much of it 1 N is [N].
-        """
+    def _find_misread_friction(self) -> list[tuple[str, str, float]]:
+        """Return what `misread_friction` is where the arm is now."""
         coupling = friction_coupling(self.contacts.copy(), self.arm.pose.rotation_world)
         names, contacts = self.config.column_names, self.config.contacts
         return [(names[j], names[i], float(coupling[i, j]))
@@ -321,6 +321,7 @@ class Controller:
         joints['posture'] = np.clip(  # what lies beyond a stop would be fought over
             self.config.posture.joints or self.arm.q, joints['lower'] + margin,
             joints['upper'] - margin)
+        self.misread_friction = self._find_misread_friction()
         self._started = True
 
     def decide(self) -> None:

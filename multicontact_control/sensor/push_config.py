@@ -11,6 +11,9 @@ from multicontact_control.config import Config, cross_check, parameter, Real
 from multicontact_control.errors import ConfigError
 import numpy as np
 
+# What a test must find: nothing, a flipped sign, a quarter turn, half the scale.
+SENSOR_FAULTS = ('none', 'sign', 'rotate', 'scale')
+
 Direction = Literal['+x', '-x', '+y', '-y', '+z', '-z']
 
 

@@ -17,6 +17,9 @@ class TareConfig(Config):
         0.5, 'Largest standard deviation of a force axis.', unit='N', gt=0.0)
     max_torque_std: Real = parameter(
         0.05, 'Largest standard deviation of a torque axis.', unit='N m', gt=0.0)
+    max_joint_speed: Real = parameter(
+        0.02, 'Largest mean speed of a joint meanwhile: what slows the tool down would be taken '
+        'for bias.', unit='rad/s', gt=0.0)
 
 
 def tare_bias(

@@ -12,11 +12,14 @@ START_EXCESS = 1e-3  # m or rad beyond a limit, from where control may start all
 
 
 class CommandLimits(Config):
-    """Largest force that may be commanded; the box for positions is that of `limits`."""
+    """Largest force that may be commanded, and more; the box for positions is that of `limits`."""
 
     force_ceiling: Real = parameter(
         30.0, 'Largest force that may be commanded at a contact; below '
         'contact_state.force_ceiling, at which a contact is left.', unit='N', live=True, gt=0.0)
+    motion_timeout: Real = parameter(
+        0.2, 'How long twist and acceleration of a motion command count if no other follows; then '
+        'only its pose does.', unit='s', live=True, gt=0.0)
 
     def check_forces(
         self, forces: Mapping[str, float], smallest: float, couples: Collection[str] = (),
@@ -48,6 +51,73 @@ class CommandLimits(Config):
                 raise CommandError(
                     f'force on {name}', f'0 or {smallest:g} to {self.force_ceiling:g} N',
                     f'{force:g} N')
+
+
+def half_lengths(config: ControllerConfig) -> dict[str, float]:
+    """Return what the centre of pressure that a couple stands for moves along, by couple [m]."""
+    return {column.name: column.half_length for column in config.columns
+            if column.half_length > 0.0}
+
+
+def offset_shares(
+    halves: Mapping[str, float], centres: Mapping[str, float],
+) -> dict[str, float]:
+    """
+    Return the couples, relative to the normal forces, that centres of pressure ask for.
+
+    Parameters
+    ----------
+    halves
+        Of `half_lengths` [m].
+    centres
+        By the couple's name, from the middle of its contact [m].
+
+    Raises
+    ------
+    CommandError
+        If a name is not that of a couple.
+
+    """
+    for name in centres:
+        if name not in halves:
+            raise CommandError('centre of pressure', f'one of {", ".join(halves)}'
+                               if halves else 'an edge or plane', f"'{name}'")
+    return {name: centre / halves[name] for name, centre in centres.items()}
+
+
+def check_offsets(
+    config: ControllerConfig, forces: Mapping[str, float], shares: Mapping[str, float],
+) -> None:
+    """
+    Refuse a centre of pressure outside its contact.
+
+    Parameters
+    ----------
+    config
+        Contacts.
+    forces
+        Of contacts, and couples, by name [N].
+    shares
+        Couples relative to the normal forces, by name, in place of these.
+
+    Raises
+    ------
+    CommandError
+        Naming the couple.
+
+    """
+    columns = config.columns
+    for column in columns:
+        pressed = forces.get(columns[column.leader].name, 0.0)
+        if column.half_length == 0.0 or pressed == 0.0:
+            continue
+        share = shares.get(column.name, forces.get(column.name, 0.0) / pressed)
+        largest = config.contacts[column.contact].largest_offset
+        if not abs(share) <= largest + 1e-9:
+            raise CommandError(
+                f'centre of pressure of {column.name}',
+                f'at most {largest * column.half_length:.3g} m from the middle',
+                f'{share * column.half_length:.3g} m')
 
 
 def check_position(position_world: Vector, limits: LimitsConfig) -> None:

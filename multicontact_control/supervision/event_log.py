@@ -72,16 +72,20 @@ class EventLog:
         self.names = (REACTION, *contact_names)
         self._before: tuple[object, ...] = ()
         self._states: tuple[str, ...] = ()
+        self._time, self._passed = 0.0, 0.0
         self._changes: dict[str, deque[float]] = {
             name: deque(maxlen=MOST_CHANGES) for name in self.names}
 
     def note(self, time: float, status: SupervisorStatus) -> None:
         """Take in the status of one tick."""
+        # A clock that is set back begins anew: what changed is of times before, not of those.
+        self._passed += max(time - self._time, 0.0)
+        self._time = time
         now = (status.reaction, status.causes, status.limits, status.contact_states)
         if now == self._before:
             return
         self._before = now
-        self._count(time, (status.reaction, *status.contact_states))
+        self._count((status.reaction, *status.contact_states))
         if len(self.events) == CAPACITY:
             self.dropped += 1
             return
@@ -89,11 +93,11 @@ class EventLog:
             status.reaction, ' '.join(status.causes + status.limits),
             ', '.join(status.contact_states)])))
 
-    def _count(self, time: float, states: tuple[str, ...]) -> None:
+    def _count(self, states: tuple[str, ...]) -> None:
         """Take note of what has gone over into another state."""
         for name, before, state in zip(self.names, self._states, states):
             if state != before:
-                self._changes[name].append(time)
+                self._changes[name].append(self._passed)
         self._states = states
 
     def alternating(self, time: float) -> dict[str, float]:
@@ -111,7 +115,8 @@ class EventLog:
             Changes per second by name.
 
         """
-        recent = {name: sum(0.0 <= time - change <= ALTERNATION_TIME for change in changes)
+        passed = self._passed + max(time - self._time, 0.0)
+        recent = {name: sum(passed - change <= ALTERNATION_TIME for change in changes)
                   for name, changes in self._changes.items()}
         return {name: count / ALTERNATION_TIME for name, count in recent.items()
                 if count > FASTEST_ALTERNATION * ALTERNATION_TIME}

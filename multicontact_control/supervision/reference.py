@@ -25,6 +25,7 @@ from multicontact_control.supervision.contacts import (
 from multicontact_control.supervision.reference_limits import limit_reference
 import numpy as np
 
+NEAR = 2e-4  # m from the task, that count as none
 RETURN_RATE = 2.0  # 1/s, of the way left, at which the task is caught up with after a pause
 
 
@@ -33,9 +34,9 @@ class ContactReference:
     A reference source that follows a task as far as the contacts and the limits allow.
 
     Contacts the task asks for are approached along their normals, handed to the force law from
-    touch to loss, and sought again; see `supervision.contacts`. The pose is bounded: the motion
-    law never asks for more than the limits' speeds (k_p times the bounded error is at most k_v
-    times the speed), nor to leave the workspace box.
+    touch to loss, and sought again; see `supervision.contacts`. Pose and twist are bounded: the
+    motion law never asks for more than the limits' speeds (`bound_task`), nor to leave the
+    workspace box.
 
     Parameters
     ----------
@@ -63,12 +64,13 @@ class ContactReference:
         self._record: Any = np.zeros(1, dtype=CONTACT_REFERENCE) if record is None else record
         self._record['settings'] = contact_settings(contact_state, config.period)
         self._limits = self._record['limits']
-        self._leaders = list(config.leaders)
+        self._leaders = np.array(config.leaders)
         self.contact_states: Any = contact_states(
             [column.stiffness for column in config.columns],
             [column.kind != FORCE for column in config.columns])
         self._codes: Codes = self.contact_states['state']
         self._energies: Vector = self.contact_states['energy']
+        self._energy_limits: Vector = self.contact_states['energy_limit']
         self._wanted = TaskArrays(
             self._record['wanted'], self.contact_states['wanted'], self.contact_states['asked'])
         contacts_alone: Any = np.zeros(len(config.columns), dtype=CONTACT)
@@ -120,7 +122,7 @@ class ContactReference:
     @property
     def energy_limits(self) -> Vector:
         """Bound of that energy [J]."""
-        limits: Vector = self.contact_states['energy_limit'][self._leaders]
+        limits: Vector = self._energy_limits[self._leaders]
         return limits
 
     def start(self, pose: Pose, normals_world: Vector) -> None:
@@ -182,6 +184,7 @@ class ContactReference:
         """
         motion, limits = config.motion, config.limits
         lead = 2.0 * motion.damping_ratio / motion.natural_frequency  # k_v / k_p [s]
+        self._limits['lead'] = lead
         self._limits['reach'] = lead * limits.operational_speed
         self._limits['turn'] = lead * limits.operational_turn
 
@@ -237,12 +240,23 @@ class ContactReference:
 
     def ask(self, time: float) -> None:
         """Ask what is wanted at a time of the task [s]: all of a tick before compiled code."""
+        if not self._catching_up:
+            self._wanted.take(self._task.task(time))
+            return
+        wanted = self._record['wanted']
+        before = wanted['position'][0].copy()
         self._wanted.take(self._task.task(time))
-        if self._catching_up:
-            self._return()
+        # A pose that is commanded anew, and no way that the task goes.
+        jump = wanted['position'][0] - before - self._config.period * wanted['twist'][0, :3]
+        self._return(jump)
 
-    def _return(self) -> None:
-        """Let the offset that a pause has left go to zero."""
+    def _return(self, jump: Vector) -> None:
+        """
+        Let the offset that a pause has left go to zero.
+
+        A jump of the task towards where the arm is takes as much off it: the arm is to go from
+        there to what is commanded, and not by the whole offset beyond it.
+        """
         offset, normals = self._offset, self._contacts['normal']
         if np.isnan(offset[0]):
             # What lies along the normals belongs to the contacts, only the rest is caught up.
@@ -254,10 +268,24 @@ class ContactReference:
                 else:
                     let_go(state, float(place), 0.0)
             offset[:] = gap - along @ normals
+            jump = np.zeros(3)
+        if jump.any():
+            along = np.linalg.lstsq(normals.T, jump, rcond=None)[0]
+            for state, step in zip(self.contact_states, along.tolist()):
+                if state['state'] == FREE:
+                    state['displacement'] = _closer(float(state['displacement']), step)
+            jump = jump - along @ normals
         length = float(np.sqrt(offset @ offset))
         if length > 0.0:
-            speed = min(RETURN_RATE * length, 0.2 * self._config.limits.operational_speed)
-            offset *= max(1.0 - speed * self._config.period / length, 0.0)
+            left = _closer(length, float(jump @ offset) / length)
+            speed = min(RETURN_RATE * left, 0.2 * self._config.limits.operational_speed)
+            offset *= max(left - speed * self._config.period, 0.0) / length
         if length < 1e-6:
             offset[:] = 0.0
-            self._catching_up = False
+            free = self.contact_states['displacement'][self._codes == FREE]
+            self._catching_up = bool((np.abs(free) > NEAR).any())
+
+
+def _closer(gap: float, step: float) -> float:
+    """Return what is left of a gap when its far end comes towards the near one by a step."""
+    return gap - min(max(step, min(gap, 0.0)), max(gap, 0.0))

@@ -134,9 +134,18 @@ def rotate_by(vector: Vector, rotation: Matrix, turned: Matrix) -> None:
 
 
 @compiled
+def beyond(gap: Vector, way: Vector, reach: float) -> bool:
+    """Return whether a gap and a way, shape (3,) each, are longer together than the reach."""
+    return dot(gap, gap) + 2.0 * dot(gap, way) + dot(way, way) > reach * reach
+
+
+@compiled
 def bound_task(limits: Any, frame: Any, task: Any) -> bool:
     """
     Bring a task within the box and within reach of the arm.
+
+    The motion law makes the arm go at v_des + (k_p / k_v) (x_des - x), which is the limit's speed
+    for an error of one reach. A twist with which it is more does not count.
 
     Parameters
     ----------
@@ -160,21 +169,29 @@ def bound_task(limits: Any, frame: Any, task: Any) -> bool:
             task.twist[k] = 0.0
             task.acceleration[k] = 0.0
             limited = True
-    length = 0.0
+    gap, way = np.empty(3), np.empty(3)
     for k in range(3):
-        length += (position[k] - frame.position[k]) ** 2
-    length = np.sqrt(length)
-    if length > limits.reach:
-        for k in range(3):
-            position[k] = frame.position[k] + (position[k] - frame.position[k]) * (
-                limits.reach / length)
+        gap[k] = position[k] - frame.position[k]
+        way[k] = limits.lead * task.twist[k]
+    length = np.sqrt(dot(gap, gap))
+    if length > limits.reach or beyond(gap, way, limits.reach):
         for k in range(6):
             task.twist[k] = 0.0
             task.acceleration[k] = 0.0
         limited = True
+    if length > limits.reach:
+        for k in range(3):
+            position[k] = frame.position[k] + gap[k] * (limits.reach / length)
     turn = np.empty(3)
     rotation_vector(task.rotation, frame.rotation, turn)
-    angle = np.sqrt(turn[0] * turn[0] + turn[1] * turn[1] + turn[2] * turn[2])
+    for k in range(3):
+        way[k] = limits.lead * task.twist[3 + k]
+    if beyond(turn, way, limits.turn):
+        for k in range(3, 6):
+            task.twist[k] = 0.0
+            task.acceleration[k] = 0.0
+        limited = True
+    angle = np.sqrt(dot(turn, turn))
     if angle > limits.turn:
         for k in range(3):
             turn[k] *= limits.turn / angle

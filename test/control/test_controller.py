@@ -51,6 +51,22 @@ def test_controller_at_rest_compensates_gravity():
     np.testing.assert_allclose(output.alpha_meas, 0.0, atol=1e-9)
 
 
+def test_what_friction_is_read_as_is_worked_out_once():
+    """At the first sample, and when the contacts change, and with no report of it."""
+    lever = {'table': {'type': 'edge', 'point_operational': [0.0, 0.0, 0.24]}}
+    controller, _ = _controller(
+        contact_names=['table'], contacts=lever, reference=CommandedReference(['t', 't/along']))
+    assert controller.misread_friction == []
+    controller.step(_sample(controller), np.full(2, 0.6))
+    found = controller.misread_friction
+    assert [(where, what) for where, what, _ in found] == [('table', 'table/along')]
+    assert found[0][2] > 1.05 and controller.misread_friction is found
+    table = controller.config.contacts['table'].model_copy(update={'friction_coefficient': 0.1})
+    controller.reconfigure(controller.config.model_copy(update={
+        'contacts': {**controller.config.contacts, 'table': table}}))
+    assert controller.misread_friction == []
+
+
 def test_controller_measures_each_contact_force():
     """10 N at the table's tip along its normal is alpha = [10, 0]."""
     controller, _ = _controller()

@@ -169,3 +169,19 @@ def test_commanded_reference_refuses_bad_motions_and_changes_nothing(bad):
     with pytest.raises(ConfigError, match='motion/command: expected'):
         reference.set_motion(*bad, np.zeros(6), np.zeros(6))
     assert reference.update(0.0, np.zeros(2)).pose_des is POSE
+
+
+def test_twist_of_a_motion_that_stops_coming_counts_for_a_while_only():
+    """The pose that was commanded last is then gone to, and not away from."""
+    reference = CommandedReference(('table', 'board'))
+    reference.start(POSE, NORMALS)
+    motion = (POSE.position_world, np.array([0, 0, 0, 1.0]), np.ones(6), np.ones(6))
+    for start in (0.0, 1.0):
+        reference.set_motion(*motion, lasting=0.2)
+        for time in (start, start + 0.19):
+            assert reference.task(time).twist_des.all()
+        late = reference.task(start + 0.21)
+        assert not late.twist_des.any() and not late.acceleration_des.any()
+        np.testing.assert_array_equal(late.pose_des.position_world, POSE.position_world)
+    reference.set_motion(*motion)
+    assert reference.task(2.0).twist_des.all() and reference.task(1e6).twist_des.all()

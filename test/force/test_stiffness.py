@@ -5,13 +5,12 @@ from multicontact_control.force.observer import design_observer, make_observers
 from multicontact_control.force.plant_model import delayed_plant, design_force_loop
 from multicontact_control.force.stiffness import (
     adopt_stiffness,
-    begin_fit,
     find_stiffness,
     follow_stiffness,
     predictor_gains,
-    take_sample,
     use_stiffness,
 )
+from multicontact_control.force.stiffness_fit import begin_fit, take_sample
 from multicontact_control.records import STIFFNESS
 import numpy as np
 import pytest
@@ -19,14 +18,14 @@ import pytest
 H = 0.002
 
 
-def stiffness_of(k=6000.0, delay=0.006, mass=0.5, **values):
+def stiffness_of(k=6000.0, delay=0.006, mass=0.5, period=H, **values):
     """Return the record of an adaptive stiffness, and its observer."""
     config = ForceConfig(damping_rate=100.0, **values)
-    loop = design_force_loop(k, damping_rate=100.0, input_delay=delay, period=H,
+    loop = design_force_loop(k, damping_rate=100.0, input_delay=delay, period=period,
                              time_constant=0.02)
     observer = make_observers([design_observer(loop)])[0]
     record = np.zeros(1, dtype=STIFFNESS)[0]
-    adopt_stiffness(record, loop.plant, k, config, period=H, tool_mass=mass,
+    adopt_stiffness(record, loop.plant, k, config, period=period, tool_mass=mass,
                     ratio_limits=np.linspace(5.0, 1.0, 8).tolist())
     return record, observer
 
@@ -150,6 +149,16 @@ def test_model_follows_no_faster_than_allowed_and_stays_in_its_range():
     assert steps.min() >= -H / 0.02 - 1e-12
     assert steps.max() <= H / 0.004 + 1e-12
     assert (min(used), max(used)) == (pytest.approx(1000.0), pytest.approx(50_000.0))
+
+
+def test_model_follows_at_most_e_times_a_period_however_short_its_times_are():
+    """At 125 Hz the default rise time is half a period."""
+    record, observer = stiffness_of(
+        k=1000.0, period=0.008, adaptive={'fall_time': 0.001})
+    for target, used in ((50_000.0, 1000.0 * np.e), (300.0, 1000.0)):
+        record['slow']['k'], record['slow']['share'] = target, 1.0
+        follow_stiffness(observer, record)
+        assert record['k'] == pytest.approx(used)
 
 
 def test_fast_fit_only_raises():

@@ -216,7 +216,8 @@ class PlainReference:
         self._points = np.array(
             [config.contacts[name].point_operational for name in config.contact_names])
         motion, limits = config.motion, config.limits
-        lead = 2.0 * motion.damping_ratio / motion.natural_frequency  # k_v / k_p [s]
+        self._lead = lead = 2.0 * motion.damping_ratio / motion.natural_frequency  # k_v / k_p [s]
+        self._before = np.full(3, np.nan)
         self._reach = lead * limits.operational_speed
         self._turn = lead * limits.operational_turn
         self._box = (np.array(limits.workspace_lower), np.array(limits.workspace_upper))
@@ -264,8 +265,10 @@ class PlainReference:
         pose = task.pose_des if self._pose is None else self._pose
         gap = pose.position_world - task.pose_des.position_world
         if self._catching_up:
-            self._return(gap)
+            wanted = task.pose_des.position_world
+            self._return(gap, wanted - self._before - self._config.period * task.twist_des[:3])
             gap = gap - self._offset
+        self._before = task.pose_des.position_world
         damping = self._follow_contacts(task, gap, alpha_meas, pose)
         self.damping = np.zeros(len(self.machines))
         shift, velocity, change = self._offset.tolist(), [0.0] * 3, [0.0] * 3
@@ -286,7 +289,7 @@ class PlainReference:
             task.twist_des + np.array(velocity + [0.0] * 3),
             task.acceleration_des + np.array(change + [0.0] * 3), active, alpha_des), pose)
 
-    def _return(self, gap):
+    def _return(self, gap, jump):
         if np.isnan(self._offset[0]):
             # What lies along the normals belongs to the contacts, only the rest is caught up.
             along = np.linalg.lstsq(self._normals.T, gap, rcond=None)[0]
@@ -296,12 +299,26 @@ class PlainReference:
                 else:
                     machine.let_go(float(place))
             self._offset = gap - along @ self._normals
+            jump = np.zeros(3)
+        across = jump - jump @ np.linalg.pinv(self._normals) @ self._normals
+        for machine, step in zip(self.machines, jump @ np.linalg.pinv(self._normals)):
+            if machine.state is ContactState.FREE:
+                machine.displacement = self._closer(machine.displacement, float(step))
         length = float(np.sqrt(self._offset @ self._offset))
         if length > 0.0:
-            speed = min(RETURN_RATE * length, 0.2 * self._config.limits.operational_speed)
-            self._offset *= max(1.0 - speed * self._config.period / length, 0.0)
+            left = self._closer(length, float(across @ self._offset) / length)
+            speed = min(RETURN_RATE * left, 0.2 * self._config.limits.operational_speed)
+            self._offset *= max(left - speed * self._config.period, 0.0) / length
         if length < 1e-6:
-            self._offset, self._catching_up = np.zeros(3), False
+            self._offset = np.zeros(3)
+            self._catching_up = any(abs(machine.displacement) > 2e-4 for machine in self.machines
+                                    if machine.state is ContactState.FREE)
+
+    @staticmethod
+    def _closer(gap, step):
+        if gap * step <= 0.0:
+            return gap
+        return math.copysign(max(abs(gap) - abs(step), 0.0), gap)
 
     def _follow_contacts(
         self, task, gap, alpha_meas, pose,
@@ -341,12 +358,17 @@ class PlainReference:
                 position, self.limited = inside, True
         error = position - pose.position_world
         length = float(np.sqrt(error @ error))
-        if length > self._reach:
-            position = pose.position_world + error * (self._reach / length)
+        if max(length, np.linalg.norm(error + self._lead * twist[:3])) > self._reach:
             twist, acceleration = np.zeros(6), np.zeros(6)
             self.limited = True
+        if length > self._reach:
+            position = pose.position_world + error * (self._reach / length)
         turn = rotation_error(rotation, pose.rotation_world)
         angle = float(np.sqrt(turn @ turn))
+        if np.linalg.norm(turn + self._lead * twist[3:]) > self._turn:
+            twist, acceleration = twist.copy(), acceleration.copy()
+            twist[3:] = acceleration[3:] = 0.0
+            self.limited = True
         if angle > self._turn:
             rotation = rotation_of(turn * (self._turn / angle)) @ pose.rotation_world
             self.limited = True

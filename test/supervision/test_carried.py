@@ -1,6 +1,7 @@
 """Whatever fails, an arm whose joints are known is carried: simulated arms do not fall."""
 
 from arms import controller_config, HOME
+from multicontact_control.contact.geometry import normal_space
 from multicontact_control.control.reference import CommandedReference
 from multicontact_control.control_loop import ControlLoop
 from multicontact_control.dynamics.robot import RobotModel
@@ -34,8 +35,17 @@ def test_contacts_that_no_wrist_sensor_can_tell_apart_are_refused(points):
 
 
 def test_three_feet_are_accepted_and_so_is_what_depends_in_one_orientation_only():
-    Supervisor(pressing(dict(list(FEET.items())[:3])), ROBOT, CommandedReference(list('abc')))
-    Supervisor(aligned_config(), ROBOT, CommandedReference(['table', 'board']))
+    """Neither shares the wrench with the smallest norm, as four feet have to."""
+    three = pressing(dict(list(FEET.items())[:3]))
+    four = pressing(FEET)
+    four = four.model_copy(update={'force': four.force.model_copy(
+        update={'dependent_columns': 'minimum_norm'})})
+    here = ROBOT.update(HOME, np.zeros(6)).pose.rotation_world
+    for config, dependent, rank in ((three, False, 3), (four, True, 3),
+                                    (aligned_config(), False, 1)):
+        law = Supervisor(config, ROBOT, CommandedReference(config.contact_names)).controller
+        assert law.controls['law']['dependent'][0] == dependent
+        assert np.linalg.matrix_rank(normal_space(law.contacts.copy(), here), 1e-9) == rank
 
 
 def aligned_points():

@@ -37,10 +37,13 @@ def advance(loop, ticks, corrupt=None):
     return statuses, np.array(forces)
 
 
-@pytest.mark.parametrize('corrupt', [None, without_effort])
-def test_15_newtons_at_the_elbow_are_seen_within_20_ms_held_against_and_left(corrupt):
+@pytest.mark.parametrize(('plant', 'corrupt', 'joints'), [
+    ('rigid', None, ('joint1', 'joint2')), ('rigid', without_effort, ('joint1', 'joint2')),
+    ('panda/rigid', None, ('panda_joint2',)), ('iiwa/rigid', None, ('lbr_iiwa_joint_2',))])
+def test_15_newtons_at_the_elbow_are_seen_within_20_ms_held_against_and_left(
+        plant, corrupt, joints):
     """On rigid drives, from measured torques and from commanded ones."""
-    loop = standing('rigid', collision={'command_delay': 1})
+    loop = standing(plant, collision={'command_delay': 1})
     try:
         advance(loop, 10, corrupt)
         loop.plant.contacts.put_before_tip(ELBOW_WALL, -DEPTH)
@@ -50,16 +53,36 @@ def test_15_newtons_at_the_elbow_are_seen_within_20_ms_held_against_and_left(cor
         assert seen.index(True) <= 10
         # What is on the elbow's axis loads the joints before it alone.
         assert {cause for status in statuses for cause in status.causes} <= {
-            'collision_joint1', 'collision_joint2', 'recovering'}
+            *(f'collision_{joint}' for joint in joints), 'recovering'}
         assert statuses[seen.index(True)].reaction == 'hold'
         assert forces.max() < 20.0
         assert loop.control.collisions.total() >= 1
-        assert any('collision_joint' in what for _, what in loop.control.events.events)
+        assert any(f'collision_{joints[0]}' in what for _, what in loop.control.events.events)
         loop.plant.contacts.shift(ELBOW_WALL, FAR)
         statuses, _ = advance(loop, 1500, corrupt)
     finally:
         loop.close()
     assert (statuses[-1].reaction, statuses[-1].causes) == ('none', ())
+
+
+@pytest.mark.parametrize(('plant', 'largest'), [('panda/rigid', 20.0), ('panda/flexible', 40.0)])
+def test_what_comes_to_the_elbow_is_told_of_and_not_pressed_hard(plant, largest):
+    """An obstacle of 6000 N/m at 10 cm/s, which stops when it is told of."""
+    loop = standing(plant)
+    try:
+        loop.plant.contacts.put_before_tip(ELBOW_WALL, 1e-3)
+        told, forces = False, []
+        for _ in range(300):
+            if not told:
+                loop.plant.contacts.shift(ELBOW_WALL, -0.1 * loop.setup.controller.period)
+            loop.advance()
+            told = told or bool(loop.status.causes)
+            forces.append(loop.plant.contacts.pressed[ELBOW_WALL])
+    finally:
+        loop.close()
+    assert told
+    assert 5.0 < max(forces) < largest
+    assert any('collision_panda_joint2' in what for _, what in loop.control.events.events)
 
 
 @pytest.mark.parametrize(('reaction', 'seen'), [

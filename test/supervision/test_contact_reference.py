@@ -87,3 +87,41 @@ def test_task_is_caught_up_with_slowly_after_a_pause():
     assert places[0] == pytest.approx(0.05, abs=3e-4)
     assert np.abs(np.diff(places)).max() <= 0.1 * 0.002 + 1e-9
     assert abs(places[-1]) < 1e-4
+
+
+def test_pose_commanded_after_a_pause_is_gone_to_and_not_beyond():
+    """What was commanded during a pause is far off; what comes then is where the arm is."""
+    reference, task = make()
+    reference.update(0.0, np.zeros(2))
+    far = POSE.position_world + np.array([0.5, 0.0, 0.05])
+    task.set_motion(far, np.array([0, 0, 0, 1.0]), STILL, STILL)
+    reference.resume()
+    reference.update(0.002, np.zeros(2))
+    near = POSE.position_world + np.array([-0.02, 0.0, 0.0])
+    task.set_motion(near, np.array([0, 0, 0, 1.0]), STILL, STILL)
+    for k in range(2, 1500):
+        out = reference.update(k * 0.002, np.zeros(2))
+        place = out.pose_des.position_world - POSE.position_world
+        assert -0.02 - 1e-9 <= place[0] <= 1e-3 and abs(place[2]) < 1e-3
+        reference.observe(out.pose_des, STILL)
+    np.testing.assert_allclose(out.pose_des.position_world, near, atol=3e-4)
+
+
+@pytest.mark.parametrize(('axis', 'lead'), [(0, 'reach'), (4, 'turn')])
+def test_twist_that_leads_beyond_the_limits_does_not_count(axis, lead):
+    """With an error of three quarters of the reach a quarter of the speed is left."""
+    reference, task = make(operational_speed=0.5, operational_turn=0.5)
+    length = 0.5 * 2.0 / 30.0  # k_v / k_p = 2 / omega
+    position, quaternion = POSE.position_world.copy(), np.array([0, 0, 0, 1.0])
+    if lead == 'reach':
+        position[0] += 0.75 * length
+    else:
+        quaternion = np.array([0.0, np.sin(0.375 * length), 0.0, np.cos(0.375 * length)])
+    for speed, counts in ((0.12, True), (0.13, False), (11.0, False), (-0.8, True)):
+        twist = np.zeros(6)
+        twist[axis] = speed
+        task.set_motion(position, quaternion, twist, 0.5 * twist)
+        out = reference.update(0.0, np.zeros(2))
+        assert out.twist_des[axis] == (speed if counts else 0.0)
+        assert out.acceleration_des[axis] == (0.5 * speed if counts else 0.0)
+        assert reference.limited is not counts

@@ -37,4 +37,16 @@ def test_what_changes_more_than_twice_a_second_alternates():
     assert list(rates) == ['table']
     assert rates['table'] == pytest.approx(6.7, abs=0.3)
     assert log.alternating(30.0) == {}
-    assert log.alternating(0.0) == {}  # the clock has been set back: what is noted is to come
+
+
+def test_a_clock_that_is_set_back_hides_and_makes_up_no_alternation():
+    """Changes an hour apart, each right after the clock began anew, are not of one time."""
+    log = EventLog(['table'])
+    for _ in range(20):
+        log.note(0.0, status('hold', states=('holding',)))
+        log.note(0.01, status(states=('holding',)))
+        log.note(3600.0, status(states=('holding',)))
+        assert log.alternating(3600.0) == {}
+    for k in range(20):
+        log.note(0.1 * (k % 10), status('hold' if k % 2 else 'none', states=('holding',)))
+    assert list(log.alternating(0.9)) == ['reaction']

@@ -3,6 +3,7 @@
 from multicontact_control.errors import CommandError
 from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.scenario import resolve
+from multicontact_control.quintic import quintic
 from multicontact_control.sampling import MotionReading
 from multicontact_control.supervision.contacts import ContactState
 import numpy as np
@@ -203,6 +204,51 @@ def test_contact_that_was_given_up_comes_back(way):
             loop.control.retry()
     finally:
         loop.close()
+
+
+@pytest.mark.parametrize('plant', PLANTS)
+def test_motions_that_nobody_could_follow_lead_nowhere_else(plant):
+    """
+    A stream that ends at 10 m/s, on the way to 0.5 m off; half a second later one that returns.
+
+    The arm was led by the last twist for as long as nothing else came, held for its speed again
+    and again, and then went half a metre beyond where it was called back to: by all that the
+    command had run ahead meanwhile.
+    """
+    loop = pressing(plant, forces={'table': 8.0, 'board': 4.0})
+    control = loop.control
+    try:
+        start = control.output.pose
+        quaternion = Rotation.from_matrix(start.rotation_world).as_quat()
+        along, places = np.array([1.0, 0.0, 0.0]), []
+
+        def note():
+            places.append((control.output.pose.position_world - start.position_world)[0])
+
+        def command(position, twist):
+            control.set_motion(MotionReading(
+                position, quaternion, np.concatenate([twist, np.zeros(3)]), np.zeros(6)))
+
+        for k in range(75):  # 0.15 s
+            s = k / 75
+            command(start.position_world + 0.5 * s ** 3 * along, 10.0 * s ** 2 * along)
+            advance(loop, 0.002)
+            note()
+        _, statuses = advance(loop, 1.0, each=note)
+        here = control.output.pose.position_world
+        for k in range(1, 751):  # 1.5 s, as a client does it
+            s, ds, _ = quintic(k * 0.002, 1.5)
+            command(here + s * (start.position_world - here), ds * (start.position_world - here))
+            advance(loop, 0.002)
+            note()
+        advance(loop, 4.0, each=note)
+    finally:
+        loop.close()
+    assert changes(statuses, lambda status: status.reaction) <= 2
+    places = np.array(places)
+    assert np.abs(places[50:] - places[:-50]).max() < 1.5 * 0.5 * 0.1  # of the speed limit
+    assert max(places) < 0.5 and min(places) > -0.03
+    assert abs(places[-1]) < 0.003
 
 
 @pytest.mark.parametrize('plant', PLANTS)

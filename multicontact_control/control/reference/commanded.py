@@ -37,12 +37,14 @@ class CommandedReference:
         self._pose: Pose | None = None
         self._twist = np.zeros(6)
         self._acceleration = np.zeros(6)
+        self._lasting = self._until = math.inf  # s, of these two; until which time of the task
 
     def start(self, pose: Pose, normals_world: Vector) -> None:
         """Begin from a pose at rest; see `ReferenceSource.start`."""
         self._pose = pose
         self._twist = np.zeros(6)
         self._acceleration = np.zeros(6)
+        self._lasting = self._until = math.inf
         self._alpha_des = np.zeros(len(self._names))
         self._shares = np.full(len(self._names), math.nan)
 
@@ -107,6 +109,7 @@ class CommandedReference:
     def set_motion(
         self, position_world: Vector, quaternion_xyzw: Vector, twist_world: Vector,
         acceleration_world: Vector, taken_normals: Matrix | None = None,
+        lasting: float = math.inf,
     ) -> None:
         """
         Command the motion of the operational point.
@@ -122,6 +125,9 @@ class CommandedReference:
             Shapes (6,), linear first.
         taken_normals
             Normals of such contacts, shape (k, 3); none if not given.
+        lasting
+            How long twist and acceleration count [s]: where no other command follows, only the
+            pose does.
 
         Raises
         ------
@@ -146,6 +152,7 @@ class CommandedReference:
             twist[:3], acceleration[:3] = across @ twist[:3], across @ acceleration[:3]
         self._pose = Pose.from_quaternion(position, quaternion_xyzw)
         self._twist, self._acceleration = twist, acceleration
+        self._lasting, self._until = lasting, math.nan
 
     @property
     def pose(self) -> Pose | None:
@@ -164,6 +171,11 @@ class CommandedReference:
         """Return the reference of one tick; see `ReferenceSource.update`."""
         if self._pose is None:
             raise ConfigError('reference', 'start() before update()', 'update()')
+        if math.isnan(self._until):
+            self._until = time + self._lasting
+        if time > self._until:
+            self._twist, self._acceleration = np.zeros(6), np.zeros(6)
+            self._until = math.inf
         return Reference(
             pose_des=self._pose, twist_des=self._twist, acceleration_des=self._acceleration,
             active=(self._alpha_des > 0.0)[self._leader_of], alpha_des=self._alpha_des)

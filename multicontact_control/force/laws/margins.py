@@ -125,14 +125,19 @@ def margins_of(law: LinearLaw, model: LoopModel) -> Margins:
     phase = math.radians(float(phase)) if np.isfinite(phase) else math.inf
     crossover = float(crossover) if np.isfinite(crossover) else 0.0
 
+    softest, stiffest = stable_ratios(law, model)
+    return Margins(
+        gain=float(gain), phase=phase, delay=phase / crossover if crossover else math.inf,
+        crossover=crossover, softest=softest, stiffest=stiffest)
+
+
+def stable_ratios(law: LinearLaw, model: LoopModel) -> tuple[float, float]:
+    """Return from which to which true over modelled stiffness a force law is stable."""
     def stable(ratio: float) -> bool:
         return spectral_radius(contact_loop(law, model, ratio)) < 1.0 + 1e-9
 
-    return Margins(
-        gain=float(gain), phase=phase, delay=phase / crossover if crossover else math.inf,
-        crossover=crossover,
-        softest=_inverse(last_stable(lambda ratio: stable(1.0 / ratio), RATIOS, 1e-3)[0]),
-        stiffest=last_stable(stable, RATIOS, 1e-3)[0])
+    return (_inverse(last_stable(lambda ratio: stable(1.0 / ratio), RATIOS, 1e-3)[0]),
+            last_stable(stable, RATIOS, 1e-3)[0])
 
 
 def _inverse(ratio: float) -> float:
