@@ -328,7 +328,7 @@ class MultiContactClient:
         Raises
         ------
         RunError
-            If no controller listens, or samples stop coming.
+            If no controller listens or answers, or samples stop coming.
         CommandRefusedError
             If the controller does not obey; the arm stays where it got to.
         MessageError
@@ -336,14 +336,18 @@ class MultiContactClient:
 
         """
         goal = messages.finite_array(position_world, 3, 'position_world')
+        # All that takes time comes first: the motion runs from the sample that it starts at.
+        self._link.is_heard(topics.STATUS, OPTIONAL_WAIT)
+        self._link.wait_for_controller(self._motion_publisher)
+        # Once it answers, the controller has refused what it will of the motions before.
+        self._link.state(topics.CONTROLLER)
+        self._refusal(topics.MOTION_COMMAND)
         start, = self._link.fresh(topics.POSE_DESIRED)
         position, turn = _pose_of(start)
         last = turn if quaternion_xyzw is None else Rotation.from_quat(
             messages.finite_array(quaternion_xyzw, 4, 'quaternion_xyzw'))
         rotation_vector = (last * turn.inv()).as_rotvec()
         first_stamp, elapsed = messages.stamp_to_ns(start.header.stamp), 0.0
-        self._link.is_heard(topics.STATUS, OPTIONAL_WAIT)
-        self._refusal(topics.MOTION_COMMAND)  # of a motion that has ended
         while elapsed < duration:
             self._raise_refusal(topics.MOTION_COMMAND)
             sample, = self._link.fresh(topics.POSE_DESIRED)

@@ -7,6 +7,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from multicontact_control.config import ControllerConfig, read_parameters, validate
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.nodes import messages, topics
+from multicontact_control.nodes.graph_node import take
 from multicontact_control.paths import config_dir
 from multicontact_control.sensor.weight import weight_reading
 import numpy as np
@@ -31,10 +32,12 @@ class FakeArm:
     ----------
     middleware
         Its node publishes.
+    profile
+        Quality of service that it publishes its samples with.
 
     """
 
-    def __init__(self, middleware):
+    def __init__(self, middleware, profile=DEPTH):
         self._middleware = middleware
         node = middleware.node
         self.config = validate(
@@ -46,8 +49,8 @@ class FakeArm:
             np.array(self.config.robot.gravity_world))
         self.wrench = self.weight
         self.k = 0
-        self._joints = node.create_publisher(JointState, 'joint_states', DEPTH)
-        self._wrench = node.create_publisher(topics.WRENCH.message, 'ft_sensor/wrench', DEPTH)
+        self._joints = node.create_publisher(JointState, 'joint_states', profile)
+        self._wrench = node.create_publisher(topics.WRENCH.message, 'ft_sensor/wrench', profile)
         self.force_command = node.create_publisher(
             JointState, topics.FORCE_COMMAND.name, topics.FORCE_COMMAND.profile)
         self.motion_command = node.create_publisher(
@@ -98,10 +101,8 @@ class FakeArm:
     def commands(self):
         """Return the stamps of all commands that have come since."""
         stamps = []
-        handle = self._commands.handle
-        with handle:
-            while (taken := handle.take_message(JointState, False)) is not None:
-                stamps.append(messages.stamp_to_ns(taken[0].header.stamp))
+        while (taken := take(self._commands)) is not None:
+            stamps.append(messages.stamp_to_ns(taken[0].header.stamp))
         return stamps
 
     def answer(self, stamp):
@@ -126,21 +127,21 @@ class FakeArm:
         return found[0]
 
     def connect(self):
-        """Send samples until one is answered; return the first answer."""
-        found = []
+        """Send samples until the newest is answered; return the first answer that came."""
+        answers = []
 
         def answered():
             stamp = self.send()
             for _ in range(40):
-                torque = self.answer(stamp)
-                if torque is not None:
-                    found.append(torque)
-                    return True
+                while (taken := take(self._commands)) is not None:
+                    answers.append(np.array(taken[0].effort))
+                    if messages.stamp_to_ns(taken[0].header.stamp) == stamp:
+                        return True
                 self._middleware.pause()
             return False
 
         wait_for(answered, 'any answer')
-        return found[0]
+        return answers[0]
 
     def desired(self):
         """Return the newest desired forces by name."""

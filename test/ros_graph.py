@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+import json
 import os
 from pathlib import Path
+import signal
 import subprocess
 import sys
 import time
-from typing import TypeVar
+from typing import Any, TypeVar
 
+from multicontact_control.experiment.graph.domain import reserve_domain
 from multicontact_control.nodes.link import GuestNode
 from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.parameter import Parameter, parameter_value_to_python
@@ -20,6 +24,65 @@ ROOT = Path(__file__).resolve().parents[1]
 # s, that any test waits for anything: so long that only what never comes is missed.
 PATIENCE = float(os.environ.get('MULTICONTACT_TEST_PATIENCE', '180'))
 END_TIMEOUT = 10.0  # s, for a node that is terminated after its test
+
+GRAPH = """
+import json, sys
+from pathlib import Path
+from multicontact_control.experiment.graph.run import GraphSpec, run_graph
+from multicontact_control.experiment.scenario import resolve
+spec = json.loads(sys.argv[1])
+folder, ticks, rate = Path(spec.pop('out')), spec['ticks'], 500.0
+setup = resolve('quick', plant='rigid', seed=spec.get('seed', 0),
+                **({'duration': ticks / rate} if ticks else {}))
+config = folder / 'config'
+setup.write(config)
+run_graph(GraphSpec(
+    out=folder, rate=rate, lockstep=True, **spec,
+    reference_file=config / 'reference.yaml' if ticks else None,
+    parameter_files={'controller_node': config / 'controller.yaml',
+                     'sim_node': config / 'plant.yaml',
+                     'noise_estimator_node': config / 'noise_estimator.yaml'}))
+"""
+
+
+@contextmanager
+def own_domain() -> Iterator[int]:
+    """Reserve a domain that the environment does not choose."""
+    saved = os.environ.pop('ROS_DOMAIN_ID', None)
+    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    try:
+        with reserve_domain() as number:
+            yield number
+    finally:
+        if saved is not None:
+            os.environ['ROS_DOMAIN_ID'] = saved
+
+
+def start_graph(
+    folder: Path, domain_id: int, *, namespace: str = 'arm', ticks: int = 0, **spec: Any,
+) -> subprocess.Popen[str]:
+    """
+    Start the rigid plant's graph in lockstep, in a process of its own.
+
+    With `ticks` it follows the scenario quick for so long; otherwise it obeys commands until it
+    is interrupted. `spec` is of `GraphSpec`, as far as json has it.
+    """
+    told = json.dumps({'out': str(folder), 'domain_id': domain_id, 'namespace': namespace,
+                       'ticks': ticks, **spec})
+    return subprocess.Popen(
+        [sys.executable, '-c', GRAPH, told], cwd=ROOT, stderr=subprocess.PIPE, text=True)
+
+
+@contextmanager
+def obedient_graph(folder: Path, domain_id: int, **spec: Any) -> Iterator[None]:
+    """Run a graph that obeys commands; it must end well when it is interrupted."""
+    run = start_graph(folder, domain_id, **spec)
+    try:
+        yield
+    finally:
+        run.send_signal(signal.SIGINT)
+        _, errors = end_of(run)
+    assert run.returncode == 0, errors
 
 
 def wait_for(

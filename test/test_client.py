@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import signal
-import subprocess
-import sys
 import threading
 
 from lifecycle_msgs.srv import ChangeState, GetState
@@ -16,7 +12,6 @@ from multicontact_control.client import (
     NotReachedError,
 )
 from multicontact_control.errors import RunError
-from multicontact_control.experiment.graph.domain import reserve_domain
 from multicontact_control.nodes import messages
 from multicontact_control.nodes.link import (
     ACTIVATE,
@@ -30,52 +25,24 @@ from multicontact_control.nodes.link import (
 import numpy as np
 import pytest
 from rclpy.executors import SingleThreadedExecutor
-from ros_graph import end_of, get_parameter, PATIENCE, ROOT
+from ros_graph import get_parameter, obedient_graph, own_domain, PATIENCE, wait_for
 from std_srvs.srv import SetBool, Trigger
 
 pytestmark = pytest.mark.ros
 
-RUN = """
-import sys
-from pathlib import Path
-from multicontact_control.experiment.graph.run import GraphSpec, run_graph
-from multicontact_control.experiment.scenario import resolve
-folder = Path(sys.argv[1])
-setup = resolve('quick', plant='rigid', seed=0)
-config = folder / 'config'
-setup.write(config)
-run_graph(GraphSpec(
-    out=folder, ticks=0, rate=500.0, namespace='arm', lockstep=True, domain_id=int(sys.argv[2]),
-    parameter_files={'controller_node': config / 'controller.yaml',
-                     'sim_node': config / 'plant.yaml',
-                     'noise_estimator_node': config / 'noise_estimator.yaml'}))
-"""
-
 
 @pytest.fixture(scope='module')
 def domain_id():
-    saved = os.environ.pop('ROS_DOMAIN_ID', None)
-    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    with reserve_domain() as number:
+    with own_domain() as number:
         yield number
-    if saved is not None:
-        os.environ['ROS_DOMAIN_ID'] = saved
 
 
 @pytest.fixture(scope='module')
 def arm(domain_id, tmp_path_factory):
     """Return a client of a graph in lockstep that obeys commands."""
-    folder = tmp_path_factory.mktemp('graph')
-    run = subprocess.Popen(
-        [sys.executable, '-c', RUN, str(folder), str(domain_id)], cwd=ROOT,
-        stderr=subprocess.PIPE, text=True)
-    try:
-        with MultiContactClient('arm', domain_id=domain_id, timeout=PATIENCE) as client:
-            yield client
-    finally:
-        run.send_signal(signal.SIGINT)
-        _, errors = end_of(run)
-    assert run.returncode == 0, errors
+    with obedient_graph(tmp_path_factory.mktemp('graph'), domain_id), MultiContactClient(
+            'arm', domain_id=domain_id, timeout=PATIENCE) as client:
+        yield client
 
 
 def reached(arm):
@@ -145,6 +112,16 @@ def test_client_refuses_contacts_that_are_none_and_says_what_the_controller_refu
     reached(arm)
 
 
+def stands_still(arm):
+    """Tare; return False if the arm still moves."""
+    try:
+        arm.tare()
+    except RunError as error:
+        assert 'tare refused: joint speeds: expected at most' in str(error)
+        return False
+    return True
+
+
 def test_client_tares_where_nothing_touches_only(arm, domain_id):
     with pytest.raises(RunError, match='tare refused: contacts: expected none under force con'):
         arm.tare()
@@ -154,7 +131,7 @@ def test_client_tares_where_nothing_touches_only(arm, domain_id):
     reached(arm)  # free of both
     with LifecycleDriver(domain_id, namespace='arm') as driver:
         before = get_parameter(driver, 'controller_node', 'tool.bias_sensor')
-        arm.tare()
+        wait_for(lambda: stands_still(arm), 'a tare at rest')
         bias = get_parameter(driver, 'controller_node', 'tool.bias_sensor')
     assert bias != before
     np.testing.assert_allclose(bias, before, atol=0.1)  # there is none in this sensor

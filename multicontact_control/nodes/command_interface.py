@@ -7,12 +7,11 @@ from typing import Any
 
 from multicontact_control.control_loop import ControlLoop
 from multicontact_control.errors import MulticontactError
-from multicontact_control.nodes import messages, qos, topics
+from multicontact_control.nodes import messages, qos, services, topics
 from multicontact_control.nodes.controller_config import ControllerNodeConfig
 from multicontact_control.nodes.graph_node import create_subscription, Refusals
 from rclpy.node import Node
 from rclpy.subscription import Subscription
-from std_srvs.srv import SetBool, Trigger
 
 
 class CommandInterface:
@@ -46,10 +45,10 @@ class CommandInterface:
             for topic, callback in ((topics.FORCE_COMMAND, self._on_forces),
                                     (topics.MOTION_COMMAND, self._on_motion))}
         self._services = [
-            self._service(Trigger, '~/tare', self._tare),
-            self._service(SetBool, '~/hold', self._hold),
-            self._service(Trigger, '~/retry', lambda _: loop.retry()),
-            self._service(Trigger, '~/push_test', self._push_test)]
+            self._service(service, work) for service, work in (
+                (services.TARE, self._tare), (services.HOLD, self._hold),
+                (services.RETRY, lambda _: loop.retry()),
+                (services.PUSH_TEST, self._push_test))]
 
     def adopt(self, config: ControllerNodeConfig) -> None:
         """Tare and test as a configuration says."""
@@ -83,8 +82,10 @@ class CommandInterface:
     def _push_test(self, _request: Any) -> str:
         return self._loop.push_test(self._config.push_test, self._config.push_point_sensor)
 
-    def _service(self, kind: Any, name: str, work: Callable[[Any], str]) -> Any:
+    def _service(self, service: services.Service, work: Callable[[Any], str]) -> Any:
         """Create a service that answers with the words of some work, or with why it is refused."""
+        name = f'~/{service.name}'
+
         def answer(request: Any, response: Any) -> Any:
             try:
                 response.message, response.success = work(request), True
@@ -92,4 +93,4 @@ class CommandInterface:
                 self._refusals.refuse(name, error)
                 response.message, response.success = str(error), False
             return response
-        return self._node.create_service(kind, name, answer)
+        return self._node.create_service(service.kind, name, answer)

@@ -26,7 +26,11 @@ NAMESPACE = 'contact_forces'
 SHAFT_DIAMETER, HEAD_DIAMETER, HEAD_LENGTH = 0.008, 0.016, 0.02  # m
 SMALLEST_FORCE = 0.2  # N; below it the arrow would be noise
 LIFETIME = 0.5  # s; a viewer drops the arrows of a controller that is gone
-CONTROLLED, FELT = (1.0, 0.45, 0.1), (0.5, 0.5, 0.5)
+BESIDE = 0.022  # m, between the arrows of a contact
+CONTROLLED, FELT, ESTIMATED, DESIRED = (
+    ColorRGBA(r=red, g=green, b=blue, a=1.0) for red, green, blue in (
+        (1.0, 0.45, 0.1), (0.5, 0.5, 0.5), (0.18, 0.45, 0.75), (0.2, 0.58, 0.36)))
+KINDS = (('', FELT), ('/estimated', ESTIMATED), ('/desired', DESIRED))
 
 
 class ControllerOutputs:
@@ -107,7 +111,8 @@ class ControllerOutputs:
                 streams.pass_on(topic, streams.message(topic, stamp, *numbers(output)))
         if self._markers.due(tick):
             self._markers_publisher.publish(self._markers.message(
-                stamp, output.pose, output.alpha_meas, output.active))
+                stamp, output.pose, (output.alpha_meas, output.alpha_est, output.alpha_des),
+                output.active))
 
 
 class Command(NamedTuple):
@@ -156,10 +161,11 @@ def examples(joints: Sequence[str], contacts: Sequence[str]) -> dict[topics.Topi
 
 class ContactMarkers:
     """
-    Turns contact forces into arrows, one per contact, a few times a second.
+    Turns contact forces into arrows, three per contact, a few times a second.
 
-    An arrow ends at the contact's tip, or at the centre of pressure of an edge or plane, and
-    points into the surface. It is orange where the force is controlled and grey where it is only
+    That of the measured force ends at the contact's tip, or at the centre of pressure of an edge
+    or plane; those of the estimated and the desired one stand beside it. All point into the
+    surface. The measured one is orange where the force is controlled and grey where it is only
     felt.
 
     Parameters
@@ -176,21 +182,25 @@ class ContactMarkers:
     def __init__(self, config: ControllerConfig, *, rate: float, scale: float) -> None:
         contacts = [config.contacts[name] for name in config.contact_names]
         self._names, self._config = config.contact_names, config
-        self._leaders = list(config.leaders)
+        self._leaders = np.array(config.leaders)
         self._normals_world = np.array([contact.normal_world for contact in contacts])
         self._points_operational = np.array([contact.point_operational for contact in contacts])
+        self._beside = BESIDE * np.array([_beside(normal) for normal in self._normals_world])
         self._every = max(1, round(config.rate / rate)) if rate > 0.0 else 0
         self._scale = scale
+        self._arrows = [[_arrow(f'{NAMESPACE}/{name}{kind}', number, colour)
+                         for number, name in enumerate(self._names)] for kind, colour in KINDS]
+        self._message = MarkerArray(markers=[arrow for row in self._arrows for arrow in row])
 
     def due(self, tick: int) -> bool:
         """Return whether the sample `tick` is one to show."""
         return self._every > 0 and tick % self._every == 0
 
     def message(
-        self, stamp: int, pose: Pose, alpha: Vector, active: Any,
+        self, stamp: int, pose: Pose, forces: Sequence[Vector], active: Any,
     ) -> MarkerArray:
         """
-        Return the arrows of one sample.
+        Return the arrows of one sample, in a message that the next call changes.
 
         Parameters
         ----------
@@ -198,30 +208,29 @@ class ContactMarkers:
             Time of the sample [ns].
         pose
             Pose of the operational frame.
-        alpha, active
-            Measured forces [N] and which of them are controlled, shape (r,).
+        forces
+            Measured, estimated and desired, each of shape (r,) [N].
+        active
+            Which of them are controlled, shape (r,).
 
         """
-        tips = pose.position_world + (
-            self._points_operational + self._centres(alpha, pose)) @ pose.rotation_world.T
-        alpha = alpha[self._leaders]
+        feet = pose.position_world + (
+            self._points_operational + self._centres(forces[0], pose)) @ pose.rotation_world.T
+        time = messages.ns_to_stamp(stamp)
         active = np.asarray(active)[self._leaders]
-        tails = tips - self._scale * alpha[:, None] * self._normals_world
-        markers = []
-        for k, name in enumerate(self._names):
-            marker = Marker(ns=f'{NAMESPACE}/{name}', id=k, type=Marker.ARROW)
-            marker.header.frame_id = topics.WORLD_FRAME
-            marker.header.stamp = messages.ns_to_stamp(stamp)
-            marker.pose.orientation.w = 1.0
-            marker.action = Marker.ADD if alpha[k] > SMALLEST_FORCE else Marker.DELETE
-            marker.points = [_point(tails[k]), _point(tips[k])]
-            marker.scale.x, marker.scale.y, marker.scale.z = (
-                SHAFT_DIAMETER, HEAD_DIAMETER, HEAD_LENGTH)
-            red, green, blue = CONTROLLED if active[k] else FELT
-            marker.color = ColorRGBA(r=red, g=green, b=blue, a=1.0)
-            marker.lifetime = Duration(seconds=LIFETIME).to_msg()
-            markers.append(marker)
-        return MarkerArray(markers=markers)
+        for arrow, controlled in zip(self._arrows[0], active.tolist()):
+            arrow.color = CONTROLLED if controlled else FELT
+        for place, (row, values) in enumerate(zip(self._arrows, forces)):
+            alpha = values[self._leaders]
+            tips = feet + place * self._beside
+            tails = tips - self._scale * alpha[:, None] * self._normals_world
+            for arrow, force, tail, tip in zip(
+                    row, alpha.tolist(), tails.tolist(), tips.tolist()):
+                arrow.header.stamp = time
+                arrow.action = Marker.ADD if force > SMALLEST_FORCE else Marker.DELETE
+                for point, position in zip(arrow.points, (tail, tip)):
+                    point.x, point.y, point.z = position
+        return self._message
 
     def _centres(self, alpha: Vector, pose: Pose) -> Matrix:
         """Return the centres of pressure from those of the contacts, operational axes [m]."""
@@ -240,6 +249,18 @@ class ContactMarkers:
         return centres
 
 
-def _point(position: Vector) -> Point:
-    x, y, z = position.tolist()
-    return Point(x=x, y=y, z=z)
+def _beside(normal_world: Vector) -> Vector:
+    """Return a direction in a surface: up, or along world -y in one that is about level."""
+    axis = np.array([0.0, 0.0, 1.0] if abs(normal_world[2]) < 0.8 else [0.0, -1.0, 0.0])
+    along = axis - normal_world * (normal_world @ axis)
+    return np.asarray(along / np.linalg.norm(along))
+
+
+def _arrow(namespace: str, number: int, colour: ColorRGBA) -> Marker:
+    """Return an arrow of the controller, without time and place."""
+    marker = Marker(ns=namespace, id=number, type=Marker.ARROW, color=colour,
+                    points=[Point(), Point()], lifetime=Duration(seconds=LIFETIME).to_msg())
+    marker.header.frame_id = topics.WORLD_FRAME
+    marker.pose.orientation.w = 1.0
+    marker.scale.x, marker.scale.y, marker.scale.z = SHAFT_DIAMETER, HEAD_DIAMETER, HEAD_LENGTH
+    return marker

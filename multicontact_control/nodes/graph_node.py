@@ -28,7 +28,10 @@ from std_msgs.msg import Empty
 GATE_POLL = 0.02
 REPORT_PERIOD = 5.0
 NAMED = 3  # connections that a line names
-NAME_DELAY = 0.5  # s
+NAMELESS = '_NODE_NAME_UNKNOWN_'  # what ROS 2 says until the node of a topic's end is known, too
+UNNAMED = 'a node whose name is not known'
+NAME_DELAY = 0.5  # s, between two looks for a name
+NAME_LOOKS = 20
 STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 
 
@@ -94,17 +97,24 @@ def _name_mismatches(
 ) -> Callable[[Any], None]:
     """Return a callback that logs whom an end of a topic cannot connect to, and why."""
     timers: list[Timer] = []
+    looks = 0
 
     def tell() -> None:
-        node.destroy_timer(timers.pop())
+        nonlocal looks
         full = node.resolve_topic_name(name)
-        unlike = quality_mismatches(node, full, profile(), publishing=publishing)
+        unlike = '; '.join(quality_mismatches(node, full, profile(), publishing=publishing))
+        looks += 1
+        # The name of its node is known later than the end of a topic: seconds on a busy machine.
+        if UNNAMED in unlike and looks < NAME_LOOKS:
+            return
+        node.destroy_timer(timers.pop())
         if unlike:  # otherwise it has gone
-            node.get_logger().error(f'{full}: {"; ".join(unlike)}')
+            node.get_logger().error(f'{full}: {unlike}')
 
     def wait(_event: object) -> None:
-        # The name of its node is known a little later than the end of a topic.
+        nonlocal looks
         if not timers:
+            looks = 0
             timers.append(node.create_timer(NAME_DELAY, tell, clock=STEADY))
 
     return wait
@@ -145,7 +155,8 @@ def quality_mismatches(
             other.qos_profile, profile)
         policies = _unlike_policies(offered, requested)
         if policies:
-            who = f'{other.node_namespace.rstrip("/")}/{other.node_name}'
+            who = UNNAMED if other.node_name == NAMELESS else (
+                f'{other.node_namespace.rstrip("/")}/{other.node_name}')
             found.append(
                 f'no message goes {"to" if publishing else "from"} {who}: ' + ', '.join(
                     f'{policy} is {offers} by the publisher and {wants} by the subscriber'

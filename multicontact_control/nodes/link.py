@@ -16,9 +16,14 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from multicontact_control.errors import RunError
 from multicontact_control.nodes import qos
-from multicontact_control.nodes.graph_node import create_publisher, ignore, take
+from multicontact_control.nodes.graph_node import (
+    create_publisher,
+    ignore,
+    quality_mismatches,
+    take,
+)
 from multicontact_control.nodes.runtime import prepare_environment
-from multicontact_control.nodes.topics import Topic
+from multicontact_control.nodes.topics import CONTROLLER, Topic
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -297,15 +302,17 @@ class ControllerLink(LifecycleDriver):
                 topic.message, topic.name, ignore, qos.QUEUE)
             for topic in queued}
         self._newest: dict[Topic, Any] = {}
+        # How many readers a topic had when the controller was among them.
+        self._reached: dict[str, int] = {}
         self._subscriptions: dict[Topic, Subscription] = {
-            topic: self.node.create_subscription(
-                topic.message, topic.name, self._keep(topic), qos.GLANCE)
-            for topic in topics}
+            topic: self._listen(topic) for topic in topics}
 
-    def _keep(self, topic: Topic) -> Callable[[Any], None]:
+    def _listen(self, topic: Topic, *, raw: bool = False) -> Subscription:
+        # The executor may be faster than `newest`.
         def keep(message: Any) -> None:
             self._newest[topic] = message
-        return keep
+        return self.node.create_subscription(
+            topic.message, topic.name, ignore if raw else keep, qos.GLANCE, raw=raw)
 
     def publisher(self, topic: Topic) -> Publisher:
         """Return a publisher of a command."""
@@ -313,22 +320,47 @@ class ControllerLink(LifecycleDriver):
 
     def publish(self, publisher: Publisher, message: Any) -> None:
         """
-        Publish a command once a controller listens.
+        Publish a command once the controller listens.
 
         Raises
         ------
         RunError
-            If none does.
+            If it does not.
+
+        """
+        self.wait_for_controller(publisher)
+        publisher.publish(message)
+
+    def wait_for_controller(self, publisher: Publisher) -> None:
+        """
+        Wait until the controller, and not a recorder alone, gets what is published.
+
+        Raises
+        ------
+        RunError
+            If it does not listen.
 
         """
         give_up = time.monotonic() + self._patience
-        while publisher.get_subscription_count() == 0:
+        while not self._reaches_controller(publisher):
             if time.monotonic() > give_up:
                 raise RunError(
                     f'{publisher.topic_name}: expected a controller that listens within '
                     f'{self._patience:g} s, found none (with a reference file it does not)')
             time.sleep(POLL_PERIOD)
-        publisher.publish(message)
+
+    def _reaches_controller(self, publisher: Publisher) -> bool:
+        """Return whether the controller is among the readers."""
+        name, count = publisher.topic_name, publisher.get_subscription_count()
+        if count and count == self._reached.get(name):  # looking it up takes longer
+            return True
+        readers = self.node.get_subscriptions_info_by_topic(name)
+        unlike = quality_mismatches(self.node, name, publisher.qos_profile, publishing=True)
+        found = count >= max(1, len(readers) - len(unlike)) and CONTROLLER in [
+            reader.node_name for reader in readers]
+        if found:
+            self._reached[name] = count
+        return found
 
     def fresh(self, *topics: Topic) -> list[Any]:
         """

@@ -54,6 +54,8 @@ class Topic:
         Quality of service of the publisher.
     rate
         ``control`` for one message per control period, ``event`` for now and then.
+    content
+        What is in a message, for the reference (docs/reference).
 
     """
 
@@ -63,6 +65,7 @@ class Topic:
     subscribers: tuple[str, ...]
     profile: QoSProfile = field(default_factory=lambda: qos.STREAM)
     rate: RateClass = 'control'
+    content: str = ''
 
     @property
     def type_name(self) -> str:
@@ -71,48 +74,88 @@ class Topic:
         return f'{package}/msg/{self.message.__name__}'
 
 
-JOINT_STATES = Topic('joint_states', JointState, SIM, (CONTROLLER, RECORDER))
-WRENCH = Topic('ft_sensor/wrench', WrenchStamped, SIM, (RECORDER,))
-WRENCH_FILTERED = Topic('ft_sensor/wrench_filtered', WrenchStamped, SIM, (RECORDER,))
-TRUE_FORCES = Topic('ground_truth/contact_forces', JointState, SIM, (RECORDER,))
-EFFORT_COMMAND = Topic('joint_effort_command', JointState, CONTROLLER, (SIM, RECORDER))
+JOINT_STATES = Topic(
+    'joint_states', JointState, SIM, (CONTROLLER, RECORDER),
+    content='q [rad], qd [rad/s] and effort [N m] of every joint.')
+WRENCH = Topic(
+    'ft_sensor/wrench', WrenchStamped, SIM, (RECORDER,),
+    content='The wrist sensor in its own frame, with the weight of the tool in it [N, N m].')
+WRENCH_FILTERED = Topic(
+    'ft_sensor/wrench_filtered', WrenchStamped, SIM, (RECORDER,),
+    content="The same through the sensor's low-pass.")
+TRUE_FORCES = Topic(
+    'ground_truth/contact_forces', JointState, SIM, (RECORDER,),
+    content='effort = true force per contact [N], for evaluation; no robot can publish it.')
+EFFORT_COMMAND = Topic(
+    'joint_effort_command', JointState, CONTROLLER, (SIM, RECORDER),
+    content='effort [N m]; the stamp is that of the sample it answers.')
 MEASURED_FORCES = Topic(
-    'contact_forces/measured', JointState, CONTROLLER, (ESTIMATOR, RECORDER))
-ESTIMATED_FORCES = Topic('contact_forces/estimated', JointState, CONTROLLER, (RECORDER,))
-DESIRED_FORCES = Topic('contact_forces/desired', JointState, CONTROLLER, (RECORDER,))
+    'contact_forces/measured', JointState, CONTROLLER, (ESTIMATOR, RECORDER),
+    content='name = contact, effort = measured force [N].')
+ESTIMATED_FORCES = Topic(
+    'contact_forces/estimated', JointState, CONTROLLER, (RECORDER,),
+    content="effort = the observer's force [N], velocity = its rate [N/s].")
+DESIRED_FORCES = Topic(
+    'contact_forces/desired', JointState, CONTROLLER, (RECORDER,),
+    content='effort = desired force [N], as the supervisor passes it on.')
 # Only estimators that work on innovations subscribe to it.
-INNOVATION = Topic('contact_forces/innovation', JointState, CONTROLLER, (RECORDER,))
-# Of controllers that find the stiffness on-line: estimate, standard error, and model in use.
-STIFFNESS = Topic('contact_forces/stiffness', JointState, CONTROLLER, (RECORDER,))
-# True over modelled stiffness at most, and how many times as stiff the surface might still be.
+INNOVATION = Topic(
+    'contact_forces/innovation', JointState, CONTROLLER, (RECORDER,),
+    content='effort = measured less predicted force [N], velocity = C P_1 C^T, position = the R '
+            'that was used [N²].')
+STIFFNESS = Topic(
+    'contact_forces/stiffness', JointState, CONTROLLER, (RECORDER,),
+    content='Only if the stiffness is found on-line: position = estimate, velocity = its standard '
+            'error, effort = model in use [N/m].')
 STABILITY_MARGIN = Topic(
-    'contact_forces/stability_margin', JointState, CONTROLLER, (RECORDER,))
-POSE = Topic('operational_point/pose', PoseStamped, CONTROLLER, (RECORDER,))
-POSE_DESIRED = Topic('operational_point/pose_desired', PoseStamped, CONTROLLER, (RECORDER,))
+    'contact_forces/stability_margin', JointState, CONTROLLER, (RECORDER,),
+    content='Likewise: position = true over modelled stiffness at most, effort = how many times '
+            'that the force loop would bear.')
+POSE = Topic(
+    'operational_point/pose', PoseStamped, CONTROLLER, (RECORDER,),
+    content='The operational point in world axes [m].')
+POSE_DESIRED = Topic(
+    'operational_point/pose_desired', PoseStamped, CONTROLLER, (RECORDER,),
+    content='Where it should be [m].')
 NOISE_VARIANCE = Topic(
-    'contact_forces/noise_variance', JointState, ESTIMATOR, (CONTROLLER, RECORDER))
+    'contact_forces/noise_variance', JointState, ESTIMATOR, (CONTROLLER, RECORDER),
+    content='effort = R per contact [N²]; the stamp is that of its newest sample.')
 FORCE_COMMAND = Topic(
-    'contact_forces/command', JointState, USER, (RECORDER,), qos.COMMAND, 'event')
+    'contact_forces/command', JointState, USER, (RECORDER,), qos.COMMAND, 'event',
+    'effort = desired force per contact, or couple [N]; or position = centre of pressure for '
+    'each couple [m].')
 MOTION_COMMAND = Topic(
-    'motion/command', MultiDOFJointTrajectoryPoint, USER, (RECORDER,), qos.COMMAND, 'event')
-# `~/status` of the controller: a message for every command it refuses and change of its state.
+    'motion/command', MultiDOFJointTrajectoryPoint, USER, (RECORDER,), qos.COMMAND, 'event',
+    'Pose, twist and acceleration of the operational point.')
 STATUS = Topic(
-    f'{CONTROLLER}/status', DiagnosticStatus, CONTROLLER, (RECORDER,), qos.COMMAND, 'event')
+    f'{CONTROLLER}/status', DiagnosticStatus, CONTROLLER, (RECORDER,), qos.COMMAND, 'event',
+    '`~/status` of the controller: each command that it refuses, each change of its state.')
 ROBOT_DESCRIPTION = Topic(
-    'robot_description', String, SIM, (RECORDER,), qos.LATCHED, 'event')
+    'robot_description', String, SIM, (RECORDER,), qos.LATCHED, 'event',
+    'The URDF, also for who comes late.')
 CONTACT_MARKERS = Topic(
-    'contact_markers', MarkerArray, CONTROLLER, (RECORDER,), qos.DISPLAY, 'event')
+    'contact_markers', MarkerArray, CONTROLLER, (RECORDER,), qos.DISPLAY, 'event',
+    'Per contact the measured force as an arrow at its tip, beside it estimated and desired '
+    '(`marker_rate`).')
+SURFACE_MARKERS = Topic(
+    'ground_truth/surfaces', MarkerArray, SIM, (RECORDER,), qos.LATCHED, 'event',
+    'What can be touched, as only the simulator knows it, also for who comes late; 25 Hz if it '
+    'moves.')
 DIAGNOSTICS = Topic(
-    'diagnostics', DiagnosticArray, EVERY_NODE, (RECORDER,), qos.REPORT, 'event')
+    'diagnostics', DiagnosticArray, EVERY_NODE, (RECORDER,), qos.REPORT, 'event',
+    'Once a second: rates, jitter, misses, latency, ages of inputs, refusals; of the controller '
+    'also reaction and causes, contact states, energies and sensor.')
 # Absolute, as everything that uses simulated time expects it.
-CLOCK = Topic('/clock', Clock, LOCKSTEP_SIM, (RECORDER,), qos.STREAM, 'event')
+CLOCK = Topic(
+    '/clock', Clock, LOCKSTEP_SIM, (RECORDER,), qos.STREAM, 'event',
+    'Time of the newest sample.')
 
 TOPICS: tuple[Topic, ...] = (
     JOINT_STATES, WRENCH, WRENCH_FILTERED, TRUE_FORCES, EFFORT_COMMAND, MEASURED_FORCES,
     ESTIMATED_FORCES, DESIRED_FORCES, INNOVATION, STIFFNESS, STABILITY_MARGIN, POSE,
     POSE_DESIRED, NOISE_VARIANCE,
     FORCE_COMMAND, MOTION_COMMAND, STATUS, ROBOT_DESCRIPTION, CONTACT_MARKERS,
-    DIAGNOSTICS, CLOCK)
+    SURFACE_MARKERS, DIAGNOSTICS, CLOCK)
 
 
 def published_by(node_name: str) -> tuple[Topic, ...]:

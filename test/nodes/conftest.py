@@ -1,23 +1,17 @@
 """Real middleware for the tests of the nodes, in a ROS domain of their own."""
 
-import os
-
-from multicontact_control.experiment.graph.domain import reserve_domain
 from multicontact_control.nodes.link import GuestNode
 import pytest
-from ros_graph import Middleware
+from ros_graph import Middleware, own_domain
 
 
 @pytest.fixture(scope='session')
 def domain_id():
     """Reserve a domain that nothing else on this machine uses."""
-    saved = os.environ.pop('ROS_DOMAIN_ID', None)
-    with reserve_domain() as number:
+    with own_domain() as number:
         keeper = GuestNode('keeper', number)  # so that one participant serves all tests
         yield number
         keeper.close()
-    if saved is not None:
-        os.environ['ROS_DOMAIN_ID'] = saved
 
 
 @pytest.fixture

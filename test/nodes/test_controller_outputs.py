@@ -26,8 +26,8 @@ def test_arrows_end_at_the_tips_and_are_as_long_as_their_force(config):
     pose = Pose(np.array([0.5, 0.1, 0.7]), QUARTER_TURN)
     alpha = np.array([10.0, 4.0])
     message = ContactMarkers(config, rate=25.0, scale=0.01).message(
-        STAMP, pose, alpha, [True, False])
-    assert len(message.markers) == 2
+        STAMP, pose, (alpha, alpha + 1.0, alpha + 2.0), [True, False])
+    assert len(message.markers) == 6
     for marker, name, force in zip(message.markers, config.contact_names, alpha):
         contact = config.contacts[name]
         tail, tip = (as_array(point) for point in marker.points)
@@ -37,13 +37,30 @@ def test_arrows_end_at_the_tips_and_are_as_long_as_their_force(config):
         assert (marker.header.frame_id, marker.type) == ('world', Marker.ARROW)
         assert marker.action == Marker.ADD
     assert message.markers[0].color != message.markers[1].color
-    assert len({(marker.ns, marker.id) for marker in message.markers}) == 2
+    assert len({(marker.ns, marker.id) for marker in message.markers}) == 6
+
+
+def test_estimated_and_desired_force_stand_beside_the_measured_one(config):
+    forces = np.array([10.0, 4.0]), np.array([9.0, 5.0]), np.array([8.0, 0.0])
+    markers = ContactMarkers(config, rate=25.0, scale=0.01).message(
+        STAMP, Pose(np.zeros(3), np.eye(3)), forces, [True, True]).markers
+    assert [marker.ns.rpartition('/')[2] for marker in markers[::2]] == [
+        'table', 'estimated', 'desired']
+    assert markers[5].action == Marker.DELETE and len({str(x.color) for x in markers}) == 3
+    for k, name in enumerate(config.contact_names):
+        normal = np.array(config.contacts[name].normal_world)
+        tips = [as_array(marker.points[1]) for marker in markers[k::2]]
+        for marker, tip, force in zip(markers[k::2], tips, forces):
+            np.testing.assert_allclose(tip - as_array(marker.points[0]), 0.01 * force[k] * normal)
+        for tip in tips[1:]:
+            assert (tip - tips[0]) @ normal == pytest.approx(0.0, abs=1e-12)
+        assert all(np.linalg.norm(one - other) > 0.02 for one, other in zip(tips, tips[1:]))
 
 
 def test_contact_without_force_has_no_arrow(config):
     message = ContactMarkers(config, rate=25.0, scale=0.01).message(
-        STAMP, Pose(np.zeros(3), np.eye(3)), np.array([0.0, -3.0]), [False, False])
-    assert [marker.action for marker in message.markers] == [Marker.DELETE] * 2
+        STAMP, Pose(np.zeros(3), np.eye(3)), [np.array([0.0, -3.0])] * 3, [False, False])
+    assert [marker.action for marker in message.markers] == [Marker.DELETE] * 6
 
 
 @pytest.mark.parametrize(('rate', 'count'), [(25.0, 25), (0.0, 0), (1000.0, 500)])

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import re
 import signal
 
 from arms import HOME
 from fake_arm import EFFORT, FakeArm, PARAMETERS, PERIOD
 from multicontact_control.nodes import messages, topics
+from multicontact_control.nodes.graph_node import ignore, take
 from multicontact_control.paths import config_dir
 import numpy as np
 import pytest
+from rcl_interfaces.msg import Log
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from ros_graph import end_of, wait_for
 from sensor_msgs.msg import JointState
@@ -27,14 +30,8 @@ class StrangeArm(FakeArm):
     """Publishes best effort, with a gripper's joints among its own, the wrench 50 us later."""
 
     def __init__(self, middleware, frame='ft_face'):
-        super().__init__(middleware)
+        super().__init__(middleware, BEST_EFFORT)
         self.frame = frame
-        node = middleware.node
-        node.destroy_publisher(self._joints)
-        node.destroy_publisher(self._wrench)
-        self._joints = node.create_publisher(JointState, 'joint_states', BEST_EFFORT)
-        self._wrench = node.create_publisher(
-            topics.WRENCH.message, 'ft_sensor/wrench', BEST_EFFORT)
 
     def send_parts(self, stamp, parts):
         names = ['left_finger', *reversed(self.config.robot.joint_names), 'right_finger']
@@ -47,6 +44,20 @@ class StrangeArm(FakeArm):
             self._wrench.publish(messages.wrench_message(stamp + LATE, self.wrench, self.frame))
 
 
+class Said:
+    """What nodes log from now on."""
+
+    def __init__(self, node):
+        self._subscription = node.create_subscription(Log, '/rosout', ignore, LATCHED)
+        self.lines = []
+
+    def has(self, text):
+        """Return whether a line with this has been logged."""
+        while (taken := take(self._subscription)) is not None:
+            self.lines.append(taken[0].msg)
+        return any(text in line for line in self.lines)
+
+
 def log_of(process):
     """End a node and return what it has logged."""
     process.send_signal(signal.SIGINT)
@@ -56,7 +67,8 @@ def log_of(process):
 def test_driver_of_another_robot_is_understood(middleware):
     process = middleware.start(MODULE, 'autostart:=true', *PARAMETERS, files=(FILE,))
     arm = StrangeArm(middleware)
-    np.testing.assert_array_equal(arm.connect(), EFFORT)
+    # The very first answer may go before anybody hears it.
+    np.testing.assert_allclose(arm.connect(), EFFORT, atol=1e-3)
     for _ in range(20):
         arm.step()
     report = arm.diagnostics(lambda x: x['supervisor'][2]['reaction'] == 'none')
@@ -80,13 +92,8 @@ def test_what_is_missing_and_who_cannot_be_heard_is_named(middleware):
     arm = FakeArm(middleware)
     node.create_publisher(JointState, topics.FORCE_COMMAND.name, BEST_EFFORT)
     node.create_subscription(JointState, topics.EFFORT_COMMAND.name, lambda _: None, LATCHED)
-    wait_for(arm._joints.get_subscription_count, 'a subscription')
+    said = Said(node)
     node.destroy_publisher(arm._wrench)
-    for _ in range(160):  # 8 s, though one would do: the machine may be busy
-        arm.k += 1
-        arm.send_parts(arm.k * PERIOD, {'joints'})
-        middleware.pause(0.05)
-    log = log_of(process)
     for line in (
             'no message on /ft_sensor/wrench for', 'nobody publishes it',
             'expected geometry_msgs/msg/WrenchStamped (reliable or best effort) with force [N] '
@@ -95,7 +102,14 @@ def test_what_is_missing_and_who_cannot_be_heard_is_named(middleware):
             'best effort by the publisher and requested as reliable by the subscriber',
             '/joint_effort_command: no message goes to /sim_node: durability is offered as '
             'volatile by the publisher and requested as transient local by the subscriber'):
-        assert line in log, log
+        def told(line=line):
+            arm.k += 1
+            arm.send_parts(arm.k * PERIOD, {'joints'})
+            middleware.pause(0.05)
+            return said.has(line)
+
+        assert wait_for(told, line, lambda: said.lines)
+    log_of(process)
 
 
 def test_stamps_that_never_meet_are_named(middleware):
@@ -120,9 +134,11 @@ def test_a_rate_that_is_not_that_of_the_samples_is_named(middleware):
     process = middleware.start(MODULE, 'autostart:=true', *PARAMETERS, files=(FILE,))
     arm = FakeArm(middleware)
     arm.send_parts, send = (lambda stamp, parts: send(4 * stamp, parts)), arm.send_parts
-    arm.diagnostics(lambda x: 'samples come at 125 Hz: expected 500 Hz (rate)' in x['loop'][1])
+    # Of a busy machine a sample or two may be missing.
+    told = re.compile(r'samples come at 1[12]\d(\.\d)? Hz: expected 500 Hz \(rate\)')
+    arm.diagnostics(lambda x: told.search(x['loop'][1]))
     log = log_of(process)
-    assert 'samples come at 125 Hz: expected 500 Hz (rate)' in log
+    assert told.search(log)
     assert 'instead of control: clock_rate' in log
 
 
