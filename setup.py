@@ -33,7 +33,6 @@ install_requires = [
     'typer>=0.15,<1',
     'rich>=13.9,<16',
     'matplotlib>=3.9,<4',
-    'plotly>=6,<8',
     'joblib>=1.4,<2',
     'pyarrow>=17,<27',
     'mcap>=1.2,<2',
@@ -67,12 +66,18 @@ extras_require = {
         'viser>=1.1,<1.2',
         'websockets>=14,<17',
     ],
+    # To make HTML of docs/: `make docs`.
+    'docs': [
+        'sphinx>=8,<10',
+        'myst-parser>=4,<6',
+        'furo>=2024.8,<2028',
+    ],
     'test': [
         'pytest>=8,<10',
         'pytest-xdist>=3.6,<4',
         'hypothesis>=6.100,<7',
         'rosbags>=0.10,<0.12',
-        # Only where there is a Chromium for it to drive; the page's test is skipped elsewhere.
+        # Where there is a Chromium for it to drive; the tests of the pages are skipped elsewhere.
         'playwright>=1.50,<2',
         'ruff>=0.17.5,<0.18',
         'mypy>=2.4,<3',
@@ -143,7 +148,7 @@ setup(
     license='Apache-2.0',
     python_requires='>=3.10',
     packages=find_packages(exclude=['test*']),
-    package_data={package_name: ['py.typed']},
+    package_data={package_name: ['py.typed', 'experiment/page_assets/*']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{package_name}']),
         (share, ['package.xml']),

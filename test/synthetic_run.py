@@ -28,7 +28,8 @@ def perfect_run(setup: Setup) -> RunData:
         'position_des')}
     turn = np.tile([0.0, 0.0, 0.0, 1.0], (data.ticks, 1))
     variance = np.where(
-        (data.time >= reference.motion.start_time)[:, None], 100.0, 0.6) * np.ones((1, 2))
+        (data.time >= reference.motion.start_time)[:, None], 100.0, 0.6) * np.ones(
+            (1, len(data.contact_names)))
     return replace(
         data, **series, alpha_true=desired.copy(), alpha_meas=desired.copy(),
         alpha_est=desired.copy(), alpha_des=desired, noise_variance=variance, quaternion=turn,

@@ -86,6 +86,15 @@ def test_every_folder_with_modules_is_a_package():
     assert bare == set()
 
 
+def test_files_beside_the_modules_are_installed(described):
+    patterns = described()['package_data']['multicontact_control']
+    package = ROOT / 'multicontact_control'
+    beside = [path.relative_to(package) for path in package.rglob('*') if path.is_file()
+              and path.suffix != '.py' and '__pycache__' not in path.parts]
+    assert len(beside) > 1
+    assert [path for path in beside if not any(map(path.match, patterns))] == []
+
+
 def test_console_scripts_exist(described):
     for name, target in scripts_of(described()).items():
         module, function = target.split(':')

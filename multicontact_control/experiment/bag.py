@@ -2,27 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from multicontact_control.arrays import Matrix
 from multicontact_control.config import ControllerConfig
 from multicontact_control.config.columns import is_couple_name
 from multicontact_control.errors import RunError
+from multicontact_control.experiment.bag_columns import BagColumns, JOINT_STATE, POSE, WRENCH
 from multicontact_control.experiment.bag_messages import (
     BagMessages,
     describe_others,
     read_messages,
-    Recorded,
 )
 from multicontact_control.experiment.oscillation import stretches
 from multicontact_control.experiment.recording import empty_run_data, RunData
 import numpy as np
+from numpy.typing import NDArray
 
-Reading = Callable[[Any, Sequence[str]], Sequence[float]]
 SPARSE = 20.0  # ticks per sample beyond which the stamps are no clock
+CUT_OFF = 'the recording is cut off'
 NOT_RECORDED = 'not in the recording'
 REACHED = 0.99  # of a command, from which on the contact that it is for has been made
 
@@ -114,22 +114,20 @@ def content_of(
 ) -> BagContent:
     """Return the series of the messages that `read_graph` found; see `read_bag`."""
     topic = sample_topic(found)
-    by_stamp = {x.stamp: x.published for x in found.by_topic[topic]}
-    stamps = np.array(sorted(by_stamp))
+    samples = found.by_topic[topic]
+    stamps, newest = np.unique(samples.stamps[::-1], return_index=True)
     ticks = np.rint((stamps - stamps[0]) * 1e-9 * controller.rate).astype(np.int64)
     count = int(ticks[-1]) + 1
-    if count > SPARSE * len(stamps) + controller.rate or 2 * len(stamps) < len(
-            found.by_topic[topic]):
+    if count > SPARSE * len(stamps) + controller.rate or 2 * len(stamps) < len(samples):
         raise RunError(
             f'{path}: {topic}: expected stamps {1e3 * controller.period:g} ms apart, found '
-            f'{len(found.by_topic[topic])} messages with {len(stamps)} stamps over '
+            f'{len(samples)} messages with {len(stamps)} stamps over '
             f'{(int(stamps[-1]) - int(stamps[0])) * 1e-9:.3g} s')
     data = empty_run_data(count, controller)
-    missing = _fill(data, found.by_topic, dict(zip(stamps.tolist(), ticks.tolist())))
+    missing = _fill(data, found.by_topic, stamps, ticks)
     if commanded:
-        published = np.array([by_stamp[stamp] for stamp in stamps.tolist()])
         data = replace(data, command=_commands(
-            data, found.by_topic.get(FORCE_COMMAND, []), published, ticks))
+            data, found.by_topic.get(FORCE_COMMAND), samples.published[::-1][newest], ticks))
     return BagContent(data, dict(found.rates), missing, _remarks(found, data))
 
 
@@ -151,24 +149,32 @@ def answered(content: BagContent) -> BagContent:
 
 
 def _fill(
-    data: RunData, messages: Mapping[str, Sequence[Recorded]], tick_of: Mapping[int, int],
+    data: RunData, messages: Mapping[str, BagColumns], stamps: NDArray[np.int64],
+    ticks: NDArray[np.int64],
 ) -> dict[str, int]:
     """Write the messages into series; return how many samples lack one, by topic."""
     missing = {}
-    for topic, readings in SERIES.items():
+    for topic, fields in SERIES.items():
+        found = messages.get(topic)
+        if found is None:
+            if topic not in OPTIONAL:
+                missing[topic] = data.ticks
+            continue
         names = data.joint_names if topic.startswith('joint') else data.contact_names
-        found = {x.stamp: x.message for x in messages.get(topic, ()) if x.stamp in tick_of}
-        for series, read in readings.items():
-            values = getattr(data, series)
-            for stamp, message in found.items():
-                values[tick_of[stamp]] = read(message, names)
-        if found or topic not in OPTIONAL:
-            missing[topic] = data.ticks - len(found)
+        places = np.searchsorted(stamps, found.stamps).clip(max=len(stamps) - 1)
+        of_samples = stamps[places] == found.stamps
+        rows = ticks[places[of_samples]]
+        for series, field in fields.items():
+            getattr(data, series)[rows] = found.values(field, names)[of_samples]
+        there = len(np.unique(places[of_samples]))
+        if there or topic not in OPTIONAL:
+            missing[topic] = data.ticks - there
     return missing
 
 
 def _commands(
-    data: RunData, messages: Sequence[Recorded], published: Any, ticks: Any,
+    data: RunData, sent: BagColumns | None, published: NDArray[np.uint64],
+    ticks: NDArray[np.int64],
 ) -> Matrix:
     """
     Return the forces that were commanded over topics, shape (m, r) [N].
@@ -176,16 +182,19 @@ def _commands(
     A command counts from when the contact was made: the way to the surface is no answer to it.
     Where no command was recorded it is what the controller wanted.
     """
-    if not messages:
+    if sent is None:
         return data.alpha_des.copy()
     command = np.zeros_like(data.alpha_des)
     order = np.argsort(published)
-    for sent in messages:
-        place = int(np.searchsorted(published[order], sent.published))
-        begin = int(ticks[order[place]]) if place < len(order) else data.ticks
-        for name, force in zip(sent.message.name, sent.message.effort):
-            if name in data.contact_names:
-                command[begin:, data.contact_names.index(name)] = force
+    places = np.searchsorted(published[order], sent.published)
+    begins = np.append(ticks[order], data.ticks)[places]
+    for asked, forces in zip(command.T, sent.values('effort', data.contact_names).T):
+        said = ~np.isnan(forces)  # the others say nothing of this contact
+        begun = np.full(data.ticks + 1, np.nan)
+        begun[0] = 0.0
+        begun[begins[said]] = forces[said]
+        newest = np.where(np.isnan(begun), 0, np.arange(data.ticks + 1))
+        asked[:] = begun[np.maximum.accumulate(newest)][:-1]
     for name, asked, wanted in zip(data.contact_names, command.T, data.alpha_des.T):
         if is_couple_name(name):  # which may be commanded as a centre of pressure
             asked[:] = wanted
@@ -205,63 +214,36 @@ def _remarks(found: BagMessages, data: RunData) -> tuple[str, ...]:
     for topic, values, wanted in ((SAMPLES, data.q, data.joint_names),
                                   (MEASURED, data.alpha_meas, data.contact_names)):
         if topic in found.by_topic and wanted and not np.isfinite(values).any():
-            names = ', '.join(found.by_topic[topic][0].message.name) or 'none'
+            names = ', '.join(found.by_topic[topic].names) or 'none'
             remarks.append(f'{topic}: expected {", ".join(wanted)}, found {names}')
     if found.cut_off:
-        remarks.append('the recording is cut off')
+        remarks.append(CUT_OFF)
     return tuple(remarks)
 
 
-def _field(name: str) -> Reading:
-    """Return what reads a field of a JointState in the order of some names."""
-    def read(message: Any, wanted: Sequence[str]) -> list[float]:
-        by_name = dict(zip(message.name, getattr(message, name)))
-        return [by_name.get(each, np.nan) for each in wanted]
-    return read
-
-
-def _wrench(message: Any, _: Sequence[str]) -> tuple[float, ...]:
-    force, torque = message.wrench.force, message.wrench.torque
-    return force.x, force.y, force.z, torque.x, torque.y, torque.z
-
-
-def _position(message: Any, _: Sequence[str]) -> tuple[float, ...]:
-    p = message.pose.position
-    return p.x, p.y, p.z
-
-
-def _quaternion(message: Any, _: Sequence[str]) -> tuple[float, ...]:
-    q = message.pose.orientation
-    return q.x, q.y, q.z, q.w
-
-
-# What is read from the messages of a topic, by the series it goes to.
-SERIES: dict[str, dict[str, Reading]] = {
-    'joint_states': {
-        'q': _field('position'), 'qd': _field('velocity'), 'effort': _field('effort')},
-    'ft_sensor/wrench': {'wrench': _wrench},
-    'ft_sensor/wrench_filtered': {'wrench_filtered': _wrench},
-    'joint_effort_command': {'torque': _field('effort')},
-    'contact_forces/measured': {'alpha_meas': _field('effort')},
-    'contact_forces/estimated': {
-        'alpha_est': _field('effort'), 'alpha_rate_est': _field('velocity')},
-    'contact_forces/desired': {'alpha_des': _field('effort')},
-    'contact_forces/innovation': {'innovation': _field('effort')},
+# Which field of the messages of a topic a series is.
+SERIES: dict[str, dict[str, str]] = {
+    'joint_states': {'q': 'position', 'qd': 'velocity', 'effort': 'effort'},
+    'ft_sensor/wrench': {'wrench': 'wrench'},
+    'ft_sensor/wrench_filtered': {'wrench_filtered': 'wrench'},
+    'joint_effort_command': {'torque': 'effort'},
+    'contact_forces/measured': {'alpha_meas': 'effort'},
+    'contact_forces/estimated': {'alpha_est': 'effort', 'alpha_rate_est': 'velocity'},
+    'contact_forces/desired': {'alpha_des': 'effort'},
+    'contact_forces/innovation': {'innovation': 'effort'},
     'contact_forces/stiffness': {
-        'stiffness_est': _field('position'), 'stiffness_std': _field('velocity'),
-        'stiffness': _field('effort')},
-    'contact_forces/stability_margin': {'margin': _field('effort')},
-    'contact_forces/noise_variance': {'noise_variance': _field('effort')},
-    'ground_truth/contact_forces': {'alpha_true': _field('effort')},
-    'operational_point/pose': {'position': _position, 'quaternion': _quaternion},
-    'operational_point/pose_desired': {'position_des': _position, 'quaternion_des': _quaternion}}
+        'stiffness_est': 'position', 'stiffness_std': 'velocity', 'stiffness': 'effort'},
+    'contact_forces/stability_margin': {'margin': 'effort'},
+    'contact_forces/noise_variance': {'noise_variance': 'effort'},
+    'ground_truth/contact_forces': {'alpha_true': 'effort'},
+    'operational_point/pose': {'position': 'point', 'quaternion': 'quaternion'},
+    'operational_point/pose_desired': {
+        'position_des': 'point', 'quaternion_des': 'quaternion'}}
 # Only there where the stiffness is found on-line.
 OPTIONAL = ('contact_forces/stiffness', 'contact_forces/stability_margin')
 SAMPLES, MEASURED = 'joint_states', 'contact_forces/measured'
 FORCE_COMMAND = 'contact_forces/command'
 # Types of all topics that are read.
-TYPES = dict.fromkeys((*SERIES, FORCE_COMMAND), 'sensor_msgs/msg/JointState') | {
-    'ft_sensor/wrench': 'geometry_msgs/msg/WrenchStamped',
-    'ft_sensor/wrench_filtered': 'geometry_msgs/msg/WrenchStamped',
-    'operational_point/pose': 'geometry_msgs/msg/PoseStamped',
-    'operational_point/pose_desired': 'geometry_msgs/msg/PoseStamped'}
+TYPES = dict.fromkeys((*SERIES, FORCE_COMMAND), JOINT_STATE) | {
+    'ft_sensor/wrench': WRENCH, 'ft_sensor/wrench_filtered': WRENCH,
+    'operational_point/pose': POSE, 'operational_point/pose_desired': POSE}

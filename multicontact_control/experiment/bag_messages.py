@@ -7,12 +7,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 import re
 import struct
-from typing import Any, NamedTuple
+from typing import Any
 
 from mcap.exceptions import McapError
 from mcap.reader import make_reader, McapReader, NonSeekingReader
 from mcap_ros2.decoder import DecoderFactory
 from multicontact_control.errors import RunError
+from multicontact_control.experiment.bag_columns import BagColumns
 import zstandard
 
 # What a file that is cut off, or holds something else, makes its readers raise.
@@ -20,14 +21,6 @@ DAMAGED = (McapError, EOFError, struct.error, ValueError, LookupError, RuntimeEr
            TypeError, AttributeError, OSError, zstandard.ZstdError,
            MemoryError)  # a length that has been damaged may be any
 NAMED = 6  # topics that a line names
-
-
-class Recorded(NamedTuple):
-    """One message of a recording."""
-
-    stamp: int  # of its header [ns]
-    published: int  # when it was sent [ns since the epoch]
-    message: Any
 
 
 @dataclass(frozen=True)
@@ -38,7 +31,7 @@ class BagMessages:
     Attributes
     ----------
     by_topic
-        In the order of the recording, by the name within the graph's namespace.
+        What they say, by the name within the graph's namespace.
     rates
         Messages per second of all topics with more than one, by full name without the first
         slash [Hz].
@@ -51,7 +44,7 @@ class BagMessages:
 
     """
 
-    by_topic: Mapping[str, list[Recorded]]
+    by_topic: Mapping[str, BagColumns]
     rates: Mapping[str, float]
     others: tuple[str, ...]
     cut_off: bool = False
@@ -62,7 +55,7 @@ class BagMessages:
 class _Reading:
     """What has been read so far."""
 
-    by_name: dict[str, list[Recorded]] = field(default_factory=dict)  # by full name
+    by_name: dict[str, BagColumns] = field(default_factory=dict)  # by full name
     counts: dict[str, tuple[int, int, int]] = field(default_factory=dict)  # first, last [ns]
     unreadable: dict[str, str] = field(default_factory=dict)
     cut_off: bool = False
@@ -107,7 +100,7 @@ def read_messages(
     path
         An MCAP file, or a folder with those of one recording.
     wanted
-        Type of each topic by its name without namespace, e.g. ``sensor_msgs/msg/JointState``.
+        Type of each topic by its name without namespace, one of `bag_columns.FIELDS`.
     namespace
         That of the graph; if not given, the only one that such topics are in.
 
@@ -194,14 +187,12 @@ def _take(
         decode = factory.decoder_for(channel.message_encoding, schema)
         if decode is None:
             raise ValueError(f'{channel.message_encoding} with {schema.encoding}')
-        message = decode(record.data)
-        stamp = message.header.stamp
-        nanoseconds = stamp.sec * 1_000_000_000 + stamp.nanosec
+        columns = reading.by_name.get(name) or BagColumns(wanted[topic])
+        columns.take(decode(record.data), published)
     except DAMAGED as error:
         reading.unreadable[name] = f'cannot be read: {error}'
         return
-    reading.by_name.setdefault(name, []).append(
-        Recorded(nanoseconds, published, message))
+    reading.by_name[name] = columns
 
 
 def _reader(stream: Any) -> McapReader:

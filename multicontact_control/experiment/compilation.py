@@ -23,9 +23,10 @@ import time
 from llvmlite import binding as llvm
 from multicontact_control import compiled
 from multicontact_control.compiled import cache_folder, compilations_told, sources_stamp
+from multicontact_control.terminal import moving_bar, terminal
 import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
 
 NO_FOLDER = ('no folder can be written for what is compiled, so every process compiles for itself '
              '(half a minute each): set NUMBA_CACHE_DIR to one that can')
@@ -54,7 +55,7 @@ def ensure_compiled(console: Console | None = None) -> int:
     folder = cache_folder()
     if folder is not None and is_complete(folder):
         return 0
-    console = console or Console(stderr=True)
+    console = console or terminal(stderr=True)
     if folder is None:
         console.print(f'warning: {NO_FOLDER}', style='yellow', highlight=False, soft_wrap=True)
         return 0
@@ -96,7 +97,7 @@ def _compile_all(folder: Path, console: Console) -> int:
     """Do everything once, then note which files that took or made."""
     columns = (TextColumn('{task.description}'), BarColumn(), MofNCompleteColumn(),
                TimeElapsedColumn(), TextColumn('{task.fields[kernel]}'))
-    with Progress(*columns, console=console, refresh_per_second=5) as progress:
+    with moving_bar(*columns, console=console, refresh_per_second=5) as progress:
         bar = progress.add_task('loading', total=None, kernel='')
         exercises = _exercises()
         seen: set[str] = set()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, Protocol, TYPE_CHECKING
 
 from multicontact_control.errors import RunError
@@ -18,6 +19,13 @@ from multicontact_control.experiment.judge import (
     UNJUDGED,
     verdict_text,
 )
+from multicontact_control.experiment.results import (
+    BAG_FOLDER,
+    FIGURE_FOLDER,
+    REPORT_FILE,
+    SUMMARY_FILE,
+)
+from multicontact_control.terminal import moving_bar
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import (
@@ -61,7 +69,7 @@ def progress_bar(
     columns = (TextColumn('{task.description}'), BarColumn(),
                TextColumn(f'{{task.completed:5.1f}}{end} s'), TimeRemainingColumn(),
                TextColumn('{task.fields[forces]}'))
-    with Progress(*columns, console=console, refresh_per_second=5) as progress:
+    with moving_bar(*columns, console=console, refresh_per_second=5) as progress:
         task = progress.add_task(title, total=duration, forces=waiting)
 
         def show(time: float, forces: Mapping[str, float]) -> None:
@@ -74,7 +82,7 @@ def progress_bar(
 
 def count_bar(console: Console | None = None) -> Progress:
     """Return the bar of a study: how much is done, for how long, and how long it will take."""
-    return Progress(
+    return moving_bar(
         TextColumn('{task.description}'), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
         TextColumn('left'), TimeRemainingColumn(), console=console, refresh_per_second=2,
         speed_estimate_period=600.0)
@@ -152,9 +160,9 @@ def verdict_lines(summary: Mapping[str, Any], folder: object) -> list[str]:
         f"motion error {_number(motion['position_rms_m'], 5)} m rms, "
         f"{_number(motion['orientation_max_rad'], 4)} rad at most; torque at most "
         f"{_percent(torque['max_fraction_of_limit'])} of its limit"]
-    known = summary['kept_real_time'] is not False
-    colour = COLOURS[summary['verdict'] if known or not summary['stable'] else HELD]
-    lines.append(f'[{colour}]{escape(verdict_text(summary))}[/{colour}]')
+    text = verdict_text(summary)
+    colour = COLOURS[HELD if summary['stable'] and text != STABLE else summary['verdict']]
+    lines.append(f'[{colour}]{escape(text)}[/{colour}]')
     lines += _timeliness_lines(summary)
     lost = timing.get('lost_messages', 0)
     if lost:
@@ -162,6 +170,17 @@ def verdict_lines(summary: Mapping[str, Any], folder: object) -> list[str]:
     lines += [f'[yellow]{escape(text)}[/yellow]' for text in summary.get('remarks', ())]
     lines.append(f'results in {folder}')
     return lines
+
+
+def next_lines(folder: Path) -> list[str]:
+    """Return what to open next of a run: the pictures, the replay, the numbers."""
+    report, bag = folder / REPORT_FILE, folder / BAG_FOLDER
+    pictures = report if report.is_file() else folder / FIGURE_FOLDER
+    rows = [
+        ('figures', str(pictures)),
+        ('bag' if bag.is_dir() else 'replay', f'multicontact view {folder}'),
+        ('numbers', str(folder / SUMMARY_FILE))]
+    return ['open next:', *(f'  {name:<8} {what}' for name, what in rows)]
 
 
 def _timeliness_lines(summary: Mapping[str, Any]) -> list[str]:

@@ -254,16 +254,15 @@ def setup_of_recording(
 def _names(found: BagMessages, topics: Sequence[str]) -> tuple[str, ...]:
     """Return the names in the first message of the first topic that has any."""
     for topic in topics:
-        for recorded in found.by_topic.get(topic, ()):
-            if recorded.message.name:
-                return tuple(dict.fromkeys(recorded.message.name))
+        if topic in found.by_topic and found.by_topic[topic].names:
+            return tuple(dict.fromkeys(found.by_topic[topic].names))
     return ()
 
 
 def _rate(path: Path, found: BagMessages) -> float:
     """Return the rate that the stamps of most samples are apart by [Hz], if whole, exactly."""
     topic = sample_topic(found)
-    stamps = np.unique([recorded.stamp for recorded in found.by_topic[topic]])
+    stamps = np.unique(found.by_topic[topic].stamps)
     if len(stamps) < 2:
         raise RunError(f'{path}: {topic}: expected at least 2 samples, found {len(stamps)}')
     rate = 1e9 / float(np.median(np.diff(stamps)))

@@ -11,57 +11,31 @@ import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from multicontact_control.arrays import Vector
-from multicontact_control.experiment.html_parts import corners, envelope, figure
+from multicontact_control.experiment.html_figure import figure, plot
 from multicontact_control.experiment.judge import STABLE
 from multicontact_control.experiment.metrics import judged_windows
 from multicontact_control.experiment.oscillation import stretches
+from multicontact_control.experiment.panels import (
+    COMMANDED,
+    ESTIMATED,
+    MEASURED,
+    Panel,
+    Span,
+    Trace,
+    TRUE,
+    WINDOW,
+)
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.scenario import Setup
+from multicontact_control.files import file_name
 import numpy as np
 
 matplotlib.use('Agg')
 
-MEASURED = '#4c78a8'
-ESTIMATED = '#54a24b'
-COMMANDED = '#222222'
-TRUE = '#e45756'
-WINDOW = '#f2f2f2'
 TITLE_WIDTH = 110  # characters of the second line that fit
 STEP_SHOWN = (0.05, 0.35)  # s before and after a step
-BUCKETS = 1500  # that a series is thinned out to on a page
 NO_TRUTH = 'no ground truth'
 PAPER_VARIANCE = ((0.6, 'paper, at rest'), (100.0, 'paper, moving'))  # N^2
-
-
-class Trace(NamedTuple):
-    """A series as a line; a page chooses a colour if there is none, and has one width."""
-
-    label: str
-    values: Vector  # shape (m,)
-    colour: str | None = MEASURED
-    width: float = 0.5
-    dashed: bool = False
-    faint: bool = False
-    steps: bool = False  # constant but for its steps
-
-
-class Panel(NamedTuple):
-    """Lines over time on common axes; logarithmic if levels are named, too."""
-
-    label: str  # of the vertical axis
-    traces: Sequence[Trace]
-    limits: tuple[float, float] | None = None  # those of the data if not given
-    levels: Sequence[tuple[float, str]] = ()  # horizontal lines and what they stand for
-    height: float = 1.0  # relative to the other panels
-    logarithmic: bool = False
-
-
-class Span(NamedTuple):
-    """A stretch of a run that is shaded."""
-
-    name: str
-    start: float  # s
-    end: float
 
 
 class RunFigure(NamedTuple):
@@ -99,14 +73,14 @@ def _force(data: RunData, i: int) -> RunFigure:
     measured = Trace('measured', seen)
     true = Trace('true', data.alpha_true[:, i], TRUE, 0.4, faint=True)
     estimated = Trace('estimated (AOB)', data.alpha_est[:, i], ESTIMATED)
-    commanded = Trace('commanded', desired, COMMANDED, 1.0, dashed=True, steps=True)
+    commanded = Trace('commanded', desired, COMMANDED, 1.0, dashed=True)
     largest = float(np.max(desired[np.isfinite(desired)], initial=0.0))
     finite = seen[np.isfinite(seen)]
     limits = (min(-2.0, float(np.min(finite, initial=0.0))),
               max(1.6 * largest, 5.0, 1.1 * float(np.max(finite, initial=0.0))))
     label = 'force [N]' if data.has_truth else f'force [N], {NO_TRUTH}'
     return RunFigure(
-        f'fig{3 + i if i < 2 else f"3_{i + 1}"}_force_{name.replace("/", "_")}',
+        file_name(f'fig{3 + i if i < 2 else f"3_{i + 1}"}_force_{name}'),
         f'Contact force {name}',
         (Panel(label, (measured, commanded), limits),
          Panel(label, (estimated, commanded, true), limits)),
@@ -321,7 +295,7 @@ def _draw_panel(
         axes.axvspan(start, end, color=WINDOW, zorder=0)
         axes.annotate(name, (start, 1.0), xycoords=('data', 'axes fraction'), fontsize=7,
                       va='top', color='#777777', xytext=(2, -2), textcoords='offset points')
-    if panel.levels or panel.logarithmic:
+    if panel.on_log_axis:
         axes.set_yscale('log')
     for trace in panel.traces:
         style: dict[str, Any] = {'alpha': 0.6, 'zorder': 1.5} if trace.faint else {}
@@ -353,32 +327,6 @@ def interactive_figures(data: RunData, setup: Setup, number: int) -> str:
     """
     shaded = _judged(data, setup)
     return '\n'.join(
-        figure(f'run{number}-{drawn.name}', [_line(data.time, t) for t in drawn.page.traces],
-               _layout(drawn.heading, drawn.page, shaded)) for drawn in run_figures(data, setup))
-
-
-def _line(time: Vector, trace: Trace) -> dict[str, Any]:
-    x, y = corners(time, trace.values) if trace.steps else envelope(time, trace.values, BUCKETS)
-    style = {'width': 1, **({'color': trace.colour} if trace.colour else {}),
-             **({'dash': 'dash'} if trace.dashed else {})}
-    return {'x': x, 'y': y, 'name': trace.label, 'mode': 'lines', 'line': style}
-
-
-def _layout(
-    heading: str, panel: Panel, shaded: Sequence[Span],
-) -> dict[str, Any]:
-    shapes: list[dict[str, Any]] = [
-        {'type': 'rect', 'yref': 'paper', 'y0': 0, 'y1': 1, 'x0': start, 'x1': end,
-         'fillcolor': WINDOW, 'line': {'width': 0}, 'layer': 'below'}
-        for _, start, end in shaded]
-    shapes += [
-        {'type': 'line', 'xref': 'paper', 'x0': 0, 'x1': 1, 'y0': level, 'y1': level,
-         'line': {'color': COMMANDED, 'width': 1, 'dash': 'dot'}} for level, _ in panel.levels]
-    axis: dict[str, Any] = {'title': {'text': panel.label}}
-    if panel.limits is not None:
-        axis['range'] = list(panel.limits)
-    if panel.levels or panel.logarithmic:
-        axis['type'] = 'log'
-    return {'title': {'text': heading, 'font': {'size': 14}}, 'height': 340, 'hovermode': 'x',
-            'margin': {'t': 40, 'b': 40, 'l': 60, 'r': 10}, 'shapes': shapes, 'yaxis': axis,
-            'xaxis': {'title': {'text': 'time [s]'}}}
+        figure(f'run{number}-{drawn.name}',
+               [plot(drawn.page, data.time, drawn.heading, shaded=shaded)])
+        for drawn in run_figures(data, setup))

@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from html import escape
-import json
-import math
 from pathlib import Path
-from typing import Any
 
-from multicontact_control.arrays import Vector
 from multicontact_control.experiment.claims import Claim, ClaimOverDamping
+from multicontact_control.experiment.html_figure import drawing, has_figures
 from multicontact_control.files import write_text
-import numpy as np
 
 STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #222; max-width: 1180px;
@@ -29,38 +25,24 @@ tr.chosen { background: #dce8f7; }
 .note { color: #555; font-size: 13px; }
 pre { background: #f6f6f6; padding: .8em; overflow-x: auto; font-size: 12px; }
 img { max-width: 100%; }
+.figure { margin: .8em 0; } .figure .u-title { font-size: 14px; }
+.figure .u-legend { font-size: 12px; font-variant-numeric: tabular-nums; }
+.figure .u-legend th, .figure .u-legend td { border: 0; }
 """
 
 
 def page(title: str, body: str) -> str:
-    """Return a page of a plain title and a body in HTML, with plotly.js if it draws anything."""
-    script = ''
-    if 'Plotly.' in body:
-        from plotly.offline import get_plotlyjs
-
-        script = f'<script>{get_plotlyjs()}</script>'
+    """Return a page of a plain title and a body in HTML, with what draws its figures."""
+    drawn = drawing() if has_figures(body) else ''
     return (f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
             f'<title>{escape(title)}</title><style>{STYLE}</style>'
-            f'{script}</head>\n<body><h1>{escape(title)}</h1>\n{body}\n'
+            f'{drawn}</head>\n<body><h1>{escape(title)}</h1>\n{body}\n'
             '</body></html>\n')
 
 
 def write_page(path: Path, title: str, body: str) -> None:
     """Write a page such that a reader sees the old file or the new one, never half of one."""
     write_text(path, page(title, body))
-
-
-def figure(name: str, traces: Sequence[Mapping[str, Any]], layout: Mapping[str, Any]) -> str:
-    """Return an interactive figure as HTML; `name` must be the only one on its page."""
-    return (f'<div id="{escape(name)}"></div><script>Plotly.newPlot("{escape(name)}", '
-            f'{script_json(list(traces))}, {script_json(dict(layout))}, '
-            '{responsive: true, displaylogo: false});</script>')
-
-
-def script_json(value: Any) -> str:
-    """Return JSON that can stand in a script element."""
-    text = json.dumps(value, separators=(',', ':'), allow_nan=False)
-    return text.replace('</', '<\\/')
 
 
 def table(
@@ -121,44 +103,3 @@ def image(path: Path, alt: str) -> str:
     """Return a PNG file as part of the page."""
     data = base64.b64encode(path.read_bytes()).decode()
     return f'<img alt="{escape(alt)}" src="data:image/png;base64,{data}">'
-
-
-def envelope(time: Vector, values: Vector, buckets: int) -> tuple[list[float], list[float]]:
-    """
-    Return a series thinned out such that every peak is still in it.
-
-    Parameters
-    ----------
-    time, values
-        The series, shape (m,).
-    buckets
-        Each of them is left its smallest and its largest value, in their order.
-
-    Returns
-    -------
-    tuple
-        At most 2 `buckets` times and values, to four digits; what is not finite is left out.
-
-    """
-    known = np.flatnonzero(np.isfinite(values))
-    kept: list[int] = []
-    for part in np.array_split(known, max(min(buckets, known.size), 1)):
-        if part.size:
-            found = {int(part[np.argmin(values[part])]), int(part[np.argmax(values[part])])}
-            kept += sorted(found)
-    return [round(float(time[k]), 4) for k in kept], [_short(float(values[k])) for k in kept]
-
-
-def corners(time: Vector, values: Vector) -> tuple[list[float], list[float]]:
-    """Return a series of steps by its ends and the two sides of every step, finite ones only."""
-    known = np.isfinite(values)
-    time, values = time[known], values[known]
-    if not len(values):
-        return [], []
-    jumps = np.flatnonzero(np.diff(values) != 0.0)
-    kept = sorted({0, len(values) - 1, *jumps.tolist(), *(jumps + 1).tolist()})
-    return [round(float(time[k]), 4) for k in kept], [_short(float(values[k])) for k in kept]
-
-
-def _short(value: float) -> float:
-    return value if value == 0.0 else round(value, 3 - int(math.floor(math.log10(abs(value)))))

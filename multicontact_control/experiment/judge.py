@@ -40,11 +40,11 @@ import numpy as np
 STABLE, HELD, NOT_STABLE, UNJUDGED = (
     'stable', 'held by the supervisor', 'not stable', 'not judged')
 UNJUDGED_TEXT = 'not judged: the machine could not keep real time'
-# Of a run whose machine was too busy for it: what went wrong with the samples is not judged.
-# Of one without ground truth, after what else is said of it.
+# Of a run without ground truth, after what else is said of it.
 BY_MEASUREMENT = 'by the measured forces'
 UNTRUE_TEXT = f'not judged: no ground truth; {BY_MEASUREMENT} no limit was passed'
 UNFELT_TEXT = 'not judged: neither true nor measured forces'
+# Of one whose machine was too busy for it: what went wrong with the samples is not judged.
 AS_FAR_AS_KNOWN = 'stable as far as it could be judged: the machine could not keep real time'
 
 LONGEST_LOSS = 0.1  # s, of contact or to saturation: five time constants of the designed loop
@@ -58,6 +58,9 @@ IMPACT_SHARE = 0.5  # 30 N of 60 N
 # within 10 s. One surface that goes away makes one loss, and a bounce or two when it is back.
 AGAIN = 5
 AGAIN_TIME = 10.0  # s
+# % of its largest step, from which on a stable force is said not to follow its command: no limit
+# of stability, but nobody is to read `stable` alone.
+LARGEST_OVERSHOOT = 50.0
 LARGEST_HELD_SHARE = 0.05  # of the time under load, in which reactions replace the control law
 
 TRUE, MEASURED, UNKNOWN = 'true', 'measured', 'unknown'  # forces that a run is judged by
@@ -125,7 +128,17 @@ def verdict_text(summary: Mapping[str, Any]) -> str:
             ['; '.join(summary['instabilities'])] if summary['instabilities'] else [])])
     if name != STABLE:
         return f"{name}: {'; '.join(summary['instabilities'])}"
-    return AS_FAR_AS_KNOWN if summary.get('kept_real_time') is False else STABLE
+    text = AS_FAR_AS_KNOWN if summary.get('kept_real_time') is False else STABLE
+    return text + _overshoots(summary)
+
+
+def _overshoots(summary: Mapping[str, Any]) -> str:
+    """Return which forces overshoot their largest steps far, for behind a verdict, or nothing."""
+    found = {name: contact.get('step_overshoot_percent')
+             for name, contact in summary.get('contacts', {}).items()}
+    far = [f'{name} {percent:.0f} %' for name, percent in found.items()
+           if percent is not None and percent > LARGEST_OVERSHOOT]
+    return f', but overshoots a step: {", ".join(far)}' if far else ''
 
 
 def judge(
@@ -181,7 +194,8 @@ def findings(
     They are: no end before its time; nothing that is not finite; no torque at its limit for more
     than 0.1 s; every contact made; under load, which is from the first force step on, no contact
     lost for more than 0.1 s, nor more than 5 times within 10 s, and no force that oscillates
-    (`oscillation`); no force beyond 5 times its command and half the force ceiling.
+    (`oscillation`); no force beyond 5 times its command and half the force ceiling. Couples are
+    judged as forces are: what is lost by one is an end of its contact.
 
     Of the samples, those that are `judged` count, all if not given.
     """
@@ -201,29 +215,33 @@ def findings(
 def _contact_findings(
     data: RunData, setup: Setup, contact: int, judged: Mask,
 ) -> list[Finding]:
-    if is_couple(setup, contact):
-        return _oscillations(
-            data, setup, contact, judged & judged_windows(data, setup).loaded)
-    wanted, command = data.alpha_des[:, contact], commanded(data, setup)[:, contact]
-    if setup.commanded_by_topic and not (command > 0.0).any():
+    couple = is_couple(setup, contact)
+    wanted, commands = data.alpha_des[:, contact], commanded(data, setup)
+    command = commands[:, contact]
+    pressed = commands[:, setup.controller.leader_of[contact]] > 0.0
+    if setup.commanded_by_topic and not pressed.any():
         return []
-    if not (wanted > 0.0).any() and np.isfinite(wanted).any():
+    if not couple and not (wanted > 0.0).any() and np.isfinite(wanted).any():
         return [Finding('no contact was made')]
-    loaded = judged & judged_windows(data, setup).loaded & (command > 0.0)
+    loaded = judged & judged_windows(data, setup).loaded & pressed
     begins, ends = losses(data, setup, contact, loaded)
-    found = _lasting(data, 'contact lost', begins, ends)
-    again = again_at(data.time[begins])
+    lost = 'contact lost at one end' if couple else 'contact lost'
+    found = _lasting(data, lost, begins, ends)
+    # An end is near being lost wherever the centre of pressure is asked to be: noise will do.
+    again = None if couple else again_at(data.time[begins])
     if again is not None:
-        found.append(Finding(f'contact lost {len(begins)} times', again))
+        found.append(Finding(f'{lost} {len(begins)} times', again))
     found += _oscillations(data, setup, contact, loaded)
     force = data.judged_force[:, contact]
+    # A couple may be of either sign; a pull is no pressure that is too large.
+    size, asked = (np.abs(force), np.abs(command)) if couple else (force, command)
     ceiling = setup.controller.contact_state.force_ceiling
-    beyond = judged & (force > np.maximum(LARGEST_FORCE * command, IMPACT_SHARE * ceiling))
+    beyond = judged & (size > np.maximum(LARGEST_FORCE * asked, IMPACT_SHARE * ceiling))
     if beyond.any():
-        worst_at = int(np.argmax(np.where(beyond, force, 0.0)))
+        worst_at = int(np.argmax(np.where(beyond, size, 0.0)))
         found.append(Finding(
-            f'force of {force[worst_at]:.0f} N at a command of {command[worst_at]:.3g} N',
-            _first(data, beyond)))
+            f'{"couple" if couple else "force"} of {force[worst_at]:.0f} N at a command of '
+            f'{command[worst_at]:.3g} N', _first(data, beyond)))
     return found
 
 

@@ -22,6 +22,7 @@ import numpy as np
 SETTLE_AFTER_STEP = 1.0  # s, the start of the window `rest` after the last force step
 SETTLE_AFTER_START = 2.0  # s, the start of the window `moving` after the motion's start
 MOVING = 1e-3  # m/s, from which on a commanded pose moves
+ALL_OF_IT = 1.0 - 1e-6  # of a normal force, that presses at one end of its contact
 
 
 @dataclass(frozen=True)
@@ -130,16 +131,21 @@ def losses(
 
     A loss is a force of 0 N for as long as it takes the supervisor to call a contact lost
     (`contact_state.loss_time`): a tool that leaves the ground for one sample of 2 ms on a rough
-    surface has not lost it.
+    surface has not lost it. A couple is lost while it is as large as the normal force of its
+    contact: the tool stands on one end of an edge, or on one side of a plane, and the other has
+    left the surface.
 
-    Returns, of the samples `judged`, the first of every loss, and that after its last. A couple
-    is not lost by itself.
+    Returns, of the samples `judged`, the first of every loss, and that after its last.
     """
-    if is_couple(setup, contact):
-        return [], []
-    force = bridged(data.judged_force[:, contact], data.rate)
+    leader = setup.controller.leader_of[contact]
+    force = bridged(data.judged_force[:, leader], data.rate)
+    gone = force <= 0.0
+    if leader != contact:
+        couple = bridged(data.judged_force[:, contact], data.rate)
+        # What is lost as a whole is told once, of the normal force.
+        gone = ~gone & (np.abs(couple) >= ALL_OF_IT * force)
     least = setup.controller.contact_state.loss_time * data.rate - 1e-9
-    found = [(begin, end) for begin, end in zip(*stretches(judged & (force <= 0.0)))
+    found = [(begin, end) for begin, end in zip(*stretches(judged & gone))
              if end - begin >= least]
     return [begin for begin, _ in found], [end for _, end in found]
 

@@ -13,14 +13,13 @@ from multicontact_control.arrays import Matrix
 from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.experiment.calibration import sensor_setup
 from multicontact_control.experiment.scenario import Setup
-from multicontact_control.sensor.push_config import PushTestConfig
+from multicontact_control.sensor.push_config import PushTestConfig, SENSOR_FAULTS
 from multicontact_control.sensor.push_verdict import PushTestResult
 from multicontact_control.sensor.tare import TareConfig
 import numpy as np
 from scipy.spatial.transform import Rotation
 from sim_bridge.robots import find_robot
 
-FAULTS = ('none', 'sign', 'rotate', 'scale')
 WRONG_SCALE = 0.5
 TARE_TIME, FIRST_PUSH, GAP, MARGIN = 0.3, 1.0, 0.8, 0.2  # s
 
@@ -32,7 +31,7 @@ def fault_mounting(fault: str, seed: int) -> Matrix:
     Parameters
     ----------
     fault
-        One of `FAULTS`: a flipped sign, a quarter turn, or half the scale.
+        One of `SENSOR_FAULTS`: a flipped sign, a quarter turn, or half the scale.
     seed
         Chooses the turn: about x, y, z for 0, 1, 2, and the other way round for 3, 4, 5.
 
@@ -52,7 +51,7 @@ def fault_mounting(fault: str, seed: int) -> Matrix:
         'none': np.eye(3), 'sign': -np.eye(3), 'scale': WRONG_SCALE * np.eye(3),
         'rotate': np.round(Rotation.from_rotvec(turn * np.eye(3)[seed % 3]).as_matrix())}
     if fault not in made:
-        raise ConfigError('fault', f'one of {", ".join(FAULTS)}', f"'{fault}'")
+        raise ConfigError('fault', f'one of {", ".join(SENSOR_FAULTS)}', f"'{fault}'")
     return made[fault]
 
 

@@ -16,6 +16,7 @@ from multicontact_control.experiment.figures import (
     draw_side_by_side,
     interactive_figures,
 )
+from multicontact_control.experiment.html_figure import HELP
 from multicontact_control.experiment.html_parts import (
     claims_over_damping,
     claims_table,
@@ -24,7 +25,7 @@ from multicontact_control.experiment.html_parts import (
     write_page,
 )
 from multicontact_control.experiment.judge import STABLE, verdict_text
-from multicontact_control.experiment.results import FIGURE_FOLDER, LoadedRun
+from multicontact_control.experiment.results import FIGURE_FOLDER, LoadedRun, REPORT_FILE
 from multicontact_control.experiment.study.presets.compare.results import (
     claim_rows,
     comparison_claims,
@@ -34,7 +35,6 @@ from multicontact_control.experiment.study.presets.compare.results import (
 from multicontact_control.experiment.study.table import html_table
 import yaml
 
-REPORT_FILE = 'report.html'
 FORMATS = ('png', 'pdf')
 BACKGROUND = """
 <p>The paper says that with a fixed R the control works only at rest, since the noise of the motion
@@ -115,7 +115,8 @@ def _run_section(run: LoadedRun, number: int, comparison: dict[str, Any] | None)
         '<h3>Claims of the paper</h3>', claims_table(run_claims(run, comparison)) if (
             run.setup.simulated) else '<p class=note>Not judged: they are about the simulated '
         'plant, whose forces are known.</p>',
-        '<h3>Figures 3 to 6 of the paper</h3>', interactive_figures(run.data, run.setup, number),
+        '<h3>Figures 3 to 6 of the paper</h3>', HELP,
+        interactive_figures(run.data, run.setup, number),
         '<h3>Numbers</h3>', _numbers(summary), '<h3>Timing</h3>', _timing(summary),
         '<h3>Configuration</h3>', _configuration(run)]
     return '\n'.join(parts)

@@ -28,6 +28,7 @@ from multicontact_control.files import read_json
 from sim_bridge.config import PlantConfig
 
 SUMMARY_FILE = 'summary.json'
+REPORT_FILE = 'report.html'
 CONFIG_FOLDER, BAG_FOLDER, FIGURE_FOLDER = 'config', 'bag', 'figures'
 
 SomeConfig = TypeVar('SomeConfig', bound=Config)

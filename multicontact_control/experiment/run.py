@@ -10,13 +10,14 @@ from typing import Any, TYPE_CHECKING
 
 from multicontact_control.compiled import compiled_here
 from multicontact_control.config import validate
-from multicontact_control.errors import ConfigError, RunError
+from multicontact_control.errors import ConfigError, importing_ros, RunError
 from multicontact_control.experiment.bag import answered, BagContent, NOT_RECORDED, read_bag
 from multicontact_control.experiment.claim_metrics import evidence_of
 from multicontact_control.experiment.claims import judge_claims
 from multicontact_control.experiment.closed_loop import run_in_process
 from multicontact_control.experiment.compilation import ensure_compiled
 from multicontact_control.experiment.display import (
+    next_lines,
     PaceNotice,
     progress_bar,
     summary_table,
@@ -32,6 +33,7 @@ from multicontact_control.experiment.results import CONFIG_FOLDER, FIGURE_FOLDER
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.experiment.summary import summarise
 from multicontact_control.files import write_json
+from multicontact_control.terminal import terminal
 from rich.console import Console
 
 if TYPE_CHECKING:
@@ -56,7 +58,7 @@ def run_simulate(
     They are the series, ``summary.json``, whose content is returned, figures and configuration.
     Without supervision there are no contact states, watchdogs and limits around the control law.
     """
-    console = console or Console()
+    console = console or terminal()
     refuse_push_test(setup)
     ensure_compiled(console)
     setup.write(folder / CONFIG_FOLDER)
@@ -132,12 +134,9 @@ def run_real_time(
         If ROS cannot be loaded or a node dies; what was recorded stays in the folder.
 
     """
-    console = console or Console()
-    try:
+    console = console or terminal()
+    with importing_ros('use `multicontact simulate`'):
         from multicontact_control.experiment.graph.run import COMPOSED, GraphSpec
-    except ImportError as error:
-        raise RunError(f'ROS 2 (rclpy) cannot be loaded: {error}; install the extra [ros], '
-                       'source a ROS 2 Jazzy, or use `multicontact simulate`') from None
     config = folder / CONFIG_FOLDER
     refuse_push_test(setup)
     if options.composed not in (AUTO, *COMPOSED):
@@ -202,15 +201,12 @@ def run_external(
         If ROS cannot be loaded or a node dies; what was recorded stays in the folder.
 
     """
-    console = console or Console()
-    try:
+    console = console or terminal()
+    with importing_ros():
         from multicontact_control.experiment.graph.domain import shared_domain
         from multicontact_control.experiment.graph.external import Robot, run_external_graph
         from multicontact_control.experiment.graph.spec import CONTROLLER, GraphSpec
         from multicontact_control.nodes.controller_config import ControllerNodeConfig
-    except ImportError as error:
-        raise RunError(f'ROS 2 (rclpy) cannot be loaded: {error}; install the extra [ros] or '
-                       'source a ROS 2 Jazzy') from None
     setup, config = external.setup, folder / CONFIG_FOLDER
     if not setup.commanded_by_topic:
         refuse_push_test(setup)
@@ -361,4 +357,6 @@ def _finish(
     console.print(summary_table(summary))
     for line in verdict_lines(summary, folder):
         console.print(line, highlight=False)
+    for line in next_lines(folder):
+        console.print(line, highlight=False, markup=False, soft_wrap=True)
     return summary

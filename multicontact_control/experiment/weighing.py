@@ -12,11 +12,8 @@ from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import Config, ControllerConfig, parameter, Real
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import CalibrationError, ConfigError, RunError
-from multicontact_control.experiment.bag_messages import (
-    describe_others,
-    read_messages,
-    Recorded,
-)
+from multicontact_control.experiment.bag_columns import BagColumns, JOINT_STATE, WRENCH
+from multicontact_control.experiment.bag_messages import describe_others, read_messages
 from multicontact_control.experiment.external import read_controller_files
 from multicontact_control.experiment.oscillation import stretches
 from multicontact_control.sensor.identification import (
@@ -34,6 +31,7 @@ WRENCHES = {'raw': 'ft_sensor/wrench', 'filtered': 'ft_sensor/wrench_filtered'}
 GRID = 0.02  # s, in which a recording is looked at for rests
 LOOK = 0.1  # s, over which the speed of a joint is taken
 REACHED = 0.1  # rad, of a tilt
+ATTEMPTS = 3  # motions to it
 PEAK = 1.875  # largest speed of a quintic, relative to the mean
 SHARE = 0.6  # of the largest angular speed
 TILTS = ((0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))  # about world x and y
@@ -93,17 +91,18 @@ def weigh_recording(
     config = config or RestConfig()
     controller, robot = _arm(files)
     wrench = WRENCHES[controller.wrench_input]
-    types = {JOINTS: 'sensor_msgs/msg/JointState', wrench: 'geometry_msgs/msg/WrenchStamped'}
+    types = {JOINTS: JOINT_STATE, wrench: WRENCH}
     found = read_messages(path, types, namespace)
     for topic in types:
         if topic not in found.by_topic:
             text = '; '.join((f'found {describe_others(found)}', *found.unreadable))
             raise RunError(f'{path}: expected messages on {topic}, {text}')
-    q_time, q = _joints(path, found.by_topic[JOINTS], controller.robot.joint_names)
-    f_time, wrenches = _wrenches(found.by_topic[wrench])
+    joints, felt = found.by_topic[JOINTS], found.by_topic[wrench]
+    q = _joints(path, joints, controller.robot.joint_names)
+    wrenches = felt.values('wrench')
+    q_time, f_time = (1e-9 * x.stamps.astype(np.float64) for x in (joints, felt))
     if f_time[0] > q_time[-1] or q_time[0] > f_time[-1]:  # clocks of their own
-        q_time = np.array([x.published for x in found.by_topic[JOINTS]]) * 1e-9
-        f_time = np.array([x.published for x in found.by_topic[wrench]]) * 1e-9
+        q_time, f_time = (1e-9 * x.published.astype(np.float64) for x in (joints, felt))
     readings, remarks = [], []
     for begin, end in find_rests(q_time, q, config):
         chosen = wrenches[(f_time >= begin) & (f_time <= end)]
@@ -132,27 +131,14 @@ def _arm(files: Sequence[Path]) -> tuple[ControllerConfig, RobotModel]:
     return controller, RobotModel(controller.robot, read.urdf_dir)
 
 
-def _joints(
-    path: Path, messages: Sequence[Recorded], names: Sequence[str],
-) -> tuple[Vector, Matrix]:
-    """Return times, shape (m,) [s], and angles of the joints, shape (m, n) [rad]."""
-    rows = []
-    for recorded in messages:
-        angles = dict(zip(recorded.message.name, recorded.message.position))
-        rows.append([angles.get(name, np.nan) for name in names])
-    q = np.array(rows)
+def _joints(path: Path, messages: BagColumns, names: Sequence[str]) -> Matrix:
+    """Return the angles of the joints, shape (m, n) [rad]."""
+    q = messages.values('position', names)
     if not np.isfinite(q).all():
-        known = ', '.join(messages[0].message.name) or 'none'
+        known = ', '.join(messages.names) or 'none'
         raise RunError(f'{path}: joint_states: expected positions of the joints '
                        f'{", ".join(names)}, found {known}')
-    return np.array([x.stamp for x in messages]) * 1e-9, q
-
-
-def _wrenches(messages: Sequence[Recorded]) -> tuple[Vector, Matrix]:
-    """Return times, shape (m,) [s], and wrenches, shape (m, 6) [N, N m]."""
-    rows = [(w.force.x, w.force.y, w.force.z, w.torque.x, w.torque.y, w.torque.z)
-            for w in (x.message.wrench for x in messages)]
-    return np.array([x.stamp for x in messages]) * 1e-9, np.array(rows)
+    return q
 
 
 def find_rests(time: Vector, q: Matrix, config: RestConfig) -> list[tuple[float, float]]:
@@ -255,32 +241,54 @@ def weigh_running(
             raise RunError(f'calibrate: expected free space, found {", ".join(pressed)} pressed')
         # A weight that is not known is a pull that no surface explains: control waits for us.
         tell('tare, so that the weight is not taken for a contact')
-        for _ in range(2 * config.quiet.min_samples):  # of a controller that has just begun
-            arm.read()
-        arm.tare()
+        _tare(arm, 2 * config.quiet.min_samples, timeout)
         with contextlib.suppress(RunError):  # if it does not wait
             arm.retry()
         # From one side to the other, well within the limit of the angular speed.
         slowest = max(move_time, PEAK * 2.0 * tilt / (SHARE * controller.limits.operational_turn))
         before = Rotation.from_quat(start.quaternion_desired)
         poses = [Rotation.from_rotvec([tilt * x, tilt * y, 0.0]) * before for x, y in TILTS]
-        for number, pose in enumerate([*poses, before]):
-            back = number == len(poses)
-            tell('back to the first pose' if back else f'pose {number + 1} of {len(poses)}')
-            arm.move(start.position_desired, slowest, quaternion_xyzw=pose.as_quat())
-            if back:
-                tell('the running controller keeps its tare; what is found is for the next run')
-                break
-            time.sleep(config.settle_time)
-            off = (Rotation.from_quat(arm.read().quaternion_xyzw) * pose.inv()).magnitude()
-            if off > REACHED:
-                raise RunError(
-                    f'calibrate: expected pose {number + 1}, found the tool {np.rad2deg(off):.0f} '
-                    'deg off; it may be beyond a limit, or too heavy not to be known at all: '
-                    'start from another pose, tilt less, or weigh it --from-bag')
+        for number, pose in enumerate(poses, 1):
+            tell(f'pose {number} of {len(poses)}')
+            _tilt(arm, start.position_desired, pose, slowest, config.settle_time, tell)
             readings.append(_average(link, topics.JOINT_STATES, wrench, robot, controller, config))
+        tell('back to the first pose')
+        arm.move(start.position_desired, slowest, quaternion_xyzw=before.as_quat())
+        tell('the running controller keeps its tare; what is found is for the next run')
     gravity = np.array(controller.robot.gravity_world)
     return Weighed(identify_tool(readings, gravity, config.identification), ())
+
+
+def _tare(arm: Any, samples: int, timeout: float) -> None:
+    """Tare as soon as the arm stands still; RunError if it does not."""
+    give_up = time.monotonic() + timeout
+    while True:
+        for _ in range(samples):  # of a controller that has just begun, or moves
+            arm.read()
+        try:
+            return arm.tare()
+        except RunError:
+            if time.monotonic() > give_up:
+                raise
+
+
+def _tilt(
+    arm: Any, position: Vector, pose: Rotation, duration: float, settle_time: float, tell: Tell,
+) -> None:
+    """Turn the tool, again if the supervisor has held it meanwhile; RunError if it stays off."""
+    for attempt in range(1, ATTEMPTS + 1):
+        arm.move(position, duration, quaternion_xyzw=pose.as_quat())
+        time.sleep(settle_time)
+        off = (Rotation.from_quat(arm.read().quaternion_xyzw) * pose.inv()).magnitude()
+        if off <= REACHED:
+            return
+        tell(f'{np.rad2deg(off):.0f} deg off after motion {attempt} of {ATTEMPTS}')
+        with contextlib.suppress(RunError):  # if it does not wait
+            arm.retry()
+    raise RunError(
+        f'calibrate: expected a tilted tool, found it {np.rad2deg(off):.0f} deg off; it may be '
+        'beyond a limit, or too heavy not to be known at all: start from another pose, tilt '
+        'less, or weigh it --from-bag')
 
 
 def _average(

@@ -62,7 +62,7 @@ def test_there_is_something_to_vary():
 
 
 @pytest.mark.slow
-@settings(max_examples=120, deadline=None, derandomize=True,
+@settings(max_examples=40, deadline=None, derandomize=True,
           suppress_health_check=list(HealthCheck))
 @given(changes=configurations(), plant=st.sampled_from(['rigid', 'puma']))
 def test_what_is_accepted_is_safe(changes, plant):

@@ -2,44 +2,18 @@ import json
 import re
 
 from multicontact_control.experiment.claims import Claim
-from multicontact_control.experiment.html_parts import (
-    claims_table,
-    corners,
-    envelope,
-    figure,
-    page,
-    script_json,
-    table,
-)
+from multicontact_control.experiment.html_figure import figure, plot, script_json
+from multicontact_control.experiment.html_parts import claims_table, page, table
+from multicontact_control.experiment.panels import Panel, Trace
 import numpy as np
 
 
-def test_envelope_keeps_every_peak_and_the_order_in_time():
-    time = np.arange(10000) / 500.0
-    values = np.sin(time)
-    values[4321] = 50.0
-    values[777] = -40.0
-    x, y = envelope(time, values, 100)
-    assert len(x) == len(y) <= 200
-    assert max(y) == 50.0 and min(y) == -40.0
-    assert x == sorted(x)
-    assert x[y.index(50.0)] == time[4321]
-
-
-def test_envelope_leaves_out_what_is_not_finite():
-    values = np.array([np.nan, 1.0, np.inf, 2.0])
-    assert envelope(np.arange(4.0), values, 10) == ([1.0, 3.0], [1.0, 2.0])
-    assert envelope(np.arange(2.0), np.full(2, np.nan), 10) == ([], [])
-
-
-def test_corners_keep_both_sides_of_every_step():
-    values = np.array([2.0, 2.0, 2.0, 10.0, 10.0, 10.0])
-    assert corners(np.arange(6.0), values) == ([0.0, 2.0, 3.0, 5.0], [2.0, 2.0, 10.0, 10.0])
-
-
 def test_page_needs_no_other_file():
-    text = page('Title <1>', figure('forces', [{'y': [1, 2]}], {}))
-    assert 'Title &lt;1&gt;' in text and 'plotly.js v' in text
+    panel = Panel('force [N]', [Trace('measured', np.arange(2.0))])
+    text = page('Title <1>', figure('forces', [plot(panel, np.arange(2.0))]))
+    assert 'Title &lt;1&gt;' in text and 'uPlot (v' in text
+    assert 'Copyright (c) 2022 Leon Sorokin' in text
+    assert 'uPlot (v' not in page('No figure', '<p>text</p>')
     assert not re.search(r'<script[^>]+src=|<link|<img[^>]+src="http', text)
 
 

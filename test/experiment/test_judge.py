@@ -116,6 +116,33 @@ def test_force_beyond_five_times_its_command_is_not_stable(setup, data):
     assert verdict.unstable_at == 10.0
 
 
+@pytest.fixture(scope='module')
+def edge():
+    return resolve('edge', plant='rigid', duration=12.0)
+
+
+@pytest.mark.parametrize(('seconds', 'couple', 'reasons'), [
+    (0.08, -15.0, ()), (0.12, -14.9, ()),
+    (0.12, -15.0, ('edge/along: contact lost at one end for 0.12 s',)),
+    (0.01, -31.0, ('edge/along: couple of -31 N at a command of 0 N',))])
+def test_couple_is_far_off_where_an_end_of_the_edge_has_left_the_surface(
+        edge, seconds, couple, reasons):
+    """Steadily, so that nothing oscillates; the limits are those of a force."""
+    data = perfect_run(edge)
+    data.alpha_true[:, 1] = edge.commanded(data.time)[:, 1]
+    assert judge(data, edge).name == STABLE
+    data.alpha_true[4000:4000 + int(seconds * RATE), 1] = couple
+    verdict = judge(data, edge)
+    assert (verdict.name == NOT_STABLE, verdict.reasons) == (bool(reasons), reasons)
+
+
+def test_force_that_is_lost_is_not_told_of_its_couple_too(edge):
+    data = perfect_run(edge)
+    data.alpha_true[:, 1] = edge.commanded(data.time)[:, 1]
+    data.alpha_true[4000:4100] = 0.0
+    assert judge(data, edge).reasons == ('edge: contact lost for 0.20 s',)
+
+
 def test_contact_that_is_never_made_is_not_stable(setup, data):
     data.alpha_des[:, 0] = 0.0
     assert 'table: no contact was made' in judge(data, setup).reasons
@@ -226,6 +253,15 @@ def test_verdict_text_also_reads_what_had_no_verdict_yet():
     assert verdict_text({'stable': False, 'instabilities': ['a', 'b']}) == 'not stable: a; b'
     assert verdict_text({'stable': False, 'verdict': HELD, 'instabilities': ['a']}) == (
         'held by the supervisor: a')
+
+
+def test_stable_does_not_stand_alone_beside_a_step_that_overshoots_far():
+    overshoots = {'table': 273.2, 'wall': 4.0, 'board': 71.0, 'idle': None}
+    contacts = {name: {'step_overshoot_percent': percent} for name, percent in overshoots.items()}
+    said = 'stable, but overshoots a step: table 273 %, board 71 %'
+    assert verdict_text({'stable': True, 'instabilities': [], 'contacts': contacts}) == said
+    assert verdict_text({'stable': False, 'instabilities': ['a'], 'contacts': contacts}) == (
+        'not stable: a')
 
 
 HELD_AT_5 = events_of((0.0, CALM), (5.0, LATE), (5.1, RECOVERING), (5.3, CALM))

@@ -2,7 +2,7 @@
 
 from multicontact_control.cli.exits import end_by_verdict
 from multicontact_control.experiment import figures
-from multicontact_control.experiment.display import verdict_lines
+from multicontact_control.experiment.display import next_lines, verdict_lines
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.experiment.summary import summarise, summarise_again
 import numpy as np
@@ -96,6 +96,17 @@ def test_machine_that_could_not_keep_up_is_one_line(setup, data):
     assert '3 of 6000 deadlines missed, 1 samples not answered[' in line
 
 
+@pytest.mark.parametrize(('scenario', 'forces'), [
+    ('edge', ['fig3_force_edge', 'fig4_force_edge_along']),
+    ('plane', ['fig3_force_face', 'fig4_force_face_along', 'fig3_3_force_face_across'])])
+def test_figures_of_couples_have_legal_file_names(scenario, forces, tmp_path, monkeypatch):
+    monkeypatch.setattr(figures.Figure, 'savefig', lambda figure, path, **_: path.write_text(''))
+    setup = resolve(scenario, plant='rigid', duration=10.0)
+    figures.draw_figures(perfect_run(setup), setup, tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(
+        f'{name}.png' for name in [*forces, 'fig5_motion', 'fig6_noise_variance'])
+
+
 @pytest.mark.parametrize('verdict', ['stable', 'not stable: board: oscillates at 42 Hz'])
 def test_figures_tell_what_is_not_stable(setup, data, tmp_path, monkeypatch, verdict):
     titles = []
@@ -104,3 +115,13 @@ def test_figures_tell_what_is_not_stable(setup, data, tmp_path, monkeypatch, ver
     figures.draw_figures(data, setup, tmp_path, verdict=verdict)
     assert len(titles) == 4
     assert all((verdict in title) == (verdict != 'stable') for title in titles)
+
+
+def test_a_run_ends_with_what_to_open_next(tmp_path):
+    (tmp_path / 'bag').mkdir()
+    lines = [line.split() for line in next_lines(tmp_path)[1:]]
+    assert lines == [['figures', f'{tmp_path}/figures'],
+                     ['bag', 'multicontact', 'view', f'{tmp_path}'],
+                     ['numbers', f'{tmp_path}/summary.json']]
+    (tmp_path / 'report.html').touch()
+    assert next_lines(tmp_path)[1].split() == ['figures', f'{tmp_path}/report.html']

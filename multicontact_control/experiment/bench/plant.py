@@ -18,9 +18,9 @@ from multicontact_control.experiment.bench.timing import (
 from multicontact_control.experiment.closed_loop import run_in_process
 from multicontact_control.experiment.scenario import resolve
 import numpy as np
-import pybullet
 from sim_bridge.bullet_arm import BulletArm
 from sim_bridge.plant import Plant
+from sim_bridge.quiet_bullet import bullet
 
 RESTART = 250  # periods after which an arm that falls is put back
 READY = (
@@ -51,7 +51,7 @@ def bench_plant(ticks: int) -> dict[str, Any]:
 
     def floor(_: int) -> None:
         for _ in range(substeps):
-            pybullet.stepSimulation(physicsClientId=client)
+            bullet.stepSimulation(physicsClientId=client)
 
     times, floors = race(
         lambda _: plant.step(plant.initial_torque), floor, ticks, restart=reset, lap=RESTART)

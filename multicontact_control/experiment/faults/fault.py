@@ -108,9 +108,15 @@ class NodeChange:
 
 @dataclass(frozen=True)
 class Command:
-    """A command that nobody asked for: a change of a rightful message of that topic."""
+    """
+    A command that nobody asked for: a change of a rightful message of that topic.
+
+    It is sent again and again beside those of the rightful user, or once and as the last of
+    theirs.
+    """
 
     change: Callable[[Any], None]
+    last: bool = False
 
 
 @dataclass(frozen=True)

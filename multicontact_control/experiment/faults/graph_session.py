@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 import contextlib
+import math
 from pathlib import Path
 import signal
 import time
@@ -39,10 +40,14 @@ from multicontact_control.nodes.link import (
     LifecycleDriver,
     NoAnswerError,
 )
+from multicontact_control.supervision.command_limits import CommandLimits
 import numpy as np
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
 
+END_TIME = 1.0  # s, after a motion command that nothing follows
+NEAR = 0.01  # m
 HALT_TIME = (0.02, 0.2)  # s
 OUTAGE = (0.0, 0.5)  # s, from the end of a process to its successor's start
 FAULT_TIME = (0.1, 0.4)  # s
@@ -51,7 +56,7 @@ CHECK_PERIOD = 0.1
 WANTED_FORCE = 10.0  # N, at every contact
 FORCE_TOLERANCE = 0.25  # of that
 SETTLE_TIME = 0.2  # s, over which the force is averaged
-RECOVERY_TIMEOUT = 30.0
+RECOVERY_TIMEOUT = 90.0  # s; on a busy machine late samples hold the arm again and again
 ATTEMPTS = 3  # at making contact within that time
 ASK_TIMEOUT = 1.0
 RECORDED = (topics.JOINT_STATES, topics.WRENCH, topics.TRUE_FORCES, topics.EFFORT_COMMAND,
@@ -203,13 +208,36 @@ class FaultSession:
             self.spin(float(random.uniform(*FAULT_TIME)))
 
     def _command(self, fault: Fault, command: Command, duration: float) -> None:
-        """Publish a command again and again beside the rightful user, for a time [s]."""
+        """Publish a command, and see what comes of it for a time [s]."""
         publisher, message = self.operator.draft(fault.input.split()[0])
         command.change(message)
+        if command.last:
+            self._end_motion(publisher, message)
+            return
         end = time.monotonic() + duration
         while time.monotonic() < end:
             publisher.publish(message)
             self.spin(POLL_PERIOD)
+
+    def _end_motion(self, publisher: Publisher, message: Any) -> None:
+        """
+        Publish a motion command as the last for a while.
+
+        Raises
+        ------
+        RunError
+            If it leads further than it can while its twist counts.
+
+        """
+        self.operator.stop()
+        before = self.watch.pose.pose.position
+        publisher.publish(message)
+        self.spin(END_TIME)
+        after = self.watch.pose.pose.position
+        way = math.dist((before.x, before.y, before.z), (after.x, after.y, after.z))
+        fastest = self.setup.controller.limits.operational_speed
+        if not way < fastest * CommandLimits().motion_timeout + NEAR:
+            raise RunError(f'led on for {way:.2f} m after the last motion command')
 
     def _distort(self, text: str) -> None:
         """Let the relay do something to an input, or pass everything on as it is."""

@@ -16,8 +16,9 @@ from multicontact_control.experiment.faults.judge import FaultRow, judge
 from multicontact_control.experiment.faults.vocabulary import faults_of, quick_faults
 from multicontact_control.experiment.graph.domain import reserve_domain
 from multicontact_control.experiment.graph.processes import NodeEndedError
-from multicontact_control.experiment.graph.run import collected_signals
+from multicontact_control.experiment.graph.watching import collected_signals
 from multicontact_control.experiment.scenario import resolve
+from multicontact_control.files import file_name
 import numpy as np
 from rich.console import Console
 
@@ -161,7 +162,7 @@ class GraphCampaign:
     def _new_folder(self, plant: str) -> Path:
         """Make the folder of a graph; none that is there is touched."""
         number = 1
-        while (folder := self._out / FOLDER / f'{number:03d}-{plant.replace("/", "-")}').exists():
+        while (folder := self._out / FOLDER / file_name(f'{number:03d}-{plant}')).exists():
             number += 1
         folder.mkdir(parents=True)
         return folder

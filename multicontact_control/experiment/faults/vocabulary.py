@@ -301,9 +301,14 @@ def _commands() -> list[Fault]:
         'no_rotation': _set('transforms.0.rotation.w', 5.0),
         'outside_box': _set('transforms.0.translation.z', 50.0),
         'jump': _set('transforms.0.translation.x', JUMP, add=True)}
+    # A stream of motions that ends, with the last twist in it.
+    ends = {'ends_at_speed': 0.2, 'ends_too_fast': 10.0}
     return [Fault(kind, f'{topic} command', Command(change), where=OVER_GRAPH)
             for topic, changes in (('forces', forces), ('motion', motions))
-            for kind, change in changes.items()]
+            for kind, change in changes.items()] + [
+        Fault(kind, 'motion command', Command(
+            _set('velocities.0.linear.x', speed), last=True), where=OVER_GRAPH)
+        for kind, speed in ends.items()]
 
 
 FAULTS = (*_nodes(), *_deliveries(), *_numbers(), *_names(), *_frozen(), *_clocks(), *_plants(),

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 import contextlib
 from dataclasses import dataclass
+from functools import partial
 import time
 
 from multicontact_control.errors import RunError
@@ -19,19 +20,18 @@ from multicontact_control.experiment.graph.domain import reserve_domain
 from multicontact_control.experiment.graph.processes import NodeProcesses
 from multicontact_control.experiment.graph.progress import GraphProgress, ProgressListener
 from multicontact_control.experiment.graph.robot_watch import RobotWatch
-from multicontact_control.experiment.graph.run import (
+from multicontact_control.experiment.graph.run import GraphResult
+from multicontact_control.experiment.graph.spec import CONTROLLER, GraphSpec
+from multicontact_control.experiment.graph.watching import (
     bring_up,
     collected_signals,
-    GraphResult,
     InterruptedRunError,
-    PROGRESS_PERIOD,
     SAMPLES,
     StartSupervision,
     Tell,
-    TELL_PERIOD,
+    watch,
     WATCH_PERIOD,
 )
-from multicontact_control.experiment.graph.spec import CONTROLLER, GraphSpec
 from multicontact_control.nodes import topics
 from multicontact_control.nodes.link import (
     ACTIVATE,
@@ -41,6 +41,7 @@ from multicontact_control.nodes.link import (
 )
 
 FIRST_TELL = 1.0  # s, before anything is said of what is missing
+LONGEST_NAMING = 2.0  # s, that the names of the robot's nodes are waited for
 SAFE_TIME = 0.5  # s, in which the robot gets the safe behaviour
 DEACTIVATION_TIMEOUT = 5.0
 
@@ -145,7 +146,8 @@ class _Session:
             self._wait_for_robot()
             self._activated = True  # on the way, at least
             self._lead(ACTIVATE)
-            ended = self._control()
+            ended = watch(self._listener, self._on_progress,
+                          partial(self._end, self._supervision()))
             failed = False
         except InterruptedRunError:
             failed = False
@@ -155,49 +157,36 @@ class _Session:
             self.processes.stop(abort=failed)
         return ended
 
+    def _supervision(self, first_tell: float | None = None) -> StartSupervision:
+        return StartSupervision(self.processes, self._interrupted, self._tell, first_tell)
+
     def _lead(self, transition: str) -> None:
-        supervision = StartSupervision(self.processes, self._interrupted, self._tell)
-        bring_up(self.processes, supervision, self._domain_id, self._spec.namespace,
+        bring_up(self.processes, self._supervision(), self._domain_id, self._spec.namespace,
                  (transition,))
 
     def _wait_for_robot(self) -> None:
-        supervision = StartSupervision(self.processes, self._interrupted, self._tell)
-        start = time.monotonic()
-        next_tell = start + FIRST_TELL
+        supervision = self._supervision(FIRST_TELL)
         while missing := self._watch.missing():
             supervision.check()
-            now = time.monotonic()
-            if now >= next_tell:
-                next_tell = now + TELL_PERIOD
-                self._tell(f'{now - start:.0f} s: waiting for {missing}')
+            supervision.remind(partial(str, missing))
+            time.sleep(WATCH_PERIOD)
+        named_by = time.monotonic() + LONGEST_NAMING
+        while not self._watch.all_named and time.monotonic() < named_by:
+            supervision.check()
             time.sleep(WATCH_PERIOD)
         self._tell(f'found {self._watch.found}')
 
-    def _control(self) -> str:
-        """Watch until the run is over; return what ended it early, if the robot did."""
-        supervision = StartSupervision(self.processes, self._interrupted, self._tell)
-        start = time.monotonic()
-        next_progress, next_tell = start, start + TELL_PERIOD
+    def _end(self, supervision: StartSupervision, progress: GraphProgress | None) -> str | None:
+        """Return what has ended the run, '' for its time; None as long as it goes on."""
+        self.controlled = progress is not None
+        supervision.check()
         duration = self._robot.duration
-        while True:
-            supervision.check()
-            now = time.monotonic()
-            if now >= next_progress:
-                next_progress = now + PROGRESS_PERIOD
-                progress = self._listener.newest()
-                if progress is not None:
-                    self.controlled = True
-                    self._on_progress(progress)
-                    if duration is not None and progress.time >= duration:
-                        return ''
-            silent = self._watch.silent(self._robot.timeout)
-            if silent:
-                return silent
-            if not self.controlled and now >= next_tell:
-                next_tell = now + TELL_PERIOD
-                what = self._watch.doubts() or supervision.describe(SAMPLES)
-                self._tell(f'{now - start:.0f} s: waiting for {what}')
-            time.sleep(WATCH_PERIOD)
+        if progress is None:
+            supervision.remind(
+                lambda: self._watch.doubts() or supervision.describe(SAMPLES))
+        elif duration is not None and progress.time >= duration:
+            return ''
+        return self._watch.silent(self._robot.timeout) or None
 
     def _deactivate(self) -> None:
         """Let the robot have the safe behaviour, as far as the controller still lives."""

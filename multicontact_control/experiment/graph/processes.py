@@ -23,11 +23,16 @@ from multicontact_control.experiment.graph.spec import (
     timing_file,
 )
 
+Signals = tuple[tuple[signal.Signals, float], ...]  # with the time that is left for each [s]
+
 STOP_ORDER = (SIM, CONTROLLER, ESTIMATOR, RECORDER)
 # A node that is interrupted sends what it has to send and waits until that has arrived; one that
 # is terminated closes its files, and waits for nobody.
-STOP_TIMEOUTS = ((signal.SIGINT, 6.0), (signal.SIGTERM, 2.0), (signal.SIGKILL, 2.0))
-ABORT_TIMEOUT = 1.0
+STOP_SIGNALS = ((signal.SIGINT, 6.0), (signal.SIGTERM, 2.0), (signal.SIGKILL, 2.0))
+ABORT_SIGNALS = ((signal.SIGTERM, 1.0), (signal.SIGKILL, 1.0))
+# A recorder that is killed leaves a bag without its end and its metadata, and on a busy machine it
+# takes seconds to write what has come.
+RECORDER_SIGNALS = ((signal.SIGTERM, 20.0), (signal.SIGKILL, 2.0))
 LOG_LINES = 12
 
 
@@ -100,7 +105,7 @@ class NodeProcesses:
     def end(self, name: str) -> int:
         """End a node as a run does at its end; return its exit code."""
         process = self._running.pop(name)
-        _stop([process])
+        _stop([process], _signals_to(name))
         return process.wait()
 
     def ended(self, name: str) -> bool:
@@ -161,12 +166,10 @@ class NodeProcesses:
         """
         names = [x for x in (*STOP_ORDER, *self._spec.extra_nodes) if x in self._running]
         if abort:
-            for group in ([x for x in names if x != RECORDER], [RECORDER]):
-                _stop([self._running[x] for x in group if x in names],
-                      ((signal.SIGTERM, ABORT_TIMEOUT), (signal.SIGKILL, ABORT_TIMEOUT)))
-        else:
-            for name in names:
-                _stop([self._running[name]])
+            _stop([self._running[x] for x in names if x != RECORDER], ABORT_SIGNALS)
+            names = [x for x in names if x == RECORDER]
+        for name in names:
+            _stop([self._running[name]], _signals_to(name))
         for log in self._logs.values():
             log.close()
 
@@ -182,10 +185,11 @@ class NodeProcesses:
         return result
 
 
-def _stop(
-    processes: list[subprocess.Popen[bytes]],
-    signals: tuple[tuple[signal.Signals, float], ...] = STOP_TIMEOUTS,
-) -> None:
+def _signals_to(name: str) -> Signals:
+    return RECORDER_SIGNALS if name == RECORDER else STOP_SIGNALS
+
+
+def _stop(processes: list[subprocess.Popen[bytes]], signals: Signals) -> None:
     """Send some processes one signal after the other, until they have ended."""
     for process in processes:
         process.send_signal(signal.SIGCONT)  # one that is halted would not hear of the others

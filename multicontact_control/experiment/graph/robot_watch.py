@@ -9,7 +9,7 @@ import time
 from typing import Any
 
 from multicontact_control.nodes import messages, qos, topics
-from multicontact_control.nodes.graph_node import ignore, take
+from multicontact_control.nodes.graph_node import ignore, NAMELESS, take
 from multicontact_control.nodes.link import GuestNode
 from rclpy.qos import ReliabilityPolicy
 
@@ -75,15 +75,15 @@ class RobotWatch(GuestNode):
                     self._publishers[topic] = ', '.join(names)
 
     def _names(self, topic: str) -> list[str]:
-        """Return the names of the nodes that publish a topic."""
+        """Return the names of the nodes that publish a topic, as far as they are known yet."""
         return sorted({info.node_name for info in self.node.get_publishers_info_by_topic(
-            self.node.resolve_topic_name(topic))})
+            self.node.resolve_topic_name(topic))} - {NAMELESS})
 
     def _listeners(self) -> set[str]:
         """Return the names of the nodes that take efforts."""
         return {info.node_name for topic in self._efforts
                 for info in self.node.get_subscriptions_info_by_topic(
-                    self.node.resolve_topic_name(topic))} - set(OURS)
+                    self.node.resolve_topic_name(topic))} - {*OURS, NAMELESS}
 
     def missing(self) -> str:
         """Return what is missing of the robot and from whom, in one line; empty if nothing is."""
@@ -165,5 +165,11 @@ class RobotWatch(GuestNode):
     @property
     def found(self) -> str:
         """Say whom was found."""
-        return ', '.join(f'{self.node.resolve_topic_name(topic.name)} from {who}'
-                         for topic, who in self._publishers.items())
+        return ', '.join(f'{self.node.resolve_topic_name(topic.name)} from '
+                         f'{self._publishers.get(topic, "the robot")}' for topic in self._heard)
+
+    @property
+    def all_named(self) -> bool:
+        """Return whether it is known who publishes each topic: a name may come after messages."""
+        self.poll()
+        return len(self._publishers) == len(self._heard)

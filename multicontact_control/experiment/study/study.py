@@ -21,6 +21,7 @@ from multicontact_control.experiment.study.executors import (
 from multicontact_control.experiment.study.jobs import JobResult, JobT
 from multicontact_control.experiment.study.page import Page, write_study_page
 from multicontact_control.experiment.study.table import terminal_table, write_table
+from multicontact_control.terminal import terminal
 from rich.console import Console
 from rich.markup import escape
 
@@ -146,7 +147,7 @@ def run_study(
         If jobs were lost.
 
     """
-    console = console or Console()
+    console = console or terminal()
     run = run_study_jobs(study, options, console)
     if run is None:
         return None

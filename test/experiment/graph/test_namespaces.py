@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-
 from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.graph.domain import check_namespace, reserve_domain
 from multicontact_control.experiment.graph.spec import CONTROLLER, GraphSpec, node_command
@@ -13,7 +10,7 @@ from multicontact_control.nodes.link import GuestNode
 from multicontact_control.paths import config_dir
 import numpy as np
 import pytest
-from ros_graph import end_of, ROOT, wait_for
+from ros_graph import end_of, start_graph, wait_for
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import get_typestore, Stores
 from sensor_msgs.msg import JointState
@@ -23,25 +20,8 @@ pytestmark = pytest.mark.ros
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 SIDES = ('left', 'arms/right')
-TICKS = 500
-
-RUN = """
-import sys
-from pathlib import Path
-from multicontact_control.experiment.graph.run import GraphSpec, run_graph
-from multicontact_control.experiment.scenario import resolve
-folder, namespace, seed = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3])
-setup = resolve('quick', plant='rigid', seed=seed, duration=float(sys.argv[4]) / 500.0)
-config = folder / 'config'
-setup.write(config)
-run_graph(GraphSpec(
-    out=folder, ticks=int(sys.argv[4]), rate=500.0, seed=seed, namespace=namespace, lockstep=True,
-    reference_file=config / 'reference.yaml', domain_id=int(sys.argv[5]),
-    extra_parameters={'controller_node': {'effort_output_topic': 'effort_controller/commands'}},
-    parameter_files={'controller_node': config / 'controller.yaml',
-                     'sim_node': config / 'plant.yaml',
-                     'noise_estimator_node': config / 'noise_estimator.yaml'}))
-"""
+TICKS = 1000
+EFFORTS = 'effort_controller/commands'
 
 
 class Listener:
@@ -75,12 +55,12 @@ def two_runs(tmp_path_factory):
         listener = Listener(domain_id)
         heard = {side: {
             'efforts': listener.subscribe(
-                Float64MultiArray, f'/{side}/effort_controller/commands', qos.RECORDING),
+                Float64MultiArray, f'/{side}/{EFFORTS}', qos.RECORDING),
             'commands': listener.subscribe(
                 JointState, f'/{side}/joint_effort_command', qos.RECORDING)} for side in SIDES}
-        runs = [subprocess.Popen(
-            [sys.executable, '-c', RUN, str(folders[side]), side, str(seed), str(TICKS),
-             str(domain_id)], cwd=ROOT, stderr=subprocess.PIPE, text=True)
+        runs = [start_graph(
+            folders[side], domain_id, namespace=side, ticks=TICKS, seed=seed,
+            extra_parameters={'controller_node': {'effort_output_topic': EFFORTS}})
             for seed, side in enumerate(SIDES)]
 
         def wait_for_both(what, hears):
@@ -92,11 +72,17 @@ def two_runs(tmp_path_factory):
 
         try:
             late = {}
-            for side in SIDES:
-                wait_for_both(f'{side} started', heard[side]['commands'])
-                # The description was said long before this subscription.
-                late[side] = listener.subscribe(
-                    String, f'/{side}/robot_description', qos.LATCHED)
+
+            def subscribed_late():
+                for side in SIDES:
+                    if side not in late and heard[side]['commands']():
+                        # The description was said long before this subscription. One that waited
+                        # for the other graph, too, might come after the end of its own.
+                        late[side] = listener.subscribe(
+                            String, f'/{side}/robot_description', qos.LATCHED)
+                return len(late) == len(SIDES)
+
+            wait_for_both('both started', subscribed_late)
             for side in SIDES:
                 wait_for_both(f'the description of {side}', late[side])
             for run in runs:
@@ -147,7 +133,7 @@ def test_bag_has_markers_and_transforms_at_their_rates(two_runs):
     for side in SIDES:
         markers = read(folders[side], f'/{side}/contact_markers')
         assert len(markers) == 25 * TICKS // 500
-        assert all(len(message.markers) == 2 for message in markers)
+        assert all(len(message.markers) == 6 for message in markers)
         transforms = read(folders[side], '/tf')
         assert abs(len(transforms) - 50 * TICKS // 500) <= 1
 
@@ -197,7 +183,7 @@ def test_bare_efforts_are_in_the_bag(two_runs):
     folders, _ = two_runs
     for side in SIDES:
         efforts = [tuple(x.data) for x in read(
-            folders[side], f'/{side}/effort_controller/commands')]
+            folders[side], f'/{side}/{EFFORTS}')]
         commands = [tuple(x.effort) for x in read(
             folders[side], f'/{side}/joint_effort_command')]
         # Nobody waits for who listens to it: the first ones may be missing.

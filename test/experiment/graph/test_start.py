@@ -14,7 +14,8 @@ import threading
 import time
 
 from multicontact_control.errors import RunError
-from multicontact_control.experiment.graph import run
+from multicontact_control.experiment.graph import watching
+from multicontact_control.experiment.graph.processes import NodeProcesses
 from multicontact_control.experiment.graph.run import run_graph
 from multicontact_control.experiment.graph.spec import (
     CONTROLLER,
@@ -50,13 +51,13 @@ class Nodes:
 
     def __init__(self, monkeypatch, spec):
         self.processes, self._spec = {}, spec
-        start = run.NodeProcesses.start
+        start = NodeProcesses.start
 
         def noting(nodes, name, parameters=None):
             start(nodes, name, parameters)
             self.processes[name] = nodes._running[name]
 
-        monkeypatch.setattr(run.NodeProcesses, 'start', noting)
+        monkeypatch.setattr(NodeProcesses, 'start', noting)
 
     def log(self, name):
         path = self._spec.logs / f'{name}.log'
@@ -119,7 +120,7 @@ def test_first_node_that_ended_is_the_one_named(spec, nodes):
 
 def test_long_start_is_told_of_and_costs_the_waiting_parent_nothing(spec, nodes, monkeypatch):
     """Halt the controller: the parent says whom it waits for, and leaves the processor alone."""
-    monkeypatch.setattr(run, 'TELL_PERIOD', 1.0)
+    monkeypatch.setattr(watching, 'TELL_PERIOD', 1.0)
     told, used = [], []
 
     def tell(text):
@@ -138,7 +139,7 @@ def test_long_start_is_told_of_and_costs_the_waiting_parent_nothing(spec, nodes,
 
 
 def test_start_that_takes_too_long_says_who_is_waited_for(spec, nodes, monkeypatch):
-    monkeypatch.setattr(run, 'START_BUDGET', 1.0)
+    monkeypatch.setattr(watching, 'START_BUDGET', 1.0)
     with pytest.raises(RunError, match=r'not up after 1 s, still waiting for \w+_node to'):
         run_graph(spec)
     # What is killed on a busy machine takes its time to go.

@@ -57,14 +57,6 @@ def test_second_start_takes_from_the_cache_and_gives_the_same_files(tmp_path):
     assert {path: path.stat().st_mtime_ns for path in tmp_path.glob('cells/*')} == ages
 
 
-@pytest.mark.slow
-def test_cluster_gives_the_same_as_this_machine(tmp_path, dask_cluster):
-    for name, options in (('here', {'jobs': 1}), ('dask', {'dask': dask_cluster.address})):
-        shown_of(SMALL, StudyOptions(tmp_path / name, **options))
-    files = [(tmp_path / name / 'robustness.json').read_bytes() for name in ('here', 'dask')]
-    assert files[0] == files[1]
-
-
 @pytest.mark.parametrize(('options', 'message'), [
     ({'jobs': -2}, '^jobs: expected a whole number >= 0, found -2\nplant: '),
     ({'jobs': 2, 'dask': 'tcp://127.0.0.1:1'},

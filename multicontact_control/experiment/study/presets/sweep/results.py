@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from multicontact_control import __version__
 from multicontact_control.arrays import Vector
 from multicontact_control.experiment.overrides import EVERY
+from multicontact_control.experiment.panels import COLOURS
 from multicontact_control.experiment.study.presets.sweep.plan import SweepPlan
 from multicontact_control.experiment.study.table import Column, Line, Listing
 import numpy as np
@@ -29,7 +30,6 @@ STABLE = 'stable'
 CHOICE = (  # of metrics to show
     STABLE, 'contacts.*.step_rise_63_s', 'contacts.*.rest.true_error_rms_n',
     'contacts.*.moving.true_error_rms_n')
-COLOURS = ('#1f3b73', '#c26a00', '#18794e', '#c0262d', '#6b4fa0', '#777777', '#0b8a9e', '#8a6d00')
 WIDE_RANGE = 20.0  # largest over smallest, from which an axis is logarithmic
 
 Row = dict[str, Any]

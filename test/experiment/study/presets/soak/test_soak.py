@@ -75,6 +75,6 @@ def test_options_that_are_not_acceptable_are_named():
 
 @pytest.mark.slow
 def test_study_writes_its_files_and_finds_nothing(tmp_path):
-    content = run_study(SoakStudy(hours=0.1), StudyOptions(tmp_path, jobs=2))
+    content = run_study(SoakStudy(hours=0.02), StudyOptions(tmp_path, jobs=2))
     assert all(map(is_good, content)), content
     assert (tmp_path / 'soak.html').is_file()

@@ -32,12 +32,11 @@ def sweep(tmp_path):
 
 
 @pytest.mark.slow
-def test_table_is_the_same_with_one_worker_two_and_a_cluster(sweep, tmp_path, dask_cluster):
-    for name, options in (('one', {'jobs': 1}), ('two', {'jobs': 2}),
-                          ('dask', {'dask': dask_cluster.address})):
+def test_table_is_the_same_with_one_worker_and_a_cluster(sweep, tmp_path, dask_cluster):
+    for name, options in (('one', {'jobs': 1}), ('dask', {'dask': dask_cluster.address})):
         assert '6 runs' in sweep(name, **options)
-    tables = [(tmp_path / name / 'sweep.parquet').read_bytes() for name in ('one', 'two', 'dask')]
-    assert tables[0] == tables[1] == tables[2]
+    tables = [(tmp_path / name / 'sweep.parquet').read_bytes() for name in ('one', 'dask')]
+    assert tables[0] == tables[1]
     rows = pq.read_table(tmp_path / 'one' / 'sweep.parquet').to_pylist()
     assert [(row['plant.surfaces.*.stiffness'], row['seed']) for row in rows] == [
         (stiffness, seed) for stiffness in (600.0, 6000.0, 6.0e5) for seed in (0, 1)]

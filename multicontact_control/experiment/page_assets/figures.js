@@ -1,0 +1,181 @@
+// Draws the figures of a page with uPlot, each from the numbers that are packed in its element.
+// uPlot draws the smallest and the largest value of every column of pixels in the range that is
+// looked at, out of all samples, and the samples themselves once they are fewer.
+'use strict';
+
+const UNKNOWN = -0x80000000;  // as in packing.py
+const TOO_OLD = 'This browser cannot unpack the curves (it has no DecompressionStream): Chrome ' +
+  'from 80, Firefox from 113 and Safari from 16.4 can.';
+const FONT = '12px system-ui, sans-serif', GRID = '#e6e6e6', TEXT = '#444';
+
+// Returns time and series as arrays of numbers, null where nothing is known.
+async function unpack(packed) {
+  const bytes = Uint8Array.from(atob(packed.data), letter => letter.charCodeAt(0));
+  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream('deflate'));
+  const planes = new Uint8Array(await new Response(stream).arrayBuffer());
+  const n = packed.length;
+  return packed.steps.map((step, k) => {
+    const values = new Array(n), at = 4 * n * k, logarithmic = packed.logarithmic[k];
+    let code = 0;
+    for (let i = at; i < at + n; i++) {
+      const zigzag = planes[i] | planes[i + n] << 8 | planes[i + 2 * n] << 16 |
+        planes[i + 3 * n] << 24;
+      code = code + ((zigzag >>> 1) ^ -(zigzag & 1)) | 0;
+      values[i - at] = code === UNKNOWN ? null :
+        logarithmic ? 10 ** (code * step) : code * step;
+    }
+    return values;
+  });
+}
+
+// Returns where a sample stands alone, so that no line shows it.
+function alone(values) {
+  const found = [], unknown = i => values[i] === null || values[i] === undefined;
+  values.forEach((value, i) => {
+    if (value !== null && unknown(i - 1) && unknown(i + 1)) found.push(i);
+  });
+  return found;
+}
+
+function curve(style, values) {
+  const number = (_, value) => value === null ? '-' : String(Number(value.toPrecision(4)));
+  const shown = {label: style.label || 'value', stroke: style.colour, value: number,
+    width: 1, alpha: style.faint ? 0.6 : 1, dash: style.dashed ? [6, 4] : undefined};
+  if (style.marker) {
+    return {...shown, fill: style.marker === 'filled' ? style.colour : undefined,
+      paths: () => null, points: {show: true, size: 9, width: 1.5,
+      stroke: style.colour, fill: style.marker === 'open' ? '#fff' : style.colour}};
+  }
+  const single = alone(values);
+  return {...shown, points: {
+    size: 4, filter: (_, k, all) => all || !single.length ? null : single}};
+}
+
+function limits(plot) {
+  const levels = plot.levels.map(level => level[0]);
+  if (plot.logarithmic) {
+    return (_, low, high) => low === null || low === undefined ? [0.1, 10] :
+      uPlot.rangeLog(Math.min(low, ...levels), Math.max(high, ...levels), 10, false);
+  }
+  if (plot.limits) return () => plot.limits;
+  return (_, low, high) => low === null || low === undefined ? [0, 1] :
+    uPlot.rangeNum(low, high, 0.1, false);
+}
+
+function shade(u, plot) {
+  const {left, top, width, height} = u.bbox;
+  u.ctx.save();
+  u.ctx.fillStyle = plot.shade;
+  inside(u, plot.shaded).forEach(([, from, to]) => u.ctx.fillRect(from, top, to - from, height));
+  u.ctx.restore();
+}
+
+// Returns name, left and right of the stretches that are in sight.
+function inside(u, shaded) {
+  const first = u.bbox.left, last = first + u.bbox.width;
+  return shaded.map(([name, start, end]) => [
+    name, Math.max(u.valToPos(start, 'x', true), first),
+    Math.min(u.valToPos(end, 'x', true), last)]).filter(([, from, to]) => to > from);
+}
+
+function annotate(u, plot) {
+  const {left, top, width, height} = u.bbox, context = u.ctx;
+  const write = (text, x, y) => {
+    context.strokeText(text, x, y);
+    context.fillText(text, x, y);
+  };
+  context.save();
+  context.font = u.axes[0].font[0];
+  context.fillStyle = '#555';
+  plot.levels.forEach(([level, name]) => {
+    const y = Math.round(u.valToPos(level, 'y', true)) + 0.5;
+    if (y < top || y > top + height) return;
+    context.strokeStyle = '#222';
+    context.lineWidth = 1;
+    context.setLineDash([2, 3]);
+    context.beginPath();
+    context.moveTo(left, y);
+    context.lineTo(left + width, y);
+    context.stroke();
+    context.setLineDash([]);
+    context.strokeStyle = '#fff';
+    context.lineWidth = 4;
+    context.textAlign = 'right';
+    context.textBaseline = 'bottom';
+    write(name, left + width - 4, y - 2);
+  });
+  context.strokeStyle = '#fff';
+  context.lineWidth = 4;
+  context.textAlign = 'left';
+  context.textBaseline = 'top';
+  inside(u, plot.shaded).forEach(([name, from, to]) => {
+    if (context.measureText(name).width < to - from) write(name, from + 4, top + 4);
+  });
+  context.restore();
+}
+
+// Keeps the lines of whole decades where all of them would be a grey area.
+function decades(u, marks) {
+  const {min, max} = u.scales.y;
+  return max < 1000 * min ? marks :
+    marks.map(mark => Number.isInteger(Math.log10(mark)) ? mark : null);
+}
+
+function options(plot, series, width) {
+  const axis = {font: FONT, labelFont: FONT, stroke: TEXT, labelSize: 20,
+    grid: {stroke: GRID, width: 1}, ticks: {stroke: GRID, width: 1}};
+  const named = plot.places.length > 0, up = {...axis, size: 58, label: plot.label};
+  const across = named ? {...axis, rotate: 35, size: 90, space: 20,
+    splits: () => plot.places.map((_, i) => i), values: () => plot.places,
+    label: undefined} : {...axis, size: 34, label: plot.xlabel};
+  return {
+    title: plot.heading || undefined, width, height: plot.height,
+    cursor: {y: false, drag: {x: true, y: true, uni: 30, dist: 4}, focus: {prox: 20},
+      sync: named ? undefined : {key: 'time', scales: ['x', null]}},
+    scales: {
+      x: {time: false, range: named ? () => [-0.5, plot.places.length - 0.5] : undefined},
+      y: {distr: plot.logarithmic ? 3 : 1, range: limits(plot)}},
+    axes: [across, plot.logarithmic ? {...up, grid: {...up.grid, filter: decades}} : up],
+    legend: {live: !named},
+    series: [
+      {label: plot.xlabel || '', value: (_, x) => x === null || x === undefined ? '-' :
+        x.toFixed(3)},
+      ...plot.curves.map((style, i) => curve(style, series[i + 1]))],
+    hooks: {drawClear: [u => shade(u, plot)], draw: [u => annotate(u, plot)]}};
+}
+
+// Draws plots into an element, below each other, instead of what is in it. The newest call wins.
+async function drawFigure(place, plots) {
+  if (!('DecompressionStream' in window)) {
+    place.textContent = TOO_OLD;
+    return;
+  }
+  const turn = place.turn = (place.turn || 0) + 1;
+  place.dataset.state = 'drawing';
+  const all = await Promise.all(plots.map(plot => unpack(plot.packed)));
+  if (place.turn !== turn) return;
+  (place.plots || []).forEach(drawn => drawn.destroy());
+  place.replaceChildren();
+  place.plots = plots.map((plot, i) => {
+    const below = document.createElement('div');
+    below.setAttribute('aria-label', [plot.heading, plot.label].filter(Boolean).join(', '));
+    place.append(below);
+    return new uPlot(options(plot, all[i], place.clientWidth), all[i], below);
+  });
+  if (!place.watched) {
+    place.watched = new ResizeObserver(() => place.plots.forEach(drawn => {
+      if (drawn.width !== place.clientWidth) {
+        drawn.setSize({width: place.clientWidth, height: drawn.height});
+      }
+    }));
+    place.watched.observe(place);
+  }
+  place.dataset.state = 'drawn';
+}
+
+document.addEventListener('DOMContentLoaded', () => {
+  document.querySelectorAll('.figure').forEach(place => {
+    const content = place.querySelector('script');
+    if (content) drawFigure(place, JSON.parse(content.textContent));
+  });
+});
