@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import itertools
 import json
-import os
 from pathlib import Path
 import shutil
 import subprocess
@@ -15,39 +14,37 @@ from typing import Any
 from urllib.request import urlopen
 
 from multicontact_control.errors import RunError
+from multicontact_control.view.chromium import find_chromium, switches
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import ClientConnection, connect
 
-NAMES = ('chromium', 'chromium-browser', 'google-chrome', 'google-chrome-stable', 'chrome')
-SIZE = (1600, 900)  # px
-# Drawn by the processor: machines that take pictures have no graphics.
-DRAWING = ('--use-angle=swiftshader', '--enable-unsafe-swiftshader')
-START_TIMEOUT, ANSWER_TIMEOUT = 30.0, 60.0  # s
+START_TIMEOUT, ANSWER_TIMEOUT = 30.0, 120.0  # s
 LARGEST = 1 << 26  # bytes
-
-
-def find_chromium() -> str:
-    """Return the path of a Chromium; RunError without one."""
-    for name in (os.environ.get('CHROMIUM', ''), *NAMES):
-        found = shutil.which(name) if name else None
-        if found:
-            return found
-    raise RunError('screenshot: expected Chromium, found none; install it (apt-get install '
-                   'chromium), or name it in CHROMIUM')
+NICENESS = '5'
 
 
 class Browser:
-    """A Chromium in a process of its own, spoken to by its own protocol; ends with the block."""
+    """
+    A Chromium in a process of its own, spoken to by its own protocol; ends with the block.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    size
+        Of its window, width and height [px].
+
+    """
+
+    def __init__(self, size: tuple[int, int]) -> None:
+        self._size = size
         self._folder = tempfile.TemporaryDirectory(
             prefix='multicontact_view_', ignore_cleanup_errors=True)
+        nice = shutil.which('nice')
         arguments = [
-            find_chromium(), '--headless=new', '--remote-debugging-port=0', '--no-first-run',
-            '--hide-scrollbars', '--disable-dev-shm-usage', '--mute-audio', *DRAWING,
-            f'--window-size={SIZE[0]},{SIZE[1]}', f'--user-data-dir={self._folder.name}']
-        if os.geteuid() == 0:  # in a container; its sandbox does not work for root
-            arguments.append('--no-sandbox')
+            # What is drawn may come late, the ticks of what is shown may not.
+            *([nice, '-n', NICENESS] if nice else []), find_chromium(),
+            '--headless=new', '--remote-debugging-port=0', '--no-first-run',
+            '--hide-scrollbars', '--disable-dev-shm-usage', '--mute-audio', *switches(),
+            f'--window-size={size[0]},{size[1]}', f'--user-data-dir={self._folder.name}']
         self._process = subprocess.Popen(
             [*arguments, 'about:blank'], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL)
@@ -108,8 +105,8 @@ class Browser:
 
     def load(self, url: str) -> None:
         """Load a page."""
-        self._call('Emulation.setDeviceMetricsOverride', width=SIZE[0], height=SIZE[1],
-                   deviceScaleFactor=1, mobile=False)
+        self._call('Emulation.setDeviceMetricsOverride', width=self._size[0],
+                   height=self._size[1], deviceScaleFactor=1, mobile=False)
         self._call('Page.navigate', url=url)
 
     def dismiss(self) -> None:

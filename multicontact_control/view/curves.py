@@ -7,6 +7,7 @@ import threading
 from typing import Any, NamedTuple
 
 from multicontact_control.arrays import Matrix, Vector
+from multicontact_control.experiment.packing import envelope
 from multicontact_control.view import source
 from multicontact_control.view.source import CurveLayout, RATE
 import numpy as np
@@ -15,6 +16,7 @@ FIRST = '10 s'
 WINDOWS = {'5 s': 5.0, '10 s': 10.0, '30 s': 30.0, '60 s': 60.0}
 DRAWN = 250  # points per curve at most
 HEIGHT = 92  # px
+LISTED = 8  # curves below a chart, at most
 COLOURS = ('#e07a28', '#2e74be', '#34965c', '#8a5fb0', '#b04a5a', '#7a7f87')
 JOINTS = ('#4c6a92', '#7a9cc6', '#5aa08c', '#c29b4b', '#c46f5a', '#8d6b94', '#6b7280')
 GRID = {'stroke': '#eceef0', 'width': 1}
@@ -57,13 +59,13 @@ class History:
         self._end += count
 
     def last(self, time: float) -> Matrix:
-        """Return the points of the last seconds, few enough to be drawn."""
+        """Return the points of the last seconds, or the extremes of as many as are drawn."""
         points = self._points[:self._end]
         if not len(points):
             return points
         points = points[points[:, 0] > points[-1, 0] - time]
-        step = -(-len(points) // DRAWN)
-        return points[(len(points) - 1) % step::step]
+        clock, columns, _ = envelope(points[:, 0], list(points[:, 1:].T), DRAWN)
+        return np.stack([clock, *columns], axis=1)
 
 
 class Chart(NamedTuple):
@@ -130,8 +132,12 @@ class Curves:
                     for i, label in enumerate(chart.labels))),
                 title=chart.title, height=HEIGHT, scales={'x': x, 'y': chart.y},
                 axes=({'size': 30, **AXIS}, {'size': 44, **AXIS}),
-                legend={'show': len(chart.labels) <= 3, 'live': False}, padding=(6, 12, 0, 0))
+                legend={'show': len(chart.labels) <= LISTED, 'live': False}, padding=(6, 12, 0, 0))
                 for chart, data in zip(self._charts, self._data())]
+
+    def look_back(self, window: str) -> None:
+        """Show one of `WINDOWS`."""
+        self._window.value = window
 
     def draw(self) -> None:
         """Show what has come."""
@@ -171,8 +177,8 @@ def charts_of(
     return [
         *forces, Chart('R [N^2], logarithmic', names, of(source.VARIANCE), COLOURS, LOGARITHMIC),
         Chart('innovation, rms [N]', names, of(source.INNOVATION), COLOURS, from_zero(0.2)),
-        Chart('torque, % of the limit of each joint', joints, list(range(use.start, use.stop)),
-              JOINTS, {'range': (0.0, 100.0)}, 100.0)]
+        Chart('torque of each joint, % of its limit', [str(k + 1) for k in range(len(joints))],
+              list(range(use.start, use.stop)), JOINTS, from_zero(100.0), 100.0)]
 
 
 def from_zero(least: float) -> dict[str, Any]:

@@ -21,6 +21,7 @@ from multicontact_control.view.source import (
     Scene,
     Snapshot,
     surfaces_of,
+    taken,
 )
 
 MESSAGE = 1 << 20  # bytes, at most
@@ -109,9 +110,7 @@ class EmbeddedSource:
 
     def poll(self) -> list[Snapshot]:
         """Return the snapshots since the last call; RunError once the simulation has ended."""
-        found = []
-        while self._snapshots:
-            found.append(self._snapshots.popleft())
+        found = taken(self._snapshots)
         if not found and self._over:
             raise RunError(self._ended())
         return found

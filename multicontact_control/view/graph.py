@@ -13,9 +13,9 @@ from typing import Any
 from multicontact_control.errors import CommandError, MulticontactError, RunError
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.nodes import messages, topics
-from multicontact_control.nodes.link import ControllerLink
+from multicontact_control.nodes.glance import GlancingLink
 from multicontact_control.sampling import MotionReading
-from multicontact_control.supervision.command_limits import CommandLimits
+from multicontact_control.supervision.command_limits import CommandLimits, half_lengths
 from multicontact_control.view import source
 from multicontact_control.view.motion import Motion, Pattern
 from multicontact_control.view.source import (
@@ -29,6 +29,7 @@ from multicontact_control.view.source import (
     SIMULATED,
     Snapshot,
     Surface,
+    taken,
     Timing,
 )
 import numpy as np
@@ -39,13 +40,14 @@ from std_srvs.srv import SetBool, Trigger
 REFUSALS = dict.fromkeys(PLAYING, 'a recording') | dict.fromkeys(
     SIMULATED, "a simulation of the page's own")
 MOTION_RATE = 100.0  # Hz, of motion commands, and of looking for anything
-PATIENCE = 5.0  # s
+PATIENCE = 10.0  # s; until a process has found the others may take three
 SILENCE = 1.0  # s without a sample, after which it is said
 KEPT = round(2.0 * RATE)
 LISTENED = (
     topics.JOINT_STATES, topics.MEASURED_FORCES, topics.ESTIMATED_FORCES, topics.DESIRED_FORCES,
     topics.INNOVATION, topics.NOISE_VARIANCE, topics.EFFORT_COMMAND, topics.POSE,
     topics.POSE_DESIRED, topics.DIAGNOSTICS)
+CEILING = 'command.force_ceiling'
 GAINS = ('motion.natural_frequency', 'force.time_constant', 'force.damping_rate')
 
 
@@ -69,7 +71,7 @@ class GraphSource:
 
     def __init__(self, setup: Setup, *, namespace: str = '', domain_id: int | None = None) -> None:
         config = self._config = setup.controller
-        self._link = ControllerLink(
+        self._link = GlancingLink(
             LISTENED, namespace=namespace, domain_id=domain_id, timeout=PATIENCE)
         try:
             message, = self._link.fresh(topics.MEASURED_FORCES)
@@ -77,7 +79,9 @@ class GraphSource:
                 raise RunError(
                     f'contact_forces/measured: expected {", ".join(config.column_names)}, found '
                     f'{", ".join(message.name)}; name its --scenario and --plant')
-            self._gains = self._read_gains()
+            *gains, ceiling = self._read((*GAINS, CEILING))
+            self._gains = (gains[0], gains[1], gains[2])
+            self._limits = CommandLimits(force_ceiling=ceiling)
         except BaseException:
             self._link.close()
             raise
@@ -89,7 +93,7 @@ class GraphSource:
         self._scene = Scene(
             'graph, as it runs', config, setup.urdf_dir, tuple(
                 Surface(name, config.contacts[name].normal_world, None)
-                for name in config.contact_names))
+                for name in config.contact_names), largest_force=ceiling)
         self._commands: Mapping[str, Callable[..., str]] = {
             source.FORCES: self._set_forces, source.GO_TO: self._go_to, source.JOG: self._jog,
             source.PATTERN: self._pattern, source.STOP: self._stop, source.HOLD: self._hold,
@@ -120,9 +124,7 @@ class GraphSource:
 
     def poll(self) -> list[Snapshot]:
         """Return the snapshots since the last call; RunError if the graph cannot be heard."""
-        found = []
-        while self._snapshots:
-            found.append(self._snapshots.popleft())
+        found = taken(self._snapshots)
         if not found and self._why:
             raise RunError(self._why)
         return found
@@ -242,7 +244,7 @@ class GraphSource:
             points=np.array(points) if points else no_points(self._layout),
             commanded=dict(self._commanded), goal=self._motion.goal, events=tuple(events),
             timing=Timing(_number(loop.get('latency_us_p50')), _number(loop.get('latency_us_p99')),
-                          int(_number(loop.get('deadline_misses_in_all', '0')))),
+                          _count(loop.get('deadline_misses_in_all', '0'))),
             held=contacts.get('held') == 'True', moving=self._motion.what,
             push_test=_unless_none(told.get('sensor', {}).get('push_test', '')),
             gains=self._gains, playing=True))
@@ -251,12 +253,12 @@ class GraphSource:
 
     def _set_forces(self, **forces: float) -> str:
         config = self._config
-        halves = {column.name for column in config.columns if column.half_length > 0.0}
         unknown = set(forces) - set(config.column_names)
         if unknown:
             raise CommandError('contact', f'one of {", ".join(config.column_names)}',
                                ', '.join(sorted(unknown)))
-        CommandLimits().check_forces(forces, config.contact_state.smallest_force, halves)
+        self._limits.check_forces(
+            forces, config.contact_state.smallest_force, half_lengths(config))
         self._link.publish(self._force, messages.joint_state_message(
             0, list(forces), effort=list(forces.values())))
         self._commanded.update(forces)
@@ -311,11 +313,14 @@ class GraphSource:
             raise RunError(str(answer.message))
         return str(answer.message) or name
 
-    def _read_gains(self) -> tuple[float, float, float]:
+    def _read(self, names: tuple[str, ...]) -> list[float]:
         answer = self._link.require(topics.CONTROLLER, GetParameters, 'get_parameters',
-                                    GetParameters.Request(names=list(GAINS)))
+                                    GetParameters.Request(names=list(names)))
         found = [value.double_value for value in answer.values]
-        return (found[0], found[1], found[2]) if len(found) == len(GAINS) else (np.nan,) * 3
+        if len(found) != len(names):
+            raise RunError(f'{topics.CONTROLLER}: expected the parameters {", ".join(names)}, '
+                           'found not all of them')
+        return found
 
     def _set_gains(
         self, natural_frequency: float, time_constant: float, damping_rate: float,
@@ -338,6 +343,11 @@ def _number(text: str | None) -> float:
         return float(text or 'nan')
     except ValueError:
         return float('nan')
+
+
+def _count(text: str) -> int:
+    number = _number(text)
+    return int(number) if np.isfinite(number) else 0
 
 
 def _unless_none(text: str) -> str:

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
-from multicontact_control.errors import RunError
+from multicontact_control.errors import ConfigError
 
 
 def require_viser() -> Any:
-    """Return the module; RunError where it, or what it brings, is not installed."""
+    """Return the module; ConfigError where it, or what it brings, is not installed."""
     try:
         import viser
         import websockets  # noqa: F401
     except ImportError as error:
-        raise RunError(f'the page needs viser, which cannot be loaded: {error}; install the extra '
-                       "[view]: pip install 'multicontact_control[view]'") from None
+        raise ConfigError('view', "viser, by pip install 'multicontact_control[view]'",
+                          f'none that can be loaded ({error})') from None
     return viser

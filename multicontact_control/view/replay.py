@@ -14,7 +14,7 @@ import warnings
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.errors import CommandError, ConfigError
-from multicontact_control.experiment.bag import read_bag
+from multicontact_control.experiment.bag import CUT_OFF, read_bag
 from multicontact_control.experiment.recording import RunData, SERIES_FILE
 from multicontact_control.experiment.results import (
     BAG_FOLDER,
@@ -214,6 +214,7 @@ def load_replay(path: Path, setup: Setup) -> ReplaySource:
         raise ConfigError('recording', 'a folder of `multicontact run` or `simulate`, or a bag',
                           path)
     run = folder.parent if folder.name == BAG_FOLDER else folder
+    title = f'recording {run.resolve().name}'
     surfaces: tuple[Surface, ...]
     events: list[tuple[float, str]] = []
     marks: list[tuple[float, str]] = []
@@ -228,18 +229,21 @@ def load_replay(path: Path, setup: Setup) -> ReplaySource:
         bag, config = folder, setup.controller
         surfaces = tuple(Surface(name, config.contacts[name].normal_world, None)
                          for name in config.contact_names)
-    if bag.is_dir():
-        data = read_bag(bag, setup.controller).data
+    if any(bag.glob('*.mcap')):
+        content = read_bag(bag, setup.controller)
+        data = content.data
+        # What is missing besides, curves show.
+        title += f', {CUT_OFF}' if CUT_OFF in content.remarks else ''
     elif (run / SERIES_FILE).is_file():
         data = RunData.load(run)
     else:
-        raise ConfigError('recording', f'{BAG_FOLDER}/ or {SERIES_FILE} in it', run)
+        raise ConfigError('recording', f'{BAG_FOLDER}/*.mcap or {SERIES_FILE} in it', run)
     if not np.isfinite(data.q).any():
         raise ConfigError(
             'recording', f'the joints {", ".join(setup.controller.robot.joint_names)}, or '
             '--scenario and --plant that it was recorded with', 'others')
     return ReplaySource(
-        Scene(f'recording {run.resolve().name}', setup.controller, setup.urdf_dir, surfaces),
+        Scene(title, setup.controller, setup.urdf_dir, surfaces),
         data, events, marks)
 
 

@@ -7,12 +7,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 import signal
+import socket
 import threading
 import time
 from types import FrameType
 import webbrowser
 
-from multicontact_control.errors import ConfigError, RunError
+from multicontact_control.errors import ConfigError, importing_ros, RunError
 from multicontact_control.experiment.compilation import ensure_compiled
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.view import source
@@ -20,9 +21,11 @@ from multicontact_control.view.page import HOST, Page, PORT
 from multicontact_control.view.source import Source
 import numpy as np
 
-PRESS = 10.0  # N, for a picture
+PRESS = 10.0  # N, for a picture; half of it before, so that the curves show a step
+SIZE = (1600, 900)  # px, of a picture
+LEAST_SIZE, LARGEST_SIZE = 400, 8000  # px
 CLOSE = 1.0  # N
-SEEN_FOR = 8.0  # s: what the browser draws comes in slowly, and curves show what was
+DRAWN_FOR, SEEN_FOR = 20.0, 4.0  # s: what the browser draws comes in slowly; after the step
 PATIENCE = 30.0  # s
 
 
@@ -41,8 +44,8 @@ class ViewOptions:
         Where to listen, and what has to be known to get in; see `Page`.
     open_browser
         Whether to open it.
-    screenshot
-        File of a picture to take, after which it ends; None for none.
+    screenshot, size
+        File of a picture to take, after which it ends, None for none; its width and height [px].
 
     """
 
@@ -55,6 +58,7 @@ class ViewOptions:
     token: str = ''
     open_browser: bool = False
     screenshot: Path | None = None
+    size: tuple[int, int] = SIZE
 
 
 def run_view(setup: Setup, options: ViewOptions, say: Callable[[str], object]) -> str:
@@ -82,15 +86,17 @@ def run_view(setup: Setup, options: ViewOptions, say: Callable[[str], object]) -
 
     """
     if options.screenshot is not None:
-        from multicontact_control.view.browser import find_chromium
+        from multicontact_control.view.chromium import find_chromium
 
         find_chromium()  # before anything is started
         if options.recording is not None or options.graph:
             raise ConfigError('screenshot', 'neither a recording nor --graph: it presses', 'both')
-    page = Page(make_source(setup, options), options.host or HOST, options.port, options.token)
+    host = options.host or HOST
+    check_address(host)
+    page = Page(make_source(setup, options), host, options.port, options.token)
     try:
         if options.screenshot is not None:
-            take_screenshot(page, options.screenshot)
+            take_screenshot(page, options.screenshot, options.size)
             say(f'picture in {options.screenshot}')
             return ''
         with until_signal() as stop:
@@ -105,6 +111,29 @@ def run_view(setup: Setup, options: ViewOptions, say: Callable[[str], object]) -
         page.close()
 
 
+def check_address(host: str) -> None:
+    """Check that this machine can listen on an address; ConfigError if not."""
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(
+            host, 0, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
+        with socket.socket(family, kind, protocol) as listener:
+            listener.bind(address)
+    except OSError as error:
+        raise ConfigError('host', 'an address of this machine', f'{host} ({error.strerror})'
+                          ) from None
+
+
+def read_size(text: str) -> tuple[int, int]:
+    """Return width and height of a picture [px], given as WIDTHxHEIGHT; ConfigError if not."""
+    parts = text.split('x')
+    if len(parts) == 2 and all(part.isdecimal() for part in parts):
+        width, height = map(int, parts)
+        if LEAST_SIZE <= min(width, height) and max(width, height) <= LARGEST_SIZE:
+            return width, height
+    raise ConfigError(
+        'size', f'WIDTHxHEIGHT of {LEAST_SIZE} to {LARGEST_SIZE} pixels', f"'{text}'")
+
+
 def make_source(setup: Setup, options: ViewOptions) -> Source:
     """Return what is to be shown."""
     if options.graph and options.recording is not None:
@@ -112,13 +141,13 @@ def make_source(setup: Setup, options: ViewOptions) -> Source:
     if options.recording is not None:
         from multicontact_control.view.replay import load_replay
 
-        return load_replay(options.recording, setup)
-    if options.graph:
         try:
+            return load_replay(options.recording, setup)
+        except RunError as error:
+            raise ConfigError('recording', 'one that can be read', f'none: {error}') from None
+    if options.graph:
+        with importing_ros():
             from multicontact_control.view.graph import GraphSource
-        except ImportError as error:
-            raise RunError(f'ROS 2 (rclpy) cannot be loaded: {error}; install the extra [ros] or '
-                           'source a ROS 2 Jazzy') from None
 
         return GraphSource(setup, namespace=options.namespace, domain_id=options.domain_id)
     from multicontact_control.view.embedded import EmbeddedSource
@@ -143,7 +172,7 @@ def until_signal() -> Iterator[threading.Event]:
             signal.signal(number, handler)
 
 
-def take_screenshot(page: Page, path: Path) -> None:
+def take_screenshot(page: Page, path: Path, size: tuple[int, int] = SIZE) -> None:
     """
     Press with the tool, and take a picture of the page once all contacts hold.
 
@@ -155,34 +184,41 @@ def take_screenshot(page: Page, path: Path) -> None:
     """
     from multicontact_control.view.browser import Browser
 
-    names = page.source.scene.config.contact_names
     stop = threading.Event()
-    with Browser() as browser:
+    with Browser(size) as browser:
         browser.load(page.url)
         shower = threading.Thread(target=page.run, args=(stop,), daemon=True)
         shower.start()
         try:
             wait(lambda: page.newest is not None, page, 'samples')
-            page.commander.give(None, source.FORCES, **dict.fromkeys(names, PRESS))
-            wait(lambda: holds(page), page, f'{" and ".join(names)} to hold {PRESS:g} N')
+            page.curves.look_back('30 s')
+            press(page, 0.5 * PRESS)
             wait(lambda: bool(page.server.get_clients()), page, 'the browser')
-            time.sleep(0.5 * SEEN_FOR)
+            time.sleep(DRAWN_FOR)
             browser.dismiss()
-            time.sleep(0.5 * SEEN_FOR)
+            press(page, PRESS)
+            time.sleep(SEEN_FOR)
             browser.screenshot(path)
         finally:
             stop.set()
             shower.join()
 
 
-def holds(page: Page) -> bool:
-    """Return whether all contacts are held with the force of a picture."""
+def press(page: Page, force: float) -> None:
+    """Press with all contacts, and wait until they hold with that force [N]."""
+    names = page.source.scene.config.contact_names
+    page.commander.give(None, source.FORCES, **dict.fromkeys(names, force))
+    wait(lambda: holds(page, force), page, f'{" and ".join(names)} to hold {force:g} N')
+
+
+def holds(page: Page, force: float) -> bool:
+    """Return whether all contacts are held with a force [N]."""
     newest = page.newest
     if newest is None:
         return False
     leaders = list(page.source.scene.config.leaders)
     return set(newest.states) == {'holding'} and bool(
-        (np.abs(newest.measured[leaders] - PRESS) < CLOSE).all())
+        (np.abs(newest.measured[leaders] - force) < CLOSE).all())
 
 
 def wait(condition: Callable[[], bool], page: Page, what: str) -> None:

@@ -11,12 +11,14 @@ from multicontact_control.view.shapes import BOX, CYLINDER, read_shapes
 from multicontact_control.view.source import Scene, Snapshot, Surface
 import numpy as np
 from scipy.spatial.transform import Rotation
+from sim_bridge.surface_patch import surface_patch
 
 METRES_PER_NEWTON = 0.012
 SMALLEST_ARROW = 0.015  # m
 HEAD = 0.022  # m
 BESIDE = 0.022  # m, between the arrows of a contact
-PATCH, THICKNESS = (0.70, 0.34), 0.016  # m, of a surface as it is drawn
+LEVEL = 0.8  # component of a normal along z, from which a surface is as good as level
+LEAST_WAY = 5e-4  # m, that is drawn
 TOUCH = 1.5  # N, from which a surface is known to be there
 MEASURED, ESTIMATED, DESIRED = (205, 82, 0), (10, 78, 165), (10, 122, 58)
 STATE_COLOURS = {
@@ -24,7 +26,7 @@ STATE_COLOURS = {
     'holding': (52, 150, 92), 'lost': (208, 60, 50), 'retracting': (208, 60, 50),
     'given up': (128, 40, 60), 'force': (52, 150, 92)}
 SURFACE_COLOURS = ((196, 186, 168), (176, 190, 204), (186, 200, 180), (204, 184, 190))
-BACK = np.array([1.50, -0.55, 0.42])  # m, of the camera from what it looks at
+BACK = np.array([1.58, -0.58, 0.44])  # m, of the camera from what it looks at
 
 
 class SceneView:
@@ -63,7 +65,7 @@ class SceneView:
     def _look(self, server: Any) -> None:
         placed = [surface.point_world for surface in self._scene.surfaces if surface.point_world]
         middle = np.mean(placed, axis=0) if placed else np.array([0.0, 0.5, 0.5])
-        target = middle * np.array([1.0, 0.62, 1.0]) + np.array([0.0, 0.0, 0.12])
+        target = middle * np.array([1.0, 0.62, 1.0]) + np.array([0.0, 0.0, 0.09])
         server.initial_camera.look_at = target
         server.initial_camera.position = target + BACK
         server.initial_camera.fov = np.radians(42.0)
@@ -89,21 +91,20 @@ class SceneView:
     def _draw_surface(self, surface: Surface) -> None:
         if surface.point_world is None:
             return
-        normal = np.array(surface.normal_world)
-        first = np.array([1.0, 0.0, 0.0]) if abs(normal[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
-        first = first - normal * (normal @ first)
-        first /= np.linalg.norm(first)
-        axes = np.column_stack([first, np.cross(normal, first), normal])
-        number = len(self._patches)
-        self._patches[surface.name] = self._api.add_box(
-            f'/surfaces/{surface.name}', dimensions=(*PATCH, THICKNESS),
-            color=SURFACE_COLOURS[number % len(SURFACE_COLOURS)],
-            position=np.array(surface.point_world) + 0.5 * THICKNESS * normal, wxyz=_wxyz(axes),
+        patch = surface_patch(
+            np.array(surface.normal_world), surface.radius, ball=surface.ball)
+        self._patches[surface.name] = self._api.add_mesh_simple(
+            f'/surfaces/{surface.name}', patch.vertices, patch.faces,
+            color=SURFACE_COLOURS[len(self._patches) % len(SURFACE_COLOURS)],
+            position=np.array(surface.point_world), flat_shading=True, side='double',
             cast_shadow=False)
 
     def _draw_contacts(self) -> None:
-        api, names = self._api, self._scene.config.contact_names
+        api, config = self._api, self._scene.config
+        names = config.contact_names
         nothing = np.zeros((len(names), 2, 3))
+        # The arrows of a level surface are set out towards the arm: the label, too, but beyond.
+        levels = [abs(config.contacts[name].normal_world[2]) >= LEVEL for name in names]
         self._arrows = [
             api.add_arrows(f'/forces/{kind}', nothing, colour, shaft_radius=0.0055,
                            head_radius=0.012, head_length=HEAD)
@@ -112,8 +113,8 @@ class SceneView:
         self._tips = [api.add_icosphere(
             f'/contacts/{name}', radius=0.011, color=STATE_COLOURS['free']) for name in names]
         self._labels = [api.add_label(
-            f'/labels/{name}', name, anchor='bottom-center', font_screen_scale=1.0)
-            for name in names]
+            f'/labels/{name}', name, anchor='center-right' if level else 'bottom-center',
+            font_screen_scale=1.0) for name, level in zip(names, levels)]
         self._colours: list[tuple[int, int, int] | None] = [None] * len(names)
 
     def add_handle(self, on_drag: Callable[[Vector], None]) -> None:
@@ -145,10 +146,10 @@ class SceneView:
         rotation = Rotation.from_quat(snapshot.quaternion).as_matrix()
         points = snapshot.position + self._points @ rotation.T
         self._show_forces(snapshot, points, labels)
-        self._find_surfaces(snapshot, points)
+        self._show_surfaces(snapshot, points)
         if self._handle is not None and self._handle.visible and not self._dragged:
             place = snapshot.position_des if snapshot.goal is None else snapshot.goal
-            if np.abs(np.array(self._handle.position) - place).max() > 5e-4:
+            if np.abs(np.array(self._handle.position) - place).max() > LEAST_WAY:
                 self._handle.position = place
 
     def _show_forces(self, snapshot: Snapshot, points: Matrix, labels: bool) -> None:
@@ -170,8 +171,12 @@ class SceneView:
             label.text = f'{self._scene.config.contact_names[i]}  {newtons(force)} N  {state}'
             label.position = point - 0.02 * normal + 6.5 * BESIDE * _sideways(point, normal)
 
-    def _find_surfaces(self, snapshot: Snapshot, points: Matrix) -> None:
-        """Draw the surfaces that nobody told of, where they are felt."""
+    def _show_surfaces(self, snapshot: Snapshot, points: Matrix) -> None:
+        """Draw the surfaces where they are, and those that nobody told of where they are felt."""
+        for name, state in snapshot.surfaces.items():
+            patch = self._patches[name]
+            if np.abs(patch.position - np.array(state.point_world)).max() > LEAST_WAY:
+                patch.position = np.array(state.point_world)
         for i, surface in enumerate(self._scene.surfaces):
             if surface.point_world is None and surface.name not in self._patches and (
                     snapshot.measured[self._leaders[i]] > TOUCH):
@@ -195,7 +200,7 @@ def _sideways(point: Vector, normal: Vector) -> Vector:
 
     It is up, or on a table towards the arm: where the camera, from the side, sees them apart.
     """
-    axis = np.array([0.0, 0.0, 1.0]) if abs(normal[2]) < 0.8 else point * (-1.0, -1.0, 0.0)
+    axis = np.array([0.0, 0.0, 1.0]) if abs(normal[2]) < LEVEL else point * (-1.0, -1.0, 0.0)
     along = axis - normal * (normal @ axis)
     return np.asarray(along / max(float(np.linalg.norm(along)), 1e-9))
 

@@ -95,7 +95,14 @@ class Simulation:
     def _given_surfaces(self) -> dict[str, SurfaceState]:
         plant = self._setup.plant
         first = {name: plant.surfaces[plant.met[parts[0]]] for name, parts in self._parts.items()}
-        return {name: SurfaceState(each.stiffness, each.friction) for name, each in first.items()}
+        return {name: SurfaceState(each.stiffness, each.friction, each.point_world)
+                for name, each in first.items()}
+
+    def _surfaces_now(self) -> dict[str, SurfaceState]:
+        """Return the surfaces, where they are now."""
+        places = self.loop.plant.contacts.places_world.tolist()
+        return {name: state._replace(point_world=tuple(places[self._parts[name][0]]))
+                for name, state in self._surfaces.items()}
 
     def _start(self) -> None:
         self.loop = ClosedLoop(self._setup, commanded=True)
@@ -196,7 +203,7 @@ class Simulation:
             asked_push=tuple(self._asked_push()),
             gains=(config.motion.natural_frequency, config.force.time_constant,
                    config.force.damping_rate),
-            estimator=self._estimator.estimator, surfaces=dict(self._surfaces), playing=True)
+            estimator=self._estimator.estimator, surfaces=self._surfaces_now(), playing=True)
 
     def obey(self, name: str, values: Mapping[str, Any]) -> str:
         """
@@ -322,7 +329,7 @@ class Simulation:
                 contacts.scale_stiffness(index, stiffness / before.stiffness)
             if friction != before.friction:
                 contacts.scale_friction(index, friction / max(before.friction, 1e-9))
-        self._surfaces[name] = SurfaceState(stiffness, friction)
+        self._surfaces[name] = before._replace(stiffness=stiffness, friction=friction)
         told = f'{name}: {stiffness:g} N/m, friction {friction:g}'
         self._say(told)
         return told

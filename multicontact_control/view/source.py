@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -58,12 +59,16 @@ class Surface(NamedTuple):
         Into it.
     point_world
         On it [m]; None until something is felt there.
+    radius, ball
+        Of a curved one, 0 for a plane [m]; whether it is curved all around.
 
     """
 
     name: str
     normal_world: Vector3
     point_world: Vector3 | None
+    radius: float = 0.0
+    ball: bool = False
 
 
 @dataclass(frozen=True)
@@ -122,10 +127,11 @@ class Timing(NamedTuple):
 
 
 class SurfaceState(NamedTuple):
-    """Stiffness [N/m] and coefficient of friction of a simulated surface."""
+    """Stiffness [N/m], friction and a point, world axes [m], of a simulated surface."""
 
     stiffness: float
     friction: float
+    point_world: Vector3
 
 
 @dataclass(frozen=True)
@@ -252,6 +258,14 @@ class Source(Protocol):
         """End what has been started for this."""
 
 
+def taken(snapshots: deque[Snapshot]) -> list[Snapshot]:
+    """Take all there are; another thread may add more meanwhile."""
+    found = []
+    while snapshots:
+        found.append(snapshots.popleft())
+    return found
+
+
 def refuse_if_unknown(name: str, refusals: Mapping[str, str]) -> None:
     """Raise `CommandError` for a command that is never obeyed."""
     if name in refusals:
@@ -298,10 +312,7 @@ def no_points(layout: CurveLayout) -> Matrix:
 
 def surfaces_of(setup: Setup) -> tuple[Surface, ...]:
     """Return the surfaces of a simulated plant, one for each contact and obstacle."""
-    plant = setup.plant
-    found: dict[str, Surface] = {}
-    for name in plant.met:
-        surface = plant.surfaces[name]
-        found.setdefault(plant.contacts[name] if name in plant.touched else name, Surface(
-            name, surface.normal_world, surface.point_world))
-    return tuple(surface._replace(name=name) for name, surface in found.items())
+    known = setup.plant.surfaces
+    return tuple(
+        Surface(name, known[one].normal_world, known[one].point_world, known[one].radius,
+                known[one].shape == 'sphere') for name, one in setup.plant.drawn.items())

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import signal
-import subprocess
-import sys
 import time
 
 from multicontact_control.errors import MulticontactError, RunError
@@ -17,47 +13,20 @@ import pytest
 
 pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 from multicontact_control.view.graph import GraphSource  # noqa: E402, I100
-from ros_graph import end_of, PATIENCE, ROOT  # noqa: E402, I100
+from ros_graph import obedient_graph, own_domain, PATIENCE  # noqa: E402, I100
 
 pytestmark = pytest.mark.ros
-
-RUN = """
-import sys
-from pathlib import Path
-from multicontact_control.experiment.graph.run import GraphSpec, run_graph
-from multicontact_control.experiment.scenario import resolve
-folder = Path(sys.argv[1])
-setup = resolve('quick', plant='rigid', seed=0)
-config = folder / 'config'
-setup.write(config)
-run_graph(GraphSpec(
-    out=folder, ticks=0, rate=500.0, namespace='arm', lockstep=True, domain_id=int(sys.argv[2]),
-    composed='all',
-    parameter_files={'controller_node': config / 'controller.yaml',
-                     'sim_node': config / 'plant.yaml',
-                     'noise_estimator_node': config / 'noise_estimator.yaml'}))
-"""
 
 
 @pytest.fixture(scope='module')
 def shown(tmp_path_factory):
     """Return what joins a graph in lockstep that obeys commands."""
-    saved = os.environ.pop('ROS_DOMAIN_ID', None)
-    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    with reserve_domain() as domain_id:
-        run = subprocess.Popen(
-            [sys.executable, '-c', RUN, str(tmp_path_factory.mktemp('graph')), str(domain_id)],
-            cwd=ROOT, stderr=subprocess.PIPE, text=True)
-        try:
-            joined = join(domain_id)
-            yield joined
-            joined.close()
-        finally:
-            run.send_signal(signal.SIGINT)
-            _, errors = end_of(run)
-        assert run.returncode == 0, errors
-    if saved is not None:
-        os.environ['ROS_DOMAIN_ID'] = saved
+    with own_domain() as domain_id, obedient_graph(
+            tmp_path_factory.mktemp('graph'), domain_id, composed='all',
+            recording_batches=True):
+        joined = join(domain_id)
+        yield joined
+        joined.close()
 
 
 def join(domain_id):

@@ -17,6 +17,7 @@ from multicontact_control.experiment.scenario import resolve
 from multicontact_control.view import source
 from multicontact_control.view.events import EventReader
 from multicontact_control.view.replay import load_replay
+from multicontact_control.view.simulation import Simulation
 from multicontact_control.view.source import Scene, surfaces_of
 import numpy as np
 import pytest
@@ -77,6 +78,27 @@ def settle(page, condition):
         assert time.monotonic() < give_up
         page.update()
         time.sleep(0.01)
+
+
+def test_surfaces_that_move_are_drawn_where_they_are(silent):
+    surfaces = {name: {'motion_start': 0.0} for name in ('table', 'board')}
+    simulation = Simulation(resolve(
+        'moving_surface', plant='rigid', plant_overrides={'surfaces': surfaces}))
+    page = page_module.Page(silent, port=PORT)
+    try:
+        for _ in range(500):
+            simulation.advance()
+        page.scene_view.show(simulation.snapshot(0, 1.0))
+        for surface in silent.scene.surfaces:
+            period = {'table': 6.283, 'board': 5.0}[surface.name]
+            w = 2.0 * np.pi / period
+            way = 0.02 / w * (1.0 - np.cos(w))
+            np.testing.assert_allclose(
+                page.scene_view._patches[surface.name].position,
+                np.add(surface.point_world, way * np.array(surface.normal_world)), atol=1e-4)
+    finally:
+        page.close()
+        simulation.close()
 
 
 def test_page_is_served_to_this_machine_only_and_holds_what_is_shown(silent):
@@ -175,9 +197,9 @@ def test_a_recording_is_drawn(recorded_run, monkeypatch):
 def test_without_viser_it_is_said_what_to_install():
     done = subprocess.run(
         [sys.executable, '-c', WITHOUT], capture_output=True, text=True, check=False)
-    assert done.returncode == 1
+    assert done.returncode == 2
     assert done.stderr.count('\n') == 1
-    assert "install the extra [view]: pip install 'multicontact_control[view]'" in done.stderr
+    assert "expected viser, by pip install 'multicontact_control[view]', found none" in done.stderr
 
 
 def test_command_serves_a_page_and_ends_with_all_it_started():

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import shutil
+
 from multicontact_control.errors import CommandError, ConfigError
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.scenario import resolve
+from multicontact_control.nodes import messages, qos
+from multicontact_control.nodes.bag_writer import BagWriter
 from multicontact_control.view import source
 from multicontact_control.view.replay import load_replay, ReplaySource
 import numpy as np
 import pytest
+from rclpy.serialization import serialize_message
 
 
 class Clock:
@@ -92,3 +97,28 @@ def test_what_is_no_recording_is_refused(tmp_path, recorded_run):
     for path in (tmp_path, tmp_path / 'nothing', recorded_run / 'config'):
         with pytest.raises((ConfigError, Exception), match='expected'):
             load_replay(path, setup)
+
+
+def test_what_cannot_be_read_is_bad_input_and_what_is_cut_off_is_said_so(recorded_run, tmp_path):
+    pytest.importorskip('viser', reason='viser is not installed (extra [view])')
+    run = pytest.importorskip('multicontact_control.view.run')
+    setup = resolve('quick', plant='rigid')
+    folder = tmp_path / 'run'
+    shutil.copytree(recorded_run / 'config', folder / 'config')
+    shutil.copy(recorded_run / 'summary.json', folder)
+    with BagWriter(folder / 'bag', chunk_size=1024) as writer:
+        names = setup.controller.robot.joint_names
+        writer.add_topic('/joint_states', 'sensor_msgs/msg/JointState', qos.STREAM)
+        for k in range(1, 400):
+            message = messages.joint_state_message(
+                2_000_000 * k, names, position=[0.1] * 6, velocity=[0.0] * 6, effort=[0.0] * 6)
+            writer.write('/joint_states', serialize_message(message), k, k)
+    assert load_replay(folder, setup).scene.title == 'recording run'
+    file = folder / 'bag' / 'bag_0.mcap'
+    whole = file.read_bytes()
+    file.write_bytes(whole[:len(whole) // 2])
+    assert load_replay(folder, setup).scene.title == 'recording run, the recording is cut off'
+    file.write_bytes(whole[:50])
+    with pytest.raises(ConfigError, match='recording: expected one that can be read, found none: '
+                                          '.*found nothing, and a file that is cut off$'):
+        run.make_source(setup, run.ViewOptions(recording=folder))
