@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Callable
+from copy import copy
+from typing import Annotated, Any
 
 from multicontact_control import __version__
 from multicontact_control.cli.bench import bench
@@ -27,10 +29,20 @@ from multicontact_control.cli.topics import topics
 from multicontact_control.cli.tune import tune
 from multicontact_control.cli.view import view
 from multicontact_control.process import limit_threads
+from rich.markup import escape
 import typer
+from typer.core import TyperCommand
+
+FIRST = """\
+Press a simulated or a real arm on several surfaces at once. Try first:
+  multicontact view                       see an arm in the browser, press, slide, push it
+  multicontact simulate --scenario quick  a first run, with figures and numbers
+  multicontact run                        the paper's experiment on the ROS 2 graph, recorded
+  multicontact view runs/latest           any run, replayed
+All commands: multicontact --help; the Tab key: multicontact --install-completion"""
 
 app = typer.Typer(
-    no_args_is_help=True, pretty_exceptions_enable=False, add_completion=False,
+    pretty_exceptions_enable=False,
     context_settings={'help_option_names': ['-h', '--help']},
     help='Press a torque-controlled arm on several surfaces at once, with a commanded force at '
          'each contact (Park, Cortesão and Khatib, ICRA 2004).')
@@ -38,34 +50,41 @@ app = typer.Typer(
 
 @app.callback(invoke_without_command=True)
 def _root(
+    context: typer.Context,
     version: Annotated[bool, typer.Option('--version', help='Print the version.')] = False,
 ) -> None:
     if version:
         typer.echo(f'multicontact {__version__}')
         raise typer.Exit
+    if context.invoked_subcommand is None:
+        typer.echo(FIRST)
 
 
-app.command()(simulate)
-app.command()(run)
-app.command()(view)
-app.command()(calibrate)
-app.command()(push_test)
-app.command('new-robot')(new_robot)
-app.command()(compare)
-app.command()(design)
-app.command()(tune)
-app.command()(identify)
-app.command('map')(robustness_map)
-app.command()(robots)
-app.command()(sweep)
-app.command()(report)
-app.command()(topics)
-app.command()(echo)
-app.command()(record)
-app.command()(faults)
-app.command()(soak)
-app.command()(bench)
-app.command('compile')(compile_kernels)
+class _Command(TyperCommand):
+    """A command whose help has its texts as they are: a unit in brackets is no markup."""
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        shown = copy(self)
+        shown.help = escape(self.help or '')
+        shown.params = [_escaped(parameter) for parameter in self.params]
+        TyperCommand.format_help(shown, ctx, formatter)
+
+
+def _escaped(parameter: Any) -> Any:
+    shown = copy(parameter)
+    if getattr(shown, 'help', None):
+        shown.help = escape(shown.help)
+    return shown
+
+
+_COMMANDS: dict[str, Callable[..., None]] = {
+    'simulate': simulate, 'run': run, 'view': view, 'calibrate': calibrate,
+    'push-test': push_test, 'new-robot': new_robot, 'compare': compare, 'design': design,
+    'tune': tune, 'identify': identify, 'map': robustness_map, 'robots': robots, 'sweep': sweep,
+    'report': report, 'topics': topics, 'echo': echo, 'record': record, 'faults': faults,
+    'soak': soak, 'bench': bench, 'compile': compile_kernels}
+for _name, _function in _COMMANDS.items():
+    app.command(_name, cls=_Command)(_function)
 
 
 def main() -> None:

@@ -8,7 +8,7 @@ import sys
 from typing import Annotated
 
 from multicontact_control.cli.exits import errors_in_one_line
-from rich.console import Console
+from multicontact_control.terminal import terminal
 import typer
 
 
@@ -47,4 +47,4 @@ def bench(
     if as_json:
         typer.echo(json.dumps(result))
     else:
-        print_bench(result, Console())
+        print_bench(result, terminal())

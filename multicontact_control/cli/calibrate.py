@@ -16,7 +16,7 @@ from multicontact_control.cli.options import (
     Seed,
 )
 from multicontact_control.errors import ConfigError
-from rich.console import Console
+from multicontact_control.terminal import terminal
 import typer
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ def show(result: Calibration, title: str, target: Path) -> None:
     """Show what was found; exit code 1 if it is not what there was to find."""
     from multicontact_control.experiment.calibration import calibration_table
 
-    found, console = result.found, Console()
+    found, console = result.found, terminal()
     console.print(calibration_table(result, title))
     lines = [f'{found.poses} poses, condition {found.condition:.3g}, residual '
              f'{found.force_residual:.3g} N and {found.torque_residual:.3g} N m rms']

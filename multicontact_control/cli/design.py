@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
+from multicontact_control.cli import completion
 from multicontact_control.cli.exits import errors_in_one_line
 from multicontact_control.cli.options import read_pair
 import typer
@@ -12,7 +13,8 @@ import typer
 
 def design(
     law: Annotated[str, typer.Argument(
-        metavar='LAW', help='aob, pi, dob, lqg, admittance, impedance or feedforward.')],
+        metavar='LAW', autocompletion=completion.one_of(completion.laws),
+        help='aob, pi, dob, lqg, admittance, impedance or feedforward.')],
     stiffness: Annotated[str, typer.Option(
         help='Softest and stiffest surface [N/m], with a comma between.')] = '1000,10000',
     input_delay: Annotated[float, typer.Option(

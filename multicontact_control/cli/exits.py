@@ -8,7 +8,7 @@ import signal
 from types import FrameType
 from typing import Any
 
-from multicontact_control.errors import ConfigError, MulticontactError, RunError
+from multicontact_control.errors import ConfigError, importing_ros, MulticontactError
 import typer
 
 EXIT_FAILED = 1
@@ -58,8 +58,5 @@ def end_by_verdict(summary: dict[str, Any]) -> None:
 
 def require_ros() -> None:
     """Check that ROS 2 can be loaded; RunError if it cannot."""
-    try:
+    with importing_ros():
         import rclpy  # noqa: F401
-    except ImportError as error:
-        raise RunError(f'ROS 2 (rclpy) cannot be loaded: {error}; install the extra [ros] or '
-                       'source a ROS 2 Jazzy') from None

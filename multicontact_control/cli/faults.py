@@ -12,7 +12,7 @@ from multicontact_control.cli.exits import (
     require_ros,
     resumable,
 )
-from rich.console import Console
+from multicontact_control.terminal import terminal
 import typer
 
 
@@ -48,7 +48,7 @@ def faults(
         )
 
         names = plants_of(robot, options.split_list(plants))
-        study, console = FaultStudy(seed, quick, graph, names), Console()
+        study, console = FaultStudy(seed, quick, graph, names), terminal()
         run = run_study_jobs(study, StudyOptions(out, jobs, dask, dry_run, overwrite), console)
         if run is None:
             return

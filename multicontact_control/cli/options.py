@@ -7,6 +7,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any, TYPE_CHECKING
 
+from multicontact_control.cli import completion
+from multicontact_control.cli.completion import one_of, some_of
 import typer
 
 if TYPE_CHECKING:
@@ -14,18 +16,23 @@ if TYPE_CHECKING:
     from multicontact_control.experiment.scenario import Setup
 
 Scenario = Annotated[str, typer.Option(
+    autocompletion=one_of(completion.scenarios),
     help='Scenario: a name from config/scenarios (paper, quick) or the path of a YAML file.')]
 Robot = Annotated[str, typer.Option(
+    autocompletion=one_of(completion.robots),
     help='Robot: a name from config/robots (puma, panda, iiwa, ur5, kinova) or the path of such a '
          'file; puma if not given.')]
 Plant = Annotated[str, typer.Option(
+    autocompletion=one_of(completion.plants),
     help='How the robot is simulated: `rigid` (ideal drives), `flexible` (drives with springs and '
          'friction; of the PUMA, also called `puma`), ROBOT/PLANT, or the path of a parameter '
          'file; the default of the robot if not given.')]
 Engine = Annotated[str, typer.Option(
+    autocompletion=one_of(completion.engines),
     help='What simulates it: pybullet, or mujoco (extra [mujoco]); as configured, pybullet, if '
          'not given.')]
 Plants = Annotated[str, typer.Option(
+    autocompletion=some_of(completion.plants),
     help='Plants, with commas between: names, ROBOT/PLANT, or paths; all of the robot if not '
          'given.')]
 Seed = Annotated[int, typer.Option(help='Seed of the sensor noise and the surface roughness.')]
@@ -34,14 +41,17 @@ Duration = Annotated[float | None, typer.Option(
 Out = Annotated[Path | None, typer.Option(
     help='Folder for the results; runs/<date>-<time>-<scenario> if not given.')]
 Estimator = Annotated[str | None, typer.Option(
-    '--noise-estimator', help='How R is estimated: lead_window (the paper), hf_window, window, '
+    '--noise-estimator', autocompletion=one_of(completion.estimators),
+    help='How R is estimated: lead_window (the paper), hf_window, window, '
     'fixed (0.6 N^2), innovation, sage_husa or variational_bayes; the configured one if not '
     'given.')]
 Preset = Annotated[str, typer.Option(
+    autocompletion=one_of(completion.presets),
     help='What is laid over the configuration first: `paper` (as published), `best` (the default '
          'of the nodes), `adaptive` (best, with the stiffness found on-line), or the path of a '
          'parameter file.')]
 Law = Annotated[str | None, typer.Option(
+    autocompletion=one_of(completion.laws),
     help='Force law of all contacts: aob (the paper), pi, dob, lqg, admittance, impedance or '
          'feedforward; the configured one if not given.')]
 Settings = Annotated[list[str] | None, typer.Option(
@@ -74,6 +84,7 @@ DryRun = Annotated[bool, typer.Option(
     'rest will take.')]
 RunAgain = Annotated[bool, typer.Option('--overwrite', help='Run everything again.')]
 Estimators = Annotated[str, typer.Option(
+    autocompletion=some_of(completion.estimators),
     help='Noise estimators, with commas between; `window rescaled` is `window` with the same R '
     'at rest as `lead_window`. All if not given.')]
 

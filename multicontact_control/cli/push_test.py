@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
+from multicontact_control.cli import completion
 from multicontact_control.cli.exits import errors_in_one_line, EXIT_FAILED, require_ros
 from multicontact_control.cli.options import DomainId, Namespace, Plant, Robot, Seed
 import typer
@@ -12,6 +13,7 @@ import typer
 def push_test(
     robot: Robot = '', plant: Plant = '', seed: Seed = 0,
     fault: Annotated[str, typer.Option(
+        autocompletion=completion.one_of(completion.sensor_faults),
         help='What is wrong with the sensor: none, sign (flipped), rotate (a quarter turn, about '
         'x, y, z for seeds 0, 1, 2, the other way for 3, 4, 5) or scale (half).')] = 'none',
     external: Annotated[bool, typer.Option(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 from typing import Annotated
 
-from multicontact_control.cli import options
+from multicontact_control.cli import completion, options
 from multicontact_control.cli.exits import errors_in_one_line, resumable
 from multicontact_control.errors import check_all, ConfigError
 import typer
@@ -13,7 +13,8 @@ import typer
 
 def sweep(
     study: Annotated[str, typer.Argument(
-        metavar='STUDY', help='A name from config/studies (stiffness, delay) or the path of a '
+        metavar='STUDY', autocompletion=completion.one_of(completion.studies),
+        help='A name from config/studies (stiffness, delay) or the path of a '
         'YAML file.')],
     seeds: Annotated[str, typer.Option(
         help="How many seeds, from 0, or a list with commas; the study's own if not given.")] = '',
@@ -21,7 +22,7 @@ def sweep(
     out: options.StudyOut = None,
     dry_run: options.DryRun = False, overwrite: options.RunAgain = False,
 ) -> None:
-    r"""
+    """
     Run parameters times seeds, and gather the summaries in one table.
 
     A study names scenario, plants, seeds, and values for parameters by their
@@ -30,10 +31,10 @@ def sweep(
 
       name: stiffness
       scenario: step
-      plants: \[rigid, puma]
+      plants: [rigid, puma]
       seeds: 4   # 0 to 3; or a list
       grid:      # every combination; * is every contact
-        noise_estimator.estimator: \[lead_window, fixed]
+        noise_estimator.estimator: [lead_window, fixed]
         plant.surfaces.*.stiffness:
           {start: 600, stop: 60000, count: 5, spacing: log}
       points:    # single combinations beside the grid

@@ -31,19 +31,23 @@ def view(
     preset: Preset = 'best', settings: Settings = None, engine: Engine = '',
     host: Annotated[str, typer.Option(
         help='Address to listen on; any other than that of this machine needs a token.')] = '',
-    port: Annotated[int, typer.Option(help='Port, or the next one that is free.')] = 8080,
+    port: Annotated[int, typer.Option(
+        help='Port, or the next one that is free.', min=1, max=65535)] = 8080,
     token: Annotated[str, typer.Option(
         help='Token to ask for; made up where others can reach the page.')] = '',
     open_browser: Annotated[bool, typer.Option('--open', help='Open the browser.')] = False,
     screenshot: Annotated[Path | None, typer.Option(
         metavar='FILE', help='Press with 10 N on every contact of the simulation, take a picture '
         'of the page with Chromium, and end.')] = None,
+    size: Annotated[str, typer.Option(
+        metavar='WIDTHxHEIGHT', help='Of that picture [px].')] = '1600x900',
 ) -> None:
     """
     See the arm, its contacts and their forces in the browser, and steer it.
 
     Without a graph or a recording it simulates, in real time: contacts of --scenario, on --plant,
-    but its reference is yours. Ctrl-C ends it. Exit code 1: what was shown has ended by itself.
+    but its reference is yours. Ctrl-C ends it. Exit code 1: what was shown has ended by itself;
+    2: bad input, or what it needs is not installed.
     """
     with errors_in_one_line():
         setup = resolve_settings(
@@ -53,11 +57,12 @@ def view(
         from multicontact_control.view.installed import require_viser
 
         require_viser()
-        from multicontact_control.view.run import run_view, ViewOptions
+        from multicontact_control.view.run import read_size, run_view, ViewOptions
 
         ended = run_view(setup, ViewOptions(
             recording=recording, graph=graph, namespace=namespace, domain_id=domain_id, host=host,
-            port=port, token=token, open_browser=open_browser, screenshot=screenshot),
+            port=port, token=token, open_browser=open_browser, screenshot=screenshot,
+            size=read_size(size)),
             say=typer.echo)
     if ended:
         typer.echo(f'multicontact: {ended}', err=True)

@@ -64,15 +64,15 @@ def test_help_teaches_what_all_studies_can_do(multicontact, command):
 @pytest.mark.slow
 def test_second_start_writes_the_same_files_from_what_is_kept(multicontact, tmp_path):
     """Also without --out, in a folder that is called like the command."""
-    arguments = ('faults', '--quick')
+    arguments = ('robots', '--robots', 'puma', '--engines', 'pybullet', '--scenarios', 'quick')
     first = multicontact(*arguments, cwd=tmp_path)
     assert first.returncode == 0, first.stderr
-    folder = tmp_path / 'runs' / 'faults'
-    assert {path.name for path in folder.iterdir()} == {'cells', 'faults.json', 'faults.html'}
+    folder = tmp_path / 'runs' / 'robots'
+    assert {path.name for path in folder.iterdir()} == {'cells', 'robots.json', 'robots.html'}
     kept = {path: path.stat().st_mtime_ns for path in folder.glob('cells/*')}
-    report = (folder / 'faults.json').read_bytes()
+    report = (folder / 'robots.json').read_bytes()
     again = multicontact(*arguments, cwd=tmp_path)
     assert again.returncode == 0, again.stderr
-    assert f'{len(kept)} jobs, {len(kept)} of them finished before' in again.stdout
+    assert f'{len(kept)} runs, {len(kept)} of them finished before' in again.stdout
     assert {path: path.stat().st_mtime_ns for path in folder.glob('cells/*')} == kept
-    assert (folder / 'faults.json').read_bytes() == report
+    assert (folder / 'robots.json').read_bytes() == report
