@@ -34,7 +34,8 @@ ifeq ($(ROS),native)
   VENV_FLAGS := --system-site-packages
   RUN_PACKAGE := .
   VIEW_PACKAGE := .[view]
-  TEST_PACKAGE := .[robots,mujoco,dask,view,test]
+  TEST_PACKAGE := .[robots,mujoco,dask,view,docs,test]
+  DOCS_PACKAGE := .[docs]
 else
   # PyBullet has wheels up to Python 3.11: such a Python goes before a newer python3.
   PYTHON ?= $(shell for python in python3 python3.11 python3.10; do \
@@ -44,7 +45,8 @@ else
   VENV_FLAGS :=
   RUN_PACKAGE := .[ros]
   VIEW_PACKAGE := .[ros,view]
-  TEST_PACKAGE := .[ros,rostest,robots,mujoco,dask,view,test]
+  TEST_PACKAGE := .[ros,rostest,robots,mujoco,dask,view,docs,test]
+  DOCS_PACKAGE := .[ros,docs]
 endif
 
 BIN := $(VENV)/bin
@@ -55,6 +57,7 @@ VENV_STAMP := $(VENV)/.made-$(ROS)-$(shell pwd | sha256sum | cut -c1-12)
 RUN_STAMP := $(VENV)/.run-$(KEY)
 TEST_STAMP := $(VENV)/.test-$(KEY)
 VIEW_STAMP := $(VENV)/.view-$(KEY)
+DOCS_STAMP := $(VENV)/.docs-$(KEY)
 DATA_STAMP := $(VENV)/.data
 COMPILED_STAMP := $(VENV)/.compiled
 KERNELS := $(shell grep -rl --include='*.py' '^@compiled' multicontact_control sim_bridge)
@@ -71,7 +74,7 @@ if sys.version_info >= (3, 12) and not (headers.is_file() and shutil.which('c++'
 endef
 export CHECK_PYTHON
 
-.PHONY: help setup demo run simulate test browser check lint clean
+.PHONY: help setup demo run simulate test browser check lint reference docs clean
 
 help:  ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "make %-10s %s\n", $$1, $$2}' Makefile
@@ -93,14 +96,20 @@ lint: $(TEST_STAMP)  ## Check style and types
 	$(BIN)/mypy
 
 test: $(TEST_STAMP) $(DATA_STAMP) $(COMPILED_STAMP) lint  ## Check style and types, then run the tests
-	@$(WITH_ROS) exec $(PYTEST) $(TEST_ARGS)
+	@$(WITH_ROS) exec $(PYTEST) -m 'not webgl' $(TEST_ARGS)
 
 browser: $(TEST_STAMP) $(DATA_STAMP) $(COMPILED_STAMP)  ## Drive the live view in Chromium (Debian: chromium)
-	@$(WITH_ROS) MULTICONTACT_BROWSER=1 exec $(BIN)/python -m pytest test/view/test_browser.py
+	@$(WITH_ROS) MULTICONTACT_BROWSER=required exec $(BIN)/python -m pytest test/view/test_browser.py
 
 check: $(TEST_STAMP) $(DATA_STAMP) $(COMPILED_STAMP) lint  ## For every commit: style, types, unit tests, one run
 	@$(WITH_ROS) $(PYTEST) -m 'not (ros or slow or colcon or linter)' $(TEST_ARGS)
 	@$(WITH_ROS) exec $(BIN)/multicontact simulate --scenario quick --out $(VENV)/check --overwrite
+
+reference: $(RUN_STAMP)  ## Write docs/reference anew, from what the code declares
+	@$(WITH_ROS) exec $(BIN)/python docs/make_reference.py
+
+docs: $(DOCS_STAMP)  ## Make HTML of the documents, in build/docs; a broken link is an error
+	@$(WITH_ROS) exec $(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet docs build/docs
 
 clean:  ## Remove .venv and everything built, but no runs
 	rm -rf $(VENV) build install log dist *.egg-info .hypothesis .mypy_cache .pytest_cache \
@@ -116,7 +125,7 @@ $(VENV_STAMP):
 $(RUN_STAMP): | $(VENV_STAMP)
 	@echo 'Installing the dependencies.'
 	@$(PIP) 'setuptools>=70.1,<80' --editable '$(RUN_PACKAGE)'
-	@rm -f $(VENV)/.run-* $(VENV)/.test-* $(VENV)/.view-* $(DATA_STAMP) $(COMPILED_STAMP)
+	@rm -f $(VENV)/.run-* $(VENV)/.test-* $(VENV)/.view-* $(VENV)/.docs-* $(DATA_STAMP) $(COMPILED_STAMP)
 	@touch $@
 
 $(TEST_STAMP): $(RUN_STAMP)
@@ -127,6 +136,11 @@ $(TEST_STAMP): $(RUN_STAMP)
 $(VIEW_STAMP): $(RUN_STAMP)
 	@echo 'Installing what the page needs.'
 	@$(PIP) --editable '$(VIEW_PACKAGE)'
+	@touch $@
+
+$(DOCS_STAMP): $(RUN_STAMP)
+	@echo 'Installing what the documents need.'
+	@$(PIP) --editable '$(DOCS_PACKAGE)'
 	@touch $@
 
 $(COMPILED_STAMP): $(RUN_STAMP) $(KERNELS)

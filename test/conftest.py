@@ -1,5 +1,6 @@
 """What comes before the first test, and who runs which, with several workers (`pytest -n 3`)."""
 
+from browser import chromium_browser
 from hypothesis import settings
 from multicontact_control.experiment.compilation import ensure_compiled
 import pytest
@@ -16,6 +17,17 @@ TOGETHER = [
 # A machine that is busy for a moment makes no example wrong.
 settings.register_profile('no deadline', deadline=None)
 settings.load_profile('no deadline')
+
+
+@pytest.fixture(scope='module')
+def chromium():
+    """
+    Start Chromium, as playwright has it; see `chromium_browser`.
+
+    For one file: while playwright is there, its event loop runs, and no other can.
+    """
+    with chromium_browser() as browser:
+        yield browser
 
 
 def pytest_sessionstart(session):

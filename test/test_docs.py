@@ -1,13 +1,17 @@
 """What the documents name is there."""
 
 import ast
+import functools
 from pathlib import Path
 import re
+import subprocess
+import sys
 
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-DOCUMENTS = [ROOT / 'README.md', ROOT / 'CONTRIBUTING.md', *sorted((ROOT / 'docs').glob('*.md'))]
+PAGES = sorted((ROOT / 'docs').rglob('*.md'))
+DOCUMENTS = [ROOT / 'README.md', ROOT / 'CONTRIBUTING.md', ROOT / 'CHANGELOG.md', *PAGES]
 PACKAGE = ROOT / 'multicontact_control'
 FOLDERS = (ROOT, PACKAGE, PACKAGE / 'experiment', PACKAGE / 'experiment/study')
 
@@ -31,12 +35,82 @@ def test_equations_are_where_the_derivation_says():
         assert set(filter(None, names)) <= found, path
 
 
+def prose(path):
+    """Return a document without its blocks of code."""
+    return re.sub(r'^```.*?^```$', '', path.read_text(encoding='utf-8'),
+                  flags=re.MULTILINE | re.DOTALL)
+
+
+@functools.cache
+def anchors(path):
+    """Return the anchors of a document's headings, as GitHub and MyST make them."""
+    found = []
+    for heading in re.findall(r'^#+ (.*)$', prose(path), re.MULTILINE):
+        slug = re.sub(r'[^\w\- ]', '', heading.lower()).replace(' ', '-')
+        before = sum(x == slug or re.fullmatch(rf'{re.escape(slug)}-\d+', x) is not None
+                     for x in found)
+        found.append(f'{slug}-{before}' if before else slug)
+    return found
+
+
+def broken_links(path, text):
+    """Return the links of a document that lead nowhere: to no file, or to no heading of it."""
+    text = re.sub(r'`[^`]*`', '', text)
+    broken = []
+    for link in re.findall(r'\[[^\]]*\]\(([^)\s]+)\)', text):
+        name, _, anchor = link.partition('#')
+        target = path.parent / name if name else path
+        if not name.startswith(('http:', 'https:')) and not (
+                target.exists() and (not anchor or anchor in anchors(target))):
+            broken.append(link)
+    return broken
+
+
 @pytest.mark.parametrize('document', DOCUMENTS, ids=lambda path: path.name)
+def test_links_lead_somewhere(document):
+    assert broken_links(document, prose(document)) == []
+
+
+def test_broken_links_are_found():
+    text = '[a](view.md) [b](gone.md) ![c](img/gone.png) [d](view.md#who-may-look) [e](#gone) ' \
+        '[f](view.md#gone) [g](../multicontact_control/gone.py) `[h](i)`'
+    assert broken_links(ROOT / 'docs/view.md', text) == [
+        'gone.md', 'img/gone.png', '#gone', 'view.md#gone', '../multicontact_control/gone.py']
+
+
+@pytest.mark.slow
+def test_documents_become_html_without_a_warning(tmp_path):
+    """As `make docs` makes it."""
+    for name in ('sphinx', 'myst_parser', 'furo'):
+        pytest.importorskip(name, reason='the extra [docs] is not installed')
+    made = subprocess.run(
+        [sys.executable, '-m', 'sphinx', '--fail-on-warning', '--keep-going', '--quiet',
+         str(ROOT / 'docs'), str(tmp_path)], cwd=ROOT, capture_output=True, text=True,
+        check=False)
+    assert made.returncode == 0, made.stderr
+    page = (tmp_path / 'reference/python.html').read_text(encoding='utf-8')
+    assert 'multicontact_control.client.MultiContactClient.set_forces' in page
+
+
+def test_every_page_is_in_the_table_of_contents():
+    text = (ROOT / 'docs/index.md').read_text(encoding='utf-8')
+    listed = [name for block in re.findall(r'^```{toctree}\n(.*?)^```', text, re.M | re.S)
+              for name in block.split('\n') if name and not name.startswith(':')]
+    pages = {path.relative_to(ROOT / 'docs').with_suffix('').as_posix() for path in PAGES}
+    assert sorted(listed) == sorted(pages - {'index'})
+
+
+def test_every_picture_is_shown_and_small():
+    text = ''.join(path.read_text(encoding='utf-8') for path in DOCUMENTS)
+    for path in (ROOT / 'docs/img').iterdir():
+        assert f'img/{path.name})' in text, path.name
+        assert path.stat().st_size < 150_000, path.name
+
+
+@pytest.mark.parametrize('document', [x for x in DOCUMENTS if x.name != 'CHANGELOG.md'],
+                         ids=lambda path: path.name)
 def test_files_that_a_document_names_are_there(document):
     text = document.read_text(encoding='utf-8')
-    links = re.findall(r'\]\(([\w/.]+)\)', text)
     names = [name for name in re.findall(r'`([\w/]+\.(?:py|yaml|md))`', text) if '/' in name]
-    for name in links:
-        assert (document.parent / name).exists(), name
     for name in names:
         assert any((folder / name).exists() for folder in FOLDERS), name

@@ -5,7 +5,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-SOURCES = [str(ROOT / name) for name in ('multicontact_control', 'sim_bridge', 'test', 'setup.py')]
+SOURCES = [str(ROOT / name)
+           for name in ('multicontact_control', 'sim_bridge', 'test', 'docs', 'setup.py')]
 
 
 @pytest.mark.flake8
