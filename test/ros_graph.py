@@ -128,10 +128,12 @@ class Middleware:
             process.terminate()  # nothing to one that has ended
         for process in self._processes:
             try:
-                process.communicate(timeout=END_TIMEOUT)
+                said = process.communicate(timeout=END_TIMEOUT)
             except subprocess.TimeoutExpired:
                 process.kill()
-                process.communicate()
+                said = process.communicate()
+            # pytest shows it where the test has failed.
+            print(*process.args, f'-> {process.returncode}', *said, sep='\n')
         self._guest.close()
 
     def start(

@@ -67,33 +67,34 @@ def create_publisher(node: Node, topic: Topic) -> Publisher:
     return node.create_publisher(
         topic.message, topic.name, topic.profile, event_callbacks=PublisherEventCallbacks(
             incompatible_qos=_name_mismatches(
-                node, topic.name, lambda: topic.profile, publishing=True)))
+                node, topic.name, topic.profile, publishing=True)))
 
 
 def create_subscription(
     node: Node, topic: Topic, callback: Callable[[Any], None], profile: QoSProfile, *,
-    raw: bool = False, asked: Callable[[], QoSProfile] | None = None,
+    raw: bool = False, strict: bool = True,
 ) -> Subscription:
     """
-    Subscribe to a topic of the table; publishers that cannot serve it are logged.
+    Subscribe to a topic of the table.
 
     Parameters
     ----------
     node, topic, callback, profile, raw
         As for rclpy.
-    asked
-        Returns the quality of service that is asked for by then, if that may change.
+    strict
+        Whether publishers that cannot serve it are logged.
 
     """
     return node.create_subscription(
         topic.message, topic.name, callback, profile, raw=raw,
         event_callbacks=SubscriptionEventCallbacks(
             incompatible_qos=_name_mismatches(
-                node, topic.name, asked or (lambda: profile), publishing=False)))
+                node, topic.name, profile, publishing=False)) if strict
+        else SubscriptionEventCallbacks(use_default_callbacks=False))
 
 
 def _name_mismatches(
-    node: Node, name: str, profile: Callable[[], QoSProfile], *, publishing: bool,
+    node: Node, name: str, profile: QoSProfile, *, publishing: bool,
 ) -> Callable[[Any], None]:
     """Return a callback that logs whom an end of a topic cannot connect to, and why."""
     timers: list[Timer] = []
@@ -102,7 +103,7 @@ def _name_mismatches(
     def tell() -> None:
         nonlocal looks
         full = node.resolve_topic_name(name)
-        unlike = '; '.join(quality_mismatches(node, full, profile(), publishing=publishing))
+        unlike = '; '.join(quality_mismatches(node, full, profile, publishing=publishing))
         looks += 1
         # The name of its node is known later than the end of a topic: seconds on a busy machine.
         if UNNAMED in unlike and looks < NAME_LOOKS:

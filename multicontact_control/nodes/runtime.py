@@ -26,6 +26,8 @@ from multicontact_control.paths import config_dir
 from multicontact_control.process import settle_process
 import rclpy
 from rclpy.duration import Duration
+from rclpy.event_handler import EventHandler
+from rclpy.exceptions import InvalidHandle
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
@@ -103,7 +105,11 @@ class Spinner:
         delivered = nodes.deliver()
         if not delivered or time.monotonic() >= self._next_look:
             executor = self._executor or self._make_executor()
-            executor.spin_once(timeout_sec=0.0 if delivered else nodes.longest_wait(timeout))
+            try:
+                executor.spin_once(timeout_sec=0.0 if delivered else nodes.longest_wait(timeout))
+            except InvalidHandle as error:
+                if not _is_of_a_destroyed_end(error):
+                    raise
             self._next_look = time.monotonic() + LOOK_PERIOD
             nodes.deliver()
         nodes.take_turns(self)
@@ -187,6 +193,18 @@ def make_executor() -> Executor:
     except ImportError:
         return SingleThreadedExecutor()
     return EventsExecutor()
+
+
+def _is_of_a_destroyed_end(error: InvalidHandle) -> bool:
+    """
+    Return whether an executor came to tell of a topic's end that is gone by now.
+
+    The standard one ignores that; the events executor raises it (rclpy issue 1644).
+    """
+    trace = error.__traceback__
+    while trace is not None and trace.tb_next is not None:
+        trace = trace.tb_next
+    return trace is not None and trace.tb_frame.f_code is EventHandler.take_data.__code__
 
 
 def release_memory() -> None:

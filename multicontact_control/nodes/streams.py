@@ -109,7 +109,7 @@ class Streams:
     def _create(self, topic: Topic, profile: QoSProfile) -> Subscription:
         return create_subscription(
             self._node, topic, self._callbacks[topic], profile, raw=True,
-            asked=lambda: self._adaptive.get(topic, profile))
+            strict=topic not in self._adaptive)
 
     def _served(self, topic: Topic, profile: QoSProfile) -> QoSProfile:
         """Return how a topic can be heard; see `served_profile`."""
