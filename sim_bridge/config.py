@@ -6,6 +6,7 @@ import math
 from typing import Literal
 
 from multicontact_control.config import (
+    check_namespace,
     Config,
     parameter,
     Real,
@@ -18,6 +19,7 @@ from multicontact_control.errors import ConfigError
 from pydantic import model_validator
 
 MAX_ACTUATOR_DELAY = 5
+MOVES = {False: 'rests', True: 'moves'}
 
 
 class SurfaceConfig(Config):
@@ -49,6 +51,14 @@ class SurfaceConfig(Config):
     motion_period: Real = parameter(
         0.0, 'Period of v sin(2 pi t / T), which leads it back; 0 for a constant velocity.',
         unit='s', ge=0.0)
+    mass: Real = parameter(
+        0.0, 'What of it moves along its normal when it is pressed, on a spring; 0 for a surface '
+        'that gives way nowhere.', unit='kg', ge=0.0)
+    mount_stiffness: Real = parameter(1000.0, 'Of that spring.', unit='N/m', ge=0.0)
+    mount_damping: Real = parameter(100.0, 'Of that spring.', unit='N s/m', ge=0.0)
+    opposed_by: str = parameter(
+        '', 'Namespace of a second graph in this ROS domain whose arm presses on the same body '
+        'from behind, with its contact of the same name; empty for none.')
     stiffness: Real = parameter(6000.0, 'Contact stiffness.', unit='N/m', gt=0.0)
     damping: Real = parameter(30.0, 'Contact damping.', unit='N s/m', ge=0.0)
     friction: Real = parameter(0.1, 'Coulomb friction coefficient.', ge=0.0, le=2.0)
@@ -65,6 +75,16 @@ class SurfaceConfig(Config):
             raise ConfigError('radius', '0 for a plane, and another number for what is curved',
                               f'{self.radius:g} of a {self.shape}')
         return self
+
+    def least_mass(self, substep: float) -> float:
+        """Return the mass [kg] from which on springs and dampers are not too quick for a step."""
+        return substep * max(self.damping + self.mount_damping,
+                             substep * (self.stiffness + self.mount_stiffness))
+
+    @property
+    def moves(self) -> bool:
+        """Whether it is not always in the same place."""
+        return self.velocity != 0.0 or self.mass > 0.0
 
 
 class SensorConfig(Config):
@@ -159,6 +179,7 @@ class PlantConfig(Config):
             if len(set(names)) != len(names):
                 raise ConfigError('contact_names', 'distinct names, obstacle_names included',
                                   list(names))
+        self._check_bodies()
         self._check_lengths()
         self._check_native()
         for name in ('drive_stiffness', 'torque_limit'):
@@ -170,6 +191,24 @@ class PlantConfig(Config):
                 raise ConfigError(name, 'no negative value', min(getattr(self, name)))
         return self
 
+    def _check_bodies(self) -> None:
+        for name in self.met:
+            surface, field = self.surfaces[name], f'surfaces.{name}'
+            opposed, least = surface.opposed_by, surface.least_mass(self.substep)
+            check_namespace(opposed)
+            if opposed and (name in self.obstacle_names or surface.contact):
+                raise ConfigError(f'{field}.opposed_by', 'none for an obstacle, or a tip of an '
+                                  'edge or plane', f"'{opposed}'")
+            if opposed and surface.mass == 0.0:
+                raise ConfigError(f'{field}.mass', 'above 0 kg of a body that is pressed from '
+                                  'behind, too (opposed_by)', surface.mass)
+            if 0.0 < surface.mass < least:
+                raise ConfigError(f'{field}.mass', f'0 or at least {least:.2g} kg with its '
+                                  'springs, dampers and this substep', surface.mass)
+            if surface.mass > 0.0 and surface.velocity != 0.0:
+                raise ConfigError(f'{field}.velocity', '0 of a body that gives way (mass)',
+                                  f'{surface.velocity:g} m/s')
+
     def _check_native(self) -> None:
         if self.contact == 'compliant':
             return
@@ -180,9 +219,9 @@ class PlantConfig(Config):
                               self.joint_friction_scale)
         for name in self.met:
             surface = self.surfaces[name]
-            if surface.shape != 'plane' or surface.velocity != 0.0:
+            if surface.shape != 'plane' or surface.moves:
                 raise ConfigError(f'surfaces.{name}', 'a plane at rest with native contacts',
-                                  f'a {surface.shape} at {surface.velocity:g} m/s')
+                                  f'a {surface.shape} that {MOVES[surface.moves]}')
 
     def _check_lengths(self) -> None:
         joints, pushes = len(self.home), len(self.push_start)

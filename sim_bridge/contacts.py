@@ -9,7 +9,7 @@ from multicontact_control.compiled import compiled
 import numpy as np
 import pinocchio as pin
 from sim_bridge.arm import OPERATIONAL_FRAME
-from sim_bridge.config import PlantConfig
+from sim_bridge.config import PlantConfig, SurfaceConfig
 from sim_bridge.kinematics import (
     add_joint_torque,
     chain_of,
@@ -65,8 +65,10 @@ class Contacts:
             for name in ('stiffness', 'damping', 'friction'):
                 self._surfaces[name] = 0.0  # only where the tips are is asked of them
         self._moving = [(i, config.surfaces[name]) for i, name in enumerate(names)
-                        if config.surfaces[name].velocity != 0.0]
+                        if config.surfaces[name].moves]
         self._time = 0.0
+        self._given_way = np.zeros(len(names))  # m, along the normals
+        self._opposing = np.zeros(len(names))  # N
         frame = model.frames[model.getFrameId(OPERATIONAL_FRAME)]
         self._operational: Vector = np.array(frame.placement.translation)
         self.pressed: Vector = self._surfaces['alpha']
@@ -89,17 +91,35 @@ class Contacts:
         return forces
 
     def move(self, step: float) -> None:
-        """Let the surfaces that move do so for one step [s], before it is taken."""
+        """Let the surfaces that move or give way do so for a step [s], before it is taken."""
         if not self._moving:
             return
         self._time += step
         for i, config in self._moving:
-            time = self._time - config.motion_start
-            speed = 0.0 if time <= 0.0 else config.velocity
-            if config.motion_period > 0.0:
-                speed *= np.sin(2.0 * np.pi * time / config.motion_period)
+            speed = self._speed_given_way(i, config, step) if config.mass > 0.0 else (
+                self._speed_given(config))
             self._surfaces[i]['speed'] = speed
             self.shift(i, speed * step)
+
+    def _speed_given(self, config: SurfaceConfig) -> float:
+        time = self._time - config.motion_start
+        speed = 0.0 if time <= 0.0 else config.velocity
+        if config.motion_period > 0.0:
+            speed *= float(np.sin(2.0 * np.pi * time / config.motion_period))
+        return speed
+
+    def _speed_given_way(self, i: int, config: SurfaceConfig, step: float) -> float:
+        """Return how fast a body on a spring goes when arms press it, by semi-implicit Euler."""
+        speed = float(self._surfaces[i]['speed'])
+        force = (self.pressed[i] - self._opposing[i] - config.mount_stiffness * self._given_way[i]
+                 - config.mount_damping * speed)
+        speed += step * float(force) / config.mass
+        self._given_way[i] += step * speed
+        return speed
+
+    def oppose(self, contact: int, force: float) -> None:
+        """Press a body that gives way from behind with a normal force [N] from now on."""
+        self._opposing[contact] = force
 
     def shift(self, contact: int, distance: float) -> None:
         """Move a surface along its normal by `distance` [m], away from the robot if positive."""

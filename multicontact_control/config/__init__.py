@@ -38,6 +38,7 @@ from multicontact_control.config.law import (
     SafeBehaviourConfig,
     TransitionConfig,
 )
+from multicontact_control.config.namespace import check_namespace
 from multicontact_control.config.robot import RobotConfig, SensorFrontEndConfig, ToolConfig
 from multicontact_control.config.supervision import (
     ContactStateConfig,
@@ -51,6 +52,7 @@ __all__ = [
     'ControllerConfig', 'FedForward', 'ForceConfig', 'FrictionConfig', 'LawName', 'LimitsConfig',
     'MAX_DELAY_PERIODS', 'MotionConfig', 'NoiseEstimatorConfig', 'Reaction', 'Real',
     'RobotConfig', 'SafeBehaviourConfig', 'SensorFrontEndConfig', 'ToolConfig',
-    'TransitionConfig', 'UnitVector3', 'Vector', 'Vector3', 'WatchdogConfig', 'cross_check',
+    'TransitionConfig', 'UnitVector3', 'Vector', 'Vector3', 'WatchdogConfig', 'check_namespace',
+    'cross_check',
     'merge', 'parameter', 'read_node_parameters',
     'read_parameters', 'read_yaml', 'validate', 'write_parameters']

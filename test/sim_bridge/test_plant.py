@@ -3,6 +3,7 @@ from multicontact_control.errors import ConfigError, RunError, ShapeError
 import numpy as np
 import pinocchio as pin
 import pytest
+from scipy import signal
 from sim_bridge.arm import SENSOR_FRAME
 from sim_bridge.plant import Plant
 
@@ -259,3 +260,20 @@ def test_obstacle_on_a_link_loads_the_joints_before_it(make_plant, model):
         assert np.abs(plant.step(plant.initial_torque).wrench - still).max() < 3.0
     finally:
         plant.close()
+
+
+def test_body_on_a_spring_gives_way_as_newton_says(make_plant):
+    mass, stiffness, damping, force = 5.0, 1000.0, 100.0, 12.0
+    plant = make_plant('rigid', surfaces={
+        'mass': mass, 'mount_stiffness': stiffness, 'mount_damping': damping})
+    contacts, step = plant.contacts, plant.config.substep
+    normal = np.array(plant.config.surfaces['board'].normal_world)
+    start = contacts.places_world[1] @ normal
+    contacts.pressed[1] = force + 3.0
+    contacts.oppose(1, 3.0)
+    places = []
+    for _ in range(2000):
+        contacts.move(step)
+        places.append(contacts.places_world[1] @ normal - start)
+    _, expected = signal.step(([force], [mass, damping, stiffness]), T=step * np.arange(2001))
+    np.testing.assert_allclose(places, expected[1:], atol=np.diff(expected).max())

@@ -1,11 +1,15 @@
 """The simulator's node in this process, with a controller that shares it."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 import json
+import signal
 import time
 
 from multicontact_control.experiment.graph.domain import reserve_domain
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.composition import Composition
+from multicontact_control.nodes.graph_node import ignore, take
 from multicontact_control.nodes.local_delivery import LocalDelivery
 from multicontact_control.nodes.raw_messages import joint_state_reader, template_of
 from multicontact_control.nodes.runtime import Spinner, StopFlag
@@ -14,19 +18,41 @@ import numpy as np
 import pytest
 import rclpy
 from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import JointState
 from sim_bridge.sim_node import SimNode
+from visualization_msgs.msg import MarkerArray
 
 pytestmark = pytest.mark.ros
 
 JOINTS = [f'joint{i}' for i in range(1, 7)]
 LATE = (5, 6, 12)
 TICKS = 20
+LONGEST = 30_000
 
 
-def test_answer_that_is_late_is_missed_even_if_the_simulator_waited_for_it(tmp_path, monkeypatch):
+@pytest.fixture(autouse=True)
+def own_folder(tmp_path, monkeypatch):
     monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     monkeypatch.setenv('ROS_LOG_DIR', str(tmp_path / 'ros'))
-    counts = tmp_path / 'counts.json'
+
+
+@contextmanager
+def ros(*parameters) -> Iterator[None]:
+    """Have ROS in this process, with parameters of the simulator."""
+    arguments = [x for parameter in parameters for x in ('-p', parameter)]
+    with reserve_domain() as domain_id:
+        rclpy.init(args=[
+            '--ros-args', '--params-file', str(config_dir() / 'plant_rigid.yaml'), *arguments,
+            '--log-level', 'fatal'],
+            domain_id=domain_id, signal_handler_options=SignalHandlerOptions.NO)
+        try:
+            yield
+        finally:
+            rclpy.try_shutdown()
+
+
+def simulate(before, stop):
+    """Run the simulator; each sample is answered by the torque it has, after `before(k)`."""
     local = LocalDelivery([topics.SIM, topics.CONTROLLER])
     reader = joint_state_reader(JOINTS)
     command = template_of(messages.joint_state_message(0, JOINTS, effort=np.zeros(6)))
@@ -34,27 +60,56 @@ def test_answer_that_is_late_is_missed_even_if_the_simulator_waited_for_it(tmp_p
 
     def answer(data):
         reading = reader.read(data)
-        if len(answered) in LATE:
-            time.sleep(0.01)
+        before(len(answered))
         answered.append(reading.stamp)
         local.send('/joint_effort_command', command.write(reading.stamp, reading.effort))
 
     local.subscribe('/joint_states', answer)
-    with reserve_domain() as domain_id:
-        rclpy.init(args=[
-            '--ros-args', '--params-file', str(config_dir() / 'plant_rigid.yaml'),
-            '-p', f'ticks:={TICKS}', '-p', f'timing_file:={counts}', '--log-level', 'fatal'],
-            domain_id=domain_id, signal_handler_options=SignalHandlerOptions.NO)
-        try:
-            nodes = Composition(SimNode(local), [], local)
-            spinner = Spinner(nodes, StopFlag())
-            nodes.run(spinner)
-            spinner.close()
-            nodes.close()
-        finally:
-            rclpy.try_shutdown()
+    nodes = Composition(SimNode(local), [], local)
+    spinner = Spinner(nodes, stop)
+    nodes.run(spinner)
+    spinner.close()
+    nodes.close()
+    return answered
+
+
+def test_answer_that_is_late_is_missed_even_if_the_simulator_waited_for_it(tmp_path):
+    counts = tmp_path / 'counts.json'
+
+    def be_late(k):
+        if k in LATE:
+            time.sleep(0.01)
+
+    with ros(f'ticks:={TICKS}', f'timing_file:={counts}'):
+        answered = simulate(be_late, StopFlag())
     told = json.loads(counts.read_text(encoding='utf-8'))
     assert len(answered) == told['ticks'] == TICKS
     assert told['deadline_misses'] >= len(LATE)
     histogram = told['latency_histogram']
     assert sum(histogram['counts']) == TICKS - 1
+
+
+def test_body_is_pressed_from_behind_by_another_graph_as_long_as_it_is_heard():
+    stop = StopFlag()
+    places = []
+
+    def look(_k):
+        while (taken := take(shown)) is not None:
+            board, = (x for x in taken[0].markers if x.ns.endswith('/board'))
+            places.append(board.pose.position.y)
+        pressed = any(place < places[0] - 0.01 for place in places)
+        if not pressed:
+            pressing.publish(messages.joint_state_message(
+                1, ['table', 'board'], effort=np.array([0.0, 20.0])))
+        elif abs(places[-1] - places[0]) < 1e-3:
+            stop.signal = signal.SIGINT
+
+    # A board that gives way by 20 mm, towards the arm.
+    with ros(f'ticks:={LONGEST}', 'surfaces.board.mass:=5.0', 'surfaces.board.opposed_by:=right'):
+        right = rclpy.create_node('sim_node', namespace='right')
+        pressing = right.create_publisher(
+            JointState, topics.TRUE_FORCES.name, topics.TRUE_FORCES.profile)
+        shown = right.create_subscription(
+            MarkerArray, f'/{topics.SURFACE_MARKERS.name}', ignore, topics.SURFACE_MARKERS.profile)
+        simulate(look, stop)
+    assert stop, f'{len(places)} places, the last of them {places[-5:]}'

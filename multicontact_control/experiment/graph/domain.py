@@ -1,4 +1,4 @@
-"""Choosing a ROS domain that no other graph on this machine uses, and checking a namespace."""
+"""Choosing a ROS domain that no other graph on this machine uses."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import contextlib
 import fcntl
 import os
 from pathlib import Path
-import re
 import socket
 import tempfile
 
@@ -73,23 +72,6 @@ def _from_environment(text: str) -> int:
 def _check(domain_id: int, found: str) -> None:
     if not 0 <= domain_id <= LARGEST_DOMAIN:
         raise ConfigError('ROS_DOMAIN_ID', f'a number from 0 to {LARGEST_DOMAIN}', found)
-
-
-def check_namespace(namespace: str) -> str:
-    """
-    Return a namespace without the slashes around it.
-
-    Raises
-    ------
-    ConfigError
-        If ROS would not have it.
-
-    """
-    bare = namespace.strip('/')
-    if bare and not re.fullmatch(r'[A-Za-z_]\w*(/[A-Za-z_]\w*)*', bare, re.ASCII):
-        raise ConfigError(
-            'namespace', 'names of letters, digits and _, joined by /', f"'{namespace}'")
-    return bare
 
 
 def domain_in_use(domain_id: int) -> bool:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from multicontact_control.config import check_namespace
 from multicontact_control.errors import ConfigError
-from multicontact_control.experiment.graph.domain import check_namespace, reserve_domain
+from multicontact_control.experiment.graph.domain import reserve_domain
 from multicontact_control.experiment.graph.spec import CONTROLLER, GraphSpec, node_command
 from multicontact_control.nodes import qos
 from multicontact_control.nodes.link import GuestNode
