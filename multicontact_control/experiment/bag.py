@@ -42,6 +42,8 @@ class BagContent:
         Messages that the samples call for and the bag does not hold, by topic.
     remarks
         What the bag lacks, and what in it could not be read, in words.
+    start
+        Stamp of the first sample [ns].
 
     """
 
@@ -49,6 +51,7 @@ class BagContent:
     topic_rates: dict[str, float]
     missing: dict[str, int]
     remarks: tuple[str, ...] = ()
+    start: int = 0
 
 
 def read_bag(
@@ -128,7 +131,8 @@ def content_of(
     if commanded:
         data = replace(data, command=_commands(
             data, found.by_topic.get(FORCE_COMMAND), samples.published[::-1][newest], ticks))
-    return BagContent(data, dict(found.rates), missing, _remarks(found, data))
+    return BagContent(
+        data, dict(found.rates), missing, _remarks(found, data), int(stamps[0]))
 
 
 def answered(content: BagContent) -> BagContent:

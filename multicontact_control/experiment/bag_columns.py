@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 JOINT_STATE, WRENCH, POSE = (
     'sensor_msgs/msg/JointState', 'geometry_msgs/msg/WrenchStamped',
     'geometry_msgs/msg/PoseStamped')
+MARKERS = 'visualization_msgs/msg/MarkerArray'
 
 # Names of the numbers of a field, where the message has none.
 AXES = {
@@ -21,7 +22,7 @@ AXES = {
 # Fields of the messages of a type that are kept, in the order in which its reader has them.
 FIELDS: dict[str, tuple[str, ...]] = {
     JOINT_STATE: ('position', 'velocity', 'effort'), WRENCH: ('wrench',),
-    POSE: ('point', 'quaternion')}
+    POSE: ('point', 'quaternion'), MARKERS: ('x', 'y', 'z')}
 
 Numbers = tuple[Sequence[float], ...]
 
@@ -40,8 +41,17 @@ def _pose(message: Any) -> Numbers:
     return (p.x, p.y, p.z), (q.x, q.y, q.z, q.w)
 
 
+def _markers(message: Any) -> Numbers:
+    places = [marker.pose.position for marker in message.markers]
+    return [p.x for p in places], [p.y for p in places], [p.z for p in places]
+
+
 READERS: dict[str, Callable[[Any], Numbers]] = {
-    JOINT_STATE: _joint_state, WRENCH: _wrench, POSE: _pose}
+    JOINT_STATE: _joint_state, WRENCH: _wrench, POSE: _pose, MARKERS: _markers}
+# Of messages whose numbers have names, those names.
+NAMES: dict[str, Callable[[Any], tuple[str, ...]]] = {
+    JOINT_STATE: lambda message: tuple(message.name),
+    MARKERS: lambda message: tuple(marker.ns.rpartition('/')[2] for marker in message.markers)}
 
 Layout = tuple[tuple[str, ...], tuple[int, ...]]  # names, and how many numbers a field has
 
@@ -61,7 +71,8 @@ class BagColumns:
 
     def __init__(self, type_name: str) -> None:
         self._fields, self._read = FIELDS[type_name], READERS[type_name]
-        self._named = type_name == JOINT_STATE
+        self._names = NAMES.get(type_name, lambda message: ())
+        self._of_markers = type_name == MARKERS
         self._stamps, self._published = array('q'), array('Q')
         # Rows and numbers of messages with the same names: several nodes may share a topic.
         self._parts: dict[Layout, tuple[array[int], array[float]]] = {}
@@ -73,14 +84,13 @@ class BagColumns:
         Parameters
         ----------
         message
-            With a header.
+            With a header, or markers with one.
         published
             When it was sent [ns since the epoch].
 
         """
-        stamp = message.header.stamp
-        fields = self._read(message)
-        names = tuple(message.name) if self._named else ()
+        stamp = (message.markers[0] if self._of_markers else message).header.stamp
+        fields, names = self._read(message), self._names(message)
         numbers = array('d', [number for values in fields for number in values])
         stamps = array('q', [stamp.sec * 1_000_000_000 + stamp.nanosec])
         when = array('Q', [published])

@@ -312,7 +312,8 @@ class ControllerLink(LifecycleDriver):
         def keep(message: Any) -> None:
             self._newest[topic] = message
         return self.node.create_subscription(
-            topic.message, topic.name, ignore if raw else keep, qos.GLANCE, raw=raw)
+            topic.message, topic.name, ignore if raw else keep,
+            qos.LATCHED if topic.profile == qos.LATCHED else qos.GLANCE, raw=raw)
 
     def publisher(self, topic: Topic) -> Publisher:
         """Return a publisher of a command."""

@@ -10,6 +10,7 @@ import threading
 import time
 from typing import Any
 
+from multicontact_control.config import Vector3
 from multicontact_control.errors import CommandError, MulticontactError, RunError
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.nodes import messages, topics
@@ -46,7 +47,7 @@ KEPT = round(2.0 * RATE)
 LISTENED = (
     topics.JOINT_STATES, topics.MEASURED_FORCES, topics.ESTIMATED_FORCES, topics.DESIRED_FORCES,
     topics.INNOVATION, topics.NOISE_VARIANCE, topics.EFFORT_COMMAND, topics.POSE,
-    topics.POSE_DESIRED, topics.DIAGNOSTICS)
+    topics.POSE_DESIRED, topics.DIAGNOSTICS, topics.SURFACE_MARKERS)
 CEILING = 'command.force_ceiling'
 GAINS = ('motion.natural_frequency', 'force.time_constant', 'force.damping_rate')
 
@@ -214,6 +215,13 @@ class GraphSource:
         self._events += [(1e-9 * self._stamp, key) for key, count in now.items()
                          if count > before.get(key, 0)]
 
+    def _places(self) -> dict[str, Vector3]:
+        """Return where a simulator says that the surfaces are."""
+        message = self._link.newest(topics.SURFACE_MARKERS)
+        places = {} if message is None else {
+            marker.ns.rpartition('/')[2]: marker.pose.position for marker in message.markers}
+        return {name: (place.x, place.y, place.z) for name, place in places.items()}
+
     def _show(self) -> None:
         config, told = self._config, self._told
         pose, wanted = (self._link.newest(topic) for topic in (topics.POSE, topics.POSE_DESIRED))
@@ -247,7 +255,7 @@ class GraphSource:
                           _count(loop.get('deadline_misses_in_all', '0'))),
             held=contacts.get('held') == 'True', moving=self._motion.what,
             push_test=_unless_none(told.get('sensor', {}).get('push_test', '')),
-            gains=self._gains, playing=True))
+            gains=self._gains, places_world=self._places(), playing=True))
 
     # ------------------------------------------------------------------------------ commands
 

@@ -12,9 +12,11 @@ from typing import Any
 import warnings
 
 from multicontact_control.arrays import Matrix, Vector
-from multicontact_control.config import ControllerConfig
+from multicontact_control.config import ControllerConfig, Vector3
 from multicontact_control.errors import CommandError, ConfigError
 from multicontact_control.experiment.bag import CUT_OFF, read_bag
+from multicontact_control.experiment.bag_columns import MARKERS
+from multicontact_control.experiment.bag_messages import read_messages
 from multicontact_control.experiment.recording import RunData, SERIES_FILE
 from multicontact_control.experiment.results import (
     BAG_FOLDER,
@@ -44,6 +46,7 @@ RECORDED = 'a controller that runs, not a recording'
 REFUSALS = dict.fromkeys((*source.STEERING, *source.SIMULATED), RECORDED)
 LOOKED_BACK = 60.0  # s, of curves after a jump
 SPEEDS = (0.05, 20.0)
+SURFACES = 'ground_truth/surfaces'
 
 
 class ReplaySource:
@@ -62,14 +65,19 @@ class ReplaySource:
         Further times to jump to [s], and what is there.
     clock
         Monotonic time [s].
+    places
+        From when on [s] points of surfaces were where [m], by name.
 
     """
 
     def __init__(
         self, scene: Scene, data: RunData, events: Sequence[tuple[float, str]] = (),
         marks: Sequence[tuple[float, str]] = (), clock: Callable[[], float] = time.monotonic,
+        places: Sequence[tuple[float, Mapping[str, Vector3]]] = (),
     ) -> None:
         self._data, self._clock = data, clock
+        self._places = [each for _, each in places]
+        self._place_times = [moment for moment, _ in places]
         config = scene.config
         self._layout = CurveLayout(len(config.columns), len(config.robot.joint_names))
         self._leaders = list(config.leaders)
@@ -137,7 +145,11 @@ class ReplaySource:
             normals_world=self._normals, states=states, reaction=reaction, reasons=reasons,
             points=self._points[first:end],
             events=tuple(self._events[bisect_right(self._event_times, last):index]),
-            playing=self._playing, speed=self._speed)
+            places_world=self._places_at(now), playing=self._playing, speed=self._speed)
+
+    def _places_at(self, now: float) -> Mapping[str, Vector3]:
+        index = bisect_right(self._place_times, now)
+        return self._places[max(0, index - 1)] if self._places else {}
 
     def command(self, name: str, /, **values: Any) -> str:
         """Play, pause, jump, or play at another speed; see `Source.command`."""
@@ -231,11 +243,11 @@ def load_replay(path: Path, setup: Setup) -> ReplaySource:
                          for name in config.contact_names)
     if any(bag.glob('*.mcap')):
         content = read_bag(bag, setup.controller)
-        data = content.data
+        data, places = content.data, recorded_places(bag, content.start)
         # What is missing besides, curves show.
         title += f', {CUT_OFF}' if CUT_OFF in content.remarks else ''
     elif (run / SERIES_FILE).is_file():
-        data = RunData.load(run)
+        data, places = RunData.load(run), []
     else:
         raise ConfigError('recording', f'{BAG_FOLDER}/*.mcap or {SERIES_FILE} in it', run)
     if not np.isfinite(data.q).any():
@@ -244,7 +256,33 @@ def load_replay(path: Path, setup: Setup) -> ReplaySource:
             '--scenario and --plant that it was recorded with', 'others')
     return ReplaySource(
         Scene(title, setup.controller, setup.urdf_dir, surfaces),
-        data, events, marks)
+        data, events, marks, places=places)
+
+
+def recorded_places(bag: Path, start: int) -> list[tuple[float, Mapping[str, Vector3]]]:
+    """
+    Return where a simulator said that the surfaces were.
+
+    Parameters
+    ----------
+    bag
+        The recording.
+    start
+        Stamp of its first sample [ns].
+
+    Returns
+    -------
+    list
+        Times since then [s], and points of the surfaces by name [m].
+
+    """
+    found = read_messages(bag, {SURFACES: MARKERS}).by_topic.get(SURFACES)
+    if found is None:
+        return []
+    names = found.names
+    axes = np.stack([found.values(axis, names) for axis in 'xyz'], axis=-1)
+    return [((stamp - start) * 1e-9, {name: (x, y, z) for name, (x, y, z) in zip(names, row)})
+            for stamp, row in zip(found.stamps.tolist(), axes.tolist())]
 
 
 def scenario_marks(setup: Setup) -> list[tuple[float, str]]:

@@ -173,15 +173,17 @@ class SceneView:
 
     def _show_surfaces(self, snapshot: Snapshot, points: Matrix) -> None:
         """Draw the surfaces where they are, and those that nobody told of where they are felt."""
-        for name, state in snapshot.surfaces.items():
-            patch = self._patches[name]
-            if np.abs(patch.position - np.array(state.point_world)).max() > LEAST_WAY:
-                patch.position = np.array(state.point_world)
         for i, surface in enumerate(self._scene.surfaces):
-            if surface.point_world is None and surface.name not in self._patches and (
-                    snapshot.measured[self._leaders[i]] > TOUCH):
+            place, patch = snapshot.places_world.get(surface.name), self._patches.get(surface.name)
+            if patch is None and place is None and snapshot.measured[self._leaders[i]] > TOUCH:
                 x, y, z = points[i].tolist()
-                self._draw_surface(surface._replace(point_world=(x, y, z)))
+                place = (x, y, z)
+            if place is None:
+                continue
+            if patch is None:
+                self._draw_surface(surface._replace(point_world=place))
+            elif np.abs(patch.position - np.array(place)).max() > LEAST_WAY:
+                patch.position = np.array(place)
 
 
 def newtons(force: float) -> str:

@@ -19,7 +19,13 @@ import socket
 import time
 from typing import Any
 
-from multicontact_control.config import ControllerConfig, merge, NoiseEstimatorConfig, validate
+from multicontact_control.config import (
+    ControllerConfig,
+    merge,
+    NoiseEstimatorConfig,
+    validate,
+    Vector3,
+)
 from multicontact_control.errors import CommandError, MulticontactError
 from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.scenario import Setup
@@ -95,14 +101,12 @@ class Simulation:
     def _given_surfaces(self) -> dict[str, SurfaceState]:
         plant = self._setup.plant
         first = {name: plant.surfaces[plant.met[parts[0]]] for name, parts in self._parts.items()}
-        return {name: SurfaceState(each.stiffness, each.friction, each.point_world)
-                for name, each in first.items()}
+        return {name: SurfaceState(each.stiffness, each.friction) for name, each in first.items()}
 
-    def _surfaces_now(self) -> dict[str, SurfaceState]:
-        """Return the surfaces, where they are now."""
+    def _places_now(self) -> dict[str, Vector3]:
+        """Return where the surfaces are now."""
         places = self.loop.plant.contacts.places_world.tolist()
-        return {name: state._replace(point_world=tuple(places[self._parts[name][0]]))
-                for name, state in self._surfaces.items()}
+        return {name: tuple(places[parts[0]]) for name, parts in self._parts.items()}
 
     def _start(self) -> None:
         self.loop = ClosedLoop(self._setup, commanded=True)
@@ -203,7 +207,8 @@ class Simulation:
             asked_push=tuple(self._asked_push()),
             gains=(config.motion.natural_frequency, config.force.time_constant,
                    config.force.damping_rate),
-            estimator=self._estimator.estimator, surfaces=self._surfaces_now(), playing=True)
+            estimator=self._estimator.estimator, surfaces=dict(self._surfaces),
+            places_world=self._places_now(), playing=True)
 
     def obey(self, name: str, values: Mapping[str, Any]) -> str:
         """

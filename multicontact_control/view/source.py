@@ -127,11 +127,10 @@ class Timing(NamedTuple):
 
 
 class SurfaceState(NamedTuple):
-    """Stiffness [N/m], friction and a point, world axes [m], of a simulated surface."""
+    """Stiffness [N/m] and friction of a simulated surface."""
 
     stiffness: float
     friction: float
-    point_world: Vector3
 
 
 @dataclass(frozen=True)
@@ -183,6 +182,8 @@ class Snapshot:
         Of R; empty where it is not known.
     surfaces
         As they are now, by name.
+    places_world
+        A point of each surface, where that is known, by name [m].
     playing, speed
         Of a recording.
 
@@ -212,6 +213,7 @@ class Snapshot:
     gains: tuple[float, float, float] = (float('nan'),) * 3
     estimator: str = ''
     surfaces: Mapping[str, SurfaceState] = field(default_factory=dict)
+    places_world: Mapping[str, Vector3] = field(default_factory=dict)
     playing: bool = False
     speed: float = 1.0
 

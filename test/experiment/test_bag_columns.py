@@ -5,7 +5,13 @@ from types import SimpleNamespace
 
 from foreign_bag import JOINTS, RATE, START, TOPICS, write_bag
 from multicontact_control.experiment.bag import read_graph
-from multicontact_control.experiment.bag_columns import BagColumns, JOINT_STATE, POSE, WRENCH
+from multicontact_control.experiment.bag_columns import (
+    BagColumns,
+    JOINT_STATE,
+    MARKERS,
+    POSE,
+    WRENCH,
+)
 import numpy as np
 import pytest
 
@@ -49,6 +55,18 @@ def test_wrenches_and_poses_have_names_of_their_own():
     assert felt.values('wrench').tolist() == [[1, 2, 3, 4, 5, 6]]
     assert seen.values('point').tolist() == [[1, 2, 3]]
     assert seen.values('quaternion').tolist() == [[4, 5, 6, 7]]
+
+
+def test_markers_are_where_they_are_by_the_end_of_their_names():
+    columns = BagColumns(MARKERS)
+    columns.take(SimpleNamespace(markers=[
+        message(ns='surfaces/table', pose=SimpleNamespace(position=xyz(1, 2, 3)), stamp=7),
+        message(ns='surfaces/board', pose=SimpleNamespace(position=xyz(4, 5, 6)))]), 0)
+    assert columns.names == ('table', 'board') and columns.stamps.tolist() == [1_000_000_007]
+    assert [columns.values(axis, ('board', 'table')).tolist() for axis in 'xyz'] == [
+        [[4, 1]], [[5, 2]], [[6, 3]]]
+    with pytest.raises(IndexError):
+        columns.take(SimpleNamespace(markers=[]), 0)
 
 
 @pytest.mark.parametrize(('damaged', 'published'), [

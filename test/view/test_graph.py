@@ -53,6 +53,10 @@ def until(shown, condition, what):
 def test_page_joins_a_graph_presses_moves_and_tunes(shown):
     snapshot = until(shown, lambda found: np.isfinite(found.q).all(), 'samples')
     assert snapshot.gains == (30.0, 0.02, 100.0)
+    simulated = resolve('quick', plant='rigid').plant.surfaces
+    snapshot = until(shown, lambda found: found.places_world, 'the surfaces')
+    assert dict(snapshot.places_world) == {
+        name: surface.point_world for name, surface in simulated.items()}
     shown.command(source.FORCES, table=8.0, board=6.0)
     snapshot = until(shown, lambda found: (np.abs(found.measured - (8.0, 6.0)) < 0.5).all() and
                      set(found.states) == {'holding'}, 'the forces')

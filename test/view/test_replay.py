@@ -14,6 +14,7 @@ from multicontact_control.view.replay import load_replay, ReplaySource
 import numpy as np
 import pytest
 from rclpy.serialization import serialize_message
+from sim_bridge.surface_markers import SurfaceMarkers
 
 
 class Clock:
@@ -99,6 +100,33 @@ def test_what_is_no_recording_is_refused(tmp_path, recorded_run):
             load_replay(path, setup)
 
 
+def write_samples(writer, setup):
+    names = setup.controller.robot.joint_names
+    writer.add_topic('/joint_states', 'sensor_msgs/msg/JointState', qos.STREAM)
+    for k in range(1, 400):
+        message = messages.joint_state_message(
+            2_000_000 * k, names, position=[0.1] * 6, velocity=[0.0] * 6, effort=[0.0] * 6)
+        writer.write('/joint_states', serialize_message(message), k, k)
+
+
+def test_surfaces_are_where_the_simulator_said_that_they_were(tmp_path):
+    setup = resolve('moving_surface', plant='rigid')
+    markers = SurfaceMarkers(setup.plant, rate=500.0)
+    with BagWriter(tmp_path / 'bag') as writer:
+        write_samples(writer, setup)
+        writer.add_topic(
+            '/ground_truth/surfaces', 'visualization_msgs/msg/MarkerArray', qos.LATCHED)
+        for k in (1, 101, 201):
+            message = markers.message(2_000_000 * k, np.full((2, 3), 1e-3 * k))
+            writer.write('/ground_truth/surfaces', serialize_message(message), k, k)
+    loaded = load_replay(tmp_path / 'bag', setup)
+    for moment, place in ((0.0, 0.001), (0.19, 0.001), (0.21, 0.101), (0.7, 0.201)):
+        loaded.command(source.SEEK, time=moment)
+        loaded.command(source.PLAY, on=False)
+        snapshot = loaded.poll()[-1]
+        assert snapshot.places_world == {name: (place,) * 3 for name in ('table', 'board')}
+
+
 def test_what_cannot_be_read_is_bad_input_and_what_is_cut_off_is_said_so(recorded_run, tmp_path):
     pytest.importorskip('viser', reason='viser is not installed (extra [view])')
     run = pytest.importorskip('multicontact_control.view.run')
@@ -107,12 +135,7 @@ def test_what_cannot_be_read_is_bad_input_and_what_is_cut_off_is_said_so(recorde
     shutil.copytree(recorded_run / 'config', folder / 'config')
     shutil.copy(recorded_run / 'summary.json', folder)
     with BagWriter(folder / 'bag', chunk_size=1024) as writer:
-        names = setup.controller.robot.joint_names
-        writer.add_topic('/joint_states', 'sensor_msgs/msg/JointState', qos.STREAM)
-        for k in range(1, 400):
-            message = messages.joint_state_message(
-                2_000_000 * k, names, position=[0.1] * 6, velocity=[0.0] * 6, effort=[0.0] * 6)
-            writer.write('/joint_states', serialize_message(message), k, k)
+        write_samples(writer, setup)
     assert load_replay(folder, setup).scene.title == 'recording run'
     file = folder / 'bag' / 'bag_0.mcap'
     whole = file.read_bytes()
