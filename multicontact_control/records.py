@@ -272,7 +272,8 @@ CONTACT_STATE = np.dtype([
     ('acceleration', F),  # of that displacement [m/s^2]
     ('force_limit', F),  # upper limit of the desired force [N]
     ('in_state', F),  # since when in this state [s]
-    ('below', F),  # since when less is felt than a contact that holds feels [s]
+    ('below', F),  # for how long less is felt than by one that holds; < 0 if thrown back [s]
+    ('shaken', F),  # until it may be thrown back again without being lost [s]
     ('level', F),  # force it is held with, averaged [N]
     ('origin', F),  # displacement at which the surface is, NaN if it was never met [m]
     ('start', F),  # displacement at which the search began [m]
@@ -287,8 +288,8 @@ CONTACT_STATE = np.dtype([
 CONTACT_SETTINGS = np.dtype([('period', F), ('energy_keep', F), *((name, F) for name in (
     'approach_speed', 'approach_ramp_time', 'approach_distance', 'search_distance',
     'contact_threshold', 'release_threshold', 'release_fraction', 'escape_speed', 'preload',
-    'force_rate', 'impact_time', 'bounce_time', 'loss_time', 'lost_time', 'braking',
-    'force_ceiling', 'retract_distance', 'retract_speed', 'retry_time', 'energy_share',
+    'force_rate', 'impact_time', 'bounce_time', 'loss_time', 'rebound_time', 'lost_time',
+    'braking', 'force_ceiling', 'retract_distance', 'retract_speed', 'retry_time', 'energy_share',
     'injected_damping', 'guard_fraction'))])
 
 # Bounds of the reference, and what a pause has left; one.

@@ -66,6 +66,10 @@ class ContactStateConfig(Config):
     loss_time: Real = parameter(
         0.004, 'Time below the release threshold until a contact is lost; at least 2 periods.',
         unit='s', ge=0.0, le=1.0)
+    rebound_time: Real = parameter(
+        0.1, 'The same as loss_time of a contact that held and was thrown back: its tip moves '
+        'away from the surface, and not after a surface that has gone. Once in half a second.',
+        unit='s', ge=0.0, le=1.0)
     lost_time: Real = parameter(
         0.05, 'Least time from loss to a new approach.', unit='s', ge=0.0, le=10.0)
     braking: Real = parameter(

@@ -33,6 +33,8 @@ LEVEL_TIME = 0.1  # s, over which the force a contact is held with is averaged
 TOUCH_SHARE = 0.5  # of the force before a loss, that counts as touch right after it
 GUARD_TIME = 0.3  # s after holding has begun; before, a guard would prolong bounces
 STEP_TIME = 0.02  # s, in which a force step may be taken
+REBOUND_SPEED = 2e-3  # m/s, away from the surface, from which on it is thrown back
+REBOUNDS_APART = 0.5  # s
 LONGEST_WAIT = 4  # doublings of the time between two searches
 # Periods: one sample, or two between touch and holding, say nothing of a surface.
 LOSS_PERIODS, BOUNCE_PERIODS = 2, 3
@@ -169,7 +171,14 @@ def watch_hold(
         contact.origin = place - alpha / contact.stiffness  # where it would not press any more
         contact.level += h / (LEVEL_TIME + h) * (alpha - contact.level)
     else:
+        if contact.below == 0.0 and contact.state == HOLDING and (
+                speed < -REBOUND_SPEED and contact.shaken <= 0.0):
+            # Thrown back by a surface that is stiffer than its model: it returns by itself,
+            # once; one that is thrown back again and again swings, and is better let go.
+            contact.below = min(0.0, settings.loss_time - settings.rebound_time)
+            contact.shaken = REBOUNDS_APART
         contact.below += h
+    contact.shaken = max(0.0, contact.shaken - h)
     patience = settings.loss_time
     if contact.state == IMPACT:  # a bounce is no loss
         patience = max(patience, settings.bounce_time)

@@ -25,7 +25,7 @@ class PlainMachine:
         self.force_limit = 0.0
         self.losses = 0
         self._in_state = 0.0
-        self._below = self._level = 0.0
+        self._below = self._level = self._shaken = 0.0
         self.searches, self.left, self.again = 0, False, False
         self._origin = None  # where the surface was, if it was ever met
         self._start = 0.0
@@ -107,7 +107,12 @@ class PlainMachine:
             self._origin = place - alpha / self._stiffness
             self._level += h / (LEVEL_TIME + h) * (alpha - self._level)
         else:
+            if self._below == 0.0 and self.state is ContactState.HOLDING and (
+                    speed < -0.002 and self._shaken <= 0.0):
+                self._below = min(0.0, config.loss_time - config.rebound_time)
+                self._shaken = 0.5
             self._below += h
+        self._shaken = max(0.0, self._shaken - h)
         patience = config.loss_time if self.state is ContactState.HOLDING else max(
             config.loss_time, config.bounce_time)
         step = abs(min(alpha_des, self.force_limit) - self._level)

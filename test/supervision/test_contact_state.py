@@ -75,6 +75,27 @@ def test_short_dip_is_no_loss_and_a_long_one_is():
     assert surface.machine.losses == 1
 
 
+def test_contact_that_is_thrown_back_is_waited_for():
+    surface = holding()
+    surface.run(0.004, alpha=1.0, speed=-0.01)
+    surface.run(0.09, alpha=0.0, speed=0.01)
+    assert surface.machine.state is ContactState.HOLDING
+    surface.run(1.0, alpha=15.0)
+    surface.run(0.004, alpha=1.0, speed=-0.01)
+    surface.run(0.1, alpha=0.0, speed=0.01)
+    assert surface.machine.state is ContactState.LOST
+    assert surface.machine.losses == 1
+
+
+def test_contact_that_is_thrown_back_again_at_once_is_lost():
+    surface = holding()
+    surface.run(0.004, alpha=1.0, speed=-0.01)
+    surface.run(0.4, alpha=15.0)
+    assert surface.machine.state is ContactState.HOLDING
+    surface.run(0.006, alpha=1.0, speed=-0.01)
+    assert surface.machine.state is ContactState.LOST
+
+
 def test_noise_around_the_touch_threshold_does_not_make_it_chatter():
     """Between release and touch threshold nothing changes, however often."""
     surface = Surface()
