@@ -229,16 +229,16 @@ def test_limit_cycle_of_the_drives_is_named_whoever_holds_it_down(supervised):
     assert any('stepped in' in line for line in verdict.reasons) == supervised
 
 
-# A supervisor that takes hold again and again leaves no swing long enough to be one.
-@pytest.mark.parametrize(('supervised', 'named'), [
-    (True, 'the supervisor stepped in'), (False, 'board: oscillates')])
-def test_surfaces_fifteen_times_as_stiff_as_modelled_are_named(supervised, named):
+@pytest.mark.parametrize('supervised', [True, False])
+def test_surfaces_fifteen_times_as_stiff_as_modelled_are_named(supervised):
+    """With a seed by which the board swings for 2 s, supervised, too: not every one lets it."""
     surfaces = {name: {'stiffness': 90000.0} for name in ('table', 'board')}
-    verdict = verdict_of_run('step', plant='rigid', supervised=supervised,
+    verdict = verdict_of_run('step', plant='rigid', seed=1, supervised=supervised,
                              plant_overrides={'surfaces': surfaces})
     assert verdict.name == NOT_STABLE
-    for text in ('table: contact lost', named):
+    for text in ('table: contact lost', 'board: oscillates'):
         assert any(text in line for line in verdict.reasons)
+    assert any('stepped in' in line for line in verdict.reasons) == supervised
 
 
 def test_run_within_bounds_thanks_to_the_last_gate_is_held():

@@ -1,5 +1,6 @@
 """Two arms that press one board from both sides, each with its loop and its own copy of it."""
 
+from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.scenario import resolve
 import numpy as np
@@ -47,3 +48,9 @@ def test_two_arms_squeeze_a_board_that_one_pushes_away():
     # In the middle, up to what 0.1 N does, and the same board on both sides but for the delay.
     assert np.abs(places[:, rest]).max() < 0.1 / stiffness
     assert np.abs(places.sum(axis=0)).max() < 1e-3
+
+
+def test_another_graph_is_not_heard_in_process():
+    setup = resolve('two_arms', plant_overrides={'surfaces': {'board': {'opposed_by': 'right'}}})
+    with pytest.raises(ConfigError, match=r'^plant\.surfaces\.board\.opposed_by: expected none'):
+        ClosedLoop(setup)
