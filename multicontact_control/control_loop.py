@@ -436,6 +436,10 @@ class ControlLoop:
         if self._reference.locked:
             raise CommandError('~/push_test', 'passed, to obey commands',
                                f"'{self.push_gate.instruction}'")
+        if not self._reference.begun or not (self.supervisor is None or self.supervisor.started):
+            causes = () if self.status is None else self.status.causes
+            raise CommandError(
+                'control', 'begun, to obey commands', ', '.join(causes) or 'not yet')
         return self.output
 
     def hold(self, wanted: bool) -> None:

@@ -282,6 +282,7 @@ CONTACT_STATE = np.dtype([
     ('stored', F),  # energy stored in the surface [J]
     ('energy_limit', F),  # what that energy must be below [J]
     ('stiffness', F),  # modelled, of the surface [N/m]
+    ('surface_speed', F),  # along the normal, as far as it is known [m/s]
 ], align=True)
 
 # What is set for all contacts: the fields of `ContactStateConfig` of the same name; one.

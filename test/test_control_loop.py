@@ -362,3 +362,13 @@ def test_without_push_test_no_force_is_controlled_and_the_arm_holds(supervised):
     assert not bench.loop.output.active.any()
     np.testing.assert_allclose(bench.loop.output.pose_des.position_world,
                                bench.state.pose.position_world, atol=1e-12)
+
+
+def test_nothing_is_held_or_commanded_before_control_has_begun():
+    """It was taken for done, and forgotten when control began."""
+    bench = Bench(limits={'workspace_lower': [-0.6, 0.2, 0.75]})
+    bench.step(10)
+    assert bench.loop.status.causes == ('start_outside',)
+    for command in (lambda: bench.loop.hold(True), lambda: bench.loop.set_forces({'table': 5.0})):
+        with pytest.raises(CommandError, match='control: expected begun, .*found start_outside'):
+            command()

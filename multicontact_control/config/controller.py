@@ -108,6 +108,11 @@ class ControllerConfig(Config):
                     yield ConfigError(
                         f'contacts.{name}.{field}', '0 m/s unless force.allocation is decoupled',
                         f'{speed:g} m/s with {self.force.allocation}')
+            if contact.surface_speed_limit and self.law_of(name) != 'aob':
+                # It is found from the rate of the force that the observer estimates.
+                yield ConfigError(
+                    f'contacts.{name}.surface_speed_limit', '0 m/s unless force.law is aob',
+                    f'{contact.surface_speed_limit:g} m/s with {self.law_of(name)}')
         wide = [name for name in self.contact_names if self.contacts[name].type != 'point']
         if wide and self.force.allocation != 'decoupled':
             yield ConfigError(

@@ -413,8 +413,10 @@ def place_columns(config: ControllerConfig, columns: Records) -> None:
     for record, column in zip(columns, config.columns):
         contact, is_force = config.contacts[column.contact], column.kind == FORCE
         record['kind'], record['leader'] = column.kind, column.leader
-        record['normal'] = contact.normal_world if is_force else (0.0, 0.0, 0.0)
-        record['normal_told'] = record['normal']
+        told = contact.normal_world if is_force else (0.0, 0.0, 0.0)
+        # A normal that has been found is kept while nothing else is told of it.
+        if (record['normal_told'] != told).any() or not contact.normal_turn_rate:
+            record['normal'] = record['normal_told'] = told
         record['normal_gain'] = config.period / (contact.normal_time + config.period)
         record['turn_limit'] = contact.normal_turn_rate * config.period
         record['smallest_cosine'] = math.cos(contact.normal_range)

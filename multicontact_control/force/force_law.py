@@ -22,9 +22,11 @@ from multicontact_control.force.linear_loop import (
 from multicontact_control.force.observer import (
     continue_at,
     continue_from,
+    keep_at_rest,
     make_observers,
     observe_and_command,
     ObserverDesign,
+    same_states,
 )
 from multicontact_control.force.plant_model import delayed_plant
 from multicontact_control.force.stiffness import (
@@ -146,9 +148,9 @@ def continue_laws(laws: Records, others: Records) -> None:
             elif running(other[0]):
                 start_linear(new[0], *known(other[0]))
         elif same:
-            if continue_from(law['observer'], other['observer']) and (
-                    law['stiffness']['adaptive'][0]):
-                keep_stiffness(law[0], other[0])
+            if law['stiffness']['adaptive'][0] and same_states(law['observer'], other['observer']):
+                keep_stiffness(law[0], other[0])  # before the state, which is of that model
+            continue_from(law['observer'], other['observer'])
         elif running(other[0]):
             observer = law['observer'][0]
             x, p = known(other[0])
@@ -156,7 +158,8 @@ def continue_laws(laws: Records, others: Records) -> None:
             n, order = int(observer['states']), int(observer['order'])
             observer['x_est'][n - order:n] = p
             observer['P'][:n, :n] = observer['P_0'] * np.eye(n)
-            observer['command'], observer['running'] = p, True
+            observer['running'] = True
+            keep_at_rest(law['observer'])
 
 
 def running(law: Any) -> bool:
@@ -255,7 +258,9 @@ def answer_forces(
         contact.innovation = 0.0
         contact.prior_variance = 0.0
         contact.variance_used = 0.0
-        speed = dot(contact.N, control.frame.twist)
+        # Of the contact point into the surface, as far as it is known how that moves itself.
+        speed = dot(contact.N, control.frame.twist) - (
+            contact.surface_speed + contact.surface_speed_est)
         if law.stiffness.adaptive and contact.kind == FORCE:
             learn_stiffness(law.observer, law.stiffness, contact, control.measured, speed,
                             friction_of_others(control.frame, contacts, i))

@@ -161,14 +161,36 @@ def continue_from(observers: Records, others: Records) -> bool:
         Whether the numbers of states agree; nothing is taken over otherwise.
 
     """
-    if any((observers[name] != others[name]).any() for name in ('states', 'order')):
+    if not same_states(observers, others):
         return False
     for name in ('x_est', 'P', 'running'):
         observers[name] = others[name]
-    difference = observers['feedback'] - others['feedback']
+    difference = _predicted_feedback(observers) - _predicted_feedback(others)
     observers['command'] = others['command'] + np.einsum(
         'ij,ij->i', difference, others['x_est'])
     return True
+
+
+def same_states(observers: Records, others: Records) -> bool:
+    """Return whether observers have as many states as others, records of `OBSERVER`."""
+    return all((observers[name] == others[name]).all() for name in ('states', 'order'))
+
+
+def _predicted_feedback(observers: Records) -> Matrix:
+    """Return the feedback that is in the predictions, and so not in the commands; shape (r, n)."""
+    closed = (observers['Phi_c'] != observers['Phi_n']).any(axis=(1, 2))
+    feedback: Matrix = np.where(closed[:, None], observers['feedback'], 0.0)
+    return feedback
+
+
+def keep_at_rest(observers: Records) -> None:
+    """Let what has been commanded be what keeps the force as it is estimated, and at rest."""
+    for i, feedback in enumerate(_predicted_feedback(observers)):
+        x_est, states = observers['x_est'][i], observers['states'][i]
+        order = observers['order'][i]
+        p = x_est[states - order] if order else 0.0
+        # Of the closed loop the feedback takes p off already.
+        observers['command'][i] = feedback[0] * x_est[0] if feedback.any() else -p
 
 
 @compiled
@@ -346,6 +368,7 @@ def continue_at(observers: Records, held: Mask, force: Vector) -> None:
             x_est = observer['x_est']
             x_est[:observer['states'] - observer['order']] = 0.0
             x_est[0] = alpha
+    keep_at_rest(observers)
 
 
 @compiled

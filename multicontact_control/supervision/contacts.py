@@ -172,7 +172,7 @@ def watch_hold(
         contact.level += h / (LEVEL_TIME + h) * (alpha - contact.level)
     else:
         if contact.below == 0.0 and contact.state == HOLDING and (
-                speed < -REBOUND_SPEED and contact.shaken <= 0.0):
+                speed - contact.surface_speed < -REBOUND_SPEED and contact.shaken <= 0.0):
             # Thrown back by a surface that is stiffer than its model: it returns by itself,
             # once; one that is thrown back again and again swings, and is better let go.
             contact.below = min(0.0, settings.loss_time - settings.rebound_time)
@@ -207,6 +207,26 @@ def wait_to_search(contact: Any, settings: Any) -> None:
 
 
 @compiled
+def has_retracted(contact: Any) -> bool:
+    """Return whether a contact that retracts has come to where it is led."""
+    return abs(contact.target - contact.displacement) < 1e-4
+
+
+@compiled
+def stays_away(contact: Any) -> bool:
+    """
+    Return whether a contact that nobody asks for is led away from its surface all the same.
+
+    It is, until it is there, from a force beyond the ceiling, and stays there if it was not asked
+    for before: what the motion leads into would be pressed again, and again.
+    """
+    uncalled = np.isnan(contact.origin)
+    if contact.state == RETRACTING:
+        return uncalled or not has_retracted(contact)
+    return contact.state == GIVEN_UP and contact.left and uncalled and not contact.again
+
+
+@compiled
 def switch_state(
     contact: Any, settings: Any, alpha: float, place: float, speed: float, escape: float,
 ) -> None:
@@ -217,7 +237,7 @@ def switch_state(
         contact.target = place - settings.retract_distance
         contact.left = True
         enter(contact, RETRACTING)
-    elif not contact.wanted:
+    elif not contact.wanted and not stays_away(contact):
         if is_active(contact):
             leave_surface(contact, place, speed)
         if contact.state != FREE:
@@ -232,7 +252,7 @@ def switch_state(
     elif is_active(contact):
         watch_hold(contact, settings, alpha, place, speed, escape)
     elif contact.state == RETRACTING:
-        if abs(contact.target - contact.displacement) < 1e-4:
+        if has_retracted(contact):
             enter(contact, GIVEN_UP)
     elif contact.state == GIVEN_UP:
         wait_to_search(contact, settings)
@@ -288,7 +308,8 @@ def advance_contact(
     place, speed
         Of the tip along the normal, relative to the task without displacement [m, m/s].
     escape
-        Speed into the surface by which a contact is known to be lost [m/s].
+        Speed into the surface, less that of the surface, by which a contact is known to be lost
+        [m/s].
 
     """
     contact.in_state += settings.period

@@ -45,14 +45,20 @@ class Reactions:
     def begin(self, answered: ControlOutput) -> None:
         """Go on pressing with the forces of the contacts that were held at an answer."""
         contacts = answered.contacts
-        alpha = np.where(contacts['active'], np.minimum(
-            np.maximum(contacts['alpha_est'], 0.0), contacts['alpha_des']), 0.0)
+        wanted, couple = contacts['alpha_des'], contacts['leader'] != np.arange(len(contacts))
+        least, most = np.where(couple, -np.abs(wanted), 0.0), np.abs(wanted)
+        alpha = np.where(
+            contacts['active'], np.clip(contacts['alpha_est'], least, most), 0.0)
         self._pressing.begin(self._robot.terms.jacobian.T @ (contacts['N'].T * alpha))
 
     def end(self) -> None:
         """Control has resumed: the next reaction begins anew."""
+        self._begin_anew()
+        self._coasting = 0
+
+    def _begin_anew(self) -> None:
+        """Hold whatever posture it has next, and press no more."""
         self._posture: Vector | None = None
-        self._since = 0
         self._pressing.end()
 
     def torque(self, reaction: str, arm: ArmState | None, wrench_known: bool) -> Vector:
@@ -69,18 +75,20 @@ class Reactions:
             Whether the wrench is of this tick, and tells which contacts are felt.
 
         """
-        self._since += 1
+        self._coasting = self._coasting + 1 if reaction == FLOAT else 0
         if arm is None:
             return np.zeros(self._robot.joint_count)
         if reaction == DAMP:
+            self._begin_anew()  # it may be moved away
             damped: Vector = arm.bias_torque - (
                 self._config.damping_rate * arm.inertia * arm.velocity)
             return damped
         felt = self._contacts['alpha_meas'] > self._release_threshold
+        felt = felt[self._contacts['leader']]  # a couple is there as long as its contact is
         pressing = self._pressing.torque(felt if wrench_known else None)
         if reaction == FLOAT:
             self._posture = None  # wherever it has gone meanwhile
-            fade = math.exp(-self._since * self._period / COAST_TIME)
+            fade = math.exp(-self._coasting * self._period / COAST_TIME)
             state = self._robot.update(arm.q, arm.velocity)
             braking = state.mass_matrix @ state.velocity * (fade / COAST_TIME)
             floating: Vector = state.gravity - braking + pressing

@@ -49,9 +49,12 @@ def follow_contacts(
     lever = np.empty(3)
     for i in range(count):
         alpha = contacts[i].alpha_meas
+        # That of the surface, as far as it is known: what is as fast does not leave it.
+        away = contacts[i].surface_speed + contacts[i].surface_speed_est
         if states[i].couple:
             follow_leader(states[i], states[contacts[i].leader])
-            damping[i] = watch_energy(states[i], settings, alpha, dot(contacts[i].N, twist))
+            damping[i] = watch_energy(
+                states[i], settings, alpha, dot(contacts[i].N, twist) - away)
             continue
         normal = contacts[i].normal
         place, speed = 0.0, 0.0
@@ -69,11 +72,12 @@ def follow_contacts(
             normal[0] * (twist[0] + twist[4] * lever[2] - twist[5] * lever[1])
             + normal[1] * (twist[1] + twist[5] * lever[0] - twist[3] * lever[2])
             + normal[2] * (twist[2] + twist[3] * lever[1] - twist[4] * lever[0]))
-        damping[i] = watch_energy(states[i], settings, alpha, point_speed)
+        damping[i] = watch_energy(states[i], settings, alpha, point_speed - away)
         # Turning about the tool moves the operational point, and a surface that is not where the
         # task has it moves the contact point: what escapes does both.
+        states[i].surface_speed = away
         advance_contact(
-            states[i], settings, alpha, place - others, speed, min(speed, point_speed))
+            states[i], settings, alpha, place - others, speed, min(speed, point_speed) - away)
 
 
 @compiled

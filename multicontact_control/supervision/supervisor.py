@@ -171,8 +171,13 @@ class Supervisor(BumplessController):
         self.controller.reset()
         self._task_ticks = self._good_ticks = self._contradictions = self._sensor_faults = 0
         self._paused = self._running = False
-        self._last_reaction = DAMP
+        self._waiting_reaction = HOLD
         self._recovery.reset()
+
+    @property
+    def started(self) -> bool:
+        """Whether the control law has answered a sample since it was reset."""
+        return self._running
 
     def try_again(self) -> bool:
         """
@@ -284,7 +289,8 @@ class Supervisor(BumplessController):
             self._good_ticks += 1
             missing = self._recovery.missing(self._good_ticks) if self._paused else ()
             if missing:
-                return self._react(missing, valid.rejected, self._last_reaction)
+                reaction = FLOAT if valid.blind else self._waiting_reaction
+                return self._react(missing, valid.rejected, reaction)
             return self._control(valid, causes, reaction)
         if reaction == HOLD and valid.blind:
             reaction = FLOAT  # what is not seen cannot be held
@@ -403,18 +409,31 @@ class Supervisor(BumplessController):
         self, causes: tuple[str, ...], rejected: tuple[str, ...], reaction: str,
     ) -> TickOutput:
         """Answer without the control law."""
+        begins = self._running and not self._paused
         if causes not in WAITING:
             self._good_ticks = 0
-        if self._running and not self._paused:
+            # An arm that was not seen for a moment only is held as soon as it is seen again, or
+            # whatever else it waited in goes on.
+            if not self._unseen(causes, reaction):
+                self._waiting_reaction = reaction
+            elif begins or not self._paused:
+                self._waiting_reaction = HOLD
+        if begins:
             self._recovery.stopped(causes, self._task_ticks)
             self._reactions.begin(self._output)
-        self._paused, self._last_reaction = True, reaction
+        self._paused = True
         with np.errstate(all='ignore'):  # numbers that are none are for the gate to find
             # What blocks the arm may be what the contacts' forces press it against: they fade.
             felt = self._wrench_known and not self._touched
             output = self._idle_output(self._reactions.torque(reaction, self._arm, felt))
             self._transition.drop_slow_blend(self._acting)
             return self._finish(output, reaction, causes, rejected, reaction, ())
+
+    def _unseen(self, causes: tuple[str, ...], reaction: str) -> bool:
+        """Return whether the arm floats only because it is not seen, or a part has failed."""
+        others = tuple(cause for cause in causes
+                       if cause.split('_')[0] not in ('joints', 'internal'))
+        return reaction == FLOAT and self._reaction_to(others) != FLOAT
 
     def _finish(
         self, output: ControlOutput, law: object, causes: tuple[str, ...],
@@ -447,7 +466,7 @@ class Supervisor(BumplessController):
         try:
             return self._react((cause,), (), reaction)
         except Exception:  # nothing is left but gravity where the arm was seen last
-            self._paused, self._last_reaction, self._good_ticks = True, reaction, 0
+            self._paused, self._good_ticks = True, 0
             carried = self._gate.carry(self._arm)
             self._transition.commanded(carried)
             return self._report(self._idle_output(carried), reaction, (cause,), (), ())

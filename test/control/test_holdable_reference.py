@@ -40,7 +40,7 @@ def test_hold_stands_still_and_release_goes_on_where_the_scenario_was():
         reference.update(k * H, NOTHING)
         expected = other.update(k * H, NOTHING)
     here = Pose(np.array([0.1, 0.2, 0.3]), np.eye(3))
-    assert reference.hold(here, np.ones(1, dtype=bool))
+    reference.hold(here, np.ones(1, dtype=bool))
     for k in range(500, 800):
         held = reference.update(k * H, NOTHING)
         assert held.pose_des is here
@@ -68,11 +68,13 @@ def test_hold_keeps_the_desired_forces():
 
 def test_hold_needs_a_first_tick_and_ends_with_a_new_start():
     reference = HoldableReference(moving())
-    assert not reference.hold(START, np.ones(1, dtype=bool))
-    reference.start(START, NORMALS)
-    assert not reference.hold(START, np.ones(1, dtype=bool))
+    for _ in range(2):
+        reference.hold(START, np.ones(1, dtype=bool))
+        assert not (reference.begun or reference.held)
+        reference.start(START, NORMALS)
     reference.update(0.0, NOTHING)
-    assert reference.hold(START, np.ones(1, dtype=bool))
+    assert reference.begun
+    reference.hold(START, np.ones(1, dtype=bool))
     assert reference.held
     reference.start(START, NORMALS)
     assert not reference.held

@@ -317,3 +317,23 @@ def test_default_values_are_those_of_the_file():
 
     force = read_parameters(config_dir() / 'controller.yaml')['force']
     assert {name: getattr(ForceConfig(), name) for name in force} == force
+
+
+@pytest.mark.parametrize('pause', [False, True], ids=['live change', 'pause'])
+def test_adaptive_observer_goes_on_with_the_model_and_the_input_that_it_had(pause):
+    """From a model that is far from the stiffest one, which it is designed for."""
+    laws = laws_of('aob', stiffness='adaptive')
+    _, x = hold(laws, 3, disturbance=0.5, desired=5.0)
+    settled, x = hold(laws, 4000, disturbance=0.5, state=x)
+    assert laws['stiffness']['k'][0] < 2.0 * K
+    new = laws_of('aob', stiffness='adaptive', time_constant=0.03)
+    if pause:
+        new = laws.copy()
+        new['observer']['command'] = 20.0  # of a fault in the middle of a transient
+        continue_laws_at(new, np.array([True]), settled[-1:])
+    else:
+        continue_laws(new, laws)
+        assert new['stiffness']['k'][0] == laws['stiffness']['k'][0]
+        np.testing.assert_array_equal(new['observer']['x_est'], laws['observer']['x_est'])
+    forces, _ = hold(new, 500, disturbance=0.5, state=x)
+    assert np.abs(forces - settled[-1]).max() < 0.02

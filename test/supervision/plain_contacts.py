@@ -61,7 +61,7 @@ class PlainMachine:
         config, state = self._config, self.state
         if alpha > config.force_ceiling and state is not ContactState.RETRACTING:
             self._retract(place, speed)
-        elif not wanted:
+        elif not wanted and not self._stays_away():
             self._stop_wanting(place, speed)
         elif state is ContactState.FREE:
             self._approach(self.displacement)
@@ -125,6 +125,12 @@ class PlainMachine:
                 self._in_state >= config.impact_time):
             self.searches = 0
             self._enter(ContactState.HOLDING)
+
+    def _stays_away(self):
+        if self.state is ContactState.RETRACTING:
+            return self._origin is None or abs(self._target - self.displacement) >= 1e-4
+        return self.state is ContactState.GIVEN_UP and (
+            self.left and self._origin is None and not self.again)
 
     def _stop_wanting(self, place, speed):
         if self.active:

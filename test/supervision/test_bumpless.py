@@ -173,3 +173,33 @@ def test_step_after_safe_steps_starts_the_law_anew_from_their_torque():
     output = controller.step(sample(controller, 2500)).output
     np.testing.assert_array_equal(output.torque, last)
     assert not last.any()
+
+
+def test_normal_that_was_found_is_kept_until_another_is_told():
+    def config(**changes):
+        table = controller_config().contacts['table'].model_dump()
+        return controller_config(contacts={
+            **{name: x.model_dump() for name, x in controller_config().contacts.items()},
+            'table': {**table, 'normal_turn_rate': 0.2, 'friction_std': 2.0, **changes}})
+
+    controller = BumplessController.from_config(
+        config(), CommandedReference(config().contact_names), config_dir())
+    contacts, found = controller.controller.contacts, [0.1, 0.0, -np.sqrt(0.99)]
+    controller.step(sample(controller))
+    contacts['normal'][0] = found
+    controller.reconfigure(config(friction_coefficient=0.1))
+    np.testing.assert_array_equal(controller.controller.contacts['normal'][0], found)
+    controller.reconfigure(config(normal_world=[0.0, 0.6, -0.8]))
+    np.testing.assert_allclose(controller.controller.contacts['normal'][0], [0.0, 0.6, -0.8])
+    contacts['normal'][0] = found
+    controller.reconfigure(config(normal_world=[0.0, 0.6, -0.8], normal_turn_rate=0.0))
+    np.testing.assert_allclose(controller.controller.contacts['normal'][0], [0.0, 0.6, -0.8])
+
+
+def test_speed_of_a_surface_is_found_with_an_observer_only():
+    table = controller_config().contacts['table'].model_dump()
+    board = controller_config().contacts['board'].model_dump()
+    with pytest.raises(ConfigError, match='contacts.table.surface_speed_limit: expected 0 m/s '
+                       'unless force.law is aob, found 0.05 m/s with lqg'):
+        controller_config(force={'law': 'lqg'}, contacts={
+            'table': {**table, 'surface_speed_limit': 0.05}, 'board': board})

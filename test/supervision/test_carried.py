@@ -108,3 +108,66 @@ def test_exception_in_any_stage_leaves_the_arm_where_it_is_and_control_comes_bac
         assert loop.status.reaction == 'none'
     finally:
         loop.close()
+
+
+def test_arm_that_was_not_seen_for_a_moment_is_held_as_soon_as_it_is_seen():
+    """While it waited for control to go on, or for an operator, it floated undamped."""
+    loop = ClosedLoop(resolve('quick', plant='rigid'), commanded=True)
+    try:
+        for _ in range(200):
+            loop.advance()
+        for _ in range(20):
+            loop.advance(lambda inputs: inputs._replace(joints=None))
+        assert (loop.status.reaction, loop.status.causes) == ('float', ('joints_stale',))
+        loop.advance()
+        assert (loop.status.reaction, loop.status.causes) == ('hold', ('recovering',))
+        start = loop.sample.q.copy()
+        loop.plant.push(np.array([0.0, 0.0, -10.0]), 0.05)
+        while loop.status.reaction == 'hold':
+            loop.advance()
+            assert np.abs(loop.sample.q - start).max() < 0.02
+    finally:
+        loop.close()
+
+
+def test_arm_that_waits_damped_is_damped_again_after_a_gap():
+    config = controller_config(collision={'reaction': 'damp'})
+    supervisor = Supervisor(config, ROBOT, CommandedReference(config.contact_names))
+    supervisor._react(('collision_joint2',), (), 'damp')
+    supervisor._react(('joints_stale',), (), 'float')
+    supervisor._react(('internal_ValueError', 'joints_stale'), (), 'float')
+    assert supervisor._waiting_reaction == 'damp'
+
+
+def test_posture_that_is_held_after_an_arm_was_moved_by_hand_is_that_where_it_is_then():
+    config = controller_config()
+    supervisor = Supervisor(config, ROBOT, CommandedReference(config.contact_names))
+    reactions, arm = supervisor._reactions, supervisor.controller.arm
+
+    def torque(reaction, q):
+        arm.update(q, np.zeros(6))
+        return reactions.torque(reaction, arm, True)
+    held = torque('hold', HOME)
+    torque('damp', HOME + 0.1)
+    moved = torque('hold', HOME + 0.1)
+    assert np.abs(moved - arm.bias_torque).max() < 1e-9
+    assert np.abs(torque('hold', HOME) - held).max() > 1.0
+
+
+def test_what_is_held_on_with_is_the_couple_too_whatever_its_sign():
+    setup = resolve('plane', plant='rigid')
+    loop = ClosedLoop(setup)
+    try:
+        while loop.tick < round(7.0 * setup.controller.rate):  # face/across is to be -3 N
+            loop.advance()
+        output = loop.control.output
+        assert output.alpha_est.min() < -2.0
+        reactions = loop.control.supervisor._reactions
+        reactions.begin(output)
+        pressed = reactions._pressing.torque(np.ones(len(output.contacts), dtype=bool))
+        contacts = output.contacts
+        expected = loop.control.supervisor.controller.robot.terms.jacobian.T @ (
+            contacts['N'].T @ output.alpha_est)
+        np.testing.assert_allclose(pressed, expected, atol=0.05 * np.abs(expected).max())
+    finally:
+        loop.close()

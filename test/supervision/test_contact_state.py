@@ -1,9 +1,16 @@
 """The state machine of a contact: transitions, bounds, what noise and bounces must not do."""
 
+from arms import controller_config
 from contact_machine import ContactMachine
 from multicontact_control.config import ContactStateConfig
+from multicontact_control.control.reference import CommandedReference
+from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import ConfigError
-from multicontact_control.supervision.contacts import ContactState
+from multicontact_control.paths import config_dir
+from multicontact_control.records import REFERENCE_LIMITS, TASK
+from multicontact_control.supervision.contacts import contact_settings, ContactState, STATES
+from multicontact_control.supervision.reference_limits import follow_contacts
+from multicontact_control.supervision.supervisor import Supervisor
 import numpy as np
 import pytest
 
@@ -197,3 +204,52 @@ def test_force_after_a_loss_rises_at_its_rate():
 def test_thresholds_must_be_in_order():
     with pytest.raises(ConfigError, match='contact_threshold'):
         ContactStateConfig(contact_threshold=0.3)
+
+
+def test_force_that_nobody_asks_for_is_left_once_and_not_again_and_again():
+    """Above the ceiling it went from free to retracting and back at every tick."""
+    surface = Surface()
+    surface.run(0.1, wanted=False, alpha=100.0)
+    assert surface.states == [ContactState.FREE, ContactState.RETRACTING]
+    trace = surface.run(5.0, wanted=False, alpha=50.0)
+    assert surface.states[2:] == [ContactState.GIVEN_UP]
+    assert trace[-1, 0] == pytest.approx(-surface.config.retract_distance, abs=2e-4)
+    surface.machine.again = True
+    surface.run(2.0, wanted=False, alpha=0.0)
+    assert surface.states[3:] == [ContactState.FREE]
+    assert abs(surface.place) < 1e-3
+
+
+def test_contact_that_is_let_go_while_it_retracts_does_so_to_the_end():
+    surface = holding()
+    surface.run(0.004, alpha=100.0)
+    start = surface.place
+    surface.run(0.05, wanted=False, alpha=30.0)
+    assert surface.machine.state is ContactState.RETRACTING
+    surface.run(3.0, wanted=False, alpha=0.0)
+    assert surface.machine.state is ContactState.FREE
+    assert start > 1e-3 > abs(surface.place)
+
+
+@pytest.mark.parametrize('away', [0.15, -0.05])
+def test_surface_that_is_known_to_move_is_not_lost_for_its_speed(away):
+    """Faster than `escape_speed` away, or towards the robot as if it threw the tip back."""
+    config = controller_config()
+    config = controller_config(contacts={**{
+        name: contact.model_dump() for name, contact in config.contacts.items()}, 'table': {
+            **config.contacts['table'].model_dump(), 'surface_speed': away}})
+    robot = RobotModel(config.robot, config_dir())
+    supervisor = Supervisor(config, robot, CommandedReference(config.contact_names))
+    states, contacts = supervisor.reference.contact_states, supervisor.controller.contacts
+    frame, wanted = supervisor.controller.controls['frame'][0], np.zeros(1, dtype=TASK)[0]
+    frame['rotation'], frame['twist'] = np.eye(3), [0.0, 0.0, -away, 0.0, 0.0, 0.0]
+    states['state'], states['wanted'], states['asked'] = 3, True, 15.0  # holding
+    states['level'] = contacts['alpha_meas'] = 15.0
+    states['stored'] = 15.0 ** 2 / (2.0 * states['stiffness'])
+    contacts['N'][0] = [0.0, 0.0, -1.0, 0.0, 0.0, 0.0]
+    settings = contact_settings(config.contact_state, config.period)[0]
+    limits = np.zeros(1, dtype=REFERENCE_LIMITS)[0]
+    for _ in range(500):
+        follow_contacts(limits, wanted, frame, contacts, states, settings, np.empty(2))
+    assert STATES[states['state'][0]] is ContactState.HOLDING
+    assert states['energy'][0] == pytest.approx(0.0, abs=1e-9)

@@ -117,8 +117,9 @@ def test_every_reaction_and_the_safe_behaviour_command_that_much_less(kind):
         if kind == 'zero_torque' and k > 400:
             np.testing.assert_allclose(less, 0.0, atol=1e-9)
         elif k < 200 or kind != 'zero_torque':
-            # Where joints come back, it goes over from the command and not from what acted.
-            np.testing.assert_allclose(less, command - own(seen), atol=0.01)
+            # Where joints come back, it goes over from the command and not from what acted: for
+            # some ticks g differs by what the arm has moved unseen, 1e-3 rad of 20 N m/rad.
+            np.testing.assert_allclose(less, command - own(seen), atol=0.03)
         reactions.add(plain.status.reaction)
     assert {'none', 'hold', 'float'} <= reactions
 

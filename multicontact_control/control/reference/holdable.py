@@ -49,6 +49,11 @@ class HoldableReference:
         """Whether it is held on command."""
         return self._held is not None and not self.locked
 
+    @property
+    def begun(self) -> bool:
+        """Whether there is anything to be held: not before its first tick."""
+        return self._last is not None
+
     def start(self, pose: Pose, normals_world: Vector) -> None:
         """Begin from a pose at rest; see `ReferenceSource.start`. Ends a hold, but no lock."""
         self._count = len(normals_world)
@@ -83,9 +88,9 @@ class HoldableReference:
         self._last_time = time
         return held
 
-    def hold(self, pose: Pose, active: Mask) -> bool:
+    def hold(self, pose: Pose, active: Mask) -> None:
         """
-        Hold a pose, and the desired forces.
+        Hold a pose, and the desired forces; not before it has begun.
 
         Parameters
         ----------
@@ -94,19 +99,12 @@ class HoldableReference:
         active
             Which contacts are force controlled, shape (r,); their forces are held.
 
-        Returns
-        -------
-        bool
-            Whether it can be: not before the first tick.
-
         """
         last = self._last
-        if last is None:
-            return False
-        self._held = last._replace(
-            pose_des=pose, twist_des=np.zeros(6), acceleration_des=np.zeros(6),
-            active=active.copy(), alpha_des=np.where(active, last.alpha_des, 0.0))
-        return True
+        if last is not None:
+            self._held = last._replace(
+                pose_des=pose, twist_des=np.zeros(6), acceleration_des=np.zeros(6),
+                active=active.copy(), alpha_des=np.where(active, last.alpha_des, 0.0))
 
     def release(self) -> None:
         """Go on with the other reference, unless this one is locked."""
