@@ -25,6 +25,7 @@ from multicontact_control.experiment.metrics import (
     is_couple,
     judged_windows,
     losses,
+    pressing,
     saturation,
     SETTLE_AFTER_STEP,
 )
@@ -218,10 +219,9 @@ def _contact_findings(
     couple = is_couple(setup, contact)
     wanted, commands = data.alpha_des[:, contact], commanded(data, setup)
     command = commands[:, contact]
-    pressed = commands[:, setup.controller.leader_of[contact]] > 0.0
-    if setup.commanded_by_topic and not pressed.any():
-        return []
-    if not couple and not (wanted > 0.0).any() and np.isfinite(wanted).any():
+    pressed = pressing(data, setup, contact) > 0.0
+    idle = setup.commanded_by_topic and not pressed.any()
+    if not (couple or idle or (wanted > 0.0).any()) and np.isfinite(wanted).any():
         return [Finding('no contact was made')]
     loaded = judged & judged_windows(data, setup).loaded & pressed
     begins, ends = losses(data, setup, contact, loaded)
@@ -271,7 +271,9 @@ def interventions(
     loaded = judged & judged_windows(data, setup).loaded
     if not loaded.any():
         return []
-    places = [*(round(event.time * data.rate) for event in events), data.ticks]
+    full = len(events) == CAPACITY
+    end = round(events[-1].time * data.rate) if full else data.ticks
+    places = [*(round(event.time * data.rate) for event in events), end]
     times, held = [], np.zeros(data.ticks, dtype=bool)
     for event, place, end in zip(events, places, places[1:]):
         held[place:end] = replaces(event.reaction)
@@ -279,6 +281,10 @@ def interventions(
         if place < data.ticks and loaded[place] and _steps_in(before, event):
             times.append(event.time)
     found = []
+    if full:
+        found.append(Finding(
+            f'the supervisor changed something {CAPACITY} times: what it did later is not known',
+            events[-1].time))
     again = again_at(np.array(times))
     if again is not None:
         found.append(Finding(f'the supervisor stepped in {len(times)} times under load', again))

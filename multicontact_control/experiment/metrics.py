@@ -120,7 +120,7 @@ def _steps(
     stop = reference.motion.start_time if reference.motion else math.inf
     return [(step.time, step.forces[name]) for step in reference.force_steps
             if name in step.forces and step.time < min(stop, data.time[-1])], (
-                reference.approach.preload), stop
+                0.0 if is_couple(setup, contact) else reference.approach.preload), stop
 
 
 def losses(
@@ -170,8 +170,14 @@ def force_oscillations(
     data: RunData, setup: Setup, contact: int, judged: Mask,
 ) -> list[Oscillation]:
     """Return where the force of a contact oscillates, among the samples `judged`."""
-    return oscillations(force_error(data, setup, contact), commanded(data, setup)[:, contact],
+    # A couple, which may well be 0, is judged while its contact is pressed, and by how hard.
+    return oscillations(force_error(data, setup, contact), pressing(data, setup, contact),
                         judged, data.rate)
+
+
+def pressing(data: RunData, setup: Setup, contact: int) -> Vector:
+    """Return the normal force asked for at a contact, for a couple that of its contact [N]."""
+    return commanded(data, setup)[:, setup.controller.leader_of[contact]]
 
 
 def saturation(data: RunData, setup: Setup) -> Mask:
@@ -193,7 +199,7 @@ def contact_summary(data: RunData, setup: Setup, contact: int) -> dict[str, Any]
     The step answers are those to the largest step up; every step is listed under ``steps``.
     """
     judged = judged_windows(data, setup)
-    asked = ~(commanded(data, setup)[:, contact] == 0.0)
+    asked = ~(pressing(data, setup, contact) == 0.0)
     responses = step_responses(data, setup, contact)
     largest = max(responses, key=lambda response: response.size, default=None)
     return {

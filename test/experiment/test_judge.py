@@ -1,5 +1,7 @@
 """What a run is called: by recordings made by hand, and by short runs that went wrong."""
 
+from dataclasses import replace
+
 from multicontact_control.experiment.closed_loop import run_in_process
 from multicontact_control.experiment.judge import (
     again_at,
@@ -13,6 +15,7 @@ from multicontact_control.experiment.judge import (
     UNJUDGED,
     verdict_text,
 )
+from multicontact_control.experiment.metrics import contact_summary
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.supervision.event_log import CAPACITY, read_event
 import numpy as np
@@ -363,3 +366,35 @@ def test_late_reaction_ends_where_something_else_calls_for_one():
     assert late_reactions(events_of((1.0, LATE)), 9.0) == [(1.0, 9.0)]
     full = events_of(*((0.001 * k, (CALM, LATE)[k % 2]) for k in range(CAPACITY)))
     assert late_reactions(full, 9.0)[-1] == pytest.approx((0.999, 0.999))
+
+
+def test_couple_that_is_to_be_nothing_may_not_oscillate_either(edge):
+    data = perfect_run(edge)
+    data.alpha_true[:, 1] = edge.commanded(data.time)[:, 1]
+    late = data.time > 6.0
+    data.alpha_true[late, 1] += 2.0 * np.sin(2.0 * np.pi * 20.0 * data.time[late])
+    verdict = judge(data, edge)
+    assert verdict.name == NOT_STABLE
+    assert 'edge/along: oscillates at 20 Hz with 1.4 N rms' in verdict.reasons[0]
+    summary = contact_summary(data, edge, 1)
+    assert summary['moving']['true_error_rms_n'] == pytest.approx(2.0 / np.sqrt(2.0), rel=0.05)
+
+
+def test_contact_that_nobody_commanded_may_not_be_rammed(edge):
+    setup = replace(edge, commanded_by_topic=True)
+    data = perfect_run(edge)
+    data = replace(data, command=np.zeros_like(data.alpha_true))
+    data.alpha_true[:] = 0.0
+    data.alpha_des[:] = 0.0
+    assert judge(data, setup).name == STABLE
+    data.alpha_true[1000:1010, 0] = 200.0
+    assert judge(data, setup).reasons == ('edge: force of 200 N at a command of 0 N',)
+
+
+def test_log_that_is_full_does_not_make_a_run_good(setup, data):
+    events = events_of(*((0.004 * k, ('none | reference | holding, holding', CALM)[k % 2])
+                         for k in range(CAPACITY)))
+    assert judge(data, setup, events=events[:-1]).name == STABLE
+    verdict = judge(data, setup, events=events)
+    assert verdict.name == HELD
+    assert verdict.reasons[0].startswith(f'the supervisor changed something {CAPACITY} times')

@@ -152,3 +152,12 @@ def test_trajectory_hash_is_that_of_little_endian_torques(data):
     assert fortran.trajectory_sha256() == expected
     data.torque[0, 0] = np.nextafter(data.torque[0, 0], 9.0)
     assert data.trajectory_sha256() != expected
+
+
+def test_steps_of_a_couple_begin_at_nothing_and_not_at_the_preload():
+    """Those of `edge` go from 0 to 3 N, which is the preload, and back."""
+    edge = resolve('edge', plant='rigid')
+    data = empty_run_data(edge.ticks, edge.controller)
+    data = replace(data, alpha_true=edge.commanded(data.time))
+    assert [(step.time, step.size) for step in step_responses(data, edge, 1)] == [
+        (6.0, 3.0), (7.5, -3.0)]
