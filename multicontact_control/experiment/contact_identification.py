@@ -47,6 +47,7 @@ class ContactSignals:
     alpha: Vector  # measured force [N]
     alpha_des: Vector  # desired one [N]
     speed: Vector  # of the contact point INTO the surface [m/s]
+    motion: Vector  # speed of the contact point in whatever direction [m/s]
     friction: Vector  # of the others, per mu [N]
     commanded: Vector  # acceleration by the commanded torque [m/s^2]
     resisted: Vector  # and by the felt forces, gravity and the arm's own motion [m/s^2]
@@ -134,19 +135,23 @@ def contact_signals(
     controller = Controller.from_config(config, CommandedReference(names), base_dir)
     controls, contacts = controller.controls, controller.contacts
     shape = (data.ticks, len(names))
-    alpha, speed, friction, commanded, resisted = (np.full(shape, np.nan) for _ in range(5))
+    alpha, speed, motion, friction, commanded, resisted = (
+        np.full(shape, np.nan) for _ in range(6))
     for k in range(data.ticks):
         row = np.concatenate([data.q[k], data.qd[k], data.wrench[k], data.torque[k]])
         if not np.isfinite(row).all():
             continue
         controller.see(data.q[k], data.qd[k], data.wrench[k])
         alpha[k] = contacts['alpha_meas']
-        speed[k] = contacts['N'] @ controls['frame']['twist'][0]
+        frame = controls[0]['frame']
+        twist, levers = frame['twist'], contacts['point'] @ frame['rotation'].T
+        speed[k] = contacts['N'] @ twist
+        motion[k] = np.linalg.norm(twist[:3] + np.cross(twist[3:], levers), axis=1)
         friction[k] = [friction_of_others(controls[0]['frame'], contacts, i)
                        for i in range(len(names))]
         commanded[k], resisted[k] = _accelerations(controller, data.torque[k])
     return {name: ContactSignals(alpha[:, i], np.nan_to_num(data.alpha_des[:, i]), speed[:, i],
-                                 friction[:, i], commanded[:, i], resisted[:, i])
+                                 motion[:, i], friction[:, i], commanded[:, i], resisted[:, i])
             for i, name in enumerate(names)}
 
 
@@ -210,8 +215,13 @@ def _band_passed(signal: ContactSignals, config: ControllerConfig) -> tuple[Matr
 
 
 def _noise(signal: ContactSignals) -> dict[str, float] | None:
-    """Return the variance of the force at rest, from its changes: noise that is white."""
-    quiet = (np.abs(signal.speed) < QUIET_SPEED) & (signal.alpha_des > 0.0)
+    """
+    Return the variance of the force at rest, from its changes: noise that is white.
+
+    A contact that slides does not rest: there the roughness of its surface would be taken for
+    noise of the sensor.
+    """
+    quiet = (signal.motion < QUIET_SPEED) & (signal.alpha_des > 0.0)
     both = quiet[1:] & quiet[:-1] & (np.diff(signal.alpha_des) == 0.0)
     changes = np.diff(signal.alpha)[both]
     if len(changes) < LEAST_SAMPLES:
