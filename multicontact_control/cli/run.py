@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from enum import Enum
 from typing import Annotated, Any, NoReturn
 
@@ -56,6 +57,10 @@ def run(
     robot_timeout: Annotated[float, typer.Option(
         help='With --external: time without a sample after which the robot counts as gone '
         '[s].')] = 5.0,
+    commanded: Annotated[bool, typer.Option(
+        '--commanded', help='Let the simulated arm obey the command topics, as a robot does, '
+        'instead of playing the scenario, of which contacts, surfaces and disturbances stay. Ends '
+        'after --duration, or with Ctrl-C.')] = False,
     lockstep: Annotated[bool, typer.Option(
         '--lockstep', help='Let the nodes wait for each other instead of for the wall clock: '
         'the same torques as `simulate`, bit for bit.')] = False,
@@ -90,7 +95,8 @@ def run(
         given = given_options(context)
         # Only now: what is heavy is not loaded for the sake of an error.
         if external:
-            refuse_options(given, ('robot', 'plant', 'seed', 'lockstep', 'engine'), '--external')
+            refuse_options(given, ('robot', 'plant', 'seed', 'commanded', 'lockstep', 'engine'),
+                           '--external')
             resolved, folder = prepare_external(
                 controller or (), scenario if 'scenario' in given else None, duration,
                 noise_estimator, out, overwrite, preset=preset if 'preset' in given else '',
@@ -105,11 +111,12 @@ def run(
         setup, folder = prepare(
             scenario, plant, seed, duration, noise_estimator, out, overwrite, preset=preset,
             law=law, settings=settings, robot=robot, engine=engine)
+        setup = replace(setup, commanded_by_topic=commanded)
         from multicontact_control.experiment.run import GraphOptions, run_real_time
 
         summary, interrupted = run_real_time(setup, folder, GraphOptions(
             lockstep=lockstep, domain_id=domain_id, namespace=namespace, composed=composed.value,
-            realtime=realtime), supervised=not bare)
+            realtime=realtime, endless=commanded and duration is None), supervised=not bare)
     end(summary, interrupted)
 
 

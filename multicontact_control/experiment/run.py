@@ -97,6 +97,8 @@ class GraphOptions:
         seconds; then all, as in lockstep.
     realtime
         Whether to ask for real-time priority, processors and memory.
+    endless
+        Whether a simulated arm goes on until a signal ends it, whatever its scenario says.
 
     """
 
@@ -105,6 +107,7 @@ class GraphOptions:
     namespace: str = ''
     composed: str = AUTO
     realtime: bool = False
+    endless: bool = False
 
 
 def run_real_time(
@@ -112,7 +115,7 @@ def run_real_time(
     supervised: bool = True, console: Console | None = None,
 ) -> tuple[dict[str, Any], int | None]:
     """
-    Run a scenario on the ROS 2 graph, record it, and leave its results in a folder.
+    Run a scenario, or commands, on the ROS 2 graph, and leave recording and results in a folder.
 
     Parameters
     ----------
@@ -124,7 +127,8 @@ def run_real_time(
     Returns
     -------
     tuple
-        The content of ``summary.json``, and the signal that ended the run early, if one did.
+        The content of ``summary.json``, and the signal that ended the run early, if one did: a
+        run without an end is ended by one.
 
     Raises
     ------
@@ -147,8 +151,9 @@ def run_real_time(
     if composed == AUTO:
         composed = 'all' if options.lockstep else 'none'
     spec = GraphSpec(
-        out=folder, ticks=setup.ticks, rate=setup.controller.rate, lockstep=options.lockstep,
-        seed=setup.seed, reference_file=config / 'reference.yaml', domain_id=options.domain_id,
+        out=folder, ticks=0 if options.endless else setup.ticks, rate=setup.controller.rate,
+        lockstep=options.lockstep, seed=setup.seed, domain_id=options.domain_id,
+        reference_file=None if setup.commanded_by_topic else config / 'reference.yaml',
         namespace=options.namespace, extra_parameters={'controller_node': {
             'supervised': supervised, 'patience': SIMULATION_PATIENCE}},
         parameter_files=setup.write(config), realtime=options.realtime, recording_batches=True,
@@ -158,15 +163,26 @@ def run_real_time(
         for name, node in result.timing.items():
             console.print(f'{name}: {node.get("scheduling", "ended without a word")}',
                           highlight=False)
-    content = read_bag(result.bag, setup.controller)
+    content = read_bag(result.bag, setup.controller, commanded=setup.commanded_by_topic)
+    interrupted = None if options.endless else result.interrupted
+    if options.endless:
+        setup = as_long_as(content.data, setup, config)
     events = result.timing.get('controller_node', {}).get('events', [])
     summary = summarise(
         content.data, setup, mode='lockstep' if options.lockstep else REAL_TIME,
         timing={**graph_timing(result.timing, content), 'composed': composed},
-        ended_early='' if result.interrupted is None else 'interrupted by a signal',
+        ended_early='' if interrupted is None else 'interrupted by a signal',
         events=events if supervised else None)
     summary['ros_domain_id'] = result.domain_id
-    return _finish(content.data, setup, folder, summary, console), result.interrupted
+    return _finish(content.data, setup, folder, summary, console), interrupted
+
+
+def as_long_as(data: RunData, setup: Setup, config: Path) -> Setup:
+    """Return a setup that lasts as long as a run without an end has, and leave it in its files."""
+    scenario = setup.scenario.model_copy(update={'duration': data.ticks / data.rate})
+    setup = replace(setup, scenario=scenario)
+    setup.write(config)
+    return setup
 
 
 def run_external(
@@ -223,7 +239,8 @@ def run_external(
         parameter_files=setup.write(config), realtime=options.realtime, recording_batches=True,
         composed='control' if options.composed == 'control' else 'none')
     robot = Robot(setup.controller.robot.joint_names, setup.controller.wrench_input,
-                  node.effort_output_topic, robot_timeout, external.duration)
+                  node.pair_tolerance * setup.controller.period, node.effort_output_topic,
+                  robot_timeout, external.duration)
 
     def tell(text: str) -> None:
         console.print(text, highlight=False, markup=False, soft_wrap=True)
@@ -253,9 +270,7 @@ def _report_external(
         result.bag, setup.controller, namespace=namespace, commanded=setup.commanded_by_topic))
     data = content.data
     if external.duration is None:
-        scenario = setup.scenario.model_copy(update={'duration': data.ticks / data.rate})
-        setup = replace(setup, scenario=scenario)
-        setup.write(folder / CONFIG_FOLDER)
+        setup = as_long_as(data, setup, folder / CONFIG_FOLDER)
     timing = {name: value for name, value in graph_timing(result.timing, content).items()
               if name not in OF_THE_PLANT}
     events = result.timing.get('controller_node', {}).get('events', [])
@@ -275,7 +290,8 @@ def _run_graph(
 
     may_change = options.composed == AUTO and spec.composed == 'none' and not options.lockstep
     try:
-        with progress_bar(f'run {setup.scenario.name}', setup.scenario.duration, console,
+        duration = None if options.endless else setup.scenario.duration
+        with progress_bar(f'run {setup.scenario.name}', duration, console,
                           'starting the nodes') as show:
             pace = PaceNotice(console, lockstep=options.lockstep, may_change=may_change)
 

@@ -23,6 +23,7 @@ from multicontact_control.sensor.identification import (
     PoseReading,
 )
 from multicontact_control.sensor.tare import TareConfig
+from multicontact_control.supervision.fallback import INFLATE, NONE
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -128,6 +129,9 @@ def _arm(files: Sequence[Path]) -> tuple[ControllerConfig, RobotModel]:
         raise ConfigError('--controller', 'the parameter file of your controller', 'none')
     read = read_controller_files(files)
     controller = read.config()
+    if controller.wrench_input not in WRENCHES:
+        raise ConfigError('wrench_input', 'raw or filtered: without a wrist sensor there is '
+                          'nothing to calibrate', controller.wrench_input)
     return controller, RobotModel(controller.robot, read.urdf_dir)
 
 
@@ -244,6 +248,7 @@ def weigh_running(
         _tare(arm, 2 * config.quiet.min_samples, timeout)
         with contextlib.suppress(RunError):  # if it does not wait
             arm.retry()
+        _await_control(arm, timeout)
         # From one side to the other, well within the limit of the angular speed.
         slowest = max(move_time, PEAK * 2.0 * tilt / (SHARE * controller.limits.operational_turn))
         before = Rotation.from_quat(start.quaternion_desired)
@@ -270,6 +275,16 @@ def _tare(arm: Any, samples: int, timeout: float) -> None:
         except RunError:
             if time.monotonic() > give_up:
                 raise
+
+
+def _await_control(arm: Any, timeout: float) -> None:
+    """Wait until the arm is controlled, and obeys; RunError if it is not."""
+    give_up = time.monotonic() + timeout
+    while (status := arm.status()) is None or status.reaction not in (NONE, INFLATE):
+        if time.monotonic() > give_up:
+            raise RunError('calibrate: expected control to begin once the weight is tared away, '
+                           f'found {"nothing said" if status is None else status.text}')
+        arm.read()
 
 
 def _tilt(

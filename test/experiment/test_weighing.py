@@ -4,7 +4,7 @@ from foreign_bag import controller_file, JOINTS, RATE, START
 from multicontact_control.cli import app
 from multicontact_control.config import read_parameters, ToolConfig
 from multicontact_control.dynamics.robot import RobotModel
-from multicontact_control.errors import CalibrationError, RunError
+from multicontact_control.errors import CalibrationError, ConfigError, RunError
 from multicontact_control.experiment.external import read_controller_files
 from multicontact_control.experiment.weighing import find_rests, RestConfig, weigh_recording
 from multicontact_control.nodes import messages, topics
@@ -90,6 +90,14 @@ def test_too_few_rests_and_missing_topics_are_named(tmp_path):
         (tmp_path / 'seven.urdf').read_text().replace('"j6"', '"other"'))
     with pytest.raises(RunError, match='positions of the joints .*other, found j0, j1'):
         weigh_recording(tmp_path / 'bag', [six])
+
+
+def test_arm_without_a_wrist_sensor_has_nothing_to_calibrate(tmp_path):
+    file, other = controller_file(tmp_path), tmp_path / 'momentum.yaml'
+    other.write_text('/**: {ros__parameters: {wrench_input: momentum, robot: {sensor_frame: ""}, '
+                     'sensor: {require_push_test: false}}}')
+    with pytest.raises(ConfigError, match='wrench_input: expected raw or filtered: without a'):
+        weigh_recording(tmp_path / 'bag', [file, other])
 
 
 def test_gap_and_motion_are_no_rest():

@@ -44,6 +44,7 @@ FIRST_TELL = 1.0  # s, before anything is said of what is missing
 LONGEST_NAMING = 2.0  # s, that the names of the robot's nodes are waited for
 SAFE_TIME = 0.5  # s, in which the robot gets the safe behaviour
 DEACTIVATION_TIMEOUT = 5.0
+WRENCHES = {'raw': topics.WRENCH, 'filtered': topics.WRENCH_FILTERED, 'momentum': None}
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,9 @@ class Robot:
     joint_names
         Joints that it has, among others.
     wrench_input
-        Which wrench the controller reads: ``raw`` or ``filtered``.
+        Which wrench the controller reads: ``raw`` or ``filtered``; or ``momentum`` for none.
+    pair_tolerance
+        By how much the stamps of a pair of joints and wrench may differ [s].
     effort_output_topic
         Topic that it may take efforts from instead of ``joint_effort_command``; empty for none.
     timeout
@@ -68,6 +71,7 @@ class Robot:
 
     joint_names: Sequence[str]
     wrench_input: str = 'raw'
+    pair_tolerance: float = 0.0
     effort_output_topic: str = ''
     timeout: float = 5.0
     duration: float | None = None
@@ -112,7 +116,7 @@ def run_external_graph(
         on_domain(domain_id)
         with ProgressListener(domain_id, spec.namespace) as listener, RobotWatch(
                 domain_id, spec.namespace, joint_names=robot.joint_names, rate=spec.rate,
-                wrench=topics.WRENCH if robot.wrench_input == 'raw' else topics.WRENCH_FILTERED,
+                wrench=WRENCHES[robot.wrench_input], pair_tolerance=robot.pair_tolerance,
                 effort_output_topic=robot.effort_output_topic) as watch:
             session = _Session(
                 spec, robot, domain_id, interrupted, listener, watch, on_progress, tell)

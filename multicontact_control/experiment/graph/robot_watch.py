@@ -4,17 +4,20 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
+import contextlib
 from statistics import median
 import time
 from typing import Any
 
+from multicontact_control.errors import MessageError
 from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.nodes.graph_node import ignore, NAMELESS, take
 from multicontact_control.nodes.link import GuestNode
+import numpy as np
 from rclpy.qos import ReliabilityPolicy
 
 OURS = (topics.CONTROLLER, topics.ESTIMATOR, topics.RECORDER)
-HEARD = 100  # samples that are looked at for a rate, and for equal stamps
+HEARD = 100  # samples that are looked at for a rate, and for stamps that make pairs
 SILENCE = 2.0  # s without a message, from which on a robot that was heard is silent
 RATE_BAND = 1.5  # rates beyond 1 / this to this times the right one are told
 
@@ -31,7 +34,9 @@ class _Heard:
     def poll(self) -> None:
         while (taken := take(self.subscription)) is not None:
             self.newest, self.at = taken[0], time.monotonic()
-            self.stamps.append(messages.stamp_to_ns(self.newest.header.stamp))
+            # A stamp that is none is for the controller to refuse and to count.
+            with contextlib.suppress(MessageError):
+                self.stamps.append(messages.stamp_to_ns(self.newest.header.stamp))
 
 
 class RobotWatch(GuestNode):
@@ -47,7 +52,9 @@ class RobotWatch(GuestNode):
     rate
         At which it is to publish [Hz].
     wrench
-        Topic of the wrist sensor.
+        Topic of the wrist sensor; None for a robot that has none.
+    pair_tolerance
+        By how much the stamps of a pair of joints and wrench may differ [s].
     effort_output_topic
         Topic that it may take efforts from instead of ``joint_effort_command``; empty for none.
 
@@ -55,13 +62,15 @@ class RobotWatch(GuestNode):
 
     def __init__(
         self, domain_id: int, namespace: str, *, joint_names: Sequence[str], rate: float,
-        wrench: topics.Topic = topics.WRENCH, effort_output_topic: str = '',
+        wrench: topics.Topic | None = topics.WRENCH, pair_tolerance: float = 0.0,
+        effort_output_topic: str = '',
     ) -> None:
         super().__init__('robot_watch', domain_id, namespace)
         self._heard = {topic: _Heard(self.node.create_subscription(
             topic.message, topic.name, ignore, qos.WATCH))
-            for topic in (topics.JOINT_STATES, wrench)}
+            for topic in (topics.JOINT_STATES, wrench) if topic is not None}
         self._joints, self._rate, self._wrench = tuple(joint_names), rate, wrench
+        self._tolerance = pair_tolerance
         self._efforts = [topics.EFFORT_COMMAND.name, *filter(None, [effort_output_topic])]
         self._publishers: dict[topics.Topic, str] = {}
 
@@ -125,12 +134,16 @@ class RobotWatch(GuestNode):
     def doubts(self) -> str:
         """Return what would keep the controller from answering samples; empty if nothing."""
         self.poll()
-        joints, wrench = (self._heard[topic] for topic in (topics.JOINT_STATES, self._wrench))
-        if not (len(joints.stamps) == len(wrench.stamps) == HEARD):
+        if any(len(heard.stamps) < HEARD for heard in self._heard.values()):
             return ''
-        if not set(joints.stamps) & set(wrench.stamps):
-            return ('joint_states and wrench with equal stamps, which never came: the newest are '
-                    f'{joints.stamps[-1]} and {wrench.stamps[-1]} ns')
+        joints = self._heard[topics.JOINT_STATES]
+        if self._wrench is not None:
+            wrench = self._heard[self._wrench]
+            apart = np.abs(np.subtract.outer(joints.stamps, wrench.stamps)).min() * 1e-9
+            if apart > self._tolerance:
+                return (f'joint_states and wrench with stamps that differ by at most '
+                        f'{1e3 * self._tolerance:g} ms, which never came: the newest are '
+                        f'{joints.stamps[-1]} and {wrench.stamps[-1]} ns')
         steps = [after - before for before, after in zip(joints.stamps, list(joints.stamps)[1:])]
         period = median(steps) * 1e-9  # a few may have been lost on the way here
         rate = 1.0 / period if period > 0.0 else 0.0

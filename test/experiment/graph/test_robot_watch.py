@@ -18,7 +18,7 @@ class Robot:
     def __init__(self, domain_id, profile=qos.STREAM):
         self._guest = GuestNode('their_robot', domain_id)
         self.node = self._guest.node
-        self._joints = self.node.create_publisher(
+        self.joints = self.node.create_publisher(
             topics.JOINT_STATES.message, topics.JOINT_STATES.name, profile)
         self._wrench = self.node.create_publisher(
             topics.WRENCH.message, topics.WRENCH.name, profile)
@@ -32,7 +32,7 @@ class Robot:
         for _ in range(count):
             self.k += 1
             stamp = 1_000_000_000 + self.k * period
-            self._joints.publish(messages.joint_state_message(
+            self.joints.publish(messages.joint_state_message(
                 stamp, names, position=[0.0] * len(names), velocity=[0.0] * len(names)))
             self._wrench.publish(messages.wrench_message(stamp + late, [0.0] * 6, 'wrist'))
 
@@ -79,13 +79,45 @@ def test_what_is_missing_is_said_until_nothing_is(domain_id):
 
 
 @pytest.mark.parametrize(('published', 'doubt'), [
-    ({'late': 1_000_000}, 'with equal stamps, which never came'),
+    ({'late': 900_000}, 'with stamps that differ by at most 0.8 ms, which never came'),
     ({'period': 10_000_000}, 'joint_states at 500 Hz, the rate of the controller; its stamps '
      'come at 100 Hz')])
 def test_samples_that_cannot_be_answered_are_doubted(domain_id, published, doubt):
-    with RobotWatch(domain_id, '', joint_names=JOINTS, rate=500.0) as watch:
+    with RobotWatch(domain_id, '', joint_names=JOINTS, rate=500.0, pair_tolerance=8e-4) as watch:
         robot = Robot(domain_id)
         wait_until(watch, robot, lambda it: doubt in it.doubts(), **published)
+        robot.close()
+
+
+def test_stamps_that_make_pairs_are_not_doubted(domain_id):
+    with RobotWatch(domain_id, '', joint_names=JOINTS, rate=500.0, pair_tolerance=8e-4) as watch:
+        robot = Robot(domain_id)
+        wait_until(watch, robot, lambda it: 'stamps' in it.doubts(), late=900_000)
+        wait_until(watch, robot, lambda it: not it.doubts(), late=700_000)
+        robot.close()
+
+
+def test_robot_without_a_wrist_sensor_needs_none(domain_id):
+    with RobotWatch(domain_id, '', joint_names=JOINTS, rate=500.0, wrench=None) as watch:
+        assert 'wrench' not in watch.missing()
+        robot = Robot(domain_id)
+        robot.listen()
+        wait_until(watch, robot, lambda it: not it.missing())
+        wait_until(watch, robot, lambda it: 'at 500 Hz' in it.doubts(), period=10_000_000)
+        assert watch.found == '/joint_states from their_robot'
+        robot.close()
+
+
+def test_stamp_that_is_none_does_not_end_the_watching(domain_id):
+    with RobotWatch(domain_id, '', joint_names=JOINTS, rate=500.0) as watch:
+        robot = Robot(domain_id)
+        robot.listen()
+        wait_until(watch, robot, lambda it: not it.missing())
+        message = messages.joint_state_message(
+            0, JOINTS, position=[0.0] * 2, velocity=[0.0] * 2)
+        message.header.stamp.nanosec = 1_000_000_000
+        robot.joints.publish(message)
+        wait_for(lambda: watch.silent(0.3), 'silence')  # it has been taken, and raised nothing
         robot.close()
 
 
