@@ -13,10 +13,12 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
+import math
 import time
 from typing import Any
 import warnings
 
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from multicontact_control.arrays import Vector
 from multicontact_control.errors import RunError
@@ -54,6 +56,8 @@ class ControllerStatus:
 
     Attributes
     ----------
+    event
+        Why it says it: ``refused`` a command, or told its ``state``.
     text
         What it does, ``ok`` if that is what it is asked for.
     life_cycle
@@ -64,9 +68,14 @@ class ControllerStatus:
         State of each contact in words.
     refused, last_refusal
         How many commands it has refused so far, and the last of them.
+    held
+        Whether it holds pose and forces on command.
+    push_test
+        What the push test asks for; empty if it asks for nothing.
 
     """
 
+    event: str
     text: str
     life_cycle: str
     reaction: str
@@ -74,6 +83,23 @@ class ControllerStatus:
     contacts: str
     refused: int
     last_refusal: str
+    held: bool
+    push_test: str
+
+    @classmethod
+    def of(cls, message: DiagnosticStatus) -> ControllerStatus:
+        """Return what a message on ``~/status`` says."""
+        values = {x.key: x.value for x in message.values}
+        return cls(
+            values['event'], message.message, values['life_cycle'], values['reaction'],
+            values['causes'], values['contacts'], int(values['refused']),
+            values['last_refusal'], values['held'] == str(True), values['push_test'])
+
+    def refuses(self, topic: topics.Topic, before: ControllerStatus | None) -> bool:
+        """Return whether it says that a command on a topic was refused since `before`."""
+        # Of those that come close after each other only the count tells.
+        more = before is not None and self.refused > before.refused
+        return self.last_refusal.startswith(topic.name) and (self.event == 'refused' or more)
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,16 +215,10 @@ class MultiContactClient:
     def status(self) -> ControllerStatus | None:
         """Return what the controller has said of itself last, None if nothing so far."""
         for message in self._link.queue(topics.STATUS):
-            values = {x.key: x.value for x in message.values}
-            status = ControllerStatus(
-                message.message, values['life_cycle'], values['reaction'],
-                values['causes'], values['contacts'], int(values['refused']),
-                values['last_refusal'])
-            # Of those that come close after each other only the count tells; motions go on coming.
-            more = self._status is not None and status.refused > self._status.refused
+            status, before = ControllerStatus.of(message), self._status
             for topic in (topics.FORCE_COMMAND, topics.MOTION_COMMAND):
-                if status.last_refusal.startswith(topic.name) and (
-                        values['event'] == 'refused' or more and topic is topics.FORCE_COMMAND):
+                # Of motions, which go on coming, the next one tells.
+                if status.refuses(topic, before if topic is topics.FORCE_COMMAND else None):
                     self._refusals[topic] = f'{topics.CONTROLLER}: refused: {status.last_refusal}'
             self._status = status
         return self._status
@@ -328,13 +348,15 @@ class MultiContactClient:
         Raises
         ------
         RunError
-            If no controller listens or answers, or samples stop coming.
+            If no controller listens or answers, or samples stop coming or begin anew.
         CommandRefusedError
             If the controller does not obey; the arm stays where it got to.
         MessageError
-            If a number is not finite.
+            If a number is not finite, or the duration is not above 0.
 
         """
+        if not 0.0 < duration < math.inf:
+            raise messages.MessageError('duration', 'above 0 s', f'{duration:g} s')
         goal = messages.finite_array(position_world, 3, 'position_world')
         # All that takes time comes first: the motion runs from the sample that it starts at.
         self._link.is_heard(topics.STATUS, OPTIONAL_WAIT)
@@ -351,7 +373,11 @@ class MultiContactClient:
         while elapsed < duration:
             self._raise_refusal(topics.MOTION_COMMAND)
             sample, = self._link.fresh(topics.POSE_DESIRED)
+            before = elapsed
             elapsed = (messages.stamp_to_ns(sample.header.stamp) - first_stamp) * 1e-9
+            if elapsed < before:
+                raise RunError(f'{topics.POSE_DESIRED.name}: expected stamps that go on, found '
+                               f'one {before - elapsed:.3g} s before the last: samples begin anew')
             s, ds, dds = quintic(min(elapsed, duration), duration)
             change = np.concatenate([goal - position, rotation_vector])
             self._link.publish(self._motion_publisher, messages.motion_message(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import threading
 
 from lifecycle_msgs.srv import ChangeState, GetState
@@ -12,7 +13,8 @@ from multicontact_control.client import (
     NotReachedError,
 )
 from multicontact_control.errors import RunError
-from multicontact_control.nodes import messages
+from multicontact_control.nodes import messages, topics
+from multicontact_control.nodes.graph_node import create_publisher, create_subscription, ignore
 from multicontact_control.nodes.link import (
     ACTIVATE,
     CLEAN_UP,
@@ -194,6 +196,16 @@ class StandIn:
         self._thread = threading.Thread(target=self._executor.spin)
         self._thread.start()
 
+    def publish_poses_that_begin_anew(self, count):
+        node, numbers = self._guest.node, itertools.cycle(range(count))
+        publisher = create_publisher(node, topics.POSE_DESIRED)
+        create_publisher(node, topics.STATUS)
+        create_subscription(
+            node, topics.MOTION_COMMAND, ignore, topics.MOTION_COMMAND.profile)
+        node.create_timer(0.005, lambda: publisher.publish(messages.pose_message(
+            1_000_000_000 + 2_000_000 * next(numbers), [0.0, 0.5, 0.5], [0.0, 0.0, 0.0, 1.0],
+            'world')))
+
     def _get_state(self, _request, response):
         response.current_state.label = self.state
         return response
@@ -236,6 +248,35 @@ def test_client_drives_services_and_lifecycle(domain_id):
         controller.close()
     assert controller.asked == [
         CONFIGURE, ACTIVATE, True, False, DEACTIVATE, ACTIVATE]
+
+
+def test_motion_takes_time_and_ends_where_the_samples_begin_anew(arm, domain_id):
+    here = arm.read().position_world
+    for duration in (0.0, -1.0, float('nan'), float('inf')):
+        with pytest.raises(messages.MessageError, match='duration: expected above 0 s, found'):
+            arm.move(here, duration)
+    controller = StandIn(domain_id)
+    try:
+        controller.publish_poses_that_begin_anew(count=200)
+        with MultiContactClient('stand_in', domain_id=domain_id, timeout=PATIENCE) as client, (
+                pytest.raises(RunError, match='samples begin anew')):
+            client.move([0.0, 0.5, 0.5], 1e6)
+    finally:
+        controller.close()
+
+
+def test_what_comes_while_a_service_is_called_is_not_lost(arm):
+    arm.set_forces({'table': 40.0})  # beyond what may be commanded
+    for _ in range(20):
+        arm.hold(False)
+    with pytest.raises(CommandRefusedError, match='found 40 N'):
+        arm.wait_until_reached()
+    arm.set_forces({'table': 0.0})
+
+
+def test_client_that_is_closed_twice_says_nothing(domain_id):
+    with MultiContactClient('nobody', domain_id=domain_id) as client:
+        client.close()
 
 
 def test_motion_message_is_what_the_controller_reads():

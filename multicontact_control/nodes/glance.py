@@ -25,18 +25,19 @@ class GlancingLink(ControllerLink):
 
     Parameters
     ----------
-    topics
-        What to listen to.
+    topics, queued
+        What to listen to; as for `ControllerLink`.
     namespace, domain_id, timeout
         As for `ControllerLink`.
 
     """
 
     def __init__(
-        self, topics: Sequence[Topic], *, namespace: str, domain_id: int | None, timeout: float,
+        self, topics: Sequence[Topic], *, queued: Sequence[Topic] = (), namespace: str,
+        domain_id: int | None, timeout: float,
     ) -> None:
         batched = [topic for topic in topics if topic in batched_by(topic.publisher)]
-        super().__init__([topic for topic in topics if topic not in batched],
+        super().__init__([topic for topic in topics if topic not in batched], queued=queued,
                          namespace=namespace, domain_id=domain_id, timeout=timeout)
         self._batched = {self.node.resolve_topic_name(topic.name): topic for topic in batched}
         self._batches: dict[str, Subscription] = {

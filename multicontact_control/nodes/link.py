@@ -6,6 +6,7 @@ A node of its own in a context that is shared, services, and the life cycle of m
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Sequence
 import os
 import threading
@@ -104,9 +105,11 @@ class GuestNode:
         self.close()
 
     def close(self) -> None:
-        """Leave the graph."""
+        """Leave the graph; nothing if that is done."""
         with _lock:
             guests = _shared[self._domain_id]
+            if self.node not in guests:
+                return
             guests.remove(self.node)
             self.node.destroy_node()
             if not guests:
@@ -297,10 +300,9 @@ class ControllerLink(LifecycleDriver):
     ) -> None:
         super().__init__(domain_id, namespace=namespace, patience=timeout,
                          name=f'multicontact_client_{os.getpid()}')
+        self._queued: dict[Topic, deque[Any]] = {topic: deque() for topic in queued}
         self._queues: dict[Topic, Subscription] = {
-            topic: self.node.create_subscription(
-                topic.message, topic.name, ignore, qos.QUEUE)
-            for topic in queued}
+            topic: self._keep_all(topic) for topic in queued}
         self._newest: dict[Topic, Any] = {}
         # How many readers a topic had when the controller was among them.
         self._reached: dict[str, int] = {}
@@ -314,6 +316,12 @@ class ControllerLink(LifecycleDriver):
         return self.node.create_subscription(
             topic.message, topic.name, ignore if raw else keep,
             qos.LATCHED if topic.profile == qos.LATCHED else qos.GLANCE, raw=raw)
+
+    def _keep_all(self, topic: Topic) -> Subscription:
+        # The executor, which runs while a service is called, may be faster than `queue`.
+        def keep(message: Any) -> None:
+            self._queued[topic].append(message)
+        return self.node.create_subscription(topic.message, topic.name, keep, qos.QUEUE)
 
     def publisher(self, topic: Topic) -> Publisher:
         """Return a publisher of a command."""
@@ -380,9 +388,11 @@ class ControllerLink(LifecycleDriver):
 
     def queue(self, topic: Topic) -> list[Any]:
         """Return the messages of a topic that have come since this was called last."""
-        found = []
+        waiting = self._queued[topic]
         while (taken := take(self._queues[topic])) is not None:
-            found.append(taken[0])
+            waiting.append(taken[0])
+        found = list(waiting)
+        waiting.clear()
         return found
 
     def is_heard(self, topic: Topic, timeout: float) -> bool:

@@ -318,8 +318,9 @@ def joint_state_reader(names: Sequence[str]) -> MessageReader[JointReading]:
             return None
         places = messages.places_among(message.name, names)
         efforts = message.effort
-        with_effort = len(efforts) == len(message.name) and all(
-            math.isfinite(efforts[place]) for place in places)
+        with_effort = len(efforts) == len(message.name)
+        if with_effort and not all(math.isfinite(efforts[place]) for place in places):
+            return None  # they are not measured in this message, but may be in the next
         as_they_are = places == list(range(len(message.name)))
         return (_runs(message, JOINT_FIELDS if with_effort else JOINT_FIELDS[:2]),
                 None if as_they_are else np.array(places))

@@ -63,14 +63,15 @@ class Stream:
         """
         Take note of a message's number in its stream; what is skipped was lost.
 
-        A number that falls back is a new publisher's. What was sent before the first number was
-        not for the recorder, which may have come late.
+        A number that falls back is a new publisher's; of several at once nothing can be told.
+        What was sent before the first number was not for the recorder, which may have come late.
         """
         if sequence is None or not self.judged:
             return
         if self.last_sequence == 0:
             self.before_start = sequence - 1
-        elif sequence > self.last_sequence:
+        elif sequence > self.last_sequence + 1 and (
+                self.subscription is None or self.subscription.get_publisher_count() < 2):
             self.lost += sequence - self.last_sequence - 1
         self.last_sequence = sequence
 

@@ -80,6 +80,14 @@ def test_joints_among_others_are_read_in_place():
     assert reader.slow == 2
 
 
+def test_efforts_are_measured_again_after_one_that_was_not_a_number():
+    reader = joint_state_reader(['a'])
+    for effort, seen in ((math.nan, None), (2.0, [2.0]), (math.nan, None), (3.0, [3.0])):
+        found = reader.read(serialize_message(messages.JointState(
+            name=['a'], position=[0.0], velocity=[0.0], effort=[effort])))
+        assert (found.effort if seen is None else found.effort.tolist()) == seen
+
+
 def test_wrench_of_another_frame_is_refused_and_one_of_none_is_told_once():
     told = []
     reader = wrench_reader('ft', lambda: told.append(1))
@@ -115,6 +123,7 @@ def test_joint_states_are_read_as_rclpy_reads_them(sent, repeat, data):
         else:
             assert found.stamp == expected.stamp
             assert same(found.q, expected.q) and same(found.qd, expected.qd)
+            assert (found.effort is None) == (expected.effort is None)
             assert found.effort is None or same(found.effort, expected.effort)
 
 

@@ -84,6 +84,27 @@ def test_recorder_keeps_every_message_and_closes_the_bag(
         COUNT * len(RECORDED), 0, 0)
 
 
+def test_numbers_of_two_publishers_are_not_taken_for_losses(middleware, tmp_path):
+    """A gripper publishes its joints on the arm's topic; each counts by itself."""
+    counts_file = tmp_path / 'counts.json'
+    arm, gripper = (middleware.node.create_publisher(JointState, 'joint_states', qos.STREAM)
+                    for _ in range(2))
+    process = start_recorder(middleware, tmp_path / 'bag', {topics.JOINT_STATES: arm},
+                             f'timing_file:={counts_file}')
+    for k in range(200):
+        arm.publish(messages.joint_state_message(2 * k, ['a'], effort=[k]))
+        if k > 100:
+            gripper.publish(messages.joint_state_message(2 * k + 1, ['finger'], effort=[k]))
+        time.sleep(0.002)
+    for publisher in (arm, gripper):
+        assert publisher.wait_for_all_acked(Duration(seconds=PATIENCE))
+    process.send_signal(signal.SIGINT)
+    _, errors = end_of(process)
+    assert process.returncode == 0, errors
+    counts = json.loads(counts_file.read_text(encoding='utf-8'))
+    assert (counts['messages'], counts['lost']) == (299, 0)
+
+
 def test_what_is_published_best_effort_is_recorded_so(middleware, tmp_path):
     publisher = middleware.node.create_publisher(JointState, 'joint_states', qos.SENSOR)
     process = middleware.start(
