@@ -146,6 +146,10 @@ class Contacts:
         """Multiply a surface's coefficient of friction."""
         self._surfaces[contact]['friction'] *= factor
 
+    def set_friction(self, contact: int, friction: float) -> None:
+        """Give a surface another coefficient of friction."""
+        self._surfaces[contact]['friction'] = friction
+
     def update(self, q: Vector, qd: Vector, push_world: Vector) -> bool:
         """
         Work out the contacts for a state of the arm and a push at the wrist point.

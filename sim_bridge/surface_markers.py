@@ -5,9 +5,8 @@ from __future__ import annotations
 from geometry_msgs.msg import Point
 from multicontact_control.arrays import Matrix
 from multicontact_control.nodes import messages, topics
-import numpy as np
 from sim_bridge.config import PlantConfig
-from sim_bridge.surface_patch import surface_patch
+from sim_bridge.surface_patch import patch_of
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -38,8 +37,7 @@ class SurfaceMarkers:
         self._moving = any(surface.moves for surface in surfaces)
         self._message = MarkerArray()
         for number, (name, surface) in enumerate(zip(config.drawn, surfaces)):
-            patch = surface_patch(
-                np.array(surface.normal_world), surface.radius, ball=surface.shape == 'sphere')
+            patch = patch_of(surface)
             red, green, blue = COLOURS[number % len(COLOURS)]
             marker = Marker(
                 ns=f'{NAMESPACE}/{name}', id=number, type=Marker.TRIANGLE_LIST,

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from multicontact_control.arrays import Matrix, Vector
 import numpy as np
+from sim_bridge.config import SurfaceConfig
 from sim_bridge.surface import track_direction
 
 SIZE, THICKNESS = (0.70, 0.34), 0.016  # m, along the track and across it; behind the surface
@@ -54,6 +55,12 @@ def surface_patch(normal_world: Vector, radius: float = 0.0, *, ball: bool = Fal
     depth = radius - np.sign(radius) * np.sqrt(np.maximum(radius ** 2 - away, 0.0))
     front = along * track + aside * across + depth * normal_world
     return Patch(np.concatenate([front, front + THICKNESS * normal_world]), _slab(*cells))
+
+
+def patch_of(surface: SurfaceConfig) -> Patch:
+    """Return what a surface of the plant looks like."""
+    return surface_patch(
+        np.array(surface.normal_world), surface.radius, ball=surface.shape == 'sphere')
 
 
 def half_size(radius: float, *, ball: bool) -> tuple[float, float]:

@@ -104,18 +104,22 @@ def load_setup(folder: Path) -> Setup:
     Parameters
     ----------
     folder
-        Of `multicontact run` or `simulate`.
+        Of `multicontact run` or `simulate`. Of one that did not come to its end, and has no
+        summary, neither the plant's name nor its seed is known.
 
     Raises
     ------
     ConfigError
-        If a file is missing or not acceptable.
+        If another file is missing, or one is not acceptable.
 
     """
     if not (folder / CONFIG_FOLDER).is_dir():
         raise ConfigError('run', 'a folder of `multicontact run` or `simulate`', folder)
     config = folder / CONFIG_FOLDER
-    summary = read_json(folder / SUMMARY_FILE)
+    simulated = (config / 'plant.yaml').is_file()
+    summary: dict[str, Any] = {'plant': 'unknown' if simulated else EXTERNAL, 'seed': 0}
+    if (folder / SUMMARY_FILE).is_file():
+        summary = read_json(folder / SUMMARY_FILE)
     try:
         plant, seed = str(summary['plant']), int(summary['seed'])
         commanded = bool(summary.get('commanded_by_topic', False))

@@ -10,6 +10,7 @@ import threading
 import time
 from typing import Any
 
+from multicontact_control.client import ControllerStatus
 from multicontact_control.config import Vector3
 from multicontact_control.errors import CommandError, MulticontactError, RunError
 from multicontact_control.experiment.scenario import Setup
@@ -36,7 +37,9 @@ from multicontact_control.view.source import (
 import numpy as np
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, SetParametersAtomically
+from sim_bridge.surface_patch import Patch
 from std_srvs.srv import SetBool, Trigger
+from visualization_msgs.msg import Marker
 
 REFUSALS = dict.fromkeys(PLAYING, 'a recording') | dict.fromkeys(
     SIMULATED, "a simulation of the page's own")
@@ -47,7 +50,8 @@ KEPT = round(2.0 * RATE)
 LISTENED = (
     topics.JOINT_STATES, topics.MEASURED_FORCES, topics.ESTIMATED_FORCES, topics.DESIRED_FORCES,
     topics.INNOVATION, topics.NOISE_VARIANCE, topics.EFFORT_COMMAND, topics.POSE,
-    topics.POSE_DESIRED, topics.DIAGNOSTICS, topics.SURFACE_MARKERS)
+    topics.POSE_DESIRED, topics.SURFACE_MARKERS)
+LOOP = f'{topics.CONTROLLER}: loop'
 CEILING = 'command.force_ceiling'
 GAINS = ('motion.natural_frequency', 'force.time_constant', 'force.damping_rate')
 
@@ -73,7 +77,8 @@ class GraphSource:
     def __init__(self, setup: Setup, *, namespace: str = '', domain_id: int | None = None) -> None:
         config = self._config = setup.controller
         self._link = GlancingLink(
-            LISTENED, namespace=namespace, domain_id=domain_id, timeout=PATIENCE)
+            LISTENED, queued=(topics.STATUS, topics.DIAGNOSTICS), namespace=namespace,
+            domain_id=domain_id, timeout=PATIENCE)
         try:
             message, = self._link.fresh(topics.MEASURED_FORCES)
             if tuple(message.name) != config.column_names:
@@ -101,11 +106,12 @@ class GraphSource:
             source.RETRY: lambda: self._ask('retry'), source.TARE: lambda: self._ask('tare'),
             source.PUSH_TEST: lambda: self._ask('push_test'), source.GAINS: self._set_gains}
         self._commanded: dict[str, float] = {}
-        self._told: dict[str, dict[str, str]] = {}
-        self._refused: dict[str, int] | None = None
-        self._diagnostics: Any = None
+        self._status: ControllerStatus | None = None
+        self._timing = Timing()
         self._events: list[tuple[float, str]] = []
         self._points: list[Any] = []
+        self._places: dict[str, Vector3] = {}
+        self._patches: dict[str, Patch] = {}
         self._stamp, self._heard = -1, time.monotonic()
         self._snapshots: deque[Snapshot] = deque(maxlen=KEPT)
         self._jobs: queue.Queue[tuple[Callable[[], str], futures.Future[str]]] = queue.Queue()
@@ -197,40 +203,54 @@ class GraphSource:
                     topics.NOISE_VARIANCE)),
                 np.abs(self._values(topics.INNOVATION, names)),
                 np.abs(self._values(topics.EFFORT_COMMAND, joints)) / limit]))
-        report = self._link.newest(topics.DIAGNOSTICS)
-        if report is not None and report is not self._diagnostics:
-            self._diagnostics = report
-            for status in report.status:
-                node, _, part = status.name.partition(': ')
-                if node.rpartition('/')[2] == topics.CONTROLLER:
-                    self._told[part] = {each.key: each.value for each in status.values}
-            self._note_refusals()
+        for report in self._link.queue(topics.DIAGNOSTICS):
+            for part in report.status:
+                if part.name.rpartition('/')[2] == LOOP:
+                    told = {each.key: each.value for each in part.values}
+                    self._timing = Timing(
+                        _number(told.get('latency_us_p50')), _number(told.get('latency_us_p99')),
+                        _count(told.get('deadline_misses_in_all', '0')))
+        for message in self._link.queue(topics.STATUS):
+            before, self._status = self._status, ControllerStatus.of(message)
+            self._note(self._status, before)
 
-    def _note_refusals(self) -> None:
-        """Say what the controller has refused since the last report, and why."""
-        now = {key: int(value) for key, value in self._told.get('messages', {}).items()
-               if key.startswith('refused ')}
-        before = now if self._refused is None else self._refused
-        self._refused = now
-        self._events += [(1e-9 * self._stamp, key) for key, count in now.items()
-                         if count > before.get(key, 0)]
+    def _note(self, status: ControllerStatus, before: ControllerStatus | None) -> None:
+        """Say what the controller refuses, and make no motion that it does not obey."""
+        if any(status.refuses(topic, before)
+               for topic in (topics.FORCE_COMMAND, topics.MOTION_COMMAND)):
+            self._events.append((1e-9 * self._stamp, f'refused {status.last_refusal}'))
+        if not self._motion.what:
+            return
+        # Of those that were refused before it began only the count tells, and late.
+        why = (status.last_refusal if status.refuses(topics.MOTION_COMMAND, None)
+               else 'held' if status.held
+               else '' if status.life_cycle == 'active' else status.life_cycle)
+        if why:
+            self._motion.halt()
+            self._events.append((1e-9 * self._stamp, f'motion stopped: {why}'))
 
-    def _places(self) -> dict[str, Vector3]:
-        """Return where a simulator says that the surfaces are."""
+    def _look_at_surfaces(self) -> None:
+        """Take from a simulator where the surfaces are, and at first what they look like."""
         message = self._link.newest(topics.SURFACE_MARKERS)
-        places = {} if message is None else {
-            marker.ns.rpartition('/')[2]: marker.pose.position for marker in message.markers}
-        return {name: (place.x, place.y, place.z) for name, place in places.items()}
+        for marker in () if message is None else message.markers:
+            name, place = marker.ns.rpartition('/')[2], marker.pose.position
+            self._places[name] = (place.x, place.y, place.z)
+            count = len(marker.points)
+            if name not in self._patches and marker.type == Marker.TRIANGLE_LIST and count:
+                corners = np.array([(point.x, point.y, point.z) for point in marker.points])
+                self._patches[name] = Patch(
+                    corners, np.arange(count - count % 3).reshape(-1, 3))
 
     def _show(self) -> None:
-        config, told = self._config, self._told
+        config, status = self._config, self._status
         pose, wanted = (self._link.newest(topic) for topic in (topics.POSE, topics.POSE_DESIRED))
         if pose is None or wanted is None:
             return
-        contacts, loop = told.get('contacts', {}), told.get('loop', {})
-        supervisor = told.get('supervisor', {})
+        contacts = {} if status is None else dict(
+            each.split(' ', 1) for each in status.contacts.split(', ') if each)
         silent = time.monotonic() - self._heard > SILENCE
         desired = self._values(topics.DESIRED_FORCES, config.column_names)
+        self._look_at_surfaces()
         points, self._points = self._points, []
         events, self._events = self._events, []
         position, turn = pose.pose.position, pose.pose.orientation
@@ -246,16 +266,14 @@ class GraphSource:
             desired=desired, normals_world=np.array([
                 config.contacts[name].normal_world for name in config.contact_names]),
             states=tuple(contacts.get(name, 'free') for name in config.contact_names),
-            reaction='no samples' if silent else supervisor.get('reaction', 'none'),
-            reasons=tuple(word for word in supervisor.get('causes', '').split()
-                          if word != 'none'),
+            reaction='no samples' if silent else 'none' if status is None else status.reaction,
+            reasons=() if status is None else tuple(status.causes.split()),
             points=np.array(points) if points else no_points(self._layout),
             commanded=dict(self._commanded), goal=self._motion.goal, events=tuple(events),
-            timing=Timing(_number(loop.get('latency_us_p50')), _number(loop.get('latency_us_p99')),
-                          _count(loop.get('deadline_misses_in_all', '0'))),
-            held=contacts.get('held') == 'True', moving=self._motion.what,
-            push_test=_unless_none(told.get('sensor', {}).get('push_test', '')),
-            gains=self._gains, places_world=self._places(), playing=True))
+            timing=self._timing, held=status is not None and status.held,
+            moving=self._motion.what, push_test='' if status is None else status.push_test,
+            gains=self._gains, places_world=dict(self._places), patches=self._patches,
+            playing=True))
 
     # ------------------------------------------------------------------------------ commands
 
@@ -279,7 +297,7 @@ class GraphSource:
 
     def _ready(self) -> None:
         """Begin where the point should be, unless a motion is being made."""
-        if self._told.get('contacts', {}).get('held') == 'True':
+        if self._status is not None and self._status.held:
             raise CommandError('~/hold', 'released, to obey commands', 'held')
         if self._motion.what:
             return
@@ -356,7 +374,3 @@ def _number(text: str | None) -> float:
 def _count(text: str) -> int:
     number = _number(text)
     return int(number) if np.isfinite(number) else 0
-
-
-def _unless_none(text: str) -> str:
-    return '' if text == 'none' else text

@@ -233,8 +233,9 @@ def load_replay(path: Path, setup: Setup) -> ReplaySource:
     if (run / CONFIG_FOLDER).is_dir():
         setup = load_setup(run)
         surfaces = surfaces_of(setup)
-        events = [(event['time_s'], event['what']) for event in read_json(
-            run / SUMMARY_FILE).get('events', ())]
+        if (run / SUMMARY_FILE).is_file():  # else it did not come to its end
+            events = [(event['time_s'], event['what']) for event in read_json(
+                run / SUMMARY_FILE).get('events', ())]
         marks = scenario_marks(setup)
         bag = run / BAG_FOLDER
     else:

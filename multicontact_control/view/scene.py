@@ -91,8 +91,7 @@ class SceneView:
     def _draw_surface(self, surface: Surface) -> None:
         if surface.point_world is None:
             return
-        patch = surface_patch(
-            np.array(surface.normal_world), surface.radius, ball=surface.ball)
+        patch = surface.patch or surface_patch(np.array(surface.normal_world))
         self._patches[surface.name] = self._api.add_mesh_simple(
             f'/surfaces/{surface.name}', patch.vertices, patch.faces,
             color=SURFACE_COLOURS[len(self._patches) % len(SURFACE_COLOURS)],
@@ -181,7 +180,8 @@ class SceneView:
             if place is None:
                 continue
             if patch is None:
-                self._draw_surface(surface._replace(point_world=place))
+                self._draw_surface(surface._replace(
+                    point_world=place, patch=snapshot.patches.get(surface.name)))
             elif np.abs(patch.position - np.array(place)).max() > LEAST_WAY:
                 patch.position = np.array(place)
 

@@ -333,7 +333,7 @@ class Simulation:
             if stiffness != before.stiffness:
                 contacts.scale_stiffness(index, stiffness / before.stiffness)
             if friction != before.friction:
-                contacts.scale_friction(index, friction / max(before.friction, 1e-9))
+                contacts.set_friction(index, friction)
         self._surfaces[name] = before._replace(stiffness=stiffness, friction=friction)
         told = f'{name}: {stiffness:g} N/m, friction {friction:g}'
         self._say(told)

@@ -13,6 +13,7 @@ from multicontact_control.config import ControllerConfig, Vector3
 from multicontact_control.errors import CommandError
 from multicontact_control.experiment.scenario import Setup
 import numpy as np
+from sim_bridge.surface_patch import Patch, patch_of
 
 RATE = 25.0  # Hz, of snapshots
 POINTS = 2  # of the curves, in each of them
@@ -58,17 +59,16 @@ class Surface(NamedTuple):
     normal_world
         Into it.
     point_world
-        On it [m]; None until something is felt there.
-    radius, ball
-        Of a curved one, 0 for a plane [m]; whether it is curved all around.
+        On it [m]; None until a simulator tells it, or something is felt there.
+    patch
+        What it looks like around that point; None for a plane, or until a simulator tells it.
 
     """
 
     name: str
     normal_world: Vector3
     point_world: Vector3 | None
-    radius: float = 0.0
-    ball: bool = False
+    patch: Patch | None = None
 
 
 @dataclass(frozen=True)
@@ -184,6 +184,8 @@ class Snapshot:
         As they are now, by name.
     places_world
         A point of each surface, where that is known, by name [m].
+    patches
+        What surfaces look like of which the scene does not say it, by name.
     playing, speed
         Of a recording.
 
@@ -214,6 +216,7 @@ class Snapshot:
     estimator: str = ''
     surfaces: Mapping[str, SurfaceState] = field(default_factory=dict)
     places_world: Mapping[str, Vector3] = field(default_factory=dict)
+    patches: Mapping[str, Patch] = field(default_factory=dict)
     playing: bool = False
     speed: float = 1.0
 
@@ -316,5 +319,5 @@ def surfaces_of(setup: Setup) -> tuple[Surface, ...]:
     """Return the surfaces of a simulated plant, one for each contact and obstacle."""
     known = setup.plant.surfaces
     return tuple(
-        Surface(name, known[one].normal_world, known[one].point_world, known[one].radius,
-                known[one].shape == 'sphere') for name, one in setup.plant.drawn.items())
+        Surface(name, known[one].normal_world, known[one].point_world, patch_of(known[one]))
+        for name, one in setup.plant.drawn.items())

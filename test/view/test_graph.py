@@ -10,10 +10,13 @@ from multicontact_control.experiment.scenario import resolve
 from multicontact_control.view import source
 import numpy as np
 import pytest
+from sim_bridge.surface_patch import patch_of
 
 pytest.importorskip('rclpy', reason='ROS 2 is not installed')
+from multicontact_control.nodes.link import LifecycleDriver  # noqa: E402, I100
 from multicontact_control.view.graph import GraphSource  # noqa: E402, I100
 from ros_graph import obedient_graph, own_domain, PATIENCE  # noqa: E402, I100
+from std_srvs.srv import SetBool  # noqa: E402, I100
 
 pytestmark = pytest.mark.ros
 
@@ -57,6 +60,9 @@ def test_page_joins_a_graph_presses_moves_and_tunes(shown):
     snapshot = until(shown, lambda found: found.places_world, 'the surfaces')
     assert dict(snapshot.places_world) == {
         name: surface.point_world for name, surface in simulated.items()}
+    for name, surface in simulated.items():
+        drawn, told = patch_of(surface), snapshot.patches[name]
+        assert np.allclose(told.vertices[told.faces], drawn.vertices[drawn.faces], atol=1e-12)
     shown.command(source.FORCES, table=8.0, board=6.0)
     snapshot = until(shown, lambda found: (np.abs(found.measured - (8.0, 6.0)) < 0.5).all() and
                      set(found.states) == {'holding'}, 'the forces')
@@ -67,6 +73,26 @@ def test_page_joins_a_graph_presses_moves_and_tunes(shown):
     until(shown, lambda found: found.moving == '', 'rest')
     shown.command(source.GAINS, natural_frequency=25.0, time_constant=0.03, damping_rate=60.0)
     assert until(shown, lambda found: found.gains[0] == 25.0, 'the gains')
+
+
+def test_motion_that_somebody_else_stops_is_not_gone_on_with(shown):
+    """It ran on unseen, and the arm jumped to where it was by then when it was released."""
+    shown.command(source.PATTERN, kind='sine', axes='x', amplitude=0.03, period=2.0)
+    until(shown, lambda found: found.moving, 'the pattern')
+    with LifecycleDriver(shown._link._domain_id, namespace='arm', name='another') as other:
+        for held in (True, False):
+            answer = other.call('controller_node', SetBool, 'hold',
+                                SetBool.Request(data=held))
+            assert answer.success
+            if held:
+                snapshot = until(shown, lambda found: found.held, 'the hold')
+                snapshot = until(shown, lambda found: found.moving == '', 'rest')
+    where = snapshot.position_des
+    snapshot = until(shown, lambda found: not found.held, 'the release')
+    for _ in range(20):
+        snapshot = until(shown, lambda found: True, 'a snapshot')
+    assert snapshot.moving == ''
+    assert np.abs(snapshot.position_des - where).max() < 0.002
 
 
 def test_what_a_graph_refuses_is_said(shown):

@@ -93,6 +93,15 @@ def test_a_recording_cannot_be_steered(replay):
             replay.command(name)
 
 
+def test_a_run_that_did_not_come_to_its_end_is_played_all_the_same(recorded_run, tmp_path):
+    folder = tmp_path / 'run'
+    shutil.copytree(recorded_run, folder)
+    (folder / 'summary.json').unlink()
+    whole, cut = load_replay(recorded_run, None), load_replay(folder, None)
+    assert cut.scene.duration == whole.scene.duration
+    assert 'force step' in str(cut.scene.marks)
+
+
 def test_what_is_no_recording_is_refused(tmp_path, recorded_run):
     setup = resolve('paper')
     for path in (tmp_path, tmp_path / 'nothing', recorded_run / 'config'):

@@ -72,6 +72,17 @@ def test_gains_and_estimator_change_without_a_jump_of_the_torque(simulation):
     assert any('K_2 60' in what for _, what in snapshot.events)
 
 
+def test_a_surface_without_friction_can_be_given_some():
+    simulation = Simulation(resolve('quick', plant='rigid', plant_overrides={
+        'surfaces': {'table': {'friction': 0.0}}}))
+    try:
+        simulation.obey(
+            source.SURFACE, {'name': 'table', 'stiffness': 6000.0, 'friction': 0.3})
+        assert simulation.loop.plant.contacts._surfaces['friction'][0] == 0.3
+    finally:
+        simulation.close()
+
+
 def test_the_world_can_be_made_harder(simulation):
     simulation.obey(source.SURFACE, {'name': 'table', 'stiffness': 9000.0, 'friction': 0.2})
     surfaces = simulation.loop.plant.contacts._surfaces
