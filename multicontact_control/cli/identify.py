@@ -23,8 +23,8 @@ def identify(
 
     For each contact stiffness and damping of the surface, friction of the others, inertia of the
     tool, noise of the sensor, and the delay from a commanded torque to the motion, each with its
-    standard error, by the band-pass and the regression of the on-line estimate. Exit code 0; 2:
-    bad input, or no force steps.
+    standard error, by the band-pass and the regression of the on-line estimate. Exit code 0; 1: no
+    force steps, or the recording lacks something; 2: bad input.
     """
     with errors_in_one_line():
         from multicontact_control.experiment.contact_identification import (
