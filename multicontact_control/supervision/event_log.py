@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from multicontact_control.supervision.fallback import SEVERITY
 from multicontact_control.supervision.gate import NAMES
 from multicontact_control.supervision.status import SupervisorStatus
 
@@ -94,10 +95,17 @@ class EventLog:
             ', '.join(status.contact_states)])))
 
     def _count(self, states: tuple[str, ...]) -> None:
-        """Take note of what has gone over into another state."""
+        """
+        Take note of what has gone over into another state.
+
+        A reaction that becomes more severe counts for the way back, too: in how many steps it
+        goes back, from `float` over `hold`, is no alternation.
+        """
         for name, before, state in zip(self.names, self._states, states):
-            if state != before:
-                self._changes[name].append(self._passed)
+            if name != REACTION:
+                self._changes[name].extend([self._passed] * (state != before))
+            elif SEVERITY.index(state) > SEVERITY.index(before):
+                self._changes[name].extend([self._passed] * 2)
         self._states = states
 
     def alternating(self, time: float) -> dict[str, float]:

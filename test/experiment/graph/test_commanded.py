@@ -30,7 +30,9 @@ def test_a_simulated_arm_obeys_until_it_is_interrupted_and_is_judged_by_what_was
                 state = arm.wait_until_reached(timeout=PATIENCE)
                 assert state.forces_desired == {'table': 10.0, 'board': 5.0}
                 arm.move(state.position_world + [0.02, 0.0, 0.0], duration=1.0)
-                end = arm.wait_until_reached(timeout=PATIENCE)
+                moved = arm.wait_until_reached(timeout=PATIENCE)
+                while (end := arm.read()).time < moved.time + 1.5:  # rest begins after 1 s
+                    pass
         finally:
             process.send_signal(signal.SIGINT)
             said, _ = end_of(process)
