@@ -43,7 +43,7 @@ if TYPE_CHECKING:  # rclpy is needed for it, and not for the rest
 
 FIRST_DEADLINES = 250  # that are waited for before anything is said of them
 LAST_CHANCE = 1500  # deadlines up to which a graph is started anew
-LATE = 0.01  # share of missed deadlines for that
+LATE = 0.002  # share of missed deadlines for that: twice what a run should miss
 COLOURS = {STABLE: 'green', HELD: 'yellow', UNJUDGED: 'yellow', NOT_STABLE: 'red'}
 
 
