@@ -63,6 +63,7 @@ import numpy as np
 __all__ = ['Supervisor', 'TickOutput', 'SupervisorStatus']
 
 CONTRADICTIONS = 2  # samples in a row that contradict the contacts, for the wrench to be refused
+SEEN_TIME = 0.05  # s, after which an arm that was not seen is held again
 LONGEST_SKIP = 0.1  # s; the task's time does not follow a clock that has been set
 WAITING = ((RECOVERING,), (LATCHED,))
 SATURATED = frozenset(ENFORCED[TORQUE | JOINT_STOP])
@@ -289,12 +290,17 @@ class Supervisor(BumplessController):
             self._good_ticks += 1
             missing = self._recovery.missing(self._good_ticks) if self._paused else ()
             if missing:
-                reaction = FLOAT if valid.blind else self._waiting_reaction
-                return self._react(missing, valid.rejected, reaction)
+                return self._react(missing, valid.rejected, self._waiting(valid.blind))
             return self._control(valid, causes, reaction)
         if reaction == HOLD and valid.blind:
             reaction = FLOAT  # what is not seen cannot be held
         return self._react(causes, valid.rejected, reaction)
+
+    def _waiting(self, blind: bool) -> str:
+        """Return what is done while control waits; joints that come and go are not held."""
+        floats = self._status is not None and self._status.reaction == FLOAT
+        seen = self._good_ticks * self._period
+        return FLOAT if blind or floats and seen < SEEN_TIME else self._waiting_reaction
 
     def _start_refused(self) -> tuple[str, ...]:
         """Return why control must not start from here: its limits would move the arm at once."""

@@ -110,16 +110,18 @@ def test_exception_in_any_stage_leaves_the_arm_where_it_is_and_control_comes_bac
         loop.close()
 
 
-def test_arm_that_was_not_seen_for_a_moment_is_held_as_soon_as_it_is_seen():
+def test_arm_that_was_not_seen_for_a_moment_is_held_once_it_is_seen_again():
     """While it waited for control to go on, or for an operator, it floated undamped."""
-    loop = ClosedLoop(resolve('quick', plant='rigid'), commanded=True)
+    loop = ClosedLoop(resolve('quick', plant='rigid', controller={
+        'watchdog': {'recovery_time': 0.3}}), commanded=True)
     try:
         for _ in range(200):
             loop.advance()
         for _ in range(20):
             loop.advance(lambda inputs: inputs._replace(joints=None))
         assert (loop.status.reaction, loop.status.causes) == ('float', ('joints_stale',))
-        loop.advance()
+        for _ in range(25):
+            loop.advance()
         assert (loop.status.reaction, loop.status.causes) == ('hold', ('recovering',))
         start = loop.sample.q.copy()
         loop.plant.push(np.array([0.0, 0.0, -10.0]), 0.05)
