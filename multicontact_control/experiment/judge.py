@@ -196,7 +196,8 @@ def findings(
     than 0.1 s; every contact made; under load, which is from the first force step on, no contact
     lost for more than 0.1 s, nor more than 5 times within 10 s, and no force that oscillates
     (`oscillation`); no force beyond 5 times its command and half the force ceiling. Couples are
-    judged as forces are: what is lost by one is an end of its contact.
+    judged as forces are, while their contact is pressed and by how hard: what is lost by one is
+    an end of its contact.
 
     Of the samples, those that are `judged` count, all if not given.
     """
@@ -266,7 +267,7 @@ def interventions(
     It steps in when a reaction replaces the control law, when a contact leaves the force law
     (lost, retracting, given up), and when the last gate begins to enforce a limit. Contacts that
     are sought, touched and pressed are the task; so is a reference that is kept within the
-    speeds allowed.
+    speeds allowed. A log that is full says nothing of what came later, and that is found, too.
     """
     loaded = judged & judged_windows(data, setup).loaded
     if not loaded.any():

@@ -234,7 +234,7 @@ def weigh_running(
 
     config = config or RestConfig()
     controller, robot = _arm(files)
-    wrench = topics.WRENCH if controller.wrench_input == 'raw' else topics.WRENCH_FILTERED
+    wrench = topics.WRENCHES[controller.wrench_input]
     readings: list[PoseReading] = []
     with MultiContactClient(namespace, domain_id=domain_id, timeout=timeout) as arm, (
             ControllerLink((topics.JOINT_STATES, wrench), namespace=namespace,

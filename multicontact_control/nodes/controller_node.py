@@ -115,7 +115,7 @@ class ControllerNode(ManagedNode):
         self._report = SupervisorReport(loop)
         self._set_patience(config)
         self._outputs = ControllerOutputs(self, self.streams, config, node_config)
-        self._wrench = topics.WRENCH if config.wrench_input == 'raw' else topics.WRENCH_FILTERED
+        self._wrench = topics.WRENCHES.get(config.wrench_input, topics.WRENCH)
         self._feels = config.wrench_input != 'momentum'
         self._readers = {
             topics.NOISE_VARIANCE: effort_reader(config.column_names),

@@ -83,6 +83,7 @@ WRENCH = Topic(
 WRENCH_FILTERED = Topic(
     'ft_sensor/wrench_filtered', WrenchStamped, SIM, (RECORDER,),
     content="The same through the sensor's low-pass.")
+WRENCHES = {'raw': WRENCH, 'filtered': WRENCH_FILTERED}  # by `wrench_input`, where one is read
 TRUE_FORCES = Topic(
     'ground_truth/contact_forces', JointState, SIM, (RECORDER,),
     content='effort = true force per contact [N], for evaluation; no robot can publish it.')

@@ -415,16 +415,15 @@ class Supervisor(BumplessController):
         self, causes: tuple[str, ...], rejected: tuple[str, ...], reaction: str,
     ) -> TickOutput:
         """Answer without the control law."""
-        begins = self._running and not self._paused
         if causes not in WAITING:
             self._good_ticks = 0
-            # An arm that was not seen for a moment only is held as soon as it is seen again, or
-            # whatever else it waited in goes on.
+            # An arm that was not seen for a moment only is held when it is seen again, or what
+            # else it waited in goes on.
             if not self._unseen(causes, reaction):
                 self._waiting_reaction = reaction
-            elif begins or not self._paused:
+            elif not self._paused:
                 self._waiting_reaction = HOLD
-        if begins:
+        if self._running and not self._paused:
             self._recovery.stopped(causes, self._task_ticks)
             self._reactions.begin(self._output)
         self._paused = True

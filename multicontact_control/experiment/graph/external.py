@@ -44,7 +44,6 @@ FIRST_TELL = 1.0  # s, before anything is said of what is missing
 LONGEST_NAMING = 2.0  # s, that the names of the robot's nodes are waited for
 SAFE_TIME = 0.5  # s, in which the robot gets the safe behaviour
 DEACTIVATION_TIMEOUT = 5.0
-WRENCHES = {'raw': topics.WRENCH, 'filtered': topics.WRENCH_FILTERED, 'momentum': None}
 
 
 @dataclass(frozen=True)
@@ -116,7 +115,8 @@ def run_external_graph(
         on_domain(domain_id)
         with ProgressListener(domain_id, spec.namespace) as listener, RobotWatch(
                 domain_id, spec.namespace, joint_names=robot.joint_names, rate=spec.rate,
-                wrench=WRENCHES[robot.wrench_input], pair_tolerance=robot.pair_tolerance,
+                wrench=topics.WRENCHES.get(robot.wrench_input),
+                pair_tolerance=robot.pair_tolerance,
                 effort_output_topic=robot.effort_output_topic) as watch:
             session = _Session(
                 spec, robot, domain_id, interrupted, listener, watch, on_progress, tell)
