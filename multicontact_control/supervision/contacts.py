@@ -244,6 +244,7 @@ def switch_state(
             enter(contact, FREE)
         contact.left = False
         contact.searches = 0
+        contact.losses = 0
         contact.origin = np.nan
         contact.target = 0.0
     elif contact.state == FREE:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from multicontact_control.algebra import copy_matrix, cross, dot, multiply
+from multicontact_control.algebra import copy_matrix, copy_vector, cross, dot, multiply
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.dynamics.rotations import rotation_vector
@@ -20,6 +20,8 @@ from multicontact_control.supervision.contacts import (
     watch_energy,
 )
 import numpy as np
+
+PARALLEL = 1e-6  # length that is left of a normal that the others span already
 
 
 @compiled
@@ -144,17 +146,60 @@ def beyond(gap: Vector, way: Vector, reach: float) -> bool:
 
 
 @compiled
-def bound_task(limits: Any, frame: Any, task: Any) -> bool:
+def pressed_directions(contacts: Any, axes: Matrix) -> int:
+    """
+    Fill in unit vectors that span the normals of the active contacts (Gram-Schmidt).
+
+    Parameters
+    ----------
+    contacts
+        Records of `CONTACT`, shape (r,).
+    axes
+        Filled, one in each row, shape (3, 3).
+
+    Returns
+    -------
+    int
+        How many there are.
+
+    """
+    count = 0
+    for i in range(contacts.shape[0]):
+        if count == 3 or not contacts[i].active or contacts[i].leader != i:
+            continue
+        axis = axes[count]
+        copy_vector(contacts[i].normal, axis)
+        for j in range(count):
+            take_off(axis, axes[j])
+        length = np.sqrt(dot(axis, axis))
+        if length > PARALLEL:
+            for k in range(3):
+                axis[k] /= length
+            count += 1
+    return count
+
+
+@compiled
+def take_off(vector: Vector, axis: Vector) -> None:
+    """Take off a vector what lies along a unit vector, shape (3,) each."""
+    along = dot(vector, axis)
+    for k in range(3):
+        vector[k] -= along * axis[k]
+
+
+@compiled
+def bound_task(limits: Any, frame: Any, contacts: Any, task: Any) -> bool:
     """
     Bring a task within the box and within reach of the arm.
 
     The motion law makes the arm go at v_des + (k_p / k_v) (x_des - x), which is the limit's speed
-    for an error of one reach. A twist with which it is more does not count.
+    for an error of one reach. A twist with which it is more does not count. What lies along the
+    normals of active contacts is left to these: the motion law does not go there.
 
     Parameters
     ----------
-    limits, frame
-        Records of `REFERENCE_LIMITS` and `FRAME`.
+    limits, frame, contacts
+        Records of `REFERENCE_LIMITS` and `FRAME`, and of `CONTACT`, shape (r,).
     task
         Record of `TASK`, changed if need be.
 
@@ -173,10 +218,13 @@ def bound_task(limits: Any, frame: Any, task: Any) -> bool:
             task.twist[k] = 0.0
             task.acceleration[k] = 0.0
             limited = True
-    gap, way = np.empty(3), np.empty(3)
+    gap, way, axes = np.empty(3), np.empty(3), np.empty((3, 3))
     for k in range(3):
         gap[k] = position[k] - frame.position[k]
         way[k] = limits.lead * task.twist[k]
+    for i in range(pressed_directions(contacts, axes)):
+        take_off(gap, axes[i])
+        take_off(way, axes[i])
     length = np.sqrt(dot(gap, gap))
     if length > limits.reach or beyond(gap, way, limits.reach):
         for k in range(6):
@@ -185,7 +233,7 @@ def bound_task(limits: Any, frame: Any, task: Any) -> bool:
         limited = True
     if length > limits.reach:
         for k in range(3):
-            position[k] = frame.position[k] + gap[k] * (limits.reach / length)
+            position[k] -= gap[k] * (1.0 - limits.reach / length)
     turn = np.empty(3)
     rotation_vector(task.rotation, frame.rotation, turn)
     for k in range(3):
@@ -244,4 +292,4 @@ def limit_reference(reference: Any, control: Any, contacts: Any, states: Any) ->
             contact.alpha_des = wanted_force
             contact.damping = damping[i]
     add_displacements(limits, wanted, contacts, states, task)
-    return bound_task(limits, frame, task)
+    return bound_task(limits, frame, contacts, task)

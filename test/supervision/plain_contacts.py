@@ -137,7 +137,7 @@ class PlainMachine:
             self._leave_surface(place, speed)
         if self.state is not ContactState.FREE:
             self._enter(ContactState.FREE)
-        self.left, self.searches = False, 0
+        self.left, self.searches, self.losses = False, 0, 0
         self._origin = None
         self._target = 0.0
 
@@ -367,13 +367,15 @@ class PlainReference:
                 twist, acceleration = twist.copy(), acceleration.copy()
                 twist[:3][outward] = acceleration[:3][outward] = 0.0
                 position, self.limited = inside, True
-        error = position - pose.position_world
+        N = self._normals[np.array(reference.active, dtype=bool)].T
+        across = np.eye(3) - N @ np.linalg.pinv(N) if N.size else np.eye(3)
+        error = across @ (position - pose.position_world)
         length = float(np.sqrt(error @ error))
-        if max(length, np.linalg.norm(error + self._lead * twist[:3])) > self._reach:
+        if max(length, np.linalg.norm(error + self._lead * (across @ twist[:3]))) > self._reach:
             twist, acceleration = np.zeros(6), np.zeros(6)
             self.limited = True
         if length > self._reach:
-            position = pose.position_world + error * (self._reach / length)
+            position = position - error * (1.0 - self._reach / length)
         turn = rotation_error(rotation, pose.rotation_world)
         angle = float(np.sqrt(turn @ turn))
         if np.linalg.norm(turn + self._lead * twist[3:]) > self._turn:
