@@ -29,7 +29,11 @@ from sim_bridge.config import PlantConfig
 
 SUMMARY_FILE = 'summary.json'
 REPORT_FILE = 'report.html'
-CONFIG_FOLDER, BAG_FOLDER, FIGURE_FOLDER = 'config', 'bag', 'figures'
+CONFIG_FOLDER, BAG_FOLDER, FIGURE_FOLDER, LOG_FOLDER = 'config', 'bag', 'figures', 'logs'
+SCENARIO_FILE = f'{CONFIG_FOLDER}/scenario.yaml'
+# All that a run and its report leave, and all that is ever deleted.
+LEFT_BY_RUNS = frozenset((CONFIG_FOLDER, BAG_FOLDER, FIGURE_FOLDER, LOG_FOLDER, SUMMARY_FILE,
+                          REPORT_FILE, SERIES_FILE))
 
 SomeConfig = TypeVar('SomeConfig', bound=Config)
 
@@ -62,9 +66,12 @@ def prepare_folder(out: Path | None, scenario: str, *, overwrite: bool, now: dat
     if folder.exists():
         if not folder.is_dir():
             raise ConfigError('out', 'a folder', f'{folder}, a file')
-        if any(folder.iterdir()):
-            if not (folder / CONFIG_FOLDER).is_dir():
-                raise ConfigError('out', 'a new or empty folder', f'{folder}, which holds files')
+        entries = {entry.name for entry in folder.iterdir()}
+        if entries:
+            others = entries - LEFT_BY_RUNS
+            if others or not (folder / SCENARIO_FILE).is_file():
+                raise ConfigError('out', 'a new or empty folder, or that of a run',
+                                  f'{folder}, which holds {min(others or entries)}')
             if not overwrite:
                 raise ConfigError('out', 'a folder without a run, or --overwrite',
                                   f'{folder}, which holds a run')

@@ -26,6 +26,7 @@ def test_folder_with_a_run_is_kept_unless_overwritten(tmp_path):
     """Nothing is lost without --overwrite."""
     run = tmp_path / 'run'
     (run / 'config').mkdir(parents=True)
+    (run / 'config' / 'scenario.yaml').write_text('')
     (run / 'summary.json').write_text('{}')
     with pytest.raises(ConfigError, match='out: expected a folder without a run, or --overwrite'):
         prepare_folder(run, 'paper', overwrite=False, now=NOW)
@@ -34,12 +35,17 @@ def test_folder_with_a_run_is_kept_unless_overwritten(tmp_path):
     assert list(run.iterdir()) == []
 
 
-def test_folder_with_other_files_is_never_touched(tmp_path):
-    """Not even with --overwrite."""
-    (tmp_path / 'thesis.tex').write_text('all of it')
-    with pytest.raises(ConfigError, match='out: expected a new or empty folder'):
+@pytest.mark.parametrize('files', [
+    ('thesis.tex',), ('config/controller.yaml',), ('config/scenario.yaml', '.git/HEAD'),
+    ('config/scenario.yaml', 'summary.json', 'notes.md')])
+def test_folder_with_other_files_is_never_touched(tmp_path, files):
+    """Not even with --overwrite, and not either where there is a run or a folder `config`."""
+    for name in files:
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text('all of it')
+    with pytest.raises(ConfigError, match='out: expected a new or empty folder, or that of a run'):
         prepare_folder(tmp_path, 'paper', overwrite=True, now=NOW)
-    assert (tmp_path / 'thesis.tex').is_file()
+    assert all((tmp_path / name).is_file() for name in files)
 
 
 def test_out_that_is_a_file_is_refused(tmp_path):
