@@ -16,6 +16,7 @@ from multicontact_control.config import (
 )
 from multicontact_control.config.columns import ACROSS, ALONG, SUFFIXES
 from multicontact_control.errors import ConfigError
+from multicontact_control.wording import counted
 from pydantic import model_validator
 
 MAX_ACTUATOR_DELAY = 5
@@ -235,7 +236,7 @@ class PlantConfig(Config):
             found = len(getattr(self, name))
             optional = name == 'torque_limit' or (name.startswith('drive') and not flexible)
             if found != count and not (optional and found == 0):
-                raise ConfigError(name, f'{count} values', found)
+                raise ConfigError(name, counted(count, 'values'), found)
 
     @property
     def contacts(self) -> dict[str, str]:

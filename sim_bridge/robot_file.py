@@ -6,6 +6,7 @@ from typing import Any
 
 from multicontact_control.config import Config, parameter, Real, UnitVector3, Vector, Vector3
 from multicontact_control.errors import ConfigError
+from multicontact_control.wording import counted
 from pydantic import model_validator
 from sim_bridge.tool import ToolData
 
@@ -132,10 +133,10 @@ class RobotFile(Config):
         for name in ('home', 'armature', 'viscous', 'coulomb', 'torque_limit', 'speed_limit'):
             found = len(getattr(self, name))
             if found not in (0, joints):
-                raise ConfigError(name, f'{joints} values, one per joint', found)
+                raise ConfigError(name, f'{counted(joints, "values")}, one per joint', found)
         if self.locked_positions and len(self.locked_positions) != len(self.locked_joints):
-            raise ConfigError('locked_positions', f'{len(self.locked_joints)} values, one per '
-                              'locked joint', len(self.locked_positions))
+            raise ConfigError('locked_positions', counted(len(self.locked_joints), 'values')
+                              + ', one per locked joint', len(self.locked_positions))
         if self.tool is not None and self.tip_links:
             raise ConfigError('tip_links', 'nothing with a tool of ours', list(self.tip_links))
         tips = self.tip_links if self.tool is None else tuple(self.tool.tips)

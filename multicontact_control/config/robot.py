@@ -15,6 +15,7 @@ from multicontact_control.config.base import (
     WRENCH_SIZE,
 )
 from multicontact_control.errors import ConfigError
+from multicontact_control.wording import counted
 
 
 class RobotConfig(Config):
@@ -51,8 +52,8 @@ class RobotConfig(Config):
             yield ConfigError('robot.locked_joints', 'none of robot.joint_names', both)
         if self.locked_positions and len(self.locked_positions) != len(self.locked_joints):
             yield ConfigError(
-                'robot.locked_positions', f'{len(self.locked_joints)} values, one per locked '
-                'joint, or none', len(self.locked_positions))
+                'robot.locked_positions', counted(len(self.locked_joints), 'values')
+                + ', one per locked joint, or none', len(self.locked_positions))
 
     @property
     def locked(self) -> dict[str, float]:

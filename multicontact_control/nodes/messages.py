@@ -21,6 +21,7 @@ from multicontact_control.errors import MessageError
 from multicontact_control.force.noise import Innovation
 from multicontact_control.nodes.loop_statistics import NANOSECONDS
 from multicontact_control.sampling import JointReading, MotionReading, WrenchReading
+from multicontact_control.wording import counted
 import numpy as np
 from numpy.typing import ArrayLike
 from sensor_msgs.msg import JointState
@@ -77,7 +78,7 @@ def finite_array(values: ArrayLike, length: int, field: str) -> Vector:
     """Return so many numbers as an array."""
     numbers = np.array(values, dtype=np.float64)
     if numbers.shape != (length,):
-        raise MessageError(field, f'{length} values', f'{numbers.size}')
+        raise MessageError(field, counted(length, 'values'), f'{numbers.size}')
     if not all_finite(numbers):
         raise MessageError(field, 'finite numbers', numbers.tolist())
     return numbers
@@ -118,7 +119,7 @@ def places_among(found: Sequence[str], names: Sequence[str]) -> list[int]:
 def _picked(message: JointState, places: Sequence[int], field: str, values: Any) -> Vector:
     """Return the numbers at some places of a field that has one per name."""
     if len(values) != len(message.name):
-        raise MessageError(field, f'{len(message.name)} values', f'{len(values)}')
+        raise MessageError(field, counted(len(message.name), 'values'), f'{len(values)}')
     return finite_array([values[place] for place in places], len(places), field)
 
 
