@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from multicontact_control.arrays import Vector
-from multicontact_control.config import ControllerConfig
+from multicontact_control.config import ControllerConfig, SensorFrontEndConfig
 from multicontact_control.control.controller import ControlOutput
 from multicontact_control.control.reference import CommandedReference
 from multicontact_control.control.reference.holdable import HeldSource, HoldableReference
@@ -123,7 +123,7 @@ class ControlLoop:
                 config, self._reference, base_dir)
         else:
             self.controller = BumplessController.from_config(config, self._reference, base_dir)
-        self._front_end = SensorFrontEnd(config.sensor, config.rate)
+        self._front_end = SensorFrontEnd(monitored_sensor(config), config.rate)
         self.push_gate = PushGate(
             required=config.sensor.require_push_test, robot=self.controller.controller.robot,
             gravity_world=np.array(config.robot.gravity_world), rate=config.rate)
@@ -277,6 +277,8 @@ class ControlLoop:
         if self._filtered is not None and stamp == self._filtered.stamp:
             return False
         if not self._feels:  # the momentum observer's word, which `see_arm` renews
+            if self.supervisor is not None and not self.supervisor.collisions.knows:
+                return False  # without torques it says for ever what it said last
             self._filtered = WrenchInput(
                 stamp, self.controller.controller.controls['wrench'][0].copy())
             return False
@@ -321,7 +323,8 @@ class ControlLoop:
             self.rejected.update(status.rejected)
         if status.limits:
             self.limited.update(status.limits)
-        touched = next((cause for cause in status.causes if cause.startswith(COLLISION)), '')
+        touched = next((cause for cause in status.causes if cause.startswith(COLLISION)), '') if (
+            status.causes) else ''
         if touched and not self._touched:
             self.collisions[touched] += 1
         self._touched = touched
@@ -337,6 +340,15 @@ class ControlLoop:
                 self._reference.unlock()
                 self.controller.go_on()
             self._expect_pushes()
+
+    def _require_rest(self, purpose: str) -> None:
+        """Refuse what is only possible with a wrist sensor that nothing presses on."""
+        if not self._feels:
+            raise CommandError('wrench_input', f'raw or filtered, for {purpose}', 'momentum')
+        if self.output is not None and self.output.active.any():
+            raise CommandError('contacts', f'none under force control for {purpose}', 'some')
+        if self.supervisor is not None and self.supervisor.presses:
+            raise CommandError('contacts', f'none pressed by a reaction for {purpose}', 'some')
 
     def _expect_pushes(self) -> None:
         """Tell the supervisor whether pushes are expected: while the reference is locked."""
@@ -355,11 +367,10 @@ class ControlLoop:
         Raises
         ------
         CommandError
-            If forces are being controlled.
+            If the arm presses on something, or has no wrist sensor.
 
         """
-        if self.output is not None and self.output.active.any():
-            raise CommandError('contacts', 'none under force control for a push test', 'some')
+        self._require_rest('a push test')
         self.push_gate.start(config, point_sensor)
         pose = self.output.pose if self.output is not None else None
         self._reference.lock(None if pose is None else self.controller.stand_still(pose))
@@ -390,7 +401,9 @@ class ControlLoop:
         halves = half_lengths(self.config)
         self.limits.check_forces(forces, self.config.contact_state.smallest_force, halves)
         shares = offset_shares(halves, centres or {})
-        check_offsets(self.config, {**reference.forces, **forces}, shares)
+        followed = {name: share for name, share in reference.shares.items() if name not in forces}
+        check_offsets(
+            self.config, {**reference.forces, **forces}, {**followed, **shares})
         # A client may repeat its command many times a second: that asks for nothing anew.
         if reference.set_forces(forces, shares):
             self._try_again()
@@ -454,7 +467,8 @@ class ControlLoop:
         """
         output = self._running()
         if wanted:
-            self._reference.hold(self.controller.stand_still(output.pose), output.active)
+            held = output.active if self.supervisor is None else self.supervisor.reference.held
+            self._reference.hold(self.controller.stand_still(output.pose), held)
         else:
             self._try_again()
             if self.held:
@@ -497,14 +511,16 @@ class ControlLoop:
         Raises
         ------
         CommandError
-            If forces are being controlled or the arm moves: what presses, or slows the tool down,
-            would be taken for bias.
+            If the arm presses on something or moves: what presses, or slows the tool down, would
+            be taken for bias. If there is no wrist sensor, or something is wrong with it.
         CalibrationError
             If there are too few readings, or they are restless.
 
         """
-        if self.output is not None and self.output.active.any():
-            raise CommandError('contacts', 'none under force control for a tare', 'some')
+        self._require_rest('a tare')
+        if self.sensor_fault:
+            raise CommandError(
+                'wrench', 'nothing wrong with it, for a tare', self.sensor_fault)
         joints = self._inputs.joints
         readings = np.array(self._readings).reshape(-1, 6)
         if joints is None:
@@ -519,3 +535,18 @@ class ControlLoop:
         pose = self.controller.controller.robot.update(joints.q, joints.qd).sensor_pose
         return tare_bias(readings, pose.rotation_world, model.tool,
                          np.array(model.robot.gravity_world), config)
+
+
+def monitored_sensor(config: ControllerConfig) -> SensorFrontEndConfig:
+    """
+    Return what the front end looks at.
+
+    Behind a low-pass the watchdog finds a sensor that is frozen or saturated too late: then what
+    it has for that counts before, unless the sensor has limits of its own.
+    """
+    sensor, watch = config.sensor, config.watchdog
+    if not sensor.filter_order:
+        return sensor
+    return sensor.model_copy(update={
+        'frozen_ticks': sensor.frozen_ticks or (watch.frozen_samples and watch.frozen_samples + 1),
+        'full_scale': sensor.full_scale or watch.wrench_full_scale})

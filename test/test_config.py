@@ -13,6 +13,7 @@ from multicontact_control.config import (
 )
 from multicontact_control.errors import ConfigError
 from multicontact_control.paths import config_dir
+import numpy as np
 import pytest
 
 
@@ -42,6 +43,14 @@ import pytest
     ({'force': {'allocation': 'paper'}, 'contacts': {'board': {'surface_speed': -0.02}}},
      'contacts.board.surface_speed: expected 0 m/s unless'),
     ({'torque_limit': [1.0]}, 'torque_limit: expected 6 values, one per joint, found 1'),
+    ({'torque_limit': [97.6, -186.4, 89.4, 24.2, 20.1, 21.3]},
+     'torque_limit: expected values above 0 N m, found -186.4'),
+    ({'friction': {'coulomb': [1.0, 1.0, 1.0, 1.0, 1.0, -1.0]}},
+     'friction.coulomb: expected values of at least 0, found -1.0'),
+    ({'watchdog': {'wrench_full_scale': [0.0] + [100.0] * 5}},
+     'watchdog.wrench_full_scale: expected values above 0, found 0.0'),
+    ({'contact_state': {'preload': 80.0}},
+     'contact_state.preload: expected below force_ceiling 60 N, found 80 N'),
     ({'robot': {'armature': [1.0]}}, 'robot.armature: expected 6 values, one per joint, found 1'),
     ({'rate': 'fast'}, "rate: expected a valid number, .* found 'fast'"),
     ({'tool': {'bias_sensor': [1.0]}}, 'tool.bias_sensor: expected 6 values, found 1'),
@@ -54,6 +63,14 @@ def test_validate_names_field_expectation_and_finding(changes, message):
     with pytest.raises(ConfigError, match=f'^controller.yaml: {message}') as caught:
         controller_config(**changes)
     assert '\n' not in str(caught.value)
+
+
+def test_momentum_observer_is_as_slow_in_the_design_as_it_is():
+    """Its bandwidth is bounded by the rate, and so is what the force loops count with."""
+    fast = {'robot': {'sensor_frame': ''}, 'wrench_input': 'momentum'}
+    delays = [controller_config(collision={'bandwidth': bandwidth}, **fast).loop_delay
+              for bandwidth in (100.0, 200.0, 1000.0)]
+    assert np.diff(delays) == pytest.approx([1 / 200.0 - 1 / 100.0, 0.0])
 
 
 def test_all_that_is_wrong_is_said_at_once():

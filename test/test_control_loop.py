@@ -14,6 +14,7 @@ from multicontact_control.sampling import (
     PairedSample,
     WrenchReading,
 )
+from multicontact_control.sensor.push_config import PushTestConfig
 from multicontact_control.sensor.tare import TareConfig
 from multicontact_control.sensor.weight import weight_reading
 from multicontact_control.supervision.command_limits import CommandLimits
@@ -272,6 +273,23 @@ def test_what_the_sensors_monitor_finds_reaches_the_watchdog(fault):
     assert bench.loop.rejected[f'wrench_{fault}'] >= 5
 
 
+@pytest.mark.parametrize('fault', ['saturated', 'frozen'])
+def test_low_pass_does_not_hide_from_the_watchdog_what_is_wrong_with_a_sensor(fault):
+    """Behind 20 Hz a frozen reading settles, bit by bit, for a third of a second."""
+    bench = Bench(sensor={'filter_order': 2, 'filter_cutoff': 20.0}, watchdog={
+        'frozen_samples': 5, 'wrench_full_scale': [100.0] * 6})
+    bench.step(60)
+    assert bench.reaction == 'none'
+    reading = bench.wrench()
+    for _ in range(9):
+        bench.loop.step(PairedSample(
+            bench.stamp, HOME.copy(), np.zeros(6),
+            bench.wrench() + [0.0, 0.0, 200.0, 0.0, 0.0, 0.0] if fault == 'saturated'
+            else reading, EFFORT))
+        bench.k += 1
+    assert f'wrench_{fault}' in bench.loop.status.causes and bench.reaction == 'hold'
+
+
 def test_bias_of_the_sensor_is_not_taken_for_a_sideways_force():
     bias = [20.0, -15.0, 9.0, 0.1, 0.0, 0.2]
     bench = Bench(tool={'bias_sensor': bias})
@@ -297,9 +315,104 @@ def test_tare_waits_for_an_arm_that_stands_still():
 
 
 def test_tare_without_a_reading_is_refused():
+    bench = Bench()
+    bench.step(2)
+    bench.loop.restart()
+    bench.loop.step_half(JointReading(bench.stamp, HOME.copy(), np.zeros(6)))
+    with pytest.raises(CalibrationError, match='expected at least 25 readings, found 0'):
+        bench.loop.tare(TareConfig())
+
+
+def tare_and_push_test(bench):
+    return (lambda: bench.loop.tare(TareConfig()),
+            lambda: bench.loop.push_test(PushTestConfig(), ()))
+
+
+def test_what_needs_a_wrist_sensor_is_refused_without_one():
+    """A push test that nothing ends would lock the arm for good."""
     bench = Bench(wrench_input='momentum', robot={'sensor_frame': ''})
     bench.step(30)
-    with pytest.raises(CalibrationError, match='expected at least 25 readings, found 0'):
+    for action in tare_and_push_test(bench):
+        with pytest.raises(CommandError, match='wrench_input: expected raw or filtered, for a'):
+            action()
+    bench.loop.set_forces({'table': 5.0})
+
+
+def test_force_that_a_reaction_keeps_is_not_taken_for_bias():
+    """While the arm is held it presses on; later, without a contact, both are possible."""
+    bench = Bench(watchdog={'friction_bound': 0.2, 'friction_offset': 5.0})
+    make_contact(bench, 10.0)
+    contact = bench.push.copy()
+    table, board = (each.normal_world for each in bench.config.contacts.values())
+    sideways = np.zeros(6)
+    sideways[:3] = 20.0 * np.cross(table, board) @ bench.state.sensor_pose.rotation_world
+    bench.push = contact + sideways
+    bench.step(50)
+    assert bench.reaction == 'hold' and not bench.loop.output.active.any()
+    for action in tare_and_push_test(bench):
+        with pytest.raises(CommandError, match='contacts: expected none pressed by a reaction'):
+            action()
+    bench.push = sideways
+    bench.step(200)
+    assert bench.reaction == 'hold'
+    np.testing.assert_allclose(bench.loop.tare(TareConfig())[:3], sideways[:3], atol=0.1)
+
+
+def test_safe_behaviour_forgets_what_a_reaction_pressed_with():
+    bench = Bench()
+    make_contact(bench, 10.0)
+    for _ in range(40):
+        bench.loop.step_half(JointReading(bench.stamp, HOME.copy(), np.zeros(6)))
+        bench.k += 1
+    assert bench.loop.supervisor.presses
+    bench.loop.stop()
+    bench.push = np.zeros(6)
+    bench.step(120)
+    assert not bench.loop.supervisor.presses
+    assert bench.states == {'table': 'free', 'board': 'free'}
+    np.testing.assert_allclose(bench.loop.tare(TareConfig()), 0.0, atol=0.02)
+
+
+def test_hold_while_the_arm_is_held_by_a_reaction_keeps_what_is_pressed():
+    bench = Bench()
+    make_contact(bench)
+    for _ in range(40):
+        bench.loop.step_half(JointReading(bench.stamp, HOME.copy(), np.zeros(6)))
+        bench.k += 1
+    assert bench.reaction == 'hold'
+    bench.loop.hold(True)
+    bench.step(200)
+    assert (bench.reaction, bench.loop.held) == ('none', True)
+    assert bench.states == {'table': 'holding', 'board': 'free'}
+    np.testing.assert_allclose(bench.loop.output.alpha_des, [6.0, 0.0])
+
+
+@pytest.mark.parametrize('nothing', [None, np.zeros(6), np.full(6, np.nan)])
+def test_arm_without_a_sensor_is_held_where_its_torques_are_not_told_any_more(nothing):
+    """What the momentum observer said last must not pass for what is measured."""
+    bench = Bench(wrench_input='momentum', robot={'sensor_frame': ''})
+
+    def be(ticks):
+        for _ in range(ticks):
+            bench.step(effort=bench.state.gravity + 0.01 * bench.random.standard_normal(6))
+
+    be(60)
+    assert bench.reaction == 'none'
+    bench.step(40, effort=nothing)
+    assert bench.loop.status.causes == ('wrench_stale',)
+    be(200)
+    assert bench.reaction == 'none'
+
+
+def test_sensor_that_is_known_to_be_wrong_is_not_tared():
+    bench = Bench(sensor={'frozen_ticks': 5})
+    bench.step(120)
+    reading = bench.wrench()
+    for _ in range(30):
+        bench.loop.step(PairedSample(bench.stamp, HOME.copy(), np.zeros(6), reading, EFFORT))
+        bench.k += 1
+    with pytest.raises(CommandError, match='wrench: expected nothing wrong with it, for a tare, '
+                       'found frozen'):
         bench.loop.tare(TareConfig())
 
 

@@ -30,8 +30,12 @@ from multicontact_control.config.supervision import (
     WatchdogConfig,
 )
 from multicontact_control.errors import ConfigError
+from multicontact_control.wording import counted
 
 MAX_DELAY_PERIODS = 10
+# Of the momentum observer, per period: between two samples forces change, which only a mean evens
+# out.
+FASTEST_MOMENTUM = 0.4
 
 
 class ControllerConfig(Config):
@@ -78,7 +82,14 @@ class ControllerConfig(Config):
             'collision.threshold': self.collision.threshold}
         for name, values in per_joint.items():
             if values and len(values) != joints:
-                yield ConfigError(name, f'{joints} values, one per joint', f'{len(values)}')
+                yield ConfigError(
+                    name, f'{counted(joints, "values")}, one per joint', f'{len(values)}')
+        for name, values in (('friction.coulomb', self.friction.coulomb),
+                             ('friction.viscous', self.friction.viscous)):
+            if min(values, default=0.0) < 0.0:
+                yield ConfigError(name, 'values of at least 0', min(values))
+        if min(self.torque_limit, default=1.0) <= 0.0:
+            yield ConfigError('torque_limit', 'values above 0 N m', min(self.torque_limit))
         unknown = [name for name in self.contact_names if name not in self.contacts]
         for name in unknown:
             yield ConfigError(
@@ -183,7 +194,7 @@ class ControllerConfig(Config):
         field, found = 'force.input_delay', f'{self.force.input_delay:g} s'
         if self.wrench_input == 'momentum':
             field += ' and 1 / collision.bandwidth'
-            found += f' + {1.0 / self.collision.bandwidth:.4g} s'
+            found += f' + {1.0 / self.momentum_bandwidth:.4g} s'
         if sensor.filter_order:
             field += ' and the delay of sensor.filter_cutoff'
             found += f' + {sensor.filter_delay(self.rate):.4g} s'
@@ -194,8 +205,13 @@ class ControllerConfig(Config):
     @property
     def loop_delay(self) -> float:
         """T_d of the force loop: force.input_delay and that of what measures the forces [s]."""
-        observer = 1.0 / self.collision.bandwidth if self.wrench_input == 'momentum' else 0.0
+        observer = 1.0 / self.momentum_bandwidth if self.wrench_input == 'momentum' else 0.0
         return self.force.input_delay + self.sensor.filter_delay(self.rate) + observer
+
+    @property
+    def momentum_bandwidth(self) -> float:
+        """Bandwidth of the momentum observer, which the rate bounds [1/s]."""
+        return min(self.collision.bandwidth, FASTEST_MOMENTUM * self.rate)
 
     @property
     def period(self) -> float:

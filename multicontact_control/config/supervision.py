@@ -101,6 +101,9 @@ class ContactStateConfig(Config):
                 'contact_state.contact_threshold',
                 f'above release_threshold {self.release_threshold:g} N and below force_ceiling '
                 f'{self.force_ceiling:g} N', f'{self.contact_threshold:g} N')
+        if not self.preload < self.force_ceiling:
+            yield ConfigError('contact_state.preload', f'below force_ceiling '
+                              f'{self.force_ceiling:g} N', f'{self.preload:g} N')
 
 
 class LimitsConfig(Config):
@@ -262,3 +265,6 @@ class WatchdogConfig(Config):
         if len(self.wrench_full_scale) not in (0, WRENCH_SIZE):
             yield ConfigError(
                 'watchdog.wrench_full_scale', '6 values', len(self.wrench_full_scale))
+        if min(self.wrench_full_scale, default=1.0) <= 0.0:
+            yield ConfigError(
+                'watchdog.wrench_full_scale', 'values above 0', min(self.wrench_full_scale))

@@ -106,9 +106,7 @@ class Controller:
         self._control_bytes = self.controls.view(np.uint8)
         self.misread_friction: list[tuple[str, str, float]] = []
         self._adopt(config)
-        self.controls['law']['dependent'] = check_columns(
-            config.column_names, self.contacts,
-            minimum_norm=config.force.dependent_columns == 'minimum_norm')
+        self.controls['law']['dependent'] = depend(config, self.contacts)
         self.reset()
         pose = self._pose()
         pose.quaternion_xyzw  # noqa: B018 - no step is to wait for it to be compiled
@@ -196,6 +194,9 @@ class Controller:
             if getattr(config, name) != getattr(self.config, name):
                 raise ConfigError(name, f'{getattr(self.config, name)} while in use',
                                   getattr(config, name))
+        columns = self.contacts.copy()
+        place_columns(config, columns)
+        depend(config, columns)  # normals may be others
         if not self._started:
             return None
         laws = self._design(config, self.arm.pose.rotation_world)
@@ -210,6 +211,7 @@ class Controller:
         """
         laws = self.redesign(config)
         self._adopt(config)
+        self.controls['law']['dependent'] = depend(config, self.contacts)
         if laws is not None:
             self.laws = laws
             self.misread_friction = self._find_misread_friction()
@@ -377,6 +379,12 @@ class Controller:
         state = self.robot.update(self.arm.q, self.arm.velocity)
         task_inertia(state.mass_matrix, state.jacobian)  # says what is wrong
         raise SingularTaskError('J M^-1 J^T: expected a positive definite matrix')
+
+
+def depend(config: ControllerConfig, contacts: Records) -> bool:
+    """Return whether columns depend on each other and may; ConfigError if they must not."""
+    return check_columns(config.column_names, contacts,
+                         minimum_norm=config.force.dependent_columns == 'minimum_norm')
 
 
 def law_record(config: ControllerConfig) -> Records:

@@ -117,7 +117,8 @@ def limit_torque(joints: Any, least_share: float, torque: Vector) -> bool:
     Parameters
     ----------
     joints
-        Records of `JOINT`, shape (n,): limit and priority are used.
+        Records of `JOINT`, shape (n,): limit of the command, what the drives add to it, and
+        priority are used.
     least_share
         s_0; 1 to cut joint by joint.
     torque
@@ -132,25 +133,28 @@ def limit_torque(joints: Any, least_share: float, torque: Vector) -> bool:
     n = joints.shape[0]
     share, exceeded = 1.0, False
     for j in range(n):
-        limit, first = joints[j].torque_limit, joints[j].priority
-        if torque[j] > limit:
+        joint = joints[j]
+        upper, lower = joint.added + joint.torque_limit, joint.added - joint.torque_limit
+        first = joint.priority
+        if torque[j] > upper:
             exceeded = True
-            if first < limit:
-                share = min(share, (limit - first) / (torque[j] - first))
-        elif torque[j] < -limit:
+            if first < upper:
+                share = min(share, (upper - first) / (torque[j] - first))
+        elif torque[j] < lower:
             exceeded = True
-            if first > -limit:
-                share = min(share, (limit + first) / (first - torque[j]))
+            if first > lower:
+                share = min(share, (first - lower) / (first - torque[j]))
     if not exceeded:
         return False
     share = max(share, least_share)
     for j in range(n):
-        limit, first = joints[j].torque_limit, joints[j].priority
-        torque[j] = first + share * (torque[j] - first)
-        if torque[j] > limit:
-            torque[j] = limit
-        elif torque[j] < -limit:
-            torque[j] = -limit
+        joint = joints[j]
+        upper, lower = joint.added + joint.torque_limit, joint.added - joint.torque_limit
+        torque[j] = joint.priority + share * (torque[j] - joint.priority)
+        if torque[j] > upper:
+            torque[j] = upper
+        elif torque[j] < lower:
+            torque[j] = lower
     return True
 
 

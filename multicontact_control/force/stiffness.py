@@ -309,6 +309,7 @@ def learn_stiffness(
     contact.stiffness = stiffness.k
     contact.stiffness_est = stiffness.k_est
     contact.stiffness_std = stiffness.k_std
+    contact.ratio_bound = contact.margin = 0.0  # as long as nothing is known
     if stiffness.k_est > 0.0:
         contact.ratio_bound = (stiffness.k_est + 2.0 * stiffness.k_std) / stiffness.k
         contact.margin = stable_ratio(stiffness) / contact.ratio_bound

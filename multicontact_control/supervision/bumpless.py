@@ -93,13 +93,12 @@ class BumplessController:
         self._safe.config = config.safe_behaviour
         self._limit = np.broadcast_to(
             config.torque_limit or np.inf, (self.controller.robot.joint_count,))
-        if self.own_weight is not None:  # a limit is one of the command
-            self.controller.arm.joints['torque_limit'] = np.inf
 
     def reset(self) -> None:
         """Forget everything measured and commanded; the next sample starts anew."""
         if self.own_weight is not None:
             self.own_weight.reset()
+            self.controller.arm.joints['added'] = 0.0
         self.controller.reset()
         self._transition.reset()
         self._safe_running = False
@@ -201,6 +200,7 @@ class BumplessController:
         if self.own_weight is None:
             return None
         change = self.own_weight.update()
+        self.controller.arm.joints['added'] = self.own_weight.torque
         self._transition.allow_for(change)
         return change
 

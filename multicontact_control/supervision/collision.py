@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+import math
 from typing import Any
 
 from multicontact_control.arrays import Vector
@@ -15,7 +16,6 @@ from multicontact_control.supervision.validation import copy_numbers
 import numpy as np
 
 COLLISION = 'collision'
-FASTEST = 0.4  # per period: between two samples forces change, which only a mean evens out
 UNEVEN = 0.5  # share of a period that a sample may be early or late, to be the one after another
 
 
@@ -54,8 +54,7 @@ class CollisionWatch:
             maxlen=max(config.collision.command_delay, 0) + 2)
         self._threshold[:] = collision_thresholds(config, controller.robot) if (
             self._feels) else np.inf
-        self._momentum['bandwidth'] = min(
-            config.collision.bandwidth, FASTEST * config.rate)
+        self._momentum['bandwidth'] = config.momentum_bandwidth
         self._momentum['dynamic_share'] = config.collision.dynamic_share
         self.reset()
 
@@ -65,24 +64,28 @@ class CollisionWatch:
         self._elapsed[0], self._stamp = 0.0, np.nan
         self._commands.clear()
         self._farthest = -1
-        self._acted = False
+        self._acted = self._doubted = False
+        self._unknown = 0
+        self._doubt[:] = 0.0
 
     def commanded(self, torque: Vector) -> None:
         """Take note of a command, shape (n,) [N m]."""
         self._commands.append(torque)
 
-    def take(self, joints: JointInput | None, added: Vector | float = 0.0) -> None:
+    def take(self, joints: JointInput | None, added: Vector | None = None) -> None:
         """Take note of the torque that acted before a sample, and of what the arm adds to it."""
         self._acted = joints is not None and joints.effort is not None and (
-            joints.names is None) and copy_numbers(joints.effort, self._effort) and bool(
-                self._effort.any())  # a driver that measures nothing may say 0
-        self._effort += added
-        self._doubt[:] = 0.0
+            joints.names is None) and copy_numbers(joints.effort, self._effort) and (
+                tells(self._effort.tolist()))
+        if added is not None:
+            self._effort += added
+        if self._doubted:
+            self._doubt[:], self._doubted = 0.0, False
         commands = self._commands
         if self._by_command and not self._acted and len(commands) == commands.maxlen:
             before, acted, after = commands[0], commands[1], commands[min(2, len(commands) - 1)]
             self._doubt[:] = np.maximum(np.abs(acted - before), np.abs(after - acted))
-            self._effort[:], self._acted = acted, True
+            self._effort[:], self._acted, self._doubted = acted, True, True
 
     def look(self, stamp: float, measured: bool) -> None:
         """
@@ -100,6 +103,17 @@ class CollisionWatch:
         follows = abs(elapsed - self._period) < UNEVEN * self._period
         known = follows and self._acted and (measured or not self._feels)
         self._elapsed[0] = elapsed if known else 0.0
+        self._unknown = 0 if known else self._unknown + 1
+
+    @property
+    def knows(self) -> bool:
+        """
+        Whether the residual is of now.
+
+        It takes two samples to begin with, as many commands as these are behind, and one more
+        after a sample that did not come.
+        """
+        return self._unknown <= (self._commands.maxlen or 0) + 1
 
     def cause(self, found: int) -> str:
         """
@@ -121,6 +135,11 @@ class CollisionWatch:
         if beyond.size:
             self._farthest = max(self._farthest, int(beyond[-1]))
         return f'{COLLISION}_{self._names[max(self._farthest, 0)]}'
+
+
+def tells(effort: list[float]) -> bool:
+    """Return whether torques say anything: a driver that measures none may say 0, or NaN."""
+    return any(effort) and math.isfinite(sum(effort))
 
 
 def collision_thresholds(config: ControllerConfig, robot: RobotModel) -> Vector:

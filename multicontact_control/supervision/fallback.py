@@ -14,6 +14,7 @@ NONE, INFLATE, HOLD, FLOAT, DAMP = 'none', 'inflate', 'hold', 'float', 'damp'
 SEVERITY = (NONE, INFLATE, HOLD, FLOAT, DAMP)
 COAST_TIME = 0.1  # s, in which an arm that cannot be seen any more is brought to rest
 DROP_TIME = 0.02  # s, in which the force on a surface that has gone is dropped
+DROPPED = 1e-3  # N m in every joint, below which that counts as done
 
 
 class Reactions:
@@ -50,6 +51,11 @@ class Reactions:
         alpha = np.where(
             contacts['active'], np.clip(contacts['alpha_est'], least, most), 0.0)
         self._pressing.begin(self._robot.terms.jacobian.T @ (contacts['N'].T * alpha))
+
+    @property
+    def presses(self) -> bool:
+        """Whether a contact is still pressed, since the law held it."""
+        return self._pressing.left
 
     def end(self) -> None:
         """Control has resumed: the next reaction begins anew."""
@@ -126,6 +132,11 @@ class Pressing:
     def end(self) -> None:
         """Forget it."""
         self._torques: Matrix | None = None
+
+    @property
+    def left(self) -> bool:
+        """Whether there is anything left of it."""
+        return self._torques is not None and bool((np.abs(self._torques) > DROPPED).any())
 
     def begin(self, torques: Matrix) -> None:
         """Take note of J^T N_i alpha_i of each contact, columns of shape (n, r) [N m]."""

@@ -65,6 +65,7 @@ class ContactReference:
         self._record['settings'] = contact_settings(contact_state, config.period)
         self._limits = self._record['limits']
         self._leaders = np.array(config.leaders)
+        self._couples = len(self._leaders) < len(config.columns)
         self.contact_states: Any = contact_states(
             [column.stiffness for column in config.columns],
             [column.kind != FORCE for column in config.columns])
@@ -116,14 +117,22 @@ class ContactReference:
     @property
     def energies(self) -> Vector:
         """Energy of the passivity observer of each contact's normal force [J]."""
-        energies: Vector = self._energies[self._leaders]
-        return energies
+        return self._of_forces(self._energies)
 
     @property
     def energy_limits(self) -> Vector:
         """Bound of that energy [J]."""
-        limits: Vector = self._energy_limits[self._leaders]
-        return limits
+        return self._of_forces(self._energy_limits)
+
+    def _of_forces(self, values: Vector) -> Vector:
+        """Return those of the normal forces among values of all columns, as an array apart."""
+        chosen: Vector = values[self._leaders] if self._couples else values.copy()
+        return chosen
+
+    @property
+    def held(self) -> Mask:
+        """Which contacts, and their couples, are held, also while a reaction pauses control."""
+        return np.array([is_active(state) for state in self.contact_states], dtype=bool)
 
     def start(self, pose: Pose, normals_world: Vector) -> None:
         """Begin from a pose at rest; see `ReferenceSource.start`."""
@@ -199,7 +208,7 @@ class ContactReference:
 
         """
         position = pose.position_world.copy()
-        active = np.array([is_active(state) for state in self.contact_states], dtype=bool)
+        active = self.held
         for state, normal in zip(
                 self.contact_states[active], self._contacts['normal'][active]):
             position -= state['displacement'] * normal
@@ -221,7 +230,7 @@ class ContactReference:
         """
         self._offset[:] = np.nan  # set at the next update
         self._catching_up = True
-        held = np.array([is_active(state) for state in self.contact_states]) & (
+        held = self.held & (
             self._contacts['alpha_meas'] > self._record['settings']['contact_threshold'])
         self._held: Mask = held[self._contacts['leader']]
         return self._held

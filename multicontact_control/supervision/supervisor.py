@@ -7,7 +7,12 @@ from typing import Any
 
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
-from multicontact_control.control.arm_state import ArmState, JOINT_SPEED, OPERATIONAL_SPEED
+from multicontact_control.control.arm_state import (
+    AMBIGUOUS,
+    ArmState,
+    JOINT_SPEED,
+    OPERATIONAL_SPEED,
+)
 from multicontact_control.control.controller import ControlOutput
 from multicontact_control.control.law import limit_torque
 from multicontact_control.control.reference import TaskSource
@@ -180,6 +185,11 @@ class Supervisor(BumplessController):
         """Whether the control law has answered a sample since it was reset."""
         return self._running
 
+    @property
+    def presses(self) -> bool:
+        """Whether a reaction presses on with what a contact was held with."""
+        return self._reactions.presses
+
     def try_again(self) -> bool:
         """
         Resume control that is latched, and seek contacts that were given up.
@@ -237,11 +247,11 @@ class Supervisor(BumplessController):
         """Return the valid inputs; take note of the time, and of the effort to start from."""
         now, before = finite_number(inputs.time), self._time
         skipped = 0.0 if now is None or before is None else now - before - self._period
-        if self._running and not self._paused and 0.0 < skipped <= LONGEST_SKIP:
+        if self._running and not self._paused and 0.5 * self._period < skipped <= LONGEST_SKIP:
             self._task_ticks += round(skipped / self._period)
         self._time = now
         self.collisions.take(
-            inputs.joints, 0.0 if self.own_weight is None else self.own_weight.torque)
+            inputs.joints, None if self.own_weight is None else self.own_weight.torque)
         if not self._transition.begun and inputs.joints is not None:
             self._effort = np.zeros(self._robot.joint_count)
             if not copy_numbers(inputs.joints.effort, self._effort):
@@ -261,6 +271,8 @@ class Supervisor(BumplessController):
         arm = self._arm
         if not self._safe_running:
             self._restart_law()
+            self._reactions.end()
+            self.reference.reset()
             self._safe.start()
             self._transition.begin(self._acting)
         self._safe_running = True
@@ -316,10 +328,13 @@ class Supervisor(BumplessController):
         if valid.q is not None and arm.refresh():
             self._arm = arm
             self._too_fast = TOO_FAST[arm.found & (OPERATIONAL_SPEED | JOINT_SPEED)]
+            if arm.found & AMBIGUOUS:  # what the contacts bear is of some time before
+                self._wrench_known = False
             touched = self.collisions.cause(arm.found)
             # The wrench is not to be believed before the pushes that prove it.
             self._touched = (touched,) if touched and not self.expects_pushes else ()
-            self._carry()
+            if self.own_weight is not None:
+                self._carry()
 
     def _carry(self) -> Vector | None:
         change = super()._carry()
@@ -344,6 +359,8 @@ class Supervisor(BumplessController):
         if self._arm is None or valid.wrench is None:
             return self._react(('joints_stale',), valid.rejected, DAMP)
         resumed = self._paused and self._running
+        if self._paused and not self._running:
+            self.controller.reset()  # the arm may have been moved since the first attempt
         if resumed:
             held = self.reference.resume()
             continue_laws_at(self.controller.laws, held, self.controller.contacts['alpha_meas'])

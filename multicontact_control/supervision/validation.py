@@ -136,7 +136,8 @@ class Watchdog:
         self._joints: Any = np.zeros(len(self._names), dtype=JOINT_READING)
         self._joints['speed_limit'] = config.limits.joint_speed or np.inf
         self._variances: Any = np.zeros(r, dtype=VARIANCE_READING)
-        self._initial_variance = min(config.initial_noise_variance, watch.variance_ceiling)
+        self._initial_variance = min(
+            max(config.initial_noise_variance, watch.variance_floor), watch.variance_ceiling)
         self._watch = watch_record(config)
         motion, valid_wrench, noise_variance = places or (
             np.zeros((2, len(self._names))), np.zeros(6), np.zeros(r))

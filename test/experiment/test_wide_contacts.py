@@ -26,8 +26,9 @@ def test_forces_and_couples_are_kept_at_rest_and_while_sliding(scenario, plant, 
     assert judge(data, setup, mode='in_process', events=()).name == STABLE
     evidence = evidence_of(data, setup, summarise(
         data, setup, mode='in_process', timing={}, events=result.events))
+    (contact,) = evidence['contacts'].values()  # couples are no contacts of their own
+    assert contact['stiffness_ratio'] == pytest.approx(1.0)
     for i, name in enumerate(data.contact_names):
-        assert evidence['contacts'][name]['stiffness_ratio'] == pytest.approx(1.0)
         error = force_error(data, setup, i)
         assert rms_in(window.rest, error) < 0.2, name
         assert rms_in(window.moving, error) < bound, name
@@ -147,6 +148,9 @@ def test_centres_of_pressure_follow_the_force_and_stay_inside():
     for _ in range(300):
         loop.advance()
     np.testing.assert_allclose(loop.sample.contact_force, [20.0, 4.0], atol=0.3)
+    loop.control.set_forces({'edge': 5.0})  # 4 N of its couple would be too much there
+    assert loop.control.commanded_forces == pytest.approx({'edge': 5.0, 'edge/along': 1.0})
+    loop.control.set_forces({'edge': 20.0})
     for forces, centres in (({}, {'edge/along': 0.045}), ({'edge/along': 17.0}, {}),
                             ({}, {'edge': 0.01}), ({'edge/along': np.nan}, {})):
         with pytest.raises((CommandError, ConfigError), match='edge'):
@@ -170,6 +174,27 @@ def test_normals_may_be_set_while_in_use_and_stiffnesses_not():
         normals = loop.control.controller.controller.contacts['normal']
         np.testing.assert_array_equal(normals[0], value)
         loop.control.controller.reconfigure(config)
+
+
+def test_a_normal_with_which_contacts_could_not_be_told_apart_is_refused_while_in_use():
+    loop = ClosedLoop(resolve('quick', plant='rigid', controller={'contacts': {
+        'board': {'point_operational': [0.0, 0.0, 0.24]},
+        'table': {'point_operational': [0.0, 0.0, 0.24]}}}))
+    loop.advance()
+    config = loop.control.config
+    table = config.contacts['table'].model_copy(
+        update={'normal_world': config.contacts['board'].normal_world})
+    other = config.model_copy(update={'contacts': {**config.contacts, 'table': table}})
+    with pytest.raises(ConfigError, match='table, board, which depend on each other'):
+        loop.control.controller.reconfigure(other)
+    assert loop.control.config is config
+
+
+@pytest.mark.parametrize('scenario', ['tilt', 'moving_surface'])
+def test_way_along_a_pressed_normal_does_not_count_as_too_far_ahead(scenario):
+    """The surface takes the tip 5 cm along its normal; the motion keeps its feed-forward."""
+    result = run_in_process(resolve(scenario, plant='rigid'))
+    assert not [event for event in result.events if 'reference' in event[1]]
 
 
 def test_four_corners_share_a_wrench_that_tells_three_apart():

@@ -1,6 +1,6 @@
 """Whatever fails, an arm whose joints are known is carried: simulated arms do not fall."""
 
-from arms import controller_config, HOME
+from arms import controller_config, HOME, still_config
 from multicontact_control.contact.geometry import normal_space
 from multicontact_control.control.reference import CommandedReference
 from multicontact_control.control_loop import ControlLoop
@@ -10,6 +10,8 @@ from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.faults.vocabulary import PARTS
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.paths import config_dir
+from multicontact_control.sampling import PairedSample
+from multicontact_control.sensor.weight import weight_reading
 from multicontact_control.supervision.command_limits import CommandLimits
 from multicontact_control.supervision.supervisor import Supervisor
 import numpy as np
@@ -59,6 +61,33 @@ def aligned_points():
 
 def aligned_config():
     return controller_config(contacts=aligned_points())
+
+
+def test_control_begins_where_the_arm_was_moved_to_after_an_attempt_that_failed(monkeypatch):
+    """Free to be moved where there is no answer: not drawn back to there."""
+    config = still_config(watchdog={'on_law_fault': 'damp'})
+    loop, random = ControlLoop(config, None, CommandLimits(), config_dir()), (
+        np.random.default_rng(0))
+
+    def fail(settled):
+        raise ArithmeticError
+
+    monkeypatch.setattr(loop.supervisor._law, 'answer', fail)
+    way, ticks = np.array([0.1, 0.0, 0.1, 0.0, 0.2, 0.0]), 500
+    for k in range(2 * ticks):
+        share, qd = (min(k, ticks) / ticks, way / (ticks * config.period) * (k < ticks))
+        q = HOME + share * way + 1e-7 * random.standard_normal(6)
+        pose = ROBOT.update(q, qd).sensor_pose
+        weight = weight_reading(
+            pose.rotation_world, config.tool, np.array(config.robot.gravity_world))
+        loop.step(PairedSample(
+            2_000_000 * k, q, qd, weight + 0.02 * random.standard_normal(6), None))
+        if k == ticks:
+            assert loop.status.reaction == 'damp' or 'recovering' in loop.status.causes
+            monkeypatch.undo()
+    assert loop.status.reaction == 'none'
+    np.testing.assert_allclose(
+        loop.output.pose_des.position_world, loop.output.pose.position_world, atol=1e-4)
 
 
 def carried(loop, ticks, sag=0.02):

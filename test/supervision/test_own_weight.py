@@ -67,6 +67,9 @@ def test_simulated_arm_that_carries_itself_is_held_and_presses(with_tool, superv
     for _ in range(1300 if supervised else 1):
         loop.advance()
         assert (np.abs(loop.command) <= limit).all()
+        joints = loop.control.controller.controller.arm.joints
+        np.testing.assert_array_equal(joints['added'], loop.control.controller.own_weight.torque)
+        np.testing.assert_array_equal(joints['torque_limit'], limit)
         forces.append(loop.true_forces)
     if supervised:
         np.testing.assert_allclose(np.mean(forces[-100:], axis=0), 10.0, atol=0.3)

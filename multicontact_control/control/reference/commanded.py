@@ -31,13 +31,15 @@ class CommandedReference:
 
     def __init__(self, names: tuple[str, ...], leader_of: Sequence[int] | None = None) -> None:
         self._names = names
-        self._leader_of = list(range(len(names)) if leader_of is None else leader_of)
+        self._leader_of = np.array(
+            range(len(names)) if leader_of is None else leader_of, dtype=int)
         self._alpha_des = np.zeros(len(names))
         self._shares = np.full(len(names), math.nan)
         self._pose: Pose | None = None
         self._twist = np.zeros(6)
         self._acceleration = np.zeros(6)
         self._lasting = self._until = math.inf  # s, of these two; until which time of the task
+        self._made: Reference | None = None  # of all this, until something of it changes
 
     def start(self, pose: Pose, normals_world: Vector) -> None:
         """Begin from a pose at rest; see `ReferenceSource.start`."""
@@ -47,6 +49,7 @@ class CommandedReference:
         self._lasting = self._until = math.inf
         self._alpha_des = np.zeros(len(self._names))
         self._shares = np.full(len(self._names), math.nan)
+        self._made = None
 
     def set_forces(
         self, forces: Mapping[str, float], shares: Mapping[str, float] | None = None,
@@ -92,7 +95,7 @@ class CommandedReference:
         desired[known] = followed[known] * desired[self._leader_of][known]
         self._shares = followed
         changed = bool((desired != self._alpha_des).any())
-        self._alpha_des = desired
+        self._alpha_des, self._made = desired, None
         return changed
 
     def _index(self, name: str) -> int:
@@ -105,6 +108,12 @@ class CommandedReference:
     def forces(self) -> dict[str, float]:
         """Return what is commanded, forces and couples by name [N]."""
         return dict(zip(self._names, self._alpha_des.tolist()))
+
+    @property
+    def shares(self) -> dict[str, float]:
+        """Return which couples follow the force of their contact, relative to it, by name."""
+        return {name: share for name, share in zip(self._names, self._shares.tolist())
+                if not math.isnan(share)}
 
     def set_motion(
         self, position_world: Vector, quaternion_xyzw: Vector, twist_world: Vector,
@@ -153,6 +162,7 @@ class CommandedReference:
         self._pose = Pose.from_quaternion(position, quaternion_xyzw)
         self._twist, self._acceleration = twist, acceleration
         self._lasting, self._until = lasting, math.nan
+        self._made = None
 
     @property
     def pose(self) -> Pose | None:
@@ -175,7 +185,9 @@ class CommandedReference:
             self._until = time + self._lasting
         if time > self._until:
             self._twist, self._acceleration = np.zeros(6), np.zeros(6)
-            self._until = math.inf
-        return Reference(
-            pose_des=self._pose, twist_des=self._twist, acceleration_des=self._acceleration,
-            active=(self._alpha_des > 0.0)[self._leader_of], alpha_des=self._alpha_des)
+            self._until, self._made = math.inf, None
+        if self._made is None:
+            self._made = Reference(
+                pose_des=self._pose, twist_des=self._twist, acceleration_des=self._acceleration,
+                active=(self._alpha_des > 0.0)[self._leader_of], alpha_des=self._alpha_des)
+        return self._made

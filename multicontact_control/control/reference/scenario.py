@@ -7,7 +7,14 @@ from collections.abc import Sequence
 import math
 
 from multicontact_control.arrays import Mask, Vector
-from multicontact_control.config import Config, ContactStateConfig, parameter, Real, UnitVector3
+from multicontact_control.config import (
+    Config,
+    ContactStateConfig,
+    parameter,
+    Real,
+    UnitVector3,
+    validate,
+)
 from multicontact_control.control.reference.source import Reference
 from multicontact_control.dynamics.pose import Pose
 from multicontact_control.errors import ConfigError
@@ -198,9 +205,11 @@ class ScenarioReference:
     def contact_state(self, default: ContactStateConfig) -> ContactStateConfig:
         """Return how contacts are to be made; what the scenario says of it goes first."""
         approach = self._config.approach
-        return default.model_copy(update={
-            'approach_speed': approach.speed, 'approach_ramp_time': approach.ramp_time,
-            'contact_threshold': approach.contact_threshold, 'preload': approach.preload})
+        return validate(ContactStateConfig, {
+            **default.model_dump(), 'approach_speed': approach.speed,
+            'approach_ramp_time': approach.ramp_time,
+            'contact_threshold': approach.contact_threshold, 'preload': approach.preload},
+            'reference.approach')
 
     def task(self, time: float) -> Reference:
         """
