@@ -10,8 +10,10 @@ from multicontact_control.cli.exits import errors_in_one_line, EXIT_FAILED, requ
 from multicontact_control.cli.options import (
     ControllerFiles,
     DomainId,
+    given_options,
     Namespace,
     Plant,
+    refuse_options,
     Robot,
     Seed,
 )
@@ -23,8 +25,12 @@ if TYPE_CHECKING:
     from multicontact_control.experiment.calibration import Calibration
 
 
+SIMULATED = ('robot', 'plant', 'seed')
+RUNNING = ('tilt', 'move_time', 'domain_id')  # what only a robot that runs is asked
+
+
 def calibrate(
-    robot: Robot = '', plant: Plant = '', seed: Seed = 0,
+    context: typer.Context, robot: Robot = '', plant: Plant = '', seed: Seed = 0,
     out: Annotated[Path, typer.Option(help='Folder for tool.yaml.')] = Path('.'),
     overwrite: Annotated[bool, typer.Option(
         '--overwrite', help='Replace a tool.yaml that is already there.')] = False,
@@ -52,6 +58,13 @@ def calibrate(
     3 mm, force bias within 0.1 N, or found on a robot; 1: not; 2: bad input.
     """
     with errors_in_one_line():
+        given = given_options(context)
+        if from_bag is not None:
+            refuse_options(given, ('external', *SIMULATED, *RUNNING), '--from-bag')
+        elif external:
+            refuse_options(given, SIMULATED, '--external')
+        else:
+            refuse_options(given, ('controller', 'namespace', *RUNNING), 'a simulated plant')
         from multicontact_control.experiment import calibration
 
         target = out / calibration.TOOL_FILE

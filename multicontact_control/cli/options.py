@@ -89,6 +89,22 @@ Estimators = Annotated[str, typer.Option(
     'at rest as `lead_window`. All if not given.')]
 
 
+def given_options(context: typer.Context) -> set[str]:
+    """Return the names of the options that were given on the command line."""
+    return {name for name in context.params
+            if (source := context.get_parameter_source(name)) is not None
+            and source.name == 'COMMANDLINE'}
+
+
+def refuse_options(given: set[str], names: tuple[str, ...], what: str) -> None:
+    """Refuse options that have no meaning; ConfigError naming the first."""
+    from multicontact_control.errors import ConfigError
+
+    for name in names:
+        if name in given:
+            raise ConfigError(f'--{name.replace("_", "-")}', f'nothing with {what}', 'it')
+
+
 def split_list(text: str) -> tuple[str, ...]:
     """Return the parts of a list with commas between, without the empty ones."""
     return tuple(part.strip() for part in text.split(',') if part.strip())

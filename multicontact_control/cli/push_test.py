@@ -6,12 +6,20 @@ from typing import Annotated
 
 from multicontact_control.cli import completion
 from multicontact_control.cli.exits import errors_in_one_line, EXIT_FAILED, require_ros
-from multicontact_control.cli.options import DomainId, Namespace, Plant, Robot, Seed
+from multicontact_control.cli.options import (
+    DomainId,
+    given_options,
+    Namespace,
+    Plant,
+    refuse_options,
+    Robot,
+    Seed,
+)
 import typer
 
 
 def push_test(
-    robot: Robot = '', plant: Plant = '', seed: Seed = 0,
+    context: typer.Context, robot: Robot = '', plant: Plant = '', seed: Seed = 0,
     fault: Annotated[str, typer.Option(
         autocompletion=completion.one_of(completion.sensor_faults),
         help='What is wrong with the sensor: none, sign (flipped), rotate (a quarter turn, about '
@@ -28,7 +36,9 @@ def push_test(
     balance. Exit code 0: passed; 1: refused, naming what is wrong; 2: bad input.
     """
     with errors_in_one_line():
+        given = given_options(context)
         if external:
+            refuse_options(given, ('robot', 'plant', 'seed', 'fault'), '--external')
             require_ros()
             from multicontact_control.experiment.push_running import push_running
 
@@ -36,6 +46,7 @@ def push_test(
                                 on_instruction=typer.echo):
                 raise typer.Exit(EXIT_FAILED)
             return
+        refuse_options(given, ('domain_id', 'namespace'), 'a simulated plant')
         from multicontact_control.experiment import push_trial
 
         config = push_trial.PushTestConfig()

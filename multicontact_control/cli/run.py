@@ -18,6 +18,7 @@ from multicontact_control.cli.options import (
     Duration,
     Engine,
     Estimator,
+    given_options,
     Law,
     Out,
     Overwrite,
@@ -25,12 +26,12 @@ from multicontact_control.cli.options import (
     prepare,
     prepare_external,
     Preset,
+    refuse_options,
     Robot,
     Scenario,
     Seed,
     Settings,
 )
-from multicontact_control.errors import ConfigError
 import typer
 
 
@@ -128,17 +129,3 @@ def end(summary: dict[str, Any] | None, interrupted: int | None) -> NoReturn:
         raise typer.Exit(EXIT_FAILED)
     end_by_verdict(summary)
     raise typer.Exit
-
-
-def given_options(context: typer.Context) -> set[str]:
-    """Return the names of the options that were given on the command line."""
-    return {name for name in context.params
-            if (source := context.get_parameter_source(name)) is not None
-            and source.name == 'COMMANDLINE'}
-
-
-def refuse_options(given: set[str], names: tuple[str, ...], what: str) -> None:
-    """Refuse options that have no meaning; ConfigError naming the first."""
-    for name in names:
-        if name in given:
-            raise ConfigError(f'--{name.replace("_", "-")}', f'nothing with {what}', 'it')
