@@ -13,6 +13,7 @@ RATE = 125.0
 JOINTS = tuple(f'j{i}' for i in range(7))
 COMMAND, AT, MADE = 10.0, 1.0, 1.5  # N, s, s
 START = 1_700_000_000_000_000_000  # ns
+ANSWERS = (topics.EFFORT_COMMAND, topics.MEASURED_FORCES)
 TOPICS = (
     topics.JOINT_STATES, topics.WRENCH, topics.EFFORT_COMMAND, topics.MEASURED_FORCES,
     topics.ESTIMATED_FORCES, topics.DESIRED_FORCES, topics.NOISE_VARIANCE, topics.POSE,
@@ -51,13 +52,14 @@ def rows(seconds, seed=0):
 
 def write_bag(
     folder, *, without=(topics.TRUE_FORCES,), seconds=4.0, space='', change=lambda x: x,
+    unanswered=0.0,
 ):
-    """Write a recording; return its MCAP file."""
+    """Write a recording, whose first seconds are not answered; return its MCAP file."""
     with BagWriter(folder, chunk_size=4096) as writer:
         known = set()
         for topic, time, message in rows(seconds):
             name = f'{space}/{topic.name}'
-            if topic in without:
+            if topic in without or (topic in ANSWERS and time < unanswered):
                 continue
             if name not in known:
                 known.add(name)

@@ -21,7 +21,9 @@ class Rival(str, Enum):
 def bench(
     as_json: Annotated[bool, typer.Option(
         '--json', help='Print one JSON object and nothing else.')] = False,
-    quick: Annotated[bool, typer.Option('--quick', help='A tenth of everything.')] = False,
+    quick: Annotated[bool, typer.Option(
+        '--quick', help='Fewer ticks and repeats, shorter runs: enough to see a ratio that is '
+        'wrong by a factor.')] = False,
     ticks: Annotated[int | None, typer.Option(
         min=100, help='Controller ticks per repeat; 20 000 if not given.')] = None,
     graph: Annotated[bool, typer.Option(

@@ -32,11 +32,11 @@ def identify(
             read_recording,
             show,
         )
-        from multicontact_control.files import write_json
+        from multicontact_control.files import finite, write_json
 
         data, controller, base_dir = read_recording(run, config)
         found = identify_contacts(data, controller, base_dir)
         typer.echo(show(found))
         if out is not None:
-            write_json(out, found)
+            write_json(out, finite(found))
             typer.echo(f'written to {out}')

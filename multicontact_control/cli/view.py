@@ -9,6 +9,7 @@ from multicontact_control.cli.exits import errors_in_one_line, EXIT_FAILED
 from multicontact_control.cli.options import (
     DomainId,
     Engine,
+    Namespace,
     Plant,
     Preset,
     resolve_settings,
@@ -25,7 +26,7 @@ def view(
         metavar='[RUN]', help='Folder of `run` or `simulate`, or a bag, to replay.')] = None,
     graph: Annotated[bool, typer.Option(
         '--graph', help='Join the ROS 2 graph that runs, instead of simulating.')] = False,
-    namespace: Annotated[str, typer.Option(help='Namespace of that graph.')] = '',
+    namespace: Namespace = None,
     domain_id: DomainId = None,
     scenario: Scenario = 'paper', robot: Robot = '', plant: Plant = '', seed: Seed = 0,
     preset: Preset = 'best', settings: Settings = None, engine: Engine = '',

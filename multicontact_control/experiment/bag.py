@@ -141,15 +141,16 @@ def answered(content: BagContent) -> BagContent:
 
     A robot may have published before, and after; all of it is returned where none was answered.
     """
-    data = content.data
+    data, start = content.data, content.start
     for series in (data.alpha_meas, data.torque):
         known = np.flatnonzero(np.isfinite(series).any(axis=1))
         if known.size:
             data = data.part(int(known[0]), int(known[-1]) + 1)
+            start += round(known[0] / data.rate * 1e9)
             break
     missing = {topic: int(np.isnan(getattr(data, next(iter(SERIES[topic])))).all(axis=1).sum())
                for topic in content.missing}
-    return replace(content, data=data, missing=missing)
+    return replace(content, data=data, start=start, missing=missing)
 
 
 def _fill(

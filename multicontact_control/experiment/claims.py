@@ -10,10 +10,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
+import math
 from statistics import median
 from typing import Any, NamedTuple
 
+from multicontact_control.experiment.claim_metrics import evidence_of
 from multicontact_control.experiment.judge import verdict_text
+from multicontact_control.experiment.recording import RunData
+from multicontact_control.experiment.scenario import Setup
 
 REST_FACTOR = 2.0  # R at rest agrees with the paper's within this factor,
 MOVING_FACTOR = 3.0  # R in motion within this one
@@ -77,6 +81,28 @@ class ClaimOverDamping(NamedTuple):
 def judge_over_damping(claims: Mapping[float, Sequence[Claim]]) -> list[ClaimOverDamping]:
     """Put the verdicts on every claim side by side; `claims` are those of each K_2 [1/s]."""
     return [ClaimOverDamping(dict(zip(claims, each))) for each in zip(*claims.values())]
+
+
+def claims_of(
+    data: RunData, setup: Setup, summary: Mapping[str, Any], comparison: Rows = (),
+) -> list[Claim]:
+    """
+    Judge the paper's claims by a run.
+
+    They are about a simulated plant that plays its scenario: of a robot of others, and of an arm
+    that obeyed commands instead, there are none.
+
+    Parameters
+    ----------
+    data, setup, summary
+        As for `evidence_of`.
+    comparison
+        As for `judge_claims`.
+
+    """
+    if setup.commanded_by_topic or not setup.simulated:
+        return []
+    return judge_claims(evidence_of(data, setup, summary), comparison)
 
 
 def judge_claims(evidence: Evidence, comparison: Rows = ()) -> list[Claim]:
@@ -144,7 +170,7 @@ def _start_disturbs(evidence: Evidence, rows: Rows) -> Verdict:
     holds = all(c['start_peak_n'] > START_FACTOR * c['rest_std_n'] for c in contacts)
     return (f"largest error {_each(evidence, 'start_peak_n', 1, 'N')} in the first 2 s, against "
             f"a standard deviation of {_each(evidence, 'rest_std_n', 3, 'N')} at rest", holds,
-            f'{"both" if holds else "not both"} contacts beyond {START_FACTOR:g} standard '
+            f'{"all" if holds else "not all"} contacts beyond {START_FACTOR:g} standard '
             'deviations at rest')
 
 
@@ -265,15 +291,22 @@ def _unfiltered(evidence: Evidence, rows: Rows) -> Verdict:
     slow = _recovery(_standard(rows, UNFILTERED), lasting=True)
     if lead is None or slow is None:
         return _unknown(f'needs cells of `{PAPER_ESTIMATOR}` and `{UNFILTERED}`')
+    if not math.isfinite(lead[0]):
+        return _unknown('with the filter a lasting push was not controlled out')
     short = [_recovery(_standard(rows, label), lasting=False)
              for label in (PAPER_ESTIMATOR, UNFILTERED)]
     holds = slow[0] >= SLOWER_FACTOR * lead[0]
-    text = f'a lasting push is controlled out in {slow[0]:.3f} s against {lead[0]:.3f} s'
+    text = (f'a lasting push is controlled out {_within(slow[0])}, '
+            f'with the filter {_within(lead[0])}')
     if short[0] is not None and short[1] is not None:
-        text += (f'; a push of 0.1 s in {short[1][0]:.3f} s against {short[0][0]:.3f} s, '
+        text += (f'; a push of 0.1 s {_within(short[1][0])}, with it {_within(short[0][0])}, '
                  f'peak {short[1][1]:.2f} N against {short[0][1]:.2f} N')
     return (text, holds, f'at the same R at rest; {SLOWER_FACTOR:g} times counts as much slower. '
             'Without rescaling R is 269 times smaller and the observer only gets faster')
+
+
+def _within(recovery: float) -> str:
+    return f'in {recovery:.3f} s' if math.isfinite(recovery) else 'never'
 
 
 def _recovery(rows: Rows, *, lasting: bool) -> tuple[float, float] | None:

@@ -32,6 +32,7 @@ from multicontact_control.force.stiffness import (
 )
 from multicontact_control.force.stiffness_fit import adopt_band, CORRELATION
 from multicontact_control.records import STIFFNESS
+from multicontact_control.wording import counted
 import numpy as np
 
 QUIET_SPEED = 1e-3  # m/s, below which the contact point counts as being at rest
@@ -130,9 +131,14 @@ def identify_contacts(
 def contact_signals(
     data: RunData, config: ControllerConfig, base_dir: Path,
 ) -> dict[str, ContactSignals]:
-    """Return the signals of every contact, from joints, wrench and torque alone."""
-    names = config.contact_names
-    controller = Controller.from_config(config, CommandedReference(names), base_dir)
+    """
+    Return the signals of every contact's normal force, from joints, wrench and torque alone.
+
+    Couples of edges and planes move the arm too, and have no signals of their own.
+    """
+    names = config.column_names
+    controller = Controller.from_config(
+        config, CommandedReference(names, config.leader_of), base_dir)
     controls, contacts = controller.controls, controller.contacts
     shape = (data.ticks, len(names))
     alpha, speed, motion, friction, commanded, resisted = (
@@ -150,9 +156,10 @@ def contact_signals(
         friction[k] = [friction_of_others(controls[0]['frame'], contacts, i)
                        for i in range(len(names))]
         commanded[k], resisted[k] = _accelerations(controller, data.torque[k])
-    return {name: ContactSignals(alpha[:, i], np.nan_to_num(data.alpha_des[:, i]), speed[:, i],
-                                 motion[:, i], friction[:, i], commanded[:, i], resisted[:, i])
-            for i, name in enumerate(names)}
+    return {names[i]: ContactSignals(
+                alpha[:, i], np.nan_to_num(data.alpha_des[:, i]), speed[:, i], motion[:, i],
+                friction[:, i], commanded[:, i], resisted[:, i])
+            for i in config.leaders}
 
 
 def _accelerations(controller: Controller, torque: Vector) -> tuple[Vector, Vector]:
@@ -268,7 +275,7 @@ def show(found: Mapping[str, Mapping[str, Any]]) -> str:
     for name, contact in found.items():
         share = '' if contact['explained'] is None else (
             f', {100.0 * contact["explained"]:.1f} % explained')
-        lines.append(f'{name}: {contact["samples"]} samples{share}')
+        lines.append(f'{name}: {counted(contact["samples"], "samples")}{share}')
         for key, (text, unit, scale, digits) in texts.items():
             value = contact[key]
             lines.append(f'  {text}: not known from this recording' if value is None else (

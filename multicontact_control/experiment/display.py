@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+import math
 from pathlib import Path
 from typing import Any, Protocol, TYPE_CHECKING
 
@@ -26,6 +27,7 @@ from multicontact_control.experiment.results import (
     SUMMARY_FILE,
 )
 from multicontact_control.terminal import moving_bar
+from multicontact_control.wording import counted
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import (
@@ -188,17 +190,19 @@ def _timeliness_lines(summary: Mapping[str, Any]) -> list[str]:
     timing = summary['timing']
     misses, unanswered = timing.get('deadline_misses', 0), timing.get('unanswered_samples', 0)
     ticks = summary['ticks']
-    counts = f'{unanswered} samples not answered'
+    counts = f"{counted(unanswered, 'samples')} not answered"
     if summary['mode'] not in (EXTERNAL_RUN, RECORDED):  # there nobody counts deadlines
         counts = f'{misses} of {ticks} deadlines missed, {counts}'
     if timing.get('composed') == 'all':
         counts += ' (in one process the simulator waits for them: no force suffers)'
     if summary['kept_real_time'] is False:
-        holds, judged = timing['late_reactions'], 100.0 * timing['judged_fraction']
+        # All is judged only where all was: 99.7 % are not 100.
+        judged = math.floor(100.0 * timing['judged_fraction'])
+        holds = counted(timing['late_reactions'], 'holds')
         hint = '; --lockstep has no deadlines' if summary['mode'] == REAL_TIME else ''
-        return [f'[yellow]warning: the machine could not keep real time: {counts}, {holds} '
-                f'holds: figures are not representative, and only {judged:.0f} % of the time '
-                f'under load was judged{hint}[/yellow]']
+        return [f'[yellow]warning: the machine could not keep real time: {counts}, {holds}; '
+                f'figures are not representative, and {judged} % of the time under load was '
+                f'judged{hint}[/yellow]']
     return [f'[yellow]warning: {counts}[/yellow]'] if misses or unanswered else []
 
 

@@ -37,6 +37,7 @@ import numpy as np
 CONTROLLER, ESTIMATOR = PRESET_NODES
 COMMANDS = 'commands'  # in the place of a scenario's name
 UNTIL_STOPPED = 1e6  # s, of a run that Ctrl-C ends
+WHOLE = 2e-4  # of a rate, by which a clock may be off one of whole Hz
 OF_THE_RUN = ('autostart', 'startup_peers', 'startup_timeout', 'timing_file', 'base_dir',
               'recording_batches')
 NAMED_BY = ('contact_forces/measured', 'contact_forces/estimated', 'contact_forces/desired',
@@ -265,5 +266,12 @@ def _rate(path: Path, found: BagMessages) -> float:
     stamps = np.unique(found.by_topic[topic].stamps)
     if len(stamps) < 2:
         raise RunError(f'{path}: {topic}: expected at least 2 samples, found {len(stamps)}')
-    rate = 1e9 / float(np.median(np.diff(stamps)))
-    return float(round(rate)) if abs(rate - round(rate)) < 0.02 * rate and rate >= 1.0 else rate
+    apart = np.diff(stamps)
+    usual = float(np.percentile(apart, 50.0, method='higher'))  # one of them
+    periods = apart[np.abs(apart - usual) <= 0.5 * usual]  # the others are gaps
+    duration = float(periods.sum())
+    rate = 1e9 * len(periods) / duration
+    # In their sum jitter counts once, and not in every period.
+    unsure = max(WHOLE, float(np.abs(periods - usual).max()) / duration)
+    whole = float(round(rate))
+    return whole if whole and abs(rate - whole) <= unsure * rate else rate

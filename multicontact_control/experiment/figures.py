@@ -13,9 +13,10 @@ from matplotlib.figure import Figure
 from multicontact_control.arrays import Vector
 from multicontact_control.experiment.html_figure import figure, plot
 from multicontact_control.experiment.judge import STABLE
-from multicontact_control.experiment.metrics import judged_windows
+from multicontact_control.experiment.metrics import judged_windows, step_responses
 from multicontact_control.experiment.oscillation import stretches
 from multicontact_control.experiment.panels import (
+    COLOURS,
     COMMANDED,
     ESTIMATED,
     MEASURED,
@@ -74,10 +75,7 @@ def _force(data: RunData, i: int) -> RunFigure:
     true = Trace('true', data.alpha_true[:, i], TRUE, 0.4, faint=True)
     estimated = Trace('estimated (AOB)', data.alpha_est[:, i], ESTIMATED)
     commanded = Trace('commanded', desired, COMMANDED, 1.0, dashed=True)
-    largest = float(np.max(desired[np.isfinite(desired)], initial=0.0))
-    finite = seen[np.isfinite(seen)]
-    limits = (min(-2.0, float(np.min(finite, initial=0.0))),
-              max(1.6 * largest, 5.0, 1.1 * float(np.max(finite, initial=0.0))))
+    limits = _force_limits([(data, i)])
     label = 'force [N]' if data.has_truth else f'force [N], {NO_TRUTH}'
     return RunFigure(
         file_name(f'fig{3 + i if i < 2 else f"3_{i + 1}"}_force_{name}'),
@@ -85,7 +83,19 @@ def _force(data: RunData, i: int) -> RunFigure:
         (Panel(label, (measured, commanded), limits),
          Panel(label, (estimated, commanded, true), limits)),
         f'force{i}', f'Fig. {3 + i if i < 2 else "3/4"}: contact force {name}',
-        Panel(label, (measured, true, estimated, commanded), (-2.0, 1.6 * max(largest, 5.0))))
+        Panel(label, (measured, true, estimated, commanded), limits))
+
+
+def _force_limits(shown: Sequence[tuple[RunData, int]]) -> tuple[float, float]:
+    """Return from where to where the axis of some contacts of runs goes [N]."""
+    low, high = -2.0, 5.0
+    for data, i in shown:
+        for values, margin in ((data.alpha_des, 1.6), (data.alpha_meas, 1.1),
+                               (data.alpha_true, 1.1)):
+            known = values[np.isfinite(values[:, i]), i]
+            low = min(low, margin * float(np.min(known, initial=0.0)))
+            high = max(high, margin * float(np.max(known, initial=0.0)))
+    return low, high
 
 
 def _motion(data: RunData, setup: Setup) -> RunFigure:
@@ -103,8 +113,8 @@ def _motion(data: RunData, setup: Setup) -> RunFigure:
 
 def _direction(data: RunData, setup: Setup) -> Vector:
     """Return the direction of the motion: that of the scenario, or the axis of the longest way."""
-    motion = setup.scenario.reference.motion
-    if motion or not setup.commanded_by_topic:
+    if not setup.commanded_by_topic:
+        motion = setup.scenario.reference.motion
         return np.asarray(motion.direction_world if motion else (1.0, 0.0, 0.0))
     known = data.position_des[np.isfinite(data.position_des).all(axis=1)]
     return np.eye(3)[int(np.argmax(np.ptp(known, axis=0)))] if len(known) else np.eye(3)[0]
@@ -224,14 +234,12 @@ def draw_side_by_side(
                       linewidth=1.0, label='commanded')
             axes.set_ylabel(f'{name} [N]')
         axes = grid[count, column]
-        reference = setup.scenario.reference
-        stop = reference.motion.start_time if reference.motion else np.inf
-        steps = [step.time for step in reference.force_steps if step.time < stop]
-        last = steps[-1] if steps else 0.0
+        last = max((step.time for contact in range(len(data.contact_names))
+                    for step in step_responses(data, setup, contact)), default=0.0)
         shown = (data.time >= last - STEP_SHOWN[0]) & (data.time < last + STEP_SHOWN[1])
-        for contact, (name, colour) in enumerate(zip(data.contact_names, (TRUE, ESTIMATED))):
+        for contact, name in enumerate(data.contact_names):
             axes.plot(1e3 * (data.time[shown] - last), data.judged_force[shown, contact],
-                      color=colour, linewidth=1.2,
+                      color=COLOURS[contact % len(COLOURS)], linewidth=1.2,
                       label=f'{name}, {"true" if data.has_truth else "measured"}')
         for desired in data.alpha_des[shown].T[:1]:
             axes.plot(1e3 * (data.time[shown] - last), desired, '--', color=COMMANDED,
@@ -244,8 +252,8 @@ def draw_side_by_side(
     for row in (0, count):
         grid[row, 0].legend(loc='lower right', fontsize=7)
     for row in range(count):
-        largest = max(float(np.nanmax(data.alpha_des, initial=0.0)) for _, data, _ in runs)
-        grid[row, 0].set_ylim(-2.0, 1.6 * max(largest, 5.0))
+        grid[row, 0].set_ylim(*_force_limits(
+            [(data, row) for _, data, _ in runs if row < len(data.contact_names)]))
     path.parent.mkdir(parents=True, exist_ok=True)
     sheet.savefig(path, dpi=110)
     return path

@@ -1,4 +1,4 @@
-"""Figures on a page: every sample is in it, packed, and drawn where the page is looked at."""
+"""Figures on a page: their samples are in it, packed, and drawn where the page is looked at."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ LICENSE = 'uPlot.LICENSE'  # goes with every copy
 LONGEST = 200_000  # samples of a figure; what is longer is thinned out
 HEIGHT = 300  # px, without title and legend
 HELP = ('<p class=note>Drag over a figure to zoom into all of them, double click to see all '
-        'again; click a name to hide its curve. Every sample is in this page, rounded to 1/4096 '
-        'of what its curve spans.</p>')
+        'again; click a name to hide its curve. Unless something else is said below a figure, '
+        'every sample is in this page, rounded to 1/4096 of what its curve spans.</p>')
 
 
 def plot(

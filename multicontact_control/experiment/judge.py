@@ -5,7 +5,8 @@ What a run is called: against what the scenario asked for, with what help, on wh
 which the supervisor had to step in again and again: bounds that are kept because something else
 than the control law keeps them are no sign of stability. *Not judged* is one that missed so many
 of its deadlines that the loop had another delay than its own: what came of that cannot be told
-from what the arm did. All others are *stable*.
+from what the arm did; and one in which the arm answers for less than half of the time under load,
+if nothing speaks against it. All others are *stable*.
 
 Where nobody knows the true forces, as on a robot, all this is judged by those measured, and says
 so; but a sensor does not vouch for itself: what would be stable is *not judged* then.
@@ -74,6 +75,7 @@ EXTERNAL_RUN, RECORDED = 'external', 'recorded'  # on a robot of others; what an
 WITH_DEADLINES = (REAL_TIME, EXTERNAL_RUN, RECORDED)
 HOPELESS = 0.1  # share of the deadlines missed, from which on a run is not judged
 LARGEST_MISS = 0.01  # share of deadlines missed, or samples unanswered, that is still real time
+LEAST_JUDGED = 0.5  # share of the time under load, that the arm answers for in a run called stable
 SHORTEST_GAP = 2  # samples; one that is missing is bridged, and nobody reacts to it
 AFTERMATH = SETTLE_AFTER_STEP  # s after a gap; contacts are sought and loaded anew, as by a step
 LATE = ('stale', 'order', 'stamp', 'late')  # what is wrong with a sample that is late
@@ -153,7 +155,8 @@ def judge(
     and from reactions to late samples counts: that is how what the machine did is told from what
     the arm did. Numbers that are not finite, and contacts that were never made, count all the
     same. Where more than a tenth of the deadlines were missed, only the first of these does, and
-    the run is not judged: commands that come late leave no gap, and act as another delay.
+    the run is not judged: commands that come late leave no gap, and act as another delay. What
+    would be stable is not judged either where less than half of the time under load counts.
 
     Parameters
     ----------
@@ -176,14 +179,14 @@ def judge(
     name = NOT_STABLE if found else HELD if helped else STABLE
     if timely.hopeless and not any(finding.always for finding in found):
         name = UNJUDGED
-    if name == STABLE and not data.has_truth:
+    loaded = judged_windows(data, setup).loaded
+    share = float(timely.judged[loaded].mean()) if loaded.any() else 1.0
+    if name == STABLE and (share < LEAST_JUDGED or not data.has_truth):
         name = UNJUDGED
     found += helped
-    loaded = judged_windows(data, setup).loaded
     times = [finding.time for finding in found if finding.time is not None]
     return Verdict(
-        name, tuple(finding.text for finding in found), min(times, default=None), timely,
-        float(timely.judged[loaded].mean()) if loaded.any() else 1.0)
+        name, tuple(finding.text for finding in found), min(times, default=None), timely, share)
 
 
 def findings(

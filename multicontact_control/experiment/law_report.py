@@ -17,13 +17,14 @@ NODES = {'controller': '/**/controller_node', 'noise_estimator': '/**/noise_esti
 def show_design(found: DesignedLaw) -> str:
     """Return gains and margins as a few lines of text."""
     margins = found.margins
-    stiffest = 'any' if math.isinf(margins.stiffest) else f'{margins.stiffest:.2f} times as stiff'
+    stiffest = 'however stiff it is' if math.isinf(margins.stiffest) else (
+        f'up to {margins.stiffest:.2f} times as stiff')
     lines = [
         yaml.safe_dump({'force': rounded(found.values)}, sort_keys=False).rstrip(),
         f'model: {found.stiffness:.0f} N/m',
         f'on the stiffest surface: phase margin {math.degrees(margins.phase):.0f} deg, delay '
         f'margin {1e3 * margins.delay:.1f} ms, crossover {margins.crossover:.1f} rad/s, stable '
-        f'up to {stiffest}',
+        f'{stiffest}',
         f'63 % of a step after {_milliseconds(found.rise_stiffest)} on the stiffest surface, '
         f'{_milliseconds(found.rise_softest)} on the softest',
         f'noise moves u by {found.input_rms:.3f} m/s^2 rms']

@@ -150,6 +150,14 @@ def losses(
     return [begin for begin, _ in found], [end for _, end in found]
 
 
+def lost_share(data: RunData, setup: Setup, contact: int, window: Mask) -> float | None:
+    """Return in what share of a window a contact's force was 0 N; None for a couple."""
+    if is_couple(setup, contact):
+        return None
+    force = data.judged_force[:, contact]
+    return mean_in(window & np.isfinite(force), force <= 0.0)
+
+
 def is_couple(setup: Setup, contact: int) -> bool:
     """Return whether what is counted as a contact is a couple of one, not a normal force."""
     return contact not in setup.controller.leaders
@@ -240,7 +248,7 @@ def _window_summary(
         known = {**dict.fromkeys(known), 'measured_error_rms_n': rms_in(window, error)}
     return {
         **known, 'noise_variance_median_n2': median_in(window, data.noise_variance[:, contact]),
-        'contact_loss_fraction': mean_in(window & np.isfinite(force), force <= 0.0)}
+        'contact_loss_fraction': lost_share(data, setup, contact, window)}
 
 
 def value_in(
@@ -295,9 +303,11 @@ def orientation_error(data: RunData) -> Vector:
 
 
 def torque_summary(data: RunData, setup: Setup) -> dict[str, float | None]:
-    """Return how much of the torque limits was used."""
-    fraction: Matrix = np.abs(data.torque) / torque_limit(setup)
-    return {'max_fraction_of_limit': value_in(np.isfinite(fraction), fraction, np.max),
+    """Return how much of the torque limits was used, None without any."""
+    limit = torque_limit(setup)
+    fraction: Matrix = np.abs(data.torque) / limit
+    return {'max_fraction_of_limit': value_in(
+                np.isfinite(fraction) & np.isfinite(limit), fraction, np.max),
             'saturated_fraction': float(saturation(data, setup).mean())}
 
 

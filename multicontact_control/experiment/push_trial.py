@@ -18,7 +18,6 @@ from multicontact_control.sensor.push_verdict import PushTestResult
 from multicontact_control.sensor.tare import TareConfig
 import numpy as np
 from scipy.spatial.transform import Rotation
-from sim_bridge.robots import find_robot
 
 WRONG_SCALE = 0.5
 TARE_TIME, FIRST_PUSH, GAP, MARGIN = 0.3, 1.0, 0.8, 0.2  # s
@@ -110,8 +109,7 @@ def run_push_test(
         tool = control.config.tool.model_copy(
             update={'bias_sensor': tuple(control.tare(TareConfig()).tolist())})
         control.controller.reconfigure(control.config.model_copy(update={'tool': tool}))
-        tips = find_robot(setup.plant.robot).arm.tips
-        said = control.push_test(config, tips[setup.plant.tool_push_link])
+        said = control.push_test(config, loop.plant.tool_push_point)
         if on_instruction is not None:
             on_instruction(said)
         for _ in range(round(3.0 * config.timeout * rate)):

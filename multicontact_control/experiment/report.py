@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from multicontact_control.errors import ConfigError
-from multicontact_control.experiment.claim_metrics import evidence_of
-from multicontact_control.experiment.claims import Claim, judge_claims, judge_over_damping
+from multicontact_control.experiment.claims import Claim, claims_of, judge_over_damping
 from multicontact_control.experiment.display import headline
 from multicontact_control.experiment.figures import (
     draw_figures,
@@ -32,7 +31,7 @@ from multicontact_control.experiment.study.presets.compare.results import (
     comparison_listing,
     findings,
 )
-from multicontact_control.experiment.study.table import html_table
+from multicontact_control.experiment.study.table import html_table, short_names
 import yaml
 
 FORMATS = ('png', 'pdf')
@@ -50,15 +49,9 @@ NO_COMPARISON = ('<p class=note>From the trials of this project, not from these 
 
 
 def run_claims(run: LoadedRun, comparison: dict[str, Any] | None = None) -> list[Claim]:
-    """
-    Judge the paper's claims by a run, and those that compare by a ``comparison.json``.
-
-    They are about the simulated plant: of a robot of others there are none.
-    """
-    if not run.setup.simulated:
-        return []
-    evidence = evidence_of(run.data, run.setup, run.summary)
-    return judge_claims(evidence, claim_rows(comparison['rows']) if comparison else ())
+    """Judge the paper's claims by a run, and those that compare by a ``comparison.json``."""
+    return claims_of(run.data, run.setup, run.summary,
+                     claim_rows(comparison['rows']) if comparison else ())
 
 
 def write_report(
@@ -89,14 +82,15 @@ def write_report(
                           f'{out} ({error.strerror})') from None
     paths, parts = [], ['' if not any(run.setup.simulated for run in runs) else BACKGROUND + (
         NO_COMPARISON if comparison is None else _comparison_section(comparison))]
-    for number, run in enumerate(runs):
-        folder = out / FIGURE_FOLDER / (run.folder.resolve().name if len(runs) > 1 else '')
-        paths += draw_figures(run.data, run.setup, folder, verdict=verdict_text(run.summary),
-                              formats=FORMATS)
+    names = short_names([run.folder.resolve().as_posix().strip('/') for run in runs], '/')
+    for number, (name, run) in enumerate(zip(names, runs)):
+        paths += draw_figures(
+            run.data, run.setup, out / FIGURE_FOLDER / (name if len(runs) > 1 else ''),
+            verdict=verdict_text(run.summary), formats=FORMATS)
         parts.append(_run_section(run, number, comparison))
     if len(runs) > 1:
         paths.append(draw_side_by_side(
-            [(run.folder.resolve().name, run.data, run.setup) for run in runs],
+            [(name, run.data, run.setup) for name, run in zip(names, runs)],
             out / FIGURE_FOLDER / 'side_by_side.png'))
         parts.insert(1, f'<h2>Side by side</h2>{image(paths[-1], "forces of the runs")}')
     page = out / REPORT_FILE
@@ -105,16 +99,15 @@ def write_report(
 
 
 def _run_section(run: LoadedRun, number: int, comparison: dict[str, Any] | None) -> str:
-    summary = run.summary
+    summary, claims = run.summary, run_claims(run, comparison)
     colour = 'yes' if verdict_text(summary) == STABLE else 'no'
     verdict = f'<b class={colour}>{escape(verdict_text(summary))}</b>'
     parts = [
         f'<h2>{escape(headline(summary))}</h2><p>{verdict}. '
         f'Torques sha256 {escape(summary["trajectory_sha256"][:16])}.</p>',
         *(f'<p class=note>{escape(text)}</p>' for text in summary.get('remarks', ())),
-        '<h3>Claims of the paper</h3>', claims_table(run_claims(run, comparison)) if (
-            run.setup.simulated) else '<p class=note>Not judged: they are about the simulated '
-        'plant, whose forces are known.</p>',
+        '<h3>Claims of the paper</h3>', claims_table(claims) if claims else '<p class=note>Not '
+        'judged: they are about a simulated plant that plays its scenario.</p>',
         '<h3>Figures 3 to 6 of the paper</h3>', HELP,
         interactive_figures(run.data, run.setup, number),
         '<h3>Numbers</h3>', _numbers(summary), '<h3>Timing</h3>', _timing(summary),

@@ -12,8 +12,7 @@ from multicontact_control.compiled import compiled_here
 from multicontact_control.config import validate
 from multicontact_control.errors import ConfigError, importing_ros, RunError
 from multicontact_control.experiment.bag import answered, BagContent, NOT_RECORDED, read_bag
-from multicontact_control.experiment.claim_metrics import evidence_of
-from multicontact_control.experiment.claims import judge_claims
+from multicontact_control.experiment.claims import claims_of
 from multicontact_control.experiment.closed_loop import run_in_process
 from multicontact_control.experiment.compilation import ensure_compiled
 from multicontact_control.experiment.display import (
@@ -32,7 +31,7 @@ from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.results import CONFIG_FOLDER, FIGURE_FOLDER, SUMMARY_FILE
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.experiment.summary import summarise
-from multicontact_control.files import write_json
+from multicontact_control.files import finite, write_json
 from multicontact_control.terminal import terminal
 from rich.console import Console
 
@@ -363,13 +362,13 @@ def _finish(
     data: RunData, setup: Setup, folder: Path, summary: dict[str, Any], console: Console,
 ) -> dict[str, Any]:
     """Judge the claims, write figures and summary, show the table."""
-    if setup.simulated:
-        evidence = evidence_of(data, setup, summary)
-        summary['claims'] = [claim.to_json() for claim in judge_claims(evidence)]
+    claims = claims_of(data, setup, summary)
+    if claims:
+        summary['claims'] = [claim.to_json() for claim in claims]
     draw_figures(data, setup, folder / FIGURE_FOLDER, verdict=verdict_text(summary))
     if summary['timing'].get('latency_histogram'):
         draw_latency(summary, folder / FIGURE_FOLDER)
-    write_json(folder / SUMMARY_FILE, summary)
+    write_json(folder / SUMMARY_FILE, finite(summary))
     console.print(summary_table(summary))
     for line in verdict_lines(summary, folder):
         console.print(line, highlight=False)

@@ -20,6 +20,7 @@ from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.faults.fault import Fault, PlantEdit, PROCESS
 from multicontact_control.experiment.faults.in_process import advance_with, Occurrence
 from multicontact_control.experiment.faults.vocabulary import faults_of
+from multicontact_control.experiment.metrics import torque_limit
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.quintic import quintic
 from multicontact_control.sampling import MotionReading
@@ -122,7 +123,7 @@ class Soak:
         self._faults = [fault for fault in faults_of(PROCESS).values() if passes_over(fault)]
         config = setup.controller
         self._names, self._rate, self._period = config.contact_names, config.rate, config.period
-        self._limit = np.array(config.torque_limit or np.inf)
+        self._limit = torque_limit(setup)
         self._step = np.array(config.limits.torque_rate or np.inf) * config.period
         self._ceiling = FORCE_MARGIN * config.contact_state.force_ceiling
         self._smallest = config.contact_state.smallest_force

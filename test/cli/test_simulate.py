@@ -1,6 +1,14 @@
 """A run in one process, from the command line."""
 
 import json
+import math
+
+from multicontact_control.experiment import run
+from multicontact_control.experiment.closed_loop import LoopResult
+from multicontact_control.experiment.scenario import resolve
+import numpy as np
+from rich.console import Console
+from synthetic_run import perfect_run
 
 
 def test_simulate_leaves_a_run_folder(multicontact, tmp_path):
@@ -28,3 +36,16 @@ def test_simulate_that_is_not_stable_exits_with_one(multicontact, tmp_path):
     assert done.returncode == 1
     assert 'not stable: table: no contact was made' in done.stdout
     assert json.loads((tmp_path / 'run' / 'summary.json').read_text())['stable'] is False
+
+
+def test_run_with_a_number_that_is_not_finite_leaves_a_summary(tmp_path, monkeypatch):
+    """The verdict says so, and the file has no number there."""
+    setup = resolve('quick', plant='rigid', duration=9.0)
+    data = perfect_run(setup)
+    data.position[-1] = data.alpha_true[-1] = math.inf
+    monkeypatch.setattr(run, 'run_in_process', lambda *_, **__: LoopResult(
+        data, np.ones(data.ticks), 1.0))
+    run.run_simulate(setup, tmp_path, supervised=False, console=Console(quiet=True))
+    summary = json.loads((tmp_path / 'summary.json').read_text())
+    assert 'a number is not finite' in summary['instabilities']
+    assert summary['contacts']['table']['moving']['true_error_rms_n'] is None

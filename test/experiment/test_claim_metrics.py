@@ -3,11 +3,15 @@ from dataclasses import replace
 from multicontact_control.experiment.claim_metrics import (
     designed_rise,
     disturbance_summary,
+    evidence_of,
     growing_line,
     quiet_windows,
     recoveries,
 )
+from multicontact_control.experiment.claims import judge_claims
 from multicontact_control.experiment.judge import judge
+from multicontact_control.experiment.scenario import resolve
+from multicontact_control.experiment.summary import summarise
 import numpy as np
 import pytest
 from synthetic_run import disturbance_setup, perfect_run
@@ -102,6 +106,19 @@ def test_quiet_windows_leave_the_pushes_out(setup):
 def test_disturbance_summary_gives_times_after_the_start_of_motion(setup):
     data = with_error(perfect_run(setup), 11.0, 11.01, 61.0)
     assert disturbance_summary(data, setup, 11.0)['unstable_after_motion_s'] == pytest.approx(2.0)
+
+
+def test_couples_are_no_forces_that_claims_are_about():
+    """They may be 0, or of either sign, and no contact is lost for that."""
+    setup = resolve('edge', plant='rigid')
+    data = perfect_run(setup)
+    data.alpha_true[:] = data.alpha_des[:] = setup.commanded(data.time)
+    disturbances = disturbance_summary(data, setup, None)['contacts']
+    assert [disturbances[name]['moving']['lost'] for name in data.contact_names] == [0.0, None]
+    evidence = evidence_of(data, setup, summarise(data, setup, mode='in_process', timing={}))
+    assert [*evidence['contacts']] == ['edge']
+    moving = next(claim for claim in judge_claims(evidence) if 'contact lost' in claim.why)
+    assert moving.holds is True
 
 
 def test_designed_rise_of_two_equal_poles_is_2_146_time_constants(setup):

@@ -169,6 +169,16 @@ def test_filter_claim_compares_the_recoveries(data, setup, slow, holds):
     assert '0.200 s' in claim.measured
 
 
+def test_filter_claim_needs_a_push_that_is_controlled_out(setup):
+    never = pushed(setup, 60.0)
+    rows = [row('lead_window', never, setup), row('window rescaled', never, setup)]
+    claim = verdict_of(never, setup, 'Without the high-pass filter', rows)
+    assert claim.holds is None and 'inf' not in claim.measured
+    rows[0] = row('lead_window', pushed(setup, 0.2), setup)
+    claim = verdict_of(never, setup, 'Without the high-pass filter', rows)
+    assert claim.holds is True and 'controlled out never, with the filter in 0.2' in claim.measured
+
+
 @pytest.mark.parametrize('peak, holds', [(60.0, True), (1.2, False)])
 def test_maybeck_claim_compares_the_reactions_of_the_estimates(data, setup, peak, holds):
     jumping = changed(data, 'noise_variance', (data.time > 5.0) & (data.time < 5.3), peak)

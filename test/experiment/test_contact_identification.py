@@ -1,13 +1,18 @@
 """What recorded force steps say of contacts, against the plant that they were recorded on."""
 
 from dataclasses import replace
+import math
 
+from multicontact_control.cli import app
 from multicontact_control.errors import RunError
+from multicontact_control.experiment import contact_identification
 from multicontact_control.experiment.closed_loop import run_in_process
 from multicontact_control.experiment.contact_identification import identify_contacts, show
 from multicontact_control.experiment.scenario import resolve
+from multicontact_control.files import read_json
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 NOISE = 0.1  # N, per axis
 
@@ -32,6 +37,29 @@ def test_surface_is_found_within_its_errors(recorded, contact, stiffness, dampin
                        ('tool_mass_kg', 0.491)):
         assert abs(found[name]['value'] - true) < 4.0 * found[name]['std'], name
     assert found['stiffness_n_m']['std'] < 0.05 * stiffness
+
+
+@pytest.mark.slow
+def test_surface_under_an_edge_is_found_by_its_force_and_not_by_its_couple():
+    setup = resolve('edge', plant='rigid', seed=3, duration=6.0)
+    data = run_in_process(setup, supervised=True).data
+    found = identify_contacts(data, setup.controller, setup.urdf_dir)
+    assert [*found] == ['edge']
+    stiffness = found['edge']['stiffness_n_m']
+    assert abs(stiffness['value'] - 6000.0) < 4.0 * stiffness['std'] + 300.0
+
+
+def test_error_that_is_not_known_is_written_as_such(tmp_path, monkeypatch):
+    value = {'value': 0.003, 'std': math.inf}
+    contact = {**dict.fromkeys(('stiffness_n_m', 'damping_n_s_m', 'friction', 'tool_mass_kg',
+                                'noise_variance_n2', 'explained')), 'samples': 1, 'delay_s': value}
+    monkeypatch.setattr(contact_identification, 'read_recording', lambda *_: (None, None, None))
+    monkeypatch.setattr(contact_identification, 'identify_contacts', lambda *_: {'edge': contact})
+    result = CliRunner().invoke(app, ['identify', '.', '--out', str(tmp_path / 'found.json')])
+    assert result.exit_code == 0, result.output
+    assert 'edge: 1 sample\n' in result.output and 'delay: 3.00 +- inf ms' in result.output
+    assert read_json(tmp_path / 'found.json')['edge']['delay_s'] == {
+        'value': 0.003, 'std': None}
 
 
 @pytest.mark.slow

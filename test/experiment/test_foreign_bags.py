@@ -2,16 +2,19 @@
 
 import shutil
 
+import foreign_bag
 from foreign_bag import AT, COMMAND, controller_file, JOINTS, MADE, RATE, TOPICS, write_bag
 from multicontact_control.cli import app
 from multicontact_control.errors import ConfigError, RunError
+from multicontact_control.experiment.bag import answered, read_bag
 from multicontact_control.experiment.contact_identification import read_recording
 from multicontact_control.experiment.display import summary_table, verdict_lines
+from multicontact_control.experiment.external import resolve_external
 from multicontact_control.experiment.figures import draw_figures, interactive_figures, run_figures
 from multicontact_control.experiment.judge import verdict_text
 from multicontact_control.experiment.results import load
 from multicontact_control.files import json_text
-from multicontact_control.nodes import topics
+from multicontact_control.nodes import messages, topics
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -52,6 +55,34 @@ def test_names_rate_and_commands_are_those_of_the_messages(bag):
     assert contact['rest']['measured_error_rms_n'] == pytest.approx(0.05, rel=0.2)
     assert contact['rest']['true_error_rms_n'] is None
     assert contact['rest']['estimate_error_rms_n'] is None
+
+
+@pytest.mark.parametrize(('rate', 'jitter', 'found'), [
+    (250.0 / 3.0, 0.0, 250.0 / 3.0), (1000.0 / 3.0, 0.0, 1000.0 / 3.0),
+    (125.0, 0.1, 125.0), (125.01, 0.0, 125.0)])
+def test_rate_is_whole_only_where_the_stamps_are(tmp_path, monkeypatch, rate, jitter, found):
+    """No sample overwrites its neighbour; jitter is a share of the period."""
+    def late(message):
+        if hasattr(message, 'header'):
+            ns = messages.stamp_to_ns(message.header.stamp)
+            share = np.random.default_rng(ns % 2 ** 32).uniform(-jitter, jitter)
+            message.header.stamp = messages.ns_to_stamp(ns + int(share * 1e9 / rate))
+        return message
+
+    monkeypatch.setattr(foreign_bag, 'RATE', rate)
+    data = load(write_bag(tmp_path / 'bag', change=late)).data
+    assert data.rate == pytest.approx(found, rel=1e-9)
+    assert data.ticks == round(4.0 * rate)
+    assert np.isfinite(data.alpha_meas).all()
+
+
+def test_what_was_answered_knows_when_it_began(tmp_path):
+    whole = read_bag(
+        write_bag(tmp_path / 'bag', unanswered=1.0),
+        resolve_external([controller_file(tmp_path)]).setup.controller)
+    part = answered(whole)
+    assert part.start - whole.start == (whole.data.ticks - part.data.ticks) * round(1e9 / RATE)
+    assert part.data.time[0] == 0.0
 
 
 def test_nothing_is_stable_without_truth_and_all_of_it_says_so(bag, tmp_path):

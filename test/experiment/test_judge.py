@@ -345,11 +345,22 @@ def test_run_that_missed_a_tenth_of_its_deadlines_is_not_judged_but_what_is_seen
     assert judge(data, setup, mode='lockstep', timing={'deadline_misses': 6000}).name != UNJUDGED
 
 
+@pytest.mark.parametrize('every, name', [(1.0, UNJUDGED), (4.0, STABLE)])
+def test_run_of_which_less_than_half_is_judged_is_not_called_stable(setup, data, every, name):
+    """Thirty samples without an answer, now and then: a second after them is left out, too."""
+    lost = perfect_run(setup)
+    lose(lost, 4.2, 0.2)
+    for run, expected in ((data, name), (lost, name)):
+        run.torque[(run.time % every) < 30.5 / run.rate] = np.nan
+        verdict = judge(run, setup, mode='real_time')
+        assert (verdict.name, verdict.timeliness.hopeless) == (expected, False)
+
+
 def test_holds_for_late_samples_are_no_interventions(setup, data):
-    """Ten of them; held as often for another reason, the arm answers for it."""
+    """Six of them; held as often for another reason, the arm answers for it."""
     def every_half_second(what):
         texts = [(0.0, CALM)]
-        for k in range(10):
+        for k in range(6):
             texts += [(3.0 + 0.5 * k, what), (3.1 + 0.5 * k, CALM)]
         return events_of(*texts)
 

@@ -92,6 +92,16 @@ def test_contact_errors_are_root_mean_squares_in_their_window(setup, data):
     assert contact_summary(data, setup, 1)['rest']['true_error_rms_n'] == 0.0
 
 
+def test_couple_of_any_sign_is_no_lost_contact():
+    edge = resolve('edge', plant='rigid')
+    data = empty_run_data(edge.ticks, edge.controller)
+    data = replace(data, alpha_true=edge.commanded(data.time))
+    data.alpha_true[::2, 1] = -1.0
+    force, couple = (contact_summary(data, edge, i)['moving'] for i in (0, 1))
+    assert (force['contact_loss_fraction'], couple['contact_loss_fraction']) == (0.0, None)
+    assert couple['true_error_rms_n'] == pytest.approx(0.5 ** 0.5, rel=1e-3)
+
+
 def test_step_response_of_a_known_lag(setup, data):
     """A first-order lag of 50 ms with 10 % of overshoot is read off as such."""
     after = data.time >= 2.5
@@ -135,6 +145,13 @@ def test_torque_summary_finds_the_joint_nearest_to_its_limit(setup, data):
     summary = torque_summary(data, setup)
     assert summary['max_fraction_of_limit'] == pytest.approx(0.5)
     assert summary['saturated_fraction'] == 0.0
+
+
+def test_torque_without_a_limit_is_no_share_of_it(setup, data):
+    unlimited = replace(setup, controller=setup.controller.model_copy(
+        update={'torque_limit': ()}))
+    assert torque_summary(data, unlimited) == {
+        'max_fraction_of_limit': None, 'saturated_fraction': 0.0}
 
 
 def test_percentiles_of_known_values():

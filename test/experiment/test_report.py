@@ -1,15 +1,20 @@
 """A short run in process, read back and reported."""
 
+from dataclasses import replace
 import json
 
 from multicontact_control.cli import app
 from multicontact_control.errors import ConfigError, RunError
+from multicontact_control.experiment import figures, report
+from multicontact_control.experiment.figures import run_figures
 from multicontact_control.experiment.report import run_claims
 from multicontact_control.experiment.results import load_run, load_setup
+from multicontact_control.experiment.scenario import resolve
 from multicontact_control.experiment.summary import summarise
 from multicontact_control.files import write_json
+import numpy as np
 import pytest
-from synthetic_run import disturbance_setup, paper_run
+from synthetic_run import disturbance_setup, paper_run, perfect_run
 from typer.testing import CliRunner
 
 
@@ -64,6 +69,46 @@ def test_report_command_writes_a_page_and_figures(folder, tmp_path):
     assert {name.rsplit('.')[0] for name in names} == {
         'fig3_force_table', 'fig4_force_board', 'fig5_motion', 'fig6_noise_variance'}
     assert len(names) == 8
+
+
+def test_runs_of_one_name_have_figures_of_their_own(folder, tmp_path, monkeypatch):
+    monkeypatch.setattr(report, 'FORMATS', ('png',))
+    runs = [load_run(folder)._replace(folder=tmp_path / name / 'first') for name in 'ab']
+    paths = report.write_report(runs, tmp_path / 'out')[1:]
+    assert len(paths) == len(set(paths)) == 9
+    assert {path.parent for path in paths[:-1]} == {
+        tmp_path / 'out' / 'figures' / name / 'first' for name in 'ab'}
+    assert all(path.is_file() for path in paths)
+
+
+def test_axes_of_a_force_show_all_of_it():
+    """Of a couple, too, which may be asked for with either sign; on page and paper alike."""
+    edge = resolve('edge', plant='rigid')
+    data = perfect_run(edge)
+    data.alpha_des[:, 1] = data.alpha_true[:, 1] = -20.0
+    data.alpha_true[100, 0] = 90.0
+    data.alpha_meas[200, 1] = np.nan
+    for drawn in run_figures(data, edge)[:2]:
+        for panel in (*drawn.panels, drawn.page):
+            low, high = panel.limits
+            for trace in panel.traces:
+                assert low < np.nanmin(trace.values) and np.nanmax(trace.values) < high
+
+
+@pytest.mark.parametrize('by_topic', [False, True])
+def test_every_contact_is_in_the_last_step_side_by_side(tmp_path, monkeypatch, by_topic):
+    kept = []
+    monkeypatch.setattr(figures.Figure, 'savefig', lambda sheet, *_, **__: kept.append(sheet))
+    plane = replace(resolve('plane', plant='rigid', duration=9.0), commanded_by_topic=by_topic)
+    data = perfect_run(plane)
+    data.alpha_true[:] = data.alpha_des[:] = data.command[:] = plane.commanded(data.time)
+    figures.draw_side_by_side([('one', data, plane)], tmp_path / 'x.png')
+    axes = kept[0].axes[3]
+    lines = {line.get_label(): line for line in axes.lines}
+    assert [*lines] == ['face, true', 'face/along, true', 'face/across, true', 'commanded']
+    assert len({line.get_color() for line in axes.lines}) == 4
+    forces = lines['face/across, true'].get_ydata()
+    assert (forces[0], forces[-1]) == (-3.0, 0.0)
 
 
 @pytest.mark.parametrize('arguments', [

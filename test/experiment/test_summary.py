@@ -83,7 +83,7 @@ def test_machine_that_could_not_keep_up_is_one_line(setup, data):
     assert '[yellow]stable as far as it could be judged' in lines[1]
     (line,) = [line for line in lines if 'warning' in line]
     assert ('could not keep real time: 300 of 6000 deadlines missed, 200 samples not answered, '
-            '1 holds: figures are not representative') in line
+            '1 hold; figures are not representative') in line
     assert '85 % of the time under load' in line and '--lockstep has no deadlines' in line
     hopeless = summary_of(data, setup, mode='real_time', timing={'deadline_misses': 3000})
     assert (hopeless['stable'], hopeless['verdict']) == (None, 'not judged')
@@ -93,7 +93,7 @@ def test_machine_that_could_not_keep_up_is_one_line(setup, data):
         'deadline_misses': 3, 'unanswered_samples': 1})
     assert kept['kept_real_time'] is True
     (line,) = [line for line in verdict_lines(kept, 'here') if 'warning' in line]
-    assert '3 of 6000 deadlines missed, 1 samples not answered[' in line
+    assert '3 of 6000 deadlines missed, 1 sample not answered[' in line
 
 
 @pytest.mark.parametrize(('scenario', 'forces'), [

@@ -29,6 +29,7 @@ MAX_FAILURES = 2  # graphs in a row that don't come up, for a plant to be given 
 REPORT_TIMEOUT = 1.5  # s until the controller's diagnostics, one a second, tell of it
 SCENARIO = 'quick'  # what is not commanded over topics: limits, estimator
 FOLDER = 'graphs'
+NOT_RUN = 'not run: no graph came up for it'
 
 OnProgress = Callable[[int, int], None]
 Task = tuple[Fault, int]  # and its seed
@@ -133,12 +134,14 @@ class GraphCampaign:
                         setup, self._new_folder(plant), domain_id, self._keep_waiting) as session:
                     failures = 0
                     if self._run_in(session, tasks):
-                        self._add(_about_graph('ended', session.end_all(), plant, self._seed))
+                        self._add(_unwatched('ended', session.end_all(), plant, self._seed))
                         return
             except RunError as error:
                 failures += 1
-                self._add(_about_graph(
+                self._add(_unwatched(
                     'started', [str(error).splitlines()[0]], plant, self._seed))
+        for fault, seed in tasks:
+            self._add(_unwatched(fault.kind, [NOT_RUN], plant, seed, fault.input))
 
     def _run_in(self, session: FaultSession, tasks: list[Task]) -> bool:
         """Run the faults until none is left; return False if one was not safe."""
@@ -171,28 +174,31 @@ class GraphCampaign:
 def _one(session: FaultSession, fault: Fault, seed: int) -> FaultRow:
     """Let one fault happen, bring the graph back, and judge it."""
     random = fault.random(seed)
-    session.spin(float(random.uniform(*QUIET)))
-    problems, begin = [], time.time()
+    problems, begin, before = [], time.time(), ' before the fault'
     end, recovered = begin, -1.0
     try:
+        session.spin(float(random.uniform(*QUIET)))
+        begin, before = time.time(), ''
         session.inject(fault, random, seed)
         end = time.time()
         session.recover()
         recovered = time.time()
         session.wait_for_report(end, REPORT_TIMEOUT)
     except NodeEndedError as error:
-        problems.append(f'{error.node_name} died')
+        problems.append(f'{error.node_name} died{before}')
     except RunError as error:
-        problems.append(str(error).splitlines()[0])
+        problems.append(str(error).splitlines()[0] + before)
     seen = observe(session.watch, session.setup, session.wanted,
                    Window(begin, max(begin, end), recovered), problems)
     return judge(fault, seed, session.setup, seen, where=GRAPH)
 
 
-def _about_graph(kind: str, problems: list[str], plant: str, seed: int) -> FaultRow:
-    """Return a row about the start or the end of a graph."""
+def _unwatched(
+    kind: str, problems: list[str], plant: str, seed: int, source: str = GRAPH,
+) -> FaultRow:
+    """Return a row about the start or the end of a graph, or about a fault that was not run."""
     return FaultRow(
-        kind=kind, input=GRAPH, seed=seed, reaction='none', time_to_safe_s=0.0,
+        kind=kind, input=source, seed=seed, reaction='none', time_to_safe_s=0.0,
         peak_force_n=0.0, peak_torque_fraction=0.0, safe=not problems, plant=plant, phase='',
         problems=', '.join(problems), where=GRAPH)
 

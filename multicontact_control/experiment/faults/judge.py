@@ -9,6 +9,7 @@ from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.config import WatchdogConfig
 from multicontact_control.experiment.faults.fault import Fault, REST, SLIDING
 from multicontact_control.experiment.faults.vocabulary import CONTROLLER, INF
+from multicontact_control.experiment.metrics import torque_limit
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.supervision.fallback import SEVERITY
 import numpy as np
@@ -45,7 +46,7 @@ class FaultRow:
     peak_force_n
         Largest true normal force from its beginning on, also on what is met at the elbow [N].
     peak_torque_fraction
-        Largest commanded torque over its limit.
+        Largest commanded torque over its limit, 0 without one.
     safe
         Every command finite, within the torque limits and their rates; in process, a declared
         reaction within two ticks, of R within its largest age; every true force within 1.25
@@ -141,10 +142,10 @@ def judge(
     """Return the row of a fault from what was seen of it."""
     config, problems = setup.controller, set(seen.problems)
     ceiling, period = config.contact_state.force_ceiling, config.period
-    step = np.array(config.limits.torque_rate) * period
+    step = np.array(config.limits.torque_rate or INF) * period
     # The first command of a new process or activation starts from what the drives do.
     fraction = _judge_torques(
-        seen, np.array(config.torque_limit), step if fault.input != CONTROLLER else INF, problems)
+        seen, torque_limit(setup), step if fault.input != CONTROLLER else INF, problems)
     if _longest(seen.time, seen.force > FORCE_MARGIN * ceiling, period) > (
             RETRACT_TIME * (1.0 + TOLERANCE)):
         problems.add('force beyond the ceiling for too long')

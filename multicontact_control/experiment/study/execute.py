@@ -16,6 +16,7 @@ from multicontact_control.experiment.display import count_bar
 from multicontact_control.experiment.study.cache import JobCache
 from multicontact_control.experiment.study.executors import Executor, LocalExecutor, LostJob
 from multicontact_control.experiment.study.jobs import Job, JobResult, JobT
+from multicontact_control.wording import counted
 from rich.console import Console
 
 START_UP = 3.0  # s, to start a pool of workers
@@ -42,6 +43,10 @@ class JobRun(Generic[JobT]):
     cache: JobCache
     keys: Mapping[JobT, str]
     lost: Mapping[JobT, str]
+
+    def kept(self, jobs: Iterable[JobT]) -> list[JobT]:
+        """Return which of some jobs were not lost."""
+        return [job for job in jobs if job not in self.lost]
 
     def result(self, job: JobT) -> JobResult:
         """Return the result of a job; RunError if it has none."""
@@ -118,7 +123,7 @@ class Estimate:
 
     def sentence(self, workers: int, what: str = 'runs') -> str:
         """Return all this in words; `what` there are so many of."""
-        known = f'{self.runs} {what}, {self.finished} of them finished before'
+        known = f'{counted(self.runs, what)}, {self.finished} of them finished before'
         if self.seconds is None or not self.todo:
             return f'{known}; {workers} at once'
         return (f'{known}; the other {self.todo} will take about {_words(self.seconds)} with '

@@ -17,6 +17,7 @@ from typing import Any, Protocol
 
 from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.experiment.study.jobs import JobResult, JobT
+from multicontact_control.wording import counted
 
 SUSPECT = 2  # losses of a worker after which a job that was with one runs by itself
 CONNECT_TIMEOUT = 10.0  # s, until an address counts as one that does not answer
@@ -113,7 +114,8 @@ class LocalExecutor:
                 _check_died(error)
                 hit = [job for job in given if job in missing]
                 losses.update(hit)
-                notify(f'a worker died: {len(hit)} unfinished runs are started again')
+                notify(f'a worker died: {counted(len(hit), "unfinished runs")} to be started '
+                       'again')
             for job in [job for job in suspects[:1] if losses[job] > SUSPECT]:
                 del missing[job]
                 notify('a run killed its worker three times, the last time by itself: given up')

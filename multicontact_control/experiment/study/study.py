@@ -5,8 +5,9 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from textwrap import shorten
 from typing import Any, ClassVar, Generic, TypeVar
 
 from multicontact_control.errors import check_all, ConfigError, RunError
@@ -18,12 +19,15 @@ from multicontact_control.experiment.study.executors import (
     Executor,
     LocalExecutor,
 )
-from multicontact_control.experiment.study.jobs import JobResult, JobT
+from multicontact_control.experiment.study.jobs import Job, JobResult, JobT
 from multicontact_control.experiment.study.page import Page, write_study_page
 from multicontact_control.experiment.study.table import terminal_table, write_table
 from multicontact_control.terminal import terminal
+from multicontact_control.wording import counted
 from rich.console import Console
 from rich.markup import escape
+
+NAME_WIDTH = 160  # characters of what a lost job is called
 
 ContentT = TypeVar('ContentT')
 
@@ -76,7 +80,7 @@ class Study(ABC, Generic[JobT, ContentT]):
 
     @abstractmethod
     def content(self, run: JobRun[JobT]) -> ContentT:
-        """Return what came out, the same whatever ran the jobs."""
+        """Return what came out of the jobs that were not lost, the same whatever ran them."""
 
     def tables(self, content: ContentT, run: JobRun[JobT]) -> Mapping[str, Any]:
         """Return what is written, as for `write_table`, by file name; one JSON file if alone."""
@@ -92,8 +96,7 @@ class Study(ABC, Generic[JobT, ContentT]):
 
     def headline(self) -> str:
         """Return in one line what is run."""
-        sizes = (f'{len(values)} {name if len(values) > 1 else name.removesuffix("s")}'
-                 for name, values in self.grid().items())
+        sizes = (counted(len(values), name) for name, values in self.grid().items())
         return f'{self.title}: {", ".join(sizes)}'
 
 
@@ -189,6 +192,8 @@ def report_study(
     paths = [write_table(table, folder / name)
              for name, table in study.tables(content, run).items()]
     page = study.page(content, folder)
+    page = replace(page, warnings=[*page.warnings, *(
+        f'lost: {_name(job)}: {why}' for job, why in run.lost.items())])
     for section in page.sections:
         if section.listing is not None and section.in_terminal:
             console.print(terminal_table(section.heading, section.listing, console.width))
@@ -202,3 +207,9 @@ def report_study(
     if run.lost:
         raise RunError(f'{len(run.lost)} of {len(run.keys)} jobs were lost; the same command '
                        'tries them again')
+
+
+def _name(job: Job) -> str:
+    """Return what a job is, in so many words that they fit a line."""
+    known = (f'{name} {value}' for name, value in job.describe().items() if value)
+    return shorten(', '.join(known), NAME_WIDTH, placeholder=' ...')

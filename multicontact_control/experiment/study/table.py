@@ -116,6 +116,17 @@ class Listing:
     caption: str = ''
 
 
+def short_names(names: Sequence[str], separator: str = '.') -> list[str]:
+    """Return the last parts of names, as many as it takes to tell them apart."""
+    short = []
+    for name in names:
+        parts = name.split(separator)
+        count = next(n for n in range(1, len(parts) + 1) if n == len(parts) or sum(
+            other.split(separator)[-n:] == parts[-n:] for other in names) == 1)
+        short.append(separator.join(parts[-count:]))
+    return short
+
+
 def terminal_table(title: str, listing: Listing, width: int) -> Table:
     """Return a listing for a terminal of some width; a narrow one does without some columns."""
     shown = [i for i, column in enumerate(listing.columns) if width >= WIDE or not column.spare]

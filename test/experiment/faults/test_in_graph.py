@@ -9,7 +9,7 @@ import signal
 import threading
 from types import SimpleNamespace
 
-from multicontact_control.experiment.faults import graph_session, vocabulary
+from multicontact_control.experiment.faults import graph_session, in_graph, vocabulary
 from multicontact_control.experiment.faults.fault import Delivery, Edit, GRAPH, NodeChange, PROCESS
 from multicontact_control.experiment.faults.graph_relay import (
     Distortion,
@@ -344,8 +344,27 @@ def test_graph_faults_tell_of_a_graph_that_does_not_come_up(tmp_path, monkeypatc
     monkeypatch.setattr(graph_session, 'RECOVERY_TIMEOUT', 0.0)
     campaign = GraphCampaign({'rigid': [(FAULTS['stuck', 'variance'], 0)]}, 0, tmp_path)
     rows = campaign.run()
-    assert [(row.kind, row.input, row.safe) for row in rows] == [('started', 'graph', False)] * 2
-    assert rows[0].problems == 'back in contact: not within 0 s'
+    assert [(row.kind, row.input, row.safe) for row in rows] == [
+        ('stuck', 'variance', False), *[('started', 'graph', False)] * 2]
+    assert [row.problems for row in rows] == [
+        'not run: no graph came up for it', *['back in contact: not within 0 s'] * 2]
+
+
+def test_graph_faults_name_a_node_that_dies_before_the_fault(tmp_path, monkeypatch):
+    monkeypatch.setattr(in_graph, 'QUIET', (1.0, 1.0))
+    start, killed = graph_session.FaultSession.__enter__, []
+
+    def fragile(session):
+        start(session)
+        if not killed:
+            killed.append(session.processes.signal(RECORDER, signal.SIGKILL))
+        return session
+
+    monkeypatch.setattr(graph_session.FaultSession, '__enter__', fragile)
+    campaign = GraphCampaign({'rigid': [(FAULTS['duplicated', 'joints'], 0)]}, 0, tmp_path)
+    row = campaign.run()[0]
+    assert (row.kind, row.input, row.safe) == ('duplicated', 'joints', False)
+    assert row.problems == 'recorder_node died before the fault'
 
 
 def test_graph_faults_end_at_once_and_cleanly_on_a_signal(tmp_path):

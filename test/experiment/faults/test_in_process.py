@@ -1,14 +1,18 @@
 """Faults in process: how they are answered and judged, and that the judge can say no."""
 
+from dataclasses import replace
+
 from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.faults.fault import PROCESS
 from multicontact_control.experiment.faults.in_process import RUN_TICKS
+from multicontact_control.experiment.faults.judge import judge, Observation
 from multicontact_control.experiment.faults.situation import with_obstacles
 from multicontact_control.experiment.faults.vocabulary import faults_of
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.experiment.study.presets.faults.jobs import in_fork
 from multicontact_control.supervision.collision import CollisionWatch
 from multicontact_control.supervision.validation import Watchdog
+import numpy as np
 import pytest
 
 KINDS = faults_of(PROCESS)
@@ -61,6 +65,22 @@ def test_fault_that_kills_its_process_is_not_safe(world, monkeypatch):
     monkeypatch.setattr(ClosedLoop, 'advance', lambda self, corrupt=None: 1 / 0)
     row = in_fork(world, KINDS['nan', 'wrench'], 1, 'approach')
     assert (row.safe, row.problems) == (False, 'died')
+    row = in_fork(world, KINDS['nan', 'wrench'], 1, 'approach', KINDS['nan_q', 'joints'])
+    assert (row.kind, row.input, row.problems) == (
+        'two at once', 'wrench nan + joints nan_q', 'died')
+
+
+def test_torque_without_a_limit_is_judged_by_the_rest(world):
+    """Neither of the limits is there: nothing is beyond them, not even 1000 N m at once."""
+    config = world.setup.controller
+    free = replace(world.setup, controller=config.model_copy(update={
+        'torque_limit': (), 'limits': config.limits.model_copy(update={'torque_rate': ()})}))
+    torque = np.zeros((10, len(config.robot.joint_names)))
+    torque[5:] = 1e3
+    seen = Observation(torque, np.arange(1.0, 11.0) * config.period, np.zeros(10), 'none')
+    row = judge(KINDS['biased', 'wrench'], 1, free, seen, where=PROCESS)
+    assert (row.safe, row.peak_torque_fraction) == (True, 0.0)
+    assert not judge(KINDS['biased', 'wrench'], 1, world.setup, seen, where=PROCESS).safe
 
 
 def test_run_is_long_enough_to_recover_in():

@@ -9,6 +9,7 @@ from multicontact_control.experiment.study.table import (
     Line,
     Listing,
     LONGEST,
+    short_names,
     terminal_table,
     write_table,
 )
@@ -65,3 +66,9 @@ def test_page_says_how_much_of_a_long_table_is_left_out():
     text = html_table(Listing(COLUMNS, lines))
     assert '3 more lines are left out' in text
     assert f'<td>{LONGEST - 1}</td>' in text and f'<td>{LONGEST}</td>' not in text
+
+
+def test_short_names_still_tell_columns_apart():
+    assert short_names(['plant', 'a.b.c', 'a.d.c', 'e.f']) == ['plant', 'b.c', 'd.c', 'f']
+    assert short_names(['runs/a/first', 'runs/b/first', 'runs/c'], '/') == [
+        'a/first', 'b/first', 'c']

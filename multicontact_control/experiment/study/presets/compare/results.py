@@ -227,6 +227,9 @@ def _tone(rows: Sequence[dict[str, Any]]) -> str:
 
 
 def _causes(rows: Sequence[dict[str, Any]]) -> list[str]:
+    fixed = _chosen(rows, AOB, 'fixed')
+    if fixed and _stable(fixed) == len(fixed):
+        return []  # there is nothing to find the cause of
     said = []
     clean = _chosen(rows, CAUSE, CLEAN)
     if clean:

@@ -108,7 +108,7 @@ class ComparisonStudy(Study[RunJob, dict[str, Any]]):
     def content(self, run: JobRun[RunJob]) -> dict[str, Any]:
         """Return the content of ``comparison.json``."""
         rows = [row_of(entry, run.keys[entry.job], run.result(entry.job))
-                for entry in self.entries()]
+                for entry in self.entries() if entry.job not in run.lost]
         return {'schema': 2, 'scenario': matrix.SCENARIO, 'preset': self.preset, 'rows': rows,
                 'claims': {plant: [{'damping_rate': rate, **claim.to_json()}
                                    for rate, claims in found.items() for claim in claims]

@@ -14,7 +14,7 @@ from typing import Any, ClassVar, NoReturn
 
 from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.faults.fault import APPROACH, Fault, PROCESS, REST, SLIDING
-from multicontact_control.experiment.faults.in_process import run_fault, RUN_TICKS
+from multicontact_control.experiment.faults.in_process import run_fault, RUN_TICKS, together
 from multicontact_control.experiment.faults.judge import FaultRow
 from multicontact_control.experiment.faults.situation import with_obstacles
 from multicontact_control.experiment.faults.vocabulary import faults_of
@@ -126,7 +126,8 @@ def in_fork(
         os.kill(child, signal.SIGKILL)  # it has said what it had to say
         os.waitpid(child, 0)
         ours.close()
-    return FaultRow(fault.kind, fault.input, seed, problem, -1.0, -1.0, -1.0, False,
+    named = fault if other is None else together(fault, other)
+    return FaultRow(named.kind, named.input, seed, problem, -1.0, -1.0, -1.0, False,
                     world.setup.plant_name, phase, problem)
 
 

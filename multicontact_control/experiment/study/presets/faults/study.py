@@ -21,6 +21,7 @@ from multicontact_control.experiment.study.presets.faults.jobs import (
 )
 from multicontact_control.experiment.study.study import Study
 from multicontact_control.experiment.study.table import Column, Line, Listing
+from multicontact_control.wording import counted
 import numpy as np
 
 SEEDS = 14
@@ -37,7 +38,7 @@ SAFE = 11  # place of that column
 
 def situation(number: int, plants: Sequence[str]) -> tuple[str, str]:
     """Return plant and phase of the number-th seed of a kind: all pairs in turn."""
-    return plants[number % len(plants)], PHASES[number // len(plants) % 3]
+    return plants[number % len(plants)], PHASES[number // len(plants) % len(PHASES)]
 
 
 @dataclass(frozen=True)
@@ -73,11 +74,15 @@ class FaultStudy(Study[FaultJob, list[FaultRow]]):
         if self.seed < 0:
             raise ConfigError('seed', 'a whole number >= 0', self.seed)
 
+    @property
+    def _situations(self) -> int:
+        return len(self.plants) * len(PHASES)
+
     def grid(self) -> Mapping[str, Sequence[Any]]:
         """Return kinds, seeds and situations."""
         found: dict[str, Sequence[Any]] = {
             'kinds': [f'{source} {kind}' for kind, source in faults_of(PROCESS)],
-            'seeds': range(self.seed, self.seed + (1 if self.quick else SEEDS)),
+            'seeds': range(self.seed, self.seed + (self._situations if self.quick else SEEDS)),
             'plants': self.plants, 'phases': PHASES}
         found['pairs of faults at once'] = range(QUICK_PAIRS if self.quick else PAIRS)
         if self.graph:
@@ -101,7 +106,7 @@ class FaultStudy(Study[FaultJob, list[FaultRow]]):
             for plant in self.plants}
         for index, fault in enumerate(faults_of(PROCESS)):
             # One of each, yet in every situation.
-            for number in (index % 6,) if self.quick else range(SEEDS):
+            for number in (index % self._situations,) if self.quick else range(SEEDS):
                 places[situation(number, self.plants)].append((*fault, self.seed + number))
         pairs = pairs_of_faults(QUICK_PAIRS if self.quick else PAIRS, self.seed)
         for number, (one, other) in enumerate(pairs):
@@ -113,7 +118,8 @@ class FaultStudy(Study[FaultJob, list[FaultRow]]):
 
     def content(self, run: JobRun[FaultJob]) -> list[FaultRow]:
         """Return what became of every fault, by kind and seed."""
-        rows = [FaultRow(**row) for job in self.jobs() for row in run.result(job).metrics['rows']]
+        rows = [FaultRow(**row) for job in run.kept(self.jobs())
+                for row in run.result(job).metrics['rows']]
         order = {fault: i for i, fault in enumerate(faults_of(PROCESS))}
         return sorted(rows, key=lambda row: (
             order.get((row.kind, row.input), len(order)), row.seed))
@@ -132,7 +138,8 @@ class FaultStudy(Study[FaultJob, list[FaultRow]]):
                       f'seed {row.seed}: {why}' for row in content
                       for what, why in (('not safe', row.problems), ('short', row.shortfalls))
                       if why],
-            findings=[f'{len(content)} faults of {len(kinds)} kinds, {len(unsafe)} unsafe, '
+            findings=[f'{counted(len(content), "faults")} of {counted(len(kinds), "kinds")}, '
+                      f'{len(unsafe)} unsafe, '
                       f'{sum(bool(row.shortfalls) for row in content)} short of what the arm '
                       f'should do; {_distribution(content)}'])
 

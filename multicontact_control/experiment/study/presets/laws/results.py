@@ -121,8 +121,13 @@ def law_listing(rows: Sequence[Row], plant: str) -> Listing:
                  _text(row['push_off_s'], 0, 1e3), _text(row['activity_nm'], 2),
                  _text(row['neighbour_n'], 1)]
         cells += [_values(row[situation]) for situation in (STIFFNESS, DELAY, FRICTION)]
-        lines.append(Line(cells, row['stable'] == row['runs']))
+        lines.append(Line(cells, _able(row)))
     return Listing(COLUMNS, lines, caption=CAPTION)
+
+
+def _able(row: Row) -> bool:
+    """Return whether a law was stable in every run of the task, of which some were not lost."""
+    return bool(row['runs'] and row['stable'] == row['runs'])
 
 
 def _text(value: float | None, digits: int, scale: float = 1.0) -> str:
@@ -148,8 +153,10 @@ def law_findings(rows: Sequence[Row]) -> list[str]:
     said = []
     for plant in dict.fromkeys(row['plant'] for row in rows):
         here = [row for row in rows if row['plant'] == plant]
-        able = [row for row in here if row['stable'] == row['runs']]
+        able = [row for row in here if _able(row)]
         for row in here:
+            if not row['runs']:
+                continue
             if row not in able:
                 said.append(f'{plant}, {row["law"]}: not stable in '
                             f'{row["runs"] - row["stable"]} of {row["runs"]} runs of the task.')

@@ -113,14 +113,14 @@ class LawStudy(Study[LawJob, list[Mapping[str, Any]]]):
 
     def content(self, run: JobRun[LawJob]) -> list[Mapping[str, Any]]:
         """Return a row for each law on each plant."""
-        return law_rows(self.jobs(), lambda job: run.result(job).metrics)
+        return law_rows(run.kept(self.jobs()), lambda job: run.result(job).metrics)
 
     def tables(
         self, content: list[Mapping[str, Any]], run: JobRun[LawJob],
     ) -> Mapping[str, Any]:
         """Return ``laws.json``: the rows, and what was measured in every run."""
         return {f'{self.name}.json': {'laws': content, 'runs': [
-            {**job.describe(), **run.result(job).metrics} for job in self.jobs()]}}
+            {**job.describe(), **run.result(job).metrics} for job in run.kept(self.jobs())]}}
 
     def page(self, content: list[Mapping[str, Any]], folder: Path) -> Page:
         """Return a table for each plant, and what each law is good for."""

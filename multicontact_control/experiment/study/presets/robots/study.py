@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from importlib.util import find_spec
@@ -17,6 +17,7 @@ from multicontact_control.experiment.study.measure import summarise_run
 from multicontact_control.experiment.study.page import Page, Section
 from multicontact_control.experiment.study.study import Study
 from multicontact_control.experiment.study.table import Column, Line, Listing
+from multicontact_control.wording import counted
 from sim_bridge.robots import find_robot, has_urdf, robot_names
 
 # What simulates, and what is laid over the plant for it.
@@ -122,9 +123,10 @@ class RobotStudy(Study[RunJob, list[dict[str, Any]]]):
         rows = []
         for cell in self.cells():
             for seed in range(self.seeds):
-                metrics = run.result(self.job(cell, seed)).metrics
-                rows.append({**dict(zip(('robot', 'engine', 'scenario'), cell)), 'seed': seed,
-                             **figures_of(metrics)})
+                job = self.job(cell, seed)
+                if job not in run.lost:
+                    rows.append({**dict(zip(('robot', 'engine', 'scenario'), cell)),
+                                 'seed': seed, **figures_of(run.result(job).metrics)})
         return rows
 
     def page(self, content: list[dict[str, Any]], folder: Path) -> Page:
@@ -136,7 +138,7 @@ class RobotStudy(Study[RunJob, list[dict[str, Any]]]):
             [Section('True force errors', _listing(content), before=f'<p class=note>{NOTE}</p>')],
             warnings=[f'{row["robot"]} on {row["engine"]}, {row["scenario"]}, seed {row["seed"]}: '
                       f'{row["why"]}' for row in unstable],
-            findings=[f'{len(content)} runs, {len(content) - len(unstable)} stable'
+            findings=[f'{counted(len(content), "runs")}, {len(content) - len(unstable)} stable'
                       + (f'; without {", ".join(left_out)}' if left_out else ''),
                       *_agreement(content)])
 
@@ -149,14 +151,22 @@ def figures_of(metrics: Mapping[str, Any]) -> dict[str, Any]:
                 'moving_rms_n': None, 'loss_percent': None, 'torque_percent': None,
                 'path_mm': None}
     contacts = list(summary['contacts'].values())
-    lost = [contact['moving']['contact_loss_fraction'] or 0.0 for contact in contacts]
+    lost = _largest(contact['moving']['contact_loss_fraction'] for contact in contacts)
     return {
         'stable': summary['stable'], 'why': '; '.join(summary['instabilities']),
         'rest_rms_n': [contact['rest']['true_error_rms_n'] for contact in contacts],
         'moving_rms_n': [contact['moving']['true_error_rms_n'] for contact in contacts],
-        'loss_percent': 100.0 * max(lost),
-        'torque_percent': 100.0 * summary['torque']['max_fraction_of_limit'],
-        'path_mm': 1e3 * summary['motion']['position_rms_m']}
+        'loss_percent': _scaled(lost, 100.0),
+        'torque_percent': _scaled(summary['torque']['max_fraction_of_limit'], 100.0),
+        'path_mm': _scaled(summary['motion']['position_rms_m'], 1e3)}
+
+
+def _largest(values: Iterable[float | None]) -> float | None:
+    return max((value for value in values if value is not None), default=None)
+
+
+def _scaled(value: float | None, factor: float) -> float | None:
+    return None if value is None else factor * value
 
 
 def _agreement(content: Sequence[Mapping[str, Any]]) -> list[str]:

@@ -96,6 +96,8 @@ class RobustnessStudy(Study[RunJob, dict[str, Any]]):
         """Return the content of ``robustness.json``."""
         points = []
         for (plant, label, ratio, delay), job in self.points().items():
+            if job in run.lost:
+                continue
             stable, overshoot = verdict(run.result(job).metrics)
             points.append({
                 'plant': plant, 'estimator': label, 'ratio': ratio, 'delay_ticks': delay,
@@ -133,8 +135,8 @@ def stable_range(
     known = sorted((point['ratio'], point['stable']) for point in content['points']
                    if (point['plant'], point['estimator'], point['delay_ticks'])
                    == (plant, label, delay))
-    nearest = min(range(len(known)), key=lambda i: abs(math.log(known[i][0])))
-    if not known[nearest][1]:
+    nearest = min(range(len(known)), key=lambda i: abs(math.log(known[i][0])), default=None)
+    if nearest is None or not known[nearest][1]:
         return None
     low = high = nearest
     while low > 0 and known[low - 1][1]:

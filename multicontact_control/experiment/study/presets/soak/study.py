@@ -77,7 +77,7 @@ class SoakStudy(Study[SoakJob, list[dict[str, Any]]]):
 
     def content(self, run: JobRun[SoakJob]) -> list[dict[str, Any]]:
         """Return what came of every soak."""
-        return [{**job.describe(), **run.result(job).metrics} for job in self.jobs()]
+        return [{**job.describe(), **run.result(job).metrics} for job in run.kept(self.jobs())]
 
     def tables(
         self, content: list[dict[str, Any]], run: JobRun[SoakJob],

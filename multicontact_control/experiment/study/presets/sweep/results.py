@@ -13,7 +13,7 @@ from multicontact_control.arrays import Vector
 from multicontact_control.experiment.overrides import EVERY
 from multicontact_control.experiment.panels import COLOURS
 from multicontact_control.experiment.study.presets.sweep.plan import SweepPlan
-from multicontact_control.experiment.study.table import Column, Line, Listing
+from multicontact_control.experiment.study.table import Column, Line, Listing, short_names
 import numpy as np
 import pyarrow as pa
 
@@ -136,17 +136,6 @@ def sweep_listing(plan: SweepPlan, table: pa.Table, metrics: Sequence[str]) -> L
     head = ['plant', *plan.units, STABLE, *names]
     return Listing([Column(name, short, number=i > len(plan.units))
                     for i, (name, short) in enumerate(zip(head, short_names(head)))], lines)
-
-
-def short_names(names: Sequence[str]) -> list[str]:
-    """Return the last parts of dotted names, as many as it takes to tell them apart."""
-    short = []
-    for name in names:
-        parts = name.split('.')
-        count = next(n for n in range(1, len(parts) + 1) if n == len(parts) or sum(
-            other.split('.')[-n:] == parts[-n:] for other in names) == 1)
-        short.append('.'.join(parts[-count:]))
-    return short
 
 
 def _text(value: Any) -> str:

@@ -23,6 +23,7 @@ from multicontact_control.experiment.study.presets.sweep.results import (
     sweep_table,
 )
 from multicontact_control.experiment.study.study import Study
+from multicontact_control.wording import counted
 import pyarrow as pa
 
 SHOWN = 40  # lines of the table over the seeds that still fit a terminal
@@ -48,8 +49,8 @@ class SweepStudy(Study[RunJob, pa.Table]):
     def headline(self) -> str:
         """Return how many combinations and seeds there are."""
         study, seeds = self.plan.study, len(self.plan.study.seeds)
-        return (f'study {study.name}: {len(self.plan.runs) // seeds} combinations with '
-                f'{seeds} seeds')
+        return (f'study {study.name}: {counted(len(self.plan.runs) // seeds, "combinations")} '
+                f'with {counted(seeds, "seeds")}')
 
     def grid(self) -> Mapping[str, Sequence[Any]]:
         """Return plants, seeds, and the values of every parameter that is swept."""
@@ -91,7 +92,8 @@ class SweepStudy(Study[RunJob, pa.Table]):
                      in_terminal=len(listing.lines) <= SHOWN,
                      before=f'<p class=note>{NOTE}</p>')],
             introduction=[study.description,
-                          f'{len(self.plan.runs)} runs of the scenario {study.scenario}, '
+                          f'{counted(len(self.plan.runs), "runs")} of the scenario '
+                          f'{study.scenario}, '
                           f'{len(study.seeds)} with each combination.'],
             warnings=[f'figures: the table has no numbers under {name}' for name in missing],
             findings=[_counts(content)],
@@ -122,5 +124,5 @@ def _counts(table: pa.Table) -> str:
     stable = sum(table['stable'].to_pylist())
     ended = sum(error is not None for error in table['error'].to_pylist())
     held = table['verdict'].to_pylist().count(HELD)
-    return (f'{table.num_rows} runs: {stable} stable, {table.num_rows - stable} not, of which '
-            f'{ended} ended early and {held} were held by the supervisor')
+    return (f'{counted(table.num_rows, "runs")}: {stable} stable, {table.num_rows - stable} not, '
+            f'of which {ended} ended early and {held} were held by the supervisor')

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from multicontact_control.config import merge, read_yaml
-from multicontact_control.errors import check_all, ConfigError
+from multicontact_control.errors import check_all, ConfigError, RunError
 from multicontact_control.experiment.law_report import write_preset
 from multicontact_control.experiment.overrides import overrides_of
 from multicontact_control.experiment.scenario import plant_source, preset_values
@@ -25,6 +25,7 @@ from multicontact_control.experiment.study.presets.laws.results import law_rows
 from multicontact_control.experiment.study.study import Study
 from multicontact_control.experiment.study.table import Column, Line, Listing
 from multicontact_control.paths import config_dir
+from multicontact_control.wording import counted
 
 TUNED_ON = 0  # seed
 JUDGED_ON = (1, 2, 3)
@@ -110,9 +111,14 @@ class TuneStudy(Study[LawJob, list[dict[str, Any]]]):
             combinations.setdefault(job.settings, []).append(job)
         found = []
         for settings, jobs in combinations.items():
+            if any(job in run.lost for job in jobs):
+                continue  # the worst of its plants may be the one that is not known
             rows = law_rows(jobs, lambda job: run.result(job).metrics)
             worst = max(rows, key=cost)
             found.append({'settings': dict(settings), 'cost': cost(worst), **worst})
+        if not found:
+            raise RunError(f'{self.title}: expected a combination with results on every plant, '
+                           f'found {len(run.lost)} of {len(run.keys)} jobs lost')
         found.sort(key=lambda row: row['cost'])
         for row in found:
             row['cost'] = None if math.isinf(row['cost']) else row['cost']
@@ -149,18 +155,25 @@ def _listing(content: Sequence[Mapping[str, Any]]) -> Listing:
     names = list(content[0]['settings'])
     columns = [Column('cost'), *(Column(name, name.rpartition('.')[2]) for name in names),
                *(Column(name) for name in FIGURES)]
-    lines = [Line(['not stable' if row['cost'] is None else f'{row["cost"]:.2f}',
+    lines = [Line([_no_cost(row) if row['cost'] is None else f'{row["cost"]:.2f}',
                    *(str(value) for value in row['settings'].values()),
                    *('-' if row[name] is None else f'{row[name]:.3g}' for name in FIGURES)],
                   row['cost'] is not None) for row in content[:SHOWN]]
     return Listing(columns, lines, verdict=0)
 
 
+def _no_cost(row: Mapping[str, Any]) -> str:
+    """Return why a combination has no cost: it is not stable, or it has not every figure."""
+    if row['stable'] < row['runs']:
+        return 'not stable'
+    return 'without ' + ', '.join(name for name in SCALES if row[name] is None)
+
+
 def _findings(content: Sequence[Mapping[str, Any]], law: str) -> list[str]:
     best = content[0]
     if best['cost'] is None:
-        return [f'No combination of {law} is stable in the whole task.']
-    said = [f'{law}.yaml holds the best of {len(content)} combinations.']
+        return [f'No combination of {law} is stable in the whole task and has every figure.']
+    said = [f'{law}.yaml holds the best of {counted(len(content), "combinations")}.']
     for row in best.get('judged', ()):
         said.append(f'On other seeds, plant {row["plant"]}: stable in {row["stable"]} of '
                     f'{row["runs"]}, ' + ', '.join(

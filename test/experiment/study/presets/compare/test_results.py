@@ -32,6 +32,11 @@ def test_findings_turn_round_with_the_data():
     assert 'here the noise is the cause' in said
 
 
+def test_where_a_fixed_variance_is_stable_nothing_is_a_cause():
+    said = ' '.join(findings([row('fixed', True), row(CLEAN, True, kind='cause')]))
+    assert 'NOT unstable' in said and 'cause' not in said
+
+
 def line_of(label, kind='AOB', *, seed=0, stable=True, push=0.25):
     return {'label': label, 'kind': kind, 'plant': 'puma', 'damping_rate': 20.0, 'seed': seed,
             'key': f'{label}{seed}',

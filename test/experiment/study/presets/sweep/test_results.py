@@ -16,7 +16,6 @@ from multicontact_control.experiment.study.presets.sweep.results import (
     judged,
     metric_values,
     row_of,
-    short_names,
     sweep_listing,
     sweep_table,
 )
@@ -74,10 +73,6 @@ def test_lines_are_medians_over_the_seeds(plan, table):
     assert [column.number for column in listing.columns] == [False, False, False, True, True]
     assert listing.lines[0].cells == ['rigid', '600', 'fixed', '3/3', '2']
     assert listing.lines[3].cells == ['rigid', '6e+04', 'window', '2/3', '9.5']
-
-
-def test_short_names_still_tell_columns_apart():
-    assert short_names(['plant', 'a.b.c', 'a.d.c', 'e.f']) == ['plant', 'b.c', 'd.c', 'f']
 
 
 def test_picture_has_a_line_for_each_value_of_the_second_parameter(plan, table):

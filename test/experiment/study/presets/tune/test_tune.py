@@ -3,8 +3,11 @@
 from dataclasses import replace
 
 from multicontact_control.config import read_yaml
-from multicontact_control.errors import ConfigError
+from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.experiment.scenario import resolve
+from multicontact_control.experiment.study.cache import JobCache
+from multicontact_control.experiment.study.execute import JobRun
+from multicontact_control.experiment.study.jobs import JobResult
 from multicontact_control.experiment.study.presets.laws.jobs import LawJob
 from multicontact_control.experiment.study.presets.tune import study as tuning
 from multicontact_control.experiment.study.presets.tune.study import (
@@ -41,6 +44,33 @@ def test_cost_adds_figures_and_refuses_what_is_not_stable():
     assert cost(row) == pytest.approx(len(SCALES))
     assert cost(row | {'stable': 0}) == float('inf')
     assert cost(row | {'rise_s': None}) == float('inf')
+
+
+def test_table_says_why_a_combination_has_no_cost(tmp_path):
+    row = {'settings': {'a.b': 1.0}, 'stable': 1, 'runs': 1, **SCALES}
+    page = TuneStudy('dob').page([
+        {**row, 'cost': 6.0}, {**row, 'cost': None, 'rise_s': None},
+        {**row, 'cost': None, 'stable': 0, 'rise_s': None}], tmp_path)
+    assert [line.cells[0] for line in page.sections[0].listing.lines] == [
+        '6.00', 'without rise_s', 'not stable']
+
+
+def test_combination_with_a_lost_run_is_left_out(tmp_path, monkeypatch):
+    monkeypatch.setattr(tuning, 'read_ranges', lambda law: {
+        'controller.force.damping_rate': [40.0, 100.0]})
+    study = TuneStudy('dob', ('rigid', 'puma'))
+    jobs = study.jobs()
+    cache, metrics = JobCache(tmp_path), {
+        'stable': False, 'why': '', 'oscillates': True, 'activity_nm': 0.1, 'neighbour_n': None,
+        'contacts': {'table': {'rest_rms_n': 0.1, 'moving_rms_n': 0.1, 'push_peak_n': 0.1,
+                               'push_off_s': 0.1, 'steps': []}}}
+    for job in jobs:
+        cache.save(job.key(), job, JobResult(metrics, {}, 0.1))
+    run = JobRun(tmp_path, cache, {job: job.key() for job in jobs}, {jobs[0]: 'died'})
+    assert [row['settings'] for row in study.content(run)] == [dict(jobs[-1].settings)]
+    lost = replace(run, lost={jobs[0]: 'died', jobs[-1]: 'died'})
+    with pytest.raises(RunError, match='tune: expected a combination .*found 2 of 4 jobs lost'):
+        study.content(lost)
 
 
 @pytest.mark.slow
