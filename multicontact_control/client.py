@@ -12,10 +12,11 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 import math
+import re
 import time
-from typing import Any
+from typing import Any, NamedTuple
 import warnings
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -35,6 +36,9 @@ OPTIONAL_WAIT = 1.0
 STATE_TOPICS = (
     topics.MEASURED_FORCES, topics.ESTIMATED_FORCES, topics.DESIRED_FORCES, topics.POSE,
     topics.POSE_DESIRED)
+SENT_KEPT = 32  # commands, for refusals that are late
+# A refusal of one force, or couple; others name none.
+OF_ONE_FORCE = re.compile(r': (?:force on|couple) (\S+): expected .*, found (\S+) N$')
 
 
 class NotReachedError(RunError):
@@ -72,6 +76,8 @@ class ControllerStatus:
         Whether it holds pose and forces on command.
     push_test
         What the push test asks for; empty if it asks for nothing.
+    forces
+        What is obeyed by contact, and couple [N]; empty if it follows a scenario.
 
     """
 
@@ -85,21 +91,30 @@ class ControllerStatus:
     last_refusal: str
     held: bool
     push_test: str
+    forces: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod
     def of(cls, message: DiagnosticStatus) -> ControllerStatus:
         """Return what a message on ``~/status`` says."""
         values = {x.key: x.value for x in message.values}
+        forces = [each.rsplit(' ', 1) for each in values.get('forces', '').split(', ') if each]
         return cls(
             values['event'], message.message, values['life_cycle'], values['reaction'],
             values['causes'], values['contacts'], int(values['refused']),
-            values['last_refusal'], values['held'] == str(True), values['push_test'])
+            values['last_refusal'], values['held'] == str(True), values['push_test'],
+            {name: float(force) for name, force in forces})
 
     def refuses(self, topic: topics.Topic, before: ControllerStatus | None) -> bool:
         """Return whether it says that a command on a topic was refused since `before`."""
         # Of those that come close after each other only the count tells.
         more = before is not None and self.refused > before.refused
         return self.last_refusal.startswith(topic.name) and (self.event == 'refused' or more)
+
+    def obeys(self, forces: Mapping[str, float]) -> bool:
+        """Return whether it says that all these forces [N] are obeyed."""
+        return bool(self.forces) and all(
+            math.isclose(force, self.forces.get(name, math.nan), rel_tol=1e-6, abs_tol=1e-9)
+            for name, force in forces.items())
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,6 +148,17 @@ class ArmState:
     quaternion_desired: Vector
 
 
+class _Sent(NamedTuple):
+    """Forces that were sent, NaN for centres of pressure, and what was commanded before [N]."""
+
+    forces: dict[str, float]
+    before: dict[str, float]
+
+    def holds(self, name: str, force: str) -> bool:
+        """Return whether a refusal of a force, as it is written, is of this command."""
+        return name in self.forces and f'{self.forces[name]:g}' == force
+
+
 class MultiContactClient:
     """
     Commands a running controller and reads its state; to be used in a with statement.
@@ -161,7 +187,7 @@ class MultiContactClient:
         self._force_publisher = self._link.publisher(topics.FORCE_COMMAND)
         self._motion_publisher = self._link.publisher(topics.MOTION_COMMAND)
         self._commanded: dict[str, float] = {}
-        self._obeyed: dict[str, float] = {}
+        self._sent: deque[_Sent] = deque(maxlen=SENT_KEPT)
         self._status: ControllerStatus | None = None
         self._refusals: dict[topics.Topic, str] = {}
 
@@ -210,7 +236,8 @@ class MultiContactClient:
     def _forget(self) -> None:
         """Forget what was commanded, as the controller does."""
         self._commanded.clear()
-        self._obeyed.clear()
+        self._sent.clear()
+        self._refusals.pop(topics.FORCE_COMMAND, None)
 
     def status(self) -> ControllerStatus | None:
         """Return what the controller has said of itself last, None if nothing so far."""
@@ -218,18 +245,54 @@ class MultiContactClient:
             status, before = ControllerStatus.of(message), self._status
             for topic in (topics.FORCE_COMMAND, topics.MOTION_COMMAND):
                 # Of motions, which go on coming, the next one tells.
-                if status.refuses(topic, before if topic is topics.FORCE_COMMAND else None):
+                if status.refuses(topic, before if topic is topics.FORCE_COMMAND else None) and (
+                        topic is topics.MOTION_COMMAND or self._may_be_mine(status, before)):
                     self._refusals[topic] = f'{topics.CONTROLLER}: refused: {status.last_refusal}'
             self._status = status
         return self._status
 
+    def _may_be_mine(self, status: ControllerStatus, before: ControllerStatus | None) -> bool:
+        """Return whether the forces that were refused may be those of this client."""
+        if not self._sent:
+            return False
+        told = OF_ONE_FORCE.search(status.last_refusal)
+        several = before is not None and status.refused > before.refused + 1
+        if told and not several and not any(sent.holds(*told.groups()) for sent in self._sent):
+            return False
+        return not self._is_obeyed(status)
+
+    def _is_obeyed(self, status: ControllerStatus | None) -> bool:
+        """Return whether all that this client commanded is known to be obeyed."""
+        centred = any(math.isnan(force) for sent in list(self._sent)[-1:]
+                      for force in sent.forces.values())
+        return status is not None and not centred and status.obeys(self._commanded)
+
     def _refusal(self, topic: topics.Topic) -> str:
         """Return the newest refusal on a topic that nobody was told of, empty without any."""
-        self.status()
+        status = self.status()
         told = self._refusals.pop(topic, '')
-        if told and topic is topics.FORCE_COMMAND:
-            self._commanded = dict(self._obeyed)
+        if not told or topic is not topics.FORCE_COMMAND:
+            return told
+        if self._is_obeyed(status):
+            return ''  # somebody else's, before this client's came
+        self._undo(told, status)
         return told
+
+    def _undo(self, refusal: str, status: ControllerStatus | None) -> None:
+        """Take back what was refused: the command with that force, or all that is not obeyed."""
+        told = OF_ONE_FORCE.search(refusal)
+        named = [sent for sent in self._sent if told and sent.holds(*told.groups())][-1:]
+        known = {} if status is None else status.forces
+        for sent in named or reversed(list(self._sent)[0 if known else -1:]):
+            for name, force in sent.forces.items():
+                if self._commanded.get(name, math.nan) != force and not math.isnan(force):
+                    continue  # another command has taken its place
+                if status is not None and status.obeys({name: force}):
+                    continue
+                if name in sent.before:
+                    self._commanded[name] = known.get(name, sent.before[name])
+                else:
+                    self._commanded.pop(name, None)
 
     def _raise_refusal(self, topic: topics.Topic) -> None:
         """Raise if the controller has refused a command on a topic."""
@@ -298,8 +361,10 @@ class MultiContactClient:
 
         Raises
         ------
+        CommandRefusedError
+            If the controller has no such contact.
         RunError
-            If no controller runs or listens, or it has no such contact.
+            If no controller runs or listens.
         MessageError
             If a force is not finite.
 
@@ -308,13 +373,15 @@ class MultiContactClient:
         desired, = self._link.fresh(topics.DESIRED_FORCES)
         unknown = sorted({*forces, *(centres or {})} - set(desired.name))
         if unknown:
-            raise RunError(f'{topics.FORCE_COMMAND.name}: expected contacts among '
-                           f'{", ".join(desired.name)}, found {", ".join(unknown)}')
+            raise CommandRefusedError(
+                f'{topics.FORCE_COMMAND.name}: expected contacts among {", ".join(desired.name)}, '
+                f'found {", ".join(unknown)}')
         self._link.is_heard(topics.STATUS, OPTIONAL_WAIT)
         told = self._refusal(topics.FORCE_COMMAND)
         if told:
             warnings.warn(told, CommandRefusedWarning, stacklevel=2)
-        self._obeyed = dict(self._commanded)
+        self._sent.append(_Sent(
+            {**forces, **dict.fromkeys(centres or {}, math.nan)}, dict(self._commanded)))
         if forces:
             self._link.publish(self._force_publisher, messages.joint_state_message(
                 0, list(forces), effort=list(forces.values())))
@@ -450,6 +517,8 @@ class MultiContactClient:
             if missing:
                 raise RunError(f'contact_forces/measured: expected {", ".join(sorted(missing))}, '
                                f'found {", ".join(forces)}')
+            if seen and now < seen[-1][0]:
+                seen.clear()  # their clock was set back
             seen.append((now, np.array([forces[name] for name in self._commanded])))
             settled = now - seen[0][0] >= settle_time
             while len(seen) > 1 and now - seen[1][0] >= settle_time:

@@ -6,6 +6,7 @@ from typing import Any
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
+from multicontact_control.errors import ConfigError
 import numpy as np
 import pinocchio as pin
 from sim_bridge.arm import OPERATIONAL_FRAME
@@ -61,7 +62,8 @@ class Contacts:
             [config.surfaces[name] for name in names], generators)
         self._surfaces['joint'], self._surfaces['tip'] = _carried_tips(model, config)
         self.carriers: list[int] = self._surfaces['joint'].tolist()
-        if config.contact == 'native':
+        self._native = config.contact == 'native'
+        if self._native:
             for name in ('stiffness', 'damping', 'friction'):
                 self._surfaces[name] = 0.0  # only where the tips are is asked of them
         self._moving = [(i, config.surfaces[name]) for i, name in enumerate(names)
@@ -121,14 +123,20 @@ class Contacts:
         """Press a body that gives way from behind with a normal force [N] from now on."""
         self._opposing[contact] = force
 
+    def _changing(self, surface: int) -> Any:
+        """Return a surface that is to be changed; ConfigError if it is the engine's own."""
+        if self._native:
+            raise ConfigError('contact', 'compliant, for surfaces that change', 'native')
+        return self._surfaces[surface]
+
     def shift(self, contact: int, distance: float) -> None:
         """Move a surface along its normal by `distance` [m], away from the robot if positive."""
-        surface = self._surfaces[contact]
+        surface = self._changing(contact)
         surface['place'] += distance * surface['normal']
 
     def put_before_tip(self, surface: int, distance: float) -> None:
         """Put a surface, or an obstacle after them, so far [m] before the tip as it is now."""
-        record = self._surfaces[surface]
+        record = self._changing(surface)
         record['place'] = record['point'] + distance * record['normal']
 
     def scale_stiffness(self, contact: int, factor: float) -> None:
@@ -137,18 +145,18 @@ class Contacts:
 
         A surface that is pressed on is moved such that it presses as before.
         """
-        surface = self._surfaces[contact]
+        surface = self._changing(contact)
         depth = surface['alpha'] / surface['stiffness']
         surface['stiffness'] *= factor
         self.shift(contact, depth * (1.0 - 1.0 / factor))
 
     def scale_friction(self, contact: int, factor: float) -> None:
         """Multiply a surface's coefficient of friction."""
-        self._surfaces[contact]['friction'] *= factor
+        self._changing(contact)['friction'] *= factor
 
     def set_friction(self, contact: int, friction: float) -> None:
         """Give a surface another coefficient of friction."""
-        self._surfaces[contact]['friction'] = friction
+        self._changing(contact)['friction'] = friction
 
     def update(self, q: Vector, qd: Vector, push_world: Vector) -> bool:
         """

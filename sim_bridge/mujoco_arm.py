@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import mujoco
 from multicontact_control.arrays import Matrix, Vector
+from multicontact_control.errors import ConfigError
 import numpy as np
 import pinocchio as pin
 from sim_bridge.arm import Arm, Body, numbers, Placement, SENSOR_FRAME, TOOL_LINK
@@ -70,10 +71,14 @@ class NativeContacts:
 
     @classmethod
     def of(cls, config: PlantConfig, arm: Arm) -> NativeContacts:
-        """Return those of a plant."""
+        """Return those of a plant; ConfigError if one is met by another link than a tip."""
         planes = []
         for name in config.met:
             surface = config.surfaces[name]
+            if surface.tip_link not in arm.tips:
+                raise ConfigError(
+                    f'surfaces.{name}.tip_link', f'one of the tips {", ".join(sorted(arm.tips))} '
+                    'with native contacts', f"'{surface.tip_link}'")
             planes.append(NativePlane(
                 surface.point_world, surface.normal_world, arm.tips[surface.tip_link],
                 surface.stiffness, surface.damping, surface.friction))

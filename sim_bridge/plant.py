@@ -5,7 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from multicontact_control.arrays import require_shape, Vector
+from multicontact_control.config import ToolConfig, Vector3
 from multicontact_control.errors import ConfigError, RunError
+from multicontact_control.sensor.weight import weight_reading
 import numpy as np
 import pinocchio as pin
 from sim_bridge.arm import SENSOR_FRAME, TOOL_LINK
@@ -180,6 +182,12 @@ class Plant:
         """Return the arm's rigid-body model, as it is simulated."""
         return self._model
 
+    @property
+    def tool_push_point(self) -> Vector3:
+        """Return where the tool is pushed, in the sensor's frame [m]."""
+        x, y, z = self._tool_push.point_sensor.tolist()
+        return x, y, z
+
     def scale_torque_limit(self, factor: float) -> None:
         """Multiply what the drives can do, unknown to whoever commands them."""
         self._limit = factor * self._limit
@@ -246,9 +254,8 @@ class Plant:
         model, data, arm = self._model, self._model.createData(), self.description
         pin.framesForwardKinematics(model, data, self._home)
         rotation = data.oMf[model.getFrameId(SENSOR_FRAME)].rotation
-        weight_held = -arm.carried_mass * (rotation.T @ np.array(self.config.gravity_world))
-        lever = arm.tool.mass / arm.carried_mass * np.array(arm.tool.com.position)
-        return np.concatenate((weight_held, np.cross(lever, weight_held)))
+        carried = ToolConfig(mass=arm.carried_mass, com_sensor=arm.carried_com)
+        return weight_reading(rotation, carried, np.array(self.config.gravity_world))
 
     def _sample(self, effort: Vector, saturated: bool) -> Sample:
         return Sample(

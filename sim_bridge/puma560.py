@@ -72,7 +72,7 @@ class RobotData(Config):
     position_limit_deg: tuple[tuple[Real, Real], ...] = parameter(
         ..., 'Joint range.', unit='deg')
     encoder_counts_per_motor_rev: tuple[int, ...] = parameter(
-        ..., 'Encoder resolution on the motor shaft.')
+        ..., 'Encoder resolution on the motor shaft, which is not simulated.')
     tool: ToolData
 
     @model_validator(mode='after')

@@ -8,6 +8,7 @@ from multicontact_control.arrays import Vector
 from multicontact_control.errors import ConfigError
 import numpy as np
 import pinocchio as pin
+from sim_bridge.arm import SENSOR_FRAME
 from sim_bridge.config import PlantConfig
 from sim_bridge.kinematics import add_joint_torque, chain_of, forward_kinematics
 
@@ -74,11 +75,13 @@ class ToolPush(Pushes):
     ----------
     point_world
         Where they push, shape (3,) [m]; only up to date while something does.
+    point_sensor
+        The same in the frame of the wrist sensor.
 
     Raises
     ------
     ConfigError
-        If the arm has no such link.
+        If the tool has no such link.
 
     """
 
@@ -86,9 +89,12 @@ class ToolPush(Pushes):
         super().__init__(rate, config.tool_push_start, config.tool_push_duration,
                          config.tool_push_force_world)
         name = config.tool_push_link
-        if not model.existFrame(name):
+        sensor = model.frames[model.getFrameId(SENSOR_FRAME)]
+        pushed = model.frames[model.getFrameId(name)] if model.existFrame(name) else None
+        if pushed is None or pushed.parentJoint != sensor.parentJoint:
             raise ConfigError('tool_push_link', 'a link of the tool', f"'{name}'")
-        self._local: Vector = np.array(model.frames[model.getFrameId(name)].placement.translation)
+        self._local: Vector = np.array(pushed.placement.translation)
+        self.point_sensor: Vector = sensor.placement.actInv(self._local)
         self._links = chain_of(model)
         self.point_world = np.zeros(3)
 

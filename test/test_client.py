@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import threading
+import warnings
 
 from lifecycle_msgs.srv import ChangeState, GetState
 from multicontact_control.client import (
@@ -11,6 +12,7 @@ from multicontact_control.client import (
     CommandRefusedWarning,
     MultiContactClient,
     NotReachedError,
+    STATE_TOPICS,
 )
 from multicontact_control.errors import RunError
 from multicontact_control.nodes import messages, topics
@@ -93,7 +95,7 @@ def test_client_holds_and_lets_go(arm):
 
 
 def test_client_refuses_contacts_that_are_none_and_says_what_the_controller_refuses(arm):
-    with pytest.raises(RunError, match='expected contacts among table, board, found tabel$'):
+    with pytest.raises(CommandRefusedError, match='contacts among table, board, found tabel$'):
         arm.set_forces({'tabel': 5.0, 'board': 4.0})
     arm.set_forces({'board': 4.0})
     reached(arm)
@@ -112,6 +114,44 @@ def test_client_refuses_contacts_that_are_none_and_says_what_the_controller_refu
     with pytest.warns(CommandRefusedWarning, match='force on board'):
         arm.set_forces({'board': 4.0})
     reached(arm)
+
+
+def test_what_is_refused_of_somebody_else_is_not_taken_for_ones_own(arm, domain_id):
+    arm.set_forces({'table': 8.0, 'board': 4.0})
+    reached(arm)
+    with MultiContactClient('arm', domain_id=domain_id, timeout=PATIENCE) as other:
+        for force in (99.0, 77.0):
+            other.set_forces({'board': force})
+            with pytest.raises(CommandRefusedError, match=f'board: .* found {force:g} N'):
+                reached(other)
+        other.hold()
+        other.set_forces({'board': 7.0})
+        with pytest.raises(CommandRefusedError, match='~/hold: expected released'):
+            reached(other)
+        other.hold(False)
+    wait_for(lambda: arm.status().refused >= 3, 'all of it')
+    assert reached(arm).forces_desired == {'table': 8.0, 'board': 4.0}
+    with warnings.catch_warnings():
+        warnings.simplefilter('error')
+        arm.set_forces({'table': 9.0})
+    assert reached(arm).forces_desired == {'table': 9.0, 'board': 4.0}
+    assert arm.status().forces == {'table': 9.0, 'board': 4.0}
+
+
+def test_of_two_commands_the_one_that_is_refused_is_undone(arm):
+    arm.set_forces({'table': 8.0, 'board': 4.0})
+    reached(arm)
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter('always')
+        arm.set_forces({'board': 99.0})
+        arm.set_forces({'table': 10.0})
+    told = [str(warning.message) for warning in warned]
+    if not told:  # the refusal came only after the second was sent
+        with pytest.raises(CommandRefusedError) as refusal:
+            reached(arm)
+        told = [str(refusal.value)]
+    assert 'force on board' in told[0]
+    assert reached(arm).forces_desired == {'table': 10.0, 'board': 4.0}
 
 
 def stands_still(arm):
@@ -206,6 +246,21 @@ class StandIn:
             1_000_000_000 + 2_000_000 * next(numbers), [0.0, 0.5, 0.5], [0.0, 0.0, 0.0, 1.0],
             'world')))
 
+    def publish_samples_whose_clock_is_set_back(self):
+        node, numbers = self._guest.node, itertools.count()
+        publishers = {topic: create_publisher(node, topic) for topic in STATE_TOPICS}
+
+        def publish():
+            k = next(numbers)
+            stamp = 10**12 + 1000 * k if k < 400 else 2_000_000 * k  # ns
+            for topic, publisher in publishers.items():
+                publisher.publish(messages.pose_message(
+                    stamp, [0.0, 0.5, 0.5], [0.0, 0.0, 0.0, 1.0], 'world') if topic in (
+                        topics.POSE, topics.POSE_DESIRED) else messages.joint_state_message(
+                            stamp, ['table'], effort=[0.0]))
+
+        node.create_timer(0.005, publish)
+
     def _get_state(self, _request, response):
         response.current_state.label = self.state
         return response
@@ -261,6 +316,17 @@ def test_motion_takes_time_and_ends_where_the_samples_begin_anew(arm, domain_id)
         with MultiContactClient('stand_in', domain_id=domain_id, timeout=PATIENCE) as client, (
                 pytest.raises(RunError, match='samples begin anew')):
             client.move([0.0, 0.5, 0.5], 1e6)
+    finally:
+        controller.close()
+
+
+def test_waiting_goes_on_where_the_clock_is_set_back(domain_id):
+    controller = StandIn(domain_id)
+    try:
+        controller.publish_samples_whose_clock_is_set_back()
+        with MultiContactClient('stand_in', domain_id=domain_id, timeout=PATIENCE) as client:
+            assert client.read().time >= 1000.0
+            assert client.wait_until_reached(timeout=20.0).time < 1000.0
     finally:
         controller.close()
 

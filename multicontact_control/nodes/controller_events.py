@@ -64,7 +64,8 @@ class ControllerEvents:
 
     Every command that is refused and every change of state is a message on ~/status: level, text,
     and in its values what happened (`event`: ``refused`` or ``state``), the state, how many
-    commands were refused so far, and the last of them. The state is repeated once a second.
+    commands were refused so far, the last of them, and the forces that are obeyed. The state is
+    repeated once a second.
 
     Parameters
     ----------
@@ -110,7 +111,8 @@ class ControllerEvents:
         status = loop.status
         now = (None, (), ()) if status is None else (
             status.reaction, status.causes, status.contact_states)
-        now = (*now, loop.safe, loop.held, loop.push_gate.instruction, self._life_cycle())
+        now = (*now, loop.safe, loop.held, loop.push_gate.instruction, self._life_cycle(),
+               *loop.commanded_forces.values())
         if status is not None and status.rejected:
             for name in status.rejected:
                 self._log.warn(name, f'a reading is not used: {name}')
@@ -162,7 +164,9 @@ class ControllerEvents:
             'causes': ' '.join(status.causes) if status else '',
             'contacts': ', '.join(f'{name} {state}' for name, state in states),
             'held': str(loop.held), 'push_test': loop.push_gate.instruction,
-            'refused': str(self._refused), 'last_refusal': self._last_refusal}
+            'refused': str(self._refused), 'last_refusal': self._last_refusal,
+            'forces': ', '.join(
+                f'{name} {force:.9g}' for name, force in loop.commanded_forces.items())}
         self.publisher.publish(DiagnosticStatus(
             name=f'{self._node.get_name()}: status', level=level, message=text,
             values=[KeyValue(key=key, value=value) for key, value in values.items()]))

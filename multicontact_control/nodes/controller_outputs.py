@@ -112,7 +112,7 @@ class ControllerOutputs:
         if self._markers.due(tick):
             self._markers_publisher.publish(self._markers.message(
                 stamp, output.pose, (output.alpha_meas, output.alpha_est, output.alpha_des),
-                output.active))
+                output.active, output.contacts['normal']))
 
 
 class Command(NamedTuple):
@@ -183,9 +183,7 @@ class ContactMarkers:
         contacts = [config.contacts[name] for name in config.contact_names]
         self._names, self._config = config.contact_names, config
         self._leaders = np.array(config.leaders)
-        self._normals_world = np.array([contact.normal_world for contact in contacts])
         self._points_operational = np.array([contact.point_operational for contact in contacts])
-        self._beside = BESIDE * np.array([_beside(normal) for normal in self._normals_world])
         self._every = max(1, round(config.rate / rate)) if rate > 0.0 else 0
         self._scale = scale
         self._arrows = [[_arrow(f'{NAMESPACE}/{name}{kind}', number, colour)
@@ -198,6 +196,7 @@ class ContactMarkers:
 
     def message(
         self, stamp: int, pose: Pose, forces: Sequence[Vector], active: Any,
+        normals_world: Matrix,
     ) -> MarkerArray:
         """
         Return the arrows of one sample, in a message that the next call changes.
@@ -212,18 +211,22 @@ class ContactMarkers:
             Measured, estimated and desired, each of shape (r,) [N].
         active
             Which of them are controlled, shape (r,).
+        normals_world
+            Of their contacts, as they are taken for now, shape (r, 3).
 
         """
-        feet = pose.position_world + (
-            self._points_operational + self._centres(forces[0], pose)) @ pose.rotation_world.T
+        normals = normals_world[self._leaders]
+        beside = BESIDE * np.array([_beside(normal) for normal in normals])
+        feet = pose.position_world + (self._points_operational + self._centres(
+            forces[0], pose, normals)) @ pose.rotation_world.T
         time = messages.ns_to_stamp(stamp)
         active = np.asarray(active)[self._leaders]
         for arrow, controlled in zip(self._arrows[0], active.tolist()):
             arrow.color = CONTROLLED if controlled else FELT
         for place, (row, values) in enumerate(zip(self._arrows, forces)):
             alpha = values[self._leaders]
-            tips = feet + place * self._beside
-            tails = tips - self._scale * alpha[:, None] * self._normals_world
+            tips = feet + place * beside
+            tails = tips - self._scale * alpha[:, None] * normals
             for arrow, force, tail, tip in zip(
                     row, alpha.tolist(), tails.tolist(), tips.tolist()):
                 arrow.header.stamp = time
@@ -232,7 +235,7 @@ class ContactMarkers:
                     point.x, point.y, point.z = position
         return self._message
 
-    def _centres(self, alpha: Vector, pose: Pose) -> Matrix:
+    def _centres(self, alpha: Vector, pose: Pose, normals: Matrix) -> Matrix:
         """Return the centres of pressure from those of the contacts, operational axes [m]."""
         centres = np.zeros((len(self._names), 3))
         for column, value in zip(self._config.columns, alpha.tolist()):
@@ -242,8 +245,7 @@ class ContactMarkers:
             contact = self._names.index(column.contact)
             direction = np.array(column.direction_operational)
             if column.kind == ACROSS:
-                direction = np.cross(
-                    pose.rotation_world.T @ self._normals_world[contact], direction)
+                direction = np.cross(pose.rotation_world.T @ normals[contact], direction)
             share = min(max(value / pressed, -1.0), 1.0)
             centres[contact] += share * column.half_length * direction
         return centres

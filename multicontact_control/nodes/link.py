@@ -355,7 +355,7 @@ class ControllerLink(LifecycleDriver):
             if time.monotonic() > give_up:
                 raise RunError(
                     f'{publisher.topic_name}: expected a controller that listens within '
-                    f'{self._patience:g} s, found none (with a reference file it does not)')
+                    f'{self._patience:g} s, found none; is it configured?')
             time.sleep(POLL_PERIOD)
 
     def _reaches_controller(self, publisher: Publisher) -> bool:

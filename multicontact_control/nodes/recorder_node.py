@@ -85,7 +85,6 @@ class RecorderNode(Node):
             tf = TfRecording(self._writer, config.tf_rate, self.get_logger())
             streams[JOINT_STATES].on_message = tf.on_joint_states
             streams[ROBOT_DESCRIPTION].on_message = tf.on_description
-        self._recording.fresh.expect(*(x.name for x in streams.values() if x.judged))
         self._reported = (time.monotonic(), 0)
         self._diagnostics = Diagnostics(self, self._statuses)
         ends = {topic: x.subscription for topic, x in streams.items()
@@ -141,6 +140,7 @@ class RecorderNode(Node):
                 'dropped': sum(lost.values()),
                 **{f'dropped {name}': number for name, number in lost.items()}},
                 warning=f'messages lost on {", ".join(lost)}' if lost else ''),
+            # Of what has come and does so no more: no graph has all that can be recorded.
             input_status(self._recording.fresh, STALE_AGE, needed=count > 0)]
 
 

@@ -37,7 +37,7 @@ class Service:
 
 TARE = Service(
     'tare', Trigger, 'Takes the present reading of the wrist sensor for its bias; refused while '
-    'a contact is under force control.')
+    'a contact is under force control, or pressed by a reaction.')
 HOLD = Service('hold', SetBool, 'Holds the present pose and forces, or lets go of them.')
 RETRY = Service(
     'retry', Trigger, 'Resumes control that waits for an operator (cause `latched`), and seeks '

@@ -130,7 +130,8 @@ MOTION_COMMAND = Topic(
     'Pose, twist and acceleration of the operational point.')
 STATUS = Topic(
     f'{CONTROLLER}/status', DiagnosticStatus, CONTROLLER, (RECORDER,), qos.COMMAND, 'event',
-    '`~/status` of the controller: each command that it refuses, each change of its state.')
+    '`~/status` of the controller: each command that it refuses, each change of its state and '
+    'of the forces that it obeys.')
 ROBOT_DESCRIPTION = Topic(
     'robot_description', String, SIM, (RECORDER,), qos.LATCHED, 'event',
     'The URDF, also for who comes late.')

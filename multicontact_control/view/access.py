@@ -14,6 +14,7 @@ import hmac
 from http import HTTPStatus
 from http.cookies import CookieError, SimpleCookie
 import ipaddress
+import re
 import secrets
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
@@ -70,14 +71,15 @@ class Access:
             return _answer(HTTPStatus.FORBIDDEN, f'not for pages of {origin}')
         if not self.token:
             return None
-        if self._is_token(_cookie(headers.get('Cookie', ''))):
+        name = _cookie_name(host)
+        if self._is_token(_cookie(headers.get('Cookie', ''), name)):
             return None
         given = parse_qs(urlsplit(request.path).query).get(PARAMETER, [''])[0]
         if not self._is_token(given):
             return _answer(HTTPStatus.UNAUTHORIZED, 'the address with its token is needed, as '
                            '`multicontact view` has printed it')
         return _answer(HTTPStatus.SEE_OTHER, '', {
-            'Location': '/', 'Set-Cookie': f'{COOKIE}={self.token}; HttpOnly; SameSite=Strict'})
+            'Location': '/', 'Set-Cookie': f'{name}={self.token}; HttpOnly; SameSite=Strict'})
 
     def _is_token(self, given: str) -> bool:
         return hmac.compare_digest(given.encode(), self.token.encode())
@@ -117,9 +119,15 @@ class Access:
         return guard
 
 
-def _cookie(text: str) -> str:
+def _cookie_name(host: str) -> str:
+    """Return the cookie's name: browsers give those of a host to all pages on its ports."""
+    port = re.search(r':(\d+)$', host)
+    return f'{COOKIE}_{port[1]}' if port else COOKIE
+
+
+def _cookie(text: str, name: str) -> str:
     try:
-        cookie = SimpleCookie(text).get(COOKIE)
+        cookie = SimpleCookie(text).get(name)
     except CookieError:
         return ''
     return cookie.value if cookie is not None else ''

@@ -10,11 +10,13 @@ import threading
 import time
 from typing import Any
 
-from multicontact_control.client import ControllerStatus
+from multicontact_control.arrays import Vector
+from multicontact_control.client import CommandRefusedError, ControllerStatus
 from multicontact_control.config import Vector3
 from multicontact_control.errors import CommandError, MulticontactError, RunError
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.nodes import messages, topics
+from multicontact_control.nodes.controller_outputs import NAMESPACE
 from multicontact_control.nodes.glance import GlancingLink
 from multicontact_control.sampling import MotionReading
 from multicontact_control.supervision.command_limits import CommandLimits, half_lengths
@@ -22,6 +24,7 @@ from multicontact_control.view import source
 from multicontact_control.view.motion import Motion, Pattern
 from multicontact_control.view.source import (
     CurveLayout,
+    felt_surfaces,
     no_points,
     PLAYING,
     POINTS,
@@ -30,13 +33,14 @@ from multicontact_control.view.source import (
     Scene,
     SIMULATED,
     Snapshot,
-    Surface,
     taken,
     Timing,
 )
 import numpy as np
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, SetParametersAtomically
+from rclpy.parameter import parameter_value_to_python
+from sim_bridge.robots import find_robot, robot_names
 from sim_bridge.surface_patch import Patch
 from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import Marker
@@ -46,13 +50,16 @@ REFUSALS = dict.fromkeys(PLAYING, 'a recording') | dict.fromkeys(
 MOTION_RATE = 100.0  # Hz, of motion commands, and of looking for anything
 PATIENCE = 10.0  # s; until a process has found the others may take three
 SILENCE = 1.0  # s without a sample, after which it is said
+VERDICT_TIME = 3.0  # s, until a controller has said what becomes of forces: it does so each second
+AFTER_REFUSAL = 0.2  # s, until it has said that it was somebody else whom it refused
 KEPT = round(2.0 * RATE)
 LISTENED = (
     topics.JOINT_STATES, topics.MEASURED_FORCES, topics.ESTIMATED_FORCES, topics.DESIRED_FORCES,
     topics.INNOVATION, topics.NOISE_VARIANCE, topics.EFFORT_COMMAND, topics.POSE,
-    topics.POSE_DESIRED, topics.SURFACE_MARKERS)
+    topics.POSE_DESIRED, topics.SURFACE_MARKERS, topics.CONTACT_MARKERS)
 LOOP = f'{topics.CONTROLLER}: loop'
 CEILING = 'command.force_ceiling'
+JOINTS = 'robot.joint_names'
 GAINS = ('motion.natural_frequency', 'force.time_constant', 'force.damping_rate')
 
 
@@ -81,11 +88,12 @@ class GraphSource:
             domain_id=domain_id, timeout=PATIENCE)
         try:
             message, = self._link.fresh(topics.MEASURED_FORCES)
+            *gains, ceiling, joints = self._read((*GAINS, CEILING, JOINTS))
+            _require_joints(config.robot.joint_names, tuple(joints))
             if tuple(message.name) != config.column_names:
                 raise RunError(
                     f'contact_forces/measured: expected {", ".join(config.column_names)}, found '
                     f'{", ".join(message.name)}; name its --scenario and --plant')
-            *gains, ceiling = self._read((*GAINS, CEILING))
             self._gains = (gains[0], gains[1], gains[2])
             self._limits = CommandLimits(force_ceiling=ceiling)
         except BaseException:
@@ -97,21 +105,22 @@ class GraphSource:
         self._leaders = list(config.leaders)
         self._motion = Motion(config.limits, 1.0 / MOTION_RATE)
         self._scene = Scene(
-            'graph, as it runs', config, setup.urdf_dir, tuple(
-                Surface(name, config.contacts[name].normal_world, None)
-                for name in config.contact_names), largest_force=ceiling)
+            'graph, as it runs', config, setup.urdf_dir, felt_surfaces(config),
+            largest_force=ceiling)
         self._commands: Mapping[str, Callable[..., str]] = {
             source.FORCES: self._set_forces, source.GO_TO: self._go_to, source.JOG: self._jog,
             source.PATTERN: self._pattern, source.STOP: self._stop, source.HOLD: self._hold,
             source.RETRY: lambda: self._ask('retry'), source.TARE: lambda: self._ask('tare'),
             source.PUSH_TEST: lambda: self._ask('push_test'), source.GAINS: self._set_gains}
-        self._commanded: dict[str, float] = {}
+        self._refusal = ''  # of the newest forces
         self._status: ControllerStatus | None = None
         self._timing = Timing()
         self._events: list[tuple[float, str]] = []
         self._points: list[Any] = []
         self._places: dict[str, Vector3] = {}
         self._patches: dict[str, Patch] = {}
+        self._normals = {name: np.array(config.contacts[name].normal_world)
+                         for name in config.contact_names}
         self._stamp, self._heard = -1, time.monotonic()
         self._snapshots: deque[Snapshot] = deque(maxlen=KEPT)
         self._jobs: queue.Queue[tuple[Callable[[], str], futures.Future[str]]] = queue.Queue()
@@ -142,9 +151,23 @@ class GraphSource:
         done: futures.Future[str] = futures.Future()
         self._jobs.put((lambda: self._commands[name](**values), done))
         try:
-            return done.result(2.0 * PATIENCE)
+            told = done.result(2.0 * PATIENCE)
         except futures.TimeoutError:
             raise RunError(f'{name}: no answer within {2.0 * PATIENCE:g} s') from None
+        if name == source.FORCES:
+            self._await_verdict(values)
+        return told
+
+    def _await_verdict(self, forces: Mapping[str, float]) -> None:
+        """Wait until forces [N] are obeyed; RunError if they are not."""
+        give_up, refused = time.monotonic() + VERDICT_TIME, False
+        while self._status is None or not self._status.obeys(forces):
+            if self._refusal and not refused:
+                give_up, refused = time.monotonic() + AFTER_REFUSAL, True
+            if time.monotonic() > give_up:
+                raise CommandRefusedError(
+                    self._refusal or f'forces: no answer within {VERDICT_TIME:g} s')
+            time.sleep(1.0 / MOTION_RATE)
 
     def close(self) -> None:
         """Leave the graph, which goes on."""
@@ -218,6 +241,8 @@ class GraphSource:
         """Say what the controller refuses, and make no motion that it does not obey."""
         if any(status.refuses(topic, before)
                for topic in (topics.FORCE_COMMAND, topics.MOTION_COMMAND)):
+            if status.last_refusal.startswith(topics.FORCE_COMMAND.name):
+                self._refusal = status.last_refusal
             self._events.append((1e-9 * self._stamp, f'refused {status.last_refusal}'))
         if not self._motion.what:
             return
@@ -241,6 +266,22 @@ class GraphSource:
                 self._patches[name] = Patch(
                     corners, np.arange(count - count % 3).reshape(-1, 3))
 
+    def _look_at_normals(self) -> None:
+        """Take the normals, which a controller may find on-line, from the arrows of the forces."""
+        message = self._link.newest(topics.CONTACT_MARKERS)
+        for marker in () if message is None else message.markers:
+            name = marker.ns.removeprefix(f'{NAMESPACE}/')
+            if name in self._normals and marker.action == Marker.ADD:
+                tail, tip = (np.array([point.x, point.y, point.z]) for point in marker.points)
+                self._normals[name] = (tip - tail) / np.linalg.norm(tip - tail)
+
+    def _obeyed(self, desired: Vector) -> dict[str, float]:
+        """Return the forces that are obeyed: commanded ones, or those of a scenario [N]."""
+        told = {} if self._status is None else self._status.forces
+        return dict(told) or {
+            name: force for name, force in zip(self._config.column_names, desired.tolist())
+            if np.isfinite(force)}
+
     def _show(self) -> None:
         config, status = self._config, self._status
         pose, wanted = (self._link.newest(topic) for topic in (topics.POSE, topics.POSE_DESIRED))
@@ -251,6 +292,7 @@ class GraphSource:
         silent = time.monotonic() - self._heard > SILENCE
         desired = self._values(topics.DESIRED_FORCES, config.column_names)
         self._look_at_surfaces()
+        self._look_at_normals()
         points, self._points = self._points, []
         events, self._events = self._events, []
         position, turn = pose.pose.position, pose.pose.orientation
@@ -263,13 +305,12 @@ class GraphSource:
             position_des=np.array([place.x, place.y, place.z]),
             measured=self._values(topics.MEASURED_FORCES, config.column_names),
             estimated=self._values(topics.ESTIMATED_FORCES, config.column_names),
-            desired=desired, normals_world=np.array([
-                config.contacts[name].normal_world for name in config.contact_names]),
+            desired=desired, normals_world=np.array(list(self._normals.values())),
             states=tuple(contacts.get(name, 'free') for name in config.contact_names),
             reaction='no samples' if silent else 'none' if status is None else status.reaction,
             reasons=() if status is None else tuple(status.causes.split()),
             points=np.array(points) if points else no_points(self._layout),
-            commanded=dict(self._commanded), goal=self._motion.goal, events=tuple(events),
+            commanded=self._obeyed(desired), goal=self._motion.goal, events=tuple(events),
             timing=self._timing, held=status is not None and status.held,
             moving=self._motion.what, push_test='' if status is None else status.push_test,
             gains=self._gains, places_world=dict(self._places), patches=self._patches,
@@ -285,9 +326,9 @@ class GraphSource:
                                ', '.join(sorted(unknown)))
         self._limits.check_forces(
             forces, config.contact_state.smallest_force, half_lengths(config))
+        self._refusal = ''
         self._link.publish(self._force, messages.joint_state_message(
             0, list(forces), effort=list(forces.values())))
-        self._commanded.update(forces)
         return ', '.join(f'{name} {force:g} N' for name, force in forces.items())
 
     def _send(self, reading: MotionReading) -> None:
@@ -339,11 +380,11 @@ class GraphSource:
             raise RunError(str(answer.message))
         return str(answer.message) or name
 
-    def _read(self, names: tuple[str, ...]) -> list[float]:
+    def _read(self, names: tuple[str, ...]) -> list[Any]:
         answer = self._link.require(topics.CONTROLLER, GetParameters, 'get_parameters',
                                     GetParameters.Request(names=list(names)))
-        found = [value.double_value for value in answer.values]
-        if len(found) != len(names):
+        found = [parameter_value_to_python(value) for value in answer.values]
+        if len(found) != len(names) or None in found:
             raise RunError(f'{topics.CONTROLLER}: expected the parameters {", ".join(names)}, '
                            'found not all of them')
         return found
@@ -362,6 +403,17 @@ class GraphSource:
             raise RunError(str(answer.result.reason))
         self._gains = values
         return 'gains are set'
+
+
+def _require_joints(expected: tuple[str, ...], found: tuple[str, ...]) -> None:
+    """Check that a controller is of this arm; RunError naming the right one if it is known."""
+    if found == expected:
+        return
+    robots = map(find_robot, robot_names())
+    fitting = [f'--robot {robot.name}' for robot in robots
+               if found == (robot.file.joint_names or robot.arm.joint_names)]
+    raise RunError(f'{JOINTS}: expected {", ".join(expected)}, found {", ".join(found)}; name '
+                   f'{" or ".join(fitting) or "its --robot"}, and its --scenario')
 
 
 def _number(text: str | None) -> float:

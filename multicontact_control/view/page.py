@@ -73,6 +73,7 @@ class Page:
         self.ended = ''
         self._outcomes: deque[Outcome] = deque(maxlen=8)
         self._events: deque[tuple[float, str]] = deque(maxlen=LISTED)
+        self._unlisted = False  # whether there are events that the list does not show
         self._refused = ('', 0.0)
         self._count = 0
         self._gains: tuple[float, ...] = ()
@@ -130,20 +131,21 @@ class Page:
             self._events.extend(
                 (moment, text) for moment, what in snapshot.events
                 if (text := self._reader.read(what)))
+            self._unlisted |= bool(snapshot.events)
         while self._outcomes:
             self._show_outcome(self._outcomes.popleft())
         if found:
             self.newest = found[-1]
             if watched:
-                self._show(found[-1], bool(sum(len(each.events) for each in found)))
+                self._show(found[-1])
 
     def _begin_anew(self) -> None:
         """Forget what was said: time has gone back."""
         self._events.clear()
         self._reader = EventReader(self.source.scene.config.contact_names)
-        self._list.content = ''
+        self._list.content, self._unlisted = '', False
 
-    def _show(self, snapshot: Snapshot, eventful: bool) -> None:
+    def _show(self, snapshot: Snapshot) -> None:
         self._count += 1
         texts = self._count % TEXT_EVERY == 1
         with self.server.atomic():
@@ -153,13 +155,12 @@ class Page:
                 self._contacts.content = contacts_html(
                     self.source.scene.config.column_names, self.source.scene.config.leaders,
                     snapshot)
-                if eventful or len(self._events) and not self._list.content:
-                    self._list.content = events_html(list(self._events))
                 self.controls.show(snapshot)
                 if snapshot.gains != self._gains:
                     self._gains = snapshot.gains
                     self.controls.show_gains(snapshot)
-            elif eventful:
+            if self._unlisted:
+                self._unlisted = False
                 self._list.content = events_html(list(self._events))
             if self._count % CURVES_EVERY == 0:
                 self.curves.draw()

@@ -14,7 +14,7 @@ import warnings
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import ControllerConfig, Vector3
 from multicontact_control.errors import CommandError, ConfigError
-from multicontact_control.experiment.bag import CUT_OFF, read_bag
+from multicontact_control.experiment.bag import answered, CUT_OFF, read_bag
 from multicontact_control.experiment.bag_columns import MARKERS
 from multicontact_control.experiment.bag_messages import read_messages
 from multicontact_control.experiment.recording import RunData, SERIES_FILE
@@ -31,13 +31,13 @@ from multicontact_control.view import source
 from multicontact_control.view.events import EventReader
 from multicontact_control.view.source import (
     CurveLayout,
+    felt_surfaces,
     no_points,
     POINTS,
     RATE,
     refuse_if_unknown,
     Scene,
     Snapshot,
-    Surface,
     surfaces_of,
 )
 import numpy as np
@@ -202,7 +202,7 @@ def block_points(data: RunData, config: ControllerConfig, layout: CurveLayout) -
             np.nanmax(np.abs(blocks(data.torque)) / limit, axis=1)])
 
 
-def load_replay(path: Path, setup: Setup) -> ReplaySource:
+def load_replay(path: Path, setup: Setup, namespace: str | None = None) -> ReplaySource:
     """
     Read a run, or a bag that was recorded in any other way.
 
@@ -212,6 +212,8 @@ def load_replay(path: Path, setup: Setup) -> ReplaySource:
         Folder of `run` or `simulate`, of a bag, or the bag's file.
     setup
         What is known of a bag that has no configuration beside it.
+    namespace
+        That of the graph; if not given, the only one in the recording.
 
     Raises
     ------
@@ -226,25 +228,24 @@ def load_replay(path: Path, setup: Setup) -> ReplaySource:
         raise ConfigError('recording', 'a folder of `multicontact run` or `simulate`, or a bag',
                           path)
     run = folder.parent if folder.name == BAG_FOLDER else folder
-    title = f'recording {run.resolve().name}'
-    surfaces: tuple[Surface, ...]
+    of_run = (run / CONFIG_FOLDER).is_dir()
+    # Whatever lies beside a file is another recording.
+    alone = not of_run and path.is_file() and path.suffix == '.mcap'
+    title = f'recording {(path if alone else run).resolve().name}'
+    bag = run / BAG_FOLDER if of_run else path if alone else folder
     events: list[tuple[float, str]] = []
     marks: list[tuple[float, str]] = []
-    if (run / CONFIG_FOLDER).is_dir():
+    if of_run:
         setup = load_setup(run)
-        surfaces = surfaces_of(setup)
         if (run / SUMMARY_FILE).is_file():  # else it did not come to its end
             events = [(event['time_s'], event['what']) for event in read_json(
                 run / SUMMARY_FILE).get('events', ())]
-        marks = scenario_marks(setup)
-        bag = run / BAG_FOLDER
-    else:
-        bag, config = folder, setup.controller
-        surfaces = tuple(Surface(name, config.contacts[name].normal_world, None)
-                         for name in config.contact_names)
-    if any(bag.glob('*.mcap')):
-        content = read_bag(bag, setup.controller)
-        data, places = content.data, recorded_places(bag, content.start)
+        marks = [] if setup.commanded_by_topic else scenario_marks(setup)
+    if alone or any(bag.glob('*.mcap')):
+        content = read_bag(bag, setup.controller, namespace=namespace)
+        if of_run and not setup.simulated:
+            content = answered(content)  # from when on events and marks are timed
+        data, places = content.data, recorded_places(bag, content.start, namespace)
         # What is missing besides, curves show.
         title += f', {CUT_OFF}' if CUT_OFF in content.remarks else ''
     elif (run / SERIES_FILE).is_file():
@@ -255,12 +256,16 @@ def load_replay(path: Path, setup: Setup) -> ReplaySource:
         raise ConfigError(
             'recording', f'the joints {", ".join(setup.controller.robot.joint_names)}, or '
             '--scenario and --plant that it was recorded with', 'others')
+    surfaces = surfaces_of(setup) if of_run and setup.simulated else (
+        felt_surfaces(setup.controller))
     return ReplaySource(
         Scene(title, setup.controller, setup.urdf_dir, surfaces),
         data, events, marks, places=places)
 
 
-def recorded_places(bag: Path, start: int) -> list[tuple[float, Mapping[str, Vector3]]]:
+def recorded_places(
+    bag: Path, start: int, namespace: str | None = None,
+) -> list[tuple[float, Mapping[str, Vector3]]]:
     """
     Return where a simulator said that the surfaces were.
 
@@ -270,6 +275,8 @@ def recorded_places(bag: Path, start: int) -> list[tuple[float, Mapping[str, Vec
         The recording.
     start
         Stamp of its first sample [ns].
+    namespace
+        That of the graph; if not given, the only one that tells it.
 
     Returns
     -------
@@ -277,7 +284,7 @@ def recorded_places(bag: Path, start: int) -> list[tuple[float, Mapping[str, Vec
         Times since then [s], and points of the surfaces by name [m].
 
     """
-    found = read_messages(bag, {SURFACES: MARKERS}).by_topic.get(SURFACES)
+    found = read_messages(bag, {SURFACES: MARKERS}, namespace).by_topic.get(SURFACES)
     if found is None:
         return []
     names = found.names

@@ -38,8 +38,10 @@ class ViewOptions:
     ----------
     recording
         Folder of a run or bag to replay, None for none.
-    graph, namespace, domain_id
-        Whether to join a graph, and which.
+    graph, domain_id
+        Whether to join a graph, and where.
+    namespace
+        Of that graph, or of the one in the recording; None for none, or the only one there.
     host, port, token
         Where to listen, and what has to be known to get in; see `Page`.
     open_browser
@@ -51,7 +53,7 @@ class ViewOptions:
 
     recording: Path | None = None
     graph: bool = False
-    namespace: str = ''
+    namespace: str | None = None
     domain_id: int | None = None
     host: str = HOST
     port: int = PORT
@@ -142,14 +144,15 @@ def make_source(setup: Setup, options: ViewOptions) -> Source:
         from multicontact_control.view.replay import load_replay
 
         try:
-            return load_replay(options.recording, setup)
+            return load_replay(options.recording, setup, options.namespace)
         except RunError as error:
             raise ConfigError('recording', 'one that can be read', f'none: {error}') from None
     if options.graph:
         with importing_ros():
             from multicontact_control.view.graph import GraphSource
 
-        return GraphSource(setup, namespace=options.namespace, domain_id=options.domain_id)
+        return GraphSource(
+            setup, namespace=options.namespace or '', domain_id=options.domain_id)
     from multicontact_control.view.embedded import EmbeddedSource
 
     ensure_compiled()

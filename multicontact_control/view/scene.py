@@ -59,7 +59,8 @@ class SceneView:
         for surface in scene.surfaces:
             self._draw_surface(surface)
         self._handle: Any = None
-        self._dragged = False
+        self._dragged_by: int | None = None  # number of a browser
+        server.on_client_disconnect(self._let_go)
         self._look(server)
 
     def _look(self, server: Any) -> None:
@@ -123,11 +124,16 @@ class SceneView:
             opacity=0.9, visible=False)
 
         def moved(event: Any) -> None:
-            self._dragged = event.phase != 'end'
+            self._dragged_by = None if event.phase == 'end' else event.client_id
             if event.phase != 'start':
                 on_drag(np.array(event.target.position))
 
         self._handle.on_update(moved)
+
+    def _let_go(self, client: Any) -> None:
+        """End the drag of a browser that has left."""
+        if client.client_id == self._dragged_by:
+            self._dragged_by = None
 
     def show_handle(self, on: bool) -> None:
         """Show that handle, or hide it."""
@@ -146,7 +152,7 @@ class SceneView:
         points = snapshot.position + self._points @ rotation.T
         self._show_forces(snapshot, points, labels)
         self._show_surfaces(snapshot, points)
-        if self._handle is not None and self._handle.visible and not self._dragged:
+        if self._handle is not None and self._handle.visible and self._dragged_by is None:
             place = snapshot.position_des if snapshot.goal is None else snapshot.goal
             if np.abs(np.array(self._handle.position) - place).max() > LEAST_WAY:
                 self._handle.position = place

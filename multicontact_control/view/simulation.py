@@ -275,9 +275,7 @@ class Simulation:
     def _push_test(self) -> str:
         with contextlib.suppress(CommandError):
             self.loop.control.set_motion(self._motion.halt())
-        tips = self.loop.plant.description.tips
-        return self.loop.control.push_test(
-            self._push_config, tips[self._setup.plant.tool_push_link])
+        return self.loop.control.push_test(self._push_config, self.loop.plant.tool_push_point)
 
     def _asked_push(self) -> Any:
         """Return the push that the test waits for [N], nothing if it waits for none."""

@@ -315,6 +315,12 @@ def no_points(layout: CurveLayout) -> Matrix:
     return np.zeros((0, layout.width))
 
 
+def felt_surfaces(config: ControllerConfig) -> tuple[Surface, ...]:
+    """Return a surface for each contact, of which nobody has told where it is."""
+    return tuple(Surface(name, config.contacts[name].normal_world, None)
+                 for name in config.contact_names)
+
+
 def surfaces_of(setup: Setup) -> tuple[Surface, ...]:
     """Return the surfaces of a simulated plant, one for each contact and obstacle."""
     known = setup.plant.surfaces

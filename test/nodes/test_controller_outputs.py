@@ -22,11 +22,25 @@ def as_array(point):
     return np.array([point.x, point.y, point.z])
 
 
+def normals(config):
+    return np.array([config.contacts[name].normal_world for name in config.contact_names])
+
+
+def test_arrows_point_along_the_normals_that_are_found(config):
+    found = np.array([[0.0, 0.6, -0.8], [0.6, 0.8, 0.0]])
+    markers = ContactMarkers(config, rate=25.0, scale=0.01).message(
+        STAMP, Pose(np.zeros(3), np.eye(3)), [np.array([10.0, 4.0])] * 3, [True, True],
+        found).markers
+    for marker, force, normal in zip(markers, (10.0, 4.0) * 3, [*found] * 3):
+        tail, tip = (as_array(point) for point in marker.points)
+        np.testing.assert_allclose(tip - tail, 0.01 * force * normal, atol=1e-12)
+
+
 def test_arrows_end_at_the_tips_and_are_as_long_as_their_force(config):
     pose = Pose(np.array([0.5, 0.1, 0.7]), QUARTER_TURN)
     alpha = np.array([10.0, 4.0])
     message = ContactMarkers(config, rate=25.0, scale=0.01).message(
-        STAMP, pose, (alpha, alpha + 1.0, alpha + 2.0), [True, False])
+        STAMP, pose, (alpha, alpha + 1.0, alpha + 2.0), [True, False], normals(config))
     assert len(message.markers) == 6
     for marker, name, force in zip(message.markers, config.contact_names, alpha):
         contact = config.contacts[name]
@@ -43,7 +57,8 @@ def test_arrows_end_at_the_tips_and_are_as_long_as_their_force(config):
 def test_estimated_and_desired_force_stand_beside_the_measured_one(config):
     forces = np.array([10.0, 4.0]), np.array([9.0, 5.0]), np.array([8.0, 0.0])
     markers = ContactMarkers(config, rate=25.0, scale=0.01).message(
-        STAMP, Pose(np.zeros(3), np.eye(3)), forces, [True, True]).markers
+        STAMP, Pose(np.zeros(3), np.eye(3)), forces, [True, True],
+        normals(config)).markers
     assert [marker.ns.rpartition('/')[2] for marker in markers[::2]] == [
         'table', 'estimated', 'desired']
     assert markers[5].action == Marker.DELETE and len({str(x.color) for x in markers}) == 3
@@ -59,7 +74,8 @@ def test_estimated_and_desired_force_stand_beside_the_measured_one(config):
 
 def test_contact_without_force_has_no_arrow(config):
     message = ContactMarkers(config, rate=25.0, scale=0.01).message(
-        STAMP, Pose(np.zeros(3), np.eye(3)), [np.array([0.0, -3.0])] * 3, [False, False])
+        STAMP, Pose(np.zeros(3), np.eye(3)), [np.array([0.0, -3.0])] * 3, [False, False],
+        normals(config))
     assert [marker.action for marker in message.markers] == [Marker.DELETE] * 6
 
 

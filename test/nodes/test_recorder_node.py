@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import signal
 import time
 
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from mcap.exceptions import McapError
 from mcap.reader import NonSeekingReader
 from multicontact_control.nodes import messages, qos, topics
-from multicontact_control.nodes.graph_node import ready_topic
+from multicontact_control.nodes.graph_node import create_subscription, ignore, ready_topic
 import pytest
 from rclpy.duration import Duration
 from rclpy.serialization import deserialize_message
@@ -103,6 +105,35 @@ def test_numbers_of_two_publishers_are_not_taken_for_losses(middleware, tmp_path
     assert process.returncode == 0, errors
     counts = json.loads(counts_file.read_text(encoding='utf-8'))
     assert (counts['messages'], counts['lost']) == (299, 0)
+
+
+def test_only_what_has_come_and_stays_away_is_told(middleware, publishers, tmp_path):
+    """No graph has all that can be recorded: every default run warned of what it has not."""
+    told = []
+    listener = create_subscription(
+        middleware.node, topics.DIAGNOSTICS, ignore, topics.DIAGNOSTICS.profile)
+    process = start_recorder(middleware, tmp_path / 'bag', publishers)
+    some, sent = {topics.JOINT_STATES: publishers[topics.JOINT_STATES]}, itertools.count()
+
+    def inputs():
+        message = middleware.take(listener, DiagnosticArray)
+        if message is not None:
+            told.extend(part for part in message.status if part.name.endswith(': inputs'))
+        return told[-1] if told else None
+
+    def comes():
+        publish(some, next(sent), 1)
+        report = inputs()
+        return report if report and report.values else None
+
+    report = wait_for(comes, 'a report while samples come', inputs)
+    assert (report.level, report.message) == (DiagnosticStatus.OK, 'ok')
+    wait_for(lambda: (report := inputs()) and report.level == DiagnosticStatus.WARN,
+             'a warning once they do not', inputs)
+    assert told[-1].message.startswith('no /joint_states for')
+    assert 'ground_truth' not in told[-1].message
+    process.send_signal(signal.SIGINT)
+    end_of(process)
 
 
 def test_what_is_published_best_effort_is_recorded_so(middleware, tmp_path):

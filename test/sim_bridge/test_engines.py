@@ -167,3 +167,21 @@ def test_what_an_engine_cannot_do_is_refused(changes, message):
 
     with pytest.raises(ConfigError, match=message):
         validate(PlantConfig, merge(find_robot().plant_values('rigid'), changes))
+
+
+@needs_mujoco
+def test_surfaces_of_the_engine_are_met_by_tips_and_stay_as_they_are():
+    native = {'engine': 'mujoco', 'contact': 'native'}
+    config = plant_config('puma', **native)
+    link = config.surfaces['table'].model_copy(update={'tip_link': 'link6'})
+    with pytest.raises(ConfigError, match='surfaces.table.tip_link: expected one of the tips .*'
+                                          "tip_board, tip_table with native .*, found 'link6'"):
+        Plant(config.model_copy(update={'surfaces': {**config.surfaces, 'table': link}}),
+              rate=500.0, seed=0)
+    plant = Plant(config, rate=500.0, seed=0)
+    for change in (plant.contacts.scale_stiffness, plant.contacts.scale_friction,
+                   plant.contacts.set_friction, plant.contacts.shift,
+                   plant.contacts.put_before_tip):
+        with pytest.raises(ConfigError, match='contact: expected compliant, .* found native'):
+            change(0, 0.5)
+    plant.close()

@@ -60,5 +60,6 @@ def test_push_at_the_tool_moves_the_arm_while_it_lasts(make_plant, model, robot)
 
 
 def test_push_at_no_link_of_the_arm_is_refused(make_plant):
-    with pytest.raises(ConfigError, match="tool_push_link: expected a link .* found 'tip_wall'"):
-        make_plant(tool_push_link='tip_wall')
+    for link in ('tip_wall', 'link3'):
+        with pytest.raises(ConfigError, match=f"tool_push_link: expected a .* found '{link}'"):
+            make_plant(tool_push_link=link)

@@ -169,7 +169,7 @@ def test_several_tips_meet_one_plane_each_with_its_own_friction(tmp_path, rng):
 
 
 @pytest.mark.parametrize(('changes', 'message'), [
-    ({'joint_names': ['lbr_iiwa_joint_1']}, 'joint_names: expected 1 values|home: expected 1'),
+    ({'joint_names': ['lbr_iiwa_joint_1']}, 'joint_names: expected 1 value|home: expected 1'),
     ({'mount_link': 'hand'}, "mount_link: expected a link of the URDF among .*found 'hand'"),
     ({'mount_link': 'lbr_iiwa_link_5'}, 'joint_names: expected the joints up to mount_link'),
     ({'urdf': 'package://nowhere/a.urdf'}, 'urdf: expected a package among'),

@@ -37,7 +37,8 @@ def test_where_others_reach_it_the_token_is_needed_once(given):
     here = {'host': 'robot:8080'}
     assert access.refusal(request(**here)).status_code == 401
     assert access.refusal(request('/?token=wrong', **here)).status_code == 401
-    assert access.refusal(request(cookie='multicontact_view=wrong', **here)).status_code == 401
+    assert access.refusal(request(
+        cookie='multicontact_view_8080=wrong', **here)).status_code == 401
     assert access.refusal(request(cookie=';=;', **here)).status_code == 401
     if given:
         return
@@ -48,6 +49,16 @@ def test_where_others_reach_it_the_token_is_needed_once(given):
     assert access.refusal(request(cookie=cookie.split(';')[0], **here)) is None
     assert access.refusal(request(
         cookie=cookie.split(';')[0], origin='http://evil.example', **here)).status_code == 403
+
+
+def test_two_pages_on_one_host_do_not_lock_each_other_out():
+    one, other = Access('0.0.0.0'), Access('0.0.0.0')
+    cookies = [access.refusal(request(f'/?token={access.token}', host=host)).headers[
+        'Set-Cookie'].split(';')[0] for access, host in (
+            (one, 'robot:8080'), (other, 'robot:8081'))]
+    assert len({cookie.split('=')[0] for cookie in cookies}) == 2
+    for access, host in ((one, 'robot:8080'), (other, 'robot:8081')):
+        assert access.refusal(request(host=host, cookie='; '.join(cookies))) is None
 
 
 def test_tokens_differ_from_start_to_start():

@@ -4,16 +4,25 @@ from __future__ import annotations
 
 import time
 
+from multicontact_control.dynamics.pose import Pose
 from multicontact_control.errors import MulticontactError, RunError
 from multicontact_control.experiment.graph.domain import reserve_domain
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.view import source
 import numpy as np
 import pytest
+from robots import robot_parameters
 from sim_bridge.surface_patch import patch_of
 
 pytest.importorskip('rclpy', reason='ROS 2 is not installed')
-from multicontact_control.nodes.link import LifecycleDriver  # noqa: E402, I100
+from multicontact_control.client import (  # noqa: E402, I100
+    CommandRefusedError,
+    MultiContactClient,
+)
+from multicontact_control.nodes import topics  # noqa: E402, I100
+from multicontact_control.nodes.controller_outputs import ContactMarkers  # noqa: E402, I100
+from multicontact_control.nodes.graph_node import create_publisher  # noqa: E402, I100
+from multicontact_control.nodes.link import GuestNode, LifecycleDriver  # noqa: E402, I100
 from multicontact_control.view.graph import GraphSource  # noqa: E402, I100
 from ros_graph import obedient_graph, own_domain, PATIENCE  # noqa: E402, I100
 from std_srvs.srv import SetBool  # noqa: E402, I100
@@ -113,6 +122,49 @@ def test_what_a_graph_refuses_is_said(shown):
         shown.command(source.JOG, offset=[0.01, 0.0, 0.0])
     shown.command(source.HOLD, on=False)
     until(shown, lambda found: not found.held, 'the release')
+
+
+def test_forces_are_shown_as_they_are_obeyed_whoever_commands_them(shown):
+    with MultiContactClient('arm', domain_id=shown._link._domain_id, timeout=PATIENCE) as other:
+        other.set_forces({'table': 7.0, 'board': 5.0})
+        until(shown, lambda found: found.commanded == {'table': 7.0, 'board': 5.0}, 'the forces')
+        shown.command(source.FORCES, board=6.0)
+        until(shown, lambda found: found.commanded == {'table': 7.0, 'board': 6.0}, 'the force')
+        other.hold()
+        with pytest.raises(CommandRefusedError, match='contact_forces/command: ~/hold: expected'):
+            shown.command(source.FORCES, table=9.0)
+        for _ in range(20):
+            snapshot = until(shown, lambda found: True, 'a snapshot')
+        assert snapshot.commanded == {'table': 7.0, 'board': 6.0}
+        other.hold(False)
+        shown.command(source.FORCES, table=8.0)
+
+
+def test_normals_are_those_that_the_controller_draws(shown):
+    until(shown, lambda found: found.measured.min() > 4.0, 'the forces')
+    found = np.array([[0.0, 0.6, -0.8], [0.6, 0.8, 0.0]])
+    markers = ContactMarkers(resolve('paper').controller, rate=25.0, scale=0.01)
+    with GuestNode('another', shown._link._domain_id, 'arm') as other:
+        publisher = create_publisher(other.node, topics.CONTACT_MARKERS)
+
+        def there(snapshot):
+            publisher.publish(markers.message(
+                0, Pose(np.zeros(3), np.eye(3)), [np.full(2, 9.0)] * 3, [True, True], found))
+            return np.allclose(snapshot.normals_world, found, atol=1e-9)
+
+        until(shown, there, 'the normals')
+    configured = resolve('paper').controller.contacts
+    until(shown, lambda snapshot: np.allclose(
+        snapshot.normals_world, [configured[name].normal_world for name in configured],
+        atol=1e-9), "the controller's own")
+
+
+@pytest.mark.parametrize('robot', robot_parameters(['panda']))
+def test_the_graph_of_another_arm_is_refused_and_the_right_one_named(shown, robot):
+    with pytest.raises(RunError, match='robot.joint_names: expected panda_joint1, .* found joint1'
+                                       ', .*joint6; name --robot puma, and its --scenario$'):
+        GraphSource(resolve('paper', robot=robot), namespace='arm',
+                    domain_id=shown._link._domain_id)
 
 
 def test_where_no_graph_runs_it_is_said_at_once():

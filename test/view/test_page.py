@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from types import SimpleNamespace
 from urllib.parse import urlsplit
 
 from multicontact_control.errors import CommandError, RunError
@@ -180,7 +181,7 @@ def test_a_recording_is_drawn(recorded_run, monkeypatch):
         page.commander.give(None, source.SEEK, time=2.5)
         settle(page, lambda: page.newest.time == 2.5)
         page._count = 0
-        page._show(page.newest, True)
+        page._show(page.newest)
         arrow = page.server.scene.get_handle_by_name('/forces/measured').points
         normals = page.newest.normals_world
         along = np.einsum('ij,ij->i', arrow[:, 1] - arrow[:, 0], normals)
@@ -192,6 +193,47 @@ def test_a_recording_is_drawn(recorded_run, monkeypatch):
         page.curves.draw()
     finally:
         page.close()
+
+
+def test_what_happens_while_nobody_looks_is_listed_for_who_comes_back(recorded_run, monkeypatch):
+    page = page_module.Page(load_replay(recorded_run, resolve('paper')), port=PORT)
+
+    def seen_by(clients, command, condition, **values):
+        monkeypatch.setattr(page.server, 'get_clients', lambda: clients)
+        page.commander.give(None, command, **values)
+        settle(page, lambda: page.newest is not None and condition(page.newest))
+
+    try:
+        seen_by({}, source.PLAY, lambda snapshot: not snapshot.playing, on=False)
+        seen_by({0: None}, source.SEEK, lambda snapshot: snapshot.time == 0.5, time=0.5)
+        assert 'approaching' in page._list.content
+        seen_by({}, source.SEEK, lambda snapshot: snapshot.time == 2.0, time=2.0)
+        assert 'holding' not in page._list.content
+        seen_by({0: None}, source.PLAY, lambda snapshot: snapshot.time > 2.0, on=True)
+        assert 'holding' in page._list.content
+    finally:
+        page.close()
+
+
+def test_a_browser_that_leaves_lets_go_of_the_handle(silent):
+    simulation = Simulation(resolve('paper', plant='rigid'))
+    page = page_module.Page(silent, port=PORT)
+    try:
+        for _ in range(20):
+            simulation.advance()
+        snapshot, view = simulation.snapshot(0, 1.0), page.scene_view
+        view.show_handle(True)
+        view._dragged_by = 7
+        view._handle.position = (1.0, 1.0, 1.0)
+        for leaving, held in ((8, True), (7, False)):
+            for call in page.server._client_disconnect_cb:
+                call(SimpleNamespace(client_id=leaving))
+            view.show(snapshot)
+            assert (tuple(view._handle.position) == (1.0, 1.0, 1.0)) == held
+        np.testing.assert_allclose(view._handle.position, snapshot.position_des)
+    finally:
+        page.close()
+        simulation.close()
 
 
 def test_without_viser_it_is_said_what_to_install():

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import shutil
 
-from multicontact_control.errors import CommandError, ConfigError
+from foreign_bag import controller_file, write_bag
+from multicontact_control.errors import CommandError, ConfigError, RunError
+from multicontact_control.experiment.external import resolve_external
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.scenario import resolve
+from multicontact_control.files import write_json
 from multicontact_control.nodes import messages, qos
 from multicontact_control.nodes.bag_writer import BagWriter
 from multicontact_control.view import source
@@ -109,13 +112,55 @@ def test_what_is_no_recording_is_refused(tmp_path, recorded_run):
             load_replay(path, setup)
 
 
-def write_samples(writer, setup):
-    names = setup.controller.robot.joint_names
-    writer.add_topic('/joint_states', 'sensor_msgs/msg/JointState', qos.STREAM)
-    for k in range(1, 400):
+def write_samples(writer, setup, count=399, space=''):
+    names, topic = setup.controller.robot.joint_names, f'{space}/joint_states'
+    writer.add_topic(topic, 'sensor_msgs/msg/JointState', qos.STREAM)
+    for k in range(1, count + 1):
         message = messages.joint_state_message(
             2_000_000 * k, names, position=[0.1] * 6, velocity=[0.0] * 6, effort=[0.0] * 6)
-        writer.write('/joint_states', serialize_message(message), k, k)
+        writer.write(topic, serialize_message(message), k, k)
+
+
+def test_a_run_on_somebody_elses_robot_is_played_in_the_time_of_its_events(tmp_path):
+    setup = resolve_external([controller_file(tmp_path)]).setup
+    folder = tmp_path / 'run'
+    setup.write(folder / 'config')
+    write_bag(folder / 'bag', seconds=3.0, unanswered=1.0)
+    write_json(folder / 'summary.json', {
+        'plant': 'external', 'seed': 0, 'commanded_by_topic': True,
+        'events': [{'time_s': 0.5, 'what': 'none |  | impact'}]})
+    loaded = load_replay(folder, resolve('paper'))
+    assert loaded.scene.duration == pytest.approx(2.0 - 1.0 / 125.0)
+    assert loaded.scene.marks == ((0.5, 'wall impact'),), 'nothing that a scenario asked for'
+    surface, = loaded.scene.surfaces
+    assert (surface.name, surface.normal_world, surface.point_world) == (
+        'wall', (1.0, 0.0, 0.0), None)
+    loaded.command(source.PLAY, on=False)
+    loaded.command(source.SEEK, time=0.48)
+    assert loaded.poll()[-1].desired[0] == 2.0
+    loaded.command(source.SEEK, time=0.52)
+    snapshot = loaded.poll()[-1]
+    assert snapshot.desired[0] == 10.0 and snapshot.states == ('impact',)
+
+
+def test_a_file_is_played_alone_and_a_namespace_chosen(tmp_path):
+    setup = resolve('quick', plant='rigid')
+    for name, count in (('a', 400), ('b', 200)):
+        with BagWriter(tmp_path / name) as writer:
+            write_samples(writer, setup, count)
+        shutil.copy(tmp_path / name / f'{name}_0.mcap', tmp_path / f'{name}.mcap')
+    for name, count in (('a', 400), ('b', 200)):
+        scene = load_replay(tmp_path / f'{name}.mcap', setup).scene
+        assert scene.title == f'recording {name}.mcap'
+        assert scene.duration == pytest.approx((count - 1) * 0.002)
+    with BagWriter(tmp_path / 'two') as writer:
+        write_samples(writer, setup, 300, '/left')
+        write_samples(writer, setup, 100, '/right')
+    with pytest.raises(RunError, match="found the namespaces 'left', 'right'; --namespace choos"):
+        load_replay(tmp_path / 'two', setup)
+    for space, count in (('left', 300), ('/right', 100)):
+        scene = load_replay(tmp_path / 'two', setup, space).scene
+        assert scene.duration == pytest.approx((count - 1) * 0.002)
 
 
 def test_surfaces_are_where_the_simulator_said_that_they_were(tmp_path):

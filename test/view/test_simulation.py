@@ -8,6 +8,7 @@ from multicontact_control.view import source
 from multicontact_control.view.simulation import Simulation
 import numpy as np
 import pytest
+from robots import needs_mujoco
 
 
 @pytest.fixture(scope='module')
@@ -79,6 +80,30 @@ def test_a_surface_without_friction_can_be_given_some():
         simulation.obey(
             source.SURFACE, {'name': 'table', 'stiffness': 6000.0, 'friction': 0.3})
         assert simulation.loop.plant.contacts._surfaces['friction'][0] == 0.3
+    finally:
+        simulation.close()
+
+
+@needs_mujoco
+def test_surfaces_of_the_engine_are_not_said_to_have_changed():
+    simulation = Simulation(resolve('quick', plant='rigid', plant_overrides={
+        'engine': 'mujoco', 'contact': 'native', 'joint_friction_scale': 0.0}))
+    try:
+        before = dict(simulation._surfaces)
+        with pytest.raises(MulticontactError, match='contact: expected compliant, for surfaces'):
+            simulation.obey(
+                source.SURFACE, {'name': 'table', 'stiffness': 9000.0, 'friction': 0.3})
+        assert simulation._surfaces == before
+    finally:
+        simulation.close()
+
+
+def test_push_test_is_of_any_link_of_the_tool():
+    simulation = Simulation(resolve(
+        'paper', plant='rigid', plant_overrides={'tool_push_link': 'tool'}))
+    try:
+        advance(simulation, 0.5)
+        assert simulation.obey(source.PUSH_TEST, {}) == 'keep off the tool'
     finally:
         simulation.close()
 
