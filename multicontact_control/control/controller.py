@@ -69,6 +69,8 @@ class Controller:
         first sample on, of `FORCE_LAW`, shape (r,).
     active
         Which contacts are force controlled, in these records, shape (r,).
+    dependent
+        Whether their columns depend on each other, and share what the wrench tells.
     misread_friction
         From the first sample on, where a lever turns friction into more than itself: a contact
         whose friction is neither expected nor allowed for, the force or couple that it is read
@@ -106,7 +108,7 @@ class Controller:
         self._control_bytes = self.controls.view(np.uint8)
         self.misread_friction: list[tuple[str, str, float]] = []
         self._adopt(config)
-        self.controls['law']['dependent'] = depend(config, self.contacts)
+        self.controls['law']['dependent'] = self.dependent = depend(config, self.contacts)
         self.reset()
         pose = self._pose()
         pose.quaternion_xyzw  # noqa: B018 - no step is to wait for it to be compiled
@@ -211,7 +213,7 @@ class Controller:
         """
         laws = self.redesign(config)
         self._adopt(config)
-        self.controls['law']['dependent'] = depend(config, self.contacts)
+        self.controls['law']['dependent'] = self.dependent = depend(config, self.contacts)
         if laws is not None:
             self.laws = laws
             self.misread_friction = self._find_misread_friction()
@@ -270,6 +272,8 @@ class Controller:
         self._noise_variance[:] = noise_variance
         self.begin()
         reference = self._reference.update(time, self._alpha_meas)
+        if self.dependent:
+            self._task.forget()  # the law writes over what dependent contacts are to press with
         self._task.take(reference)
         self.decide()
         return self.output(self._torque.copy())
