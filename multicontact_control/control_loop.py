@@ -53,6 +53,7 @@ from multicontact_control.supervision.validation import copy_numbers
 import numpy as np
 
 TARE_READINGS = 100
+LONGEST_PAUSE = 10.0  # s; stamps that jump farther ahead are of a clock that was set
 
 
 class ControlLoop:
@@ -267,8 +268,9 @@ class ControlLoop:
         if self.first_stamp < 0:
             self.first_stamp = stamp
         tick = round((stamp - self.first_stamp) * 1e-9 * self._rate)
-        if tick - self.tick > 1:
-            self.skipped += tick - self.tick - 1
+        missed = tick - self.tick - 1
+        if 0 < missed <= LONGEST_PAUSE * self._rate:
+            self.skipped += missed
         self._missed = 0
         self.tick, self.last_stamp = tick, stamp
         return self._clock.take(stamp)

@@ -257,6 +257,17 @@ def test_task_time_follows_the_stamps_over_skipped_samples():
     assert bench.loop.skipped == 4
 
 
+def test_clock_that_is_set_ahead_makes_no_missed_samples():
+    bench = Bench()
+    bench.step(10)
+    bench.k += 2500  # 5 s without a sample are some
+    bench.step(2)
+    assert bench.loop.skipped == 2500
+    bench.k += 1_800_000
+    bench.step(2)
+    assert bench.loop.skipped == 2500
+
+
 @pytest.mark.parametrize('fault', ['saturated', 'frozen'])
 def test_what_the_sensors_monitor_finds_reaches_the_watchdog(fault):
     """By the front end's own limits; those of the watchdog are switched off."""

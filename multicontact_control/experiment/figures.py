@@ -35,6 +35,7 @@ matplotlib.use('Agg')
 
 TITLE_WIDTH = 110  # characters of the second line that fit
 STEP_SHOWN = (0.05, 0.35)  # s before and after a step
+LEGIBLE = {'facecolor': 'white', 'alpha': 0.8, 'edgecolor': 'none', 'pad': 1.0}  # over bars
 NO_TRUTH = 'no ground truth'
 PAPER_VARIANCE = ((0.6, 'paper, at rest'), (100.0, 'paper, moving'))  # N^2
 
@@ -274,7 +275,7 @@ def draw_latency(summary: Mapping[str, Any], folder: Path) -> Path:
             axes.axvline(value, color=colour, linewidth=0.8, linestyle='--')
             axes.annotate(f'{name} {value:.0f} us', (value, height), color=colour, fontsize=7,
                           xycoords=('data', 'axes fraction'), va='top', xytext=(3, 0),
-                          textcoords='offset points')
+                          textcoords='offset points', bbox=LEGIBLE)
     axes.set_xscale('log')
     axes.set_yscale('symlog', linthresh=1.0)
     axes.set_ylim(bottom=0.0)

@@ -8,6 +8,7 @@ import time
 from multicontact_control.nodes.graph_node import quality_mismatches
 from multicontact_control.nodes.loop_statistics import Freshness, NANOSECONDS
 from multicontact_control.nodes.topics import SIM, Topic
+from multicontact_control.wording import counted
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
@@ -75,7 +76,7 @@ class MissingInputs:
         elif unlike:
             found = '; '.join(unlike)
         else:
-            found = f'{len(publishers)} publishers are connected, but send nothing'
+            found = f"{counted(len(publishers), 'publishers')} connected, but nothing is sent"
         reliability = 'reliable' if profile.reliability == ReliabilityPolicy.RELIABLE else (
             'reliable or best effort')
         return (f'no message on {full} for {missing:.1f} s: expected {topic.type_name} '
