@@ -27,6 +27,12 @@ def test_simulate_leaves_a_run_folder(multicontact, tmp_path):
     assert again.returncode == 2
     assert again.stderr.count('\n') == 1
     assert '--overwrite' in again.stderr
+    assert multicontact('report', str(out)).returncode == 0
+    replaced = multicontact('simulate', '--scenario', 'quick', '--plant', 'rigid', '--duration',
+                            '0.2', '--out', str(out), '--overwrite')
+    assert replaced.returncode == 1 and 'no contact was made' in replaced.stdout
+    assert json.loads((out / 'summary.json').read_text())['ticks'] == 100
+    assert not (out / 'report.html').exists()
 
 
 def test_simulate_that_is_not_stable_exits_with_one(multicontact, tmp_path):
