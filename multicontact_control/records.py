@@ -297,6 +297,7 @@ CONTACT_SETTINGS = np.dtype([('period', F), ('energy_keep', F), *((name, F) for 
 # Bounds of the reference, and what a pause has left; one.
 REFERENCE_LIMITS = np.dtype([
     ('offset', F, 3),  # of the reference from the task, after a pause [m]
+    ('turned', F, 3),  # its rotation from the task's, world axes [rad]
     ('lead', F),  # k_v / k_p: an error of v k_v / k_p makes the motion law move at v [s]
     ('reach', F),  # largest distance of the reference from the arm [m]
     ('turn', F),  # largest angle between them [rad]

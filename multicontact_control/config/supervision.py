@@ -101,6 +101,11 @@ class ContactStateConfig(Config):
                 'contact_state.contact_threshold',
                 f'above release_threshold {self.release_threshold:g} N and below force_ceiling '
                 f'{self.force_ceiling:g} N', f'{self.contact_threshold:g} N')
+        if not self.contact_threshold <= self.smallest_force:
+            yield ConfigError(
+                'contact_state.smallest_force',
+                f'at least contact_threshold {self.contact_threshold:g} N, or it cannot be held',
+                f'{self.smallest_force:g} N')
         if not self.preload < self.force_ceiling:
             yield ConfigError('contact_state.preload', f'below force_ceiling '
                               f'{self.force_ceiling:g} N', f'{self.preload:g} N')
@@ -141,6 +146,12 @@ class LimitsConfig(Config):
                     f'limits.{kind}_lower', f'one value below each of {kind}_upper', list(lower))
         if len(self.workspace_lower) not in (0, 3):
             yield ConfigError('limits.workspace_lower', '3 values', len(self.workspace_lower))
+        narrow = [upper - lower for lower, upper in zip(self.joint_lower, self.joint_upper)
+                  if not upper - lower > 2.0 * self.joint_margin]
+        if narrow and all(width > 0.0 for width in narrow):
+            yield ConfigError(
+                'limits.joint_margin', f'below half of the narrowest joint range '
+                f'{min(narrow):g} rad', f'{self.joint_margin:g} rad')
         for name in ('joint_speed', 'torque_rate'):
             if min(getattr(self, name), default=1.0) <= 0.0:
                 yield ConfigError(f'limits.{name}', 'values above 0', min(getattr(self, name)))
@@ -257,7 +268,8 @@ class WatchdogConfig(Config):
         2.0, 'Up to this.', unit='s', ge=0.0, le=60.0)
     relapses: int = parameter(
         3, 'So many in a row, of what the arm does or meets and not of missing readings, and '
-        'control waits for an operator (a command of other forces, ~/retry, ~/hold); 0 for never.',
+        'control waits for an operator (a command of other forces, the first in a second, ~/retry, '
+        '~/hold); 0 for never.',
         ge=0, le=1000)
 
     @cross_check

@@ -16,6 +16,7 @@ from multicontact_control.supervision.validation import copy_numbers
 import numpy as np
 
 COLLISION = 'collision'
+FORGOTTEN = 1.0  # s without torques, after which nothing is known of what touched the arm
 UNEVEN = 0.5  # share of a period that a sample may be early or late, to be the one after another
 
 
@@ -26,7 +27,8 @@ class CollisionWatch:
     The observer needs the torque that acted since the sample before: what the robot has measured,
     or, if that is allowed, what was commanded `collision.command_delay` periods before; that may
     be a period off, so what commands change from one to the next is added to the thresholds then.
-    After a sample that does not come, or has no wrench, it goes on from the next two.
+    After a sample that does not come, or has no wrench, it goes on from the next two; after a
+    second without any, it forgets what it found: an operator could not end that.
 
     Parameters
     ----------
@@ -104,6 +106,8 @@ class CollisionWatch:
         known = follows and self._acted and (measured or not self._feels)
         self._elapsed[0] = elapsed if known else 0.0
         self._unknown = 0 if known else self._unknown + 1
+        if self._unknown * self._period > FORGOTTEN and self._momentum['collided'].any():
+            self.residual[:], self._joints['slack'], self._momentum['collided'] = 0.0, 0.0, False
 
     @property
     def knows(self) -> bool:

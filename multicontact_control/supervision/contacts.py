@@ -135,6 +135,26 @@ def leave_surface(contact: Any, place: float, speed: float) -> None:
 
 
 @compiled
+def retreat(contact: Any, settings: Any, place: float, speed: float) -> None:
+    """
+    Leave a surface for its force, or for where it leads, until somebody commands otherwise.
+
+    Parameters
+    ----------
+    contact, settings
+        Records of `CONTACT_STATE`, changed, and `CONTACT_SETTINGS`.
+    place, speed
+        Of the tip along the normal, relative to the task [m, m/s].
+
+    """
+    contact.displacement = place
+    contact.speed = speed
+    contact.target = place - settings.retract_distance
+    contact.left = True
+    enter(contact, RETRACTING)
+
+
+@compiled
 def watch_search(contact: Any, settings: Any, alpha: float) -> None:
     """Touch, or give up, or begin to look for a lost surface."""
     threshold = settings.contact_threshold
@@ -202,7 +222,8 @@ def wait_to_search(contact: Any, settings: Any) -> None:
     due = settings.retry_time > 0.0 and not contact.left and contact.in_state >= wait
     if due or contact.again:
         contact.left = False
-        contact.start = contact.displacement
+        # As far as before, wherever the tip has come to meanwhile.
+        contact.start = contact.target if np.isnan(contact.origin) else contact.origin
         enter(contact, APPROACHING)
 
 
@@ -232,11 +253,7 @@ def switch_state(
 ) -> None:
     """Go to another state if it is time; see `advance_contact`."""
     if alpha > settings.force_ceiling and contact.state != RETRACTING:
-        contact.displacement = place
-        contact.speed = speed
-        contact.target = place - settings.retract_distance
-        contact.left = True
-        enter(contact, RETRACTING)
+        retreat(contact, settings, place, speed)
     elif not contact.wanted and not stays_away(contact):
         if is_active(contact):
             leave_surface(contact, place, speed)

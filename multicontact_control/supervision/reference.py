@@ -10,6 +10,7 @@ from multicontact_control.config.columns import FORCE
 from multicontact_control.control.controller import Controller, place_columns
 from multicontact_control.control.reference import Reference, TaskArrays, TaskSource
 from multicontact_control.dynamics.pose import Pose
+from multicontact_control.dynamics.rotations import rotation_vector
 from multicontact_control.records import CONTACT, CONTACT_REFERENCE, CONTROL, Records
 from multicontact_control.supervision.contacts import (
     contact_settings,
@@ -20,12 +21,15 @@ from multicontact_control.supervision.contacts import (
     is_active,
     let_go,
     reset,
+    retreat,
     STATES,
 )
 from multicontact_control.supervision.reference_limits import limit_reference
 import numpy as np
 
 NEAR = 2e-4  # m from the task, that count as none
+TURNED = 1e-5  # rad, below which the same holds
+NEW_TURN = 1e-3  # rad in one period beyond its twist: an orientation that is commanded anew
 RETURN_RATE = 2.0  # 1/s, of the way left, at which the task is caught up with after a pause
 
 
@@ -80,6 +84,7 @@ class ContactReference:
         controls['frame']['rotation'] = np.eye(3)
         self._use(controls, contacts_alone)
         self._offset: Vector = self._limits['offset'][0]
+        self._turned: Vector = self._limits['turned'][0]
         self.retune(config)
         limits = config.limits
         self._limits['box'] = [limits.workspace_lower or [-np.inf] * 3,
@@ -87,7 +92,9 @@ class ContactReference:
         self._observed = self._catching_up = False
         self.limited = False
         self._states: tuple[bytes, tuple[str, ...]] = (b'', ())
-        let_go(self.contact_states[0], 0.0, 0.0)  # no tick is to wait for numba
+        # No tick is to wait for numba.
+        let_go(self.contact_states[0], 0.0, 0.0)
+        retreat(self.contact_states[0], self._record['settings'][0], 0.0, 0.0)
         self.reset()
 
     def reset(self) -> None:
@@ -139,7 +146,7 @@ class ContactReference:
         self._task.start(pose, normals_world)
         self._contacts['normal'] = normals_world
         self.reset()
-        self._offset[:] = 0.0
+        self._offset[:] = self._turned[:] = 0.0
         self._catching_up = False
         if not self._observed:
             self._note(pose, np.zeros(6))
@@ -168,10 +175,16 @@ class ContactReference:
         frame['position'], frame['rotation'] = pose
         frame['twist'] = twist_world
 
-    def release(self) -> None:
-        """Leave all contacts to the motion law; those still touched are taken up again."""
+    def lead_back(self) -> None:
+        """
+        Leave the contacts that are held, as those beyond their force ceiling are.
+
+        They have led the arm out of its workspace, and would again.
+        """
         for state in self.contact_states:
-            let_go(state, state['displacement'], 0.0)
+            if is_active(state) and not state['couple']:
+                place = state['displacement' if np.isnan(state['origin']) else 'origin']
+                retreat(state, self._record['settings'][0], place, 0.0)
 
     def seek_again(self) -> bool:
         """Seek the contacts that were given up; return whether there are any."""
@@ -214,7 +227,7 @@ class ContactReference:
             position -= state['displacement'] * normal
         reset(self.contact_states, ~active)
         self._wanted.forget()
-        self._offset[:] = 0.0
+        self._offset[:] = self._turned[:] = 0.0
         self._catching_up = False
         return Pose(position, pose.rotation_world)
 
@@ -228,7 +241,7 @@ class ContactReference:
             Which contacts still count as held: those that were and are felt now, shape (r,).
 
         """
-        self._offset[:] = np.nan  # set at the next update
+        self._offset[:] = self._turned[:] = np.nan  # set at the next update
         self._catching_up = True
         held = self.held & (
             self._contacts['alpha_meas'] > self._record['settings']['contact_threshold'])
@@ -253,11 +266,30 @@ class ContactReference:
             self._wanted.take(self._task.task(time))
             return
         wanted = self._record['wanted']
-        before = wanted['position'][0].copy()
+        before, rotation_before = wanted['position'][0].copy(), wanted['rotation'][0].copy()
         self._wanted.take(self._task.task(time))
         # A pose that is commanded anew, and no way that the task goes.
-        jump = wanted['position'][0] - before - self._config.period * wanted['twist'][0, :3]
-        self._return(jump)
+        moved = self._config.period * wanted['twist'][0]
+        self._return(wanted['position'][0] - before - moved[:3])
+        turn = np.empty(3)
+        rotation_vector(wanted['rotation'][0], rotation_before, turn)
+        self._turn_back(turn - moved[3:])
+        free = self.contact_states['displacement'][self._codes == FREE]
+        self._catching_up = bool(
+            self._offset.any() or self._turned.any() or (np.abs(free) > NEAR).any())
+
+    def _turn_back(self, jump: Vector) -> None:
+        """Let the rotation that a pause has left go to zero, from where the arm is."""
+        turned = self._turned
+        if np.isnan(turned[0]) or turned.any() and float(np.abs(jump).max()) > NEW_TURN:
+            rotation_vector(self._controls['frame']['rotation'][0],
+                            self._record['wanted']['rotation'][0], turned)
+        angle = float(np.sqrt(turned @ turned))
+        if angle < TURNED:
+            turned[:] = 0.0
+        else:
+            speed = min(RETURN_RATE * angle, 0.2 * self._config.limits.operational_turn)
+            turned *= max(angle - speed * self._config.period, 0.0) / angle
 
     def _return(self, jump: Vector) -> None:
         """
@@ -291,8 +323,6 @@ class ContactReference:
             offset *= max(left - speed * self._config.period, 0.0) / length
         if length < 1e-6:
             offset[:] = 0.0
-            free = self.contact_states['displacement'][self._codes == FREE]
-            self._catching_up = bool((np.abs(free) > NEAR).any())
 
 
 def _closer(gap: float, step: float) -> float:

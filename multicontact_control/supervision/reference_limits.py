@@ -83,34 +83,6 @@ def follow_contacts(
 
 
 @compiled
-def add_displacements(limits: Any, wanted: Any, contacts: Any, states: Any, task: Any) -> None:
-    """
-    Fill in the task with the contacts' displacements and motions added to it.
-
-    Parameters
-    ----------
-    limits, wanted, contacts, states
-        As for `follow_contacts`.
-    task
-        Record of `TASK`, filled.
-
-    """
-    copy_matrix(wanted.rotation, task.rotation)
-    for k in range(3):
-        shift, velocity, change = limits.offset[k], 0.0, 0.0
-        for i in range(contacts.shape[0]):
-            shift += states[i].displacement * contacts[i].normal[k]
-            if not is_active(states[i]):
-                velocity += states[i].speed * contacts[i].normal[k]
-                change += states[i].acceleration * contacts[i].normal[k]
-        task.position[k] = wanted.position[k] + shift
-        task.twist[k] = wanted.twist[k] + velocity
-        task.acceleration[k] = wanted.acceleration[k] + change
-        task.twist[3 + k] = wanted.twist[3 + k]
-        task.acceleration[3 + k] = wanted.acceleration[3 + k]
-
-
-@compiled
 def rotate_by(vector: Vector, rotation: Matrix, turned: Matrix) -> None:
     """
     Fill in a rotation turned by a rotation vector (Rodrigues).
@@ -137,6 +109,34 @@ def rotate_by(vector: Vector, rotation: Matrix, turned: Matrix) -> None:
         cross(axis, once, twice)
         for i in range(3):
             turned[i, j] = column[i] + np.sin(angle) * once[i] + (1.0 - np.cos(angle)) * twice[i]
+
+
+@compiled
+def add_displacements(limits: Any, wanted: Any, contacts: Any, states: Any, task: Any) -> None:
+    """
+    Fill in the task with what a pause has left and the contacts' displacements and motions added.
+
+    Parameters
+    ----------
+    limits, wanted, contacts, states
+        As for `follow_contacts`.
+    task
+        Record of `TASK`, filled.
+
+    """
+    rotate_by(limits.turned, wanted.rotation, task.rotation)
+    for k in range(3):
+        shift, velocity, change = limits.offset[k], 0.0, 0.0
+        for i in range(contacts.shape[0]):
+            shift += states[i].displacement * contacts[i].normal[k]
+            if not is_active(states[i]):
+                velocity += states[i].speed * contacts[i].normal[k]
+                change += states[i].acceleration * contacts[i].normal[k]
+        task.position[k] = wanted.position[k] + shift
+        task.twist[k] = wanted.twist[k] + velocity
+        task.acceleration[k] = wanted.acceleration[k] + change
+        task.twist[3 + k] = wanted.twist[3 + k]
+        task.acceleration[3 + k] = wanted.acceleration[3 + k]
 
 
 @compiled

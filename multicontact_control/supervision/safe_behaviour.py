@@ -50,14 +50,16 @@ class SafeBehaviour:
             Shape (n,) [N m].
 
         """
-        if self._held is None:
-            self._held = np.array(q, dtype=float)
         config = self.config
+        if config.kind != 'hold_position':
+            self._held = None  # the arm may be moved away before a posture is to be held
+        elif self._held is None:
+            self._held = np.array(q, dtype=float)
         if config.kind == 'zero_torque':  # of what is commanded
-            return np.zeros_like(self._held) if self._own_weight is None else (
+            return np.zeros_like(q) if self._own_weight is None else (
                 self._own_weight.torque.copy())
         state = self._robot.update(q, qd)
-        if config.kind == 'gravity_compensation':
+        if self._held is None:
             acceleration = -config.damping_rate * qd
         else:
             w = config.hold_frequency

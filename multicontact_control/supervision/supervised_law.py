@@ -70,7 +70,9 @@ def supervised_law(
     settled = supervision.settled and not found & (NOT_FINITE | PULL | SIDEWAYS)
     for i in range(count):
         settled = settled and contacts[i].active == was_active[i]
-        states[i].stiffness = contacts[i].stiffness
+        if states[i].stiffness != contacts[i].stiffness:  # a better model does no work
+            states[i].stored *= states[i].stiffness / contacts[i].stiffness
+            states[i].stiffness = contacts[i].stiffness
     if not settled:
         return found
     torque, fallback, gated = np.empty(n), np.empty(n), np.empty(n)

@@ -71,6 +71,9 @@ CONTRADICTIONS = 2  # samples in a row that contradict the contacts, for the wre
 SEEN_TIME = 0.05  # s, after which an arm that was not seen is held again
 LONGEST_SKIP = 0.1  # s; the task's time does not follow a clock that has been set
 WAITING = ((RECOVERING,), (LATCHED,))
+# What is 0 of a contact that no force law controls.
+OF_THE_LAW = ('active', 'alpha_des', 'alpha_fed', 'alpha_est', 'alpha_rate_est', 'damping',
+              'innovation', 'prior_variance', 'variance_used')
 SATURATED = frozenset(ENFORCED[TORQUE | JOINT_STOP])
 FIXED = ('torque_limit', 'sensor', 'contact_state', 'limits', 'watchdog', 'collision')
 LIVE_OF_CONTACTS = (
@@ -166,7 +169,7 @@ class Supervisor(BumplessController):
         self._arm: ArmState | None = None
         self._too_fast: tuple[str, ...] = ()
         self._touched: tuple[str, ...] = ()
-        self._wrench_known = False
+        self._wrench_known, self._blind = False, False
         self._output = no_answer(self._robot.joint_count, len(self.config.columns))
         self._status: SupervisorStatus | None = None
         self._last_law: object = None
@@ -277,6 +280,7 @@ class Supervisor(BumplessController):
             self._transition.begin(self._acting)
         self._safe_running = True
         if arm is None or valid.blind:
+            self._safe.start()  # it is held wherever it has gone meanwhile
             return self._react(valid.causes or ('joints_stale',), valid.rejected,
                                DAMP if arm is None else FLOAT)
         torque = self._safe.torque(arm.q, arm.velocity)
@@ -288,10 +292,12 @@ class Supervisor(BumplessController):
         return self._held(self._effort, None if self._arm is None else self._arm.q)
 
     def _idle_output(self, torque: Vector) -> ControlOutput:
-        """Return an answer of something else than the control law."""
-        contacts = self._output.contacts.copy()
-        contacts['alpha_des'], contacts['active'] = 0.0, False
-        return self._output._replace(torque=torque, contacts=contacts)
+        """Return an answer of something else than the control law: what is seen, no force."""
+        output = self._output if self._arm is None else self.controller.output(torque)
+        contacts = output.contacts.copy()
+        for name in OF_THE_LAW:
+            contacts[name] = 0
+        return output._replace(torque=torque, contacts=contacts)
 
     def _step(self, valid: ValidatedInputs) -> TickOutput:
         causes = valid.causes + self._too_fast + self._touched
@@ -304,8 +310,6 @@ class Supervisor(BumplessController):
             if missing:
                 return self._react(missing, valid.rejected, self._waiting(valid.blind))
             return self._control(valid, causes, reaction)
-        if reaction == HOLD and valid.blind:
-            reaction = FLOAT  # what is not seen cannot be held
         return self._react(causes, valid.rejected, reaction)
 
     def _waiting(self, blind: bool) -> str:
@@ -323,7 +327,8 @@ class Supervisor(BumplessController):
 
     def _update_state(self, valid: ValidatedInputs) -> None:
         """Work out where the arm is."""
-        arm, self._wrench_known = self.controller.arm, valid.measured
+        arm, self._wrench_known, self._blind = (
+            self.controller.arm, valid.measured, valid.blind)
         self.collisions.look(self._watchdog.joint_stamp, valid.measured)
         if valid.q is not None and arm.refresh():
             self._arm = arm
@@ -383,8 +388,8 @@ class Supervisor(BumplessController):
         self._running, self._paused, self._safe_running = True, False, False
         self._reactions.end()
         self._task_ticks += 1
-        if found & OUTSIDE:  # the contacts have led there; the reference leads back
-            self.reference.release()
+        if found & OUTSIDE:  # the contacts have led there
+            self.reference.lead_back()
         limits = ('reference',) if found & REFERENCE else ()
         if found & PASSED:
             torque = self._gate.passed()
@@ -432,6 +437,8 @@ class Supervisor(BumplessController):
         self, causes: tuple[str, ...], rejected: tuple[str, ...], reaction: str,
     ) -> TickOutput:
         """Answer without the control law."""
+        if self._blind and self._arm is not None and reaction in (HOLD, DAMP):
+            reaction = FLOAT  # what is not seen can be neither held nor slowed down
         if causes not in WAITING:
             self._good_ticks = 0
             # An arm that was not seen for a moment only is held when it is seen again, or what
@@ -465,7 +472,9 @@ class Supervisor(BumplessController):
         """Blend, pass the gate, report; `limited` if the torque is at its limits already."""
         blended = self._transition.apply(law, output.torque)
         fallback = np.zeros_like(blended) if self._arm is None else self._arm.bias_torque.copy()
-        torque, enforced = self._gate.apply(blended, fallback, self._arm, limited=limited)
+        # Speeds that were once would be braked for ever: `float` ends them open loop.
+        seen = None if self._blind else self._arm
+        torque, enforced = self._gate.apply(blended, fallback, seen, limited=limited)
         self._transition.commanded(torque)
         return self._report(
             ControlOutput(torque, *output[1:]), reaction, causes, rejected, limits + enforced)
@@ -483,7 +492,8 @@ class Supervisor(BumplessController):
 
     def _last_resort(self, cause: str) -> TickOutput:
         """Answer after something failed that should not: what is known of the arm is its past."""
-        self._too_fast, self._touched, self._wrench_known = (), (), False
+        self._too_fast, self._touched = (), ()
+        self._wrench_known, self._blind = False, True
         reaction = DAMP if self._arm is None else FLOAT
         try:
             return self._react((cause,), (), reaction)

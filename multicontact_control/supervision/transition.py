@@ -79,6 +79,8 @@ class TorqueTransition:
         """Leave what has still to go over slowly to the fast blend; see `begin`."""
         if self._last is None:
             self._last = held()
+        if not self._slow.idle:
+            self._fast.reset()
         self._slow.cancel()
 
     def apply(self, law: object, torque: Vector) -> Vector:

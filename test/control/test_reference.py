@@ -185,3 +185,14 @@ def test_twist_of_a_motion_that_stops_coming_counts_for_a_while_only():
         np.testing.assert_array_equal(late.pose_des.position_world, POSE.position_world)
     reference.set_motion(*motion)
     assert reference.task(2.0).twist_des.all() and reference.task(1e6).twist_des.all()
+
+
+def test_contact_is_not_wanted_while_a_step_asks_nothing_of_it():
+    """A force of 0 N, held for a contact, would let it tap for ever."""
+    reference = _reference(approach=ApproachConfig(start_time=0.0), force_steps=(
+        ForceStepConfig(time=1.0, forces={'table': 10.0, 'board': 5.0}),
+        ForceStepConfig(time=2.0, forces={'board': 0.0}),
+        ForceStepConfig(time=3.0, forces={'board': 6.0})))
+    assert reference.task(0.9).active.all()
+    assert [reference.task(t).active.tolist() for t in (1.5, 2.5, 3.5)] == [
+        [True, True], [True, False], [True, True]]

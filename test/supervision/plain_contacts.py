@@ -75,7 +75,7 @@ class PlainMachine:
             due = config.retry_time > 0.0 and not self.left and self._in_state >= wait
             if due or self.again:
                 self.left = False
-                self._approach(self.displacement)
+                self._approach(self._target if self._origin is None else self._origin)
         else:
             self._watch_search(alpha)
 
@@ -148,6 +148,9 @@ class PlainMachine:
     def _approach(self, start):
         self._start = start
         self._enter(ContactState.APPROACHING)
+
+    def retreat(self):
+        self._retract(self.displacement if self._origin is None else self._origin, 0.0)
 
     def _retract(self, place, speed):
         self.displacement, self.speed = place, speed
@@ -235,6 +238,7 @@ class PlainReference:
         self._pose = None
         self._twist = np.zeros(6)
         self._offset = np.zeros(3)
+        self._turned, self._rotation_before = np.zeros(3), np.eye(3)
         self._catching_up = False
         self._felt = np.zeros(len(config.contact_names))
         self._threshold = contact_state.contact_threshold
@@ -252,7 +256,7 @@ class PlainReference:
         for machine, observer in zip(self.machines, self.observers):
             machine.reset()
             observer.reset()
-        self._offset = np.zeros(3)
+        self._offset, self._turned = np.zeros(3), np.zeros(3)
         self._catching_up = False
         if self._pose is None:
             self._pose = pose
@@ -260,12 +264,13 @@ class PlainReference:
     def observe(self, pose, twist_world):
         self._pose, self._twist = pose, twist_world
 
-    def release(self):
+    def lead_back(self):
         for machine in self.machines:
-            machine.let_go(machine.displacement)
+            if machine.active:
+                machine.retreat()
 
     def resume(self):
-        self._offset = np.full(3, np.nan)  # set at the next update
+        self._offset, self._turned = np.full(3, np.nan), None  # set at the next update
         self._catching_up = True
         self._kept = [machine.active and force > self._threshold
                       for machine, force in zip(self.machines, self._felt)]
@@ -279,7 +284,12 @@ class PlainReference:
             wanted = task.pose_des.position_world
             self._return(gap, wanted - self._before - self._config.period * task.twist_des[:3])
             gap = gap - self._offset
+            self._turn_back(task, pose)
+            self._catching_up = self._offset.any() or self._turned.any() or any(
+                abs(machine.displacement) > 2e-4 for machine in self.machines
+                if machine.state is ContactState.FREE)
         self._before = task.pose_des.position_world
+        self._rotation_before = task.pose_des.rotation_world
         damping = self._follow_contacts(task, gap, alpha_meas, pose)
         self.damping = np.zeros(len(self.machines))
         shift, velocity, change = self._offset.tolist(), [0.0] * 3, [0.0] * 3
@@ -296,7 +306,8 @@ class PlainReference:
                     velocity[axis] += machine.speed * component
                     change[axis] += machine.acceleration * component
         return self._bounded(Reference(
-            Pose(task.pose_des.position_world + np.array(shift), task.pose_des.rotation_world),
+            Pose(task.pose_des.position_world + np.array(shift),
+                 rotation_of(self._turned) @ task.pose_des.rotation_world),
             task.twist_des + np.array(velocity + [0.0] * 3),
             task.acceleration_des + np.array(change + [0.0] * 3), active, alpha_des), pose)
 
@@ -322,8 +333,18 @@ class PlainReference:
             self._offset *= max(left - speed * self._config.period, 0.0) / length
         if length < 1e-6:
             self._offset = np.zeros(3)
-            self._catching_up = any(abs(machine.displacement) > 2e-4 for machine in self.machines
-                                    if machine.state is ContactState.FREE)
+
+    def _turn_back(self, task, pose):
+        rotation, period = task.pose_des.rotation_world, self._config.period
+        jump = rotation_error(rotation, self._rotation_before) - period * task.twist_des[3:]
+        if self._turned is None or self._turned.any() and np.abs(jump).max() > 1e-3:
+            self._turned = rotation_error(pose.rotation_world, rotation)
+        angle = np.linalg.norm(self._turned)
+        if angle < 1e-5:
+            self._turned = np.zeros(3)
+        else:
+            speed = min(RETURN_RATE * angle, 0.2 * self._config.limits.operational_turn)
+            self._turned = self._turned * (max(angle - speed * period, 0.0) / angle)
 
     @staticmethod
     def _closer(gap, step):

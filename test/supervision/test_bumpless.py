@@ -1,6 +1,7 @@
 """The controller without jumps: at its start, when it is retuned, and when it gives up."""
 
 from arms import controller_config, HOME
+from multicontact_control.config import SafeBehaviourConfig
 from multicontact_control.control.controller import Controller, Measurement
 from multicontact_control.control.reference import CommandedReference
 from multicontact_control.errors import ConfigError
@@ -165,6 +166,20 @@ def test_safe_step_answers_a_push_as_declared():
         assert controller.safe_step(sample(controller, 4, qd=moving)).output.torque[5] < -0.1
 
 
+def test_posture_is_held_as_it_is_when_holding_is_declared():
+    """Not as it was when the safe behaviour began: the arm was led away by hand since."""
+    controller, _ = make(transition={'blend_time': 0.0})
+    controller.safe_step(sample(controller, 0))
+    moved = HOME + np.array([0.0, 0.3, 0.0, 0.0, 0.0, 0.5])
+    controller.safe_step(sample(controller, 1, q=moved))
+    controller.reconfigure(controller.config.model_copy(
+        update={'safe_behaviour': SafeBehaviourConfig(kind='hold_position')}))
+    for k in range(2, 1000):
+        torque = controller.safe_step(sample(controller, k, q=moved)).output.torque
+    weight = controller.controller.robot.update(moved, REST).gravity
+    np.testing.assert_allclose(torque, weight, atol=1e-9)
+
+
 def test_step_after_safe_steps_starts_the_law_anew_from_their_torque():
     controller, _ = make(safe_behaviour={'kind': 'zero_torque'})
     controller.step(sample(controller, effort=EFFORT))
@@ -194,6 +209,20 @@ def test_normal_that_was_found_is_kept_until_another_is_told():
     contacts['normal'][0] = found
     controller.reconfigure(config(normal_world=[0.0, 0.6, -0.8], normal_turn_rate=0.0))
     np.testing.assert_allclose(controller.controller.contacts['normal'][0], [0.0, 0.6, -0.8])
+
+
+def test_speed_of_a_surface_that_was_found_is_bounded_by_another_limit():
+    table = controller_config().contacts['table'].model_dump()
+
+    def config(limit):
+        return controller_config(contacts={'table': {**table, 'surface_speed_limit': limit}})
+
+    controller, _ = make(contacts=config(0.1).model_dump()['contacts'])
+    found = controller.controller.contacts['surface_speed_est']
+    found[0] = 0.05
+    for limit, left in ((0.02, 0.02), (0.0, 0.0)):
+        controller.reconfigure(config(limit))
+        assert found[0] == left
 
 
 def test_speed_of_a_surface_is_found_with_an_observer_only():

@@ -4,10 +4,12 @@ from arms import controller_config
 from equations import rotation_error
 from multicontact_control.control.reference import CommandedReference
 from multicontact_control.dynamics.pose import Pose
+from multicontact_control.supervision.contacts import ContactState
 from multicontact_control.supervision.reference import ContactReference
 from multicontact_control.supervision.reference_limits import rotate_by
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 NORMALS = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 POSE = Pose(np.array([0.0, 0.55, 0.64]), np.eye(3))
@@ -87,6 +89,60 @@ def test_task_is_caught_up_with_slowly_after_a_pause():
     assert places[0] == pytest.approx(0.05, abs=3e-4)
     assert np.abs(np.diff(places)).max() <= 0.1 * 0.002 + 1e-9
     assert abs(places[-1]) < 1e-4
+
+
+def test_orientation_is_caught_up_with_slowly_after_a_pause():
+    """As the position is: the reference starts as the arm was turned meanwhile."""
+    reference, _ = make()
+    reference.update(0.0, np.zeros(2))
+    turned = Pose(POSE.position_world, Rotation.from_rotvec([0.0, 0.3, 0.0]).as_matrix())
+    reference.observe(turned, STILL)
+    reference.resume()
+    angles = []
+    for k in range(1, 2500):
+        out = reference.update(k * 0.002, np.zeros(2))
+        reference.observe(out.pose_des, STILL)
+        angles.append(Rotation.from_matrix(out.pose_des.rotation_world).as_rotvec()[1])
+    assert angles[0] == pytest.approx(0.3, abs=2e-3)
+    assert np.abs(np.diff(angles)).max() <= 0.4 * 0.002 + 1e-9
+    assert abs(angles[-1]) < 1e-4
+
+
+def test_orientation_commanded_while_one_is_caught_up_with_is_no_jump():
+    reference, task = make()
+    reference.update(0.0, np.zeros(2))
+    turned = Pose(POSE.position_world, Rotation.from_rotvec([0.0, 0.1, 0.0]).as_matrix())
+    reference.observe(turned, STILL)
+    reference.resume()
+    reference.observe(reference.update(0.002, np.zeros(2)).pose_des, STILL)
+    task.set_motion(POSE.position_world, Rotation.from_rotvec([0.1, 0, 0]).as_quat(), STILL, STILL)
+    before = None
+    for k in range(2, 3000):
+        out = reference.update(k * 0.002, np.zeros(2))
+        reference.observe(out.pose_des, STILL)
+        rotation = Rotation.from_matrix(out.pose_des.rotation_world)
+        if before is not None:
+            assert (rotation * before.inv()).magnitude() <= 0.4 * 0.002 + 1e-9
+        before = rotation
+    np.testing.assert_allclose(rotation.as_rotvec(), [0.1, 0.0, 0.0], atol=1e-4)
+
+
+def test_contact_that_leads_out_of_the_workspace_is_left_and_not_taken_up_again():
+    reference, task = make()
+    task.set_forces({'table': 10.0})
+    felt = np.array([5.0, 0.0])
+    for k in range(100):
+        reference.update(k * 0.002, felt)
+    assert reference.states[0] is ContactState.HOLDING
+    reference.lead_back()
+    for k in range(100, 1500):
+        out = reference.update(k * 0.002, felt)
+        assert not out.active.any()
+    assert reference.states[0] is ContactState.GIVEN_UP
+    reference.seek_again()
+    for k in range(1500, 1600):
+        reference.update(k * 0.002, felt)
+    assert reference.states[0] is ContactState.HOLDING
 
 
 def test_pose_commanded_after_a_pause_is_gone_to_and_not_beyond():

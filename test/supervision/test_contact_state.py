@@ -2,7 +2,7 @@
 
 from arms import controller_config
 from contact_machine import ContactMachine
-from multicontact_control.config import ContactStateConfig
+from multicontact_control.config import ContactStateConfig, LimitsConfig, validate
 from multicontact_control.control.reference import CommandedReference
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import ConfigError
@@ -183,6 +183,28 @@ def test_force_beyond_the_ceiling_makes_it_retract_for_good():
     assert np.abs(trace[:, 1]).max() <= 0.05 + 1e-9
 
 
+def test_retry_after_a_retreat_reaches_where_the_surface_was():
+    surface = holding(retract_distance=0.02, search_distance=0.01)
+    surface.run(H, alpha=70.0)
+    surface.run(2.0, alpha=0.0)
+    assert surface.machine.state is ContactState.GIVEN_UP
+    surface.machine.again = True
+    surface.run(3.0)
+    assert surface.machine.state is ContactState.HOLDING
+
+
+def test_retries_of_a_search_in_vain_do_not_lead_ever_farther():
+    """However soon they come: before the tip has come back."""
+    surface = Surface(depth=1.0, approach_distance=0.05)
+    surface.run(3.5)
+    assert surface.machine.state is ContactState.GIVEN_UP
+    for _ in range(1500):
+        surface.machine.again = True
+        surface.run(H)
+    assert surface.states.count(ContactState.GIVEN_UP) > 2
+    assert surface.place < 0.06
+
+
 def test_contact_no_longer_wanted_goes_back_to_the_task():
     surface = holding()
     trace = surface.run(2.0, wanted=False)
@@ -199,6 +221,18 @@ def test_force_after_a_loss_rises_at_its_rate():
         limits.append(surface.machine.force_limit)
     assert np.diff(limits).max() <= 100.0 * H + 1e-9
     assert limits[-1] == 15.0
+
+
+def test_smallest_force_must_be_one_that_can_be_held():
+    with pytest.raises(ConfigError, match='contact_state.smallest_force: expected at least '
+                       'contact_threshold 4 N, or it cannot be held, found 3 N'):
+        validate(ContactStateConfig, {'contact_threshold': 4.0}, 'contact_state')
+
+
+def test_margin_must_leave_the_joints_some_range():
+    with pytest.raises(ConfigError, match='limits.joint_margin: expected below half of the '
+                       'narrowest joint range 0.03 rad, found 0.02 rad'):
+        validate(LimitsConfig, {'joint_lower': [-1.0, 0.0], 'joint_upper': [1.0, 0.03]}, 'limits')
 
 
 def test_thresholds_must_be_in_order():

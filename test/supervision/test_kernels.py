@@ -122,7 +122,7 @@ def test_reference_equals_plain_python(seed, box):
         if k % 10 == 0:
             task.draw(place)
             alpha = random.normal(size=CONTACTS) * 10.0 + 5.0
-            event = random.choice(['', '', '', '', 'resume', 'release'])
+            event = random.choice(['', '', '', '', 'resume', 'lead_back'])
         pose = Pose(place + 0.02 * random.normal(size=3),
                     Rotation.from_rotvec(0.02 * random.normal(size=3)).as_matrix())
         twist = 0.05 * random.normal(size=6)

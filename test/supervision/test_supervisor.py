@@ -1,6 +1,6 @@
 """The supervisor: whatever comes in, finite torques within limits; reactions; recovery."""
 
-from arms import HOME, still_config
+from arms import controller_config, HOME, still_config
 from hypothesis import given, HealthCheck, settings
 from hypothesis import strategies as st
 from multicontact_control.control.arm_state import see_arm
@@ -11,7 +11,7 @@ from multicontact_control.control.reference import (
     ScenarioReference,
 )
 from multicontact_control.paths import config_dir
-from multicontact_control.supervision.contacts import let_go
+from multicontact_control.supervision.contacts import let_go, retreat
 from multicontact_control.supervision.gate import gate_torque
 from multicontact_control.supervision.readings import check_inputs
 from multicontact_control.supervision.supervised_law import supervised_law
@@ -228,7 +228,7 @@ def test_pulling_surface_is_refused():
 
 def test_no_tick_compiles_anything():
     """Whatever the arrays of a message are like: numba would take seconds for another type."""
-    kernels = check_inputs, see_arm, supervised_law, gate_torque, let_go
+    kernels = check_inputs, see_arm, supervised_law, gate_torque, let_go, retreat
 
     def compiled():
         return [len(kernel.signatures) for kernel in kernels]
@@ -245,7 +245,7 @@ def test_no_tick_compiles_anything():
             k * H, frozen), variance=VarianceInput((k - 1) * H, (1, 2.0)))
         for each in (supervisor, other):
             assert_sound(each.step(odd if k < 4 else inputs._replace(joints=None)))
-            each.reference.release()
+            each.reference.lead_back()
     assert compiled() == before
 
 
@@ -289,3 +289,54 @@ def test_far_command_is_followed_within_the_speed_limit():
     lead = np.linalg.norm(result.output.pose_des.position_world - start.position_world)
     assert lead <= 2.0 / 30.0 * CONFIG.limits.operational_speed + 1e-6
     assert 'reference' in result.status.limits
+
+
+@pytest.mark.parametrize('settings', [
+    {'watchdog': {'on_joint_fault': 'damp'}}, {}, {'limits': {'joint_speed': [0.5] * 6}}])
+def test_speed_that_is_not_seen_any_more_is_not_braked_for_ever(settings):
+    """An arm that floats unseen is brought to rest and carried, whatever it did last."""
+    config = controller_config(**settings)
+    task = CommandedReference(config.contact_names)
+    supervisor = Supervisor.from_config(config, task, config_dir())
+    turning = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.8])
+    for k in range(5):
+        supervisor.step(good(k, q=HOME + k * H * turning, qd=turning))
+    last = HOME + 4 * H * turning
+    for k in range(5, 600):
+        result = supervisor.step(good(k)._replace(joints=None))
+    assert result.status.reaction == 'float'
+    weight = supervisor.controller.robot.update(last, np.zeros(6)).gravity
+    np.testing.assert_allclose(result.output.torque, weight, atol=0.01)
+
+
+def test_answer_of_a_reaction_tells_what_is_seen_and_no_force():
+    """Where the arm and the measured forces are now, and not where they were before it."""
+    task = CommandedReference(CONFIG.contact_names)
+    supervisor = make(task)
+    for k in range(50):
+        supervisor.step(good(k))
+    for k in range(50, 60):  # a wrench that contradicts the contacts: it is seen, and refused
+        moved = HOME + np.array([0.0, 0.0, 0.0, 0.0, 1e-3 * (k - 50), 0.0])
+        inputs = good(k, q=moved)
+        wrench = inputs.wrench.wrench + np.array([0.0, 0.0, -3.0 * (k - 48), 0.0, 0.0, 0.0])
+        output, status = supervisor.step(inputs._replace(wrench=WrenchInput(k * H, wrench)))
+    assert status.reaction == 'hold'
+    place = supervisor.controller.robot.update(moved, np.zeros(6)).pose
+    np.testing.assert_allclose(output.pose.position_world, place.position_world, atol=1e-12)
+    assert abs(output.alpha_meas[0]) > 25.0
+    for values in (output.alpha_est, output.alpha_rate_est, output.innovation,
+                   output.prior_variance, output.variance_used, output.alpha_des):
+        assert not values.any()
+
+
+def test_better_model_of_a_stiffness_is_no_work_on_a_surface():
+    """What is stored at a force is another energy then, which the observer must not count."""
+    supervisor = make()
+    for k in range(150, 250):
+        supervisor.step(pressed(k))
+    states, contacts = supervisor.reference.contact_states, supervisor.controller.contacts
+    states['stiffness'] = 10.0 * contacts['stiffness']  # as if a better one were found now
+    supervisor.step(pressed(250))
+    alpha = np.maximum(contacts['alpha_meas'], 0.0)
+    assert alpha[0] > 5.0
+    np.testing.assert_allclose(states['stored'], alpha ** 2 / (2.0 * contacts['stiffness']))

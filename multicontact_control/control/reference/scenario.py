@@ -213,7 +213,9 @@ class ScenarioReference:
 
     def task(self, time: float) -> Reference:
         """
-        Return the motion, and from the start of the approach on all contacts as wanted.
+        Return the motion, and the contacts of which a force is desired as wanted.
+
+        These are all from the start of the approach on, until a step asks 0 N of one.
 
         Written for speed, as `update` is.
         """
@@ -222,8 +224,8 @@ class ScenarioReference:
             done = -1
         if done != self._task_steps:
             self._task_steps = done
-            self._wanted: Mask = np.full(self._count, done >= 0)
             self._desired = self.forces_after(done) if done >= 0 else np.zeros(self._count)
+            self._wanted: Mask = (self._desired > 0.0)[self._leader_of]
         return self._reference(time, self._start, STILL, self._wanted, self._desired)
 
     def forces_after(self, steps: int) -> Vector:
