@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Mapping
+import math
 from pathlib import Path
 from typing import Any
 
@@ -49,10 +50,12 @@ from multicontact_control.supervision.inputs import (
     WrenchInput,
 )
 from multicontact_control.supervision.supervisor import Supervisor, SupervisorStatus
-from multicontact_control.supervision.validation import copy_numbers
+from multicontact_control.supervision.validation import as_number, copy_numbers
 import numpy as np
 
 TARE_READINGS = 100
+TARE_GAP = 0.1  # s, without a wrench, after which what was read before is of no use for a tare
+STREAM_TIME = 1.0  # s, between commands; more often they are a stream, which insists on nothing
 LONGEST_PAUSE = 10.0  # s; stamps that jump farther ahead are of a clock that was set
 
 
@@ -166,11 +169,13 @@ class ControlLoop:
         self._filtered: WrenchInput | None = None
         self._readings: deque[Vector] = deque(maxlen=TARE_READINGS)
         self._postures: deque[Vector] = deque(maxlen=TARE_READINGS)
+        self._read_at = math.nan
         self.variance: Vector = np.full(
             len(self.config.columns), self.config.initial_noise_variance)
         self._variance: VarianceInput | None = None
         self.sensor_fault = ''
         self._missed = 0
+        self._commanded_at = -math.inf
 
     def take_variance(self, stamp: int, variance: Vector) -> None:
         """Use an R [N^2] from the next sample on; its stamp is that of a sample [ns]."""
@@ -289,6 +294,10 @@ class ControlLoop:
         if not copy_numbers(reading, raw):
             self._filtered = WrenchInput(stamp, reading)  # for the watchdog to refuse
             return False
+        if not as_number(stamp) - self._read_at <= TARE_GAP:
+            self._readings.clear()  # the arm may have come elsewhere meanwhile
+            self._postures.clear()
+        self._read_at = as_number(stamp)
         self._readings.append(raw)
         wrench, self.sensor_fault = self._front_end.update(raw)
         self._filtered = WrenchInput(stamp, wrench)
@@ -341,7 +350,8 @@ class ControlLoop:
                 joints.q, joints.qd, self._readings[-1], self.config.tool):
             if self.push_gate.open:
                 self._reference.unlock()
-                self.controller.go_on()
+                if not self.held:
+                    self.controller.go_on()
             self._expect_pushes()
 
     def _require_rest(self, purpose: str) -> None:
@@ -410,9 +420,12 @@ class ControlLoop:
         law = self.controller.controller
         if law.dependent:
             check_shared(self.config, law.contacts['N'], {**reference.forces, **forces})
-        # A client may repeat its command many times a second: that asks for nothing anew.
+        # A client may repeat its command many times a second, or vary it: neither asks for
+        # another try of what has been given up.
         if reference.set_forces(forces, shares):
-            self._try_again()
+            if not self.time - self._commanded_at <= STREAM_TIME:
+                self._try_again()
+            self._commanded_at = self.time
 
     def set_motion(self, motion: MotionReading) -> None:
         """
@@ -524,9 +537,14 @@ class ControlLoop:
 
         """
         self._require_rest('a tare')
-        if self.sensor_fault:
-            raise CommandError(
-                'wrench', 'nothing wrong with it, for a tare', self.sensor_fault)
+        refused = [] if self.status is None else [
+            x for x in self.status.rejected if x.startswith('wrench')]
+        if self.sensor_fault or refused:
+            raise CommandError('wrench', 'nothing wrong with it, for a tare',
+                               self.sensor_fault or refused[0])
+        age = as_number(self.time) - self._read_at
+        if age > TARE_GAP:
+            raise CommandError('wrench', 'a new one, for a tare', f'one of {age:.3g} s ago')
         joints = self._inputs.joints
         readings = np.array(self._readings).reshape(-1, 6)
         if joints is None:

@@ -496,3 +496,80 @@ def test_nothing_is_held_or_commanded_before_control_has_begun():
     for command in (lambda: bench.loop.hold(True), lambda: bench.loop.set_forces({'table': 5.0})):
         with pytest.raises(CommandError, match='control: expected begun, .*found start_outside'):
             command()
+
+
+def without_wrench(bench, ticks, q=HOME):
+    for _ in range(ticks):
+        bench.loop.step_half(JointReading(bench.stamp, q.copy(), np.zeros(6)))
+        bench.k += 1
+
+
+def test_tare_needs_readings_of_now():
+    """What was read before the sensor went silent may hold a force that is not there any more."""
+    bench = Bench()
+    bench.step(120)
+    without_wrench(bench, 100)
+    with pytest.raises(CommandError, match='wrench: expected a new one, for a tare, found one of '
+                       '0.2 s ago'):
+        bench.loop.tare(TareConfig())
+    bench.step(10)
+    with pytest.raises(CalibrationError, match='expected at least 25 readings, found 10'):
+        bench.loop.tare(TareConfig())
+    bench.step(90)
+    np.testing.assert_allclose(bench.loop.tare(TareConfig()), 0.0, atol=0.02)
+
+
+def test_hold_while_a_reaction_lets_the_arm_be_moved_stays_where_it_is_now():
+    bench = Bench(watchdog={'on_wrench_fault': 'damp'})
+    bench.step(30)
+    without_wrench(bench, 40)
+    assert bench.reaction == 'damp'
+    q = HOME.copy()
+    for _ in range(100):
+        q[4] += 0.002
+        without_wrench(bench, 1, q)
+    bench.loop.hold(True)
+    place = RobotModel(bench.config.robot, config_dir()).update(q, np.zeros(6)).pose
+    for _ in range(200):
+        bench.loop.step(PairedSample(bench.stamp, q.copy(), np.zeros(6), bench.wrench(), EFFORT))
+        bench.k += 1
+    assert bench.reaction in ('none', 'inflate') and bench.loop.held  # no R is told of
+    np.testing.assert_allclose(
+        bench.loop.output.pose_des.position_world, place.position_world, atol=1e-6)
+
+
+def test_stream_of_commands_does_not_seek_a_contact_again_that_was_left():
+    """Nor does it resume control that waits for somebody: a command after a while does."""
+    bench = Bench()
+    make_contact(bench, 10.0)
+    bench.press('table', 70.0)
+    bench.step(5)
+    bench.push = np.zeros(6)
+
+    def stream(ticks, start):
+        seen = set()
+        for k in range(ticks):
+            if k % 10 == 0:
+                bench.loop.set_forces({'table': 10.0 + 0.1 * (k // 10 % 5) + start})
+            bench.step()
+            seen.add(bench.states['table'])
+        return seen
+
+    assert stream(1500, 0.0) == {'retracting', 'given up'}
+    bench.step(600)
+    bench.loop.set_forces({'table': 12.0})
+    bench.step(5)
+    assert bench.states['table'] == 'approaching'
+
+
+def test_push_test_that_is_passed_does_not_end_a_hold():
+    bench = Bench()
+    bench.step(120)
+    bench.loop.hold(True)
+    bench.loop.push_test(PushTestConfig(), ())
+    bench.step(10)
+    bench.loop._reference.unlock()
+    assert bench.loop.held
+    bench.loop.hold(False)
+    bench.step(10)
+    assert not bench.loop.held

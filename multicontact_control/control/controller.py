@@ -441,7 +441,8 @@ def place_columns(config: ControllerConfig, columns: Records) -> None:
             record['surface_speed'] = contact.surface_speed
             record['surface_gain'] = config.period / (
                 contact.surface_speed_time + config.period)
-            record['surface_speed_limit'] = contact.surface_speed_limit
+            limit = record['surface_speed_limit'] = contact.surface_speed_limit
+            record['surface_speed_est'] = np.clip(record['surface_speed_est'], -limit, limit)
             record['friction_coefficient'] = contact.friction_coefficient
             record['slip_speed'] = contact.slip_speed
             record['friction_std'] = contact.friction_std

@@ -41,6 +41,7 @@ class HoldableReference:
         self.locked = locked
         self._count = 0
         self._held: Reference | None = None
+        self._held_before = False  # on command, when it was locked
         self._last: Reference | None = None
         self._last_time = self._lost_time = 0.0
 
@@ -58,6 +59,7 @@ class HoldableReference:
         """Begin from a pose at rest; see `ReferenceSource.start`. Ends a hold, but no lock."""
         self._count = len(normals_world)
         self._held = self._standing(pose) if self.locked else None
+        self._held_before = False
         self._last = None
         self._last_time = self._lost_time = 0.0
         self._source.start(pose, normals_world)
@@ -113,6 +115,7 @@ class HoldableReference:
 
     def lock(self, pose: Pose | None = None) -> None:
         """Ask for a pose and no contact until `unlock`; for that of the next start if None."""
+        self._held_before = self.held or self.locked and self._held_before
         self.locked = True
         if pose is not None:
             self._held = self._standing(pose)
@@ -122,6 +125,12 @@ class HoldableReference:
         return Reference(pose, np.zeros(6), np.zeros(6), none, np.zeros(self._count))
 
     def unlock(self) -> None:
-        """Begin with the other reference, where its time has stood still."""
+        """
+        Begin with the other reference, where its time has stood still.
+
+        Not if it was held when it was locked: then it still is, with no contact.
+        """
         self.locked = False
-        self._held = None
+        if not self._held_before:
+            self._held = None
+        self._held_before = False
