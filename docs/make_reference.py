@@ -181,9 +181,9 @@ def parameters() -> str:
         'Every value that can be set, as it is declared in the code: `ros2 param describe` says '
         'the same of a node that runs. In a parameter file dots are levels of the YAML; on the '
         'command line, `--set controller.force.damping_rate=60` (or `noise_estimator.`, '
-        '`plant.`, `scenario.`) of `run` and `simulate` takes the same names, and `*` for every '
-        'NAME. NAME is one of `contact_names`. All units are SI. *Live* values change while the '
-        'node runs, all others while it is unconfigured.']
+        '`plant.`, `scenario.`) of `run`, `simulate` and `view` takes the same names, and `*` for '
+        'every NAME. NAME is one of `contact_names`. All units are SI. *Live* values change while '
+        'the node runs, all others while it is unconfigured.']
     for node, models in NODES.items():
         found = [group for model in models for group in groups(model)]
         parts += [f'## {node}', *_group_tables(node, found, live=True)]
@@ -231,9 +231,9 @@ def graph() -> str:
         '## Ends',
         f'`{topics.RECORDER}` reads all of them.',
         table(['topic', 'from', 'always read by', 'rate', 'published as'], ends),
-        'The controller also reads one of the two wrenches (`wrench_input`) and the commands, '
-        'which it refuses while it follows a scenario; with `effort_output_topic` it publishes '
-        'bare efforts, too (std_msgs/msg/Float64MultiArray). '
+        'The controller also reads one of the two wrenches (`wrench_input`; none with `momentum`) '
+        'and the commands, which it refuses while it follows a scenario; with '
+        '`effort_output_topic` it publishes bare efforts, too (std_msgs/msg/Float64MultiArray). '
         'Estimators that work on innovations read `contact_forces/innovation`. With '
         '`recording_batches` the recorder gets the messages of a node on `_recording/NODE` '
         '(std_msgs/msg/UInt8MultiArray) instead.',

@@ -17,7 +17,8 @@ def compare(
     robot: options.Robot = '', plants: options.Plants = '',
     estimators: options.Estimators = '',
     seeds: Annotated[int | None, typer.Option(
-        help='Number of seeds, from 0: 3, or 1 with --quick.')] = None,
+        help='Number of seeds, from 0, or from 1 with --laws; 3 if not given, 1 with '
+        '--quick.')] = None,
     jobs: options.Jobs = 0, dask: options.Dask = '', out: options.StudyOut = None,
     dry_run: options.DryRun = False, overwrite: options.RunAgain = False,
     laws: Annotated[bool, typer.Option(

@@ -26,7 +26,8 @@ def design(
     damping_rate: Annotated[float, typer.Option(help='K_2 [1/s].')] = 100.0,
     rate: Annotated[float, typer.Option(help='Control rate [Hz].')] = 500.0,
     out: Annotated[Path | None, typer.Option(
-        help='Parameter file to write, for --preset.')] = None,
+        help='Parameter file to write, for --preset. The stiffness of the model is not in it, '
+        'since contacts have that: it is told as --set for it.')] = None,
 ) -> None:
     """
     Find the fastest gains of a force law that are stable on a range of surfaces.

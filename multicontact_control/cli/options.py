@@ -72,8 +72,9 @@ Namespace = Annotated[str | None, typer.Option(
 
 # Of the studies: compare, map, sweep, faults.
 StudyOut = Annotated[Path | None, typer.Option(
-    help='Folder for the results; runs/<command> if not given, runs/sweep-<name> for a sweep. '
-    'What is finished there is not run again.')]
+    help='Folder for the results; if not given runs/<command>, runs/sweep-<name> for a sweep, '
+    'runs/tune-<law>, or runs/laws with `compare --laws`. What is finished there is not run '
+    'again.')]
 Jobs = Annotated[int, typer.Option(
     help='Jobs at once on this machine; 0 for every core.')]
 Dask = Annotated[str, typer.Option(

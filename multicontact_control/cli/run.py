@@ -70,9 +70,10 @@ def run(
         'participants on this machine (0 with --external), if not given.')] = None,
     composed: Annotated[Composed, typer.Option(
         help='Which nodes share a process and hand each other their messages: `none`, `control` '
-        '(controller and noise estimator), `all` (the simulated plant, too), or `auto`: none, '
-        'unless deadlines are missed in the first seconds, and all in lockstep. Topics, services '
-        'and torques stay the same.')] = Composed.AUTO,
+        '(controller and noise estimator), `all` (the simulated plant, too), or `auto`: all in '
+        'lockstep, otherwise none, but if deadlines are missed in the first seconds, the graph '
+        'starts anew with all, and what was recorded or commanded until then is lost. Topics, '
+        'services and torques stay the same.')] = Composed.AUTO,
     realtime: Annotated[bool, typer.Option(
         '--realtime', help='Ask for SCHED_FIFO, a processor and locked memory for the nodes that '
         'control, and say at the end what they got.')] = False,

@@ -268,9 +268,8 @@ class WatchdogConfig(Config):
         2.0, 'Up to this.', unit='s', ge=0.0, le=60.0)
     relapses: int = parameter(
         3, 'So many in a row, of what the arm does or meets and not of missing readings, and '
-        'control waits for an operator (a command of other forces, the first in a second, ~/retry, '
-        '~/hold); 0 for never.',
-        ge=0, le=1000)
+        'control waits for an operator (a command of other forces, the first in a second, '
+        '~/retry, or ~/hold with data: false); 0 for never.', ge=0, le=1000)
 
     @cross_check
     def _check_lengths(self) -> Iterator[ConfigError]:

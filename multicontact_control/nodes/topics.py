@@ -76,7 +76,7 @@ class Topic:
 
 JOINT_STATES = Topic(
     'joint_states', JointState, SIM, (CONTROLLER, RECORDER),
-    content='q [rad], qd [rad/s] and effort [N m] of every joint.')
+    content='q [rad] and qd [rad/s] of every joint, in any order; effort [N m] if it is measured.')
 WRENCH = Topic(
     'ft_sensor/wrench', WrenchStamped, SIM, (RECORDER,),
     content='The wrist sensor in its own frame, with the weight of the tool in it [N, N m].')
@@ -123,11 +123,12 @@ NOISE_VARIANCE = Topic(
     content='effort = R per contact [N²]; the stamp is that of its newest sample.')
 FORCE_COMMAND = Topic(
     'contact_forces/command', JointState, USER, (RECORDER,), qos.COMMAND, 'event',
-    'effort = desired force per contact, or couple [N]; or position = centre of pressure for '
-    'each couple [m].')
+    'name, and effort = desired force per contact, or couple [N]; or position = centre of '
+    'pressure for each couple [m]. What is not named stays as it is; a force of 0 lets go.')
 MOTION_COMMAND = Topic(
     'motion/command', MultiDOFJointTrajectoryPoint, USER, (RECORDER,), qos.COMMAND, 'event',
-    'Pose, twist and acceleration of the operational point.')
+    'One transform: pose of the operational point in world axes, with a quaternion of unit '
+    'length. Its twist and acceleration may be left empty: 0.')
 STATUS = Topic(
     f'{CONTROLLER}/status', DiagnosticStatus, CONTROLLER, (RECORDER,), qos.COMMAND, 'event',
     '`~/status` of the controller: each command that it refuses, each change of its state and '
