@@ -101,14 +101,14 @@ def new_robot(urdf: Path, sensor: str, tip: str, out: Path) -> NewRobot:
     return NewRobot(out, tuple(missing), _found(out))
 
 
-def write_controller(path: Path, out: Path) -> None:
+def write_controller(made: NewRobot, out: Path) -> None:
     """
     Write what the controller on the real arm needs, beside the URDF of the arm with its tool.
 
     Parameters
     ----------
-    path
-        A robot's file.
+    made
+        The robot's file; what it still needs is guessed here, too, and told in the head.
     out
         Parameter file to write; the URDF is written next to it.
 
@@ -118,9 +118,9 @@ def write_controller(path: Path, out: Path) -> None:
         If a value in the robot's file is not acceptable.
 
     """
-    robot = find_robot(str(path))
+    robot = find_robot(str(made.path))
     values = robot.controller_base()
-    urdf = out.with_name(f'{path.stem}_with_tool.urdf')
+    urdf = out.with_name(f'{made.path.stem}_with_tool.urdf')
     source = robot.urdf_dir() / values['robot']['urdf']
     values['robot'] = {**values['robot'], 'urdf': urdf.name}
     # Nothing of the sensor that is simulated; and no contact before this one is known to be right.
@@ -129,10 +129,12 @@ def write_controller(path: Path, out: Path) -> None:
     out.parent.mkdir(parents=True, exist_ok=True)
     urdf.write_text(source.read_text(encoding='utf-8'), encoding='utf-8')
     body = yaml.safe_dump({'/**': {'ros__parameters': values}}, sort_keys=False)
+    guesses = '\n'.join(f'# - {text}' for text in made.missing)
     out.write_text(
-        f'# Written by `multicontact new-robot` beside {path.name}, yours from here on. Check\n'
-        "# every contact's normal and point, what hangs on the sensor, the torque limits and the\n"
-        f"# sensor's frame.\n{body}", encoding='utf-8')
+        f'# Written by `multicontact new-robot` beside {made.path.name}, yours from here on.\n'
+        "# Check every contact's normal and point, what hangs on the sensor, the torque limits\n"
+        "# and the sensor's frame. Guessed or not known, and yours to replace:\n"
+        f'{guesses}\n{body}', encoding='utf-8')
 
 
 def _root(urdf: Path) -> ElementTree.Element:

@@ -40,7 +40,7 @@ def new_robot(
         from sim_bridge.new_robot import write_controller
 
         robot = write(urdf, sensor, tip, target)
-        write_controller(robot.path, controller)
+        write_controller(robot, controller)
     for text in robot.found:
         typer.echo(text)
     for text in robot.missing:

@@ -21,7 +21,7 @@ def show_design(found: DesignedLaw) -> str:
         f'up to {margins.stiffest:.2f} times as stiff')
     lines = [
         yaml.safe_dump({'force': rounded(found.values)}, sort_keys=False).rstrip(),
-        f'model: {found.stiffness:.0f} N/m',
+        f'model: {_model(found)}',
         f'on the stiffest surface: phase margin {math.degrees(margins.phase):.0f} deg, delay '
         f'margin {1e3 * margins.delay:.1f} ms, crossover {margins.crossover:.1f} rad/s, stable '
         f'{stiffest}',
@@ -42,10 +42,16 @@ def _milliseconds(time: float) -> str:
     return 'never' if math.isinf(time) else f'{1e3 * time:.0f} ms'
 
 
+def _model(found: DesignedLaw) -> str:
+    """Return the stiffness that the gains go with; contacts have names, which no law knows."""
+    return (f'{found.stiffness:.0f} N/m '
+            f"(--set 'controller.contacts.*.stiffness={found.stiffness:.0f}')")
+
+
 def write_design(found: DesignedLaw, path: Path) -> None:
     """Write gains as a parameter file, as `--preset` takes it."""
     write_preset({'controller': {'force': rounded(found.values)}}, path,
-                 f'designed for surfaces around {found.stiffness:.0f} N/m')
+                 f'designed with a model of {_model(found)}, which is not in here')
 
 
 def write_preset(sections: Mapping[str, Any], path: Path, what: str) -> None:

@@ -232,7 +232,9 @@ def test_new_robot_writes_a_file_that_works_and_says_what_is_missing(tmp_path, w
         pose.translation - tip, [0.0, 0.0, 0.2 if welded else 0.15], atol=1e-6)
     validate(ControllerConfig, robot.controller_base())
     validate(PlantConfig, robot.plant_values('rigid'))
-    write_controller(made.path, tmp_path / 'controller.yaml')
+    write_controller(made, tmp_path / 'controller.yaml')
+    head = (tmp_path / 'controller.yaml').read_text().partition('/**')[0]
+    assert all(f'# - {text}\n' in head for text in made.missing)
     found = read_controller_files([tmp_path / 'controller.yaml'])
     config = found.config()
     assert config.sensor.require_push_test and config.contact_names == ('table',)
