@@ -1,8 +1,16 @@
 """Every force law against its own equations, on the contact of eq. 32, and when it takes over."""
 
-from multicontact_control.config import ControllerConfig, ForceConfig, read_parameters
+from typing import get_args
+
+from multicontact_control.config import (
+    ControllerConfig,
+    ForceConfig,
+    LawName,
+    read_parameters,
+    read_yaml,
+)
 from multicontact_control.errors import ConfigError, ShapeError
-from multicontact_control.experiment.scenario import resolve
+from multicontact_control.experiment.scenario import law_presets, resolve
 from multicontact_control.force import observer as aob
 from multicontact_control.force.force_law import (
     act_beyond,
@@ -14,7 +22,7 @@ from multicontact_control.force.force_law import (
     make_force_laws,
 )
 from multicontact_control.force.laws import LAWS, LinearLaw, steady_law
-from multicontact_control.force.laws.design import design_for_range
+from multicontact_control.force.laws.design import design_for_range, FASTER
 from multicontact_control.force.laws.margins import (
     contact_loop,
     input_rms,
@@ -24,6 +32,7 @@ from multicontact_control.force.laws.margins import (
 from multicontact_control.force.linear_law import step_linear
 from multicontact_control.force.linear_loop import spectral_radius, steady_gain
 from multicontact_control.force.plant_model import delayed_plant
+from multicontact_control.paths import config_dir
 from multicontact_control.records import CONTACT, CONTROL
 import numpy as np
 import pytest
@@ -277,6 +286,16 @@ def test_design_for_a_range_has_its_margins_on_every_surface(name):
     assert spectral_radius(contact_loop(law, late)) < 1.0 + 1e-9
 
 
+def test_every_law_is_wherever_its_recipe_says():
+    """See docs/force_laws.md."""
+    names = set(get_args(LawName))
+    assert set(LAWS) == names
+    assert set(FASTER) == names
+    assert set(read_yaml(config_dir() / 'tuning.yaml')) == names
+    presets = {name for name in law_presets() if name.startswith('laws/')}
+    assert presets == {f'laws/{name}' for name in names - {'aob'}}  # `paper`, `best`, `adaptive`
+
+
 @pytest.mark.parametrize(('values', 'field'), [
     ({'name': 'pid'}, 'law'), ({'softest': 0.0}, 'stiffness'), ({'stiffest': 1.0}, 'stiffness'),
     ({'noise_variance': 0.0}, 'noise_variance'), ({'stiffest': 1e9}, 'stiffness')])
@@ -313,8 +332,6 @@ def test_contacts_may_have_laws_of_their_own():
 
 
 def test_default_values_are_those_of_the_file():
-    from multicontact_control.paths import config_dir
-
     force = read_parameters(config_dir() / 'controller.yaml')['force']
     assert {name: getattr(ForceConfig(), name) for name in force} == force
 
