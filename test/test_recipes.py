@@ -1,4 +1,4 @@
-"""CONTRIBUTING's recipes, followed: what they say is enough."""
+"""What is made as CONTRIBUTING's recipes say works: a contact, a robot, a noise estimator."""
 
 from typing import Literal
 
