@@ -79,6 +79,7 @@ class Contacts:
             self._columns = np.array([
                 [shares.get(name, 0.0) for name in names] for shares in config.columns.values()])
         self._count = len(config.column_names)
+        self._touched = len(config.touched)
         self.forces_world: Matrix = self._surfaces['force']
         self.points_world: Matrix = self._surfaces['point']
         self.places_world: Matrix = self._surfaces['place']
@@ -91,6 +92,11 @@ class Contacts:
         forces: Vector = self.pressed[:self._count].copy() if self._columns is None else (
             self._columns @ self.pressed)
         return forces
+
+    @property
+    def obstacles(self) -> Vector:
+        """Return the normal forces on what is in the way and no contact, shape (no,) [N]."""
+        return self.pressed[self._touched:].copy()
 
     def move(self, step: float) -> None:
         """Let the surfaces that move or give way do so for a step [s], before it is taken."""

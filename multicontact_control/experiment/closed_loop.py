@@ -127,6 +127,11 @@ class ClosedLoop:
         """Return the true normal forces now, shape (r,) [N]."""
         return self.sample.contact_force
 
+    @property
+    def obstacle_forces(self) -> Vector:
+        """Return the true normal forces on what is in the way now, shape (o,) [N]."""
+        return self.plant.contacts.obstacles
+
     def inputs(self) -> TickInputs:
         """Return what is known at this tick if nothing is wrong with it: sample, and R before."""
         h, k, sample = self.setup.controller.period, self.tick, self.sample

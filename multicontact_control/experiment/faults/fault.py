@@ -144,8 +144,10 @@ class Fault:
     ticks
         How long it lasts in process, at least and less than.
     meets
-        Number of the surface that the arm meets before its wrist sensor, in process: it must
-        notice, and not press hard.
+        Number of the obstacle that the arm meets before its wrist sensor, in process: it must
+        notice.
+    parts
+        What happens at the same time, if this is two faults.
 
     """
 
@@ -159,10 +161,13 @@ class Fault:
     at_once: bool = False
     ticks: tuple[int, int] = (5, 150)
     meets: int | None = None
+    parts: tuple[Fault, ...] = ()
 
     @property
     def passes(self) -> bool:
-        """Whether the arm can do again what it did, once it has passed."""
+        """Whether the arm can do again what it did, once it has passed, with all its parts."""
+        if self.parts:
+            return all(part.passes for part in self.parts)
         told = isinstance(self.action, Delivery) or bool(self.declared)
         return told or isinstance(self.action, Breakdown)
 

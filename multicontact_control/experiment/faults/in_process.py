@@ -191,7 +191,7 @@ def run_fault(
         advance_with(found, loop)
         torques.append(loop.command.copy())
         forces.append(loop.true_forces)
-        met.append(0.0 if fault.meets is None else loop.plant.contacts.pressed[fault.meets])
+        met.append(loop.obstacle_forces)
         reactions.append(loop.status.reaction)
         if any(cause.startswith('internal') for cause in loop.status.causes) and not any(
                 isinstance(each.action, Breakdown) for each in (fault, other) if each):
@@ -208,6 +208,7 @@ def run_fault(
 
 
 def together(fault: Fault, other: Fault) -> Fault:
-    """Return two faults as one of which nothing is declared; the arm is back if both pass."""
-    action = fault.action if fault.passes and other.passes else PlantEdit(lambda plant, _: None)
-    return Fault(TWO, f'{fault.input} {fault.kind} + {other.input} {other.kind}', action)
+    """Return two faults as one of which nothing is declared."""
+    return Fault(
+        TWO, f'{fault.input} {fault.kind} + {other.input} {other.kind}', fault.action,
+        meets=other.meets if fault.meets is None else fault.meets, parts=(fault, other))

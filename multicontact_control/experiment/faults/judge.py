@@ -21,7 +21,10 @@ RETRACT_TIME = 0.1  # s, in which a contact beyond that must have been left
 SILENCE = 0.1  # s without a command while samples come that counts as silence
 STOPPED = 0.3  # s of silence that a controller which should go on may not be guilty of
 TOLERANCE = 1e-9  # of a limit
-MET_FORCE, NOTICED_FORCE = 40.0, 30.0  # N on what the arm meets: at most; from where it is told
+# N on what is in the way, at most: nobody asked for any, so that unlike a contact's an impact may
+# not be above it. Found: 36 N at the elbow of a sliding puma, 11 N on a side wall, in pairs, too.
+MET_FORCE = 40.0
+NOTICED_FORCE = 30.0  # N on what the wrist sensor does not feel, from where it must be told of
 OFF_TIME, OFF_FORCE, OFF_SHARE = 0.02, 2.0, 0.2  # s, N, share of the command: off it beyond both
 BACK_TIME = 0.6  # s after a fault, in which the arm is back: waiting, and five time constants
 AGAIN = 10  # changes of the reaction, within a run of 1.2 s and 2/s over 5 s
@@ -44,15 +47,15 @@ class FaultRow:
         come again, and every true force is, and stays, within the ceiling [s]; infinite numbers
         do not occur: -1 says never.
     peak_force_n
-        Largest true normal force from its beginning on, also on what is met at the elbow [N].
+        Largest true normal force from its beginning on, also on what is in the way [N].
     peak_torque_fraction
         Largest commanded torque over its limit, 0 without one.
     safe
         Every command finite, within the torque limits and their rates; in process, a declared
         reaction within two ticks, of R within its largest age; every true force within 1.25
-        times the force ceiling, or back within it in 0.1 s; what is met at the elbow is noticed,
-        and pressed by less than 40 N; over the graph, everything that is
-        said finite, no silence of a controller that should go on, no wrong command obeyed; no
+        times the force ceiling, or back within it in 0.1 s; what is in the way pressed by less
+        than 40 N, and noticed if it is at the elbow; over the graph, everything that is said
+        finite, no silence of a controller that should go on, no wrong command obeyed; no
         exception, no hang.
     plant, phase, problems
         Where it happened, and why it was not safe.
@@ -107,8 +110,8 @@ class Observation:
     forces, wanted
         True forces, and those that the task asks for, in process, shape (ticks, r) [N].
     met, noticed
-        Forces on what the arm meets before its wrist sensor, shape (ticks,) [N], and whether a
-        collision was told of, in process.
+        True forces on what is in the way, shape (ticks, o) [N], and whether a collision was
+        told of, in process.
     lasted
         How many ticks the fault lasted, in process.
     silences
@@ -128,7 +131,7 @@ class Observation:
     reactions: Sequence[str] = ()
     forces: Matrix | None = None
     wanted: Matrix | None = None
-    met: Vector | None = None
+    met: Matrix | None = None
     noticed: bool = False
     lasted: int = 0
     silences: Sequence[tuple[float, float]] = ()
@@ -152,7 +155,8 @@ def judge(
     met = float(seen.met.max(initial=0.0)) if seen.met is not None else 0.0
     if met > MET_FORCE:
         problems.add('obstacle pressed too hard')
-    if met > NOTICED_FORCE and not seen.noticed:
+    if seen.met is not None and fault.meets is not None and not seen.noticed and (
+            seen.met[:, fault.meets].max() > NOTICED_FORCE):
         problems.add('obstacle not noticed')
     latest = _latest(fault, config.watchdog)
     told = bool(seen.reactions) and seen.lasted > latest

@@ -47,7 +47,7 @@ PERIOD = 0.002  # s, by which clocks are moved
 LOSS = 0.3  # share of messages that an intermittent stream loses
 BURST = 10  # messages that come at once
 JUMP = 0.1  # m
-SIDE_WALL, ELBOW_WALL = 2, 3  # numbers of surfaces that are no contacts
+SIDE_WALL, ELBOW_WALL = -2, -1  # numbers of surfaces that are no contacts: the last ones
 FAR = 10.0  # m, where they are not in the way
 # What a tick calls of a supervisor, one after the other.
 PARTS = ('_watchdog.validate', 'controller.arm.refresh', 'reference.ask', '_answer',

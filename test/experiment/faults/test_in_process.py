@@ -3,12 +3,15 @@
 from dataclasses import replace
 
 from multicontact_control.experiment.closed_loop import ClosedLoop
-from multicontact_control.experiment.faults.fault import PROCESS
-from multicontact_control.experiment.faults.in_process import RUN_TICKS
-from multicontact_control.experiment.faults.judge import judge, Observation
+from multicontact_control.experiment.faults.fault import PlantEdit, PROCESS, REST
+from multicontact_control.experiment.faults.in_process import RUN_TICKS, together
+from multicontact_control.experiment.faults.judge import judge, MET_FORCE, Observation
 from multicontact_control.experiment.faults.situation import with_obstacles
-from multicontact_control.experiment.faults.vocabulary import faults_of
-from multicontact_control.experiment.scenario import resolve
+from multicontact_control.experiment.faults.vocabulary import (
+    ELBOW_WALL,
+    faults_of,
+    SIDE_WALL,
+)
 from multicontact_control.experiment.study.presets.faults.jobs import in_fork
 from multicontact_control.supervision.collision import CollisionWatch
 from multicontact_control.supervision.validation import Watchdog
@@ -20,8 +23,8 @@ KINDS = faults_of(PROCESS)
 
 @pytest.fixture(scope='module')
 def world():
-    """Return a rigid plant at the approach."""
-    world = ClosedLoop(resolve('quick', plant='rigid', seed=0))
+    """Return a rigid plant at the approach, with walls far away."""
+    world = ClosedLoop(with_obstacles('quick', 'rigid', 0))
     while world.tick < 330:
         world.advance()
     return world
@@ -83,6 +86,51 @@ def test_torque_without_a_limit_is_judged_by_the_rest(world):
     assert not judge(KINDS['biased', 'wrench'], 1, world.setup, seen, where=PROCESS).safe
 
 
+def observation(setup, **changes):
+    """Return what is seen while nothing happens."""
+    time = np.arange(1.0, RUN_TICKS + 1.0) * setup.controller.period
+    return Observation(
+        np.zeros((RUN_TICKS, len(setup.controller.robot.joint_names))), time,
+        np.zeros(RUN_TICKS), 'none', **changes)
+
+
+@pytest.mark.parametrize(('kinds', 'short'), [
+    ((('nan', 'wrench'), ('dropped', 'joints')), True),
+    ((('nan', 'wrench'), ('frozen', 'joints')), True),
+    ((('raises', '_gate.apply'), ('frozen', 'joints')), True),
+    ((('biased', 'wrench'), ('dropped', 'joints')), False),
+    ((('surface_gone', 'plant'), ('dropped', 'joints')), False)])
+def test_pair_is_to_be_back_if_both_faults_pass_whatever_their_order(world, kinds, short):
+    forces = np.zeros((RUN_TICKS, 2))
+    seen = observation(world.setup, forces=forces, wanted=forces + 10.0)
+    for one, other in (kinds, kinds[::-1]):
+        row = judge(together(KINDS[one], KINDS[other]), 1, world.setup, seen, where=PROCESS,
+                    phase=REST)
+        assert row.shortfalls == ('not back at its command' if short else '')
+
+
+@pytest.mark.parametrize(('wall', 'force', 'problems'), [
+    (SIDE_WALL, MET_FORCE - 1.0, ''), (SIDE_WALL, MET_FORCE + 1.0, 'obstacle pressed too hard'),
+    (ELBOW_WALL, MET_FORCE - 1.0, 'obstacle not noticed')])
+def test_what_is_in_the_way_is_judged_whichever_fault_it_is(world, wall, force, problems):
+    """The wrist sensor feels the side wall, so that no collision need be told of there."""
+    met = np.zeros((RUN_TICKS, 2))
+    met[100, wall] = force
+    obstacle, other = KINDS['elbow_obstacle', 'plant'], KINDS['nan', 'wrench']
+    for fault in (obstacle, together(obstacle, other), together(other, obstacle)):
+        row = judge(fault, 1, world.setup, observation(world.setup, met=met), where=PROCESS)
+        assert (row.problems, row.safe, row.peak_force_n) == (problems, not problems, force)
+
+
+def test_side_wall_that_is_pressed_hard_is_not_safe(world):
+    """The arm is in it by 3 cm; its contacts are not pressed as hard."""
+    wall = replace(KINDS['side_wall', 'plant'], action=PlantEdit(
+        lambda plant, choice: plant.contacts.put_before_tip(SIDE_WALL, -0.03)))
+    row = in_fork(world, wall, 1, 'approach')
+    assert 'obstacle pressed too hard' in row.problems
+    assert row.peak_force_n > MET_FORCE
+
+
 def test_run_is_long_enough_to_recover_in():
     """The longest fault and the recovery time fit into it."""
     assert RUN_TICKS >= 150 + 300 + 100
@@ -101,5 +149,8 @@ def test_obstacle_at_the_elbow_is_noticed_and_not_pressed_hard(plant, monkeypatc
     monkeypatch.setattr(CollisionWatch, 'cause', lambda self, found: '')
     row = in_fork(world, KINDS['elbow_obstacle', 'plant'], 1, 'sliding')
     assert not row.safe
+    assert 'obstacle not noticed' in row.problems
+    row = in_fork(world, KINDS['frozen', 'variance'], 1, 'sliding',
+                  KINDS['elbow_obstacle', 'plant'])
     assert 'obstacle not noticed' in row.problems
     world.close()
