@@ -21,11 +21,11 @@ def soak(
     """
     Let random commands and faults happen for hours, in process, and watch what must never be.
 
-    No torque may be beyond its limits, no force beyond the ceiling for long, nothing may change
-    its state more than twice a second, and after each fault all must be as commanded again, if
-    need be with an operator's help. Memory and force error are noted every minute. Writes
-    soak.json and soak.html. Ctrl-C keeps the soaks that are finished. Exit code 0: all was well;
-    1: it was not; 2: bad input; 130: interrupted.
+    No torque may be beyond its limits, no force beyond the ceiling for long, no force may
+    oscillate, nothing may change its state more than twice a second, and after each fault all
+    must be as commanded again, if need be with an operator's help. Memory and force error are
+    noted every minute. Writes soak.json and soak.html. Ctrl-C keeps the soaks that are finished.
+    Exit code 0: all was well; 1: it was not; 2: bad input; 130: interrupted.
     """
     with resumable(), errors_in_one_line():
         # Only now: what is heavy is not loaded for the sake of an error.

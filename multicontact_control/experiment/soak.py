@@ -7,20 +7,22 @@ commanded again; then the next one begins.
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Sequence
 import contextlib
 from dataclasses import dataclass, field
 from pathlib import Path
 import resource
 
-from multicontact_control.arrays import Vector
+from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.errors import CommandError
 from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.faults.fault import Fault, PlantEdit, PROCESS
 from multicontact_control.experiment.faults.in_process import advance_with, Occurrence
+from multicontact_control.experiment.faults.judge import MET_FORCE
 from multicontact_control.experiment.faults.vocabulary import faults_of
 from multicontact_control.experiment.metrics import torque_limit
+from multicontact_control.experiment.oscillation import oscillations, STRETCH, WINDOW
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.quintic import quintic
 from multicontact_control.sampling import MotionReading
@@ -31,7 +33,7 @@ LARGEST_FORCE = 25.0  # N, that is commanded
 RELEASED_SHARE = 0.1  # of the commands, that let a contact go
 REACH = 0.1  # m, of the motion to either side of the start
 FASTEST = 0.2  # m/s
-PAUSE = (0.2, 2.0)  # s, between an episode and the next
+PAUSE = (0.2, 3.0)  # s, between episodes; from 2 s on one alone shows an oscillation
 HOLD_TIME = (0.5, 3.0)  # s
 EPISODES = ('forces', 'motion', 'hold', 'fault', 'two faults')
 CHANCES = (0.35, 0.3, 0.05, 0.24, 0.06)
@@ -40,6 +42,7 @@ OFF = 0.15  # of the command, and 1 N: mean force error over 0.5 s that is as co
 FORCE_MARGIN, FORCE_TIME = 1.25, 0.1  # times the ceiling; s beyond that
 TOLERANCE = 1e-9  # of a torque's limit and rate
 MOST_REPORTED = 50  # problems that are described
+PROBLEMS = ('unsafe', 'alternating', 'oscillating', 'stuck')
 
 
 @dataclass
@@ -53,6 +56,8 @@ class Minute:
         Resident memory of the process.
     error_n
         Mean error of the true forces while nothing happens, NaN without such a time.
+    error_rms_n
+        Its rms, with all that averages out in the mean of a pause.
     changes_per_s
         Most changes of a state per second, over 5 s.
 
@@ -60,6 +65,7 @@ class Minute:
 
     memory_mb: float
     error_n: float
+    error_rms_n: float
     changes_per_s: float
 
 
@@ -77,15 +83,19 @@ class SoakOutcome:
     minutes
         What was seen in each.
     unsafe
-        Torques that are not finite or beyond limits, and forces beyond the ceiling for long.
+        Torques that are not finite or beyond limits, forces beyond the ceiling for long, and
+        more than 40 N on what is in the way, as faults are judged.
     alternating
         States that changed more than twice a second for 5 s.
+    oscillating
+        Forces that oscillated while nothing happened, as runs are judged (`oscillation`): in a
+        pause, or in up to seven in a row.
     stuck
         Episodes after which things were not as commanded, whatever the operator tried.
     helped
         How often the operator had to say that he wants what he had commanded.
     counts
-        Of the last three, also of what is not described.
+        Of all these problems, also of what is not described.
 
     """
 
@@ -94,6 +104,7 @@ class SoakOutcome:
     minutes: list[Minute] = field(default_factory=list)
     unsafe: list[str] = field(default_factory=list)
     alternating: list[str] = field(default_factory=list)
+    oscillating: list[str] = field(default_factory=list)
     stuck: list[str] = field(default_factory=list)
     helped: int = 0
     counts: Counter[str] = field(default_factory=Counter)
@@ -134,8 +145,12 @@ class Soak:
         self._wanted = dict.fromkeys(self._names, 0.0)
         self._target: Vector | None = None
         self._above = 0
+        self._obstructed = False
         self._fastest_change = 0.0
         self._quiet_errors: list[float] = []
+        self._quiet_squares: list[float] = []
+        # Of the last pauses, errors and what was wanted. Each has half a window or more left.
+        self._pauses: deque[tuple[Matrix, Vector]] = deque(maxlen=STRETCH)
         self._doing = 'start'
         self.outcome = SoakOutcome()
         self._last = self._loop.command.copy()
@@ -230,14 +245,35 @@ class Soak:
             self._advance()
             forces.append(self._loop.true_forces)
         wanted = np.array(list(self._wanted.values()))
-        error = np.abs(np.mean(forces, axis=0) - wanted)
+        errors = np.array(forces) - wanted
+        error = np.abs(errors.mean(axis=0))
         if quiet:
             self._quiet_errors += error[wanted > 0.0].tolist()
+            self._quiet_squares += (errors ** 2).mean(axis=0)[wanted > 0.0].tolist()
+            self._pauses.append((errors, wanted))
+            self._look_for_oscillations()
         states = self._loop.status.contact_states
         held = all(state == ContactState.HOLDING.value
                    for state, force in zip(states, wanted) if force > 0.0)
         return held and self._loop.status.reaction == 'none' and bool(
             (error <= np.maximum(1.0, OFF * wanted))[wanted > 0.0].all())
+
+    def _look_for_oscillations(self) -> None:
+        """Find out whether a force has oscillated in the last pauses, which are left then."""
+        half = round(0.5 * WINDOW * self._rate)
+        errors, wanted = [], []
+        for error, asked in self._pauses:
+            # As many half windows as there are, and one that keeps it apart from the next.
+            length = len(error) // half * half
+            errors += [error[:length], np.full((half, len(asked)), np.nan)]
+            wanted += [np.tile(asked, (length + half, 1))]
+        error, asked = np.concatenate(errors), np.concatenate(wanted)
+        for name, of_contact, command in zip(self._names, error.T, asked.T):
+            for found in oscillations(
+                    of_contact, command, np.ones(len(error), dtype=bool), self._rate):
+                self._pauses.clear()
+                self._report('oscillating', f'{name} at {found.frequency:.0f} Hz with '
+                             f'{found.rms:.2g} N rms')
 
     def _advance(self, faults: Sequence[Occurrence] = ()) -> None:
         """Take a tick, and look at what is never to happen."""
@@ -253,6 +289,10 @@ class Soak:
         self._above = self._above + 1 if loop.true_forces.max() > self._ceiling else 0
         if self._above == round(FORCE_TIME * self._rate):
             self._report('unsafe', f'{loop.true_forces.max():.0f} N for {FORCE_TIME:g} s')
+        met = float(loop.obstacle_forces.max(initial=0.0))
+        if met > MET_FORCE and not self._obstructed:
+            self._report('unsafe', f'{met:.0f} N on what is in the way')
+        self._obstructed = met > MET_FORCE
         outcome.simulated_s = loop.tick * self._period
         if loop.tick % round(self._rate) == 0:
             self._each_second()
@@ -267,8 +307,8 @@ class Soak:
             return
         self.outcome.minutes.append(Minute(
             resident_memory(), float(np.mean(self._quiet_errors or [np.nan])),
-            self._fastest_change))
-        self._quiet_errors, self._fastest_change = [], 0.0
+            float(np.sqrt(np.mean(self._quiet_squares or [np.nan]))), self._fastest_change))
+        self._quiet_errors, self._quiet_squares, self._fastest_change = [], [], 0.0
 
     def _report(self, what: str, text: str) -> None:
         self.outcome.counts[what] += 1

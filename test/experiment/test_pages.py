@@ -11,6 +11,7 @@ from multicontact_control.experiment.html_figure import figure, plot
 from multicontact_control.experiment.html_parts import write_page
 from multicontact_control.experiment.panels import COLOURS, MEASURED, Panel, Span, Trace, TRUE
 from multicontact_control.experiment.results import LoadedRun
+from multicontact_control.experiment.soak import PROBLEMS
 from multicontact_control.experiment.study.cache import JobCache
 from multicontact_control.experiment.study.execute import JobRun
 from multicontact_control.experiment.study.jobs import JobResult
@@ -299,8 +300,8 @@ def faults_page(folder):
 
 def soak_page(folder):
     soaks = [{'plant': 'rigid', 'seed': 3, 'simulated_s': 3600.0, 'episodes': {'faults': 7},
-              'helped': 0, 'counts': {}, 'unsafe': [], 'alternating': [], 'stuck': [],
-              'minutes': [{'memory_mb': 100.0, 'error_n': 0.1}] * 60}]
+              'helped': 0, 'counts': {}, **{problem: [] for problem in PROBLEMS},
+              'minutes': [{'memory_mb': 100.0, 'error_n': 0.1, 'error_rms_n': 0.2}] * 60}]
     return write_study_page(SoakStudy().page(soaks, folder), folder / 'soak')[-1]
 
 

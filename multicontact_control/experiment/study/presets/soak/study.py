@@ -10,6 +10,7 @@ from typing import Any
 
 from multicontact_control.errors import check_all, ConfigError
 from multicontact_control.experiment.scenario import plants_of
+from multicontact_control.experiment.soak import PROBLEMS
 from multicontact_control.experiment.study.execute import JobRun
 from multicontact_control.experiment.study.page import Page, Section
 from multicontact_control.experiment.study.presets.soak.jobs import run_soak_job, SoakJob
@@ -19,13 +20,13 @@ import numpy as np
 
 WARM_UP = 10  # minutes, before which memory is not looked at
 LARGEST_GROWTH = 2.0  # MB per simulated hour that is no leak
-LARGEST_DRIFT = 0.2  # N between the first and the last quarter's error at rest
+LARGEST_DRIFT = 0.2  # N between the first and the last quarter's error at rest, mean or rms
 COLUMNS = (
     Column('plant', number=False), Column('seed'), Column('hours'), Column('episodes'),
-    Column('helped'), Column('unsafe'), Column('alternating'), Column('stuck'),
+    Column('helped'), *map(Column, PROBLEMS),
     Column('memory [MB/h]'), Column('error at rest [N]: first quarter'), Column('last'),
-    Column('good', number=False))
-GOOD = 11  # place of that column
+    Column('rms'), Column('last'), Column('good', number=False))
+GOOD = 14  # place of that column
 
 
 @dataclass(frozen=True)
@@ -89,7 +90,7 @@ class SoakStudy(Study[SoakJob, list[dict[str, Any]]]):
         """Return a line for each soak, and all that should not have happened."""
         problems = [
             f'{what}: {soak["plant"]}, seed {soak["seed"]}, {text}' for soak in content
-            for what in ('unsafe', 'alternating', 'stuck') for text in soak[what]]
+            for what in PROBLEMS for text in soak[what]]
         kinds = sum((Counter(soak['episodes']) for soak in content), Counter())
         hours = sum(soak['simulated_s'] for soak in content) / 3600.0
         return Page(
@@ -106,10 +107,11 @@ def memory_growth(minutes: Sequence[Mapping[str, Any]]) -> float | None:
     return float(np.polyfit(np.arange(len(memory)) / 60.0, memory, 1)[0])
 
 
-def errors_at_rest(minutes: Sequence[Mapping[str, Any]]) -> tuple[float, float]:
-    """Return the mean force error at rest in the first and in the last quarter [N]."""
-    errors = np.array([np.nan if minute['error_n'] is None else minute['error_n']
-                       for minute in minutes])
+def errors_at_rest(
+    minutes: Sequence[Mapping[str, Any]], name: str = 'error_n',
+) -> tuple[float, float]:
+    """Return the force error at rest, a field of `Minute`, in the first and last quarter [N]."""
+    errors = np.array([np.nan if minute[name] is None else minute[name] for minute in minutes])
     quarter = max(len(errors) // 4, 1)
     return tuple(float(np.nanmean(part)) if np.isfinite(part).any() else np.nan
                  for part in (errors[:quarter], errors[-quarter:]))  # type: ignore[return-value]
@@ -118,22 +120,23 @@ def errors_at_rest(minutes: Sequence[Mapping[str, Any]]) -> tuple[float, float]:
 def is_good(soak: Mapping[str, Any]) -> bool:
     """Return whether nothing happened in a soak that should not have."""
     growth = memory_growth(soak['minutes'])
-    first, last = errors_at_rest(soak['minutes'])
-    return not soak['counts'] and (growth is None or growth <= LARGEST_GROWTH) and not (
-        abs(last - first) > LARGEST_DRIFT)
+    errors = [errors_at_rest(soak['minutes'], name) for name in ('error_n', 'error_rms_n')]
+    return not soak['counts'] and (growth is None or growth <= LARGEST_GROWTH) and not any(
+        abs(last - first) > LARGEST_DRIFT for first, last in errors)
 
 
 def _listing(content: Sequence[Mapping[str, Any]]) -> Listing:
     lines = []
     for soak in content:
         growth = memory_growth(soak['minutes'])
-        first, last = errors_at_rest(soak['minutes'])
+        errors = (*errors_at_rest(soak['minutes']),
+                  *errors_at_rest(soak['minutes'], 'error_rms_n'))
         counts = soak['counts']
         good = is_good(soak)
         lines.append(Line([
             soak['plant'], str(soak['seed']), f'{soak["simulated_s"] / 3600.0:.2f}',
             str(sum(soak['episodes'].values())), str(soak['helped']),
-            *(str(counts.get(name, 0)) for name in ('unsafe', 'alternating', 'stuck')),
-            '-' if growth is None else f'{growth:.2f}', f'{first:.3f}', f'{last:.3f}',
+            *(str(counts.get(name, 0)) for name in PROBLEMS),
+            '-' if growth is None else f'{growth:.2f}', *(f'{error:.3f}' for error in errors),
             'yes' if good else 'no'], good))
     return Listing(COLUMNS, lines, verdict=GOOD)

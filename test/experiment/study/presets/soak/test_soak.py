@@ -1,7 +1,9 @@
 """Soaks: what they find, and that a quarter of an hour on each plant finds nothing."""
 
 from multicontact_control.errors import ConfigError
+from multicontact_control.experiment.faults.judge import MET_FORCE
 from multicontact_control.experiment.faults.situation import with_obstacles
+from multicontact_control.experiment.faults.vocabulary import SIDE_WALL
 from multicontact_control.experiment.soak import Soak
 from multicontact_control.experiment.study.presets.soak.study import (
     is_good,
@@ -9,6 +11,7 @@ from multicontact_control.experiment.study.presets.soak.study import (
     SoakStudy,
 )
 from multicontact_control.experiment.study.study import run_study, StudyOptions
+import numpy as np
 import pytest
 
 
@@ -23,7 +26,9 @@ def test_half_a_minute_finds_nothing_and_does_something(soak):
     outcome = soak.run(30.0)
     assert outcome.simulated_s >= 30.0
     assert sum(outcome.episodes.values()) >= 5
-    assert (outcome.unsafe, outcome.alternating, outcome.stuck) == ([], [], [])
+    assert not outcome.counts
+    assert (outcome.unsafe, outcome.alternating, outcome.oscillating, outcome.stuck) == (
+        [], [], [], [])
 
 
 def test_same_seed_same_soak():
@@ -52,15 +57,53 @@ def test_torque_beyond_its_limit_is_unsafe(soak, monkeypatch):
     assert 'beyond the limit' in soak.outcome.unsafe[0]
 
 
+@pytest.mark.parametrize('pauses', [[3.0], [1.2] * 5])
+def test_force_that_oscillates_about_its_command_is_reported(soak, pauses):
+    """Its mean is the command: a stretch of 2 s is seen in one pause, and over some."""
+    soak._command_forces()
+    soak._settle()
+    assert soak._wait(3.0, quiet=True)
+    assert soak.outcome.oscillating == []
+    calm = soak._quiet_squares[-1]
+    contacts, advance = soak._loop.plant.contacts, soak._advance
+
+    def shaken(faults=()):
+        advance(faults)
+        # The table swings by 0.3 mm, as fast as a limit cycle: too fast for the law to follow.
+        time = soak._loop.tick * soak._period
+        contacts.shift(0, 3e-4 * (np.sin(200.0 * time) - np.sin(200.0 * (time - soak._period))))
+    soak._advance = shaken
+    for pause in pauses:
+        assert soak._wait(pause, quiet=True)  # by its mean all is as commanded
+    assert soak.outcome.counts['oscillating'] == len(soak.outcome.oscillating) >= 1
+    assert 'table at 32 Hz' in soak.outcome.oscillating[0]
+    assert max(soak._quiet_squares) > max(0.3 ** 2, 4.0 * calm)
+    assert not is_good({**vars(soak.outcome), 'minutes': []})
+
+
+def test_obstacle_that_is_pressed_hard_is_unsafe_once(soak):
+    """No contact is beyond its ceiling then: only what is in the way says so."""
+    soak._command_forces()
+    soak._settle()
+    contacts = soak._loop.plant.contacts
+    contacts.put_before_tip(SIDE_WALL, -0.03)
+    for _ in range(3):
+        soak._advance()
+    assert soak._loop.obstacle_forces.max() > MET_FORCE
+    assert len(soak.outcome.unsafe) == 1
+    assert 'in the way' in soak.outcome.unsafe[0]
+
+
 def test_leak_and_drift_are_no_good():
-    def outcome(slope, last):
+    def outcome(slope, last, rms=0.2):
         return {'counts': {}, 'minutes': [
-            {'memory_mb': 100.0 + slope * k / 60.0, 'error_n': 0.1 if k < 40 else last}
-            for k in range(60)]}
+            {'memory_mb': 100.0 + slope * k / 60.0, 'error_n': 0.1 if k < 40 else last,
+             'error_rms_n': 0.2 if k < 40 else rms} for k in range(60)]}
     assert memory_growth(outcome(3.0, 0.1)['minutes']) == pytest.approx(3.0)
     assert is_good(outcome(1.0, 0.1))
     assert not is_good(outcome(3.0, 0.1))
     assert not is_good(outcome(0.0, 0.5))
+    assert not is_good(outcome(0.0, 0.1, rms=0.5))
     assert not is_good({**outcome(0.0, 0.1), 'counts': {'stuck': 1}})
 
 
