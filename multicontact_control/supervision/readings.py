@@ -268,7 +268,10 @@ def check_contents(watch: Any, joints: Any, variances: Any) -> None:
         settings.period, watch.arrival.stamp, memory.valid, watch.verdict.problem)
     memory.blind_ticks += 1
     if problem[JOINTS] == FINE:
-        elapsed = h if np.isnan(valid[JOINTS]) else stamp[JOINTS] - valid[JOINTS]
+        # Before a clock went wrong its stamps say nothing: ticks do.
+        elapsed = stamp[JOINTS] - valid[JOINTS]
+        if np.isnan(elapsed):
+            elapsed = h * memory.blind_ticks
         problem[JOINTS] = check_joints(joints, elapsed, memory, settings)
         if problem[JOINTS] == FINE:
             valid[JOINTS] = stamp[JOINTS]

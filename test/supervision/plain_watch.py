@@ -201,7 +201,7 @@ class PlainWatchdog:
         if origin is None:
             return False
         valid, h = self._stamps['joints'], self._h
-        elapsed = h if self._distrust or valid is None else stamp - valid
+        elapsed = h if self._distrust else self._blind * h if valid is None else stamp - valid
         change = q - origin[0] - 0.5 * (qd + origin[1]) * min(elapsed, LONGEST)
         return bool(np.abs(change).max() > self._watch.position_jump * max(1.0, elapsed / h / 5.0))
 

@@ -170,6 +170,21 @@ def test_declared_reaction_comes_in_time_and_goes_without_a_jump(name):
     assert (np.abs(np.diff(torques[1:], axis=0)) / LIMIT).max() < 0.03
 
 
+def test_arm_that_has_moved_while_the_clock_was_set_back_is_seen_again():
+    """It has moved no faster than its speeds say; how old its last posture is, is not known."""
+    supervisor = make()
+    for k in range(50):
+        supervisor.step(good(k))
+    for k in range(50, 110):
+        moving = good(k, q=HOME + 0.25 * (k - 49) * H, qd=np.full(6, 0.25))
+        supervisor.step(moving._replace(time=k * H - 0.05))
+    away = HOME + 0.25 * 60 * H
+    found = [supervisor.step(good(k, q=away)).status for k in range(110, 210)]
+    assert found[0].reaction == 'float'
+    assert found[-1].reaction == 'none'
+    assert 'joints_jump' not in found[-1].causes
+
+
 def test_single_bad_sample_is_bridged():
     supervisor = make()
     for k in range(60):
