@@ -11,7 +11,7 @@ import yaml
 
 RATE = 125.0
 JOINTS = tuple(f'j{i}' for i in range(7))
-COMMAND, AT, MADE = 10.0, 1.0, 1.5  # N, s, s
+COMMAND, PRELOAD, AT, MADE = 10.0, 2.0, 1.0, 1.5  # N, N, s, s
 START = 1_700_000_000_000_000_000  # ns
 ANSWERS = (topics.EFFORT_COMMAND, topics.MEASURED_FORCES)
 TOPICS = (
@@ -26,8 +26,9 @@ def rows(seconds, seed=0):
     for k in range(round(seconds * RATE)):
         t = k / RATE
         stamp = START + round(t * 1e9)
-        wanted = 0.0 if t < MADE - 0.1 else 2.0 if t < MADE else COMMAND
-        force = COMMAND * (1.0 - np.exp(-max(t - MADE, 0.0) / 0.05)) if t >= MADE else wanted
+        wanted = 0.0 if t < MADE - 0.1 else PRELOAD if t < MADE else COMMAND
+        way = np.exp(-max(t - MADE, 0.0) / 0.05)  # that is left, from the preload
+        force = COMMAND - (COMMAND - PRELOAD) * way if t >= MADE else wanted
         seen = force + 0.05 * random.normal()
 
         def named(value, stamp=stamp, **more):

@@ -8,12 +8,15 @@ from typing import Any
 
 from multicontact_control.arrays import Mask, Vector
 from multicontact_control.config import ForceConfig
+from multicontact_control.experiment.judge import HELD
 from multicontact_control.experiment.metrics import (
     force_error,
     lost_share,
     mean_in,
     median_in,
+    motion_start,
     motion_summary,
+    next_event,
     rms_in,
     SETTLE_AFTER_START,
     step_responses,
@@ -67,7 +70,7 @@ def evidence_of(data: RunData, setup: Setup, summary: Mapping[str, Any]) -> dict
         What `summarise` says of it.
 
     """
-    start = _motion_start(setup)
+    start = motion_start(setup)
     return {
         'scenario': setup.scenario.name, 'plant': setup.plant_name, 'seed': setup.seed,
         'drives': setup.plant.drives, 'estimator': setup.noise_estimator.estimator,
@@ -76,7 +79,9 @@ def evidence_of(data: RunData, setup: Setup, summary: Mapping[str, Any]) -> dict
         'input_delay_s': setup.controller.force.input_delay,
         'designed_rise_s': designed_rise(setup.controller.force),
         **{name: summary[name] for name in (
-            'stable', 'verdict', 'instabilities', 'unstable_at_s', 'kept_real_time')},
+            'verdict', 'instabilities', 'unjudged', 'unstable_at_s', 'kept_real_time')},
+        # What the supervisor holds tells nothing of what the law alone would do.
+        'stable': None if summary['verdict'] == HELD else summary['stable'],
         'unstable_after_motion_s': _after_motion(setup, summary['unstable_at_s']),
         'ran_in_motion': float(data.time[-1]) > start + SETTLE_AFTER_START,
         # The paper speaks of normal forces; couples may well be 0, or of either sign.
@@ -85,13 +90,8 @@ def evidence_of(data: RunData, setup: Setup, summary: Mapping[str, Any]) -> dict
         'motion': motion_summary(data, setup), 'torque': torque_summary(data, setup)}
 
 
-def _motion_start(setup: Setup) -> float:
-    motion = setup.scenario.reference.motion
-    return motion.start_time if motion else math.inf
-
-
 def _after_motion(setup: Setup, unstable_at: float | None) -> float | None:
-    start = _motion_start(setup)
+    start = motion_start(setup)
     return None if unstable_at is None or start == math.inf else unstable_at - start
 
 
@@ -102,7 +102,7 @@ def _contact_evidence(data: RunData, setup: Setup, i: int) -> dict[str, Any]:
     steps = [step for step in step_responses(data, setup, i) if step.size > 0.0]
     ratios = [setup.plant.stiffness_of(column.name) / column.stiffness
               for column in setup.controller.columns if column.leader == i]
-    start = _motion_start(setup)
+    start = motion_start(setup)
     return {
         'stiffness_ratio': max(ratios, key=lambda ratio: abs(ratio - 1.0)),
         'variance_rest_n2': median_in(rest, variance),
@@ -122,7 +122,7 @@ def _contact_evidence(data: RunData, setup: Setup, i: int) -> dict[str, Any]:
 
 def _pushed_at_rest(data: RunData, setup: Setup) -> Mask:
     """Return the samples of the pushes at rest and of 0.5 s after each."""
-    until = _motion_start(setup)
+    until = motion_start(setup)
     mask = np.zeros(data.ticks, dtype=bool)
     for start, duration in _pushes(setup):
         if start < until:
@@ -212,7 +212,7 @@ def recoveries(
     for start, duration in _pushes(setup):
         lasting = duration >= LASTING
         from_time = start if lasting else start + duration
-        until = min(_next_event(setup, start), last + 1.0 / data.rate,
+        until = min(next_event(setup, start), last + 1.0 / data.rate,
                     start + duration if lasting else math.inf)
         before = _between(data.time, start - LOOK_BACK, start)
         judged = _between(data.time, from_time, until)
@@ -224,7 +224,7 @@ def recoveries(
         # The end of a run that ended before its time takes no recovery back.
         lost = unstable_at is not None and unstable_at < min(until, last)
         found.append({
-            'start': start, 'duration': duration, 'moving': start >= _motion_start(setup),
+            'start': start, 'duration': duration, 'moving': start >= motion_start(setup),
             'peak': float(np.nanmax(np.abs(error[_between(data.time, start, until)]))),
             'band': band, 'recovery': None if after is None or lost else after / data.rate})
     return found
@@ -232,13 +232,6 @@ def recoveries(
 
 def _between(time: Vector, start: float, end: float) -> Mask:
     return (time >= start - 1e-9) & (time < end - 1e-9)
-
-
-def _next_event(setup: Setup, time: float) -> float:
-    """Return when the next push, force step or motion begins."""
-    events = [*setup.plant.push_start, _motion_start(setup),
-              *(step.time for step in setup.scenario.reference.force_steps)]
-    return min((event for event in events if event > time + 1e-9), default=math.inf)
 
 
 def _settled(inside: Mask, held: int) -> int | None:

@@ -153,8 +153,10 @@ def _rises(evidence: Evidence, rows: Rows) -> Verdict:
     rises = {name: contact['rises_s'] for name, contact in evidence['contacts'].items()}
     if not any(rises.values()):
         return _unknown('the run has no force step at rest')
-    holds = all(rise is not None and abs(rise / wanted - 1.0) <= RISE_TOLERANCE
-                for answers in rises.values() for rise in answers)
+    found = [rise for answers in rises.values() for rise in answers]
+    if evidence['stable'] is None and None in found:  # which may have come later
+        return _unknown(verdict_text(evidence))
+    holds = all(rise is not None and abs(rise / wanted - 1.0) <= RISE_TOLERANCE for rise in found)
     text = '; '.join(
         f'{name} ' + ', '.join('never' if rise is None else f'{1e3 * rise:.0f}'
                                for rise in answers) + ' ms' for name, answers in rises.items())
@@ -165,7 +167,8 @@ def _rises(evidence: Evidence, rows: Rows) -> Verdict:
 
 def _start_disturbs(evidence: Evidence, rows: Rows) -> Verdict:
     contacts = evidence['contacts'].values()
-    if any(c['start_peak_n'] is None or c['rest_std_n'] is None for c in contacts):
+    if not evidence['ran_in_motion'] or any(
+            c['start_peak_n'] is None or c['rest_std_n'] is None for c in contacts):
         return _unknown('the run has no start of motion after a stretch at rest')
     holds = all(c['start_peak_n'] > START_FACTOR * c['rest_std_n'] for c in contacts)
     return (f"largest error {_each(evidence, 'start_peak_n', 1, 'N')} in the first 2 s, against "
@@ -196,9 +199,11 @@ def _moving(evidence: Evidence, rows: Rows) -> Verdict:
 def _online(evidence: Evidence, rows: Rows) -> Verdict:
     if evidence['estimator'] != PAPER_ESTIMATOR:
         return _unknown(f'R came from `{evidence["estimator"]}`')
+    if evidence['stable'] is None:
+        return _unknown(verdict_text(evidence))
     if not evidence['ran_in_motion'] and evidence['stable']:
         return _unknown('the run has no motion')
-    if evidence['stable'] is not False and evidence.get('kept_real_time') is False:
+    if evidence['stable'] and evidence.get('kept_real_time') is False:
         return _unknown(verdict_text(evidence))
     if evidence['stable']:
         return 'stable at rest and in motion', True, 'no limit of the verdict `stable` was passed'
@@ -213,7 +218,7 @@ def _unstable_text(evidence: Evidence) -> str:
 
 
 def _tracking(evidence: Evidence, rows: Rows) -> Verdict:
-    position = evidence['motion']['position_rms_m']
+    position = evidence['motion'].get('moving_position_rms_m')  # not in older files
     turn = evidence['motion']['orientation_max_rad']
     if position is None or not evidence['ran_in_motion']:
         return _unknown('the run has no motion')
@@ -266,7 +271,9 @@ def _fixed(evidence: Evidence, rows: Rows) -> Verdict:
     judged = [entry for entry in judged if entry['stable'] is not None and (
         entry['ran_in_motion'] or not entry['stable'])]
     if not judged:
-        return _unknown('needs runs with the estimator `fixed` in motion')
+        known = evidence['estimator'] != FIXED or evidence['stable'] is not None
+        return _unknown('needs runs with the estimator `fixed` in motion' if known else
+                        verdict_text(evidence))
     in_motion = [entry['unstable_after_motion_s'] for entry in judged
                  if not entry['stable'] and (entry['unstable_after_motion_s'] or -1.0) >= 0.0]
     holds = len(in_motion) == len(judged)
@@ -329,7 +336,7 @@ def _maybeck(evidence: Evidence, rows: Rows) -> Verdict:
     other = _reaction(judged)
     if lead is None or other is None:
         return _unknown(f'needs cells of `{PAPER_ESTIMATOR}` and `{MAYBECK}`')
-    unstable = sum(not row.evidence['stable'] for row in judged)
+    unstable = sum(row.evidence['stable'] is False for row in judged)
     return (f'pushes at rest lift R to {other:.1f} times its value at rest, against {lead:.1f} '
             f'times with the filter; unstable in {unstable} of {len(judged)} runs',
             other >= SENSITIVE_FACTOR * lead,

@@ -20,6 +20,7 @@ from multicontact_control.experiment.judge import (
     UNJUDGED,
     verdict_text,
 )
+from multicontact_control.experiment.metrics import truth_lacking
 from multicontact_control.experiment.results import (
     BAG_FOLDER,
     FIGURE_FOLDER,
@@ -130,7 +131,8 @@ def headline(summary: Mapping[str, Any]) -> str:
     else:
         text = (f'{scenario}, plant {summary["plant"]}, {estimator}, seed {summary["seed"]}, '
                 f'{summary["mode"]}')
-    return text + ('' if summary['truth'] else ', no ground truth: forces as measured')
+    unknown = truth_lacking(summary['without_truth'], summary['contacts'])
+    return text + (f', {unknown}: forces as measured' if unknown else '')
 
 
 def summary_table(summary: Mapping[str, Any]) -> Table:
@@ -143,15 +145,19 @@ def summary_table(summary: Mapping[str, Any]) -> Table:
     for key, label, digits in (('step_rise_63_s', 'step rise 63 % [s]', 3),
                                ('step_overshoot_percent', 'overshoot [%]', 0)):
         table.add_row(escape(label), *(_number(c[key], digits) for c in contacts))
+    without = summary['without_truth']
+    left_out = {'true_error_rms_n'} if len(without) == len(contacts) else set()
+    left_out |= set() if without else {'measured_error_rms_n'}
     for window in ('rest', 'moving'):
         for key, label, digits in (
-                ('true_error_rms_n', 'true error rms [N]', 2) if summary['truth'] else
+                ('true_error_rms_n', 'true error rms [N]', 2),
                 ('measured_error_rms_n', 'measured error rms [N]', 2),
                 ('estimate_error_rms_n', 'estimate error rms [N]', 2),
                 ('noise_variance_median_n2', 'noise variance [N²]', 2),
                 ('contact_loss_fraction', 'contact lost [share]', 4)):
-            values = [_number(contact[window][key], digits) for contact in contacts]
-            table.add_row(escape(f'{window}: {label}'), *values)
+            if key not in left_out:
+                values = [_number(contact[window][key], digits) for contact in contacts]
+                table.add_row(escape(f'{window}: {label}'), *values)
     return table
 
 
@@ -159,7 +165,7 @@ def verdict_lines(summary: Mapping[str, Any], folder: object) -> list[str]:
     """Return what is said below the table: verdict, warnings, where the results are."""
     motion, torque, timing = summary['motion'], summary['torque'], summary['timing']
     lines = [
-        f"motion error {_number(motion['position_rms_m'], 5)} m rms, "
+        f"motion error {_number(motion['moving_position_rms_m'], 5)} m rms, "
         f"{_number(motion['orientation_max_rad'], 4)} rad at most; torque at most "
         f"{_percent(torque['max_fraction_of_limit'])} of its limit"]
     text = verdict_text(summary)

@@ -13,7 +13,15 @@ from matplotlib.figure import Figure
 from multicontact_control.arrays import Vector
 from multicontact_control.experiment.html_figure import figure, plot
 from multicontact_control.experiment.judge import STABLE
-from multicontact_control.experiment.metrics import judged_windows, step_responses
+from multicontact_control.experiment.metrics import (
+    has_truth,
+    judged_force,
+    judged_windows,
+    NO_TRUTH,
+    step_responses,
+    truth_lacking,
+    without_truth,
+)
 from multicontact_control.experiment.oscillation import stretches
 from multicontact_control.experiment.panels import (
     COLOURS,
@@ -36,7 +44,6 @@ matplotlib.use('Agg')
 TITLE_WIDTH = 110  # characters of the second line that fit
 STEP_SHOWN = (0.05, 0.35)  # s before and after a step
 LEGIBLE = {'facecolor': 'white', 'alpha': 0.8, 'edgecolor': 'none', 'pad': 1.0}  # over bars
-NO_TRUTH = 'no ground truth'
 PAPER_VARIANCE = ((0.6, 'paper, at rest'), (100.0, 'paper, moving'))  # N^2
 
 
@@ -53,7 +60,7 @@ class RunFigure(NamedTuple):
 
 def run_figures(data: RunData, setup: Setup) -> list[RunFigure]:
     """Return the figures of a run: 3 and 4 for each contact, 5, 6, and the stiffness found."""
-    forces = [_force(data, i) for i in range(len(data.contact_names))]
+    forces = [_force(data, i, truth) for i, truth in enumerate(has_truth(data, setup))]
     figures = [*forces, _motion(data, setup), _noise_variance(data), _stiffness(data)]
     return [known for drawn in figures if (known := _known(drawn)) is not None]
 
@@ -69,7 +76,7 @@ def _known_traces(panel: Panel) -> Panel:
     return panel._replace(traces=[x for x in panel.traces if np.isfinite(x.values).any()])
 
 
-def _force(data: RunData, i: int) -> RunFigure:
+def _force(data: RunData, i: int, truth: bool) -> RunFigure:
     """Measured and estimated force of one contact (P04 Figs 3, 4)."""
     name, desired, seen = data.contact_names[i], data.alpha_des[:, i], data.alpha_meas[:, i]
     measured = Trace('measured', seen)
@@ -77,7 +84,7 @@ def _force(data: RunData, i: int) -> RunFigure:
     estimated = Trace('estimated (AOB)', data.alpha_est[:, i], ESTIMATED)
     commanded = Trace('commanded', desired, COMMANDED, 1.0, dashed=True)
     limits = _force_limits([(data, i)])
-    label = 'force [N]' if data.has_truth else f'force [N], {NO_TRUTH}'
+    label = 'force [N]' if truth else f'force [N], {NO_TRUTH}'
     return RunFigure(
         file_name(f'fig{3 + i if i < 2 else f"3_{i + 1}"}_force_{name}'),
         f'Contact force {name}',
@@ -183,8 +190,9 @@ def draw_figures(
 
     """
     title = run_title(setup)
-    if not data.has_truth:
-        title += f', {NO_TRUTH}: errors are of the measured forces'
+    unknown = truth_lacking(without_truth(data, setup), data.contact_names)
+    if unknown:
+        title += f', {unknown}: errors are of the measured forces'
     if verdict != STABLE:
         title += '\n' + shorten(verdict, TITLE_WIDTH, placeholder=' ...')
     folder.mkdir(parents=True, exist_ok=True)
@@ -224,11 +232,12 @@ def draw_side_by_side(
     grid = sheet.subplots(count + 1, len(runs), squeeze=False, sharey='row')
     for column, (label, data, setup) in enumerate(runs):
         grid[0, column].set_title(label, fontsize=11)
+        truth, forces = has_truth(data, setup), judged_force(data, setup)
         for contact, name in enumerate(data.contact_names):
             axes = grid[contact, column]
             axes.plot(data.time, data.alpha_meas[:, contact], color=MEASURED, linewidth=0.4,
                       label='measured')
-            if data.has_truth:
+            if truth[contact]:
                 axes.plot(data.time, data.alpha_true[:, contact], color=TRUE, linewidth=0.3,
                           alpha=0.6, label='true')
             axes.plot(data.time, data.alpha_des[:, contact], '--', color=COMMANDED,
@@ -239,9 +248,9 @@ def draw_side_by_side(
                     for step in step_responses(data, setup, contact)), default=0.0)
         shown = (data.time >= last - STEP_SHOWN[0]) & (data.time < last + STEP_SHOWN[1])
         for contact, name in enumerate(data.contact_names):
-            axes.plot(1e3 * (data.time[shown] - last), data.judged_force[shown, contact],
+            axes.plot(1e3 * (data.time[shown] - last), forces[shown, contact],
                       color=COLOURS[contact % len(COLOURS)], linewidth=1.2,
-                      label=f'{name}, {"true" if data.has_truth else "measured"}')
+                      label=f'{name}, {"true" if truth[contact] else "measured"}')
         for desired in data.alpha_des[shown].T[:1]:
             axes.plot(1e3 * (data.time[shown] - last), desired, '--', color=COMMANDED,
                       linewidth=1.0, label='commanded')

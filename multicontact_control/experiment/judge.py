@@ -5,11 +5,12 @@ What a run is called: against what the scenario asked for, with what help, on wh
 which the supervisor had to step in again and again: bounds that are kept because something else
 than the control law keeps them are no sign of stability. *Not judged* is one that missed so many
 of its deadlines that the loop had another delay than its own: what came of that cannot be told
-from what the arm did; and one in which the arm answers for less than half of the time under load,
-if nothing speaks against it. All others are *stable*.
+from what the arm did; and, if nothing speaks against it, one that was interrupted, or never under
+load, or in which the arm answers or a force is known for less than half of the time under load.
+All others are *stable*.
 
-Where nobody knows the true forces, as on a robot, all this is judged by those measured, and says
-so; but a sensor does not vouch for itself: what would be stable is *not judged* then.
+Where nobody knows the true force of a contact, as on a robot, all this is judged by that measured,
+and says so; but a sensor does not vouch for itself: what would be stable is *not judged* then.
 """
 
 from __future__ import annotations
@@ -24,11 +25,18 @@ from multicontact_control.experiment.metrics import (
     commanded,
     force_oscillations,
     is_couple,
+    judged_force,
     judged_windows,
+    known_share,
+    least_torque_limit,
     losses,
     pressing,
     saturation,
     SETTLE_AFTER_STEP,
+    torque_limit,
+    truth_lacking,
+    under_load,
+    without_truth,
 )
 from multicontact_control.experiment.oscillation import stretches
 from multicontact_control.experiment.recording import RunData
@@ -41,13 +49,15 @@ import numpy as np
 
 STABLE, HELD, NOT_STABLE, UNJUDGED = (
     'stable', 'held by the supervisor', 'not stable', 'not judged')
-UNJUDGED_TEXT = 'not judged: the machine could not keep real time'
+# Why a run is not judged.
+BUSY = 'the machine could not keep real time'
+INTERRUPTED = 'interrupted by a signal'  # that somebody sent: no failure of the run
+UNLOADED = 'never under load'
+UNFELT = 'neither true nor measured forces'
 # Of a run without ground truth, after what else is said of it.
 BY_MEASUREMENT = 'by the measured forces'
-UNTRUE_TEXT = f'not judged: no ground truth; {BY_MEASUREMENT} no limit was passed'
-UNFELT_TEXT = 'not judged: neither true nor measured forces'
 # Of one whose machine was too busy for it: what went wrong with the samples is not judged.
-AS_FAR_AS_KNOWN = 'stable as far as it could be judged: the machine could not keep real time'
+AS_FAR_AS_KNOWN = f'stable as far as it could be judged: {BUSY}'
 
 LONGEST_LOSS = 0.1  # s, of contact or to saturation: five time constants of the designed loop
 LARGEST_GAP = 0.1  # share of samples without an answer that still lets a run be judged
@@ -75,7 +85,9 @@ EXTERNAL_RUN, RECORDED = 'external', 'recorded'  # on a robot of others; what an
 WITH_DEADLINES = (REAL_TIME, EXTERNAL_RUN, RECORDED)
 HOPELESS = 0.1  # share of the deadlines missed, from which on a run is not judged
 LARGEST_MISS = 0.01  # share of deadlines missed, or samples unanswered, that is still real time
-LEAST_JUDGED = 0.5  # share of the time under load, that the arm answers for in a run called stable
+# Share of the time under load, that the arm answers for and every force is known for in a run
+# called stable.
+LEAST_JUDGED = 0.5
 SHORTEST_GAP = 2  # samples; one that is missing is bridged, and nobody reacts to it
 AFTERMATH = SETTLE_AFTER_STEP  # s after a gap; contacts are sought and loaded anew, as by a step
 LATE = ('stale', 'order', 'stamp', 'late')  # what is wrong with a sample that is late
@@ -96,9 +108,10 @@ class Verdict:
 
     name: str  # `STABLE`, `HELD`, `NOT_STABLE` or `UNJUDGED`
     reasons: tuple[str, ...]  # of a run that is not judged, what was seen all the same
-    unstable_at: float | None  # when the first limit was passed [s], if one was that has a time
+    unstable_at: float | None  # of `findings` alone: the first that has a time [s], if any
     timeliness: Timeliness
     judged_share: float  # of the time under load, that the arm answers for
+    unjudged: str = ''  # why it is not judged, if it is not
 
 
 @dataclass(frozen=True)
@@ -121,14 +134,12 @@ def verdict_text(summary: Mapping[str, Any]) -> str:
     # In a file from before verdicts had names there is none.
     name: str = summary.get('verdict', STABLE if summary['stable'] else NOT_STABLE)
     forces = summary.get('forces', TRUE)
-    if forces != TRUE and name == UNJUDGED and not summary['instabilities']:
-        return UNTRUE_TEXT if forces == MEASURED else UNFELT_TEXT
     if forces != TRUE and name != UNJUDGED and summary['instabilities'] != [
             summary.get('ended_early')]:
         return f"{name} {BY_MEASUREMENT}: {'; '.join(summary['instabilities'])}"
     if name == UNJUDGED:
-        return '; seen: '.join([UNJUDGED_TEXT, *(
-            ['; '.join(summary['instabilities'])] if summary['instabilities'] else [])])
+        seen = '; '.join(summary['instabilities'])
+        return f"{name}: {summary.get('unjudged') or BUSY}" + (f'; seen: {seen}' if seen else '')
     if name != STABLE:
         return f"{name}: {'; '.join(summary['instabilities'])}"
     text = AS_FAR_AS_KNOWN if summary.get('kept_real_time') is False else STABLE
@@ -156,7 +167,7 @@ def judge(
     the arm did. Numbers that are not finite, and contacts that were never made, count all the
     same. Where more than a tenth of the deadlines were missed, only the first of these does, and
     the run is not judged: commands that come late leave no gap, and act as another delay. What
-    would be stable is not judged either where less than half of the time under load counts.
+    would be stable is not judged either if too little of it is known (`_doubt`).
 
     Parameters
     ----------
@@ -165,7 +176,7 @@ def judge(
     mode, timing
         As in ``summary.json``.
     ended_early
-        Why it ended before its time, if it did.
+        Why it ended before its time, if it did; `INTERRUPTED` speaks neither for nor against it.
     events
         What the supervisor did, if there was one.
 
@@ -177,16 +188,38 @@ def judge(
         found.append(Finding(f'{100.0 * missing:.1f} % of the samples were not answered'))
     helped = interventions(data, setup, events, timely.judged)
     name = NOT_STABLE if found else HELD if helped else STABLE
-    if timely.hopeless and not any(finding.always for finding in found):
-        name = UNJUDGED
     loaded = judged_windows(data, setup).loaded
     share = float(timely.judged[loaded].mean()) if loaded.any() else 1.0
-    if name == STABLE and (share < LEAST_JUDGED or not data.has_truth):
-        name = UNJUDGED
-    found += helped
+    unjudged = ''
+    if timely.hopeless and not any(finding.always for finding in found):
+        unjudged = BUSY
+    elif name == STABLE:
+        unjudged = _doubt(data, setup, timely.judged, share, ended_early)
     times = [finding.time for finding in found if finding.time is not None]
     return Verdict(
-        name, tuple(finding.text for finding in found), min(times, default=None), timely, share)
+        UNJUDGED if unjudged else name, tuple(finding.text for finding in found + helped),
+        min(times, default=None), timely, share, unjudged)
+
+
+def _doubt(data: RunData, setup: Setup, judged: Mask, share: float, ended_early: str) -> str:
+    """Return why a run that nothing speaks against is not called stable; empty if it is."""
+    forces = judged_force(data, setup)
+    if ended_early == INTERRUPTED:
+        return INTERRUPTED
+    if not np.isfinite(forces).any():
+        return UNFELT
+    if not judged_windows(data, setup).loaded.any():
+        return UNLOADED
+    if share < LEAST_JUDGED:
+        return BUSY
+    for contact, name in enumerate(data.contact_names):
+        felt = known_share(
+            data, np.where(judged, forces[:, contact], np.nan), under_load(data, setup, contact))
+        if felt < LEAST_JUDGED:
+            return (f'{name}: its force could be judged for {100.0 * felt:.0f} % of the time '
+                    'under load')
+    unknown = truth_lacking(without_truth(data, setup), data.contact_names)
+    return f'{unknown}; {BY_MEASUREMENT} no limit was passed' if unknown else ''
 
 
 def findings(
@@ -205,20 +238,26 @@ def findings(
     Of the samples, those that are `judged` count, all if not given.
     """
     judged = np.ones(data.ticks, dtype=bool) if judged is None else judged
-    found = [Finding(ended_early, float(data.time[-1]))] if ended_early else []
+    interrupted = ended_early == INTERRUPTED
+    found = [Finding(ended_early, float(data.time[-1]))] if (
+        ended_early and not interrupted) else []
     series = (data.q, data.qd, data.torque, data.alpha_true, data.alpha_meas)
     infinite = np.any([np.isinf(values).any(axis=1) for values in series], axis=0)
     if infinite.any():
         found.append(Finding('a number is not finite', _first(data, infinite), always=True))
-    found += _lasting(data, 'torque saturated', *stretches(judged & saturation(data, setup)))
+    saturated = judged[:, None] & saturation(data, setup)
+    of_drives = saturated & (least_torque_limit(setup) < torque_limit(setup))
+    found += _lasting(data, 'torque saturated' + (
+        ' at the limit of the simulated drives' if of_drives.any() else ''),
+        *stretches(np.asarray(saturated.any(axis=1))))
     for contact, name in enumerate(data.contact_names):
         found += [Finding(f'{name}: {finding.text}', finding.time)
-                  for finding in _contact_findings(data, setup, contact, judged)]
+                  for finding in _contact_findings(data, setup, contact, judged, interrupted)]
     return found
 
 
 def _contact_findings(
-    data: RunData, setup: Setup, contact: int, judged: Mask,
+    data: RunData, setup: Setup, contact: int, judged: Mask, interrupted: bool,
 ) -> list[Finding]:
     couple = is_couple(setup, contact)
     wanted, commands = data.alpha_des[:, contact], commanded(data, setup)
@@ -226,7 +265,7 @@ def _contact_findings(
     pressed = pressing(data, setup, contact) > 0.0
     idle = setup.commanded_by_topic and not pressed.any()
     if not (couple or idle or (wanted > 0.0).any()) and np.isfinite(wanted).any():
-        return [Finding('no contact was made')]
+        return [] if interrupted else [Finding('no contact was made')]
     loaded = judged & judged_windows(data, setup).loaded & pressed
     begins, ends = losses(data, setup, contact, loaded)
     lost = 'contact lost at one end' if couple else 'contact lost'
@@ -236,7 +275,7 @@ def _contact_findings(
     if again is not None:
         found.append(Finding(f'{lost} {len(begins)} times', again))
     found += _oscillations(data, setup, contact, loaded)
-    force = data.judged_force[:, contact]
+    force = judged_force(data, setup)[:, contact]
     # A couple may be of either sign; a pull is no pressure that is too large.
     size, asked = (np.abs(force), np.abs(command)) if couple else (force, command)
     ceiling = setup.controller.contact_state.force_ceiling

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 import math
 from typing import Any
@@ -22,6 +22,8 @@ import numpy as np
 SETTLE_AFTER_STEP = 1.0  # s, the start of the window `rest` after the last force step
 SETTLE_AFTER_START = 2.0  # s, the start of the window `moving` after the motion's start
 MOVING = 1e-3  # m/s, from which on a commanded pose moves
+LEAST_TRUTH = 0.9  # share of the time under load, that a true force is known for
+NO_TRUTH = 'no ground truth'
 ALL_OF_IT = 1.0 - 1e-6  # of a normal force, that presses at one end of its contact
 
 
@@ -73,6 +75,49 @@ def commanded(data: RunData, setup: Setup) -> Matrix:
     return data.command if setup.commanded_by_topic else setup.commanded(data.time)
 
 
+def under_load(data: RunData, setup: Setup, contact: int) -> Mask:
+    """Return when a contact is pressed under load; of one that never is, all of the run."""
+    loaded = judged_windows(data, setup).loaded & (pressing(data, setup, contact) > 0.0)
+    return loaded if loaded.any() else np.ones(data.ticks, dtype=bool)
+
+
+def known_share(data: RunData, force: Vector, window: Mask) -> float:
+    """Return for what share of a window a force is known, but for gaps of up to 10 ms."""
+    return float(np.isfinite(bridged(force, data.rate))[window].mean())
+
+
+def has_truth(data: RunData, setup: Setup) -> Mask:
+    """
+    Return of which contacts the true forces are known, shape (r,).
+
+    Somebody who knows them must have published them for most of the time under load: a simulator
+    may tell of one of its contacts only, or tell of them ten times a second.
+    """
+    truth = data.alpha_true
+    return np.array([
+        bool(np.isfinite(truth[:, i]).any()) and known_share(
+            data, truth[:, i], under_load(data, setup, i)) >= LEAST_TRUTH
+        for i in range(truth.shape[1])], dtype=bool)
+
+
+def truth_lacking(without: Sequence[str], names: Collection[str]) -> str:
+    """Return in words that of these of all contacts no true force is known; '' if of all."""
+    if names and not without:
+        return ''
+    return NO_TRUTH + (
+        f' of {", ".join(without)}' if len(without) < len(names) else '')
+
+
+def without_truth(data: RunData, setup: Setup) -> list[str]:
+    """Return the contacts whose true forces are not known."""
+    return [name for name, known in zip(data.contact_names, has_truth(data, setup)) if not known]
+
+
+def judged_force(data: RunData, setup: Setup) -> Matrix:
+    """Return the forces that errors are taken of: true ones, or else those measured."""
+    return np.where(has_truth(data, setup), data.alpha_true, data.alpha_meas)
+
+
 @dataclass(frozen=True)
 class StepResponse:
     """The answer of one contact to one commanded step."""
@@ -80,21 +125,25 @@ class StepResponse:
     time: float  # s
     size: float  # N
     rise_63: float | None  # from command to true force beyond 63 % of the step [s]; None: never
-    overshoot_percent: float  # of the step, until the next command
+    overshoot_percent: float  # of the step
 
 
 def step_responses(data: RunData, setup: Setup, contact: int) -> list[StepResponse]:
-    """Return the answers of one contact to the force steps at rest, of scenario or commands."""
-    steps, before, stop = _steps(data, setup, contact)
-    ends = [time for time, _ in steps[1:]] + [min(stop, float(data.time[-1]))]
+    """
+    Return the answers of one contact to the force steps at rest, of scenario or commands.
+
+    Each is looked at until the next thing happens: a step, a push, the motion.
+    """
+    steps = _steps(data, setup, contact)
+    ends = [time for time, _, _ in steps[1:]] + [float(data.time[-1])]
+    force = judged_force(data, setup)[:, contact]
     responses = []
-    for (start, after), end in zip(steps, ends):
-        window = (data.time >= start - 1e-9) & (data.time < end)
+    for (start, before, after), end in zip(steps, ends):
+        window = (data.time >= start - 1e-9) & (data.time < min(end, next_event(setup, start)))
         size = after - before
         if size == 0.0 or not window.any():
             continue
-        travelled = (data.judged_force[window, contact] - before) / size
-        before = after
+        travelled = (force[window] - before) / size
         if not np.isfinite(travelled).any():
             continue
         beyond = np.flatnonzero(travelled > 0.63)
@@ -104,23 +153,39 @@ def step_responses(data: RunData, setup: Setup, contact: int) -> list[StepRespon
     return responses
 
 
-def _steps(
-    data: RunData, setup: Setup, contact: int,
-) -> tuple[list[tuple[float, float]], float, float]:
-    """Return when what force was asked of a contact, the force before, and the end of rest [s]."""
+def next_event(setup: Setup, time: float) -> float:
+    """Return when the next push, or force step or motion of the scenario, begins [s]."""
+    events = [*setup.plant.push_start, *setup.plant.tool_push_start] if setup.simulated else []
+    if not setup.commanded_by_topic:
+        events += [*(step.time for step in setup.scenario.reference.force_steps),
+                   motion_start(setup)]
+    return min((event for event in events if event > time + 1e-9), default=math.inf)
+
+
+def motion_start(setup: Setup) -> float:
+    """Return when the motion of the scenario begins, infinite if there is none [s]."""
+    motion = setup.scenario.reference.motion
+    return motion.start_time if motion else math.inf
+
+
+def _steps(data: RunData, setup: Setup, contact: int) -> list[tuple[float, float, float]]:
+    """Return when what force was asked of a contact at rest [s], from what to what [N]."""
     if setup.commanded_by_topic:
         asked = np.nan_to_num(data.command[:, contact])
+        # From the preload, where a contact was made: until then nothing counts as asked for.
+        desired = np.where(np.isnan(data.alpha_des[:, contact]), asked, data.alpha_des[:, contact])
         changes = np.concatenate([[False], np.diff(asked) != 0.0, [False]])
         # What a desired force passes on its way is no step.
         places = np.flatnonzero(changes[1:-1] & ~changes[:-2] & ~changes[2:]) + 1
-        return ([(float(data.time[k]), float(asked[k])) for k in places], float(asked[0]),
-                math.inf)
+        return [(float(data.time[k]), float(desired[k - 1]), float(asked[k])) for k in places
+                if k < 2 or desired[k - 1] == desired[k - 2]]
     reference = setup.scenario.reference
     name = data.contact_names[contact]
-    stop = reference.motion.start_time if reference.motion else math.inf
-    return [(step.time, step.forces[name]) for step in reference.force_steps
-            if name in step.forces and step.time < min(stop, data.time[-1])], (
-                0.0 if is_couple(setup, contact) else reference.approach.preload), stop
+    steps = [(step.time, step.forces[name]) for step in reference.force_steps
+             if name in step.forces and step.time < min(motion_start(setup), data.time[-1])]
+    first = 0.0 if is_couple(setup, contact) else reference.approach.preload
+    before = [first, *(force for _, force in steps)]
+    return [(time, was, force) for was, (time, force) in zip(before, steps)]
 
 
 def losses(
@@ -138,10 +203,11 @@ def losses(
     Returns, of the samples `judged`, the first of every loss, and that after its last.
     """
     leader = setup.controller.leader_of[contact]
-    force = bridged(data.judged_force[:, leader], data.rate)
+    forces = judged_force(data, setup)
+    force = bridged(forces[:, leader], data.rate)
     gone = force <= 0.0
     if leader != contact:
-        couple = bridged(data.judged_force[:, contact], data.rate)
+        couple = bridged(forces[:, contact], data.rate)
         # What is lost as a whole is told once, of the normal force.
         gone = ~gone & (np.abs(couple) >= ALL_OF_IT * force)
     least = setup.controller.contact_state.loss_time * data.rate - 1e-9
@@ -154,7 +220,7 @@ def lost_share(data: RunData, setup: Setup, contact: int, window: Mask) -> float
     """Return in what share of a window a contact's force was 0 N; None for a couple."""
     if is_couple(setup, contact):
         return None
-    force = data.judged_force[:, contact]
+    force = judged_force(data, setup)[:, contact]
     return mean_in(window & np.isfinite(force), force <= 0.0)
 
 
@@ -170,7 +236,7 @@ def force_error(data: RunData, setup: Setup, contact: int) -> Vector:
     The true force, or where nobody knows it, the measured one. The task's command counts, and not
     what a supervisor makes of it: a contact that is lost or held has an error.
     """
-    error: Vector = data.judged_force[:, contact] - commanded(data, setup)[:, contact]
+    error: Vector = judged_force(data, setup)[:, contact] - commanded(data, setup)[:, contact]
     return error
 
 
@@ -189,13 +255,22 @@ def pressing(data: RunData, setup: Setup, contact: int) -> Vector:
 
 
 def saturation(data: RunData, setup: Setup) -> Mask:
-    """Return at which samples a commanded torque was at its limit, shape (m,)."""
-    at_limit = np.abs(data.torque) >= 0.999999 * torque_limit(setup)
-    return np.asarray(at_limit.any(axis=1))
+    """Return which commanded torques were at their limits, shape (m, n)."""
+    return np.asarray(np.abs(data.torque) >= 0.999999 * least_torque_limit(setup))
+
+
+def least_torque_limit(setup: Setup) -> Vector:
+    """
+    Return the limits of the joint torques, shape (n,) [N m], infinite where there is none.
+
+    The smaller of the controller's and, where they are simulated, of the drives'.
+    """
+    own = torque_limit(setup)
+    return np.minimum(own, setup.drive_limit) if setup.drive_limit else own
 
 
 def torque_limit(setup: Setup) -> Vector:
-    """Return the limits of the joint torques, shape (n,) [N m], infinite where there is none."""
+    """Return the controller's limits, shape (n,) [N m], infinite where there is none."""
     limit = setup.controller.torque_limit
     return np.array(limit) if limit else np.full(len(setup.controller.robot.joint_names), np.inf)
 
@@ -240,12 +315,15 @@ def _hold_summary(
 def _window_summary(
     data: RunData, setup: Setup, contact: int, window: Mask,
 ) -> dict[str, float | None]:
-    force, error = data.judged_force[:, contact], force_error(data, setup, contact)
-    known = {
+    force, error = judged_force(data, setup)[:, contact], force_error(data, setup, contact)
+    known: dict[str, float | None] = {
         'true_error_rms_n': rms_in(window, error),
         'estimate_error_rms_n': rms_in(window, data.alpha_est[:, contact] - force)}
-    if not data.has_truth:
-        known = {**dict.fromkeys(known), 'measured_error_rms_n': rms_in(window, error)}
+    truth = has_truth(data, setup)
+    if not truth[contact]:
+        known = dict.fromkeys(known)
+    if not truth.all():
+        known['measured_error_rms_n'] = None if truth[contact] else rms_in(window, error)
     return {
         **known, 'noise_variance_median_n2': median_in(window, data.noise_variance[:, contact]),
         'contact_loss_fraction': lost_share(data, setup, contact, window)}
@@ -281,18 +359,20 @@ def motion_summary(data: RunData, setup: Setup) -> dict[str, float | None]:
     Return how well the commanded motion was followed.
 
     The position error counts along the directions that no contact constrains, the orientation
-    error in full, both from the first force step to the end.
+    error in full, both from the first force step to the end; `moving_position_rms_m` in the
+    window `moving` only.
     """
-    loaded = judged_windows(data, setup).loaded
-    if not (loaded.any() and setup.controller.robot.urdf):  # a recording tells no normals
-        return {'position_rms_m': None, 'orientation_max_rad': None}
+    judged = judged_windows(data, setup)
+    if not (judged.loaded.any() and setup.controller.robot.urdf):  # a recording tells no normals
+        return dict.fromkeys(('position_rms_m', 'moving_position_rms_m', 'orientation_max_rad'))
     normals = np.array([setup.controller.contacts[name].normal_world
                         for name in setup.controller.contact_names])
     free = np.eye(3) - np.linalg.pinv(normals) @ normals
-    error = (data.position - data.position_des)[loaded] @ free
-    square = value_in(np.isfinite(error).all(axis=1), (error * error).sum(axis=1), np.mean)
-    return {'position_rms_m': None if square is None else float(np.sqrt(square)),
-            'orientation_max_rad': value_in(loaded, orientation_error(data), np.max)}
+    error = np.linalg.norm((data.position - data.position_des) @ free, axis=1)
+    known = np.isfinite(error)
+    return {'position_rms_m': rms_in(judged.loaded & known, error),
+            'moving_position_rms_m': rms_in(judged.moving & known, error),
+            'orientation_max_rad': value_in(judged.loaded, orientation_error(data), np.max)}
 
 
 def orientation_error(data: RunData) -> Vector:
@@ -304,11 +384,11 @@ def orientation_error(data: RunData) -> Vector:
 
 def torque_summary(data: RunData, setup: Setup) -> dict[str, float | None]:
     """Return how much of the torque limits was used, None without any."""
-    limit = torque_limit(setup)
+    limit = least_torque_limit(setup)
     fraction: Matrix = np.abs(data.torque) / limit
     return {'max_fraction_of_limit': value_in(
                 np.isfinite(fraction) & np.isfinite(limit), fraction, np.max),
-            'saturated_fraction': float(saturation(data, setup).mean())}
+            'saturated_fraction': float(saturation(data, setup).any(axis=1).mean())}
 
 
 def percentiles(values: Vector) -> dict[str, float]:

@@ -86,16 +86,6 @@ class RunData:
         """Return the number of samples."""
         return int(self.time.shape[0])
 
-    @property
-    def has_truth(self) -> bool:
-        """Whether somebody who knew the true contact forces published them."""
-        return bool(np.isfinite(self.alpha_true).any())
-
-    @property
-    def judged_force(self) -> Matrix:
-        """Return the forces that errors are taken of: true ones, or else those measured."""
-        return self.alpha_true if self.has_truth else self.alpha_meas
-
     def trajectory_sha256(self) -> str:
         """Return the hash of the commanded torques as little-endian float64, tick by tick."""
         return hashlib.sha256(np.ascontiguousarray(self.torque, dtype='<f8').tobytes()).hexdigest()

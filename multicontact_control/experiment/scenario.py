@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 import shutil
@@ -78,6 +79,15 @@ class Setup:
     def simulated(self) -> bool:
         """Whether the plant is one of this package."""
         return self.plant is not NO_PLANT
+
+    @property
+    def drive_limit(self) -> tuple[float, ...]:
+        """Largest joint torques of simulated drives [N m]; empty where nobody knows them."""
+        if not self.simulated:
+            return ()
+        with suppress(ConfigError):  # the robot's file may be gone when a run is read again
+            return self.plant.torque_limit or find_robot(self.plant.robot).arm.torque_limit
+        return ()
 
     @property
     def ticks(self) -> int:

@@ -10,13 +10,14 @@ from multicontact_control.experiment.judge import (
     MEASURED,
     STABLE,
     TRUE,
-    UNJUDGED,
     UNKNOWN,
 )
 from multicontact_control.experiment.metrics import (
     contact_summary,
+    judged_force,
     motion_summary,
     torque_summary,
+    without_truth,
 )
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.scenario import Setup
@@ -41,7 +42,7 @@ def summarise(
     timing
         Deadline misses, tick times, latencies.
     ended_early
-        Why the run ended before its time, if it did.
+        Why the run ended before its time, if it did; as for `judge`.
     events
         What the supervisor did: times [s] and what changed; None if there was no supervisor.
 
@@ -51,6 +52,9 @@ def summarise(
     verdict = judge(data, setup, mode=mode, timing=timing, ended_early=ended_early,
                     events=[read_event(*event) for event in told])
     timely = verdict.timeliness
+    without = without_truth(data, setup)
+    truth = bool(data.contact_names) and not without
+    known = MEASURED if np.isfinite(judged_force(data, setup)).any() else UNKNOWN
     if timely.kept is not None:
         timing = {**timing, 'late_reactions': timely.reactions,
                   'judged_fraction': verdict.judged_share}
@@ -62,22 +66,15 @@ def summarise(
         'contacts': {name: contact_summary(data, setup, i)
                      for i, name in enumerate(data.contact_names)},
         'motion': motion_summary(data, setup), 'torque': torque_summary(data, setup),
-        'stable': None if verdict.name == UNJUDGED else verdict.name == STABLE,
-        'verdict': verdict.name,
+        'stable': None if verdict.unjudged else verdict.name == STABLE,
+        'verdict': verdict.name, 'unjudged': verdict.unjudged or None,
         'instabilities': list(verdict.reasons), 'unstable_at_s': verdict.unstable_at,
         'ended_early': ended_early or None, 'kept_real_time': timely.kept, 'claims': [],
-        'truth': data.has_truth, 'forces': _judged_by(data),
+        'truth': truth, 'without_truth': without, 'forces': TRUE if truth else known,
         'commanded_by_topic': setup.commanded_by_topic,
         'supervised': events is not None} | (
             {} if events is None else {'events': [
                 {'time_s': round(time, 6), 'what': what} for time, what in told]})
-
-
-def _judged_by(data: RunData) -> str:
-    """Return which forces the numbers are about."""
-    if data.has_truth:
-        return TRUE
-    return MEASURED if np.isfinite(data.alpha_meas).any() else UNKNOWN
 
 
 def summarise_again(

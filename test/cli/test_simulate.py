@@ -44,6 +44,14 @@ def test_simulate_that_is_not_stable_exits_with_one(multicontact, tmp_path):
     assert json.loads((tmp_path / 'run' / 'summary.json').read_text())['stable'] is False
 
 
+def test_simulate_that_ends_before_the_first_force_step_is_not_judged_and_no_failure(
+        multicontact, tmp_path):
+    done = multicontact('simulate', '--scenario', 'quick', '--plant', 'rigid', '--duration',
+                        '2.0', '--out', str(tmp_path / 'run'))
+    assert done.returncode == 0, done.stderr
+    assert 'not judged: never under load' in done.stdout
+
+
 def test_run_with_a_number_that_is_not_finite_leaves_a_summary(tmp_path, monkeypatch):
     """The verdict says so, and the file has no number there."""
     setup = resolve('quick', plant='rigid', duration=9.0)

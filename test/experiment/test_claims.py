@@ -4,6 +4,7 @@ from dataclasses import replace
 
 from multicontact_control.experiment.claim_metrics import disturbance_summary, evidence_of
 from multicontact_control.experiment.claims import CLAIMS, judge_claims, NOT_MEASURED, Row
+from multicontact_control.experiment.judge import HELD, INTERRUPTED
 from multicontact_control.experiment.summary import summarise
 import numpy as np
 import pytest
@@ -56,6 +57,43 @@ def test_run_that_was_hardly_judged_does_not_keep_working(data, setup):
     claims = judge_claims(evidence_of(data, setup, summary))
     (claim,) = [claim for claim in claims if 'keeps the control working' in claim.claim]
     assert claim.holds is None and 'could not keep real time' in claim.why
+
+
+def test_interrupted_run_says_nothing_of_whether_control_keeps_working(data, setup):
+    """Neither that it does, nor that the motion makes it unstable; but what was seen counts."""
+    fixed = disturbance_setup(noise_estimator={'estimator': 'fixed'})
+    words = ((setup, 'keeps the control working'), (fixed, 'Without on-line R'))
+    for end in (3.51, 9.5, 12.0):
+        short = data.truncated(round(end * data.rate))
+        for each, about in words:
+            summary = summarise(short, each, mode='real_time', timing={}, ended_early=INTERRUPTED)
+            claims = judge_claims(evidence_of(short, each, summary))
+            (claim,) = [claim for claim in claims if about in claim.claim]
+            assert claim.holds is None
+            assert claim.why == 'not judged: interrupted by a signal'
+            assert all(claim.holds is not False for claim in claims)
+
+
+def test_run_that_the_supervisor_held_counts_neither_as_working_nor_as_unstable(data, setup):
+    calm, held = 'none |  | holding, holding', 'hold | wrench_sideways | holding, holding'
+    texts = [(0.0, calm), *((12.0 + 0.1 * k, (held, calm)[k % 2]) for k in range(20))]
+    fixed = disturbance_setup(noise_estimator={'estimator': 'fixed'})
+    for each, words in ((setup, 'keeps the control working'), (setup, 'not too affected'),
+                        (fixed, 'Without on-line R')):
+        summary = summarise(data, each, mode='in_process', timing={}, events=texts)
+        assert (summary['verdict'], summary['unstable_at_s']) == (HELD, None)
+        claims = judge_claims(evidence_of(data, each, summary))
+        (claim,) = [claim for claim in claims if words in claim.claim]
+        assert claim.holds is None and claim.why.startswith('held by the supervisor: ')
+
+
+def test_tracking_is_judged_in_motion_and_not_where_the_arm_rests(data, setup):
+    """6 mm off for the last 5 s: less than 5 mm rms over all 14 s under load."""
+    position = data.position + 6e-3 * (data.time >= MOTION + 2.0)[:, None] * [1.0, 0.0, 0.0]
+    data = replace(data, position=position)
+    assert summary_of(data, setup)['motion']['position_rms_m'] < 5e-3
+    claim = verdict_of(data, setup, 'motion is tracked')
+    assert claim.holds is False and claim.measured.startswith('6.00 mm rms')
 
 
 SINGLE = ('designed time constant', 'motion is tracked', '0.6 N² at rest', 'about 100 N²',

@@ -6,6 +6,7 @@ from multicontact_control.experiment.closed_loop import run_in_process
 from multicontact_control.experiment.judge import (
     again_at,
     HELD,
+    INTERRUPTED,
     interventions,
     judge,
     late_reactions,
@@ -166,6 +167,90 @@ def test_run_that_ended_early_says_why_first(setup, data):
     assert (verdict.name, verdict.reasons[0]) == (NOT_STABLE, 'tick 3000: singular')
 
 
+def test_run_that_ends_before_the_first_force_step_is_not_judged(setup, data):
+    """The contacts were made, and that is all: nothing has been held yet."""
+    verdict = judge(data.truncated(1000), setup)
+    assert (verdict.name, verdict.unjudged) == (UNJUDGED, 'never under load')
+    assert judge(data.truncated(1300), setup).name == STABLE
+
+
+def test_somebody_who_interrupts_a_run_does_not_make_it_unstable(setup, data):
+    verdict = judge(data.truncated(3000), setup, ended_early=INTERRUPTED)
+    assert (verdict.name, verdict.unjudged) == (UNJUDGED, 'interrupted by a signal')
+    assert (verdict.reasons, verdict.unstable_at) == ((), None)
+    _lose_contact(data, 0.2)
+    verdict = judge(data.truncated(4000), setup, ended_early=INTERRUPTED)
+    assert verdict.name == NOT_STABLE
+    assert verdict.reasons == ('board: contact lost for 0.20 s',)
+    assert verdict.unstable_at == pytest.approx(6.1)
+
+
+def test_contact_that_would_have_been_made_later_is_no_failure_of_an_interrupted_run(setup, data):
+    data.alpha_des[:100] = 0.0
+    assert judge(data.truncated(100), setup).name == NOT_STABLE
+    assert judge(data.truncated(100), setup, ended_early=INTERRUPTED).name == UNJUDGED
+
+
+def without_board(data):
+    """Let nobody know of the true force of one contact."""
+    data.alpha_true[:, 1] = np.nan
+
+
+def ten_times_too_seldom(data):
+    """Let the true forces be told at 50 Hz, and the rest at 500 Hz."""
+    data.alpha_true[np.arange(data.ticks) % 10 > 0] = np.nan
+
+
+def at_rest_only(data):
+    """Let the true forces be told until a little after the first force step."""
+    data.alpha_true[data.time > 3.0] = np.nan
+
+
+@pytest.mark.parametrize(('hide', 'whose'), [
+    (without_board, ' of board'), (ten_times_too_seldom, ''), (at_rest_only, '')])
+def test_what_truth_does_not_cover_is_judged_by_the_measured_force(setup, data, hide, whose):
+    hide(data)
+    verdict = judge(data, setup, mode='external')
+    assert (verdict.name, verdict.unjudged) == (
+        UNJUDGED, f'no ground truth{whose}; by the measured forces no limit was passed')
+    data.alpha_meas[3000:, 1] = 0.0
+    verdict = judge(data, setup, mode='external')
+    assert verdict.reasons == ('board: contact lost for 6.00 s',) and verdict.name == NOT_STABLE
+
+
+@pytest.mark.parametrize('every', [2, 5])
+def test_truth_whose_gaps_are_bridged_is_truth(setup, data, every):
+    data.alpha_true[np.arange(data.ticks) % every > 0] = np.nan
+    assert judge(data, setup, mode='external').name == STABLE
+
+
+def test_force_that_is_hardly_known_under_load_does_not_make_a_run_good(setup, data):
+    data.alpha_true[:] = np.nan
+    data.alpha_meas[data.time > 4.0, 1] = np.nan
+    verdict = judge(data, setup, mode='external')
+    assert (verdict.name, verdict.unjudged) == (
+        UNJUDGED, 'board: its force could be judged for 16 % of the time under load')
+
+
+def test_torque_beyond_what_the_drives_can_do_is_saturated_and_told_as_such(setup, data):
+    weak = replace(setup, plant=setup.plant.model_copy(
+        update={'torque_limit': (97.6, 186.4, 89.4, 24.2, 10.0, 21.3)}))
+    data.torque[3000:3100, 4] = -12.0
+    assert judge(data, setup).name == STABLE
+    (reason,) = judge(data, weak).reasons
+    assert reason == 'torque saturated at the limit of the simulated drives for 0.20 s'
+    data.torque[3000:3100, 4] = 0.0
+    data.torque[3000:3100, 3] = 24.2
+    assert judge(data, weak).reasons == ('torque saturated for 0.20 s',)
+
+
+def test_limits_of_the_arm_count_where_the_controller_is_told_larger_ones(setup, data):
+    unaware = replace(setup, controller=setup.controller.model_copy(
+        update={'torque_limit': (1e3,) * 6}))
+    data.torque[3000:3100, 4] = -25.0
+    assert 'simulated drives' in judge(data, unaware).reasons[0]
+
+
 STEPS = {
     'held': ('none |  | holding, holding', 'hold | wrench_sideways | holding, holding'),
     'lost': ('none |  | holding, holding', 'none |  | holding, lost'),
@@ -182,7 +267,7 @@ def test_supervisor_that_steps_in_again_and_again_holds_the_run(setup, data, wha
         verdict = judge(data, setup, events=events_of(*texts))
         assert verdict.name == name
     assert verdict.reasons == ('the supervisor stepped in 6 times under load',)
-    assert verdict.unstable_at == pytest.approx(8.0)
+    assert verdict.unstable_at is None
 
 
 def test_what_the_task_explains_is_no_intervention(setup, data):
@@ -397,7 +482,8 @@ def test_contact_that_nobody_commanded_may_not_be_rammed(edge):
     data = replace(data, command=np.zeros_like(data.alpha_true))
     data.alpha_true[:] = 0.0
     data.alpha_des[:] = 0.0
-    assert judge(data, setup).name == STABLE
+    verdict = judge(data, setup)
+    assert (verdict.name, verdict.unjudged) == (UNJUDGED, 'never under load')
     data.alpha_true[1000:1010, 0] = 200.0
     assert judge(data, setup).reasons == ('edge: force of 200 N at a command of 0 N',)
 

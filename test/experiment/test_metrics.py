@@ -13,7 +13,7 @@ from multicontact_control.experiment.metrics import (
     windows,
 )
 from multicontact_control.experiment.recording import empty_run_data
-from multicontact_control.experiment.scenario import resolve
+from multicontact_control.experiment.scenario import NO_PLANT, resolve
 import numpy as np
 import pytest
 
@@ -116,6 +116,53 @@ def test_step_response_of_a_known_lag(setup, data):
     assert contact_summary(data, setup, 0)['step_rise_63_s'] == first.rise_63
 
 
+@pytest.mark.parametrize('pushed', ['push', 'tool_push'])
+def test_answer_to_a_push_is_no_overshoot_of_the_step_before(setup, data, pushed):
+    pushes = replace(setup, plant=setup.plant.model_copy(update={
+        f'{pushed}_start': (5.0,), f'{pushed}_duration': (0.1,),
+        f'{pushed}_force_world': (0.0, 0.0, -5.0)}))
+    data.alpha_true[(data.time >= 4.2) & (data.time < 4.3), 0] += 0.2
+    data.alpha_true[(data.time >= 5.0) & (data.time < 5.2), 0] += 2.0
+    assert step_responses(data, pushes, 0)[1].overshoot_percent == pytest.approx(4.0)
+    assert step_responses(data, setup, 0)[1].overshoot_percent == pytest.approx(40.0)
+
+
+def test_force_step_on_the_other_contact_is_no_overshoot_either():
+    setup = resolve('disturbance', plant='rigid')
+    data = empty_run_data(setup.ticks, setup.controller)
+    data = replace(data, alpha_true=setup.commanded(data.time))
+    data.alpha_true[(data.time >= 3.5) & (data.time < 3.6), 1] += 1.0
+    (step,) = step_responses(data, setup, 1)
+    assert (step.time, step.overshoot_percent) == (2.0, 0.0)
+
+
+def commanded_run(setup, data, *, ramp=0):
+    """Return a run in which 10 N are commanded while 2 N are pressed, at once or by and by."""
+    desired = np.where(data.time < 3.0, 2.0, 10.0)
+    begin = round(3.0 * data.rate) - ramp
+    desired[begin:begin + ramp] = np.linspace(2.0, 10.0, ramp, endpoint=False)
+    command = np.where(data.time < 3.0, 0.0, 10.0)
+    lagging = np.where(data.time < 3.0, 2.0, 10.0 - 8.0 * np.exp(-(data.time - 3.0) / 0.05))
+    lagging[(data.time > 4.0) & (data.time < 4.1)] = 10.8
+    wide = [np.tile(series[:, None], (1, 2)) for series in (desired, command, lagging)]
+    return replace(setup, commanded_by_topic=True), replace(
+        data, alpha_des=wide[0], command=wide[1], alpha_true=wide[2])
+
+
+def test_commanded_step_begins_at_what_was_pressed_before(setup, data):
+    """At the preload, and not at nothing, which is what a contact counts as until it is made."""
+    setup, data = commanded_run(setup, data)
+    (step,) = step_responses(data, setup, 0)
+    assert (step.time, step.size) == (3.0, 8.0)
+    assert step.rise_63 == pytest.approx(0.05, abs=0.003)
+    assert step.overshoot_percent == pytest.approx(10.0)
+
+
+def test_command_that_the_desired_force_goes_to_by_and_by_is_no_step(setup, data):
+    setup, data = commanded_run(setup, data, ramp=40)
+    assert step_responses(data, setup, 0) == []
+
+
 def test_a_step_that_is_never_reached_has_no_rise(setup, data):
     """None, not a number."""
     data.alpha_true[data.time >= 2.5, 1] = 2.0
@@ -129,6 +176,16 @@ def test_motion_error_counts_in_free_directions_only(setup, data):
     assert motion_summary(data, setup)['position_rms_m'] == pytest.approx(0.0, abs=1e-12)
     data.position[:, 0] += 0.002
     assert motion_summary(data, setup)['position_rms_m'] == pytest.approx(0.002)
+
+
+def test_rest_does_not_make_a_motion_error_smaller(setup, data):
+    """Of 9.5 s under load the last 3.5 s are `moving`."""
+    data.position[data.time >= 8.5, 0] += 0.002
+    found = motion_summary(data, setup)
+    assert found['moving_position_rms_m'] == pytest.approx(0.002)
+    assert found['position_rms_m'] == pytest.approx(0.002 * np.sqrt(3.5 / 9.5), rel=1e-3)
+    resting = motion_summary(data.truncated(3000), setup)
+    assert resting['moving_position_rms_m'] is None and resting['position_rms_m'] == 0.0
 
 
 def test_orientation_error_is_the_angle(data):
@@ -148,10 +205,12 @@ def test_torque_summary_finds_the_joint_nearest_to_its_limit(setup, data):
 
 
 def test_torque_without_a_limit_is_no_share_of_it(setup, data):
-    unlimited = replace(setup, controller=setup.controller.model_copy(
+    unlimited = replace(setup, plant=NO_PLANT, controller=setup.controller.model_copy(
         update={'torque_limit': ()}))
     assert torque_summary(data, unlimited) == {
         'max_fraction_of_limit': None, 'saturated_fraction': 0.0}
+    simulated = replace(unlimited, plant=setup.plant)  # whose drives have limits all the same
+    assert torque_summary(data, simulated) == torque_summary(data, setup)
 
 
 def test_percentiles_of_known_values():

@@ -2,7 +2,13 @@
 
 from multicontact_control.cli.exits import end_by_verdict
 from multicontact_control.experiment import figures
-from multicontact_control.experiment.display import next_lines, verdict_lines
+from multicontact_control.experiment.display import (
+    headline,
+    next_lines,
+    summary_table,
+    verdict_lines,
+)
+from multicontact_control.experiment.judge import INTERRUPTED
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.experiment.summary import summarise, summarise_again
 import numpy as np
@@ -47,6 +53,44 @@ def test_run_that_ended_early_has_no_numbers_for_what_it_did_not_reach(setup, da
     assert summary['instabilities'][0] == summary['ended_early'] == 'tick 3000: singular'
     assert summary['contacts']['table']['moving']['true_error_rms_n'] is None
     assert len(summary['events']) == 1  # the other one came after the run
+
+
+def test_run_that_was_interrupted_is_not_judged_and_no_failure(setup, data):
+    summary = summary_of(data.truncated(5000), setup, ended_early=INTERRUPTED, mode='real_time')
+    assert (summary['stable'], summary['verdict'], summary['unjudged']) == (
+        None, 'not judged', 'interrupted by a signal')
+    assert summary['ended_early'] == 'interrupted by a signal' and not summary['instabilities']
+    assert verdict_lines(summary, 'here')[1] == (
+        '[yellow]not judged: interrupted by a signal[/yellow]')
+    # What older code called unstable for that.
+    old = {**summary, 'stable': False, 'verdict': 'not stable',
+           'instabilities': ['interrupted by a signal']}
+    assert summarise_again(data.truncated(5000), setup, old) == summary
+
+
+def test_run_without_load_is_not_judged_and_no_failure(setup, data):
+    summary = summary_of(data.truncated(1000), setup)
+    assert summary['stable'] is None
+    assert verdict_lines(summary, 'here')[1] == '[yellow]not judged: never under load[/yellow]'
+    end_by_verdict(summary)
+
+
+def test_truth_is_told_of_each_contact(setup, data):
+    data.alpha_true[:, 1] = np.nan
+    data.alpha_meas[:, 1] += 0.5
+    summary = summary_of(data, setup, mode='external')
+    assert (summary['truth'], summary['forces'], summary['without_truth']) == (
+        False, 'measured', ['board'])
+    table, board = (summary['contacts'][name]['rest'] for name in ('table', 'board'))
+    assert (table['true_error_rms_n'], table['measured_error_rms_n']) == (0.0, None)
+    assert (board['true_error_rms_n'], board['measured_error_rms_n']) == (None, 0.5)
+    assert board['estimate_error_rms_n'] is None
+    assert headline(summary).endswith(', no ground truth of board: forces as measured')
+    labels = summary_table(summary).columns[0].cells
+    assert {'rest: true error rms [N]', 'rest: measured error rms [N]'} < set(labels)
+    shown = {panel.label for drawn in figures.run_figures(data, setup)[:2]
+             for panel in drawn.panels}
+    assert shown == {'force [N]', 'force [N], no ground truth'}
 
 
 def test_summary_is_the_same_again_and_brings_an_old_one_up_to_date(setup, data):

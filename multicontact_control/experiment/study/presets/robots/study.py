@@ -158,7 +158,7 @@ def figures_of(metrics: Mapping[str, Any]) -> dict[str, Any]:
         'moving_rms_n': [contact['moving']['true_error_rms_n'] for contact in contacts],
         'loss_percent': _scaled(lost, 100.0),
         'torque_percent': _scaled(summary['torque']['max_fraction_of_limit'], 100.0),
-        'path_mm': _scaled(summary['motion']['position_rms_m'], 1e3)}
+        'path_mm': _scaled(summary['motion']['moving_position_rms_m'], 1e3)}
 
 
 def _largest(values: Iterable[float | None]) -> float | None:

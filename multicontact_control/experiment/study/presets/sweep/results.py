@@ -25,7 +25,7 @@ SUFFIX_UNITS = {
     '_n2': 'N^2', '_n': 'N', '_s': 's', '_m': 'm', '_rad': 'rad', '_hz': 'Hz', '_percent': '%',
     '_fraction': '1', '_fraction_of_limit': '1'}
 # Texts even where all of them are null.
-TEXTS = ('verdict', 'error', 'instabilities', 'trajectory_sha256')
+TEXTS = ('verdict', 'unjudged', 'error', 'instabilities', 'trajectory_sha256')
 STABLE = 'stable'
 CHOICE = (  # of metrics to show
     STABLE, 'contacts.*.step_rise_63_s', 'contacts.*.rest.true_error_rms_n',

@@ -8,7 +8,7 @@ def summary_of(lost, torque=0.5, way=1e-3):
                        for window in ('rest', 'moving')} for name, share in lost.items()}
     return {'error': None, 'summary': {
         'stable': True, 'instabilities': [], 'contacts': contacts,
-        'torque': {'max_fraction_of_limit': torque}, 'motion': {'position_rms_m': way}}}
+        'torque': {'max_fraction_of_limit': torque}, 'motion': {'moving_position_rms_m': way}}}
 
 
 def test_worst_contact_counts_and_couples_are_none():
