@@ -23,7 +23,6 @@ TASK, VANISHING, STIFFNESS, DELAY, FRICTION = (
     'task', 'vanishing', 'stiffness', 'delay', 'friction')
 DURATIONS = {TASK: 16.0, VANISHING: 7.0, STIFFNESS: 9.0, DELAY: 9.0, FRICTION: 9.0}  # s
 GONE_FROM, GONE_FOR, GONE_BY = 5.2, 0.3, 0.05  # s, s, m: a surface that goes for a moment
-ANSWER_TIME = 0.8  # s after a step, in which its overshoot is looked for
 MEAN_TIME = 0.012  # s, over which forces of a vanishing surface's neighbour are averaged
 SHORTEST = 2  # samples
 
@@ -143,12 +142,8 @@ def _contact_metrics(
     data: RunData, setup: Setup, contact: int, disturbances: Mapping[str, Any],
 ) -> dict[str, Any]:
     """Return errors at rest and moving, answers to steps, and those to pushes at rest."""
-    error = force_error(data, setup, contact)
-    steps = []
-    for step in step_responses(data, setup, contact):
-        window = (data.time >= step.time - 1e-9) & (data.time < step.time + ANSWER_TIME)
-        beyond = float(np.nanmax(np.sign(step.size) * error[window])) / abs(step.size)
-        steps.append({'rise_s': step.rise_63, 'overshoot_percent': 100.0 * max(beyond, 0.0)})
+    steps = [{'rise_s': step.rise_63, 'overshoot_percent': step.overshoot_percent}
+             for step in step_responses(data, setup, contact)]
     pushes = [push for push in disturbances['recoveries'] if not push['moving']]
     return {
         'rest_rms_n': disturbances['rest']['rms_n'],
