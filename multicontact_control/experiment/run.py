@@ -25,7 +25,12 @@ from multicontact_control.experiment.display import (
 )
 from multicontact_control.experiment.external import dotted, External
 from multicontact_control.experiment.figures import draw_figures, draw_latency
-from multicontact_control.experiment.judge import EXTERNAL_RUN, REAL_TIME, verdict_text
+from multicontact_control.experiment.judge import (
+    EXTERNAL_RUN,
+    INTERRUPTED,
+    REAL_TIME,
+    verdict_text,
+)
 from multicontact_control.experiment.metrics import percentiles
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.results import CONFIG_FOLDER, FIGURE_FOLDER, SUMMARY_FILE
@@ -46,6 +51,7 @@ SIMULATION_PATIENCE = 25.0
 OF_THE_PLANT = ('deadline_misses', 'pace_slips', 'command_timeouts', 'latency_us', 'plant_us',
                 'latency_histogram', 'realtime_factor')
 AUTO = 'auto'
+UNANSWERED = 'ended before any sample was answered: there is nothing to report'
 
 
 def run_simulate(
@@ -112,7 +118,7 @@ class GraphOptions:
 def run_real_time(
     setup: Setup, folder: Path, options: GraphOptions = GraphOptions(), *,
     supervised: bool = True, console: Console | None = None,
-) -> tuple[dict[str, Any], int | None]:
+) -> tuple[dict[str, Any] | None, int | None]:
     """
     Run a scenario, or commands, on the ROS 2 graph, and leave recording and results in a folder.
 
@@ -126,8 +132,8 @@ def run_real_time(
     Returns
     -------
     tuple
-        The content of ``summary.json``, and the signal that ended the run early, if one did: a
-        run without an end is ended by one.
+        The content of ``summary.json``, None if a signal came before any sample was answered, and
+        the signal that ended the run early, if one did: a run without an end is ended by one.
 
     Raises
     ------
@@ -162,6 +168,9 @@ def run_real_time(
         for name, node in result.timing.items():
             console.print(f'{name}: {node.get("scheduling", "ended without a word")}',
                           highlight=False)
+    if not result.controlled:
+        console.print(UNANSWERED, highlight=False, soft_wrap=True)
+        return None, result.interrupted
     content = read_bag(result.bag, setup.controller, commanded=setup.commanded_by_topic)
     interrupted = None if options.endless else result.interrupted
     if options.endless:
@@ -170,7 +179,7 @@ def run_real_time(
     summary = summarise(
         content.data, setup, mode='lockstep' if options.lockstep else REAL_TIME,
         timing={**graph_timing(result.timing, content), 'composed': composed},
-        ended_early='' if interrupted is None else 'interrupted by a signal',
+        ended_early='' if interrupted is None else INTERRUPTED,
         events=events if supervised else None)
     summary['ros_domain_id'] = result.domain_id
     return _finish(content.data, setup, folder, summary, console), interrupted
@@ -253,7 +262,7 @@ def run_external(
     if result.ended:
         tell(f'ended: {result.ended}')
     if not result.controlled:
-        tell('ended before any sample was answered: there is nothing to report')
+        tell(UNANSWERED)
         return None, result.interrupted
     return _report_external(external, folder, result, options.namespace, supervised, console)
 
@@ -275,7 +284,7 @@ def _report_external(
     events = result.timing.get('controller_node', {}).get('events', [])
     summary = summarise(
         data, setup, mode=EXTERNAL_RUN, timing=timing, events=events if supervised else None,
-        ended_early=result.ended or ('interrupted by a signal' if interrupted else ''))
+        ended_early=result.ended or (INTERRUPTED if interrupted else ''))
     summary |= {'ros_domain_id': result.domain_id, 'remarks': [
         x for x in content.remarks if not x.startswith(NOT_RECORDED)]}
     return _finish(data, setup, folder, summary, console), interrupted

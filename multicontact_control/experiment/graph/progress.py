@@ -49,6 +49,11 @@ class ProgressListener(GuestNode):
         self._first: int | None = None
         self._deadlines = self._missed = 0
 
+    @property
+    def heard(self) -> bool:
+        """Whether anything has come yet."""
+        return self._first is not None
+
     def newest(self) -> GraphProgress | None:
         """Return what came last since the last call, if anything."""
         while (report := take(self._reports)) is not None:

@@ -112,11 +112,13 @@ def run_graph(
                 failed = False
             finally:
                 processes.stop(abort=failed)
+            listener.newest()
+            controlled = listener.heard or not interrupted
         if not interrupted:
             processes.raise_if_ended(at_its_end=True)
         return GraphResult(
             bag=spec.bag, timing=processes.timing(), domain_id=domain_id,
-            interrupted=interrupted[0] if interrupted else None)
+            interrupted=interrupted[0] if interrupted else None, controlled=controlled)
 
 
 def _end(

@@ -223,6 +223,24 @@ def test_run_graph_that_is_interrupted_closes_the_bag(tmp_path, free_domain, num
     assert node_processes(tmp_path) == {}
 
 
+class Impatient(io.StringIO):
+    """Interrupts as soon as the graph has a domain, which is before anything runs."""
+
+    def write(self, text):
+        if 'ROS_DOMAIN_ID' in text:
+            os.kill(os.getpid(), signal.SIGINT)
+        return super().write(text)
+
+
+def test_run_that_is_interrupted_before_the_first_sample_says_so(tmp_path, free_domain):
+    text = Impatient()
+    assert run_real_time(
+        resolve('quick', plant='rigid', seed=0), tmp_path, GraphOptions(lockstep=True),
+        console=Console(file=text, width=200)) == (None, signal.SIGINT)
+    assert 'ended before any sample was answered: there is nothing to report' in text.getvalue()
+    assert not (tmp_path / 'summary.json').exists() and node_processes(tmp_path) == {}
+
+
 def test_nodes_end_when_the_process_that_started_them_is_killed(tmp_path, free_domain):
     make_spec(tmp_path, ticks=50_000)
     program = (
