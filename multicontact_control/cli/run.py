@@ -85,8 +85,9 @@ def run(
 
     Starts simulator, controller, noise estimator and recorder, each in a process of its own unless
     the machine is too slow for that, stops them together, then draws the figures from the bag.
-    Exit code 0: stable, or not judged, since the machine missed a tenth of the deadlines; 1: not
-    stable, held by the supervisor, or a node died; 2: bad input; 128 + n: ended by signal n.
+    Exit code 0: stable, or not judged (the machine missed a tenth of the deadlines, or nothing was
+    ever pressed); 1: not stable, held by the supervisor, or a node died; 2: bad input; 128 + n:
+    ended by signal n.
     With --external 0 also without ground truth, where nothing is called stable, and 1 also if the
     robot is gone.
     """

@@ -30,8 +30,8 @@ def simulate(
     """
     Run a scenario in one process, without ROS, as fast as it goes.
 
-    The same seed gives the same run, bit for bit. Exit code 0: stable; 1: not stable, or held by
-    the supervisor; 2: bad input.
+    The same seed gives the same run, bit for bit. Exit code 0: stable, or not judged, as
+    nothing was ever pressed; 1: not stable, or held by the supervisor; 2: bad input.
     """
     with errors_in_one_line():
         setup, folder = prepare(
