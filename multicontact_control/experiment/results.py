@@ -45,7 +45,7 @@ def prepare_folder(out: Path | None, scenario: str, *, overwrite: bool, now: dat
     Parameters
     ----------
     out
-        The folder; None for ``runs/<date>-<time>-<scenario>``.
+        The folder; None for ``runs/<date>-<time>-<scenario>``, numbered if that is taken.
     scenario, now
         For that name.
     overwrite
@@ -62,28 +62,55 @@ def prepare_folder(out: Path | None, scenario: str, *, overwrite: bool, now: dat
         If the folder holds something and must not be overwritten, or cannot be made.
 
     """
-    folder = out or Path('runs') / f'{now:%Y%m%d-%H%M%S}-{scenario}'
-    if folder.exists():
-        if not folder.is_dir():
-            raise ConfigError('out', 'a folder', f'{folder}, a file')
-        entries = {entry.name for entry in folder.iterdir()}
-        if entries:
-            others = entries - LEFT_BY_RUNS
-            if others or not (folder / SCENARIO_FILE).is_file():
-                raise ConfigError('out', 'a new or empty folder, or that of a run',
-                                  f'{folder}, which holds {min(others or entries)}')
-            if not overwrite:
-                raise ConfigError('out', 'a folder without a run, or --overwrite',
-                                  f'{folder}, which holds a run')
-            shutil.rmtree(folder)
+    default = Path('runs') / f'{now:%Y%m%d-%H%M%S}-{scenario}'
+    # Where a link leads now: `runs/latest` leads elsewhere as soon as another run begins.
+    folder = Path(os.path.realpath(out)) if out is not None and out.is_symlink() else out
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        if folder is None:
+            folder = _make_numbered(default)
+            point_latest(folder)
+        else:
+            _empty(folder, overwrite=overwrite)
     except OSError as error:
-        raise ConfigError('out', 'a folder that can be made',
-                          f'{folder} ({error.strerror})') from None
-    if out is None:
-        point_latest(folder)
+        raise ConfigError('out', 'a folder that can be made, and emptied of a run',
+                          f'{out or default} ({error.strerror})') from None
     return folder
+
+
+def _make_numbered(folder: Path) -> Path:
+    """Make a folder that is nobody else's: with -2, -3, ... where another run was quicker."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    numbered, number = folder, 1
+    while True:
+        try:
+            numbered.mkdir()
+            return numbered
+        except FileExistsError:
+            number += 1
+            numbered = folder.with_name(f'{folder.name}-{number}')
+
+
+def _empty(folder: Path, *, overwrite: bool) -> None:
+    """Make a folder, or empty it of a run; ConfigError if it holds what must be kept."""
+    if folder.exists() and not folder.is_dir():
+        raise ConfigError('out', 'a folder', f'{folder}, a file')
+    folder.mkdir(parents=True, exist_ok=True)
+    entries = list(folder.iterdir())
+    if not entries:
+        return
+    names = {entry.name for entry in entries}
+    others = names - LEFT_BY_RUNS
+    if others or not (folder / SCENARIO_FILE).is_file():
+        raise ConfigError('out', 'a new or empty folder, or that of a run',
+                          f'{folder}, which holds {min(others or names)}')
+    if not overwrite:
+        raise ConfigError('out', 'a folder without a run, or --overwrite',
+                          f'{folder}, which holds a run')
+    for entry in entries:
+        if entry.is_dir() and not entry.is_symlink():
+            shutil.rmtree(entry)
+        else:
+            entry.unlink()
 
 
 def point_latest(folder: Path) -> None:
