@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from enum import Enum
 from typing import Annotated, Any, NoReturn
@@ -111,6 +112,8 @@ def run(
                 realtime=realtime), robot_timeout=robot_timeout, supervised=not bare)
             end(outcome, interrupted)
         refuse_options(given, ('controller', 'robot_timeout'), 'a simulated plant')
+        if commanded:
+            refuse_scenario(settings)
         setup, folder = prepare(
             scenario, plant, seed, duration, noise_estimator, out, overwrite, preset=preset,
             law=law, settings=settings, robot=robot, engine=engine)
@@ -121,6 +124,17 @@ def run(
             lockstep=lockstep, domain_id=domain_id, namespace=namespace, composed=composed.value,
             realtime=realtime, endless=commanded and duration is None), supervised=not bare)
     end(summary, interrupted)
+
+
+def refuse_scenario(settings: Sequence[str] | None) -> None:
+    """Refuse settings of a scenario that is not played; ConfigError naming the first."""
+    from multicontact_control.errors import ConfigError
+    from multicontact_control.experiment.overrides import read_settings
+
+    for name in read_settings(settings or ()):
+        if name.startswith('scenario.'):
+            raise ConfigError(f'--set {name}', 'nothing with --commanded, which plays no scenario '
+                              '(its length is --duration)', 'it')
 
 
 def end(summary: dict[str, Any] | None, interrupted: int | None) -> NoReturn:

@@ -28,6 +28,7 @@ from multicontact_control.experiment.scenario import (
     PRESET_NODES,
     preset_values,
     scenario_path,
+    scenario_with,
     ScenarioConfig,
     Setup,
 )
@@ -139,7 +140,7 @@ def resolve_external(
     noise_estimator, controller
         Values laid over the files', the preset's and the scenario's.
     scenario_overrides
-        Values laid over the scenario's file.
+        Values laid over the scenario's file; none without a scenario.
 
     Raises
     ------
@@ -176,14 +177,15 @@ def _scenario(
     scenario: str | None, duration: float | None, overrides: Mapping[str, Any],
 ) -> tuple[Path, ScenarioConfig]:
     """Return the scenario and its file; one without commands if there is none."""
-    values: dict[str, Any] = {'name': COMMANDS, 'duration': UNTIL_STOPPED}
-    path = Path(COMMANDS)
-    if scenario is not None:
+    if scenario is None and overrides:
+        raise ConfigError(f'scenario.{min(overrides)}',
+                          '--scenario that it is laid over, or --duration for the length', 'none')
+    if scenario is None:
+        path, values = Path(COMMANDS), {'name': COMMANDS, 'duration': UNTIL_STOPPED}
+    else:
         path = scenario_path(scenario)
-        values = merge(read_yaml(path), overrides)
-    if duration is not None:
-        values['duration'] = duration
-    return path, validate(ScenarioConfig, values, str(path))
+        values = read_yaml(path)
+    return path, scenario_with(values, overrides, duration, path)
 
 
 def _node_parameters(read: ControllerFiles) -> dict[str, Any]:

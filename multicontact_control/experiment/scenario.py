@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -144,6 +144,17 @@ class Setup:
         return {node: folder / name for node, (name, _) in nodes.items()}
 
 
+def scenario_with(
+    values: Mapping[str, Any], overrides: Mapping[str, Any], duration: float | None, path: Path,
+) -> ScenarioConfig:
+    """Return the scenario of a file with values, and a length [s], laid over those in it."""
+    if duration is not None:
+        if 'duration' in overrides:
+            raise ConfigError('duration', 'nothing together with scenario.duration', duration)
+        overrides = {**overrides, 'duration': duration}
+    return validate(ScenarioConfig, merge(values, overrides), str(path))
+
+
 def scenario_path(name: str) -> Path:
     """Return the file of a scenario in config/scenarios, or at a path; ConfigError without."""
     return named_file('scenario', 'scenarios', name)
@@ -252,7 +263,7 @@ def resolve(
     seed
         Seed of the plant's noise and roughness.
     duration
-        Overrides the scenario's [s].
+        Overrides the scenario's [s]; not together with one of `scenario_overrides`.
     noise_estimator, controller, plant_overrides
         Values laid over the files' and the scenario's.
     scenario_overrides
@@ -276,9 +287,8 @@ def resolve(
         raise ConfigError('seed', 'a whole number >= 0', seed)
     path = scenario_path(scenario)
     source = plant_source(plant, robot)
-    text = merge(_with_motion(read_yaml(path), source.robot), scenario_overrides or {})
-    config = validate(
-        ScenarioConfig, text if duration is None else {**text, 'duration': duration}, str(path))
+    config = scenario_with(
+        _with_motion(read_yaml(path), source.robot), scenario_overrides or {}, duration, path)
     folder = config_dir()
     chosen = preset_values(preset) if preset else {}
     wanted = merge(config.controller, controller or {}).get('contact_names', ())

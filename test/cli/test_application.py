@@ -18,6 +18,8 @@ import typer
     (('view', '.'), 'recording: expected bag/*.mcap or samples.npz in it, found .'),
     (('view', '--host', '203.0.113.1'), 'host: expected an address of this machine, found'),
     (('view', '--size', '9x9'), 'size: expected WIDTHxHEIGHT of 400 to 8000 pixels'),
+    (('run', '--commanded', '--set', 'scenario.duration=20'),
+     '--set scenario.duration: expected nothing with --commanded, which plays no scenario'),
     (('run', '--seed', '-3'), 'seed: expected a whole number >= 0, found -3'),
     (('run', '--namespace', '1st'), 'namespace: expected names of letters, digits and _')])
 def test_bad_input_exits_with_two_and_one_line(multicontact, tmp_path, arguments, message):

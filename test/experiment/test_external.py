@@ -94,6 +94,25 @@ def test_bad_input_is_refused_in_a_line(tmp_path, changes, options, message):
     assert '\n' not in str(caught.value)
 
 
+@pytest.mark.parametrize(('setting', 'duration', 'message'), [
+    ('scenario.duration=20', None, 'scenario.duration: expected --scenario that it is laid over, '
+     'or --duration for the length, found none'),
+    ('scenario.name=mine', 4.0, 'scenario.name: expected --scenario')])
+def test_nothing_of_a_scenario_can_be_set_without_one(file, tmp_path, setting, duration, message):
+    with pytest.raises(ConfigError, match=message):
+        prepare_external([file], None, duration, None, tmp_path / 'out', False,
+                         settings=[setting])
+    assert not (tmp_path / 'out').exists()
+
+
+def test_length_of_a_run_is_told_once(file, tmp_path):
+    scenario = tmp_path / 'mine.yaml'
+    scenario.write_text(yaml.safe_dump(SCENARIO))
+    with pytest.raises(ConfigError, match='duration: expected nothing together with scenario'):
+        prepare_external([file], str(scenario), 4.0, None, tmp_path / 'out', False,
+                         settings=['scenario.duration=20'])
+
+
 def test_no_plant_can_be_set(file, tmp_path):
     with pytest.raises(ConfigError, match='--set.plant.*expected a parameter; plant has no parts'):
         prepare_external([file], None, None, None, tmp_path / 'out', False,

@@ -98,12 +98,13 @@ def test_settings_reach_every_part():
     ('plant', "--set: expected KEY=VALUE.*'plant'"), ('=3', '--set: expected KEY=VALUE'),
     ('controller.force.damping_rate=[', 'a value as in a YAML file'),
     ('controller.force.wurst=1', "one of law, .*'wurst'"),
+    ('scenario.duration=20', 'duration: expected nothing together with scenario.duration'),
     ('arm.mass=1', 'begins with controller, noise_estimator, plant, scenario'),
     ('plant.surfaces.*.stiffness=-1', 'stiffness: expected greater than 0')])
 def test_bad_setting_is_refused_before_anything_starts(tmp_path, setting, message):
     out = tmp_path / 'run'
     with pytest.raises(ConfigError, match=message):
-        prepare('quick', 'rigid', 0, None, None, out, False, settings=[setting])
+        prepare('quick', 'rigid', 0, 4.0, None, out, False, settings=[setting])
     assert not out.exists()
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
@@ -12,8 +12,6 @@ from multicontact_control.experiment.overrides import overrides_of, unit_of, val
 from multicontact_control.experiment.scenario import resolve, Setup
 from multicontact_control.experiment.study.jobs import job_of, RunJob
 from multicontact_control.experiment.study.presets.sweep.config import StudyConfig
-
-DURATION = 'scenario.duration'
 
 
 @dataclass(frozen=True)
@@ -76,7 +74,7 @@ def plan_sweep(study: StudyConfig, source: str = '') -> SweepPlan:
     runs: list[SweepRun] = []
     units: dict[str, str] = {}
     for plant in study.plants:
-        base = _base(study, plant, names, source)
+        base = _base(study, plant, source)
         units = units or {name: unit_of(name, base) for name in names}
         seen: set[RunJob] = set()
         for field, combination in combinations:
@@ -90,13 +88,11 @@ def plan_sweep(study: StudyConfig, source: str = '') -> SweepPlan:
     return SweepPlan(study, tuple(runs), units)
 
 
-def _base(study: StudyConfig, plant: str, names: Sequence[str], source: str) -> Setup:
+def _base(study: StudyConfig, plant: str, source: str) -> Setup:
     """Return the setup on which all names of parameters are looked up, and look them up."""
     try:
         base = resolve(study.scenario, plant=plant, seed=study.seeds[0], duration=study.duration,
                        preset=study.preset)
-        if study.duration is not None and DURATION in names:
-            raise ConfigError('duration', f'nothing, since {DURATION} is swept', study.duration)
         overrides_of(study.fixed, base, 'fixed')
         for field, values in [('grid', study.grid), *(
                 (f'points.{i}', point) for i, point in enumerate(study.points))]:
@@ -121,5 +117,5 @@ def _job(
         return job, job.setup()
     except ConfigError as error:
         where = ', '.join(f'{name} = {value}' for name, value in combination.items())
-        raise ConfigError(f'{field} ({where}): {error.field}', error.expected, error.found,
-                          source) from None
+        raise ConfigError(f'{field} ({where}): {error.field}' if where else error.field,
+                          error.expected, error.found, source) from None

@@ -74,7 +74,10 @@ def test_study_without_parameters_is_its_seeds():
      r'grid \(controller.force.damping_rate = -1.0\): force.damping_rate: expected greater than'),
     ({'grid': {'noise_estimator.rate': [250.0]}}, r'grid .*: noise_estimator.rate: expected the'),
     ({'duration': 2.0, 'grid': {'scenario.duration': [2.0, 3.0]}},
-     'duration: expected nothing, since scenario.duration is swept, found 2.0')])
+     r'grid \(scenario.duration = 2.0\): duration: expected nothing together with '
+     'scenario.duration, found 2.0'),
+    ({'duration': 4.0, 'grid': {}, 'fixed': {'scenario.duration': 20.0}},
+     'duration: expected nothing together with scenario.duration, found 4.0')])
 def test_bad_parameter_or_value_is_refused_before_anything_runs(changes, message):
     with pytest.raises(ConfigError, match=f'^study.yaml: {message}') as caught:
         plan_of(**changes)
