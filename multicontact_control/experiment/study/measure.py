@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 import math
 import time
 from typing import Any, TYPE_CHECKING
 
-from multicontact_control.errors import MulticontactError
 from multicontact_control.experiment.claim_metrics import disturbance_summary, evidence_of
-from multicontact_control.experiment.recording import RunData
+from multicontact_control.experiment.recording import empty_run_data, RunData
 from multicontact_control.experiment.study.jobs import JobResult, RunJob
 from multicontact_control.experiment.summary import summarise
 from multicontact_control.files import finite
@@ -43,10 +43,8 @@ def measure_run(job: RunJob) -> JobResult:
     from multicontact_control.experiment.closed_loop import run_in_process
 
     setup = job.setup()
-    result = run_in_process(setup, supervised=job.supervised)
+    result = long_enough(run_in_process(setup, supervised=job.supervised), setup)
     data = result.data
-    if data.ticks < SHORTEST:
-        raise MulticontactError(f'{job}: the run ended at once: {result.ended_early}')
     summary = _summary(job, setup, result)
     metrics = {
         'summary': summary,
@@ -55,6 +53,13 @@ def measure_run(job: RunJob) -> JobResult:
         'final_error_share': final_error_share(data, setup)}
     traces = {name: getattr(data, series) for name, series in TRACES.items()}
     return JobResult(finite(metrics), {'time': data.time, **traces}, result.wall_time)
+
+
+def long_enough(result: LoopResult, setup: Setup) -> LoopResult:
+    """Return what a run leaves; of one that ended at once samples that were not answered."""
+    if result.data.ticks >= SHORTEST:
+        return result
+    return replace(result, data=empty_run_data(SHORTEST, setup.controller))
 
 
 def summarise_run(job: RunJob) -> JobResult:

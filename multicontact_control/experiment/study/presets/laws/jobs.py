@@ -6,12 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, ClassVar, TYPE_CHECKING
 
-from multicontact_control.errors import MulticontactError
 from multicontact_control.experiment.claim_metrics import disturbance_summary
 from multicontact_control.experiment.metrics import force_error, step_responses, windows
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.scenario import resolve, Setup
 from multicontact_control.experiment.study.jobs import content_key, JobResult, setup_content
+from multicontact_control.experiment.study.measure import long_enough
 from multicontact_control.experiment.summary import summarise
 from multicontact_control.files import finite
 import numpy as np
@@ -24,7 +24,6 @@ TASK, VANISHING, STIFFNESS, DELAY, FRICTION = (
 DURATIONS = {TASK: 16.0, VANISHING: 7.0, STIFFNESS: 9.0, DELAY: 9.0, FRICTION: 9.0}  # s
 GONE_FROM, GONE_FOR, GONE_BY = 5.2, 0.3, 0.05  # s, s, m: a surface that goes for a moment
 MEAN_TIME = 0.012  # s, over which forces of a vanishing surface's neighbour are averaged
-SHORTEST = 2  # samples
 
 
 @dataclass(frozen=True)
@@ -121,10 +120,9 @@ def run_law_job(job: LawJob) -> JobResult:
             loop.plant.contacts.shift(last, -GONE_BY)
 
     vanishing = job.situation == VANISHING
-    result = run_in_process(setup, supervised=True, disturb=disturb if vanishing else None)
+    result = long_enough(run_in_process(
+        setup, supervised=True, disturb=disturb if vanishing else None), setup)
     data = result.data
-    if data.ticks < SHORTEST:
-        raise MulticontactError(f'{job}: the run ended at once: {result.ended_early}')
     summary = summarise(data, setup, mode='in_process', timing={},
                         ended_early=result.ended_early, events=result.events)
     disturbances = disturbance_summary(data, setup, summary['unstable_at_s'])
@@ -169,5 +167,7 @@ def _neighbour(data: RunData, setup: Setup) -> float:
     error = force_error(data, setup, 0)
     window = (data.time >= GONE_FROM) & (data.time < GONE_FROM + GONE_FOR + 1.0)
     count = round(MEAN_TIME * data.rate)
+    if window.sum() < count:  # the run ended before
+        return float('nan')
     means = np.convolve(error[window], np.full(count, 1.0 / count), 'valid')
-    return float(np.abs(means).max()) if len(means) else float('nan')
+    return float(np.abs(means).max())

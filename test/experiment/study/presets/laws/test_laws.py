@@ -1,6 +1,7 @@
 """The race of force laws: its runs, what is measured, and what is said of them."""
 
 from multicontact_control.errors import ConfigError
+from multicontact_control.experiment.study.presets.laws import jobs
 from multicontact_control.experiment.study.presets.laws.jobs import (
     DELAY,
     FRICTION,
@@ -60,6 +61,12 @@ def test_run_measures_task_and_vanishing_surface():
         assert contact['push_off_s'] is not None
     gone = run_law_job(LawJob('best', 'rigid', 1, VANISHING)).metrics
     assert 0.1 < gone['neighbour_n'] < 5.0
+
+
+def test_run_that_ends_before_its_surface_vanishes_is_measured(monkeypatch):
+    """Its neighbour was never alone, which is no reason to end the race."""
+    monkeypatch.setitem(jobs.DURATIONS, VANISHING, 0.2)
+    assert run_law_job(LawJob('best', 'rigid', 1, VANISHING)).metrics['neighbour_n'] is None
 
 
 def metrics(**changes):
