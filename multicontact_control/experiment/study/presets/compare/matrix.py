@@ -7,18 +7,12 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, get_args
 
-from multicontact_control.config import (
-    merge,
-    NoiseEstimatorConfig,
-    read_parameters,
-    validate,
-)
+from multicontact_control.config import merge, NoiseEstimatorConfig, validate
 from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.claims import MATCHED, MAYBECK
-from multicontact_control.experiment.scenario import plant_source, plants_of
+from multicontact_control.experiment.scenario import plant_source, plants_of, Setup
 from multicontact_control.experiment.study.jobs import job_of, RunJob
 from multicontact_control.force.noise import lead_filter
-from multicontact_control.paths import config_dir
 from sim_bridge.config import PlantConfig
 
 SCENARIO, PRESET = 'disturbance', 'paper'
@@ -54,40 +48,43 @@ class Entry:
     job: RunJob
 
 
-def rescaling() -> float:
+def rescaling(config: NoiseEstimatorConfig) -> float:
     """
     Return the factor on R of `window` that makes it agree with `lead_window` at rest.
 
     The gain of the lead filter for the variance of white noise, 269 as configured.
     """
-    values = read_parameters(config_dir() / 'noise_estimator.yaml')
-    config = validate(NoiseEstimatorConfig, values, 'noise_estimator.yaml')
     return lead_filter(
         config.zero_frequency, config.pole_frequency, config.rate).variance_factor()
 
 
-def estimator_values(label: str) -> dict[str, Any]:
-    """Return the values of the noise estimator that a label stands for; or a ConfigError."""
+def check_label(label: str) -> None:
+    """Check that a label stands for an estimator; ConfigError if it does not."""
+    if label not in LABELS:
+        raise ConfigError('estimators', f'names among {", ".join(LABELS)}', f"'{label}'")
+
+
+def estimator_values(label: str, base: Setup) -> dict[str, Any]:
+    """Return the values of the noise estimator that a label stands for, beside those of a base."""
     if label == MATCHED:
         return {'estimator': MAYBECK}
     if label == RESCALED:
-        return {'estimator': 'window', 'variance_scale': rescaling()}
-    if label not in ESTIMATORS:
-        raise ConfigError('estimators', f'names among {", ".join(LABELS)}', f"'{label}'")
+        config = base.noise_estimator
+        return {'estimator': 'window', 'variance_scale': config.variance_scale * rescaling(config)}
     return {'estimator': label}
 
 
-def observer_values(label: str) -> dict[str, Any]:
+def observer_values(label: str, base: Setup) -> dict[str, Any]:
     """
-    Return the values of the controller that a label stands for.
+    Return the values of the controller that a label stands for, beside those of a base.
 
     An observer's gain depends on Q over R alone. The innovations' R at rest is that of the raw
     force, so with so much less Q the observer is as fast there as with the paper's filter.
     """
     if label != MATCHED:
         return {}
-    values = read_parameters(config_dir() / 'controller.yaml')
-    return {'force': {'process_noise': values['force']['process_noise'] / rescaling()}}
+    return {'force': {
+        'process_noise': base.controller.force.process_noise / rescaling(base.noise_estimator)}}
 
 
 def name_checks(
@@ -95,7 +92,7 @@ def name_checks(
 ) -> list[Callable[[], object]]:
     """Return what checks the names of plants and estimators, one by one."""
     return [*(partial(plant_source, name) for name in plants),
-            *(partial(estimator_values, label) for label in labels)]
+            *(partial(check_label, label) for label in labels)]
 
 
 def controller_values(plant: str) -> dict[str, Any]:
@@ -132,15 +129,19 @@ def comparison_matrix(
     orders: dict[str, dict[str, Any]] = {AOB: {}}
     if plain:
         orders[PLAIN] = {'force': {'active_state_order': 0}}
-    variants: list[Variant] = [
-        (label, kind, estimator_values(label), merge(observer_values(label), order), {})
-        for label in labels for kind, order in orders.items()]
-    variants += [
-        (label, AOB, estimator_values(label),
-         merge(observer_values(label), {'force': {'damping_rate': rate}}), {})
-        for rate in damping_rates for label in labels if label in QUICK_LABELS]
-    return [entry for plant in plants or plants_of()
-            for entry in _entries(plant, variants, seeds, duration, preset)]
+    entries = []
+    for plant in plants or plants_of():
+        base = job_of(SCENARIO, plant, 0, preset=preset).setup()
+        variants: list[Variant] = [
+            (label, kind, estimator_values(label, base),
+             merge(observer_values(label, base), order), {})
+            for label in labels for kind, order in orders.items()]
+        variants += [
+            (label, AOB, estimator_values(label, base),
+             merge(observer_values(label, base), {'force': {'damping_rate': rate}}), {})
+            for rate in damping_rates for label in labels if label in QUICK_LABELS]
+        entries += _entries(plant, variants, seeds, duration, preset)
+    return entries
 
 
 def beside_the_matrix(

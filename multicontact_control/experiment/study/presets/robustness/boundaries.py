@@ -59,7 +59,7 @@ def map_job(
     surfaces = {name: {'stiffness': ratio * base.controller.contacts[name].stiffness}
                 for name in base.controller.contact_names}
     return job_of(
-        SCENARIO, plant, seed, preset=PRESET, noise_estimator=estimator_values(label),
+        SCENARIO, plant, seed, preset=PRESET, noise_estimator=estimator_values(label, base),
         controller=controller_values(plant),
         plant_overrides={'actuator_delay_ticks': delay_ticks, 'surfaces': surfaces})
 

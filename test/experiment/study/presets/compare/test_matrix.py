@@ -5,12 +5,13 @@ from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.study.presets.compare.matrix import (
     AOB,
     beside_the_matrix,
+    check_label,
     comparison_matrix,
-    estimator_values,
     LABELS,
     MATCHED,
     PLAIN,
     RESCALED,
+    rescaling,
 )
 from multicontact_control.experiment.study.presets.compare.study import ComparisonStudy
 import pytest
@@ -43,6 +44,20 @@ def test_matched_observer_has_the_gain_of_the_papers_at_rest():
     assert matched.noise_estimator.estimator == 'innovation'
     assert lead.controller.force.process_noise / matched.controller.force.process_noise == (
         pytest.approx(268.65, abs=0.01))
+
+
+def test_matched_and_rescaled_estimators_are_those_of_the_preset(tmp_path):
+    """Another lead filter, another Q and another scale of R: the factor and the gain follow."""
+    path = tmp_path / 'mine.yaml'
+    path.write_text(
+        'controller_node:\n  ros__parameters: {force: {process_noise: 0.01}}\n'
+        'noise_estimator_node:\n  ros__parameters: {zero_frequency: 6.0, variance_scale: 2.0}\n')
+    lead, rescaled, matched = (entry.job.setup() for entry in comparison_matrix(
+        ('puma',), ('lead_window', RESCALED, MATCHED), 1, plain=False, preset=str(path)))
+    gain = rescaling(lead.noise_estimator)
+    assert 60.0 < gain < 80.0  # it goes about with the inverse square of the zero
+    assert rescaled.noise_estimator.variance_scale == pytest.approx(2.0 * gain)
+    assert matched.controller.force.process_noise == pytest.approx(0.01 / gain)
 
 
 def test_other_presets_are_not_varied_over_their_damping():
@@ -88,4 +103,4 @@ def test_bad_study_says_all_that_is_expected(changes, match):
 
 def test_unknown_label_is_refused():
     with pytest.raises(ConfigError, match='lead_window'):
-        estimator_values('nothing')
+        check_label('nothing')
