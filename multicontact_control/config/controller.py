@@ -214,6 +214,11 @@ class ControllerConfig(Config):
         return min(self.collision.bandwidth, FASTEST_MOMENTUM * self.rate)
 
     @property
+    def wrench_series(self) -> str:
+        """Return what samples and recordings call the wrench that a sensor feeds the loop with."""
+        return 'wrench' if self.wrench_input == 'raw' else 'wrench_filtered'
+
+    @property
     def period(self) -> float:
         """Control period h [s]."""
         return 1.0 / self.rate

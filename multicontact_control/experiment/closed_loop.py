@@ -135,10 +135,10 @@ class ClosedLoop:
     def inputs(self) -> TickInputs:
         """Return what is known at this tick if nothing is wrong with it: sample, and R before."""
         h, k, sample = self.setup.controller.period, self.tick, self.sample
-        raw = self.setup.controller.wrench_input == 'raw'
+        wrench = getattr(sample, self.setup.controller.wrench_series)
         return TickInputs(
             time=k * h, joints=JointInput(k * h, sample.q, sample.qd, effort=sample.effort),
-            wrench=WrenchInput(k * h, sample.wrench if raw else sample.wrench_filtered),
+            wrench=WrenchInput(k * h, wrench),
             variance=VarianceInput((k - 1) * h, self.variance) if k else None)
 
     def answer(self, corrupt: Corruption | None = None) -> ControlOutput:

@@ -9,7 +9,7 @@ what is measured, less what felt forces and gravity do.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 import math
 from pathlib import Path
@@ -39,6 +39,9 @@ QUIET_SPEED = 1e-3  # m/s, below which the contact point counts as being at rest
 LONGEST_DELAY = 0.02  # s
 DELAY_STEP = 1e-4  # s, in which the delay is looked for
 LEAST_SAMPLES = 50
+# Of the variance found from n changes, relative to its square, times n: 5.44 for the median of
+# independent ones; of white noise neighbouring changes have a value in common.
+SCATTER = 6.6
 
 
 @dataclass(frozen=True)
@@ -71,27 +74,40 @@ def read_recording(
         If one of them cannot be read.
 
     """
+    remarks: tuple[str, ...] = ()
     if config is None and (folder / CONFIG_FOLDER).is_dir():
         run = load_run(folder)
-        return run.data, run.setup.controller, folder / CONFIG_FOLDER
-    if config is None:
+        data, controller, base_dir = run.data, run.setup.controller, folder / CONFIG_FOLDER
+    elif config is None:
         raise ConfigError('--config', 'the parameter file of the controller, for a recording '
                           'that is no folder of `multicontact run` or `simulate`', folder)
-    read = read_controller_files([config])
-    controller = read.config()
-    content = read_bag(folder, controller)
-    lacking = [text for series, text in (
-        (content.data.q, 'positions of the joints'), (content.data.qd, 'speeds of the joints'),
-        (content.data.wrench, 'the wrench'), (content.data.torque, 'commanded torques'))
-        if not np.isfinite(series).all(axis=1).any()]
+    else:
+        read = read_controller_files([config])
+        controller, base_dir = read.config(), read.urdf_dir
+        content = read_bag(folder, controller)
+        data, remarks = content.data, content.remarks
+    _check_complete(folder, data, controller, remarks)
+    return data, controller, base_dir
+
+
+def _check_complete(
+    folder: Path, data: RunData, controller: ControllerConfig, remarks: Sequence[str],
+) -> None:
+    """Check that a recording holds what contacts are found from; the remarks are on it."""
+    if controller.wrench_input == 'momentum':
+        raise ConfigError('wrench_input', 'raw or filtered: without a wrist sensor there is '
+                          'nothing to identify from', controller.wrench_input)
+    series = {'positions of the joints': data.q, 'speeds of the joints': data.qd,
+              f'the wrench (ft_sensor/{controller.wrench_series})': getattr(
+                  data, controller.wrench_series), 'commanded torques': data.torque}
+    lacking = [text for text, values in series.items()
+               if not np.isfinite(values).all(axis=1).any()]
     if lacking:
-        remarks = ''.join(f'; {text}' for text in content.remarks)
-        raise RunError(f'{folder}: expected {", ".join(lacking)}, found none{remarks}')
-    data = content.data
-    if not np.isfinite(np.hstack([data.q, data.wrench, data.torque])).all(axis=1).any():
+        raise RunError('; '.join((
+            f'{folder}: expected {", ".join(lacking)}, found none', *remarks)))
+    if not np.isfinite(np.hstack([*series.values()])).all(axis=1).any():
         raise RunError(f'{folder}: expected joint states, wrenches and commands with equal '
                        'stamps, found none')
-    return content.data, controller, read.urdf_dir
 
 
 def identify_contacts(
@@ -143,11 +159,12 @@ def contact_signals(
     shape = (data.ticks, len(names))
     alpha, speed, motion, friction, commanded, resisted = (
         np.full(shape, np.nan) for _ in range(6))
+    wrench = getattr(data, config.wrench_series)
     for k in range(data.ticks):
-        row = np.concatenate([data.q[k], data.qd[k], data.wrench[k], data.torque[k]])
+        row = np.concatenate([data.q[k], data.qd[k], wrench[k], data.torque[k]])
         if not np.isfinite(row).all():
             continue
-        controller.see(data.q[k], data.qd[k], data.wrench[k])
+        controller.see(data.q[k], data.qd[k], wrench[k])
         alpha[k] = contacts['alpha_meas']
         frame = controls[0]['frame']
         twist, levers = frame['twist'], contacts['point'] @ frame['rotation'].T
@@ -181,7 +198,7 @@ def _identify(signal: ContactSignals, config: ControllerConfig) -> dict[str, Any
     names = ['stiffness_n_m', 'damping_n_s_m', 'tool_mass_kg', 'friction']
     found: dict[str, Any] = dict.fromkeys(names)
     found |= {'samples': int(accepted.sum()), 'explained': None,
-              'noise_variance_n2': _noise(signal), 'delay_s': _delay(signal, accepted, h)}
+              'noise_variance_n2': noise_at_rest(signal), 'delay_s': _delay(signal, accepted, h)}
     if accepted.sum() < LEAST_SAMPLES:
         return found
     columns = np.column_stack(unknown)[accepted]
@@ -221,7 +238,7 @@ def _band_passed(signal: ContactSignals, config: ControllerConfig) -> tuple[Matr
     return filtered, accepted
 
 
-def _noise(signal: ContactSignals) -> dict[str, float] | None:
+def noise_at_rest(signal: ContactSignals) -> dict[str, float] | None:
     """
     Return the variance of the force at rest, from its changes: noise that is white.
 
@@ -235,7 +252,7 @@ def _noise(signal: ContactSignals) -> dict[str, float] | None:
         return None
     # Of differences 1.4826 MAD is their standard deviation, whatever a step has left in them.
     variance = 0.5 * (1.4826 * float(np.median(np.abs(changes - np.median(changes))))) ** 2
-    return {'value': variance, 'std': variance * math.sqrt(3.5 / len(changes))}
+    return {'value': variance, 'std': variance * math.sqrt(SCATTER / len(changes))}
 
 
 def _delay(signal: ContactSignals, accepted: Mask, h: float) -> dict[str, float] | None:

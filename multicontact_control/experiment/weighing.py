@@ -28,7 +28,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 JOINTS = 'joint_states'
-WRENCHES = {'raw': 'ft_sensor/wrench', 'filtered': 'ft_sensor/wrench_filtered'}
 GRID = 0.02  # s, in which a recording is looked at for rests
 LOOK = 0.1  # s, over which the speed of a joint is taken
 REACHED = 0.1  # rad, of a tilt
@@ -91,7 +90,7 @@ def weigh_recording(
     """
     config = config or RestConfig()
     controller, robot = _arm(files)
-    wrench = WRENCHES[controller.wrench_input]
+    wrench = f'ft_sensor/{controller.wrench_series}'
     types = {JOINTS: JOINT_STATE, wrench: WRENCH}
     found = read_messages(path, types, namespace)
     for topic in types:
@@ -129,7 +128,7 @@ def _arm(files: Sequence[Path]) -> tuple[ControllerConfig, RobotModel]:
         raise ConfigError('--controller', 'the parameter file of your controller', 'none')
     read = read_controller_files(files)
     controller = read.config()
-    if controller.wrench_input not in WRENCHES:
+    if controller.wrench_input == 'momentum':
         raise ConfigError('wrench_input', 'raw or filtered: without a wrist sensor there is '
                           'nothing to calibrate', controller.wrench_input)
     return controller, RobotModel(controller.robot, read.urdf_dir)

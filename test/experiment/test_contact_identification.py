@@ -7,9 +7,16 @@ from multicontact_control.cli import app
 from multicontact_control.errors import RunError
 from multicontact_control.experiment import contact_identification
 from multicontact_control.experiment.closed_loop import run_in_process
-from multicontact_control.experiment.contact_identification import identify_contacts, show
+from multicontact_control.experiment.contact_identification import (
+    ContactSignals,
+    identify_contacts,
+    noise_at_rest,
+    read_recording,
+    show,
+)
 from multicontact_control.experiment.scenario import resolve
-from multicontact_control.files import read_json
+from multicontact_control.experiment.summary import summarise
+from multicontact_control.files import finite, read_json, write_json
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -80,6 +87,44 @@ def test_noise_is_that_of_the_sensor_in_the_direction_of_the_contact(recorded):
     """A force alone has the noise of its axis; lever arms add to it."""
     for contact in recorded[2].values():
         assert NOISE ** 2 < 1.2 * contact['noise_variance_n2']['value'] < 4.0 * NOISE ** 2
+
+
+@pytest.mark.parametrize('size', [60, 400])
+def test_error_of_the_noise_is_that_of_many_recordings(size):
+    """White noise in 2000 recordings of one contact at rest: the scatter of what is found."""
+    random = np.random.default_rng(4)
+    rest = np.zeros(size)
+    found = [noise_at_rest(ContactSignals(
+        NOISE * random.normal(size=size), rest + 10.0, rest, rest, rest, rest, rest))
+        for _ in range(2000)]
+    values, errors = (np.array([each[name] for each in found]) for name in ('value', 'std'))
+    assert values.mean() == pytest.approx(NOISE ** 2, rel=0.05)
+    assert errors.mean() == pytest.approx(values.std(), rel=0.07)
+
+
+@pytest.mark.slow
+def test_wrench_that_the_controller_works_with_is_read(recorded):
+    """A driver that publishes only the filtered one, which is late by the low-pass."""
+    setup, data, whole = recorded
+    filtered = replace(data, wrench=np.full_like(data.wrench, np.nan))
+    config = setup.controller.model_copy(update={'wrench_input': 'filtered'})
+    found = identify_contacts(filtered, config, setup.urdf_dir)
+    for name, contact in found.items():
+        assert contact['stiffness_n_m']['value'] == pytest.approx(
+            whole[name]['stiffness_n_m']['value'], rel=0.1)
+
+
+@pytest.mark.slow
+def test_run_that_lacks_the_wrench_is_refused_by_name(recorded, tmp_path):
+    setup, data, _ = recorded
+    setup.write(tmp_path / 'config')
+    write_json(tmp_path / 'summary.json', finite(summarise(
+        data, setup, mode='in_process', timing={})))
+    data.save(tmp_path)
+    assert read_recording(tmp_path, None)[0].ticks == data.ticks
+    replace(data, wrench=np.full_like(data.wrench, np.nan)).save(tmp_path)
+    with pytest.raises(RunError, match=r'expected the wrench \(ft_sensor/wrench\), found none'):
+        read_recording(tmp_path, None)
 
 
 @pytest.mark.slow

@@ -18,6 +18,7 @@ from multicontact_control.nodes import messages, topics
 import numpy as np
 import pytest
 from typer.testing import CliRunner
+import yaml
 
 pytestmark = pytest.mark.ros
 
@@ -274,5 +275,18 @@ def test_identification_names_what_a_recording_lacks(bag, tmp_path):
     with pytest.raises(ConfigError, match='--config: expected the parameter file'):
         read_recording(bag, None)
     lacking = write_bag(tmp_path / 'bag', without=(topics.TRUE_FORCES, topics.WRENCH))
-    with pytest.raises(RunError, match='expected the wrench, found none; not in the recording'):
+    with pytest.raises(RunError, match=r'expected the wrench \(ft_sensor/wrench\), found none; '
+                       'not in the recording'):
         read_recording(lacking, file)
+
+
+def test_identification_asks_for_the_wrench_that_the_controller_works_with(bag, tmp_path):
+    with pytest.raises(RunError, match=r'expected the wrench \(ft_sensor/wrench_filtered\)'):
+        read_recording(bag, controller_file(tmp_path, wrench_input='filtered'))
+    content = yaml.safe_load(controller_file(
+        tmp_path, wrench_input='momentum', sensor={'require_push_test': False}).read_text())
+    content['controller_node']['ros__parameters']['robot']['sensor_frame'] = ''
+    (tmp_path / 'felt.yaml').write_text(yaml.safe_dump(content))
+    with pytest.raises(ConfigError, match='wrench_input: expected raw or filtered: without a '
+                       'wrist sensor .*, found momentum'):
+        read_recording(bag, tmp_path / 'felt.yaml')

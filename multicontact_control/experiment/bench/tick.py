@@ -47,7 +47,7 @@ class Replay:
         self._places = SUPERVISED if supervised else BARE
         data = run_in_process(setup, supervised=supervised).data
         config = setup.controller
-        wrench = data.wrench if config.wrench_input == 'raw' else data.wrench_filtered
+        wrench = getattr(data, config.wrench_series)
         self.samples = [
             PairedSample(round(k * config.period * 1e9), data.q[k].copy(), data.qd[k].copy(),
                          wrench[k].copy(), data.effort[k].copy())
