@@ -73,6 +73,10 @@ class Study(ABC, Generic[JobT, ContentT]):
 
         """
 
+    def further(self, run: JobRun[JobT]) -> list[JobT]:
+        """Return what else is to be run, now that the jobs have been."""
+        return []
+
     @staticmethod
     @abstractmethod
     def measure(job: Any) -> JobResult:
@@ -180,8 +184,17 @@ def run_study_jobs(
         console.print(estimate.sentence(workers, study.unit), highlight=False)
         if options.dry_run:
             return None
-        return run_jobs(jobs, folder, study.measure, executor=executor, console=console,
-                        title=study.title)
+
+        def run_all(some: Sequence[JobT]) -> JobRun[JobT]:
+            return run_jobs(some, folder, study.measure, executor=executor, console=console,
+                            title=study.title)
+
+        run = run_all(jobs)
+        further = study.further(run)
+        if not further:
+            return run
+        more = run_all(further)
+        return replace(run, keys={**run.keys, **more.keys}, lost={**run.lost, **more.lost})
 
 
 def report_study(

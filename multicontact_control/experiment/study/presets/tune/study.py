@@ -100,12 +100,33 @@ class TuneStudy(Study[LawJob, list[dict[str, Any]]]):
             zip(ranges, values))) for values in product(*ranges.values())
             for plant in self.plants]
 
+    def further(self, run: JobRun[LawJob]) -> list[LawJob]:
+        """Return the runs of the best combination on other seeds."""
+        return self._judging(self._combinations(run)[0])
+
+    def _judging(self, best: Mapping[str, Any]) -> list[LawJob]:
+        """Return the runs that the best combination is judged by, none if it is not stable."""
+        if best['cost'] is None:
+            return []
+        job = next(job for job in self.jobs() if dict(job.settings) == best['settings'])
+        return [replace(job, plant=plant, seed=seed)
+                for plant in self.plants for seed in JUDGED_ON]
+
     def content(self, run: JobRun[LawJob]) -> list[dict[str, Any]]:
         """
         Return every combination by its cost, the least first.
 
-        The first, if it is stable, is run on other seeds, and its figures there are `judged`.
+        The figures of the first, if it is stable, on other seeds are `judged`.
         """
+        found = self._combinations(run)
+        judging = self._judging(found[0])
+        if judging:
+            found[0]['judged'] = [dict(row) for row in law_rows(
+                run.kept(judging), lambda job: run.result(job).metrics)]
+        return found
+
+    def _combinations(self, run: JobRun[LawJob]) -> list[dict[str, Any]]:
+        """Return every combination without lost runs by its cost; RunError if there is none."""
         combinations: dict[tuple[Any, ...], list[LawJob]] = {}
         for job in self.jobs():
             combinations.setdefault(job.settings, []).append(job)
@@ -122,12 +143,6 @@ class TuneStudy(Study[LawJob, list[dict[str, Any]]]):
         found.sort(key=lambda row: row['cost'])
         for row in found:
             row['cost'] = None if math.isinf(row['cost']) else row['cost']
-        if found[0]['cost'] is not None:
-            best = next(job for job in self.jobs() if dict(job.settings) == found[0]['settings'])
-            others = [replace(best, plant=plant, seed=seed)
-                      for plant in self.plants for seed in JUDGED_ON]
-            found[0]['judged'] = [
-                dict(row) for row in law_rows(others, lambda job: run_law_job(job).metrics)]
         return found
 
     def tables(

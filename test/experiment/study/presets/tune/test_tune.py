@@ -1,5 +1,6 @@
 """Tuning: what is tried, what counts as best, and what is written."""
 
+from contextlib import nullcontext
 from dataclasses import replace
 
 from multicontact_control.config import read_yaml
@@ -7,6 +8,7 @@ from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.experiment.study.cache import JobCache
 from multicontact_control.experiment.study.execute import JobRun
+from multicontact_control.experiment.study.executors import LocalExecutor
 from multicontact_control.experiment.study.jobs import JobResult
 from multicontact_control.experiment.study.presets.laws.jobs import LawJob
 from multicontact_control.experiment.study.presets.tune import study as tuning
@@ -71,6 +73,33 @@ def test_combination_with_a_lost_run_is_left_out(tmp_path, monkeypatch):
     lost = replace(run, lost={jobs[0]: 'died', jobs[-1]: 'died'})
     with pytest.raises(RunError, match='tune: expected a combination .*found 2 of 4 jobs lost'):
         study.content(lost)
+
+
+class Noting(LocalExecutor):
+    """Notes what it is given to run."""
+
+    def __init__(self):
+        super().__init__(1)
+        self.given = []
+
+    def results(self, task, jobs, notify):
+        self.given += jobs
+        yield from super().results(task, jobs, notify)
+
+
+@pytest.mark.slow
+def test_runs_on_other_seeds_are_jobs_like_the_others(tmp_path, monkeypatch):
+    """Whoever runs the jobs runs them too, and what is finished is not run again."""
+    monkeypatch.setattr(tuning, 'read_ranges', lambda law: {
+        'controller.force.damping_rate': [40.0]})
+    monkeypatch.setattr(tuning, 'JUDGED_ON', (1, 2))
+    executor, options = Noting(), StudyOptions(tmp_path)
+    monkeypatch.setattr(StudyOptions, 'executor', lambda self: nullcontext(executor))
+    first = run_study(TuneStudy('dob', ('rigid',)), options)
+    assert [job.seed for job in executor.given] == [0, 1, 2]
+    assert first[0]['judged'][0]['runs'] == 2
+    assert run_study(TuneStudy('dob', ('rigid',)), options) == first
+    assert len(executor.given) == 3
 
 
 @pytest.mark.slow
