@@ -103,7 +103,8 @@ def refuse_options(given: set[str], names: tuple[str, ...], what: str) -> None:
 
     for name in names:
         if name in given:
-            raise ConfigError(f'--{name.replace("_", "-")}', f'nothing with {what}', 'it')
+            option = 'set' if name == 'settings' else name.replace('_', '-')
+            raise ConfigError(f'--{option}', f'nothing with {what}', 'it')
 
 
 def split_list(text: str) -> tuple[str, ...]:

@@ -6,11 +6,17 @@ from pathlib import Path
 from typing import Annotated
 
 from multicontact_control.cli.exits import errors_in_one_line
-from multicontact_control.cli.options import ControllerFiles, Namespace
+from multicontact_control.cli.options import (
+    ControllerFiles,
+    given_options,
+    Namespace,
+    refuse_options,
+)
 import typer
 
 
 def report(
+    context: typer.Context,
     runs: Annotated[list[Path], typer.Argument(
         metavar='RUN...', help='Folders of `run` or `simulate`, bag folders, or .mcap files of '
         'anybody.')],
@@ -29,10 +35,13 @@ def report(
     by them. Names and rate are those of the messages, or of --controller.
     """
     from multicontact_control.experiment.report import write_report
-    from multicontact_control.experiment.results import load, report_folder
+    from multicontact_control.experiment.results import is_whole_run, load, report_folder
     from multicontact_control.experiment.study.presets.compare.results import read_comparison
 
     with errors_in_one_line():
+        if all(map(is_whole_run, runs)):
+            refuse_options(given_options(context), ('controller', 'namespace'),
+                           'runs of this package, which know their own')
         content = read_comparison(comparison) if comparison is not None else None
         loaded = [load(path, controller or (), namespace) for path in runs]
         paths = write_report(loaded, out or report_folder(runs[0]), content)

@@ -9,9 +9,11 @@ from multicontact_control.cli.exits import errors_in_one_line, EXIT_FAILED
 from multicontact_control.cli.options import (
     DomainId,
     Engine,
+    given_options,
     Namespace,
     Plant,
     Preset,
+    refuse_options,
     resolve_settings,
     Robot,
     Scenario,
@@ -20,8 +22,12 @@ from multicontact_control.cli.options import (
 )
 import typer
 
+# What says which arm it is; a run knows that, other recordings do not.
+OF_THE_ARM = ('scenario', 'robot', 'plant', 'preset', 'settings')
+
 
 def view(
+    context: typer.Context,
     recording: Annotated[Path | None, typer.Argument(
         metavar='[RUN]', help='Folder of `run` or `simulate`, or a bag, to replay.')] = None,
     graph: Annotated[bool, typer.Option(
@@ -51,6 +57,13 @@ def view(
     2: bad input, or what it needs is not installed.
     """
     with errors_in_one_line():
+        if recording is not None:
+            from multicontact_control.experiment.results import run_of
+
+            given = given_options(context)
+            refuse_options(given, ('seed', 'engine'), 'a recording')
+            if run_of(recording)[1]:
+                refuse_options(given, OF_THE_ARM, 'a run, which knows its own')
         setup = resolve_settings(
             scenario, {'plant': plant, 'robot': robot, 'seed': seed, 'preset': preset,
                        'plant_overrides': {'engine': engine} if engine else None}, settings)

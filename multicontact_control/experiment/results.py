@@ -237,6 +237,18 @@ def load_recording(
         **summary, 'supervised': None, 'remarks': list(content.remarks)})
 
 
+def run_of(path: Path) -> tuple[Path, bool]:
+    """Return the folder of a recording, of a run's ``bag/`` the run's, and whether it is a run."""
+    folder = path.parent if path.is_file() else path
+    folder = folder.parent if folder.name == BAG_FOLDER else folder
+    return folder, (folder / CONFIG_FOLDER).is_dir()
+
+
+def is_whole_run(path: Path) -> bool:
+    """Return whether a path is the folder of a run that came to its end."""
+    return (path / CONFIG_FOLDER).is_dir() and (path / SUMMARY_FILE).is_file()
+
+
 def load(path: Path, files: Sequence[Path] = (), namespace: str | None = None) -> LoadedRun:
     """
     Read a run of this package, or what anybody recorded.
@@ -258,7 +270,7 @@ def load(path: Path, files: Sequence[Path] = (), namespace: str | None = None) -
     if not path.exists():
         raise ConfigError('run', 'a folder of `multicontact run` or `simulate`, or a recording',
                           path)
-    if config.is_dir() and (path / SUMMARY_FILE).is_file():
+    if is_whole_run(path):
         return load_run(path)
     if bag.is_dir() and not any(path.glob('*.mcap')):
         own = config / 'controller.yaml'  # of a run that did not come to its end

@@ -20,8 +20,8 @@ from multicontact_control.experiment.bag_messages import read_messages
 from multicontact_control.experiment.recording import RunData, SERIES_FILE
 from multicontact_control.experiment.results import (
     BAG_FOLDER,
-    CONFIG_FOLDER,
     load_setup,
+    run_of,
     SUMMARY_FILE,
 )
 from multicontact_control.experiment.scenario import Setup
@@ -227,8 +227,7 @@ def load_replay(path: Path, setup: Setup, namespace: str | None = None) -> Repla
     if not folder.is_dir():
         raise ConfigError('recording', 'a folder of `multicontact run` or `simulate`, or a bag',
                           path)
-    run = folder.parent if folder.name == BAG_FOLDER else folder
-    of_run = (run / CONFIG_FOLDER).is_dir()
+    run, of_run = run_of(path)
     # Whatever lies beside a file is another recording.
     alone = not of_run and path.is_file() and path.suffix == '.mcap'
     title = f'recording {(path if alone else run).resolve().name}'

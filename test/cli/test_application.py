@@ -16,6 +16,7 @@ import typer
     (('view', '--plant', 'x'), "plant: expected one of rigid, puma, or a path, found 'x'"),
     (('view', 'nowhere'), 'recording: expected a folder of `multicontact run` or `simulate`'),
     (('view', '.'), 'recording: expected bag/*.mcap or samples.npz in it, found .'),
+    (('view', 'x', '--seed', '1'), '--seed: expected nothing with a recording, found it'),
     (('view', '--host', '203.0.113.1'), 'host: expected an address of this machine, found'),
     (('view', '--size', '9x9'), 'size: expected WIDTHxHEIGHT of 400 to 8000 pixels'),
     (('run', '--commanded', '--set', 'scenario.duration=20'),
@@ -76,3 +77,15 @@ def test_without_a_command_it_says_what_to_try_first(multicontact):
 def test_version_is_the_packages(multicontact):
     """One version."""
     assert multicontact('--version').stdout.strip() == f'multicontact {__version__}'
+
+
+@pytest.mark.parametrize(('command', 'option', 'value'), [
+    ('view', '--preset', 'paper'), ('view', '--plant', 'rigid'), ('view', '--set', 'x=1'),
+    ('report', '--controller', 'x.yaml'), ('report', '--namespace', 'left')])
+def test_what_a_run_knows_itself_is_refused(multicontact, tmp_path, command, option, value):
+    """It would have no effect."""
+    (tmp_path / 'config').mkdir()
+    (tmp_path / 'summary.json').write_text('{}')
+    done = multicontact(command, str(tmp_path), option, value)
+    assert done.returncode == 2
+    assert f'{option}: expected nothing with ' in done.stderr and done.stderr.count('\n') == 1
