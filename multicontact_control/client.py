@@ -37,8 +37,8 @@ STATE_TOPICS = (
     topics.MEASURED_FORCES, topics.ESTIMATED_FORCES, topics.DESIRED_FORCES, topics.POSE,
     topics.POSE_DESIRED)
 SENT_KEPT = 32  # commands, for refusals that are late
-# A refusal of one force, or couple; others name none.
-OF_ONE_FORCE = re.compile(r': (?:force on|couple) (\S+): expected .*, found (\S+) N$')
+# A refusal of one force, or couple, as it was sent; others name none, or what contacts share.
+OF_ONE_FORCE = re.compile(r': (?:force on|couple) (\S+): expected (?!.*share).*, found (\S+) N$')
 
 
 class NotReachedError(RunError):

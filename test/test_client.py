@@ -6,6 +6,7 @@ import itertools
 import threading
 import warnings
 
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from lifecycle_msgs.srv import ChangeState, GetState
 from multicontact_control.client import (
     CommandRefusedError,
@@ -14,7 +15,8 @@ from multicontact_control.client import (
     NotReachedError,
     STATE_TOPICS,
 )
-from multicontact_control.errors import RunError
+from multicontact_control.config import ControllerConfig, read_parameters, validate
+from multicontact_control.errors import CommandError, RunError
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.graph_node import create_publisher, create_subscription, ignore
 from multicontact_control.nodes.link import (
@@ -26,6 +28,8 @@ from multicontact_control.nodes.link import (
     GuestNode,
     LifecycleDriver,
 )
+from multicontact_control.paths import config_dir
+from multicontact_control.supervision.command_limits import check_shared
 import numpy as np
 import pytest
 from rclpy.executors import SingleThreadedExecutor
@@ -246,6 +250,22 @@ class StandIn:
             1_000_000_000 + 2_000_000 * next(numbers), [0.0, 0.5, 0.5], [0.0, 0.0, 0.0, 1.0],
             'world')))
 
+    def refuse_forces(self, error):
+        """Answer every force command with a refusal."""
+        status = create_publisher(self._guest.node, topics.STATUS)
+        values = dict.fromkeys(('life_cycle', 'reaction', 'causes', 'contacts', 'held',
+                                'push_test', 'forces'), '')
+        refused = itertools.count(1)
+
+        def refuse(_command):
+            told = {**values, 'event': 'refused', 'refused': str(next(refused)),
+                    'last_refusal': f'{topics.FORCE_COMMAND.name}: {error}'}
+            status.publish(DiagnosticStatus(
+                values=[KeyValue(key=key, value=value) for key, value in told.items()]))
+
+        create_subscription(
+            self._guest.node, topics.FORCE_COMMAND, refuse, topics.FORCE_COMMAND.profile)
+
     def publish_samples_whose_clock_is_set_back(self):
         node, numbers = self._guest.node, itertools.count()
         publishers = {topic: create_publisher(node, topic) for topic in STATE_TOPICS}
@@ -327,6 +347,31 @@ def test_waiting_goes_on_where_the_clock_is_set_back(domain_id):
         with MultiContactClient('stand_in', domain_id=domain_id, timeout=PATIENCE) as client:
             assert client.read().time >= 1000.0
             assert client.wait_until_reached(timeout=20.0).time < 1000.0
+    finally:
+        controller.close()
+
+
+def test_refusal_of_what_dependent_contacts_share_is_heard(domain_id):
+    N = np.zeros((3, 6))
+    N[:, 2], N[:, 4] = 1.0, [-1.0, 0.0, 1.0]
+    names = ('table', 'b', 'c')
+    contact = {'normal_world': [0.0, 0.0, -1.0], 'point_operational': [0.0] * 3,
+               'stiffness': 6000.0}
+    config = validate(ControllerConfig, {
+        **read_parameters(config_dir() / 'controller.yaml'), 'contact_names': names,
+        'contacts': dict.fromkeys(names, contact),
+        'force': {'dependent_columns': 'minimum_norm'}})
+    with pytest.raises(CommandError) as refusal:
+        check_shared(config, N, {'table': 5.0, 'b': 5.0, 'c': 20.0})
+    controller = StandIn(domain_id)
+    try:
+        controller.refuse_forces(refusal.value)
+        controller.publish_samples_whose_clock_is_set_back()
+        with MultiContactClient('stand_in', domain_id=domain_id, timeout=PATIENCE) as client:
+            client.set_forces({'table': 5.0})
+            with pytest.raises(CommandRefusedError, match='on table: .*dependent contacts share'):
+                client.wait_until_reached(timeout=PATIENCE)
+            assert client.wait_until_reached(timeout=PATIENCE)  # nothing is commanded any more
     finally:
         controller.close()
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import fields
 from functools import lru_cache
 from typing import Any, get_args
 
@@ -10,6 +13,7 @@ from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.config import ControllerConfig, FedForward, ForceConfig
 from multicontact_control.config.columns import FORCE
+from multicontact_control.errors import ConfigError
 from multicontact_control.force.laws import design_aob, LAWS, LinearLaw, LoopModel, steady_law
 from multicontact_control.force.linear_law import start_linear, step_linear
 from multicontact_control.force.linear_loop import (
@@ -47,17 +51,53 @@ RATIOS = tuple(np.geomspace(1.0, 100.0, 9).tolist())  # where the loop's limit i
 
 def loop_model(config: ControllerConfig, stiffness: float) -> LoopModel:
     """Return what the force law of a contact of that stiffness [N/m] is designed for."""
-    rate, delay = config.force.damping_rate, config.loop_delay
+    return _loop_model(config.force, config.loop_delay, config.period, stiffness)
+
+
+def _loop_model(force: ForceConfig, delay: float, period: float, stiffness: float) -> LoopModel:
+    rate = force.damping_rate
     return LoopModel(
-        delayed_plant(stiffness, rate, delay, config.period), stiffness, rate, delay,
-        config.period)
+        delayed_plant(stiffness, rate, delay, period), stiffness, rate, delay, period)
 
 
 def design_law(
     config: ControllerConfig, contact: str, stiffness: float,
 ) -> ObserverDesign | LinearLaw:
-    """Design the force law of a contact, for a stiffness [N/m]; ConfigError if there is none."""
-    return LAWS[config.law_of(contact)](loop_model(config, stiffness), config.force)
+    """
+    Return the force law of a contact, for a stiffness [N/m]; its arrays are not to be changed.
+
+    Raises
+    ------
+    ConfigError
+        If there is none, or none of finite numbers.
+
+    """
+    return _design_law(
+        config.law_of(contact), config.force, config.loop_delay, config.period, stiffness)
+
+
+@lru_cache(maxsize=64)  # a live change is checked first, and then made; most contacts are alike
+def _design_law(
+    name: str, force: ForceConfig, delay: float, period: float, stiffness: float,
+) -> ObserverDesign | LinearLaw:
+    with _designing(name):
+        design = LAWS[name](_loop_model(force, delay, period, stiffness), force)
+        for field in fields(design):
+            value = getattr(design, field.name)
+            if isinstance(value, np.ndarray) and not np.isfinite(value).all():
+                raise ValueError(f'{field.name} that is not finite')
+    return design
+
+
+@contextmanager
+def _designing(name: str) -> Iterator[None]:
+    """Say of whatever cannot be worked out that there is no such law."""
+    try:
+        with np.errstate(all='ignore'):
+            yield
+    except (ArithmeticError, ValueError) as error:  # a LinAlgError is a ValueError
+        raise ConfigError(
+            f'force.{name}', 'values that a law can be designed for', error) from None
 
 
 def make_force_laws(config: ControllerConfig, stiffnesses: Vector) -> Records:
@@ -111,17 +151,16 @@ def _largest_ratio(
     force: ForceConfig, delay: float, period: float, noise_variance: float, stiffness: float,
 ) -> float:
     rate = force.damping_rate
-    model = LoopModel(
-        delayed_plant(stiffness, rate, delay, period), stiffness, rate, delay, period)
-    design = design_aob(model, force)
-    law = steady_law(design, steady_gain(design, noise_variance))
     none = np.zeros((1, 1))
+    with _designing('aob'):
+        design = design_aob(_loop_model(force, delay, period, stiffness), force)
+        law = steady_law(design, steady_gain(design, noise_variance))
 
-    def stable(ratio: float) -> bool:
-        plant = LinearArmPlant(none, np.array([ratio * stiffness]), np.zeros(1), none, delay)
-        return spectral_radius(closed_loop(plant, law, rate, period)) < 1.0
+        def stable(ratio: float) -> bool:
+            plant = LinearArmPlant(none, np.array([ratio * stiffness]), np.zeros(1), none, delay)
+            return spectral_radius(closed_loop(plant, law, rate, period)) < 1.0
 
-    return min(last_stable(stable, RATIOS, 1e-2)[0], RATIOS[-1])
+        return min(last_stable(stable, RATIOS, 1e-2)[0], RATIOS[-1])
 
 
 def continue_laws(laws: Records, others: Records) -> None:

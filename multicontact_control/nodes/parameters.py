@@ -14,6 +14,7 @@ import copy
 from dataclasses import dataclass
 from functools import partial
 import sys
+import traceback
 from types import NoneType
 import typing
 from typing import Any, Literal
@@ -397,9 +398,11 @@ class ParameterSet:
             self._refuse_locked(changes)
             configurations = self.configurations(changes)
             self._check(configurations)
-        except MulticontactError as error:
+        except Exception as error:
+            if not isinstance(error, MulticontactError):  # a mistake here: not for the arm to pay
+                self._node.get_logger().error(traceback.format_exc())
             self.refused(next(iter(changes)), error)
-            return SetParametersResult(successful=False, reason=str(error))
+            return SetParametersResult(successful=False, reason=str(error) or repr(error))
         self._pending = configurations
         return SetParametersResult(successful=True)
 

@@ -1,5 +1,7 @@
 """Every force law against its own equations, on the contact of eq. 32, and when it takes over."""
 
+import subprocess
+import sys
 from typing import get_args
 
 from multicontact_control.config import (
@@ -29,13 +31,14 @@ from multicontact_control.force.laws.margins import (
     margins_of,
     rise_time,
 )
-from multicontact_control.force.linear_law import step_linear
+from multicontact_control.force.linear_law import sampled, step_linear
 from multicontact_control.force.linear_loop import spectral_radius, steady_gain
 from multicontact_control.force.plant_model import delayed_plant
 from multicontact_control.paths import config_dir
 from multicontact_control.records import CONTACT, CONTROL
 import numpy as np
 import pytest
+from scipy.signal import cont2discrete
 
 H, K, DELAY = 0.002, 6000.0, 0.006
 LINEAR = [name for name in LAWS if name != 'aob']
@@ -303,6 +306,41 @@ def test_design_says_what_it_cannot_do(values, field):
     given = {'name': 'dob', 'softest': 1000.0, 'stiffest': 5000.0, 'noise_variance': 0.6, **values}
     with pytest.raises(ConfigError, match=f'^{field}: '):
         design_for_range(given.pop('name'), input_delay=DELAY, **given)
+
+
+@pytest.mark.parametrize(('name', 'force'), [
+    ('pi', {'pi': {'filter_cutoff': 1e308}}), ('lqg', {'lqg': {'noise_variance': 1e300}}),
+    ('lqg', {'lqg': {'input_weight': 1e300}})])
+def test_laws_that_cannot_be_worked_out_are_refused_by_name(name, force):
+    config = config_of(name, **force)
+    with pytest.raises(ConfigError, match=f'force.{name}: expected .* designed for, found ..*'):
+        design_law(config, 'table', K)
+
+
+@pytest.mark.parametrize('states', [1, 2, 4])
+def test_discretisation_is_scipys_to_the_last_bit(states):
+    random = np.random.default_rng(states)
+    for scale in np.geomspace(1e-2, 1e4, 20):
+        A, B, C, D = (random.standard_normal(shape) for shape in (
+            (states, states), (states, 3), (3, states), (3, 3)))
+        A *= scale * random.choice([0.0, 1.0], A.shape)
+        law = sampled(A, B, C, D, H)
+        expected = cont2discrete((A, B, C, D), H, method='bilinear')
+        for found, matrix in zip((law.A, law.B, law.C, law.D), expected):
+            np.testing.assert_array_equal(found, matrix)
+
+
+def test_no_law_takes_the_time_to_import_scipy_signal():
+    said = subprocess.run([sys.executable, '-c', """
+import sys
+from multicontact_control.experiment.scenario import resolve
+from multicontact_control.force.force_law import design_law, LAWS
+loaded = set(sys.modules)
+for law in LAWS:
+    design_law(resolve('quick', controller={'force': {'law': law}}).controller, 'table', 6000.0)
+print([name for name in sorted(set(sys.modules) - loaded) if name.count('.') <= 1])
+"""], check=True, capture_output=True, text=True).stdout
+    assert 'scipy' not in said
 
 
 def test_matrices_of_the_wrong_shape_are_refused():

@@ -184,6 +184,21 @@ def test_tare_is_refused_while_forces_are_controlled(graph):
     wait_for_forces(arm, table=0.0, board=0.0)
 
 
+@pytest.mark.parametrize(('law', 'name', 'good', 'bad'), [
+    ('pi', 'force.pi.filter_cutoff', 40.0, 1e308),
+    ('lqg', 'force.lqg.noise_variance', 1.0, 1e300)])
+def test_gains_that_no_law_can_be_designed_for_are_refused(graph, law, name, good, bad):
+    arm, driver = graph
+    assert set_parameter(driver, NAME, 'force.law', law).successful
+    assert set_parameter(driver, NAME, name, good).successful
+    answer = set_parameter(driver, NAME, name, bad)
+    assert not answer.successful
+    assert answer.reason.startswith(f'force.{law}: expected values that a law can be designed for')
+    assert get_parameter(driver, NAME, name) == good
+    arm.step()
+    assert set_parameter(driver, NAME, 'force.law', 'aob').successful
+
+
 def test_retry_is_refused_where_nothing_waits_for_it(graph):
     _, driver = graph
     answer = driver.call(NAME, Trigger, 'retry', Trigger.Request())

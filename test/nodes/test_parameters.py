@@ -239,6 +239,22 @@ def test_a_refused_change_changes_nothing_and_is_told(make):
     assert (applied[0].gains.soft, applied[0].gains.stiff) == (5.0, 6.0)
 
 
+def test_a_check_that_breaks_refuses_the_change(make):
+    node, parameters = make('size:=1.0')
+    applied, told = [], []
+
+    def check(configs):
+        raise ValueError if configs[0].gains.soft else ArithmeticError('no solution')
+
+    parameters.lock(check, applied.extend)
+    parameters.refused = lambda name, error: told.append((name, type(error)))
+    results = [change(node, 'gains.soft', value) for value in (5.0, 0.0)]
+    assert [(x.successful, x.reason) for x in results] == [
+        (False, 'ValueError()'), (False, 'no solution')]
+    assert told == [('gains.soft', ValueError), ('gains.soft', ArithmeticError)]
+    assert not applied
+
+
 def test_a_list_can_be_empty_and_filled(make):
     node, parameters = make('size:=1.0')
     assert parameters.configurations()[0].gains.weights == ()
