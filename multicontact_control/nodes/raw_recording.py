@@ -18,7 +18,12 @@ from typing import Any
 
 from multicontact_control.errors import MessageError
 from multicontact_control.nodes.bag_writer import BagWriter
-from multicontact_control.nodes.graph_node import ignore, served_profile, take
+from multicontact_control.nodes.graph_node import (
+    all_are_heard,
+    ignore,
+    served_profile,
+    take,
+)
 from multicontact_control.nodes.loop_statistics import Freshness
 from multicontact_control.nodes.recording_batch import read_batch
 from multicontact_control.nodes.topics import Topic
@@ -149,14 +154,15 @@ class RawRecording:
         return self._node.create_subscription(message, name, ignore, requested, raw=True)
 
     def meet_publishers(self) -> None:
-        """Ask for no more than is given where a topic's publishers give less than is asked for."""
+        """Ask for no more than is given where one of a topic's publishers gives less."""
         for stream in self.streams.values():
             end = stream.subscription
-            if end is None or end.get_publisher_count():
+            if end is None or all_are_heard(self._node, end):
                 continue
             profile = end.qos_profile
             served = served_profile(self._node, stream.name, profile)
             if served is not profile:
+                self.drain()
                 self._node.destroy_subscription(end)
                 stream.subscription = self._subscribe(end.msg_type, stream.name, served)
                 self._node.get_logger().info(f'{stream.name}: recorded best effort, as published')

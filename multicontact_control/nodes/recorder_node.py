@@ -127,7 +127,8 @@ class RecorderNode(Node):
             'cpu_s': time.process_time() - self._cpu_at_start})
 
     def _statuses(self) -> list[Status]:
-        self._recording.meet_publishers()
+        if self._gate.open:  # which looks at the ends that there are now
+            self._recording.meet_publishers()
         now, count = time.monotonic(), self._writer.message_count
         then, before = self._reported
         self._reported = (now, count)

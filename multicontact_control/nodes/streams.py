@@ -10,6 +10,7 @@ from typing import Any
 from multicontact_control.arrays import Vector
 from multicontact_control.nodes import topics
 from multicontact_control.nodes.graph_node import (
+    all_are_heard,
     create_publisher,
     create_subscription,
     served_profile,
@@ -120,14 +121,14 @@ class Streams:
         return served
 
     def meet_publishers(self) -> None:
-        """Ask for less on topics that nobody is heard on, if it is published with less."""
+        """Ask for less on topics with a publisher that is not heard, if it gives less."""
         now = time.monotonic_ns()
         if now < self._next_meeting:
             return
         self._next_meeting = now + MEETING_PERIOD
         for topic, profile in self._adaptive.items():
             end = self.subscriptions[topic]
-            if end.get_publisher_count():
+            if all_are_heard(self._node, end):
                 continue
             served = self._served(topic, profile)
             if served is not profile:

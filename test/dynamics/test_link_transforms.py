@@ -57,6 +57,13 @@ def test_link_transforms_leave_out_joints_without_a_position():
     assert children == ['pole']
 
 
+@pytest.mark.parametrize('position', [np.inf, -np.inf, np.nan])
+def test_link_transforms_leave_out_joints_whose_position_is_not_finite(position):
+    for known, unknown, child in (('hinge', 'rail', 'pole'), ('rail', 'hinge', 'cart')):
+        found = LinkTransforms(SLIDER).at({known: 0.1, unknown: position})
+        assert [x.child for x in found] == [child]
+
+
 @pytest.mark.parametrize(('old', 'new', 'match'), [
     ('<robot', '<', 'expected a URDF'),
     ('prismatic', 'floating', 'expected joints that turn, slide or are fixed, found rail'),

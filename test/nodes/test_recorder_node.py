@@ -151,6 +151,33 @@ def test_what_is_published_best_effort_is_recorded_so(middleware, tmp_path):
         assert sum(x.msgcount for x in reader.connections) > 25
 
 
+def test_what_is_published_best_effort_beside_others_is_recorded(middleware, tmp_path):
+    arm = middleware.node.create_publisher(JointState, 'joint_states', qos.STREAM)
+    process = middleware.start(
+        RECORDER, f'folder:={tmp_path / "bag"}', 'topics:=["joint_states"]')
+    wait_for(arm.get_subscription_count, 'a reader')
+    gripper = middleware.node.create_publisher(JointState, 'joint_states', qos.SENSOR)
+    sent = itertools.count(1)
+
+    def connected():
+        arm.publish(messages.joint_state_message(2 * next(sent), ['a'], effort=[0.0]))
+        return gripper.get_subscription_count()
+
+    wait_for(connected, 'a reader that asks for no more')
+    for _ in range(50):
+        connected()
+        gripper.publish(messages.joint_state_message(2 * next(sent), ['finger'], effort=[0.0]))
+        time.sleep(0.005)
+    process.send_signal(signal.SIGINT)
+    _, errors = end_of(process)
+    assert 'joint_states: recorded best effort, as published' in errors
+    with Reader(tmp_path / 'bag') as reader:
+        names = [STORE.deserialize_cdr(data, x.msgtype).name[0]
+                 for x, _, data in reader.messages()]
+    assert names.count('finger') > 25
+    assert names.count('a') > 25
+
+
 def test_recorder_that_is_killed_leaves_all_whole_chunks(middleware, publishers, tmp_path):
     folder = tmp_path / 'bag'
     process = start_recorder(middleware, folder, publishers, 'chunk_size:=4096')

@@ -1,6 +1,7 @@
 """Topics at the control rate: made for whoever wants them, and for nobody else."""
 
 from multicontact_control.nodes import messages, qos, topics
+from multicontact_control.nodes.graph_node import ignore, take
 from multicontact_control.nodes.local_delivery import LocalDelivery
 from multicontact_control.nodes.recording_batch import read_batch
 from multicontact_control.nodes.streams import Streams
@@ -90,3 +91,30 @@ def test_the_recorder_gets_batches_and_is_not_waited_for_elsewhere(middleware, s
     envelope = b'\0\1\0\0' + bytes(8) + len(content).to_bytes(4, 'little')
     assert [effort(entry.data) for entry in read_batch(envelope + content)] == [
         [0.0], [1.0], [2.0]]
+
+
+def test_publishers_that_give_less_are_heard_beside_those_that_give_more(middleware):
+    node, seen = middleware.node, []
+    first = node.create_publisher(JointState, TOPIC.name, qos.STREAM)
+    reader = Streams(node)
+    reader.subscribe(TOPIC, ignore, qos.NEWEST, adapt=True)
+    wait_for(first.get_subscription_count, 'connection')
+    second = node.create_publisher(JointState, TOPIC.name, qos.SENSOR)
+
+    def heard():
+        reader.meet_publishers()
+        for name, publisher in (('first', first), ('second', second)):
+            publisher.publish(messages.joint_state_message(0, [name], effort=[0.0]))
+        while (taken := take(reader.subscriptions[TOPIC])) is not None:
+            seen.extend(deserialize_message(taken[0], JointState).name)
+        return set(seen) if second.get_subscription_count() else None
+
+    wait_for(lambda: heard() == {'first', 'second'}, 'both', lambda: set(seen))
+    end = reader.subscriptions[TOPIC]
+    for _ in range(3):
+        reader.meet_publishers()
+        middleware.pause(0.11)
+    assert reader.subscriptions[TOPIC] is end  # and that is all
+    reader.close()
+    for publisher in (first, second):
+        node.destroy_publisher(publisher)

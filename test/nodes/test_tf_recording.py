@@ -6,11 +6,13 @@ from multicontact_control.nodes.bag_writer import BagWriter
 from multicontact_control.nodes.message_definitions import message_hash, message_text, TF_TYPE
 from multicontact_control.nodes.tf_recording import tf_bytes, TfRecording
 from multicontact_control.paths import config_dir
+import numpy as np
 import pytest
 from rclpy.logging import get_logger
 from rclpy.serialization import serialize_message
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import get_typestore, Stores
+from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -57,3 +59,20 @@ def test_tf_recording_is_decimated_in_the_time_of_the_samples(tmp_path):
     assert len(found) == 10
     children = {x.child_frame_id for x in found[0].transforms}
     assert {'base_link', 'link6', 'ft_face', 'tip_table', 'tip_board'} <= children
+
+
+def test_tf_recording_leaves_out_what_is_not_finite(tmp_path):
+    with BagWriter(tmp_path / 'bag') as writer:
+        tf = TfRecording(writer, 50.0, get_logger('test'))
+        text = (config_dir() / 'puma560.urdf').read_text(encoding='utf-8')
+        tf.on_description(serialize_message(String(data=text)), 1, 1)
+        for k, position in enumerate((float('inf'), float('nan'), 0.1)):
+            message = JointState(name=JOINTS, position=[0.1, position, *[0.1] * 4])
+            message.header.stamp = messages.ns_to_stamp(STAMP + 10**9 * k)
+            tf.on_joint_states(serialize_message(message), 2 + k, 2 + k)
+    with Reader(tmp_path / 'bag') as reader:
+        found = [STORE.deserialize_cdr(data, x.msgtype) for x, _, data in reader.messages()]
+    children = [{x.child_frame_id for x in each.transforms} for each in found]
+    assert children[2] - children[0] == children[2] - children[1] == {'link2'}
+    assert all(np.isfinite([getattr(x.transform.rotation, axis) for axis in 'xyzw']).all()
+               for each in found for x in each.transforms)
