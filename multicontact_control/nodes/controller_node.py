@@ -72,7 +72,8 @@ class ControllerNode(ManagedNode):
     With a supervisor, commands go on when samples do not come: see `SampleTimeout` and
     `SampleClock`. A single sample that is older than the last is refused then; two in a row
     say that their clock has been set back, which the supervisor reacts to. Without one, and in
-    lockstep, an older sample starts everything anew.
+    lockstep, an older sample starts everything anew. Without one, and not in lockstep, a
+    sample that has come again 25 times is answered no more.
     """
 
     def __init__(self, local: LocalDelivery | None = None) -> None:
@@ -89,8 +90,8 @@ class ControllerNode(ManagedNode):
         self._events: ControllerEvents | None = None
         self._missing: MissingInputs | None = None
         self._last_taken = self._taken = 0
-        self._reported_at = (0, -1)
-        self._frame_warned = self._apart_told = self._rate_told = False
+        self._reported_at, self._again = (0, -1), 0
+        self._warned: set[str] = set()
         self._stages = {stage: DurationLog() for stage in STAGES}
         self._restarts = 0
         self._waiting: PairedSample | None = None
@@ -153,11 +154,16 @@ class ControllerNode(ManagedNode):
 
     def _warn_of_frame(self) -> None:
         """Say that wrenches do not say what frame they are of."""
-        if not self._frame_warned:
-            self._frame_warned = True
-            self.get_logger().warning(
-                f'{self._wrench.name}: header.frame_id is empty: it is taken for '
-                f'{self._configured.config.robot.sensor_frame} (robot.sensor_frame)')
+        self._warn_once(
+            'frame', f'{self._wrench.name}: header.frame_id is empty: it is taken for '
+            f'{self._configured.config.robot.sensor_frame} (robot.sensor_frame)')
+
+    def _warn_once(self, cause: str, text: str) -> str:
+        """Log a warning, unless one of that cause has been; return it."""
+        if cause not in self._warned:
+            self._warned.add(cause)
+            self.get_logger().warning(text)
+        return text
 
     def _set_patience(self, config: ControllerConfig) -> None:
         waits = self._node_config.supervised and not self._node_config.lockstep
@@ -234,14 +240,10 @@ class ControllerNode(ManagedNode):
         if self._missing is not None:
             self._missing.restart()
 
-    def _hear(self, topic: topics.Topic) -> int:
-        self._heard += 1
-        return self._fresh.note(topic.name)
-
     def _on_joint_states(self, data: bytes) -> None:
         if self._loop is None:
             return
-        self._received = self._hear(topics.JOINT_STATES)
+        self._hear()
         with self.refusals.guard(topics.JOINT_STATES):
             reading = self._read(topics.JOINT_STATES, data)
             self._take(self._pairing.add_joints(reading) if self._feels else PairedSample(
@@ -250,26 +252,32 @@ class ControllerNode(ManagedNode):
     def _on_wrench(self, data: bytes) -> None:
         if self._loop is None:
             return
-        self._received = self._hear(self._wrench)
+        self._hear()
         with self.refusals.guard(self._wrench):
             self._take(self._pairing.add_wrench(self._read(self._wrench, data)))
+
+    def _hear(self) -> None:
+        """Take note of a message, of whatever use it is."""
+        self._heard += 1
+        self._received = time.monotonic_ns()
 
     def _read(self, topic: topics.Topic, data: bytes) -> Any:
         start = time.perf_counter_ns()
         reading = self._readers[topic].read(data)
         self._stages['read'].add(time.perf_counter_ns() - start)
+        self._fresh.note(topic.name)  # what is refused is none
         return reading
 
     def _on_noise_variance(self, data: bytes) -> None:
         loop = self._loop
         if loop is None:
             return
-        self._fresh.note(topics.NOISE_VARIANCE.name)
         with self.refusals.guard(topics.NOISE_VARIANCE):
             reading = self._readers[topics.NOISE_VARIANCE].read(data)
             if min(reading.values.tolist()) <= 0.0:
                 raise MessageError(
                     'effort', 'variances above 0', reading.values.tolist())
+            self._fresh.note(topics.NOISE_VARIANCE.name)
             if reading.stamp > loop.last_stamp:
                 return  # left over from before a restart
             loop.take_variance(reading.stamp, reading.values)
@@ -296,7 +304,12 @@ class ControllerNode(ManagedNode):
             return
         if sample.stamp == loop.last_stamp:
             self._waiting = None
-            if self._last_command is not None and self._outputs is not None:
+            self._again += 1
+            if self._last_command is None or self._outputs is None:
+                return
+            # Bare, nobody else says that the arm has not been seen for long.
+            if (self._again <= STALE_PERIODS or loop.supervisor is not None
+                    or self._node_config.lockstep):
                 self._outputs.send(self._last_command)
             return
         if sample.stamp < loop.last_stamp and not self._start_anew(loop, sample.stamp):
@@ -306,6 +319,7 @@ class ControllerNode(ManagedNode):
                 loop.variance_stamp != loop.last_stamp):
             return
         self._waiting = self._older_stamp = None
+        self._again = 0
         self._patience.start(self._received)
         self._command(loop, lambda: loop.step(sample))
         self._guide(loop)
@@ -430,16 +444,17 @@ class ControllerNode(ManagedNode):
         """Say at what rate samples have come since this was asked last, if it is a wrong one."""
         (taken, stamp), self._reported_at = self._reported_at, (self._taken, loop.last_stamp)
         count, elapsed = self._taken - taken, (loop.last_stamp - stamp) / NANOSECONDS
-        if self.state != ACTIVE or stamp < 0 or count < FEWEST or elapsed <= 0.0:
+        if self.state != ACTIVE or stamp < 0 or count < FEWEST or elapsed < 0.0:
             return ''
+        if not elapsed:
+            return self._warn_once(
+                'still', f'samples come, but their stamps stand still at {stamp * 1e-9:.9g} s: '
+                'expected a stamp of its own for each')
         rate, expected = count / elapsed, loop.config.rate
         if expected / WRONG_RATE < rate < expected * WRONG_RATE:
             return ''
-        text = f'samples come at {rate:.4g} Hz: expected {expected:g} Hz (rate)'
-        if not self._rate_told:
-            self._rate_told = True
-            self.get_logger().warning(text)
-        return text
+        return self._warn_once(
+            'rate', f'samples come at {rate:.4g} Hz: expected {expected:g} Hz (rate)')
 
     def _without_pairs(self, loop: ControlLoop) -> str:
         """Return how far joint states and wrenches are apart if none of them is a pair."""
@@ -449,14 +464,11 @@ class ControllerNode(ManagedNode):
         if self.state != ACTIVE or since < 1.0 or not self._pairing.apart or any(
                 age is None or age > 1.0 for age in both):
             return ''
-        text = (f'{topics.JOINT_STATES.name} and {self._wrench.name} come, but their stamps are '
-                f'{abs(self._pairing.apart) * 1e-6:.6g} ms apart: expected at most '
-                f'{self._node_config.pair_tolerance:g} periods of {1e3 * loop.config.period:g} ms '
-                '(pair_tolerance), of one clock')
-        if not self._apart_told:
-            self._apart_told = True
-            self.get_logger().warning(text)
-        return text
+        return self._warn_once(
+            'apart', f'{topics.JOINT_STATES.name} and {self._wrench.name} come, but their stamps '
+            f'are {abs(self._pairing.apart) * 1e-6:.6g} ms apart: expected at most '
+            f'{self._node_config.pair_tolerance:g} periods of {1e3 * loop.config.period:g} ms '
+            '(pair_tolerance), of one clock')
 
     def _without_variance(self, loop: ControlLoop) -> str:
         """Return what is done about an R that is not renewed, nothing if it is."""

@@ -182,20 +182,31 @@ class LifecycleDriver(GuestNode):
 
         """
         request = ChangeState.Request(transition=Transition(label=transition))
-        give_up = time.monotonic() + self._patience
+        asked: list[Any] = []  # an answer may only be late: all are waited for
+        lost, give_up = True, time.monotonic() + self._patience
         while time.monotonic() < give_up:
-            answer = self.call(node_name, ChangeState, 'change_state', request, FIRST_TIMEOUT,
-                               doing=transition)
-            if answer is None:
-                # The answer may be lost although the work is done, or yet to come: a node at
-                # work tells its state when it has done it.
-                answer = self.call(
+            if lost and not any(future.done() for future in asked):
+                asked.append(self._ready(node_name, ChangeState, 'change_state').call_async(
+                    request))
+            self._wait(lambda: all(future.done() for future in asked),
+                       min(FIRST_TIMEOUT, self._patience), f'{node_name} to {transition}')
+            answers = [future.result().success for future in asked if future.done()]
+            if any(answers):
+                return
+            if len(asked) > 1 or not answers:
+                # The answer may be lost although the work is done (then a second request is
+                # refused), or yet to come: a node at work tells its state when it has done it,
+                # or that it is at work. Or the request: one that was killed seems to listen for
+                # a while.
+                found = self.call(
                     node_name, GetState, 'get_state', GetState.Request(), doing=transition)
-                if answer is None or answer.current_state.label != GOALS[transition]:
-                    continue  # or the request: one that was killed seems to listen for a while
-            elif not answer.success:
-                raise TransitionError(node_name, transition)
-            return
+                state = '' if found is None else found.current_state.label
+                if state == GOALS[transition]:
+                    return
+                lost = bool(state) and not state.endswith('ing')
+                if not (answers and lost):
+                    continue
+            raise TransitionError(node_name, transition)
         raise NoAnswerError(f'{node_name} did not answer when asked to {transition}')
 
     def state(self, node_name: str, timeout: float = ANSWER_TIMEOUT) -> str:
@@ -247,15 +258,20 @@ class LifecycleDriver(GuestNode):
             If there is no such service.
 
         """
-        client = self._client(node_name, service, name)
-        if not self._wait(client.service_is_ready, self._patience, f'{node_name} to appear'):
-            raise NoAnswerError(f'{client.service_name}: expected this service within '
-                                f'{self._patience:g} s, found none')
+        client = self._ready(node_name, service, name)
         future = client.call_async(request)
         if self._wait(future.done, min(timeout, self._patience), f'{node_name} to {doing}'):
             return future.result()
         client.remove_pending_request(future)
         return None
+
+    def _ready(self, node_name: str, service: Any, name: str) -> Any:
+        """Return the client of a service that is there; see `call`."""
+        client = self._client(node_name, service, name)
+        if not self._wait(client.service_is_ready, self._patience, f'{node_name} to appear'):
+            raise NoAnswerError(f'{client.service_name}: expected this service within '
+                                f'{self._patience:g} s, found none')
+        return client
 
     def _client(self, node_name: str, service: Any, name: str) -> Any:
         client = self._clients.get((node_name, name))

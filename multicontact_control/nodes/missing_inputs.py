@@ -76,7 +76,8 @@ class MissingInputs:
         elif unlike:
             found = '; '.join(unlike)
         else:
-            found = f"{counted(len(publishers), 'publishers')} connected, but nothing is sent"
+            found = (f"{counted(len(publishers), 'publishers')} connected, but nothing is sent "
+                     'that can be read')
         reliability = 'reliable' if profile.reliability == ReliabilityPolicy.RELIABLE else (
             'reliable or best effort')
         return (f'no message on {full} for {missing:.1f} s: expected {topic.type_name} '

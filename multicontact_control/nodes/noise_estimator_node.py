@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 import sys
+import time
 from typing import Any
 
 from multicontact_control.config import NoiseEstimatorConfig
@@ -105,10 +106,11 @@ class NoiseEstimatorNode(ManagedNode):
     def _on_measured(self, data: bytes) -> None:
         if self.state != ACTIVE:
             return
-        received = self._fresh.note(topics.MEASURED_FORCES.name)
+        received = time.monotonic_ns()
         self._watch.add_period(received)
         with self.refusals.guard(topics.MEASURED_FORCES):
             self._waiting.append(self._measured.read(data))
+            self._fresh.note(topics.MEASURED_FORCES.name)
             if self.working:
                 self._answer()
                 if not self._waiting:
@@ -117,9 +119,10 @@ class NoiseEstimatorNode(ManagedNode):
     def _on_innovation(self, data: bytes) -> None:
         if self.state != ACTIVE:
             return
-        received = self._fresh.note(topics.INNOVATION.name)
+        received = time.monotonic_ns()
         with self.refusals.guard(topics.INNOVATION):
             self._innovations.append(self._innovation.read(data))
+            self._fresh.note(topics.INNOVATION.name)
             if self.working:
                 self._answer()
                 self._watch.add_latency(self._fresh.elapsed(received))

@@ -4,11 +4,23 @@ import os
 from pathlib import Path
 import subprocess
 import sys
+import threading
+import time
 import xml.etree.ElementTree as ElementTree
 
+from lifecycle_msgs.srv import ChangeState, GetState
 from multicontact_control.experiment.graph.domain import reserve_domain
-from multicontact_control.nodes.link import GuestNode
+from multicontact_control.nodes import link
+from multicontact_control.nodes.link import (
+    ACTIVATE,
+    CONFIGURE,
+    GuestNode,
+    LifecycleDriver,
+    TransitionError,
+)
 import pytest
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.executors import MultiThreadedExecutor
 
 pytestmark = pytest.mark.ros
 
@@ -51,3 +63,61 @@ def test_short_cut_between_participants_of_a_process_is_off_unless_the_user_deci
             file = ElementTree.fromstring(Path(said).read_text(encoding='utf-8'))
             assert [setting.text for setting in file.iter()
                     if setting.tag.endswith('intraprocess_delivery')] == ['OFF']
+
+
+class Slow:
+    """
+    A node that takes longer for its transitions than an answer is waited for.
+
+    Meanwhile it tells that it is at it, or what was before, as one does whose queue has the
+    question for its state before the transition.
+    """
+
+    def __init__(self, domain_id, duration, tells):
+        self.requests, self.duration, self.tells = 0, duration, tells
+        self.state, self._lock = 'unconfigured', threading.Lock()
+        self._guest = GuestNode('slow', domain_id)
+        for service, name, callback in (
+                (GetState, 'get_state', self._get), (ChangeState, 'change_state', self._change)):
+            self._guest.node.create_service(
+                service, f'~/{name}', callback, callback_group=ReentrantCallbackGroup())
+        self._executor = MultiThreadedExecutor(4, context=self._guest.context)
+        self._executor.add_node(self._guest.node)
+        self._thread = threading.Thread(target=self._executor.spin)
+        self._thread.start()
+
+    def _get(self, _request, response):
+        response.current_state.label = self.state
+        return response
+
+    def _change(self, request, response):
+        self.requests += 1
+        with self._lock:
+            response.success = self.state == 'unconfigured' and (
+                request.transition.label == CONFIGURE)
+            if response.success:
+                self.state = 'configuring' if self.tells else self.state
+                time.sleep(self.duration)
+                self.state = 'inactive'
+        return response
+
+    def close(self):
+        self._executor.shutdown()
+        self._thread.join()
+        self._guest.close()
+
+
+@pytest.mark.parametrize('tells', [True, False])
+def test_transition_that_takes_long_is_not_refused_for_being_asked_for_twice(
+        domain_id, monkeypatch, tells):
+    monkeypatch.setattr(link, 'FIRST_TIMEOUT', 0.3)
+    node = Slow(domain_id, 1.5, tells)
+    try:
+        with LifecycleDriver(domain_id) as driver:
+            driver.change('slow', CONFIGURE)
+            assert node.state == 'inactive'
+            assert not tells or node.requests == 1
+            with pytest.raises(TransitionError, match='slow refused to activate'):
+                driver.change('slow', ACTIVATE)
+    finally:
+        node.close()

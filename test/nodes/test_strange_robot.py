@@ -130,6 +130,46 @@ def test_stamps_that_never_meet_are_named(middleware):
     assert 'ms apart: expected at most 0.5 periods' in log_of(process)
 
 
+@pytest.mark.parametrize('supervised', [True, False], ids=['supervised', 'bare'])
+def test_stamps_that_stand_still_are_named_and_not_answered_for_ever(middleware, supervised):
+    process = middleware.start(
+        MODULE, 'autostart:=true', f'supervised:={str(supervised).lower()}', *PARAMETERS,
+        files=(FILE,))
+    arm = FakeArm(middleware)
+    arm.connect()
+    for _ in range(10):
+        arm.step()
+    arm.commands()
+    answers = []
+
+    def again():
+        arm.send_parts(arm.k * PERIOD, {'joints', 'wrench'})
+        middleware.pause(0.005)
+        answers.extend(arm.commands())
+        report = arm.newest_report()
+        return report is not None and 'their stamps stand still at 0.0' in report['loop'][1]
+
+    wait_for(again, 'a warning')
+    count = len(answers)
+    for _ in range(50):
+        again()
+    assert set(answers) == {arm.k * PERIOD}
+    assert len(answers) > count if supervised else len(answers) == count <= 25
+    np.testing.assert_array_equal(len(arm.step()), 6)  # goes on with the next stamp
+    assert 'samples come, but their stamps stand still' in log_of(process)
+
+
+def test_messages_that_are_refused_are_none(middleware):
+    process = middleware.start(MODULE, 'autostart:=true', *PARAMETERS, files=(FILE,))
+    arm = StrangeArm(middleware)
+    arm.connect()
+    arm.frame = 'tool0'
+    report = arm.diagnostics(lambda x: 'no ft_sensor/wrench for' in x['inputs'][1])
+    assert 'joint_states' not in report['inputs'][1]
+    assert int(report['messages'][2]['refused']) > 10
+    log_of(process)
+
+
 def test_a_rate_that_is_not_that_of_the_samples_is_named(middleware):
     process = middleware.start(MODULE, 'autostart:=true', *PARAMETERS, files=(FILE,))
     arm = FakeArm(middleware)
