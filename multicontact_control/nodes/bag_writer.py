@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from mcap.writer import CompressionType, Writer
-from multicontact_control.errors import RunError
+from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.nodes.message_definitions import message_hash, message_text
 from rclpy.duration import Duration
 from rclpy.qos import QoSProfile
@@ -104,10 +104,14 @@ class BagWriter:
 
         Raises
         ------
+        ConfigError
+            If it is in the bag already.
         RunError
             If the type is not installed.
 
         """
+        if name in self._channels:
+            raise ConfigError('topics', 'each once in a bag', f'{name} twice')
         if type_name not in self._schemas:
             self._schemas[type_name] = self._writer.register_schema(
                 type_name, 'ros2msg', message_text(type_name).encode())
@@ -162,6 +166,12 @@ class BagWriter:
         temporary = self._folder / f'.metadata.yaml.{os.getpid()}'
         temporary.write_text(text, encoding='utf-8')
         os.replace(temporary, self._folder / 'metadata.yaml')
+
+    def discard(self) -> None:
+        """Remove what has been written: a recording that did not begin blocks no other."""
+        self._closed = True
+        self._stream.close()
+        (self._folder / self._file_name).unlink()
 
     def metadata(self) -> dict[str, Any]:
         """Return the content of metadata.yaml."""

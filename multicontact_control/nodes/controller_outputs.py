@@ -13,7 +13,7 @@ from multicontact_control.control.controller import ControlOutput
 from multicontact_control.dynamics.pose import Pose
 from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.nodes.controller_config import ControllerNodeConfig
-from multicontact_control.nodes.graph_node import create_publisher
+from multicontact_control.nodes.graph_node import create_publisher, full_topic_name
 from multicontact_control.nodes.streams import Streams
 import numpy as np
 from rclpy.duration import Duration
@@ -61,7 +61,9 @@ class ControllerOutputs:
             batched=node_config.recording_batches)
         self._markers_publisher = create_publisher(node, topics.CONTACT_MARKERS)
         bare = node_config.effort_output_topic
-        self._bare = node.create_publisher(Float64MultiArray, bare, qos.STREAM) if bare else None
+        self._bare = node.create_publisher(
+            Float64MultiArray, full_topic_name('effort_output_topic', bare, node),
+            qos.STREAM) if bare else None
         self._markers = ContactMarkers(
             config, rate=node_config.marker_rate, scale=node_config.marker_scale)
 

@@ -9,7 +9,7 @@ import time
 from typing import Any
 
 from multicontact_control.config import Config, parameter, Real
-from multicontact_control.errors import MulticontactError, RunError
+from multicontact_control.errors import ConfigError, MulticontactError, RunError
 from multicontact_control.files import write_json
 from multicontact_control.nodes import qos
 from multicontact_control.nodes.runtime import loaded_kernels
@@ -17,12 +17,15 @@ from multicontact_control.nodes.topics import Topic
 from multicontact_control.process import claim_processor, describe_claim
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.exceptions import NameValidationException
+from rclpy.expand_topic_name import expand_topic_name
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
+from rclpy.validate_full_topic_name import validate_full_topic_name
 from std_msgs.msg import Empty
 
 GATE_POLL = 0.02
@@ -60,6 +63,35 @@ class StartupConfig(Config):
             write_json(Path(self.timing_file), {
                 **counts, 'kernels_compiled': kernels.compiled_here() if kernels else 0,
                 'scheduling': describe_claim()})
+
+
+def full_topic_name(field: str, name: str, node: Node | None = None) -> str:
+    """
+    Return the full name of a topic, before it is remapped.
+
+    Parameters
+    ----------
+    field
+        What is said to be wrong if it is.
+    name
+        Name, relative or full.
+    node
+        Whose; without one a relative name is of the root namespace.
+
+    Raises
+    ------
+    ConfigError
+        If ROS accepts no such name.
+
+    """
+    whose = ('_', '/') if node is None else (node.get_name(), node.get_namespace())
+    try:
+        full = str(expand_topic_name(name, *whose))
+        validate_full_topic_name(full)
+    except (NameValidationException, ValueError) as error:
+        why = str(error).splitlines()[0].split(', at /')[0].split(': ', 1)[1]
+        raise ConfigError(field, 'a name of a topic', f"'{name}' ({why.rstrip(':')})") from None
+    return full
 
 
 def create_publisher(node: Node, topic: Topic) -> Publisher:

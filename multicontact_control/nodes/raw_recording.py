@@ -133,6 +133,8 @@ class RawRecording:
 
         Raises
         ------
+        ConfigError
+            If it is recorded already.
         RunError
             If the type is not installed.
 

@@ -15,7 +15,11 @@ from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.nodes import qos
 from multicontact_control.nodes.bag_writer import BagWriter, CHUNK_SIZE
 from multicontact_control.nodes.diagnostics import Diagnostics, input_status, Status
-from multicontact_control.nodes.graph_node import StartupConfig, StartupGate
+from multicontact_control.nodes.graph_node import (
+    full_topic_name,
+    StartupConfig,
+    StartupGate,
+)
 from multicontact_control.nodes.message_definitions import message_class
 from multicontact_control.nodes.parameters import load_parameters
 from multicontact_control.nodes.raw_recording import RawRecording
@@ -72,6 +76,13 @@ class RecorderNode(Node):
         self._config = config
         chosen = self._chosen_topics()
         self._writer = BagWriter(Path(config.folder), chunk_size=config.chunk_size)
+        try:
+            self._subscribe(config, chosen)
+        except Exception:
+            self._writer.discard()
+            raise
+
+    def _subscribe(self, config: RecorderConfig, chosen: list[Topic]) -> None:
         self._recording = RawRecording(self, self._writer)
         batching = [name for name in config.startup_peers if name != RECORDER] if (
             config.recording_batches) else []
@@ -99,7 +110,30 @@ class RecorderNode(Node):
             if name not in names:
                 raise ConfigError('topics', f'names among {", ".join(names)}', f"'{name}'")
         chosen = [x for x in TOPICS if not self._config.topics or x.name in self._config.topics]
-        return chosen + [_extra_topic(text) for text in self._config.extra_topics]
+        return chosen + [
+            self._extra_topic(text) for text in self._config.extra_topics]
+
+    def _extra_topic(self, text: str) -> Topic:
+        """
+        Return a topic of others; nobody waits for it.
+
+        Raises
+        ------
+        ConfigError
+            If it is not a name of its own and an installed type.
+
+        """
+        name, _, type_name = text.strip().partition(' ')
+        full_topic_name('extra_topics', name, self)
+        if not type_name or self.resolve_topic_name(name) in [
+                self.resolve_topic_name(topic.name) for topic in TOPICS]:
+            raise ConfigError('extra_topics', 'NAME TYPE of topics beside those of the graph',
+                              f"'{text}'")
+        try:
+            message = message_class(type_name.strip())
+        except RunError as error:
+            raise ConfigError('extra_topics', 'types that are installed', str(error)) from None
+        return Topic(name, message, USER, (RECORDER,), qos.STREAM, 'event')
 
     def run(self, spinner: Spinner) -> None:
         """Record until asked to stop and nothing comes any more."""
@@ -148,27 +182,6 @@ class RecorderNode(Node):
 def _recording_profile(topic: Topic) -> QoSProfile:
     latched = topic.profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
     return qos.RECORDING_LATCHED if latched else qos.RECORDING
-
-
-def _extra_topic(text: str) -> Topic:
-    """
-    Return a topic of others; nobody waits for it.
-
-    Raises
-    ------
-    ConfigError
-        If it is not a name of its own and an installed type.
-
-    """
-    name, _, type_name = text.strip().partition(' ')
-    if not type_name or name in [topic.name for topic in TOPICS]:
-        raise ConfigError('extra_topics', 'NAME TYPE of topics beside those of the graph',
-                          f"'{text}'")
-    try:
-        message = message_class(type_name.strip())
-    except RunError as error:
-        raise ConfigError('extra_topics', 'types that are installed', str(error)) from None
-    return Topic(name, message, USER, (RECORDER,), qos.STREAM, 'event')
 
 
 def main() -> int:

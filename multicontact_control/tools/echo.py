@@ -56,7 +56,7 @@ def echo(
     RunError
         If nobody publishes the topic, or its type is not installed.
     ConfigError
-        If its messages do not have the field.
+        If its messages do not have the field, or ROS accepts no such name of a topic.
 
     """
     stop = StopFlag()

@@ -7,6 +7,7 @@ import time
 
 from multicontact_control.errors import RunError
 from multicontact_control.nodes import qos
+from multicontact_control.nodes.graph_node import full_topic_name
 from multicontact_control.nodes.link import GuestNode
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
@@ -51,8 +52,8 @@ class GraphInspector(GuestNode):
 
 
 def full_name(topic: str) -> str:
-    """Return the name of a topic with its leading slash."""
-    return '/' + topic.strip('/')
+    """Return the name of a topic with its leading slash; ConfigError if ROS accepts none such."""
+    return full_topic_name('topic', '/' + topic.strip('/'))
 
 
 def matching_profile(publishers: list[TopicEndpointInfo], depth: int) -> QoSProfile:

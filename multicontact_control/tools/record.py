@@ -50,7 +50,7 @@ def record(
     Raises
     ------
     ConfigError
-        If the folder exists.
+        If the folder exists, or ROS accepts no such name of a topic.
     RunError
         If it cannot be written to.
 
@@ -59,9 +59,9 @@ def record(
     stop.install()
     if folder.exists():
         raise ConfigError('--output', 'a folder that does not exist yet', str(folder))
+    wanted = {full_name(topic) for topic in topics}
     with GraphInspector(domain_id) as onlooker, BagWriter(folder) as writer:
         recording = RawRecording(onlooker.node, writer)
-        wanted = {full_name(topic) for topic in topics}
         done: set[str] = set()
         say('Recording... Press Ctrl-C to stop.')
         next_look = time.monotonic()

@@ -102,6 +102,19 @@ def test_deactivation_goes_to_the_declared_behaviour_without_a_jump(process, dri
     assert np.abs(torques[-1]).max() < 0.5 * np.abs(last).max()
 
 
+def test_configure_refuses_a_topic_that_cannot_be(middleware, driver):
+    process = middleware.start(MODULE, "effort_output_topic:='bare efforts'", files=(FILE,))
+    with pytest.raises(TransitionError):
+        driver.change(NAME, CONFIGURE)
+    assert set_parameter(driver, NAME, 'effort_output_topic', '~/efforts').successful
+    driver.change(NAME, CONFIGURE)
+    process.kill()
+    errors = process.communicate()[1]
+    assert ("cannot configure: effort_output_topic: expected a name of a topic, found 'bare "
+            "efforts' (topic name must not contain") in errors
+    assert 'Traceback' not in errors
+
+
 def test_configure_refuses_what_is_wrong_in_one_line_until_it_is_repaired(middleware, driver):
     process = middleware.start(MODULE, 'robot.urdf:=nowhere.urdf', 'rate:=-500.0', files=(FILE,))
     with pytest.raises(TransitionError):

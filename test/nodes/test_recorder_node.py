@@ -218,6 +218,9 @@ def test_recorder_refuses_an_unknown_topic(middleware, tmp_path):
 @pytest.mark.parametrize(('text', 'expected'), [
     ('/commands', 'NAME TYPE of topics beside those of the graph'),
     ('joint_states sensor_msgs/msg/JointState', 'NAME TYPE of topics beside those of the graph'),
+    ('/joint_states sensor_msgs/msg/JointState', 'NAME TYPE of topics beside those of the graph'),
+    ('1st sensor_msgs/msg/JointState', 'a name of a topic'),
+    ('/a//b sensor_msgs/msg/JointState', 'a name of a topic'),
     ('/commands nowhere_msgs/msg/Nothing', 'types that are installed')])
 def test_recorder_refuses_extra_topics_that_cannot_be(middleware, tmp_path, text, expected):
     process = middleware.start(
@@ -226,6 +229,25 @@ def test_recorder_refuses_extra_topics_that_cannot_be(middleware, tmp_path, text
     assert process.returncode == 2
     assert f'extra_topics: expected {expected}, found ' in errors
     assert len(errors.splitlines()) == 1
+
+
+def test_recorder_that_cannot_begin_leaves_no_bag_in_the_way_of_another(
+        middleware, publishers, tmp_path):
+    twice = json.dumps(['/a std_msgs/msg/String', 'a std_msgs/msg/String'])
+    process = middleware.start(
+        RECORDER, f'folder:={tmp_path / "bag"}', f'extra_topics:={twice}')
+    _, errors = end_of(process)
+    assert process.returncode == 2
+    assert 'topics: expected each once in a bag, found /a twice' in errors
+    assert len(errors.splitlines()) == 1
+    file = tmp_path / 'bag' / 'bag_0.mcap'
+    assert not file.exists()
+    process = start_recorder(middleware, tmp_path / 'bag', publishers)
+    wait_for(lambda: process.poll() is not None or file.exists(), 'a bag')
+    process.send_signal(signal.SIGINT)
+    _, errors = end_of(process)
+    assert process.returncode == 0, errors
+    assert (tmp_path / 'bag' / 'metadata.yaml').exists()
 
 
 def test_recorder_needs_a_folder(middleware):

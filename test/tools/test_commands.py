@@ -133,6 +133,8 @@ def test_echo_once_gets_what_was_said_before(multicontact):
 @pytest.mark.parametrize(('arguments', 'code', 'message'), [
     (('echo', '/nothing', '--timeout', '0.5'), 1,
      '/nothing: expected a publisher within 0.5 s, found none'),
+    (('echo', 'joint states'), 2, "topic: expected a name of a topic, found '/joint states' (to"),
+    (('record', 'a//b'), 2, "topic: expected a name of a topic, found '/a//b' (topic name must"),
     (('echo', '/left/forces', '--field', 'x', *PATIENT), 2, '--field: expected one of header'),
     (('record',), 2, 'topics: expected either names or --all, found neither'),
     (('record', '/a', '-o', '.'), 2, '--output: expected a folder that does not exist yet')])
