@@ -32,6 +32,26 @@ def test_processor_that_is_not_there_gives_one_clear_line():
     assert 'CPU affinity [4095]' in problem and '\n' not in problem
 
 
+def test_processors_are_those_of_every_thread():
+    code = """
+import os, threading
+from multicontact_control.process import claim_processor
+end = threading.Event()
+threads = [threading.Thread(target=end.wait) for _ in range(3)]
+for thread in threads: thread.start()
+cpu = max(os.sched_getaffinity(0))
+assert claim_processor(cpus=(cpu,)) == []
+late = threading.Thread(target=end.wait)
+late.start()
+found = [os.sched_getaffinity(int(x)) for x in os.listdir('/proc/self/task')]
+print(len(found) >= 5 and all(each == {cpu} for each in found))
+end.set()
+"""
+    done = subprocess.run(
+        [sys.executable, '-c', code], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == 'True'
+
+
 def test_missing_permission_gives_one_clear_line(monkeypatch):
     def refuse(*_arguments):
         raise PermissionError(1, 'Operation not permitted')

@@ -242,7 +242,8 @@ class Refusals:
 
     def refuse(self, source: str, error: Exception) -> None:
         """Take note of what came from a topic, service or parameter and cannot be used."""
-        cause = f'{source}: {getattr(error, "cause", error)}'
+        cause = getattr(error, 'cause', '') or str(error).split(', found ')[0]
+        cause = f'{source}: {cause}'
         self.counts[cause] += 1
         self.told(source, error)
         if self.counts[cause] == 1:

@@ -6,7 +6,8 @@ from abc import abstractmethod
 from collections.abc import Callable, Sequence
 import sys
 import traceback
-from typing import Any
+from typing import Any, ClassVar
+import weakref
 
 from lifecycle_msgs.srv import ChangeState
 from multicontact_control.config import Config, parameter
@@ -58,12 +59,15 @@ class ManagedNode(LifecycleNode):
 
     """
 
+    _nodes: ClassVar[weakref.WeakSet[ManagedNode]] = weakref.WeakSet()  # of this process
+
     def __init__(
         self, name: str, *models: type[Config], local: LocalDelivery | None = None,
     ) -> None:
         super().__init__(name)
         self.streams = Streams(self, local)
         self.state = UNCONFIGURED
+        self._nodes.add(self)
         self.refusals = Refusals(self.get_logger())
         self.parameter_set = ParameterSet(self, *models)
         self.parameter_set.refused = self.refusals.refuse
@@ -172,7 +176,8 @@ class ManagedNode(LifecycleNode):
         def work() -> None:
             self.configure(self.parameter_set.configurations())
             self.parameter_set.lock(self.check, self.reconfigure)
-            settle_process()
+            if not self._others_work():
+                settle_process()
         result = self._attempt('configure', work, INACTIVE)
         if result != SUCCESS:
             self._free()
@@ -207,7 +212,17 @@ class ManagedNode(LifecycleNode):
         self.gate = None
         self.clean_up()
         self.streams.close()
-        release_memory()
+        if not self._others_work():
+            release_memory()
+
+    def _others_work(self) -> bool:
+        """Return whether other nodes of this process are active: then nothing may take long."""
+        return any(node.state == ACTIVE for node in self._nodes if node is not self)
+
+    def destroy_node(self) -> None:
+        """See `rclpy.node`."""
+        self._nodes.discard(self)
+        super().destroy_node()
 
     def _attempt(
         self, what: str, work: Callable[[], None], goal: str,

@@ -176,6 +176,9 @@ def read_force_command(
     found = list(message.name)
     if not found or len(set(found)) != len(found) or not set(found) <= set(names):
         raise MessageError('name', f'distinct names among {list(names)}', found)
+    if len(message.position) and len(message.effort):
+        raise MessageError('position', 'none beside efforts: centres of pressure are commanded in '
+                           'a message of their own', list(message.position))
     field = 'position' if len(message.position) else 'effort'
     values = finite_array(getattr(message, field), len(found), field)
     numbers = {name: float(value) for name, value in zip(found, values)}

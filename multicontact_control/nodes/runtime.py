@@ -208,7 +208,7 @@ def _is_of_a_destroyed_end(error: InvalidHandle) -> bool:
 
 
 def release_memory() -> None:
-    """Free what is no longer used, at a time when nobody waits; undoes `settle_process`."""
+    """Free what is no longer used, while no node of the process works; undoes `settle_process`."""
     gc.unfreeze()
     gc.collect()
 

@@ -1,8 +1,15 @@
 """Nodes of one process: who is called, when, and with what."""
 
+import gc
+
 from multicontact_control.nodes.composition import Composition
 from multicontact_control.nodes.local_delivery import LocalDelivery
+from multicontact_control.nodes.managed_node import SUCCESS
+from multicontact_control.nodes.noise_estimator_node import NoiseEstimatorNode
+from multicontact_control.paths import config_dir
 import pytest
+import rclpy
+from rclpy.signals import SignalHandlerOptions
 
 
 def test_messages_are_delivered_in_order_and_not_from_within():
@@ -68,3 +75,44 @@ def test_all_nodes_are_closed_whatever_becomes_of_one():
     with pytest.raises(OSError, match='a'):
         nodes.close()
     assert sorted(log) == ['close a', 'close b', 'destroy a', 'destroy b']
+
+
+@pytest.fixture
+def estimators(domain_id, tmp_path, monkeypatch):
+    """Two managed nodes in this process."""
+    monkeypatch.setenv('ROS_LOG_DIR', str(tmp_path / 'ros'))
+    rclpy.init(args=['--ros-args', '--params-file', str(config_dir() / 'noise_estimator.yaml')],
+               domain_id=domain_id, signal_handler_options=SignalHandlerOptions.NO)
+    nodes = [NoiseEstimatorNode(), NoiseEstimatorNode()]
+    try:
+        yield nodes
+    finally:
+        for node in nodes:
+            node.destroy_node()
+        rclpy.try_shutdown()
+        gc.enable()
+        gc.unfreeze()
+
+
+@pytest.mark.ros
+def test_no_heap_is_collected_for_a_node_while_another_works(estimators):
+    first, second = estimators
+    collections = []
+
+    def note(phase, info):
+        collections.append((phase, info['generation']))
+
+    def collected(*transitions):
+        collections.clear()
+        assert [trigger() for trigger in transitions] == [SUCCESS] * len(transitions)
+        return ('start', 2) in collections
+
+    gc.callbacks.append(note)
+    try:
+        assert collected(first.trigger_configure)
+        assert collected(second.trigger_configure)
+        assert not collected(first.trigger_activate, second.trigger_cleanup)
+        assert not collected(second.trigger_configure)
+        assert collected(first.trigger_deactivate, first.trigger_cleanup)
+    finally:
+        gc.callbacks.remove(note)

@@ -93,6 +93,12 @@ def test_read_force_command_refuses(names, efforts):
         messages.read_force_command(message, NAMES)
 
 
+def test_read_force_command_refuses_forces_and_centres_in_one_message():
+    message = messages.joint_state_message(0, ['a', 'c'], position=[0.01, 0.0], effort=[5.0] * 2)
+    with pytest.raises(MessageError, match='position: expected none beside efforts: centres'):
+        messages.read_force_command(message, NAMES)
+
+
 def test_read_wrench_refuses_what_is_not_finite():
     message = messages.wrench_message(STAMP, np.zeros(6), '')
     message.wrench.torque.y = float('nan')
