@@ -129,7 +129,7 @@ class ArmState:
     forces, forces_estimated, forces_desired
         Contact forces by contact name [N]; estimated and desired are 0 where none is controlled.
     noise_variance
-        R by contact name [N^2]; empty if no estimator runs.
+        R by contact name [N^2], the newest; empty if no estimator runs.
     position_world, quaternion_xyzw
         Pose of the operational point [m].
     position_desired, quaternion_desired
@@ -464,7 +464,8 @@ class MultiContactClient:
             If none comes.
 
         """
-        forces, estimated, desired, pose, pose_desired = self._link.fresh(*STATE_TOPICS)
+        forces, estimated, desired, pose, pose_desired = self._link.fresh_sample(
+            *STATE_TOPICS)
         variance = self._link.newest(topics.NOISE_VARIANCE)
         position, rotation = _pose_of(pose)
         position_desired, rotation_desired = _pose_of(pose_desired)

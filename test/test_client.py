@@ -281,6 +281,21 @@ class StandIn:
 
         node.create_timer(0.005, publish)
 
+    def publish_topics_one_after_another(self):
+        node, numbers = self._guest.node, itertools.count()
+        publishers = [(topic, create_publisher(node, topic)) for topic in reversed(STATE_TOPICS)]
+
+        def publish():
+            k, which = divmod(next(numbers), len(publishers))
+            topic, publisher = publishers[which]
+            number = float(k)
+            publisher.publish(messages.pose_message(
+                k, [number, 0.5, 0.5], [0.0, 0.0, 0.0, 1.0], 'world') if topic in (
+                    topics.POSE, topics.POSE_DESIRED) else messages.joint_state_message(
+                        k, ['table'], effort=[number]))
+
+        node.create_timer(0.005, publish)
+
     def _get_state(self, _request, response):
         response.current_state.label = self.state
         return response
@@ -347,6 +362,20 @@ def test_waiting_goes_on_where_the_clock_is_set_back(domain_id):
         with MultiContactClient('stand_in', domain_id=domain_id, timeout=PATIENCE) as client:
             assert client.read().time >= 1000.0
             assert client.wait_until_reached(timeout=20.0).time < 1000.0
+    finally:
+        controller.close()
+
+
+def test_state_is_of_one_sample(domain_id):
+    controller = StandIn(domain_id)
+    try:
+        controller.publish_topics_one_after_another()
+        with MultiContactClient('stand_in', domain_id=domain_id, timeout=PATIENCE) as client:
+            for _ in range(10):
+                state = client.read()
+                assert {state.forces['table'], state.forces_estimated['table'],
+                        state.forces_desired['table'], state.position_world[0],
+                        state.position_desired[0]} == {round(1e9 * state.time)}
     finally:
         controller.close()
 

@@ -45,8 +45,9 @@ def push_running(
         If no controller answers, it is not active, or it is silent.
 
     """
-    with ControllerLink((topics.DIAGNOSTICS,), namespace=namespace, domain_id=domain_id,
-                        timeout=timeout) as link:
+    # Queued: of several nodes that report at once the newest need not be the controller.
+    with ControllerLink((), queued=(topics.DIAGNOSTICS,), namespace=namespace,
+                        domain_id=domain_id, timeout=timeout) as link:
         state = link.state(topics.CONTROLLER, timeout)
         if state != 'active':
             raise RunError(f'{topics.CONTROLLER}: expected an active controller, found it {state}')
@@ -55,11 +56,12 @@ def push_running(
             raise RunError(f'{topics.CONTROLLER}: push_test refused: {answer.message}')
         said = answer.message
         on_instruction(said)
-        heard, report = time.monotonic(), link.newest(topics.DIAGNOSTICS)
+        link.queue(topics.DIAGNOSTICS)  # of before the test
+        heard = time.monotonic()
         while True:
             time.sleep(POLL)
-            newest, now = link.newest(topics.DIAGNOSTICS), time.monotonic()
-            for status in newest.status if newest is not None and newest is not report else ():
+            now, reports = time.monotonic(), link.queue(topics.DIAGNOSTICS)
+            for status in (status for report in reports for status in report.status):
                 if status.name.endswith(SENSOR_STATUS):
                     heard = now
                     text = next((x.value for x in status.values if x.key == 'push_test'), said)
@@ -67,7 +69,6 @@ def push_running(
                         on_instruction(said := text)
                     if text.startswith(DONE):
                         return text.startswith(DONE[0])
-            report = newest
             if now - heard > timeout:
                 raise RunError(f'{topics.CONTROLLER}: expected diagnostics once a second, found '
                                f'none for {timeout:g} s')

@@ -402,6 +402,26 @@ class ControllerLink(LifecycleDriver):
             self._newest.pop(topic, None)
         return [self._wait_for(topic) for topic in topics]
 
+    def fresh_sample(self, *topics: Topic) -> list[Any]:
+        """
+        Return a message of each topic that comes from now on, all with the same stamp.
+
+        Raises
+        ------
+        RunError
+            If none come.
+
+        """
+        found, give_up = self.fresh(*topics), time.monotonic() + self._patience
+        while any(message.header.stamp != found[0].header.stamp for message in found):
+            if time.monotonic() > give_up:
+                raise RunError(
+                    f'{", ".join(topic.name for topic in topics)}: expected messages of one '
+                    f'stamp within {self._patience:g} s, found none')
+            time.sleep(POLL_PERIOD)
+            found = [self.newest(topic) for topic in topics]
+        return found
+
     def queue(self, topic: Topic) -> list[Any]:
         """Return the messages of a topic that have come since this was called last."""
         waiting = self._queued[topic]
