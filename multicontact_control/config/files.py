@@ -14,6 +14,7 @@ from pydantic import BaseModel, ValidationError
 import yaml
 
 ModelT = TypeVar('ModelT', bound='Config')
+EVERY_NODE = '**'  # in the place of a node's name
 
 
 def validate(model: type[ModelT], values: Mapping[str, Any], source: str = '') -> ModelT:
@@ -124,7 +125,8 @@ def read_node_parameters(path: Path, nodes: Sequence[str]) -> dict[str, dict[str
     path
         The file.
     nodes
-        Names that a section may be for, with `/**/` before them or without.
+        Names that a section may be for, with `/**/` before them or without; `EVERY_NODE` for one
+        that is for every node.
 
     Returns
     -------
@@ -134,16 +136,20 @@ def read_node_parameters(path: Path, nodes: Sequence[str]) -> dict[str, dict[str
     Raises
     ------
     ConfigError
-        If the file cannot be read, or has a section of another form or for another node.
+        If the file cannot be read, or has a section of another form or for another node, or two
+        for one.
 
     """
-    found = {}
+    found: dict[str, dict[str, Any]] = {}
     for key, section in read_yaml(path).items():
         name = str(key).rpartition('/')[2]
         if name not in nodes or not isinstance(section, dict) or not isinstance(
                 section.get('ros__parameters'), dict):
-            raise ConfigError(f'{path}: {key}', f"a section of {', '.join(nodes)} holding "
+            names = ', '.join(x.replace(EVERY_NODE, f'/{EVERY_NODE}') for x in nodes)
+            raise ConfigError(f'{path}: {key}', f"a section of {names} holding "
                               "'ros__parameters'", section)
+        if name in found:
+            raise ConfigError(f'{path}: {key}', f'one section of {name}', 'another')
         found[name] = section['ros__parameters']
     return found
 

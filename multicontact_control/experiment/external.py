@@ -11,12 +11,14 @@ from multicontact_control.config import (
     ControllerConfig,
     merge,
     NoiseEstimatorConfig,
+    read_node_parameters,
     read_parameters,
     read_yaml,
     RobotConfig,
     validate,
 )
 from multicontact_control.config.columns import contact_types
+from multicontact_control.config.files import EVERY_NODE
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.experiment.bag import sample_topic
@@ -64,13 +66,13 @@ def read_controller_files(files: Sequence[Path]) -> ControllerFiles:
     """
     Read the parameter files of a controller, each laid over those before.
 
-    One may have sections of both nodes. A relative URDF is looked for beside the file that names
-    it.
+    One may have sections of both nodes, and one for every node (``/**``), below these: each node
+    gets what it knows. A relative URDF is looked for beside the file that names it.
 
     Raises
     ------
     ConfigError
-        If one cannot be read or is no parameter file.
+        If one cannot be read, is no parameter file, or has a section of another node.
 
     """
     values: dict[str, dict[str, Any]] = {CONTROLLER: {}, ESTIMATOR: {}}
@@ -90,21 +92,15 @@ def read_controller_files(files: Sequence[Path]) -> ControllerFiles:
 
 
 def _sections(path: Path) -> dict[str, dict[str, Any]]:
-    """Return the parameters in a file by node; those for every node are the controller's."""
-    data = read_yaml(path)
-    if len(data) == 1:
-        name = str(next(iter(data))).rpartition('/')[2]
-        return {ESTIMATOR if name == ESTIMATOR else CONTROLLER: read_parameters(path)}
-    found = {}
-    for key, section in data.items():
-        name = str(key).rpartition('/')[2]
-        if name in PRESET_NODES and isinstance(section, Mapping) and isinstance(
-                section.get('ros__parameters'), Mapping):
-            found[name] = dict(section['ros__parameters'])
-    if not found:
-        raise ConfigError(str(path), f"a section of {' or '.join(PRESET_NODES)} holding "
-                          "'ros__parameters'", list(data))
-    return found
+    """Return the parameters in a file by node; those for every node lie below its own."""
+    found = read_node_parameters(path, (EVERY_NODE, *PRESET_NODES))
+    shared = found.get(EVERY_NODE, {})
+    # What both know, the rate and the contacts, the estimator gets from the controller's anyway.
+    of_estimator = {name: value for name, value in shared.items() if name in
+                    NoiseEstimatorConfig.model_fields.keys() - ControllerConfig.model_fields}
+    of_controller = {name: value for name, value in shared.items() if name not in of_estimator}
+    return {CONTROLLER: merge(of_controller, found.get(CONTROLLER, {})),
+            ESTIMATOR: merge(of_estimator, found.get(ESTIMATOR, {}))}
 
 
 class External(NamedTuple):

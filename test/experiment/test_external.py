@@ -66,6 +66,36 @@ def test_one_file_may_be_of_both_nodes(file, tmp_path):
     assert setup.noise_estimator.estimator == 'fixed'
 
 
+def test_what_a_file_says_for_every_node_lies_below_the_sections_of_both(file):
+    content = yaml.safe_load(file.read_text())
+    content['/**'] = {'ros__parameters': {
+        'rate': 250.0, 'tool': {'mass': 0.8}, 'window': 30, 'variance_scale': 2.0,
+        'contact_names': ['wall']}}
+    content['/**/controller_node'] = content.pop('controller_node')
+    content['/**/controller_node']['ros__parameters'].pop('rate')
+    content['/left/noise_estimator_node'] = {'ros__parameters': {'window': 20}}
+    file.write_text(yaml.safe_dump(content))
+    external = resolve_external([file])
+    setup, node = external.setup, external.node
+    assert (setup.controller.rate, setup.controller.tool.mass, node) == (250.0, 0.8, {})
+    estimator = setup.noise_estimator
+    assert (estimator.rate, estimator.window, estimator.variance_scale) == (250.0, 20, 2.0)
+    file.write_text(yaml.safe_dump({'/**': content['/**/controller_node']}))
+    assert resolve_external([file]).setup.noise_estimator.contact_names == ('wall',)
+
+
+@pytest.mark.parametrize(('key', 'message'), [
+    ('controler_node', r'controler_node: expected a section of /\*\*, controller_node, '),
+    ('/left/controller_node', 'expected one section of controller_node, found another'),
+    ('rate', 'rate: expected a section of .* found ')])
+def test_section_that_would_be_lost_is_refused(file, key, message):
+    content = yaml.safe_load(file.read_text())
+    file.write_text(yaml.safe_dump(
+        {**content, key: 250.0 if key == 'rate' else {'ros__parameters': {'rate': 250.0}}}))
+    with pytest.raises(ConfigError, match=message):
+        resolve_external([file])
+
+
 def test_setup_that_was_written_is_read_back(file, tmp_path):
     setup = resolve_external([file], duration=3.0).setup
     files = setup.write(tmp_path / 'run/config')
