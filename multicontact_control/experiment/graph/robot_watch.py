@@ -23,17 +23,25 @@ RATE_BAND = 1.5  # rates beyond 1 / this to this times the right one are told
 
 
 class _Heard:
-    """What has come on one topic."""
+    """What has come on one topic; of joint states, those of other joints do not count."""
 
-    def __init__(self, subscription: Any) -> None:
-        self.subscription = subscription
+    def __init__(self, subscription: Any, joints: Sequence[str] = ()) -> None:
+        self.subscription, self._joints = subscription, joints
         self.stamps: deque[int] = deque(maxlen=HEARD)
         self.newest: Any = None
         self.at = -1.0  # time.monotonic() of the newest, -1 before the first
+        self.others: Any = None  # the newest message, if it does not count
+
+    def lacking(self, message: Any) -> list[str]:
+        """Return which joints a message lacks."""
+        return [name for name in self._joints if name not in message.name]
 
     def poll(self) -> None:
         while (taken := take(self.subscription)) is not None:
-            self.newest, self.at = taken[0], time.monotonic()
+            if self.lacking(taken[0]):
+                self.others = taken[0]
+                continue
+            self.newest, self.others, self.at = taken[0], None, time.monotonic()
             # A stamp that is none is for the controller to refuse and to count.
             with contextlib.suppress(MessageError):
                 self.stamps.append(messages.stamp_to_ns(self.newest.header.stamp))
@@ -67,9 +75,10 @@ class RobotWatch(GuestNode):
     ) -> None:
         super().__init__('robot_watch', domain_id, namespace)
         self._heard = {topic: _Heard(self.node.create_subscription(
-            topic.message, topic.name, ignore, qos.WATCH))
+            topic.message, topic.name, ignore, qos.WATCH),
+            joint_names if topic is topics.JOINT_STATES else ())
             for topic in (topics.JOINT_STATES, wrench) if topic is not None}
-        self._joints, self._rate, self._wrench = tuple(joint_names), rate, wrench
+        self._rate, self._wrench = rate, wrench
         self._tolerance = pair_tolerance
         self._efforts = [topics.EFFORT_COMMAND.name, *filter(None, [effort_output_topic])]
         self._publishers: dict[topics.Topic, str] = {}
@@ -100,7 +109,7 @@ class RobotWatch(GuestNode):
         lines = [text for topic, heard in self._heard.items()
                  if (text := self._missing_of(topic, heard))]
         if not lines:
-            lines = [self._wrong_joints(), *map(self._incompatible, self._heard)]
+            lines = [self._half_told(), *map(self._incompatible, self._heard)]
         if not self._listeners():
             names = ' or '.join(self.node.resolve_topic_name(name) for name in self._efforts)
             lines.append(f'a subscriber of {names} (the robot is to apply these efforts)')
@@ -114,16 +123,15 @@ class RobotWatch(GuestNode):
         if heard.at >= 0.0:
             return f'{name}, silent for {time.monotonic() - heard.at:.0f} s, from ' + (
                 self._publishers.get(topic, 'its publisher'))
+        if heard.others is not None:
+            return (f'the joints {", ".join(heard.lacking(heard.others))} in joint_states, which '
+                    f'has {", ".join(heard.others.name) or "no names"}')
         if publishers:
             return f'{name} from {", ".join(publishers)}, which publishes nothing yet'
         return f'{name} ({topic.type_name}) from the robot: nobody publishes it'
 
-    def _wrong_joints(self) -> str:
+    def _half_told(self) -> str:
         message = self._heard[topics.JOINT_STATES].newest
-        lacking = [name for name in self._joints if name not in message.name]
-        if lacking:
-            return (f'the joints {", ".join(lacking)} in joint_states, which has '
-                    f'{", ".join(message.name) or "no names"}')
         if len(message.position) != len(message.name) or len(message.velocity) != len(
                 message.name):
             return (f'position and velocity of every joint in joint_states, which has '
@@ -153,15 +161,15 @@ class RobotWatch(GuestNode):
         return ''
 
     def _incompatible(self, topic: topics.Topic) -> str:
-        """Return whose messages none of this package's nodes can get; empty if nobody's."""
+        """Return whose messages the controller cannot get before it asks for less; or empty."""
         name = self.node.resolve_topic_name(topic.name)
-        strict = [info.node_name for info in self.node.get_subscriptions_info_by_topic(name)
-                  if info.node_name in OURS
-                  and info.qos_profile.reliability == ReliabilityPolicy.RELIABLE]
+        strict = any(info.node_name == topics.CONTROLLER
+                     and info.qos_profile.reliability == ReliabilityPolicy.RELIABLE
+                     for info in self.node.get_subscriptions_info_by_topic(name))
         for info in self.node.get_publishers_info_by_topic(name):
             if strict and info.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT:
                 return (f'{name} as reliable from {info.node_name}, which publishes it best '
-                        f'effort; {" and ".join(sorted(set(strict)))} cannot get it so')
+                        f'effort; {topics.CONTROLLER} cannot get it so')
         return ''
 
     def silent(self, longest: float) -> str:
@@ -171,8 +179,9 @@ class RobotWatch(GuestNode):
         for topic, heard in self._heard.items():
             if heard.at >= 0.0 and now - heard.at > longest:
                 who = self._publishers.get(topic, 'the robot')
-                return (f'{who} has not published {self.node.resolve_topic_name(topic.name)} for '
-                        f'{now - heard.at:.1f} s')
+                of = '' if heard.others is None else ' of its joints'
+                return (f'{who} has not published {self.node.resolve_topic_name(topic.name)}{of} '
+                        f'for {now - heard.at:.1f} s')
         return ''
 
     @property

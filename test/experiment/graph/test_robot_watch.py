@@ -78,6 +78,28 @@ def test_what_is_missing_is_said_until_nothing_is(domain_id):
         robot.close()
 
 
+def test_joints_of_others_are_not_the_robot(domain_id):
+    with RobotWatch(domain_id, '', joint_names=JOINTS, rate=500.0) as watch:
+        arm, gripper = Robot(domain_id), Robot(domain_id)
+        arm.listen()
+
+        def publish_both(condition):
+            def seen():
+                arm.publish()
+                gripper.publish(names=('finger',))
+                return condition()
+            return wait_for(seen, 'what the watch says', watch.missing)
+
+        publish_both(lambda: not watch.missing())
+        for _ in range(20):
+            publish_both(lambda: True)
+            assert watch.missing() == ''
+        arm.close()
+        wait_for(lambda: gripper.publish(names=('finger',)) or watch.silent(0.3), 'silence')
+        assert ' has not published /joint_states of its joints for ' in watch.silent(0.3)
+        gripper.close()
+
+
 @pytest.mark.parametrize(('published', 'doubt'), [
     ({'late': 900_000}, 'with stamps that differ by at most 0.8 ms, which never came'),
     ({'period': 10_000_000}, 'joint_states at 500 Hz, the rate of the controller; its stamps '
@@ -132,4 +154,15 @@ def test_reliability_that_the_nodes_cannot_have_is_said(domain_id):
             '/joint_states as reliable from their_robot, which publishes it best effort; '
             'controller_node cannot get it so'))
         ours.close()
-        robot.close()
+        # The controller asks for less than the recorder, which follows once it records.
+        guests = []
+        for name, profile in ((topics.CONTROLLER, qos.SENSOR), (topics.RECORDER, qos.RECORDING)):
+            guests.append(GuestNode(name, domain_id))
+            guests[-1].node.create_subscription(
+                topics.JOINT_STATES.message, topics.JOINT_STATES.name, lambda _: None, profile)
+        reliable = Robot(domain_id)
+        wait_until(watch, robot, lambda it: (
+            it.node.count_publishers('joint_states'), it.node.count_subscribers('joint_states'),
+            it.missing()) == (2, 3, ''))
+        for guest in (*guests, reliable, robot):
+            guest.close()
