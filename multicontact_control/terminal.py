@@ -8,6 +8,7 @@ dumb one, or where NO_COLOR is set (https://no-color.org).
 from __future__ import annotations
 
 import os
+import stat
 from typing import Any
 
 from rich.console import Console
@@ -32,3 +33,12 @@ def moving_bar(
     """Return a bar of some columns, which is not shown where nothing may move."""
     console = console or terminal()
     return Progress(*columns, console=console, disable=not is_lively(console), **options)
+
+
+def leave_terminal() -> None:
+    """Say nothing any more, but to a file: a terminal that has hung up would refuse it."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for number in (1, 2):
+        if not stat.S_ISREG(os.fstat(number).st_mode):
+            os.dup2(nowhere, number)
+    os.close(nowhere)

@@ -23,6 +23,8 @@ from multicontact_control.sensor.push_config import PushTestConfig
 from multicontact_control.sensor.tare import TareConfig
 from multicontact_control.supervision.command_limits import CommandLimits
 
+SAFE_TIME = 0.5  # s, in which a robot gets the safe behaviour before it gets nothing
+
 
 class ControllerNodeConfig(ManagedConfig):
     """Parameters of the node."""

@@ -19,7 +19,7 @@ from multicontact_control.errors import (
 )
 from multicontact_control.nodes import qos, topics
 from multicontact_control.nodes.command_interface import CommandInterface
-from multicontact_control.nodes.controller_config import ControllerNodeConfig
+from multicontact_control.nodes.controller_config import ControllerNodeConfig, SAFE_TIME
 from multicontact_control.nodes.controller_events import ControllerEvents
 from multicontact_control.nodes.controller_outputs import Command, ControllerOutputs
 from multicontact_control.nodes.controller_status import (
@@ -57,6 +57,7 @@ import numpy as np
 STAGES = ('read', 'step', 'send', 'show')
 # Samples from which on a rate is known, and the factor from which on it is a wrong one.
 FEWEST, WRONG_RATE = 10, 1.3
+GONE_TIME = 0.1  # s without a sample, from which on no robot is there to take leave of
 NO_WRENCH = np.zeros(6)
 
 
@@ -67,7 +68,7 @@ class ControllerNode(ManagedNode):
     Without lockstep the newest noise variance is used, however old: if the estimator has died,
     its last word is held, by a supervisor inflated, and diagnostics say so. A sample that comes
     again gets the same command again. After a deactivation samples are answered by the declared
-    safe behaviour.
+    safe behaviour; a process that is told to end while it controls answers so for `SAFE_TIME`.
 
     With a supervisor, commands go on when samples do not come: see `SampleTimeout` and
     `SampleClock`. A single sample that is older than the last is refused then; two in a row
@@ -190,6 +191,15 @@ class ControllerNode(ManagedNode):
         self._configured.safe, self._last_command = True, None
         kind = self._configured.config.safe_behaviour.kind.replace('_', ' ')
         self.get_logger().info(f'deactivated: commanding {kind} from the next sample on')
+
+    def take_leave(self, spinner: Spinner) -> None:
+        """Go over to the safe behaviour, for as long as a robot has to be left with some."""
+        if not self.working:
+            return
+        self.trigger_deactivate()
+        end = time.monotonic_ns() + SAFE_TIME * NANOSECONDS
+        while time.monotonic_ns() < min(end, self._last_taken + GONE_TIME * NANOSECONDS):
+            self.spin_once(spinner)
 
     def clean_up(self) -> None:
         """Free the controller, and the topics that are no streams."""

@@ -116,6 +116,9 @@ class ManagedNode(LifecycleNode):
     def look(self, spinner: Spinner) -> None:
         """Look what has not come; called after each callback, and when the patience is over."""
 
+    def take_leave(self, spinner: Spinner) -> None:
+        """Do what others need before the process ends; called when it has been asked to."""
+
     @property
     def working(self) -> bool:
         """Whether the node is active and everybody is there."""
@@ -125,10 +128,15 @@ class ManagedNode(LifecycleNode):
         """Run callbacks until asked to stop or shut down."""
         self.begin()
         while not (spinner.stop or self.state == FINALIZED):
-            spinner.spin_once(self.longest_wait())
-            self.turn(spinner)
+            self.spin_once(spinner)
+        self.take_leave(spinner)
         spinner.drain()
         self.streams.flush()
+
+    def spin_once(self, spinner: Spinner) -> None:
+        """Run what comes next, and what is due."""
+        spinner.spin_once(self.longest_wait())
+        self.turn(spinner)
 
     def begin(self) -> None:
         """

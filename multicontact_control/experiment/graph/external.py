@@ -3,8 +3,9 @@ Running the graph without a plant of its own: the robot, or its simulator, is be
 
 The nodes are configured, then the robot is waited for, for as long as it takes; only when all of
 it is there is the controller activated. The run ends after its time, at a signal, when a node
-dies or when the robot is silent. However it ends, the controller is deactivated first, so that
-the robot gets the declared safe behaviour before it gets nothing.
+dies or when the robot is silent. Then the controller is deactivated first, so that the robot gets
+the declared safe behaviour before it gets nothing. If this process is killed, the controller does
+that by itself; nothing can if it is the controller that is.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ from multicontact_control.experiment.graph.watching import (
     WATCH_PERIOD,
 )
 from multicontact_control.nodes import topics
+from multicontact_control.nodes.controller_config import SAFE_TIME
 from multicontact_control.nodes.link import (
     ACTIVATE,
     CONFIGURE,
@@ -42,7 +44,6 @@ from multicontact_control.nodes.link import (
 
 FIRST_TELL = 1.0  # s, before anything is said of what is missing
 LONGEST_NAMING = 2.0  # s, that the names of the robot's nodes are waited for
-SAFE_TIME = 0.5  # s, in which the robot gets the safe behaviour
 DEACTIVATION_TIMEOUT = 5.0
 
 
@@ -84,7 +85,7 @@ def run_external_graph(
     """
     Run the graph on a robot that is not this package's.
 
-    SIGINT and SIGTERM end it cleanly; call it in the main thread for that.
+    SIGINT, SIGTERM and SIGHUP end it cleanly; call it in the main thread for that.
 
     Parameters
     ----------

@@ -70,7 +70,7 @@ def run_graph(
     """
     Run the graph to its end.
 
-    SIGINT and SIGTERM end it early and cleanly; call it in the main thread for that.
+    SIGINT, SIGTERM and SIGHUP end it early and cleanly; call it in the main thread for that.
 
     Parameters
     ----------

@@ -19,11 +19,13 @@ from multicontact_control.nodes.link import (
     LifecycleDriver,
     TransitionError,
 )
+from multicontact_control.terminal import leave_terminal
 
 WATCH_PERIOD = 0.05
 PROGRESS_PERIOD = 0.2
 START_BUDGET = 300.0  # s, until the first sample is answered
 TELL_PERIOD = 5.0  # s, between two lines on what is waited for
+ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 SAMPLES = 'the first answered sample'
 
 Tell = Callable[[str], None]
@@ -164,16 +166,19 @@ def watch(
 
 @contextlib.contextmanager
 def collected_signals() -> Iterator[list[int]]:
-    """Collect SIGINT and SIGTERM in a list instead of dying of them."""
+    """Collect signals that ask for an end in a list instead of dying of them."""
     received: list[int] = []
 
     def note(number: int, _frame: FrameType | None) -> None:
         received.append(number)
+        if number == signal.SIGHUP:
+            leave_terminal()
 
     if threading.current_thread() is not threading.main_thread():
         yield received
         return
-    previous = {x: signal.signal(x, note) for x in (signal.SIGINT, signal.SIGTERM)}
+    previous = {x: signal.signal(x, note) for x in ENDING
+                if x != signal.SIGHUP or signal.getsignal(x) != signal.SIG_IGN}  # by nohup
     try:
         yield received
     finally:

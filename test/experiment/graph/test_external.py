@@ -6,21 +6,28 @@ The robot is `external_arm.py`, a process that knows nothing of this package.
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
+from functools import partial
 import json
 import os
 from pathlib import Path
 import re
+import select
 import shlex
 import signal
 import subprocess
 import sys
+import termios
+import threading
 
 from arms import seven_joint_urdf
 from external_arm import BIAS, TOOL_COM, TOOL_MASS
+from multicontact_control.client import MultiContactClient
 from multicontact_control.experiment.bag import read_graph
 from multicontact_control.experiment.graph.domain import reserve_domain, shared_domain
 from multicontact_control.experiment.results import load
-from multicontact_control.nodes import qos, topics
+from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.nodes.graph_node import ignore, take
 from multicontact_control.nodes.link import GuestNode
 import numpy as np
@@ -63,16 +70,21 @@ class Shell:
             'COLUMNS': '200'}
         self._running = []
 
-    def start(self, *command, log):
+    def start(self, *command, log, terminal=None):
+        """Start a process; it ends with its terminal if it gets one instead of a log."""
         with (self.folder / log).open('w') as file:
             process = subprocess.Popen(
-                [sys.executable, *command], cwd=self.folder, env=self._environment, stdout=file,
-                stderr=subprocess.STDOUT, start_new_session=True)
+                [sys.executable, *command], cwd=self.folder, env=self._environment,
+                stdin=terminal, stdout=file if terminal is None else terminal,
+                stderr=subprocess.STDOUT, start_new_session=True,
+                preexec_fn=None if terminal is None else partial(
+                    fcntl.ioctl, terminal, termios.TIOCSCTTY, 0))
         self._running.append(process)
         return process
 
-    def multicontact(self, *arguments, log):
-        return self.start('-m', 'multicontact_control.cli', *arguments, log=log)
+    def multicontact(self, *arguments, log, terminal=None):
+        return self.start(
+            '-m', 'multicontact_control.cli', *arguments, log=log, terminal=terminal)
 
     def said(self, log):
         return (self.folder / log).read_text(encoding='utf-8')
@@ -104,7 +116,7 @@ def shell(tmp_path):
         terminals.close()
 
 
-def write_controller(folder):
+def write_controller(folder, **changes):
     """Write what `new-robot` would, for the arm of seven joints, and return its URDF."""
     urdf = seven_joint_urdf(folder)
     values = {
@@ -114,7 +126,7 @@ def write_controller(folder):
         'torque_limit': [100.0] * 7, 'limits': {'operational_speed': 0.5}, 'watchdog': WATCHDOG,
         'contact_names': ['wall'], 'contacts': {'wall': {
             'normal_world': [1.0, 0.0, 0.0], 'point_operational': [0.0, 0.0, 0.0],
-            'stiffness': 5000.0}}, **NODE}
+            'stiffness': 5000.0}}, **NODE, **changes}
     (folder / 'controller.yaml').write_text(
         yaml.safe_dump({'controller_node': {'ros__parameters': values}}))
     return urdf
@@ -187,13 +199,87 @@ def test_node_that_dies_before_the_robot_is_there_is_named(shell, tmp_path):
     running = shell.multicontact(
         'run', '--external', '--controller', 'controller.yaml', '--out', 'out', log='log')
     shell.wait_until_said(running, 'log', 'nobody publishes it')
-    numbers = [entry for entry in Path('/proc').iterdir() if (entry / 'cmdline').is_file()
-               and f'{tmp_path}/out/logs/noise_estimator_node.json'.encode() in (
-                   entry / 'cmdline').read_bytes()]
-    for number in numbers:
-        os.kill(int(number.name), signal.SIGKILL)
+    for entry in nodes_of(tmp_path / 'out', 'noise_estimator_node.json'):
+        os.kill(int(entry.name), signal.SIGKILL)
     code, text = shell.end(running, 'log')
     assert code == 1 and 'noise_estimator_node was killed by SIGKILL' in text, text
+
+
+class Terminal:
+    """A terminal that shows nobody what is written to it, until it is closed."""
+
+    def __init__(self):
+        self._master, self.end = os.openpty()
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._read, daemon=True)
+        self._thread.start()
+
+    def _read(self):
+        while not self._closing.is_set():
+            if select.select([self._master], [], [], 0.05)[0]:
+                os.read(self._master, 4096)
+
+    def close(self):
+        self._closing.set()
+        self._thread.join()
+        os.close(self._master)
+
+
+class Listener(GuestNode):
+    """Notes when efforts and measured forces came last, and what the efforts were."""
+
+    def __init__(self, domain_id):
+        super().__init__('listener', domain_id)
+        self._ends = [self.node.create_subscription(topic.message, topic.name, ignore, qos.WATCH)
+                      for topic in (topics.EFFORT_COMMAND, topics.MEASURED_FORCES)]
+        self.stamps, self.efforts = [0, 0], []
+
+    def poll(self):
+        for i, end in enumerate(self._ends):
+            while (taken := take(end)) is not None:
+                self.stamps[i] = messages.stamp_to_ns(taken[0].header.stamp)
+                if not i:
+                    self.efforts.append(np.array(taken[0].effort))
+        return True
+
+
+@pytest.mark.parametrize('end', ['killed', 'terminal closed'])
+def test_robot_that_presses_is_left_with_the_safe_behaviour(shell, tmp_path, end):
+    urdf = write_controller(
+        tmp_path, safe_behaviour={'kind': 'zero_torque'},
+        tool={'mass': TOOL_MASS, 'com_sensor': TOOL_COM.tolist(), 'bias_sensor': BIAS.tolist()})
+    shell.start(str(Path(__file__).parents[2] / 'external_arm.py'), str(urdf), log='arm')
+    terminal = Terminal()
+    running = shell.multicontact(
+        'run', '--external', '--controller', 'controller.yaml', '--out', 'run',
+        log='log', terminal=terminal.end)
+    with MultiContactClient(domain_id=shell.domain_id, timeout=PATIENCE) as arm:
+        arm.set_forces({'wall': 10.0})
+        arm.wait_until_reached(force_tolerance=1.0, timeout=PATIENCE)
+    with Listener(shell.domain_id) as listener:
+        wait_for(lambda: listener.poll() and listener.stamps[1], 'measured forces')
+        if end == 'killed':
+            running.kill()
+        else:
+            terminal.close()
+        wait_for(lambda: listener.poll() and not nodes_of(tmp_path / 'run'), 'their end')
+        answered, controlled = listener.stamps
+        assert answered - controlled > 200_000_000
+        assert np.abs(listener.efforts[-1]).max() < 0.85 * np.abs(listener.efforts[0]).max()
+    running.wait(PATIENCE)
+    if end != 'killed':
+        assert running.returncode == 0
+        assert json.loads((tmp_path / 'run/summary.json').read_text())['mode'] == 'external'
+
+
+def nodes_of(folder, log=''):
+    """Return the processes whose command line names a log of a run."""
+    found = []
+    for entry in Path('/proc').iterdir():
+        with contextlib.suppress(OSError):  # no process, or one that has ended meanwhile
+            if f'{folder}/logs/{log}'.encode() in (entry / 'cmdline').read_bytes():
+                found.append(entry)
+    return found
 
 
 def test_robot_that_is_gone_ends_the_run_and_is_named(shell, tmp_path):
