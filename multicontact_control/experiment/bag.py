@@ -53,6 +53,11 @@ class BagContent:
     remarks: tuple[str, ...] = ()
     start: int = 0
 
+    @property
+    def told(self) -> list[str]:
+        """The remarks that are told of a run of one's own: not all is recorded in each."""
+        return [text for text in self.remarks if not text.startswith(NOT_RECORDED)]
+
 
 def read_bag(
     path: Path, controller: ControllerConfig, *, namespace: str | None = None,

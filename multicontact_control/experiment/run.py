@@ -11,7 +11,7 @@ from typing import Any, TYPE_CHECKING
 from multicontact_control.compiled import compiled_here
 from multicontact_control.config import validate
 from multicontact_control.errors import ConfigError, importing_ros, RunError
-from multicontact_control.experiment.bag import answered, BagContent, NOT_RECORDED, read_bag
+from multicontact_control.experiment.bag import answered, BagContent, read_bag
 from multicontact_control.experiment.claims import claims_of
 from multicontact_control.experiment.closed_loop import run_in_process
 from multicontact_control.experiment.compilation import ensure_compiled
@@ -181,7 +181,7 @@ def run_real_time(
         timing={**graph_timing(result.timing, content), 'composed': composed},
         ended_early='' if interrupted is None else INTERRUPTED,
         events=events if supervised else None)
-    summary['ros_domain_id'] = result.domain_id
+    summary |= {'ros_domain_id': result.domain_id, 'remarks': content.told}
     return _finish(content.data, setup, folder, summary, console), interrupted
 
 
@@ -285,8 +285,7 @@ def _report_external(
     summary = summarise(
         data, setup, mode=EXTERNAL_RUN, timing=timing, events=events if supervised else None,
         ended_early=result.ended or (INTERRUPTED if interrupted else ''))
-    summary |= {'ros_domain_id': result.domain_id, 'remarks': [
-        x for x in content.remarks if not x.startswith(NOT_RECORDED)]}
+    summary |= {'ros_domain_id': result.domain_id, 'remarks': content.told}
     return _finish(data, setup, folder, summary, console), interrupted
 
 
@@ -355,7 +354,7 @@ def graph_timing(
         'deadline_misses': sim.get('deadline_misses', 0),
         'pace_slips': sim.get('pace_slips', 0),
         'command_timeouts': sim.get('command_timeouts', 0),
-        'lost_messages': recorder.get('lost', 0) + never_came,
+        'lost_messages': recorder['lost'] + never_came if 'lost' in recorder else None,
         'unanswered_samples': content.missing['joint_effort_command'],
         'kernels_compiled': sum(node.get('kernels_compiled', 0) for node in timing.values()),
         'tick_us': controller.get('tick_us'), 'latency_us': sim.get('latency_us'),

@@ -122,6 +122,8 @@ def run_external_graph(
             session = _Session(
                 spec, robot, domain_id, interrupted, listener, watch, on_progress, tell)
             ended = session.run()
+        if session.activated:
+            session.processes.raise_if_failed()
         return GraphResult(
             bag=spec.bag, timing=session.processes.timing(), domain_id=domain_id,
             interrupted=interrupted[0] if interrupted else None, ended=ended,
@@ -140,7 +142,7 @@ class _Session:
         self._interrupted, self._listener, self._watch = interrupted, listener, watch
         self._on_progress, self._tell = on_progress, tell
         self.processes = NodeProcesses(spec, domain_id)
-        self._activated = self.controlled = False
+        self.activated = self.controlled = False
 
     def run(self) -> str:
         """Return what ended the run on the side of the robot; empty if nothing did."""
@@ -149,7 +151,7 @@ class _Session:
             self.processes.start_all()
             self._lead(CONFIGURE)
             self._wait_for_robot()
-            self._activated = True  # on the way, at least
+            self.activated = True  # on the way, at least
             self._lead(ACTIVATE)
             ended = watch(self._listener, self._on_progress,
                           partial(self._end, self._supervision()))
@@ -157,7 +159,7 @@ class _Session:
         except InterruptedRunError:
             failed = False
         finally:
-            if self._activated:
+            if self.activated:
                 self._deactivate()
             self.processes.stop(abort=failed)
         return ended

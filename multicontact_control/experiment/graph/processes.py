@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 import contextlib
 import json
 import signal
@@ -33,6 +33,7 @@ ABORT_SIGNALS = ((signal.SIGTERM, 1.0), (signal.SIGKILL, 1.0))
 # A recorder that is killed leaves a bag without its end and its metadata, and on a busy machine it
 # takes seconds to write what has come.
 RECORDER_SIGNALS = ((signal.SIGTERM, 20.0), (signal.SIGKILL, 2.0))
+STOPPED = (0, -signal.SIGINT, -signal.SIGTERM)  # exit codes of nodes that were
 LOG_LINES = 12
 
 
@@ -128,12 +129,29 @@ class NodeProcesses:
             About the one that ended first.
 
         """
+        allowed = at_its_end and not self._spec.external and self.ended(SIM)
+        self._raise_unless((0,) if allowed else ())
+
+    def raise_if_failed(self) -> None:
+        """
+        Check that no node has failed, not even while it was stopped.
+
+        Raises
+        ------
+        NodeEndedError
+            About the one that failed first.
+
+        """
+        self._raise_unless(STOPPED)
+
+    def _raise_unless(self, allowed: Collection[int]) -> None:
+        """Raise an error about the first node that has ended with another exit code."""
         names = {process: self._spec.process_of(name) for name, process in self._running.items()}
-        for process in [process for process in self._ends if process in names]:
+        # The end of one that was stopped may not have been noted yet.
+        for process in [x for x in dict.fromkeys((*self._ends, *names)) if x in names]:
             name, code = names[process], process.returncode
-            if at_its_end and code == 0 and not self._spec.external and self.ended(SIM):
-                continue
-            raise NodeEndedError(name, self.report(name, ending(code)))
+            if code is not None and code not in allowed:
+                raise NodeEndedError(name, self.report(name, ending(code)))
 
     def report(self, name: str, how: str) -> str:
         """Return what happened to a node, with the end of its log."""

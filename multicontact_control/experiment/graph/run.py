@@ -101,10 +101,11 @@ def run_graph(
         processes = NodeProcesses(spec, domain_id)
         supervision = StartSupervision(processes, interrupted, on_wait)
         with ProgressListener(domain_id, spec.namespace) as listener:
-            failed = True
+            failed, up = True, False
             try:
                 processes.start_all()
                 bring_up(processes, supervision, domain_id, spec.namespace)
+                up = True
                 watch(listener, on_progress, partial(_end, processes, supervision))
                 supervision.check()
                 failed = False
@@ -114,8 +115,8 @@ def run_graph(
                 processes.stop(abort=failed)
             listener.newest()
             controlled = listener.heard or not interrupted
-        if not interrupted:
-            processes.raise_if_ended(at_its_end=True)
+        if up:  # one that is interrupted while it starts ends as it may
+            processes.raise_if_failed()
         return GraphResult(
             bag=spec.bag, timing=processes.timing(), domain_id=domain_id,
             interrupted=interrupted[0] if interrupted else None, controlled=controlled)

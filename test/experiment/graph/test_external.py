@@ -272,6 +272,21 @@ def test_robot_that_presses_is_left_with_the_safe_behaviour(shell, tmp_path, end
         assert json.loads((tmp_path / 'run/summary.json').read_text())['mode'] == 'external'
 
 
+def test_node_that_fails_while_the_run_is_stopped_is_named(shell, tmp_path):
+    urdf = write_controller(tmp_path)
+    shell.start(str(Path(__file__).parents[2] / 'external_arm.py'), str(urdf), log='arm')
+    running = shell.multicontact(
+        'run', '--external', '--controller', 'controller.yaml', '--out', 'run', log='log')
+    with Listener(shell.domain_id) as listener:
+        wait_for(lambda: listener.poll() and listener.stamps[1], 'measured forces')
+    running.send_signal(signal.SIGINT)
+    wait_for(lambda: not nodes_of(tmp_path / 'run', 'controller_node.json'), 'its end')
+    for entry in nodes_of(tmp_path / 'run', 'recorder_node.json'):
+        os.kill(int(entry.name), signal.SIGKILL)
+    code, text = shell.end(running, 'log')
+    assert code == 1 and 'recorder_node was killed by SIGKILL' in text, text
+
+
 def nodes_of(folder, log=''):
     """Return the processes whose command line names a log of a run."""
     found = []

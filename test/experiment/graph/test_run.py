@@ -14,6 +14,8 @@ import threading
 
 from multicontact_control.cli.run import Composed
 from multicontact_control.errors import RunError
+from multicontact_control.experiment import run as run_module
+from multicontact_control.experiment.bag import CUT_OFF, read_bag
 from multicontact_control.experiment.closed_loop import run_in_process
 from multicontact_control.experiment.graph.domain import domain_in_use, reserve_domain
 from multicontact_control.experiment.graph.run import run_graph
@@ -241,6 +243,25 @@ def test_run_that_is_interrupted_before_the_first_sample_says_so(tmp_path, free_
     assert not (tmp_path / 'summary.json').exists() and node_processes(tmp_path) == {}
 
 
+def test_run_graph_names_a_node_that_fails_while_it_is_stopped(tmp_path, free_domain):
+    _, spec = make_spec(tmp_path, ticks=50_000)
+    killing = []
+
+    def kill_recorder():
+        wait_for(lambda: CONTROLLER not in node_processes(tmp_path), 'the end of the controller')
+        kill_node(tmp_path, RECORDER)
+
+    def interrupt(_progress):
+        if not killing:
+            killing.append(threading.Thread(target=kill_recorder))
+            killing[0].start()
+            os.kill(os.getpid(), signal.SIGINT)
+
+    with pytest.raises(RunError, match=f'^{RECORDER} was killed by SIGKILL; the end of .*log'):
+        run_graph(spec, interrupt)
+    killing[0].join()
+
+
 def test_nodes_end_when_the_process_that_started_them_is_killed(tmp_path, free_domain):
     make_spec(tmp_path, ticks=50_000)
     program = (
@@ -300,6 +321,22 @@ def test_run_graph_works_in_a_thread_without_signals(tmp_path, free_domain):
 
 def test_command_line_knows_every_composition():
     assert {choice.value for choice in Composed} == {AUTO, *COMPOSED}
+
+
+def test_run_says_what_its_recording_and_its_recorder_lack(tmp_path, free_domain, monkeypatch):
+    def read_cut_off(path, *options, **more):
+        file, = path.glob('*.mcap')
+        os.truncate(file, file.stat().st_size - 1000)
+        return read_bag(path, *options, **more)
+
+    monkeypatch.setattr(run_module, 'read_bag', read_cut_off)
+    setup = resolve('quick', plant='rigid', seed=0, duration=0.5)
+    summary, _ = run_real_time(
+        setup, tmp_path, GraphOptions(lockstep=True), console=Console(file=io.StringIO()))
+    assert summary['remarks'] == [CUT_OFF]
+    assert summary['timing']['lost_messages'] >= 0
+    timing = run_module.graph_timing({}, read_bag(tmp_path / 'bag', setup.controller))
+    assert timing['lost_messages'] is None
 
 
 def test_run_says_in_which_domain_it_is(tmp_path, free_domain):
