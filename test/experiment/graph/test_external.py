@@ -39,7 +39,7 @@ pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 SECTION = '## Your own robot or simulator, step by step'
 # What a test has no time for, and what a busy machine may be late by.
-QUICK = ['--move-time', '1.0']
+QUICK = ['--move-time', '0.5', '--tilt', '15']
 NODE = {'patience': 50.0, 'push_test': {'timeout': 1.0},
         'sensor': {'require_push_test': False}}  # no hand is there
 WATCHDOG = {'joint_max_age': 100.0, 'wrench_max_age': 100.0, 'variance_max_age': 500.0,
@@ -166,9 +166,11 @@ def test_documented_way_leads_from_a_urdf_to_ten_newtons(shell, tmp_path):
     code, text = shell.end(pushing, 'pushing')
     assert code == 1 and text.startswith('keep off the tool\n'), text
     assert text.splitlines()[-1].startswith('push test failed'), text
-    code, text = shell.end(running, 'first', signal.SIGINT)
-    assert code == 0 and 'not judged' in text, text
+    weighed = (tmp_path / 'runs/latest').resolve()
+    running.send_signal(signal.SIGINT)
+    wait_for(lambda: not nodes_of(weighed), 'the end of the first nodes')
 
+    judged = running  # of which there is no need to wait for the figures
     running = shell.multicontact(*second, log='second')
     shell.wait_until_said(running, 'second', 'found /joint_states from my_arm')
     code, text = shell.end(shell.start('-c', program, log='program'), 'program')
@@ -176,6 +178,10 @@ def test_documented_way_leads_from_a_urdf_to_ten_newtons(shell, tmp_path):
         10.0, abs=1.0), text
     code, text = shell.end(running, 'second', signal.SIGINT)
     assert code == 0, text
+    assert arm.poll() is None
+    arm.kill()
+    reporting = shell.multicontact(*report, log='report')
+    identifying = shell.multicontact(*identify, log='identify')
     assert 'not judged: no ground truth; by the measured forces no limit was passed' in text
     summary = json.loads((tmp_path / 'runs/latest/summary.json').read_text())
     assert (summary['truth'], summary['mode'], summary['stable']) == (False, 'external', None)
@@ -186,12 +192,13 @@ def test_documented_way_leads_from_a_urdf_to_ten_newtons(shell, tmp_path):
     # The safe behaviour, after the controller was deactivated.
     assert recorded['joint_effort_command'].stamps[-1] - recorded[
         'contact_forces/measured'].stamps[-1] > 100_000_000
-    code, text = shell.end(shell.multicontact(*report, log='report'), 'report')
+    code, text = shell.end(reporting, 'report')
     assert code == 0, text
     assert 'no ground truth' in (tmp_path / 'runs/latest/report.html').read_text(encoding='utf-8')
-    code, text = shell.end(shell.multicontact(*identify, log='identify'), 'identify')
+    code, text = shell.end(identifying, 'identify')
     assert code == 0 and 'wall: ' in text, text
-    assert arm.poll() is None
+    code, text = shell.end(judged, 'first')
+    assert code == 0 and 'not judged' in text, text
 
 
 def test_node_that_dies_before_the_robot_is_there_is_named(shell, tmp_path):
@@ -223,6 +230,7 @@ class Terminal:
         self._closing.set()
         self._thread.join()
         os.close(self._master)
+        os.close(self.end)
 
 
 class Listener(GuestNode):
