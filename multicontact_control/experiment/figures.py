@@ -42,6 +42,7 @@ import numpy as np
 matplotlib.use('Agg')
 
 TITLE_WIDTH = 110  # characters of the second line that fit
+PAUSE = 0.1  # s between two windows of a kind, below which one is drawn
 STEP_SHOWN = (0.05, 0.35)  # s before and after a step
 LEGIBLE = {'facecolor': 'white', 'alpha': 0.8, 'edgecolor': 'none', 'pad': 1.0}  # over bars
 PAPER_VARIANCE = ((0.6, 'paper, at rest'), (100.0, 'paper, moving'))  # N^2
@@ -299,11 +300,17 @@ def draw_latency(summary: Mapping[str, Any], folder: Path) -> Path:
 
 
 def _judged(data: RunData, setup: Setup) -> list[Span]:
-    """Return the windows that the numbers of ``summary.json`` are taken from."""
+    """Return the windows that the summary is of, without the pauses between setpoints."""
     judged = judged_windows(data, setup)
-    return [Span(name, float(data.time[begin]), float(data.time[end - 1]))
-            for name, mask in (('rest', judged.rest), ('moving', judged.moving))
-            for begin, end in zip(*stretches(mask))]
+    spans: list[Span] = []
+    for name, mask in (('rest', judged.rest), ('moving', judged.moving)):
+        for begin, end in zip(*stretches(mask)):
+            span = Span(name, float(data.time[begin]), float(data.time[end - 1]))
+            last = spans[-1] if spans else None
+            if last is not None and last.name == name and span.start - last.end < PAUSE:
+                span = spans.pop()._replace(end=span.end)
+            spans.append(span)
+    return spans
 
 
 def _draw_panel(

@@ -1,5 +1,7 @@
 """``summary.json`` and what is shown of it: verdict, supervisor, machine."""
 
+from dataclasses import replace
+
 from multicontact_control.cli.exits import end_by_verdict
 from multicontact_control.experiment import figures
 from multicontact_control.experiment.display import (
@@ -159,6 +161,14 @@ def test_figures_tell_what_is_not_stable(setup, data, tmp_path, monkeypatch, ver
     figures.draw_figures(data, setup, tmp_path, verdict=verdict)
     assert len(titles) == 4
     assert all((verdict in title) == (verdict != 'stable') for title in titles)
+
+
+def test_motion_that_is_commanded_by_and_by_is_shaded_as_one(setup, data):
+    moved = np.clip(np.floor((data.time - 6.0) / 0.03) * 0.003, 0.0, 0.3)  # for 3 s
+    data.position_des[:, 0] = moved
+    data.command[:] = data.alpha_des
+    page = figures.interactive_figures(data, replace(setup, commanded_by_topic=True), 0)
+    assert page.count('"moving"') == len(figures.run_figures(data, setup))
 
 
 def test_a_run_ends_with_what_to_open_next(tmp_path):
