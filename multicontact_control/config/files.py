@@ -146,7 +146,7 @@ def read_node_parameters(path: Path, nodes: Sequence[str]) -> dict[str, dict[str
         if name not in nodes or not isinstance(section, dict) or not isinstance(
                 section.get('ros__parameters'), dict):
             names = ', '.join(x.replace(EVERY_NODE, f'/{EVERY_NODE}') for x in nodes)
-            raise ConfigError(f'{path}: {key}', f"a section of {names} holding "
+            raise ConfigError(f'{path}: {key}', f'a section of {names} holding '
                               "'ros__parameters'", section)
         if name in found:
             raise ConfigError(f'{path}: {key}', f'one section of {name}', 'another')

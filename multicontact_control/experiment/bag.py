@@ -55,7 +55,7 @@ class BagContent:
 
     @property
     def told(self) -> list[str]:
-        """The remarks that are told of a run of one's own: not all is recorded in each."""
+        """Return what is told of a run of one's own: not every topic is in each."""
         return [text for text in self.remarks if not text.startswith(NOT_RECORDED)]
 
 

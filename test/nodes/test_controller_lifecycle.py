@@ -115,6 +115,24 @@ def test_configure_refuses_a_topic_that_cannot_be(middleware, driver):
     assert 'Traceback' not in errors
 
 
+def test_process_that_is_told_to_end_leaves_the_arm_in_the_declared_behaviour(
+        process, middleware, driver, arm):
+    for transition in (CONFIGURE, ACTIVATE):
+        driver.change(NAME, transition)
+    arm.connect()
+    assert set_parameter(driver, NAME, 'safe_behaviour.kind', 'zero_torque').successful
+    torques = [settle(arm)]
+    process.terminate()
+    while process.poll() is None:
+        arm.send()
+        middleware.pause()
+        command = arm.newest_command()
+        if command is not None:
+            torques.append(np.array(command.effort))
+    assert process.returncode == 0
+    assert np.abs(torques[-1]).max() < np.abs(torques[0]).max() - 5 * LARGEST_STEP
+
+
 def test_configure_refuses_what_is_wrong_in_one_line_until_it_is_repaired(middleware, driver):
     process = middleware.start(MODULE, 'robot.urdf:=nowhere.urdf', 'rate:=-500.0', files=(FILE,))
     with pytest.raises(TransitionError):
