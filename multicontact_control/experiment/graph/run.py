@@ -101,11 +101,10 @@ def run_graph(
         processes = NodeProcesses(spec, domain_id)
         supervision = StartSupervision(processes, interrupted, on_wait)
         with ProgressListener(domain_id, spec.namespace) as listener:
-            failed, up = True, False
+            failed = True
             try:
                 processes.start_all()
                 bring_up(processes, supervision, domain_id, spec.namespace)
-                up = True
                 watch(listener, on_progress, partial(_end, processes, supervision))
                 supervision.check()
                 failed = False
@@ -115,7 +114,7 @@ def run_graph(
                 processes.stop(abort=failed)
             listener.newest()
             controlled = listener.heard or not interrupted
-        if up:  # one that is interrupted while it starts ends as it may
+        if controlled:  # one that is interrupted while it starts ends as it may
             processes.raise_if_failed()
         return GraphResult(
             bag=spec.bag, timing=processes.timing(), domain_id=domain_id,
