@@ -84,6 +84,7 @@ def test_all_that_is_wrong_is_said_at_once():
     assert all(line.startswith('controller.yaml: ') for line in lines)
     assert [error.field for error in caught.value.errors] == [
         'sensor.full_scale', 'sensor.full_scale', 'contact_state.contact_threshold',
+        'contact_state.smallest_force',
         'limits.workspace_lower', 'limits.workspace_lower', 'limits.joint_speed',
         'robot.armature', 'torque_limit', 'limits.joint_speed', 'contact_names']
     with pytest.raises(ConfigError) as caught:
