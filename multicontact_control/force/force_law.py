@@ -49,12 +49,8 @@ ESTIMATE, DESIRED, MIXED, MEASURED = range(4)  # as in `FedForward`
 RATIOS = tuple(np.geomspace(1.0, 100.0, 9).tolist())  # where the loop's limit is looked for
 
 
-def loop_model(config: ControllerConfig, stiffness: float) -> LoopModel:
-    """Return what the force law of a contact of that stiffness [N/m] is designed for."""
-    return _loop_model(config.force, config.loop_delay, config.period, stiffness)
-
-
-def _loop_model(force: ForceConfig, delay: float, period: float, stiffness: float) -> LoopModel:
+def loop_model(force: ForceConfig, delay: float, period: float, stiffness: float) -> LoopModel:
+    """Return what a force law is designed for: T_d and h [s], stiffness of the contact [N/m]."""
     rate = force.damping_rate
     return LoopModel(
         delayed_plant(stiffness, rate, delay, period), stiffness, rate, delay, period)
@@ -81,7 +77,7 @@ def _design_law(
     name: str, force: ForceConfig, delay: float, period: float, stiffness: float,
 ) -> ObserverDesign | LinearLaw:
     with _designing(name):
-        design = LAWS[name](_loop_model(force, delay, period, stiffness), force)
+        design = LAWS[name](loop_model(force, delay, period, stiffness), force)
         for field in fields(design):
             value = getattr(design, field.name)
             if isinstance(value, np.ndarray) and not np.isfinite(value).all():
@@ -153,7 +149,7 @@ def _largest_ratio(
     rate = force.damping_rate
     none = np.zeros((1, 1))
     with _designing('aob'):
-        design = design_aob(_loop_model(force, delay, period, stiffness), force)
+        design = design_aob(loop_model(force, delay, period, stiffness), force)
         law = steady_law(design, steady_gain(design, noise_variance))
 
         def stable(ratio: float) -> bool:

@@ -50,6 +50,10 @@ def config_of(law, **force):
         'law': law, 'damping_rate': 100.0, **force}}).controller
 
 
+def model_of(config, stiffness=K):
+    return loop_model(config.force, config.loop_delay, config.period, stiffness)
+
+
 def law_of(name, **force):
     config = config_of(name, **force)
     design = design_law(config, 'table', K)
@@ -237,7 +241,7 @@ def test_law_is_told_of_what_acts_beyond_its_answer(name):
 def test_margins_are_where_the_loop_becomes_unstable(name):
     """By eigenvalues of other plants: stiffer ones, and ones with more delay."""
     config = config_of(name)
-    law, model = law_of(name), loop_model(config, K)
+    law, model = law_of(name), model_of(config)
     margins = margins_of(law, model)
     if np.isfinite(margins.stiffest):
         assert spectral_radius(contact_loop(law, model, 0.98 * margins.stiffest)) < 1.0
@@ -248,12 +252,12 @@ def test_margins_are_where_the_loop_becomes_unstable(name):
         delay = DELAY + share * margins.delay
         if delay > 10 * H:
             continue
-        late = loop_model(config_of(name, input_delay=delay), K)
+        late = model_of(config_of(name, input_delay=delay))
         assert (spectral_radius(contact_loop(law, late)) < 1.0 + 1e-9) == stable
 
 
 def test_rise_and_noise_of_the_linear_loop_are_those_in_time():
-    law, model = law_of('lqg'), loop_model(config_of('lqg'), K)
+    law, model = law_of('lqg'), model_of(config_of('lqg'))
     plant, x, z = model.plant, np.zeros(len(model.plant.Gamma)), np.zeros(law.states)
     forces = []
     for _ in range(200):
@@ -282,9 +286,9 @@ def test_design_for_a_range_has_its_margins_on_every_surface(name):
     design = design_law(config, 'table', found.stiffness)
     law = design if isinstance(design, LinearLaw) else steady_law(design, steady_gain(design, 2.0))
     for stiffness in (2000.0, 4000.0, 8000.0, 15900.0):
-        model = loop_model(config, stiffness)
+        model = model_of(config, stiffness)
         assert spectral_radius(contact_loop(law, model)) < 1.0 + 1e-9
-    late = loop_model(config.model_copy(update={'force': force.model_copy(
+    late = model_of(config.model_copy(update={'force': force.model_copy(
         update={'input_delay': DELAY + 0.99 * H})}), 8000.0)
     assert spectral_radius(contact_loop(law, late)) < 1.0 + 1e-9
 
