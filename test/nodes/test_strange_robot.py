@@ -166,7 +166,7 @@ def test_messages_that_are_refused_are_none(middleware):
     arm.frame = 'tool0'
     report = arm.diagnostics(lambda x: 'no ft_sensor/wrench for' in x['inputs'][1])
     assert 'joint_states' not in report['inputs'][1]
-    assert int(report['messages'][2]['refused']) > 10
+    assert int(report['messages'][2]['refused']) > 0
     log_of(process)
 
 
