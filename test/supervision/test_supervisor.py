@@ -3,6 +3,7 @@
 from arms import controller_config, HOME, still_config
 from hypothesis import given, HealthCheck, settings
 from hypothesis import strategies as st
+from multicontact_control.compiled import compiled_here
 from multicontact_control.control.arm_state import see_arm
 from multicontact_control.control.reference import (
     ApproachConfig,
@@ -262,6 +263,20 @@ def test_no_tick_compiles_anything():
             assert_sound(each.step(odd if k < 4 else inputs._replace(joints=None)))
             each.reference.lead_back()
     assert compiled() == before
+
+
+def test_no_reaction_and_no_return_to_the_task_compiles_anything():
+    """What is called now and then only must not wait for numba either."""
+    supervisor, before = make(CommandedReference(CONFIG.contact_names)), compiled_here()
+    turned = HOME + np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.009])
+    reactions = []
+    for k in range(200):
+        inputs = good(k, q=HOME if k < 20 else turned)
+        result = supervisor.step(inputs._replace(joints=None) if 10 <= k < 20 else inputs)
+        reactions.append(result.status.reaction)
+    assert 'float' in reactions and reactions[-1] == 'none'
+    assert np.abs(supervisor.reference._turned).max() > 1e-3
+    assert compiled_here() == before
 
 
 def pressed(k):
