@@ -367,5 +367,15 @@ def _without_continuous(text: str) -> tuple[str, set[str]]:
     return ElementTree.tostring(root, encoding='unicode'), {x.get('name', '') for x in endless}
 
 
+def turn_between(rotation_des: Matrix, rotation: Matrix) -> Vector:
+    """
+    Return log(R_des R^T) in world axes, shape (3,) [rad], of matrices of shape (3, 3).
+
+    For a call now and then: numba would compile `rotation_vector` anew for other views of arrays.
+    """
+    turn: Vector = pin.log3(rotation_des @ rotation.T)
+    return turn
+
+
 def _pose(placement: pin.SE3) -> Pose:
     return Pose(placement.translation.copy(), np.ascontiguousarray(placement.rotation))

@@ -10,6 +10,7 @@ from multicontact_control.config.columns import FORCE
 from multicontact_control.control.controller import Controller, place_columns
 from multicontact_control.control.reference import Reference, TaskArrays, TaskSource
 from multicontact_control.dynamics.pose import Pose
+from multicontact_control.dynamics.robot import turn_between
 from multicontact_control.records import CONTACT, CONTACT_REFERENCE, CONTROL, Records
 from multicontact_control.supervision.contacts import (
     contact_settings,
@@ -25,7 +26,6 @@ from multicontact_control.supervision.contacts import (
 )
 from multicontact_control.supervision.reference_limits import limit_reference
 import numpy as np
-import pinocchio as pin
 
 NEAR = 2e-4  # m from the task, that count as none
 TURNED = 1e-5  # rad, below which the same holds
@@ -271,7 +271,7 @@ class ContactReference:
         # A pose that is commanded anew, and no way that the task goes.
         moved = self._config.period * wanted['twist'][0]
         self._return(wanted['position'][0] - before - moved[:3])
-        turn = pin.log3(wanted['rotation'][0] @ rotation_before.T)
+        turn = turn_between(wanted['rotation'][0], rotation_before)
         self._turn_back(turn - moved[3:])
         free = self.contact_states['displacement'][self._codes == FREE]
         self._catching_up = bool(
@@ -281,8 +281,8 @@ class ContactReference:
         """Let the rotation that a pause has left go to zero, from where the arm is."""
         turned = self._turned
         if np.isnan(turned[0]) or turned.any() and float(np.abs(jump).max()) > NEW_TURN:
-            turned[:] = pin.log3(self._controls['frame']['rotation'][0]
-                                 @ self._record['wanted']['rotation'][0].T)
+            turned[:] = turn_between(self._controls['frame']['rotation'][0],
+                                     self._record['wanted']['rotation'][0])
         angle = float(np.sqrt(turned @ turned))
         if angle < TURNED:
             turned[:] = 0.0
