@@ -396,6 +396,9 @@ class ControlLoop:
         """
         Obey commanded forces.
 
+        Other forces than before, the first in a second, also seek contacts again that were given
+        up, and resume control that is latched.
+
         Parameters
         ----------
         forces
@@ -531,7 +534,8 @@ class ControlLoop:
         ------
         CommandError
             If the arm presses on something or moves: what presses, or slows the tool down, would
-            be taken for bias. If there is no wrist sensor, or something is wrong with it.
+            be taken for bias. If there is no wrist sensor, something is wrong with it, or it has
+            not been heard for 0.1 s.
         CalibrationError
             If there are too few readings, or they are restless.
 

@@ -6,9 +6,9 @@ normal: the force law from touch to loss, the motion law before and after. In th
 tip advances along the normal by a displacement that is ramped, bounded and braked.
 
 free -> approaching -> impact -> holding -> lost -> approaching ..., given up once the tip has
-gone too far without a surface, until it is time for another search, and retracting, then given up
-until somebody commands otherwise, beyond the force ceiling. Touch
-and loss have thresholds apart and least times, so that a bounce or a spike changes nothing.
+gone too far without a surface, until it is time for another search. Beyond the force ceiling, and
+where it leads out of the workspace: retracting, then given up until somebody commands otherwise.
+Touch and loss have thresholds apart and least times, so that a bounce or a spike changes nothing.
 
 Every contact is one record of `CONTACT_STATE`; what is set for all of them is the one record of
 `CONTACT_SETTINGS`.
