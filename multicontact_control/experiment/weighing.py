@@ -50,6 +50,14 @@ class RestConfig(Config):
     identification: IdentificationConfig = IdentificationConfig()
 
 
+class Sample(NamedTuple):
+    """What a running robot says: time [s], angles, shape (n,) [rad], and wrench, shape (6,)."""
+
+    time: float
+    q: Vector
+    wrench_sensor: Vector
+
+
 class Weighed(NamedTuple):
     """What was found, and what was done for it in words."""
 
@@ -111,9 +119,7 @@ def weigh_recording(
         if restless:
             remarks.append(f'{when} left out: {restless}')
             continue
-        at_rest = q[(q_time >= begin) & (q_time <= end)].mean(axis=0)
-        pose = robot.update(at_rest, np.zeros(robot.joint_count)).sensor_pose
-        readings.append(PoseReading(pose.rotation_world, chosen.mean(axis=0)))
+        readings.append(_mean_reading(robot, q[(q_time >= begin) & (q_time <= end)], chosen))
         remarks.append(f'{when}: {len(chosen)} readings')
     if len(readings) < config.identification.min_poses:
         raise CalibrationError('; '.join((
@@ -238,6 +244,11 @@ def weigh_running(
     with MultiContactClient(namespace, domain_id=domain_id, timeout=timeout) as arm, (
             ControllerLink((topics.JOINT_STATES, wrench), namespace=namespace,
                            domain_id=domain_id, timeout=timeout)) as link:
+        def weigh() -> PoseReading:
+            return weigh_at_rest(lambda: _sample(
+                link.fresh(topics.JOINT_STATES, wrench), controller.robot.joint_names,
+            ), robot, config, timeout)
+
         start = arm.read()
         pressed = [name for name, force in start.forces_desired.items() if force > 0.0]
         if pressed:
@@ -254,8 +265,7 @@ def weigh_running(
         poses = [Rotation.from_rotvec([tilt * x, tilt * y, 0.0]) * before for x, y in TILTS]
         for number, pose in enumerate(poses, 1):
             tell(f'pose {number} of {len(poses)}')
-            _tilt(arm, start.position_desired, pose, slowest, config.settle_time, tell)
-            readings.append(_average(link, topics.JOINT_STATES, wrench, robot, controller, config))
+            readings.append(_tilt(arm, start.position_desired, pose, slowest, weigh, tell))
         tell('back to the first pose')
         arm.move(start.position_desired, slowest, quaternion_xyzw=before.as_quat())
         tell('the running controller keeps its tare; what is found is for the next run')
@@ -287,15 +297,16 @@ def _await_control(arm: Any, timeout: float) -> None:
 
 
 def _tilt(
-    arm: Any, position: Vector, pose: Rotation, duration: float, settle_time: float, tell: Tell,
-) -> None:
+    arm: Any, position: Vector, pose: Rotation, duration: float,
+    weigh: Callable[[], PoseReading], tell: Tell,
+) -> PoseReading:
     """Turn the tool, again if the supervisor has held it meanwhile; RunError if it stays off."""
     for attempt in range(1, ATTEMPTS + 1):
         arm.move(position, duration, quaternion_xyzw=pose.as_quat())
-        time.sleep(settle_time)
+        reading = weigh()
         off = (Rotation.from_quat(arm.read().quaternion_xyzw) * pose.inv()).magnitude()
         if off <= REACHED:
-            return
+            return reading
         tell(f'{np.rad2deg(off):.0f} deg off after motion {attempt} of {ATTEMPTS}')
         with contextlib.suppress(RunError):  # if it does not wait
             arm.retry()
@@ -305,27 +316,67 @@ def _tilt(
         'less, or weigh it --from-bag')
 
 
-def _average(
-    link: Any, joint_states: Any, wrench: Any, robot: RobotModel, controller: ControllerConfig,
-    config: RestConfig,
-) -> PoseReading:
-    """Return the mean reading from now on."""
-    samples: list[tuple[float, ...]] = []
-    end = time.monotonic() + config.average_time
-    while time.monotonic() < end or len(samples) < config.quiet.min_samples:
-        message, = link.fresh(wrench)
-        w = message.wrench
-        samples.append((w.force.x, w.force.y, w.force.z, w.torque.x, w.torque.y, w.torque.z))
-    wrenches = np.array(samples)
-    restless = _restless(wrenches, config.quiet)
-    if restless:
-        raise CalibrationError(f'calibrate: expected readings at rest, found {restless}')
-    joints, = link.fresh(joint_states)
-    angles = dict(zip(joints.name, joints.position))
-    lacking = [name for name in controller.robot.joint_names if name not in angles]
+def _sample(messages: Sequence[Any], names: Sequence[str]) -> Sample:
+    """Return joint state and wrench as numbers; RunError if a joint is not there."""
+    joints, felt = messages
+    angles, w = dict(zip(joints.name, joints.position)), felt.wrench
+    lacking = [name for name in names if name not in angles]
     if lacking:
         raise RunError(f'joint_states: expected the joints {", ".join(lacking)}, found '
                        f'{", ".join(joints.name) or "none"}')
-    q = np.array([angles[name] for name in controller.robot.joint_names])
-    pose = robot.update(q, np.zeros(robot.joint_count)).sensor_pose
+    stamp = joints.header.stamp
+    return Sample(
+        stamp.sec + 1e-9 * stamp.nanosec, np.array([angles[name] for name in names]),
+        np.array([w.force.x, w.force.y, w.force.z, w.torque.x, w.torque.y, w.torque.z]))
+
+
+def weigh_at_rest(
+    sample: Callable[[], Sample], robot: RobotModel, config: RestConfig, timeout: float,
+) -> PoseReading:
+    """
+    Return the mean of the first rest from now on.
+
+    In the robot's time: a simulator may be slower than the clock on the wall, and an arm that is
+    still on its way would be weighed at an angle that it has left.
+
+    Parameters
+    ----------
+    sample
+        Returns one that comes from now on.
+    robot, config
+        The arm, and what counts as a rest.
+    timeout
+        Until it begins [s].
+
+    Raises
+    ------
+    CalibrationError
+        If there is none, or its readings are restless.
+
+    """
+    samples, look_at, length = [sample()], -np.inf, config.settle_time + config.average_time
+    rests: list[tuple[float, float]] = []
+    while not rests:
+        now = sample()
+        samples.append(now)
+        if now.time < look_at:
+            continue
+        look_at = now.time + LOOK
+        time, q = (np.array([getattr(x, name) for x in samples]) for name in ('time', 'q'))
+        rests = find_rests(time, q, config)
+        if not rests and now.time - samples[0].time > timeout + length:
+            raise CalibrationError(
+                f'calibrate: expected an arm at rest (no joint faster than {config.speed:g} '
+                f'rad/s) for {length:g} s within {timeout:g} s, found none')
+    begin, end = rests[0]
+    chosen = [x for x in samples if begin <= x.time <= end]
+    wrenches = np.array([x.wrench_sensor for x in chosen])
+    restless = _restless(wrenches, config.quiet)
+    if restless:
+        raise CalibrationError(f'calibrate: expected readings at rest, found {restless}')
+    return _mean_reading(robot, np.array([x.q for x in chosen]), wrenches)
+
+
+def _mean_reading(robot: RobotModel, q: Matrix, wrenches: Matrix) -> PoseReading:
+    pose = robot.update(q.mean(axis=0), np.zeros(robot.joint_count)).sensor_pose
     return PoseReading(pose.rotation_world, wrenches.mean(axis=0))

@@ -6,7 +6,13 @@ from multicontact_control.config import read_parameters, ToolConfig
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import CalibrationError, ConfigError, RunError
 from multicontact_control.experiment.external import read_controller_files
-from multicontact_control.experiment.weighing import find_rests, RestConfig, weigh_recording
+from multicontact_control.experiment.weighing import (
+    find_rests,
+    RestConfig,
+    Sample,
+    weigh_at_rest,
+    weigh_recording,
+)
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.bag_writer import BagWriter
 from multicontact_control.sensor.weight import weight_reading
@@ -106,3 +112,47 @@ def test_gap_and_motion_are_no_rest():
     q[(time > 11.0), 1] = 0.5 * (time[time > 11.0] - 11.0).clip(0.0, 0.5)
     rests = find_rests(time, q, RestConfig())
     np.testing.assert_allclose(rests, [(0.5, 3.9), (12.0, 13.9)], atol=0.1)
+
+
+@pytest.fixture
+def arm(tmp_path):
+    """Return an arm, and a function that makes what says its samples, every 10 ms."""
+    read = read_controller_files([controller_file(tmp_path)])
+    robot = RobotModel(read.config().robot, read.urdf_dir)
+
+    def samples(angle_at):
+        k = 0
+
+        def sample():
+            nonlocal k
+            k += 1
+            q = POSES[0] + angle_at(0.01 * k)
+            rotation = robot.update(q, np.zeros(7)).sensor_pose.rotation_world
+            return Sample(0.01 * k, q, TOOL.bias_sensor + weight_reading(
+                rotation, TOOL, np.array([0.0, 0.0, -9.81])))
+        return sample
+    return robot, samples
+
+
+def test_running_arm_is_weighed_once_it_rests_in_its_own_time(arm):
+    robot, samples = arm
+    reading = weigh_at_rest(samples(lambda t: min(0.5 * t, 0.6)), robot, RestConfig(), 10.0)
+    pose = robot.update(POSES[0] + 0.6, np.zeros(7)).sensor_pose
+    np.testing.assert_allclose(reading.rotation_world, pose.rotation_world, atol=1e-12)
+    np.testing.assert_allclose(reading.wrench_sensor, TOOL.bias_sensor + weight_reading(
+        pose.rotation_world, TOOL, np.array([0.0, 0.0, -9.81])), atol=1e-12)
+
+
+def test_pose_of_an_arm_that_creeps_is_the_mean_as_its_wrench_is(arm):
+    """Taken at the end it would be 0.15 N off."""
+    robot, samples = arm
+    reading = weigh_at_rest(samples(lambda t: 0.015 * t), robot, RestConfig(), 10.0)
+    weight = weight_reading(reading.rotation_world, TOOL, np.array([0.0, 0.0, -9.81]))
+    np.testing.assert_allclose(reading.wrench_sensor, TOOL.bias_sensor + weight, atol=0.01)
+
+
+def test_arm_that_never_rests_is_not_weighed(arm):
+    robot, samples = arm
+    with pytest.raises(CalibrationError, match=r'expected an arm at rest \(no joint faster than '
+                       r'0.02 rad/s\) for 1.5 s within 3 s, found none'):
+        weigh_at_rest(samples(lambda t: 0.3 * np.sin(t)), robot, RestConfig(), 3.0)
