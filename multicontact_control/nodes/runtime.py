@@ -10,15 +10,17 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 import contextlib
 import ctypes
+import fcntl
 import gc
 import os
 from pathlib import Path
 import signal
+import struct
 import sys
 import time
 import traceback
 from types import FrameType
-from typing import Any, Protocol
+from typing import Any, BinaryIO, Protocol
 
 from multicontact_control.errors import ConfigError, MulticontactError
 from multicontact_control.nodes.composition import Composition
@@ -36,7 +38,12 @@ EXIT_OK, EXIT_ERROR, EXIT_CONFIG = 0, 1, 2
 SPIN_TIMEOUT = 0.1
 DRAIN_TIME = 0.1
 LOOK_PERIOD = 0.001
+SHARED_MEMORY = Path('/dev/shm')
+PORT_NAME = 'fastrtps_port'
 PORT_READY = 2  # first word of a shared memory segment that has been made (Boost.Interprocess)
+# What Fast DDS calls the layout of a port, where in it the port's number is, five words, and a
+# word whose lowest bit says that the port is good.
+PORT_LAYOUT, PORT_NODE_AT, PORT_NODE, PORT_OK = b'port_node_abi5\0', 276, struct.Struct('=7I'), 1
 HALF_MADE_AGE = 1.0  # s, from which nobody is still at it
 ACKNOWLEDGE_TIMEOUT = 5.0
 PR_SET_PDEATHSIG = 1
@@ -161,9 +168,10 @@ def prepare_environment() -> None:
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     os.environ.setdefault('FASTRTPS_DEFAULT_PROFILES_FILE', str(config_dir() / 'fastdds.xml'))
     remove_half_made_ports()
+    remove_dead_ports()
 
 
-def remove_half_made_ports(folder: Path = Path('/dev/shm')) -> None:
+def remove_half_made_ports(folder: Path = SHARED_MEMORY) -> None:
     """
     Remove shared memory that Fast DDS would wait for in vain.
 
@@ -171,13 +179,46 @@ def remove_half_made_ports(folder: Path = Path('/dev/shm')) -> None:
     leaves one that never says it is ready. Fast DDS 2.14 waits for that for ever, in every
     process of this machine that comes to the same port. Its maker takes microseconds.
     """
-    for path in folder.glob('fastrtps_port*[0-9]'):
+    for path in folder.glob(f'{PORT_NAME}*[0-9]'):
         # Of others, or removed by another process meanwhile: not for this one to mend.
         with contextlib.suppress(OSError):
             with path.open('rb') as file:
                 state = int.from_bytes(file.read(4), sys.byteorder)
             if state < PORT_READY and time.time() - path.stat().st_mtime > HALF_MADE_AGE:
                 path.unlink()
+
+
+def remove_dead_ports(folder: Path = SHARED_MEMORY) -> None:
+    """
+    Remove shared memory through which a process was reached that has been killed.
+
+    Who starts in its place gets the same port of the shared memory transport. Fast DDS 2.14
+    makes it anew for that, by name, while others still send to the old one, until they notice or
+    for ever, and one of them may remove the new one in place of the old one (its issue 5053).
+    So those are told here that the old one is no good, before there is a new one.
+    """
+    for lock in folder.glob(f'{PORT_NAME}*_el'):
+        port = lock.with_name(lock.name.removesuffix('_el'))
+        # Of others, or removed by another process meanwhile: not for this one to mend.
+        with contextlib.suppress(OSError), lock.open('rb') as file:
+            if time.time() - lock.stat().st_mtime < HALF_MADE_AGE:
+                continue
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # as its reader does while it lives
+            with contextlib.suppress(FileNotFoundError), port.open('r+b') as segment:
+                mark_port(segment)
+            port.unlink(missing_ok=True)
+            lock.unlink()
+
+
+def mark_port(segment: BinaryIO) -> None:
+    """Mark a port as no good, if it is laid out as Fast DDS 2.14 does it."""
+    content = segment.read()
+    if PORT_LAYOUT not in content:
+        return
+    number, *_, flags = PORT_NODE.unpack_from(content, PORT_NODE_AT)
+    if Path(segment.name).name == f'{PORT_NAME}{number}':
+        segment.seek(PORT_NODE_AT + PORT_NODE.size - 4)
+        segment.write((flags & ~PORT_OK).to_bytes(4, sys.byteorder))
 
 
 def make_executor() -> Executor:

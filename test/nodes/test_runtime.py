@@ -1,11 +1,19 @@
 """What a process of ROS does before it starts, and what ends it."""
 
+import mmap
 import os
+from pathlib import Path
+import re
 import subprocess
 import sys
 import time
 
-from multicontact_control.nodes.runtime import remove_half_made_ports
+from multicontact_control.nodes.runtime import (
+    PORT_NODE,
+    PORT_NODE_AT,
+    remove_dead_ports,
+    remove_half_made_ports,
+)
 import pytest
 
 MINUTE = 60.0
@@ -44,6 +52,17 @@ except InvalidHandle:
     print('raised')
 """
 
+ENDLESS = """
+import rclpy
+import time
+from multicontact_control.nodes.runtime import start_ros
+
+start_ros(None)
+node = rclpy.create_node('node')
+print('ready', flush=True)
+time.sleep(1e6)
+"""
+
 
 def port(folder, name, state, age):
     path = folder / name
@@ -73,3 +92,88 @@ def test_only_what_comes_for_an_end_that_is_gone_is_ignored(domain_id):
         [sys.executable, '-c', DESTROYED_END], capture_output=True, text=True,
         env={**os.environ, 'ROS_DOMAIN_ID': str(domain_id)})
     assert (script.returncode, script.stdout) == (0, 'raised\n'), script.stderr
+
+
+@pytest.fixture
+def endless(domain_id):
+    """Return a function that starts a node that goes on until it is killed."""
+    started = []
+
+    def start():
+        process = subprocess.Popen(
+            [sys.executable, '-c', ENDLESS], stdout=subprocess.PIPE,
+            env={**os.environ, 'ROS_DOMAIN_ID': str(domain_id)})
+        started.append(process)
+        assert process.stdout.readline() == b'ready\n'
+        return process
+    yield start
+    for process in started:
+        process.kill()
+        process.wait()
+        process.stdout.close()
+    for lock in Path('/dev/shm').glob('fastrtps_port*_el'):
+        age(lock)
+    remove_dead_ports()
+
+
+def age(path):
+    """Let a file be old; not if it is removed meanwhile."""
+    try:
+        os.utime(path, (time.time() - MINUTE,) * 2)
+    except OSError:
+        pass
+
+
+def read_ports(process):
+    """Return the ports that a process reads from."""
+    maps = Path(f'/proc/{process.pid}/maps').read_text()
+    locks = [Path(name) for link in Path(f'/proc/{process.pid}/fd').iterdir()
+             for name in re.findall(r'.*/fastrtps_port\d+_el$', os.readlink(link))]
+    ports = [lock.with_name(lock.name[:-3]) for lock in locks]
+    assert ports and all(str(path) in maps for path in ports)
+    return locks, ports
+
+
+def is_good(segment):
+    """Return what Fast DDS reads before it puts a message into a port."""
+    return bool(PORT_NODE.unpack_from(segment, PORT_NODE_AT)[-1] & 1)
+
+
+@pytest.mark.ros
+def test_whoever_sends_to_a_port_of_the_dead_is_told_and_ports_of_the_living_stay(endless):
+    """A node that was killed and started again was out of reach for 15 s, or for ever."""
+    dead, living = endless(), endless()
+    locks, ports = read_ports(dead)
+    kept = [path for paths in read_ports(living) for path in paths]
+    senders = []
+    for path in ports:
+        with path.open('rb') as file:
+            senders.append(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
+    for lock in (*locks, *kept):
+        age(lock)
+    remove_dead_ports()
+    assert all(path.exists() for path in (*locks, *ports, *kept))
+    assert all(is_good(sender) for sender in senders)
+    dead.kill()
+    dead.wait()
+    remove_dead_ports()
+    assert not any(path.exists() for path in (*locks, *ports))
+    assert not any(is_good(sender) for sender in senders)
+    assert all(path.exists() for path in kept)
+
+
+def test_what_is_new_or_laid_out_otherwise_is_left_as_it_is(tmp_path):
+    remove_dead_ports(tmp_path / 'nowhere')
+    new, lock = tmp_path / 'fastrtps_port7001', tmp_path / 'fastrtps_port7001_el'
+    other, other_lock = tmp_path / 'fastrtps_port7002', tmp_path / 'fastrtps_port7002_el'
+    other.write_bytes(bytes(range(256)) * 4)
+    for path in (new, lock, other_lock):
+        path.touch()
+    with other.open('rb') as file:
+        sender = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+    age(other_lock)
+    before = bytes(sender)
+    remove_dead_ports(tmp_path)
+    assert new.exists() and lock.exists()
+    assert not other.exists() and not other_lock.exists()
+    assert bytes(sender) == before
