@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Sequence
+import math
 import os
 import threading
 import time
@@ -39,6 +40,7 @@ GOALS = {CONFIGURE: 'inactive', ACTIVATE: 'active', DEACTIVATE: 'inactive',
 PATIENCE = 300.0
 ANSWER_TIMEOUT = 30.0
 FIRST_TIMEOUT = 5.0  # an answer may be lost: then the state tells
+ASK_PERIOD = 1.0
 POLL_PERIOD = 0.001
 
 KeepWaiting = Callable[[str], None]
@@ -219,7 +221,9 @@ class LifecycleDriver(GuestNode):
             If it does not answer within `timeout` [s].
 
         """
-        answer = self.call(node_name, GetState, 'get_state', GetState.Request(), timeout)
+        # One that is killed and started again seems to listen meanwhile, and never answers.
+        answer = self.call(node_name, GetState, 'get_state', GetState.Request(), timeout,
+                           ask_period=ASK_PERIOD)
         if answer is None:
             raise NoAnswerError(f'{node_name} did not tell its state')
         return str(answer.current_state.label)
@@ -231,7 +235,7 @@ class LifecycleDriver(GuestNode):
 
     def call(
         self, node_name: str, service: Any, name: str, request: Any,
-        timeout: float = ANSWER_TIMEOUT, doing: str = 'answer',
+        timeout: float = ANSWER_TIMEOUT, doing: str = 'answer', ask_period: float = math.inf,
     ) -> Any:
         """
         Call a service of a node.
@@ -246,6 +250,8 @@ class LifecycleDriver(GuestNode):
             Longest wait for the answer [s].
         doing
             What the node has to do until it answers.
+        ask_period
+            From one time that it is asked to the next; once by default [s].
 
         Returns
         -------
@@ -259,11 +265,17 @@ class LifecycleDriver(GuestNode):
 
         """
         client = self._ready(node_name, service, name)
-        future = client.call_async(request)
-        if self._wait(future.done, min(timeout, self._patience), f'{node_name} to {doing}'):
-            return future.result()
-        client.remove_pending_request(future)
-        return None
+        asked: list[Any] = []  # an answer may only be late: all are waited for
+        give_up, answer = time.monotonic() + min(timeout, self._patience), None
+        while answer is None and (left := give_up - time.monotonic()) > 0.0:
+            asked.append(client.call_async(request))
+            self._wait(lambda: any(future.done() for future in asked), min(ask_period, left),
+                       f'{node_name} to {doing}')
+            answer = next((future.result() for future in asked if future.done()), None)
+        for future in asked:
+            if not future.done():
+                client.remove_pending_request(future)
+        return answer
 
     def _ready(self, node_name: str, service: Any, name: str) -> Any:
         """Return the client of a service that is there; see `call`."""

@@ -16,7 +16,12 @@ from multicontact_control.nodes.diagnostics import Diagnostics, Status
 from multicontact_control.nodes.graph_node import Refusals, StartupConfig, StartupGate
 from multicontact_control.nodes.local_delivery import LocalDelivery
 from multicontact_control.nodes.parameters import ParameterSet
-from multicontact_control.nodes.runtime import release_memory, settle_process, Spinner
+from multicontact_control.nodes.runtime import (
+    PortWatch,
+    release_memory,
+    settle_process,
+    Spinner,
+)
 from multicontact_control.nodes.streams import Streams
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
@@ -125,10 +130,21 @@ class ManagedNode(LifecycleNode):
         return self.state == ACTIVE and self.gate is not None and self.gate.open
 
     def run(self, spinner: Spinner) -> None:
-        """Run callbacks until asked to stop or shut down."""
+        """
+        Run callbacks until asked to stop or shut down.
+
+        Raises
+        ------
+        OutOfReachError
+            If nobody can find the process, who might configure the node.
+
+        """
         self.begin()
+        ports = PortWatch()
         while not (spinner.stop or self.state == FINALIZED):
             self.spin_once(spinner)
+            if self.state == UNCONFIGURED:
+                ports.look()
         self.take_leave(spinner)
         spinner.drain()
         self.streams.flush()

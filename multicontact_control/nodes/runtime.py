@@ -40,6 +40,8 @@ DRAIN_TIME = 0.1
 LOOK_PERIOD = 0.001
 SHARED_MEMORY = Path('/dev/shm')
 PORT_NAME = 'fastrtps_port'
+DELETED = ' (deleted)'
+PORT_WATCH_PERIOD = 2.0  # s
 PORT_READY = 2  # first word of a shared memory segment that has been made (Boost.Interprocess)
 # What Fast DDS calls the layout of a port, where in it the port's number is, five words, and a
 # word whose lowest bit says that the port is good.
@@ -48,6 +50,10 @@ HALF_MADE_AGE = 1.0  # s, from which nobody is still at it
 ACKNOWLEDGE_TIMEOUT = 5.0
 PR_SET_PDEATHSIG = 1
 FOLLOW_PARENT = 'MULTICONTACT_FOLLOW_PARENT'
+
+
+class OutOfReachError(Exception):
+    """Other processes cannot find this one; only another start helps."""
 
 
 class StopFlag:
@@ -221,6 +227,48 @@ def mark_port(segment: BinaryIO) -> None:
         segment.write((flags & ~PORT_OK).to_bytes(4, sys.byteorder))
 
 
+def find_lost_ports() -> list[str]:
+    """
+    Return the ports of shared memory that this process reads from and nobody can write to.
+
+    They are told by their locks, which this process has open.
+    """
+    locks, lost = set(), set()
+    for link in Path('/proc/self/fd').iterdir():
+        with contextlib.suppress(OSError):  # closed meanwhile
+            locks.add(Path(os.readlink(link).split(' ')[0]).name)
+    for line in Path('/proc/self/maps').read_text(encoding='utf-8').splitlines():
+        if PORT_NAME in line and line.endswith(DELETED):
+            name = Path(line.removesuffix(DELETED)).name
+            lost |= {name} if f'{name}_el' in locks else set()
+    return sorted(lost)
+
+
+class PortWatch:
+    """Looks for lost ports, now and then: a matter of milliseconds."""
+
+    def __init__(self) -> None:
+        self._next_look = time.monotonic() + PORT_WATCH_PERIOD
+
+    def look(self) -> None:
+        """
+        Look if it is time to.
+
+        Raises
+        ------
+        OutOfReachError
+            If a port is lost.
+
+        """
+        if time.monotonic() < self._next_look:
+            return
+        lost = find_lost_ports()
+        self._next_look = time.monotonic() + PORT_WATCH_PERIOD
+        if lost:
+            raise OutOfReachError(f'{", ".join(lost)}: removed by another process, so that '
+                                  'nobody can find this one: starting again')
+
+
 def make_executor() -> Executor:
     """
     Return the fastest executor there is.
@@ -329,6 +377,11 @@ def run_node(make_node: Callable[[], Any], args: Sequence[str] | None = None) ->
         start_ros(args)
         with _compilations_told(program):
             return _run(make_node(), stop)
+    except OutOfReachError as error:
+        print(f'{program}: {error}', file=sys.stderr, flush=True)
+        rclpy.try_shutdown()
+        # The locks stay open, so that the next start gets other ports.
+        os.execv(sys.executable, sys.orig_argv)
     except ConfigError as error:
         print(f'{program}: {_one_line(error)}', file=sys.stderr)
         return EXIT_CONFIG

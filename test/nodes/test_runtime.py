@@ -4,17 +4,21 @@ import mmap
 import os
 from pathlib import Path
 import re
+import signal
 import subprocess
 import sys
 import time
 
+from multicontact_control.nodes.link import LifecycleDriver
 from multicontact_control.nodes.runtime import (
     PORT_NODE,
     PORT_NODE_AT,
     remove_dead_ports,
     remove_half_made_ports,
 )
+from multicontact_control.nodes.topics import ESTIMATOR
 import pytest
+from ros_graph import PATIENCE, ROOT, wait_for
 
 MINUTE = 60.0
 DESTROYED_END = """
@@ -130,8 +134,9 @@ def read_ports(process):
     locks = [Path(name) for link in Path(f'/proc/{process.pid}/fd').iterdir()
              for name in re.findall(r'.*/fastrtps_port\d+_el$', os.readlink(link))]
     ports = [lock.with_name(lock.name[:-3]) for lock in locks]
-    assert ports and all(str(path) in maps for path in ports)
-    return locks, ports
+    ports = [path for path in ports if f'{path}\n' in maps]
+    assert ports
+    return [Path(f'{path}_el') for path in ports], ports
 
 
 def is_good(segment):
@@ -177,3 +182,31 @@ def test_what_is_new_or_laid_out_otherwise_is_left_as_it_is(tmp_path):
     assert new.exists() and lock.exists()
     assert not other.exists() and not other_lock.exists()
     assert bytes(sender) == before
+
+
+@pytest.mark.ros
+def test_node_that_nobody_can_find_starts_again(domain_id, tmp_path):
+    """Fast DDS may remove its ports while others still send to one that was killed there."""
+    log = tmp_path / 'log'
+    with log.open('w') as file:
+        process = subprocess.Popen(
+            [sys.executable, '-m', 'multicontact_control.nodes.noise_estimator_node'],
+            stdout=file, stderr=file, cwd=ROOT,
+            env={**os.environ, 'ROS_DOMAIN_ID': str(domain_id)})
+    try:
+        with LifecycleDriver(domain_id) as driver:
+            assert driver.state(ESTIMATOR, PATIENCE) == 'unconfigured'
+        _, ports = read_ports(process)
+        for path in ports:
+            path.unlink()
+        wait_for(lambda: 'that nobody can find this one: starting again' in log.read_text(),
+                 'a start', log.read_text)
+        with LifecycleDriver(domain_id, patience=PATIENCE) as driver:
+            assert driver.state(ESTIMATOR, PATIENCE) == 'unconfigured'
+        assert not {*read_ports(process)[1]} & {*ports}
+        process.send_signal(signal.SIGINT)
+        assert process.wait(PATIENCE) == 0
+        assert log.read_text().count('starting again') == 1
+    finally:
+        process.kill()
+        process.wait()

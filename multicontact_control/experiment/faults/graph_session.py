@@ -57,8 +57,8 @@ WANTED_FORCE = 10.0  # N, at every contact
 FORCE_TOLERANCE = 0.25  # of that
 SETTLE_TIME = 0.2  # s, over which the force is averaged
 RECOVERY_TIMEOUT = 90.0  # s; on a busy machine late samples hold the arm again and again
+STATE_TIMEOUT = 90.0  # s, for a node that has just been started
 ATTEMPTS = 3  # at making contact within that time
-ASK_TIMEOUT = 1.0
 RECORDED = (topics.JOINT_STATES, topics.WRENCH, topics.TRUE_FORCES, topics.EFFORT_COMMAND,
             topics.NOISE_VARIANCE, topics.DIAGNOSTICS)
 
@@ -314,25 +314,11 @@ class FaultSession:
                                   for report in self.watch.reports), 'a report', timeout)
 
     def _state(self, name: str) -> str:
-        """
-        Return the state of a node that may have just been started.
-
-        The middleware takes one that was killed for present for a while and sends it what is
-        meant for its successor: so it is asked again and again, each time with more patience for
-        one that is only slow.
-        """
-        found: list[str] = []
-        patience = ASK_TIMEOUT
-
-        def answered() -> bool:
-            nonlocal patience
-            with contextlib.suppress(NoAnswerError):
-                found.append(self.driver.state(name, patience))
-            patience *= 2.0
-            return bool(found)
-
-        self.wait(answered, f'{name} to tell its state')
-        return found[0]
+        """Return the state of a node that may have just been started."""
+        try:
+            return self.driver.state(name, STATE_TIMEOUT)
+        except NoAnswerError as error:
+            raise NotRecoveredError(f'{error} within {STATE_TIMEOUT:g} s') from None
 
     def _in_contact(self) -> bool:
         """Return whether every true force has been near its command for a while."""
