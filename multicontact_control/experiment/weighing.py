@@ -350,14 +350,19 @@ def weigh_at_rest(
 
     Raises
     ------
+    RunError
+        If the robot's time does not go on.
     CalibrationError
-        If there is none, or its readings are restless.
+        If there is no rest, or its readings are restless.
 
     """
     samples, look_at, length = [sample()], -np.inf, config.settle_time + config.average_time
     rests: list[tuple[float, float]] = []
     while not rests:
-        now = sample()
+        now, last = sample(), samples[-1].time
+        if now.time < last:
+            raise RunError(f'joint_states: expected stamps that go on, found one '
+                           f'{last - now.time:.3g} s before the last: samples begin anew')
         samples.append(now)
         if now.time < look_at:
             continue

@@ -231,13 +231,16 @@ def find_lost_ports() -> list[str]:
     """
     Return the ports of shared memory that this process reads from and nobody can write to.
 
-    They are told by their locks, which this process has open.
+    They are told by their locks, which this process has open. None are found but on Linux.
     """
+    process = Path('/proc/self')
+    if not process.exists():
+        return []
     locks, lost = set(), set()
-    for link in Path('/proc/self/fd').iterdir():
+    for link in (process / 'fd').iterdir():
         with contextlib.suppress(OSError):  # closed meanwhile
             locks.add(Path(os.readlink(link).split(' ')[0]).name)
-    for line in Path('/proc/self/maps').read_text(encoding='utf-8').splitlines():
+    for line in (process / 'maps').read_text(encoding='utf-8').splitlines():
         if PORT_NAME in line and line.endswith(DELETED):
             name = Path(line.removesuffix(DELETED)).name
             lost |= {name} if f'{name}_el' in locks else set()

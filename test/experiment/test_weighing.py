@@ -156,3 +156,12 @@ def test_arm_that_never_rests_is_not_weighed(arm):
     with pytest.raises(CalibrationError, match=r'expected an arm at rest \(no joint faster than '
                        r'0.02 rad/s\) for 1.5 s within 3 s, found none'):
         weigh_at_rest(samples(lambda t: 0.3 * np.sin(t)), robot, RestConfig(), 3.0)
+
+
+def test_robot_that_begins_anew_is_not_waited_for(arm):
+    robot, samples = arm
+    before, after = samples(np.sin), samples(np.sin)
+    said = iter([before(), before(), before(), after()])
+    with pytest.raises(RunError, match='joint_states: expected stamps that go on, found one '
+                       '0.02 s before the last'):
+        weigh_at_rest(lambda: next(said), robot, RestConfig(), 3.0)
