@@ -16,12 +16,8 @@ from multicontact_control.nodes.diagnostics import Diagnostics, Status
 from multicontact_control.nodes.graph_node import Refusals, StartupConfig, StartupGate
 from multicontact_control.nodes.local_delivery import LocalDelivery
 from multicontact_control.nodes.parameters import ParameterSet
-from multicontact_control.nodes.runtime import (
-    PortWatch,
-    release_memory,
-    settle_process,
-    Spinner,
-)
+from multicontact_control.nodes.runtime import release_memory, settle_process, Spinner
+from multicontact_control.nodes.shared_memory import PortWatch
 from multicontact_control.nodes.streams import Streams
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
