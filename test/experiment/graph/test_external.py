@@ -23,6 +23,7 @@ import threading
 
 from arms import seven_joint_urdf
 from external_arm import BIAS, TOOL_COM, TOOL_MASS
+from mcap.reader import make_reader
 from multicontact_control.client import MultiContactClient
 from multicontact_control.experiment.bag import read_graph
 from multicontact_control.experiment.graph.domain import reserve_domain, shared_domain
@@ -42,7 +43,6 @@ SECTION = '## Your own robot or simulator, step by step'
 QUICK = ['--move-time', '0.5', '--tilt', '15']
 NODE = {'patience': 50.0, 'push_test': {'timeout': 1.0},
         'sensor': {'require_push_test': False}}  # no hand is there
-LEFT_SAFELY = 10_000_000  # ns, five samples: what half a second may be to a busy machine
 WATCHDOG = {'joint_max_age': 100.0, 'wrench_max_age': 100.0, 'variance_max_age': 500.0,
             'rate_band': 100.0}
 
@@ -193,9 +193,12 @@ def test_documented_way_leads_from_a_urdf_to_ten_newtons(shell, tmp_path):
     forces = load(tmp_path / 'runs/latest').data
     assert np.nanmax(forces.alpha_meas) > 9.0 and np.nanmax(forces.command) == 10.0
     recorded = read_graph(tmp_path / 'runs/latest/bag').by_topic
-    # The safe behaviour, after the controller was deactivated.
-    assert recorded['joint_effort_command'].stamps[-1] - recorded[
-        'contact_forces/measured'].stamps[-1] > LEFT_SAFELY
+    # The safe behaviour, after the controller was deactivated: for half a second of the clock,
+    # which is less of the robot's time where a busy machine makes that slow.
+    commands, forces = '/joint_effort_command', '/contact_forces/measured'
+    assert recorded[commands[1:]].stamps[-1] > recorded[forces[1:]].stamps[-1]
+    arrivals = last_arrivals(tmp_path / 'runs/latest/bag')
+    assert arrivals[commands] - arrivals[forces] > 100_000_000
     code, text = shell.end(reporting, 'report')
     assert code == 0, text
     assert 'no ground truth' in (tmp_path / 'runs/latest/report.html').read_text(encoding='utf-8')
@@ -203,6 +206,14 @@ def test_documented_way_leads_from_a_urdf_to_ten_newtons(shell, tmp_path):
     assert code == 0 and 'wall: ' in text, text
     code, text = shell.end(judged, 'first')
     assert code == 0 and 'not judged' in text, text
+
+
+def last_arrivals(bag):
+    """Return when the last message of each topic was recorded, by the clock [ns]."""
+    path, = bag.glob('*.mcap')
+    with path.open('rb') as file:
+        return {channel.topic: message.log_time
+                for _, channel, message in make_reader(file).iter_messages()}
 
 
 def test_node_that_dies_before_the_robot_is_there_is_named(shell, tmp_path):
@@ -276,7 +287,7 @@ def test_robot_that_presses_is_left_with_the_safe_behaviour(shell, tmp_path, end
             terminal.close()
         wait_for(lambda: listener.poll() and not nodes_of(tmp_path / 'run'), 'their end')
         answered, controlled = listener.stamps
-        assert answered - controlled > LEFT_SAFELY
+        assert answered - controlled > 30_000_000
         # A busy machine may let it look as if the robot had gone before that.
         if answered - controlled > 200_000_000:
             assert np.abs(listener.efforts[-1]).max() < 0.85 * np.abs(listener.efforts[0]).max()
