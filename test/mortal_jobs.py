@@ -12,11 +12,16 @@ from multicontact_control.process import THREAD_VARIABLES
 
 @dataclass(frozen=True)
 class KillJob:
-    """A piece of work that kills its worker some times before it gets done."""
+    """
+    A piece of work that kills its worker some times before it gets done.
+
+    It does so once the files `after` are there, e.g. the results of others.
+    """
 
     folder: str
     number: int
     deaths: int = 0
+    after: tuple[str, ...] = ()
 
     def key(self):
         return f'job{self.number}'
@@ -30,6 +35,8 @@ def kill_task(job):
     (Path(job.folder) / f'{job.number}-{os.getpid()}-{time.monotonic_ns()}').touch()
     time.sleep(0.02)
     if len(starts(job)) <= job.deaths:
+        while not all(Path(path).exists() for path in job.after):
+            time.sleep(0.01)
         os.kill(os.getpid(), signal.SIGKILL)
     return JobResult({'number': job.number, 'environment': {
         name: os.environ.get(name) for name in THREAD_VARIABLES}}, {}, 0.02)

@@ -1,6 +1,8 @@
 """Processes of this machine and workers of a real Dask scheduler, which get killed."""
 
+from dataclasses import replace
 import os
+import re
 import signal
 import socket
 import sys
@@ -26,13 +28,17 @@ def run(tmp_path, jobs, executor):
 def test_killed_worker_loses_nothing(tmp_path):
     """The pool is made anew; what had a result before is not run again."""
     jobs = make_jobs(tmp_path, [0] * 9 + [1] + [0] * 10)
+    # One worker may be on its first job for as long as the other takes for all before the deadly.
+    cells = JobCache(tmp_path / 'out').folder
+    jobs[9] = replace(jobs[9], after=tuple(
+        str(cells / f'{job.key()}.json') for job in jobs[:9]))
     done, text = run(tmp_path, jobs, LocalExecutor(2))
     assert done.lost == {}
     assert [done.result(job).metrics['number'] for job in jobs] == list(range(20))
-    assert 'a worker died' in text
-    assert len(starts(jobs[9])) == 2
-    assert sum(len(starts(job)) for job in jobs) <= 20 + 4  # at most what was given out
-    assert len(starts(jobs[0])) == 1
+    died = re.search(r'a worker died: (\d+) unfinished runs to be started again', text)
+    assert died, text
+    assert [len(starts(job)) for job in jobs[:10]] == [1] * 9 + [2]
+    assert sum(len(starts(job)) for job in jobs) <= 20 + int(died[1])
 
 
 def test_job_that_always_kills_its_worker_is_given_up_alone(tmp_path):
