@@ -57,7 +57,6 @@ import numpy as np
 STAGES = ('read', 'step', 'send', 'show')
 # Samples from which on a rate is known, and the factor from which on it is a wrong one.
 FEWEST, WRONG_RATE = 10, 1.3
-GONE_TIME = 0.1  # s without a sample, from which on no robot is there to take leave of
 NO_WRENCH = np.zeros(6)
 
 
@@ -198,7 +197,8 @@ class ControllerNode(ManagedNode):
             return
         self.trigger_deactivate()
         end = time.monotonic_ns() + SAFE_TIME * NANOSECONDS
-        while time.monotonic_ns() < min(end, self._last_taken + GONE_TIME * NANOSECONDS):
+        # A robot that has been silent for as long is not there to take leave of.
+        while time.monotonic_ns() < min(end, self._last_taken + SAFE_TIME * NANOSECONDS):
             self.spin_once(spinner)
 
     def clean_up(self) -> None:
