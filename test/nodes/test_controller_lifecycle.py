@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import re
+from types import SimpleNamespace
 
 from fake_arm import EFFORT, FakeArm
 from fake_arm import PARAMETERS as STILL
+from multicontact_control.nodes import controller_node
 from multicontact_control.nodes.link import (
     ACTIVATE,
     CLEAN_UP,
@@ -131,6 +133,25 @@ def test_process_that_is_told_to_end_leaves_the_arm_in_the_declared_behaviour(
             torques.append(np.array(command.effort))
     assert process.returncode == 0
     assert np.abs(torques[-1]).max() < np.abs(torques[0]).max() - 5 * LARGEST_STEP
+
+
+@pytest.mark.parametrize(('silent', 'expected'), [(0.0, 0.5), (0.2, 0.3), (0.6, 0.0)])
+def test_robot_that_stalls_is_waited_for_and_one_that_has_gone_is_not(
+        monkeypatch, silent, expected):
+    """The last sample came a while before the end, and then none; by a clock of its own."""
+    now = [10 ** 12]
+    monkeypatch.setattr(
+        controller_node, 'time', SimpleNamespace(monotonic_ns=lambda: now[0]))
+    start = now[0]
+
+    def spin_once(spinner):
+        now[0] += 10 ** 6
+
+    node = SimpleNamespace(
+        working=True, trigger_deactivate=lambda: None, spin_once=spin_once,
+        _last_taken=start - round(silent * 1e9))
+    controller_node.ControllerNode.take_leave(node, None)
+    assert (now[0] - start) * 1e-9 == pytest.approx(expected)
 
 
 def test_configure_refuses_what_is_wrong_in_one_line_until_it_is_repaired(middleware, driver):

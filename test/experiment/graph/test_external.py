@@ -184,10 +184,10 @@ def test_documented_way_leads_from_a_urdf_to_ten_newtons(shell, tmp_path):
     reporting = shell.multicontact(*report, log='report')
     identifying = shell.multicontact(*identify, log='identify')
     summary = json.loads((tmp_path / 'runs/latest/summary.json').read_text())
+    told = 'not judged: no ground truth; by the measured forces no limit was passed' in text
     # A machine on which the arm was held for late samples leaves perhaps too little to judge.
-    assert 'not judged: ' + (
-        '' if summary['timing']['late_reactions'] else
-        'no ground truth; by the measured forces no limit was passed') in text
+    busy = 'not judged: the machine could not keep real time' in text
+    assert told or busy and summary['timing']['late_reactions'], text
     assert (summary['truth'], summary['mode'], summary['stable']) == (False, 'external', None)
     assert summary['claims'] == [] and 'deadline_misses' not in summary['timing']
     forces = load(tmp_path / 'runs/latest').data
