@@ -38,6 +38,7 @@ install_requires = [
     'mcap>=1.2,<2',
     'mcap-ros2-support>=0.5.5,<0.7',
     'zstandard>=0.22,<1',
+    'setproctitle>=1.3,<2',
 ]
 
 extras_require = {

@@ -10,10 +10,12 @@ from pathlib import Path
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from typing import Any, TypeVar
 
 from multicontact_control.experiment.graph.domain import reserve_domain
+from multicontact_control.experiment.graph.fork_server import base_environment, fork_server
 from multicontact_control.nodes.link import GuestNode
 from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.parameter import Parameter, parameter_value_to_python
@@ -103,9 +105,32 @@ def wait_for(
     return value
 
 
-def end_of(process: subprocess.Popen[str]) -> tuple[str, str]:
+def end_of(process: subprocess.Popen[str] | StartedNode) -> tuple[str, str]:
     """Wait for the end of a process; return what it wrote to its two pipes."""
     return process.communicate(timeout=PATIENCE)
+
+
+class StartedNode:
+    """A node in a process of its own, with what it writes: much of what `subprocess.Popen` is."""
+
+    def __init__(self, module: str, arguments: list[str]) -> None:
+        self.args = [sys.executable, '-m', module, *arguments]
+        self._outputs = tuple(tempfile.TemporaryFile('a+b') for _ in range(2))
+        environment = base_environment()
+        self._process = fork_server(environment).start(
+            module, self.args, module, arguments, environment, self._outputs)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._process, name)
+
+    def communicate(self, timeout: float | None = None) -> tuple[str, str]:
+        """Wait for its end; return what it wrote to stdout and to stderr."""
+        self._process.wait(timeout)
+        said = []
+        for output in self._outputs:
+            output.seek(0)
+            said.append(output.read().decode())
+        return said[0], said[1]
 
 
 class Middleware:
@@ -118,7 +143,7 @@ class Middleware:
     def __init__(self, domain_id: int) -> None:
         self._guest = GuestNode('sim_node', domain_id)
         self.node = self._guest.node
-        self._processes: list[subprocess.Popen[str]] = []
+        self._processes: list[StartedNode] = []
 
     def __enter__(self) -> Middleware:
         return self
@@ -141,16 +166,12 @@ class Middleware:
         flags: tuple[str, ...] = (),
     ):
         """Start a node of the project in a process of its own."""
-        command = [sys.executable, '-m', module, *flags, '--ros-args']
+        arguments = [*flags, '--ros-args']
         for path in files:
-            command += ['--params-file', str(path)]
+            arguments += ['--params-file', str(path)]
         for parameter in parameters:
-            command += ['-p', parameter]
-        environment = dict(os.environ)
-        environment['PYTHONPATH'] = os.pathsep.join(
-            filter(None, [str(ROOT), environment.get('PYTHONPATH')]))
-        process = subprocess.Popen(
-            command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+            arguments += ['-p', parameter]
+        process = StartedNode(module, arguments)
         self._processes.append(process)
         return process
 

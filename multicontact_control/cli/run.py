@@ -33,6 +33,7 @@ from multicontact_control.cli.options import (
     Seed,
     Settings,
 )
+from multicontact_control.experiment.graph.fork_server import base_environment, fork_server
 import typer
 
 
@@ -97,7 +98,9 @@ def run(
     with errors_in_one_line():
         namespace = check_namespace(namespace)
         given = given_options(context)
-        # Only now: what is heavy is not loaded for the sake of an error.
+        # Only now: what is heavy is not loaded for the sake of an error. The nodes' modules are,
+        # by the process that they will be forked from, while this one loads its own.
+        fork_server(base_environment())
         if external:
             refuse_options(given, ('robot', 'plant', 'seed', 'commanded', 'lockstep', 'engine'),
                            '--external')

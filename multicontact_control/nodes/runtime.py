@@ -27,7 +27,7 @@ from multicontact_control.nodes.shared_memory import (
     remove_half_made_ports,
 )
 from multicontact_control.paths import config_dir
-from multicontact_control.process import settle_process
+from multicontact_control.process import FOLLOW_PARENT, settle_process
 import rclpy
 from rclpy.duration import Duration
 from rclpy.event_handler import EventHandler
@@ -42,7 +42,6 @@ DRAIN_TIME = 0.1
 LOOK_PERIOD = 0.001
 ACKNOWLEDGE_TIMEOUT = 5.0
 PR_SET_PDEATHSIG = 1
-FOLLOW_PARENT = 'MULTICONTACT_FOLLOW_PARENT'
 
 
 class StopFlag:

@@ -7,18 +7,20 @@ import contextlib
 import json
 import signal
 import subprocess
-import threading
 import time
 from typing import Any, IO
 
 from multicontact_control.errors import RunError
+from multicontact_control.experiment.graph.fork_server import fork_server, ForkedProcess
 from multicontact_control.experiment.graph.spec import (
     CONTROLLER,
     ESTIMATOR,
     GraphSpec,
     node_command,
     node_environment,
+    node_module,
     RECORDER,
+    ROS_ARGUMENTS,
     SIM,
     timing_file,
 )
@@ -51,8 +53,8 @@ class NodeProcesses:
     def __init__(self, spec: GraphSpec, domain_id: int) -> None:
         self._spec = spec
         self._environment = node_environment(spec, domain_id)
-        self._running: dict[str, subprocess.Popen[bytes]] = {}
-        self._ends: list[subprocess.Popen[bytes]] = []  # in the order in which they ended
+        self._running: dict[str, ForkedProcess] = {}
+        self._ends: list[ForkedProcess] = []  # in the order in which they ended
         self._logs: dict[str, IO[bytes]] = {}
 
     @property
@@ -76,22 +78,12 @@ class NodeProcesses:
 
     def start(self, name: str, parameters: Mapping[str, Any] | None = None) -> None:
         """Start a process, again if it has ended, with parameters over those of the graph."""
-        try:
-            # In a session of its own a node does not get the terminal's Ctrl-C: it is
-            # stopped here, in order.
-            process = subprocess.Popen(
-                node_command(name, self._spec, parameters), stdin=subprocess.DEVNULL,
-                stdout=self._logs[name], stderr=subprocess.STDOUT, env=self._environment,
-                start_new_session=True)
-        except OSError as error:
-            raise RunError(f'{name}: cannot be started: {error}') from None
+        command, log = node_command(name, self._spec, parameters), self._logs[name]
+        process = fork_server(self._environment).start(
+            node_module(name, self._spec), command, name, command[command.index(ROS_ARGUMENTS):],
+            self._environment, (log, log), self._ends.append)
         for member in self._spec.processes[name]:
             self._running[member] = process
-        threading.Thread(target=self._note_end, args=(process,), daemon=True).start()
-
-    def _note_end(self, process: subprocess.Popen[bytes]) -> None:
-        process.wait()
-        self._ends.append(process)
 
     def signal(self, name: str, number: signal.Signals) -> None:
         """Send a signal to a node."""
@@ -207,7 +199,7 @@ def _signals_to(name: str) -> Signals:
     return RECORDER_SIGNALS if name == RECORDER else STOP_SIGNALS
 
 
-def _stop(processes: list[subprocess.Popen[bytes]], signals: Signals) -> None:
+def _stop(processes: list[ForkedProcess], signals: Signals) -> None:
     """Send some processes one signal after the other, until they have ended."""
     for process in processes:
         process.send_signal(signal.SIGCONT)  # one that is halted would not hear of the others

@@ -10,9 +10,9 @@ from pathlib import Path
 import sys
 from typing import Any
 
-from multicontact_control.nodes.runtime import FOLLOW_PARENT
+from multicontact_control.experiment.graph.fork_server import base_environment
 from multicontact_control.nodes.topics import CONTROLLER, ESTIMATOR, RECORDER, SIM
-from multicontact_control.process import THREAD_VARIABLES
+from multicontact_control.process import FOLLOW_PARENT
 
 START_ORDER = (RECORDER, ESTIMATOR, CONTROLLER, SIM)
 MANAGED = (ESTIMATOR, CONTROLLER)  # in the order in which they are activated
@@ -29,6 +29,7 @@ COMPOSED = {
     'control': ('composed_node', (ESTIMATOR, CONTROLLER)),
     'all': ('composed_sim_node', (ESTIMATOR, CONTROLLER, SIM))}
 FIFO_PRIORITY = 80  # below the kernel's own threads
+ROS_ARGUMENTS = '--ros-args'
 BARE_EFFORTS = 'std_msgs/msg/Float64MultiArray'
 
 
@@ -131,6 +132,11 @@ def timing_file(spec: GraphSpec, name: str) -> Path:
     return spec.logs / f'{name}.json'
 
 
+def node_module(process: str, spec: GraphSpec) -> str:
+    """Return the module whose `main` a process is."""
+    return {**MODULES, **spec.extra_nodes}[process]
+
+
 def node_command(
     process: str, spec: GraphSpec, overrides: Mapping[str, Any] | None = None,
 ) -> list[str]:
@@ -142,8 +148,8 @@ def node_command(
     """
     script = Path(sys.executable).parent / process
     command = [str(script)] if os.access(script, os.X_OK) else (
-        [sys.executable, '-m', {**MODULES, **spec.extra_nodes}[process]])
-    command.append('--ros-args')
+        [sys.executable, '-m', node_module(process, spec)])
+    command.append(ROS_ARGUMENTS)
     if spec.namespace:
         command += ['-r', f'__ns:=/{spec.namespace}']
     names = spec.processes[process]
@@ -205,16 +211,8 @@ def _as_argument(value: Any) -> str:
 
 def node_environment(spec: GraphSpec, domain_id: int) -> dict[str, str]:
     """Return the environment of the nodes."""
-    environment = dict(os.environ)
-    for variable in THREAD_VARIABLES:
-        environment.setdefault(variable, '1')
+    environment = base_environment()
     environment['ROS_DOMAIN_ID'] = str(domain_id)
     environment['ROS_LOG_DIR'] = str((spec.logs / 'ros').resolve())
-    environment['PYTHONUNBUFFERED'] = '1'
     environment[FOLLOW_PARENT] = str(os.getpid())
-    root = Path(__file__).resolve().parents[3]
-    if (root / 'package.xml').is_file():
-        # A checkout that is run without being installed.
-        paths = [str(root), *filter(None, environment.get('PYTHONPATH', '').split(os.pathsep))]
-        environment['PYTHONPATH'] = os.pathsep.join(paths)
     return environment

@@ -180,7 +180,7 @@ def node_processes(folder):
     found = {}
     for entry in Path('/proc').iterdir():
         try:
-            command = (entry / 'cmdline').read_bytes().decode().split('\0')
+            command = (entry / 'cmdline').read_bytes().decode().rstrip('\0').split()
         except (OSError, UnicodeDecodeError):
             continue
         for name in (RECORDER, ESTIMATOR, CONTROLLER, SIM, *COMPOSED_NAMES):
