@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 import os
 from pathlib import Path
 import sys
@@ -21,6 +22,12 @@ def config_dir() -> Path:
         Naming the folders looked in, if none of them exists.
 
     """
+    return _config_dir(sys.prefix, os.environ.get('AMENT_PREFIX_PATH', ''))
+
+
+@cache
+def _config_dir(*_searched: str) -> Path:
+    # A study asks for it a dozen times for each of its jobs.
     return find_config_dir(Path(__file__).resolve().parent)
 
 

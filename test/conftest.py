@@ -8,8 +8,7 @@ import pytest
 # One after the other: two graphs in real time would take each other's processor. What makes a
 # folder among the sources, and what looks whether there is a new one.
 TOGETHER = [
-    {'test/experiment/graph/test_run.py', 'test/experiment/graph/test_external.py',
-     'test/experiment/faults/test_in_graph.py',
+    {'test/experiment/faults/test_in_graph.py', 'test/experiment/graph/test_external.py',
      'test/nodes/test_missing_samples.py', 'test/nodes/test_survival.py'},
     {'test/test_colcon.py', 'test/test_packaging.py'}]
 
