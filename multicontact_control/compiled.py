@@ -123,6 +123,34 @@ def kernels() -> tuple[Any, ...]:
     return tuple(_kernels)
 
 
+def load_stored() -> Iterator[str]:
+    """
+    Take all that was compiled from the cache on disk, before anybody calls it.
+
+    Yields
+    ------
+    str
+        The name of each kernel that has just been taken, as often as it is kept for other types.
+
+    """
+    for kernel in _kernels:
+        cache: Any = getattr(kernel, '_cache', None)
+        stored = getattr(cache, '_cache_file', None)
+        if stored is None:
+            continue
+        codegen = kernel.targetctx.codegen()
+        for key in stored._load_index():
+            if key == cache._index_key(key[0], codegen):  # not of another processor
+                kernel.compile(key[0])
+                yield kernel.__name__
+
+
+def stamps() -> dict[Path, str]:
+    """Return, by the index that numba keeps of a kernel on disk, the stamp of its sources."""
+    files = [getattr(getattr(kernel, '_cache', None), '_cache_file', None) for kernel in _kernels]
+    return {Path(file._index_path): file._source_stamp for file in files if file is not None}
+
+
 def compiled_here() -> int:
     """Return how often this process had to compile, because nothing on disk served."""
     return sum(sum(kernel.stats.cache_misses.values()) for kernel in _kernels

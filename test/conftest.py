@@ -1,5 +1,7 @@
 """What comes before the first test, and who runs which, with several workers (`pytest -n 3`)."""
 
+import signal
+
 from browser import chromium_browser
 from hypothesis import settings
 from multicontact_control.experiment.compilation import ensure_compiled
@@ -36,6 +38,11 @@ def pytest_sessionstart(session):
 
 def pytest_configure(config):
     """Keep the order of the files below, where there are several workers."""
+    # What `nohup` or a shell in the background has ignored, all processes of the tests would.
+    for number, handler in ((signal.SIGINT, signal.default_int_handler),
+                            (signal.SIGHUP, signal.SIG_DFL)):
+        if signal.getsignal(number) == signal.SIG_IGN:
+            signal.signal(number, handler)
     config.option.loadscopereorder = False
 
 

@@ -109,6 +109,31 @@ def test_where_nothing_can_be_written_every_process_compiles(tmp_path):
     assert run(tmp_path, **environment) == (2.0, 0)
 
 
+def test_all_that_is_stored_is_taken_before_it_is_called_and_nothing_else(tmp_path):
+    package_with_two_kernels(tmp_path, 1.0)
+    program = (
+        'import sys\n'
+        'from multicontact_control import compiled\n'
+        'from multicontact_control.outer import outer\n'
+        'names = sorted(compiled.load_stored())\n'
+        'outer(int(sys.argv[1]) if sys.argv[1:] else 1.0)\n'
+        'print(",".join(names) or "-", sum(outer.stats.cache_hits.values()), '
+        'compiled.compiled_here())')
+
+    def load_and_call(*arguments):
+        return subprocess.run(
+            [sys.executable, '-c', program, *arguments], cwd=tmp_path, capture_output=True,
+            text=True, check=True,
+            env={**os.environ, 'PYTHONPATH': str(tmp_path)}).stdout.split()
+
+    assert load_and_call() == ['-', '0', '2']
+    assert load_and_call() == ['inner,outer', '1', '0']
+    assert load_and_call('1') == ['inner,outer', '1', '2']  # of another type
+    assert load_and_call('1') == ['inner,inner,outer,outer', '2', '0']
+    (tmp_path / 'multicontact_control' / 'inner.py').write_text(INNER.format(5.0))
+    assert load_and_call() == ['-', '0', '2']
+
+
 def test_only_what_is_really_compiled_is_told(tmp_path):
     package_with_two_kernels(tmp_path, 1.0)
     program = (

@@ -68,15 +68,20 @@ def ensure_compiled(console: Console | None = None) -> int:
 
 
 def is_complete(folder: Path) -> bool:
-    """Return whether everything has been compiled into a folder and is still there."""
+    """
+    Return whether everything has been compiled into a folder and is still there.
+
+    Sources that were changed and changed back have the same fingerprint again, but what is kept
+    may be of those between: numba keeps a kernel for one version of its sources only.
+    """
     try:
-        files = json.loads(_complete_file(folder).read_text(encoding='utf-8'))
-    except (OSError, ValueError):
+        stamps = json.loads(_complete_file(folder).read_text(encoding='utf-8'))
+        return all(
+            (folder / name).is_file() if stamp is None
+            else stamp.encode() in (folder / name).read_bytes()
+            for name, stamp in stamps.items())
+    except (AttributeError, OSError, ValueError):
         return False
-    present = {entry.name for entry in os.scandir(folder) if entry.is_file()} | {
-        f'{entry.name}/{file.name}' for entry in os.scandir(folder) if entry.is_dir()
-        for file in os.scandir(entry)}
-    return present.issuperset(files)
 
 
 def fingerprint() -> str:
@@ -113,7 +118,9 @@ def _compile_all(folder: Path, console: Console) -> int:
                 exercise()
         progress.update(bar, total=len(seen), completed=len(seen), description='compiled',
                         kernel='')
-    found = sorted(path.relative_to(folder).as_posix() for path in folder.rglob('*.nb[ic]'))
+    stamps = compiled.stamps()
+    found = {path.relative_to(folder).as_posix(): stamps.get(path)
+             for path in sorted(folder.rglob('*.nb[ic]'))}
     complete = _complete_file(folder)
     unfinished = complete.with_suffix(f'.{os.getpid()}')
     unfinished.write_text(json.dumps(found), encoding='utf-8')

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from pathlib import Path
+import shutil
 import subprocess
 import sys
 
@@ -55,10 +56,44 @@ def test_a_folder_that_lost_a_file_or_has_another_fingerprint_is_not_complete(
     (tmp_path / 'sub').mkdir()
     (tmp_path / 'sub' / 'kernel.nbi').write_text('')
     assert not is_complete(tmp_path)
-    compilation._complete_file(tmp_path).write_text('["sub/kernel.nbi"]')
+    compilation._complete_file(tmp_path).write_text('{"sub/kernel.nbi": null}')
     assert is_complete(tmp_path)
     monkeypatch.setattr(compilation.llvm, 'get_host_cpu_name', lambda: 'another')
     assert not is_complete(tmp_path)
     monkeypatch.undo()
     (tmp_path / 'sub' / 'kernel.nbi').unlink()
     assert not is_complete(tmp_path)
+
+
+def test_sources_that_are_changed_and_changed_back_are_compiled_again(tmp_path):
+    """Nodes compiled for a minute then, one by one, and nobody had said so."""
+    for package in ('multicontact_control', 'sim_bridge'):
+        shutil.copytree(ROOT / package, tmp_path / package,
+                        ignore=shutil.ignore_patterns('__pycache__'))
+    shutil.copytree(ROOT / 'config', tmp_path / 'config')
+    shutil.copy(ROOT / 'package.xml', tmp_path)
+    program = (
+        'from multicontact_control import compiled\n'
+        'from multicontact_control.experiment import compilation\n'
+        'from multicontact_control.algebra import dot\n'
+        'import numpy as np\n'
+        # One kernel stands for all.
+        'compilation._exercises = lambda: {"one": lambda: dot(*np.eye(3)[:2])}\n'
+        'print(compilation.ensure_compiled(), compilation.ensure_compiled())')
+
+    def compile_it():
+        path = os.pathsep.join([str(tmp_path), os.environ.get('PYTHONPATH', '')])
+        done = subprocess.run(
+            [sys.executable, '-c', program], cwd=tmp_path, capture_output=True, text=True,
+            env={**os.environ, 'PYTHONPATH': path})
+        assert done.returncode == 0, done.stderr
+        return done.stdout.split()
+
+    source = tmp_path / 'multicontact_control' / 'algebra.py'
+    text = source.read_text()
+    assert compile_it() == ['1', '0']
+    assert compile_it() == ['0', '0']
+    source.write_text(f'{text}\n# changed\n')
+    assert compile_it() == ['1', '0']
+    source.write_text(text)
+    assert compile_it() == ['1', '0']

@@ -11,7 +11,7 @@ Only what is single-threaded may be forked: this is why it is a process of its o
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 import contextlib
 import ctypes
 from dataclasses import asdict, dataclass
@@ -301,16 +301,23 @@ def base_environment() -> dict[str, str]:
     return environment
 
 
-def _serve(channel: socket.socket) -> tuple[Request, list[int]]:
-    """Fork for every request; return in each child what it is, and where it writes."""
+def _serve(channel: socket.socket, work: Iterator[object]) -> tuple[Request, list[int]]:
+    """
+    Fork for every request; return in each child what it is, and where it writes.
+
+    As long as nobody asks for anything, `work` is done that the next one need not do.
+    """
     numbers: dict[int, int] = {}
     ended, wake = socket.socketpair()
     for end in (ended, wake):
         end.setblocking(False)
     signal.set_wakeup_fd(wake.fileno())
     signal.signal(signal.SIGCHLD, lambda number, frame: None)
+    idle = True
     while True:
-        ready, _, _ = select.select([channel, ended], [], [])
+        ready, _, _ = select.select([channel, ended], [], [], 0.0 if idle else None)
+        if not ready:
+            idle = next(work, None) is not None
         if ended in ready:
             ended.recv(4096)
             _tell_ends(channel, numbers)
@@ -385,7 +392,9 @@ def main() -> None:
     gc.collect()
     gc.freeze()  # what is not written to stays shared
     try:
-        request, outputs = _serve(channel)
+        # Never loaded where numba is not: that takes 0.3 s.
+        kernels = sys.modules.get('multicontact_control.compiled')
+        request, outputs = _serve(channel, kernels.load_stored() if kernels else iter(()))
     except BrokenPipeError:  # whom it serves has been killed
         sys.exit()
     _become(request, outputs)
