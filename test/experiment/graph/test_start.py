@@ -83,6 +83,19 @@ def killed_when(nodes, name, condition):
     return thread
 
 
+@pytest.fixture
+def halted(nodes):
+    """Halt the controller as soon as it is there: that start takes for ever, however fast."""
+    def work():
+        wait_for(lambda: CONTROLLER in nodes.processes, 'the controller to be started')
+        nodes.kill(CONTROLLER, signal.SIGSTOP)
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    yield nodes
+    thread.join()
+
+
 STAGES = {
     'before it is ready': lambda nodes: True,
     'while the controller is configured': lambda nodes: 'asked to configure' in nodes.log(
@@ -118,18 +131,16 @@ def test_first_node_that_ended_is_the_one_named(spec, nodes):
     thread.join()
 
 
-def test_long_start_is_told_of_and_costs_the_waiting_parent_nothing(spec, nodes, monkeypatch):
-    """Halt the controller: the parent says whom it waits for, and leaves the processor alone."""
+def test_long_start_is_told_of_and_costs_the_waiting_parent_nothing(spec, halted, monkeypatch):
+    """The parent says whom it waits for, and leaves the processor alone."""
     monkeypatch.setattr(watching, 'TELL_PERIOD', 1.0)
     told, used = [], []
 
     def tell(text):
         told.append(text)
         used.append((time.monotonic(), sum(resource.getrusage(resource.RUSAGE_SELF)[:2])))
-        if len(told) == 1:
-            nodes.kill(CONTROLLER, signal.SIGSTOP)
         if len(told) == 5:
-            nodes.kill(CONTROLLER)
+            halted.kill(CONTROLLER)
 
     with pytest.raises(RunError, match=f'^{CONTROLLER} was killed by SIGKILL'):
         run_graph(spec, on_wait=tell)
@@ -138,10 +149,10 @@ def test_long_start_is_told_of_and_costs_the_waiting_parent_nothing(spec, nodes,
     assert (after - before) / (end - start) < 0.1
 
 
-def test_start_that_takes_too_long_says_who_is_waited_for(spec, nodes, monkeypatch):
+def test_start_that_takes_too_long_says_who_is_waited_for(spec, halted, monkeypatch):
     monkeypatch.setattr(watching, 'START_BUDGET', 1.0)
     with pytest.raises(RunError, match=r'not up after 1 s, still waiting for \w+_node to'):
         run_graph(spec)
     # What is killed on a busy machine takes its time to go.
-    wait_for(lambda: all(process.poll() is not None for process in nodes.processes.values()),
+    wait_for(lambda: all(process.poll() is not None for process in halted.processes.values()),
              'all to have ended')
