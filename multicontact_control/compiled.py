@@ -139,8 +139,10 @@ def load_stored() -> Iterator[str]:
         if stored is None:
             continue
         codegen = kernel.targetctx.codegen()
-        for key in stored._load_index():
-            if key == cache._index_key(key[0], codegen):  # not of another processor
+        for key, name in stored._load_index().items():
+            # Not of another processor, nor one that a process that compiles is yet to write.
+            kept = Path(stored._data_path(name)).is_file()
+            if kept and key == cache._index_key(key[0], codegen):
                 kernel.compile(key[0])
                 yield kernel.__name__
 

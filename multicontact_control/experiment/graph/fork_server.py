@@ -395,7 +395,7 @@ def main() -> None:
         # Never loaded where numba is not: that takes 0.3 s.
         kernels = sys.modules.get('multicontact_control.compiled')
         request, outputs = _serve(channel, kernels.load_stored() if kernels else iter(()))
-    except BrokenPipeError:  # whom it serves has been killed
+    except ConnectionError:  # whom it serves has been killed
         sys.exit()
     _become(request, outputs)
 

@@ -162,7 +162,7 @@ def test_server_and_what_follows_it_end_with_the_process_that_is_served(tmp_path
     parent.kill()
     parent.wait()
     parent.stdout.close()
-    wait_for(lambda: not any(alive(pid) for pid in pids), 'the end of both')
+    assert wait_for(lambda: not any(alive(pid) for pid in pids), 'the end of both')
 
 
 def alive(pid):
