@@ -8,12 +8,15 @@ import time
 from browser import PATIENCE, Tab
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.view.embedded import EmbeddedSource
+import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 pytest.importorskip('viser', reason='viser is not installed (extra [view])')
 pytestmark = [pytest.mark.slow, pytest.mark.webgl]
 
 SMALL = {'width': 520, 'height': 640}  # px: the processor draws all of them
+BOTH_PANELS = {'width': 1100, 'height': 480}  # px, and something of the scene between them
 # Twice a second is enough for a scene at which nobody looks.
 SELDOM = """
 const draw = window.requestAnimationFrame.bind(window);
@@ -43,13 +46,31 @@ def page():
     page.close()
 
 
-def test_page_loads_without_errors_and_a_slider_presses(page, chromium):
-    context = chromium.new_context(viewport=SMALL)
+def open_page(page, chromium, size):
+    """Return context and tab of a browser that shows a page with samples."""
+    context = chromium.new_context(viewport=size)
     context.add_init_script(SELDOM)
     opened = Tab(context, page.url)
-    tab = opened.page
-    tab.get_by_text('Press with 10 N').wait_for()
+    opened.page.get_by_text('Press with 10 N').wait_for()
     wait_for(lambda: page.server.get_clients() and page.newest, 'a connection and samples')
+    return context, opened
+
+
+def pixel(page, tab, point_world):
+    """Return where a point is seen in the first browser's window [px]."""
+    camera = next(iter(page.server.get_clients().values())).camera
+    scene = tab.locator('canvas').first.bounding_box()
+    w, x, y, z = camera.wxyz
+    right, down, ahead = Rotation.from_quat([x, y, z, w]).inv().apply(
+        point_world - camera.position)
+    scale = 0.5 * scene['height'] / np.tan(0.5 * camera.fov) / ahead
+    return (scene['x'] + 0.5 * scene['width'] + scale * right,
+            scene['y'] + 0.5 * scene['height'] + scale * down)
+
+
+def test_page_loads_without_errors_and_a_slider_presses(page, chromium):
+    context, opened = open_page(page, chromium, SMALL)
+    tab = opened.page
     slider = tab.get_by_role('slider').first
     slider.focus()
     tab.keyboard.press('End')  # one key each: a slow browser makes two of two
@@ -67,4 +88,33 @@ def test_page_loads_without_errors_and_a_slider_presses(page, chromium):
     # Without a browser it goes on, and presses as before.
     wait_for(lambda: page.newest.time > before + 1.0, 'time to pass')
     assert page.newest.commanded == {'table': 10.0, 'board': 10.0}
+    assert opened.problems == []
+
+
+def test_operational_point_is_dragged_along_the_table_by_the_mouse(page, chromium):
+    context, opened = open_page(page, chromium, BOTH_PANELS)
+    tab, handle = opened.page, page.scene_view._handle
+    tab.get_by_role('button', name='Press with 10 N').click()
+    wait_for(lambda: page.newest.states == ('holding', 'holding'), 'both contacts')
+    tab.get_by_role('tab', name='Move').click()
+    tab.get_by_label('drag').first.click()
+    wait_for(lambda: handle.visible, 'the handle')
+    start = page.newest.position_des.copy()
+    wait_for(lambda: np.abs(handle.position - start).max() < 1e-3, 'the handle at the arm')
+    time.sleep(2.0)  # the browser draws twice a second, and grasps what it has drawn
+    # By its arrow along the table and the board: where that is, is seen by the handle alone.
+    for far in np.linspace(0.12, 0.2, 9):
+        tab.mouse.move(*pixel(page, tab, start + [far, 0.0, 0.0]))
+        if far == 0.12:
+            time.sleep(1.0)
+            tab.mouse.down()
+        time.sleep(0.2)
+    wait_for(lambda: page.newest.position_des[0] > start[0] + 0.05, 'the way to where it is')
+    tab.mouse.up()
+    wait_for(lambda: page.newest.goal is None, 'the arrival')
+    moved = page.newest.position_des - start
+    assert 0.05 < moved[0] < 0.11 and np.abs(moved[1:]).max() < 1e-3
+    assert page.newest.states == ('holding', 'holding')
+    assert np.abs(page.newest.estimated - 10.0).max() < 1.0
+    context.close()
     assert opened.problems == []
