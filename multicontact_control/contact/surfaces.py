@@ -17,6 +17,7 @@ import numpy as np
 
 SLIDING_SPEED = 0.03  # m/s, from which on sliding has a direction; above that of approaches
 PRESSED = 3.0  # N, from which on the direction of a force is
+STEEP = 0.32  # squared sine of 34 degrees to the surface as told, up to which it is slid along
 
 
 @compiled
@@ -70,7 +71,8 @@ def follow_normal(frame: Any, contact: Any) -> None:
 
     Friction lies along the sliding velocity v, which lies in the surface. So what is left of the
     force at the contact after v is taken out of it is along the normal. The normal goes there as
-    a low-pass does, no faster than a declared speed, and stays within a declared angle.
+    a low-pass does, no faster than a declared speed, and stays within a declared angle. A
+    velocity that is steeper than that angle, and than 34 degrees, is that of a bounce.
 
     Parameters
     ----------
@@ -90,6 +92,9 @@ def follow_normal(frame: Any, contact: Any) -> None:
         speed += velocity[k] * velocity[k]
         seen[k] = contact.alpha_meas * contact.normal[k] + contact.friction[k]
     if speed < SLIDING_SPEED * SLIDING_SPEED:
+        return
+    steep = dot(velocity, contact.normal_told)
+    if steep * steep > max(STEEP, 1.0 - contact.smallest_cosine ** 2) * speed:
         return
     along = dot(seen, velocity) / speed
     length = 0.0

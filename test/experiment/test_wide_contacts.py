@@ -105,12 +105,12 @@ def test_an_untold_tilt_is_found_while_sliding():
     normal = np.array([np.sin(tilt), 0.0, -np.cos(tilt)])
     surface = {'table': {'normal_world': normal.tolist()}}
     motion = {'start_time': 3.0, 'amplitude': 0.1, 'period': 6.0, 'blend_time': 1.0}
-    loop, errors = press({'table': {'friction_std': 3.0, 'normal_turn_rate': 0.6}}, ticks=3500,
+    loop, errors = press({'table': {'friction_std': 3.0, 'normal_turn_rate': 3.0}}, ticks=3500,
                          plant=surface, only='table', motion=motion)
     found = loop.control.controller.controller.contacts['normal'][0]
     assert np.degrees(np.arccos(found @ normal)) < 1.0
     assert np.linalg.norm(found) == pytest.approx(1.0)
-    smooth = np.convolve(errors[2500:], np.full(25, 1 / 25), 'valid')  # of what roughness leaves
+    smooth = np.convolve(errors[2100:], np.full(25, 1 / 25), 'valid')  # of what roughness leaves
     assert np.sqrt((smooth ** 2).mean()) < 0.3
     _, untold = press({'table': {'friction_std': 3.0}}, ticks=1500, plant=surface, only='table')
     assert untold[-200:].mean() > 0.8
