@@ -97,7 +97,8 @@ class ContactConfig(Config):
     normal_range: Real = parameter(
         0.6, 'How far from normal_world it may turn.', unit='rad', live=True, gt=0.0, le=1.5)
     normal_time: Real = parameter(
-        0.06, 'Time constant with which it turns; with half of it, it may swing.', unit='s', live=True, gt=0.0, le=10.0)
+        0.06, 'Time constant with which it turns; with half of that, it may swing.', unit='s',
+        live=True, gt=0.0, le=10.0)
     surface_speed: Real = parameter(
         0.0, 'Speed of the surface along its normal, away from the robot if positive; K_2 damps '
         'the motion relative to it.', unit='m/s', live=True, ge=-0.5, le=0.5)

@@ -52,7 +52,7 @@ def test_surface_that_has_gone_is_reported_as_stuck(soak):
 
 
 def test_torque_beyond_its_limit_is_unsafe(soak, monkeypatch):
-    monkeypatch.setattr(soak, '_limit', 1e-3 * soak._limit)
+    monkeypatch.setattr(soak, '_limit', [1e-3 * limit for limit in soak._limit])
     soak._advance()
     assert 'beyond the limit' in soak.outcome.unsafe[0]
 
