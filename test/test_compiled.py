@@ -3,15 +3,20 @@
 import os
 from pathlib import Path
 import shutil
-import subprocess
-import sys
 
+from forked_python import forked_python
 from multicontact_control.algebra import dot
 from multicontact_control.compiled import bound, sources_stamp
 import numpy as np
 import pytest
 
 ROOT = Path(__file__).parents[1]
+
+
+@pytest.fixture(scope='module')
+def python():
+    with forked_python() as started:
+        yield started
 
 
 def test_stamp_is_that_of_compiled_sources_only(tmp_path):
@@ -61,16 +66,17 @@ def package_with_two_kernels(folder, number):
     return package
 
 
-def run(folder, **environment):
-    inherited = {name: value for name, value in os.environ.items() if name != 'NUMBA_CACHE_DIR'}
-    done = subprocess.run(
-        [sys.executable, '-c', RUN], cwd=folder, capture_output=True, text=True, check=True,
-        env={**inherited, 'PYTHONPATH': str(folder), **environment})
-    value, hits = done.stdout.split()
-    return float(value), int(hits)
+@pytest.fixture
+def run(python):
+    def start(folder, **environment):
+        done = python.run(RUN, cwd=folder, without=('NUMBA_CACHE_DIR',), **environment)
+        assert done.returncode == 0, done.stderr
+        value, hits = done.stdout.split()
+        return float(value), int(hits)
+    return start
 
 
-def test_change_of_a_called_function_compiles_its_callers_anew(tmp_path):
+def test_change_of_a_called_function_compiles_its_callers_anew(run, tmp_path):
     package_with_two_kernels(tmp_path, 1.0)
     assert run(tmp_path) == (2.0, 0)
     assert run(tmp_path) == (2.0, 1)
@@ -88,7 +94,7 @@ def read_only_package(folder):
 
 
 @pytest.mark.parametrize('variable', ['NUMBA_CACHE_DIR', 'XDG_CACHE_HOME', 'HOME', 'TMPDIR'])
-def test_installation_that_cannot_be_written_is_compiled_once(tmp_path, variable):
+def test_installation_that_cannot_be_written_is_compiled_once(run, tmp_path, variable):
     """Find the result in the user's folder, where one is told, or at last in a temporary one."""
     read_only_package(tmp_path)
     cache, nowhere = tmp_path / 'cache', tmp_path / 'nowhere'
@@ -100,7 +106,7 @@ def test_installation_that_cannot_be_written_is_compiled_once(tmp_path, variable
     assert any(cache.rglob('*.nbi'))
 
 
-def test_where_nothing_can_be_written_every_process_compiles(tmp_path):
+def test_where_nothing_can_be_written_every_process_compiles(run, tmp_path):
     read_only_package(tmp_path)
     nowhere = tmp_path / 'nowhere'
     nowhere.write_text('')
@@ -109,7 +115,7 @@ def test_where_nothing_can_be_written_every_process_compiles(tmp_path):
     assert run(tmp_path, **environment) == (2.0, 0)
 
 
-def test_all_that_is_stored_is_taken_before_it_is_called_and_nothing_else(tmp_path):
+def test_all_that_is_stored_is_taken_before_it_is_called_and_nothing_else(python, tmp_path):
     package_with_two_kernels(tmp_path, 1.0)
     program = (
         'import sys\n'
@@ -121,10 +127,9 @@ def test_all_that_is_stored_is_taken_before_it_is_called_and_nothing_else(tmp_pa
         'compiled.compiled_here())')
 
     def load_and_call(*arguments):
-        return subprocess.run(
-            [sys.executable, '-c', program, *arguments], cwd=tmp_path, capture_output=True,
-            text=True, check=True,
-            env={**os.environ, 'PYTHONPATH': str(tmp_path)}).stdout.split()
+        done = python.run(program, *arguments, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        return done.stdout.split()
 
     assert load_and_call() == ['-', '0', '2']
     assert load_and_call() == ['inner,outer', '1', '0']
@@ -137,7 +142,7 @@ def test_all_that_is_stored_is_taken_before_it_is_called_and_nothing_else(tmp_pa
     assert load_and_call() == ['inner', '0', '1']
 
 
-def test_only_what_is_really_compiled_is_told(tmp_path):
+def test_only_what_is_really_compiled_is_told(python, tmp_path):
     package_with_two_kernels(tmp_path, 1.0)
     program = (
         'from multicontact_control import compiled\n'
@@ -147,9 +152,9 @@ def test_only_what_is_really_compiled_is_told(tmp_path):
         'print(",".join(told) or "-", compiled.compiled_here())')
 
     def compile_and_tell():
-        return subprocess.run(
-            [sys.executable, '-c', program], cwd=tmp_path, capture_output=True, text=True,
-            check=True, env={**os.environ, 'PYTHONPATH': str(tmp_path)}).stdout.split()
+        done = python.run(program, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        return done.stdout.split()
 
     names = 'multicontact_control.outer.outer,multicontact_control.inner.inner'
     assert compile_and_tell() == [names, '2']

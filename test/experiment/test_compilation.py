@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 
+from forked_python import forked_python
 from multicontact_control.compiled import cache_folder
 from multicontact_control.experiment import compilation
 from multicontact_control.experiment.compilation import ensure_compiled, is_complete
@@ -81,19 +82,17 @@ def test_sources_that_are_changed_and_changed_back_are_compiled_again(tmp_path):
         'compilation._exercises = lambda: {"one": lambda: dot(*np.eye(3)[:2])}\n'
         'print(compilation.ensure_compiled(), compilation.ensure_compiled())')
 
-    def compile_it():
-        path = os.pathsep.join([str(tmp_path), os.environ.get('PYTHONPATH', '')])
-        done = subprocess.run(
-            [sys.executable, '-c', program], cwd=tmp_path, capture_output=True, text=True,
-            env={**os.environ, 'PYTHONPATH': path})
-        assert done.returncode == 0, done.stderr
-        return done.stdout.split()
-
     source = tmp_path / 'multicontact_control' / 'algebra.py'
     text = source.read_text()
-    assert compile_it() == ['1', '0']
-    assert compile_it() == ['0', '0']
-    source.write_text(f'{text}\n# changed\n')
-    assert compile_it() == ['1', '0']
-    source.write_text(text)
-    assert compile_it() == ['1', '0']
+    with forked_python() as python:
+        def compile_it():
+            done = python.run(program, cwd=tmp_path)
+            assert done.returncode == 0, done.stderr
+            return done.stdout.split()
+
+        assert compile_it() == ['1', '0']
+        assert compile_it() == ['0', '0']
+        source.write_text(f'{text}\n# changed\n')
+        assert compile_it() == ['1', '0']
+        source.write_text(text)
+        assert compile_it() == ['1', '0']
