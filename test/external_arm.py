@@ -143,7 +143,7 @@ def main():
                 if taken.header.stamp == stamp:
                     break
             commanded = heard > k * PERIOD - BRAKE_TIME
-            if time.monotonic() > (give_up if commanded else due):
+            if not commanded or time.monotonic() > give_up:
                 break
             time.sleep(0.0002)
         if efforts is not None and heard > k * PERIOD - BRAKE_TIME:

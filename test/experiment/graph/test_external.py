@@ -169,7 +169,8 @@ def test_documented_way_leads_from_a_urdf_to_ten_newtons(shell, tmp_path):
     assert text.splitlines()[-1].startswith('push test failed'), text
     weighed = (tmp_path / 'runs/latest').resolve()
     running.send_signal(signal.SIGINT)
-    wait_for(lambda: not nodes_of(weighed), 'the end of the first nodes')
+    wait_for_end_of(nodes_of(weighed), 'the end of the first nodes')
+    assert not nodes_of(weighed)
 
     judged = running  # of which there is no need to wait for the figures
     running = shell.multicontact(*second, log='second')
@@ -281,11 +282,13 @@ def test_robot_that_presses_is_left_with_the_safe_behaviour(shell, tmp_path, end
         arm.wait_until_reached(force_tolerance=1.0, timeout=PATIENCE)
     with Listener(shell.domain_id) as listener:
         wait_for(lambda: listener.poll() and listener.stamps[1], 'measured forces')
+        nodes = nodes_of(tmp_path / 'run')
         if end == 'killed':
             running.kill()
         else:
             terminal.close()
-        wait_for(lambda: listener.poll() and not nodes_of(tmp_path / 'run'), 'their end')
+        wait_for_end_of(nodes, 'their end', listener.poll)
+        assert not nodes_of(tmp_path / 'run')
         answered, controlled = listener.stamps
         assert answered - controlled > 30_000_000
         # A busy machine may let it look as if the robot had gone before that.
@@ -304,8 +307,9 @@ def test_node_that_fails_while_the_run_is_stopped_is_named(shell, tmp_path):
         'run', '--external', '--controller', 'controller.yaml', '--out', 'run', log='log')
     with Listener(shell.domain_id) as listener:
         wait_for(lambda: listener.poll() and listener.stamps[1], 'measured forces')
+    controller = nodes_of(tmp_path / 'run', 'controller_node.json')
     running.send_signal(signal.SIGINT)
-    wait_for(lambda: not nodes_of(tmp_path / 'run', 'controller_node.json'), 'its end')
+    wait_for_end_of(controller, 'its end')
     for entry in nodes_of(tmp_path / 'run', 'recorder_node.json'):
         os.kill(int(entry.name), signal.SIGKILL)
     code, text = shell.end(running, 'log')
@@ -314,12 +318,20 @@ def test_node_that_fails_while_the_run_is_stopped_is_named(shell, tmp_path):
 
 def nodes_of(folder, log=''):
     """Return the processes whose command line names a log of a run."""
-    found = []
-    for entry in Path('/proc').iterdir():
-        with contextlib.suppress(OSError):  # no process, or one that has ended meanwhile
-            if f'{folder}/logs/{log}'.encode() in (entry / 'cmdline').read_bytes():
-                found.append(entry)
-    return found
+    return [entry for entry in Path('/proc').iterdir()
+            if f'{folder}/logs/{log}' in command_line(entry)]
+
+
+def command_line(entry):
+    with contextlib.suppress(OSError):  # no process, or one that has ended meanwhile
+        return (entry / 'cmdline').read_text()
+    return ''
+
+
+def wait_for_end_of(nodes, what, meanwhile=lambda: True):
+    """Wait until processes have ended, and look at no other ones meanwhile."""
+    assert nodes
+    wait_for(lambda: meanwhile() and not any(map(command_line, nodes)), what)
 
 
 def test_robot_that_is_gone_ends_the_run_and_is_named(shell, tmp_path):
