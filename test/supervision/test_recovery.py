@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 PLANTS = ('rigid', 'puma')
 HOLDING = (ContactState.HOLDING.value,) * 2
+SETTLED = {'rigid': 1.8, 'puma': 2.4}  # s, twice what it takes to be within 0.5 N of 15 N
 
 
 def pressing(plant, seed=0, force=15.0, forces=None, **changes):
@@ -19,7 +20,8 @@ def pressing(plant, seed=0, force=15.0, forces=None, **changes):
     loop = ClosedLoop(resolve('quick', plant=plant, seed=seed, **changes), commanded=True)
     loop.advance()
     loop.control.set_forces(forces or {'table': force, 'board': force})
-    advance(loop, 4.0)
+    advance(loop, SETTLED[plant])
+    assert set(loop.status.contact_states) <= {'holding', 'free'}
     return loop
 
 
@@ -46,19 +48,19 @@ def changes(statuses, value):
 
 
 @pytest.mark.parametrize('plant', PLANTS)
-@pytest.mark.parametrize('gap', [1, 2, 5, 10])
-def test_short_gap_of_the_wrench_is_not_seen_in_the_forces(plant, gap):
+def test_short_gap_of_the_wrench_is_not_seen_in_the_forces(plant):
     """It was 0.68 s off the command after two samples, and 258 ms without contact."""
     loop = pressing(plant)
     try:
-        before, _ = advance(loop, 0.2)
-        during, statuses = advance(loop, gap * 0.002, no_wrench)
-        after, _ = advance(loop, 0.5)
+        for gap in (1, 2, 5, 10):
+            before, _ = advance(loop, 0.2)
+            during, statuses = advance(loop, gap * 0.002, no_wrench)
+            after, later = advance(loop, 0.5)
+            level = before.mean(axis=0)
+            assert {status.reaction for status in statuses + later} <= {'none', 'inflate'}, gap
+            assert np.abs(np.concatenate([during, after]) - level).max() < 0.5, gap
     finally:
         loop.close()
-    level = before.mean(axis=0)
-    assert {status.reaction for status in statuses} <= {'none', 'inflate'}
-    assert np.abs(np.concatenate([during, after]) - level).max() < 0.5
 
 
 @pytest.mark.parametrize('plant', PLANTS)
@@ -115,7 +117,7 @@ def test_turning_about_the_wrist_with_the_board_held_loses_nothing(plant, turn):
                 start.position_world, Rotation.from_matrix(rotation).as_quat(),
                 np.concatenate([np.zeros(3), turn * np.cos(w * time) * axis]), np.zeros(6)))
         rotate.tick = 0
-        forces, statuses = advance(loop, 4.0, each=rotate)
+        forces, statuses = advance(loop, 2.0, each=rotate)  # a whole turn, to either side
     finally:
         loop.close()
     assert {status.contact_states[1] for status in statuses} == {'holding'}
@@ -131,7 +133,7 @@ WALL = {'obstacle_names': ['wall'], 'surfaces': {'wall': {
 
 @pytest.mark.parametrize('plant', PLANTS)
 def test_side_wall_is_met_a_few_times_only_and_the_operator_can_retreat(plant):
-    """Hold and resume alternated 117 to 119 times in 6.5 s."""
+    """Hold and resume alternated 117 to 119 times in 6.5 s; it is latched after 1.7 s."""
     loop = pressing(plant, plant_overrides=WALL)
     try:
         start = loop.control.output.pose
@@ -146,13 +148,13 @@ def test_side_wall_is_met_a_few_times_only_and_the_operator_can_retreat(plant):
             nonlocal far
             far = min(far + 0.1 * 0.002, 0.08)
             go(far)
-        forces, statuses = advance(loop, 8.0, each=push)
+        forces, statuses = advance(loop, 3.5, each=push)
         assert changes(statuses, lambda status: status.reaction) <= 7
         assert statuses[-1].causes == ('latched',)
         assert forces.max() < 40.0
         go(-0.03)
         assert loop.control.retry() == 'trying again'
-        _, statuses = advance(loop, 4.0)
+        _, statuses = advance(loop, 2.0)
         assert statuses[-1].reaction == 'none'
         assert statuses[-1].contact_states == HOLDING
         assert loop.control.output.pose.position_world[0] < start.position_world[0] - 0.02
@@ -161,17 +163,24 @@ def test_side_wall_is_met_a_few_times_only_and_the_operator_can_retreat(plant):
 
 
 def test_missing_readings_are_waited_for_longer_and_longer_but_never_latched():
+    """Whenever control has been back for 40 ms, the next 20 readings are missing."""
     loop = pressing('rigid')
-    tick = 0
+    watch = loop.setup.controller.watchdog
+    at_work, missing = 0, 0
 
     def flicker(inputs):
-        nonlocal tick
-        tick += 1
-        return no_wrench(inputs) if tick % 60 < 20 else inputs
+        nonlocal at_work, missing
+        at_work = at_work + 1 if loop.status.reaction == 'none' else 0
+        missing = 20 if at_work == 20 else max(missing - 1, 0)
+        return no_wrench(inputs) if missing else inputs
     try:
-        _, statuses = advance(loop, 10.0, flicker)
-        assert changes(statuses[2500:], lambda status: status.reaction) <= 20
+        _, statuses = advance(loop, 5.0, flicker)
         assert not any(status.causes == ('latched',) for status in statuses)
+        ends = np.flatnonzero(np.diff([status.reaction == 'none' for status in statuses]))
+        waits = 0.002 * np.diff(ends)[::2]
+        assert len(waits) > watch.relapses
+        assert (np.diff(waits) > 0.0).all()
+        assert watch.longest_recovery < waits[-1] < watch.longest_recovery + 0.1
         _, statuses = advance(loop, 3.0)
         assert statuses[-1].reaction == 'none'
     finally:
@@ -187,7 +196,7 @@ def test_contact_that_was_given_up_comes_back(way):
         loop.advance()
         loop.plant.contacts.shift(1, 0.1)
         loop.control.set_forces({'table': 10.0, 'board': 10.0})
-        _, statuses = advance(loop, 3.0)
+        _, statuses = advance(loop, 2.5)
         assert statuses[-1].contact_states == ('holding', 'given up')
         loop.plant.contacts.shift(1, -0.1)
         loop.control.set_forces({'table': 10.0, 'board': 10.0})  # as before: nothing new
@@ -197,7 +206,7 @@ def test_contact_that_was_given_up_comes_back(way):
             loop.control.set_forces({'board': 12.0})
         elif way == 'service':
             assert loop.control.retry() == 'trying again'
-        forces, statuses = advance(loop, 5.0)
+        forces, statuses = advance(loop, 2.5)
         assert statuses[-1].contact_states == HOLDING
         assert abs(forces[-100:, 1].mean() - (12.0 if way == 'command' else 10.0)) < 0.5
         with pytest.raises(CommandError, match='expected contacts that were given up'):
@@ -241,7 +250,7 @@ def test_motions_that_nobody_could_follow_lead_nowhere_else(plant):
             command(here + s * (start.position_world - here), ds * (start.position_world - here))
             advance(loop, 0.002)
             note()
-        advance(loop, 4.0, each=note)
+        advance(loop, 2.0, each=note)
     finally:
         loop.close()
     assert changes(statuses, lambda status: status.reaction) <= 2
@@ -267,7 +276,7 @@ def test_smallest_force_that_may_be_asked_for_holds_while_sliding(plant):
                 start.position_world + [0.05 * (1.0 - np.cos(w * time)), 0.0, 0.0],
                 start.quaternion_xyzw,
                 np.array([0.05 * w * np.sin(w * time), 0.0, 0.0, 0.0, 0.0, 0.0]), np.zeros(6)))
-        _, statuses = advance(loop, 8.0, each=slide)
+        _, statuses = advance(loop, 4.0, each=slide)  # there and back
     finally:
         loop.close()
     assert {status.contact_states for status in statuses} == {HOLDING}
