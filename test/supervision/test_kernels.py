@@ -118,7 +118,7 @@ def test_reference_equals_plain_python(seed, box):
         each.start(Pose(place, np.eye(3)), normals)
     alpha, event = np.zeros(CONTACTS), ''
     outputs, energies = ([], []), ([], [])  # compared at once, which takes a fifth of the time
-    for k in range(300):
+    for k in range(150):
         if k % 10 == 0:
             task.draw(place)
             alpha = random.normal(size=CONTACTS) * 10.0 + 5.0
