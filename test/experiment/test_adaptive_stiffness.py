@@ -48,9 +48,9 @@ def test_steps_are_the_same_on_every_surface(plant, stiffness):
 @pytest.mark.slow
 @pytest.mark.parametrize('plant', ['rigid', 'puma'])
 def test_stiffness_does_not_drift_at_rest(plant):
-    _, data = run(plant, 3000.0, seed=32, duration=30.0)
+    _, data = run(plant, 3000.0, seed=32, duration=10.0)
     used = data.stiffness[round(5.0 * data.rate):]
-    np.testing.assert_allclose(used, np.broadcast_to(used[0], used.shape), rtol=0.02)
+    np.testing.assert_allclose(used, np.broadcast_to(used[0], used.shape), rtol=0.004)
 
 
 @pytest.mark.slow
@@ -98,8 +98,8 @@ def test_best_is_quick_and_quiet_on_flexible_drives(seed):
 @pytest.mark.parametrize('ratio', [0.05, 10.0, 20.0])
 def test_best_does_not_oscillate_however_wrong_its_stiffness(ratio):
     """At rest; a step on a surface that is far too stiff throws the tip back, for a moment."""
-    setup, data = run('puma', ratio * 6000.0, seed=36, preset='best', duration=6.5)
-    rest = data.time > 5.5
+    setup, data = run('puma', ratio * 6000.0, seed=36, preset='best', duration=5.5)
+    rest = data.time > 4.5
     error = data.alpha_true[rest] - 15.0
     assert np.sqrt((error ** 2).mean(axis=0)).max() < 0.3
     for touched in (data.alpha_true[data.time > 1.7] > 0.0).T:
