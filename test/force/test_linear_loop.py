@@ -109,15 +109,14 @@ def _growth(observer, variance, plant, measured_rate):
     k_s, c, mobility, tool = (float(value.item()) for value in (
         plant.stiffness, plant.damping, plant.mobility, plant.tool_inertia))
 
-    def derivative(s, acceleration):
-        return np.array([s[1], acceleration - plant.damping_rate * s[1]
-                         - mobility * (k_s * s[0] + c * s[1])])
+    def change(depth, speed, acceleration):
+        return acceleration - plant.damping_rate * speed - mobility * (k_s * depth + c * speed)
 
     for _ in range(5000):  # settle the gain first
         observer.update(0.0, variance)
     observer.x_est[:] = 0.0
     observer.command(0.0)
-    s = np.array([1.0 / k_s, 0.0])
+    depth, speed = 1.0 / k_s, 0.0
     forces, commands = [], []
     steps, dt = 4, H / 4
     waiting = round(plant.delay / dt)
@@ -127,19 +126,23 @@ def _growth(observer, variance, plant, measured_rate):
         return commands[index] if index >= 0 else 0.0
 
     for k in range(4000):
-        force = (k_s * s[0] + c * s[1]
-                 + tool * derivative(s, acting(steps * k - 1))[1])
+        force = (k_s * depth + c * speed
+                 + tool * change(depth, speed, acting(steps * k - 1)))
         forces.append(force)
         observer.update(force, variance)
-        commands.append(observer.command(0.0) + mobility * observer.x_est[0]
-                        - measured_rate * s[1])
+        commands.append(observer.command(0.0) + mobility * float(observer.x_est[0])
+                        - measured_rate * speed)
         for step in range(steps * k, steps * (k + 1)):
             u = acting(step)
-            k1 = derivative(s, u)
-            k2 = derivative(s + 0.5 * dt * k1, u)
-            k3 = derivative(s + 0.5 * dt * k2, u)
-            k4 = derivative(s + dt * k3, u)
-            s = s + dt / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+            v1, a1 = speed, change(depth, speed, u)
+            v2 = speed + 0.5 * dt * a1
+            a2 = change(depth + 0.5 * dt * v1, v2, u)
+            v3 = speed + 0.5 * dt * a2
+            a3 = change(depth + 0.5 * dt * v2, v3, u)
+            v4 = speed + dt * a3
+            a4 = change(depth + dt * v3, v4, u)
+            depth += dt / 6.0 * (v1 + 2.0 * v2 + 2.0 * v3 + v4)
+            speed += dt / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
     forces = np.abs(forces)
     return forces[2000:].max() / forces[1000:2000].max()
 
