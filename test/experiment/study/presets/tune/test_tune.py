@@ -87,32 +87,37 @@ class Noting(LocalExecutor):
         yield from super().results(task, jobs, notify)
 
 
+@pytest.fixture(scope='module')
+def tuned(tmp_path_factory):
+    """Choose between two damping rates, twice in one folder; return it and what each found."""
+    folder, executor = tmp_path_factory.mktemp('tune'), Noting()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(tuning, 'read_ranges', lambda law: {
+            'controller.force.damping_rate': [40.0, 100.0]})
+        patch.setattr(tuning, 'JUDGED_ON', (1, 2))
+        patch.setattr(StudyOptions, 'executor', lambda self: nullcontext(executor))
+        found = [(run_study(TuneStudy('dob', ('rigid',)), StudyOptions(folder)),
+                  [job.seed for job in executor.given]) for _ in range(2)]
+    return folder, found
+
+
 @pytest.mark.slow
-def test_runs_on_other_seeds_are_jobs_like_the_others(tmp_path, monkeypatch):
+def test_runs_on_other_seeds_are_jobs_like_the_others(tuned):
     """Whoever runs the jobs runs them too, and what is finished is not run again."""
-    monkeypatch.setattr(tuning, 'read_ranges', lambda law: {
-        'controller.force.damping_rate': [40.0]})
-    monkeypatch.setattr(tuning, 'JUDGED_ON', (1, 2))
-    executor, options = Noting(), StudyOptions(tmp_path)
-    monkeypatch.setattr(StudyOptions, 'executor', lambda self: nullcontext(executor))
-    first = run_study(TuneStudy('dob', ('rigid',)), options)
-    assert [job.seed for job in executor.given] == [0, 1, 2]
+    (first, given), again = tuned[1]
+    assert given == [0, 0, 1, 2]
     assert first[0]['judged'][0]['runs'] == 2
-    assert run_study(TuneStudy('dob', ('rigid',)), options) == first
-    assert len(executor.given) == 3
+    assert again == (first, given)
 
 
 @pytest.mark.slow
-def test_best_combination_is_written_and_judged_on_other_seeds(tmp_path, monkeypatch):
-    monkeypatch.setattr(tuning, 'read_ranges', lambda law: {
-        'controller.force.damping_rate': [40.0, 100.0]})
-    monkeypatch.setattr(tuning, 'JUDGED_ON', (1,))
-    content = run_study(TuneStudy('dob', ('rigid',)), StudyOptions(tmp_path, 1))
+def test_best_combination_is_written_and_judged_on_other_seeds(tuned):
+    folder, ((content, _), _) = tuned
     costs = [row['cost'] for row in content if row['cost'] is not None]
     assert costs == sorted(costs)
     best = content[0]
-    assert best['judged'][0]['stable'] == 1
-    setup = resolve('quick', preset=str(tmp_path / 'dob.yaml'))
+    assert best['judged'][0]['stable'] == 2
+    setup = resolve('quick', preset=str(folder / 'dob.yaml'))
     assert setup.controller.force.law == 'dob'
     assert setup.controller.force.damping_rate == best['settings'][
         'controller.force.damping_rate']
