@@ -1,6 +1,7 @@
 """Soaks: what they find, and that a quarter of an hour on each plant finds nothing."""
 
 from multicontact_control.errors import ConfigError
+from multicontact_control.experiment import soak as soaking
 from multicontact_control.experiment.faults.judge import MET_FORCE
 from multicontact_control.experiment.faults.situation import with_obstacles
 from multicontact_control.experiment.faults.vocabulary import SIDE_WALL
@@ -40,7 +41,8 @@ def test_same_seed_same_soak():
     assert outcomes[0] == outcomes[1]
 
 
-def test_surface_that_has_gone_is_reported_as_stuck(soak):
+def test_surface_that_has_gone_is_reported_as_stuck(soak, monkeypatch):
+    monkeypatch.setattr(soaking, 'SETTLE_TIME', 4.0)  # it is gone for good
     soak.run(1.0)
     soak._loop.plant.contacts.shift(0, 1.0)
     soak._wanted['table'] = 10.0
