@@ -121,9 +121,14 @@ def test_law_equals_numpy_for_other_arms(tmp_path, joints, contacts, projection)
 
 @pytest.mark.slow
 def test_run_equals_numpy_tick_by_tick():
-    """Both see the samples of a closed loop, contacts, steps and motion included."""
-    setup = resolve('quick', plant='rigid', seed=0, duration=None)
+    """Both see the samples of a closed loop, contacts, steps, motion there and back included."""
+    setup = resolve('quick', plant='rigid', seed=0, duration=5.0, scenario_overrides={
+        'reference': {
+            'force_steps': [{'time': time, 'forces': {'table': force, 'board': force}}
+                            for time, force in ((1.2, 10.0), (1.7, 15.0))],
+            'motion': {'start_time': 2.2, 'period': 2.0, 'amplitude': 0.04, 'blend_time': 0.5}}})
     data = run_in_process(setup, supervised=False).data
+    assert (data.alpha_true[-1] > 5.0).all() and np.ptp(data.position[:, 0]) > 0.07
     config = setup.controller
     plain = ReferenceController(
         config, RobotModel(config.robot, setup.urdf_dir), setup.reference())
