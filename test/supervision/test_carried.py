@@ -170,9 +170,13 @@ def test_exception_in_any_stage_leaves_the_arm_where_it_is_and_control_comes_bac
             carried(loop, 500, sag=0.03)
         if loop.status.causes == ('latched',):
             loop.control.retry()
+        back = 0
         for _ in range(1000):
             loop.advance()
-        assert loop.status.reaction == 'none'
+            back = back + 1 if loop.status.reaction == 'none' else 0
+            if back == 250:
+                break
+        assert back >= 250
     finally:
         loop.close()
 
