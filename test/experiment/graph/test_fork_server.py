@@ -63,7 +63,7 @@ class Started:
         self.environment['PYTHONPATH'] += f':{folder}'
         self.environment['TO_BE_REMOVED'] = 'x'
         self.server = ForkServer(self.environment, ('tells', 'multicontact_control.nodes.runtime'))
-        self.ends = []
+        self.ends, self._processes = [], []
 
     def start(self, module, *arguments, **environment):
         """Return a process, and the files with what it writes."""
@@ -74,14 +74,20 @@ class Started:
             process = self.server.start(
                 module, [sys.executable, '-m', module, *arguments], module, arguments, own,
                 (output, errors), self.ends.append)
+        self._processes.append(process)
         return process, *told
+
+    def close(self):
+        for process in self._processes:
+            process.send_signal(signal.SIGKILL)  # nothing to one that has ended
+        self.server.close()
 
 
 @pytest.fixture
 def started(tmp_path):
     made = Started(tmp_path)
     yield made
-    made.server.close()
+    made.close()
 
 
 def test_forked_process_is_what_its_command_would_have_been(started, tmp_path, monkeypatch):
