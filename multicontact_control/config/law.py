@@ -92,13 +92,13 @@ class ContactConfig(Config):
         0.01, 'Sliding speed at which 71 % of that is expected.', unit='m/s', live=True, gt=0.0)
     normal_turn_rate: Real = parameter(
         0.0, 'How fast the normal may turn to where the force on a sliding contact says that it '
-        'is; 0 to keep to normal_world. Needs friction_std.', unit='rad/s', live=True, ge=0.0,
-        le=10.0)
+        'is; 0 to keep to normal_world. Not more than is needed: what slips at the touch turns it '
+        'as fast. Needs friction_std.', unit='rad/s', live=True, ge=0.0, le=10.0)
     normal_range: Real = parameter(
         0.6, 'How far from normal_world it may turn.', unit='rad', live=True, gt=0.0, le=1.5)
     normal_time: Real = parameter(
-        0.06, 'Time constant with which it turns; with half of that, it may swing.', unit='s',
-        live=True, gt=0.0, le=10.0)
+        0.06, 'Time constant with which it turns; on rough surfaces it swings with 0.03 s.',
+        unit='s', live=True, gt=0.0, le=10.0)
     surface_speed: Real = parameter(
         0.0, 'Speed of the surface along its normal, away from the robot if positive; K_2 damps '
         'the motion relative to it.', unit='m/s', live=True, ge=-0.5, le=0.5)

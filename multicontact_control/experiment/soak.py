@@ -282,9 +282,11 @@ class Soak:
         """Take a tick, and look at what is never to happen."""
         loop, outcome = self._loop, self.outcome
         advance_with(faults, loop)
-        problem = self._speaks_against(loop.command.tolist())
+        torque = loop.command.tolist()
+        problem = self._speaks_against(torque)
         if problem:
             self._report('unsafe', problem)
+        self._last = torque
         force = max(loop.true_forces.tolist())
         self._above = self._above + 1 if force > self._ceiling else 0
         if self._above == round(FORCE_TIME * self._rate):
@@ -299,10 +301,10 @@ class Soak:
 
     def _speaks_against(self, torque: list[float]) -> str:
         """Return what is wrong with a command, joint by joint: numpy takes ten times as long."""
-        last, self._last = self._last, torque
         if not all(map(math.isfinite, torque)):
             return 'torque not finite'
-        for now, before, limit, step in zip(torque, last, self._limit, self._step):
+        for now, before, limit, step in zip(
+                torque, self._last, self._limit, self._step, strict=True):
             if abs(now) > limit or abs(now - before) > step:
                 return 'torque or its rate beyond the limit'
         return ''
