@@ -291,9 +291,10 @@ def test_robot_that_presses_is_left_with_the_safe_behaviour(shell, tmp_path, end
         assert not nodes_of(tmp_path / 'run')
         answered, controlled = listener.stamps
         assert answered - controlled > 30_000_000
-        # A busy machine may let it look as if the robot had gone before that.
+        # A busy machine may let it look as if the robot had gone before that. The 40 N m go over
+        # to none at 100 N m/s at most, in 0.75 s: 12 % of them in the first 0.2 s.
         if answered - controlled > 200_000_000:
-            assert np.abs(listener.efforts[-1]).max() < 0.85 * np.abs(listener.efforts[0]).max()
+            assert np.abs(listener.efforts[-1]).max() < 0.92 * np.abs(listener.efforts[0]).max()
     running.wait(PATIENCE)
     if end != 'killed':
         assert running.returncode == 0
