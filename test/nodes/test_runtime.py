@@ -48,4 +48,6 @@ def test_only_what_comes_for_an_end_that_is_gone_is_ignored(domain_id):
     script = subprocess.run(
         [sys.executable, '-c', DESTROYED_END], capture_output=True, text=True,
         env={**os.environ, 'ROS_DOMAIN_ID': str(domain_id)})
-    assert (script.returncode, script.stdout) == (0, 'raised\n'), script.stderr
+    # The middleware may have said something before, e.g. about shared memory.
+    assert (script.returncode, script.stdout.splitlines()[-1:]) == (0, ['raised']), (
+        script.stdout + script.stderr)
