@@ -48,6 +48,20 @@ def test_what_is_no_terminal_gets_plain_text(monkeypatch, file, setting, lively)
     assert lively or text == 'warning\n'
 
 
+def test_lines_say_how_far_a_study_is_where_no_bar_may_move():
+    console = terminal()
+    console.file = io.StringIO()
+    progress = count_bar(console)
+    progress.get_time = lambda: now[0]
+    now = [progress._told]
+    bar = progress.add_task('soaks', total=8)
+    for _ in range(7):
+        now[0] += 25.0
+        progress.advance(bar)
+    assert console.file.getvalue() == (
+        'soaks: 3 of 8, about 2.1 min left\n' 'soaks: 6 of 8, about 50 s left\n')
+
+
 def test_nobody_else_makes_a_console_or_a_bar():
     for path in PACKAGE.rglob('*.py'):
         if path.name != 'terminal.py':

@@ -27,7 +27,7 @@ from multicontact_control.experiment.results import (
     REPORT_FILE,
     SUMMARY_FILE,
 )
-from multicontact_control.terminal import moving_bar
+from multicontact_control.terminal import CountBar, moving_bar
 from multicontact_control.wording import counted
 from rich.console import Console
 from rich.markup import escape
@@ -84,11 +84,15 @@ def progress_bar(
 
 
 def count_bar(console: Console | None = None) -> Progress:
-    """Return the bar of a study: how much is done, for how long, and how long it will take."""
+    """
+    Return the bar of a study: how much is done, for how long, and how long it will take.
+
+    Where nothing may move, a line a minute at most says so.
+    """
     return moving_bar(
         TextColumn('{task.description}'), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
-        TextColumn('left'), TimeRemainingColumn(), console=console, refresh_per_second=2,
-        speed_estimate_period=600.0)
+        TextColumn('left'), TimeRemainingColumn(), console=console, kind=CountBar,
+        refresh_per_second=2, speed_estimate_period=7200.0)
 
 
 class TooSlowError(RunError):

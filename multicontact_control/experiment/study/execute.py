@@ -16,7 +16,7 @@ from multicontact_control.experiment.display import count_bar
 from multicontact_control.experiment.study.cache import JobCache
 from multicontact_control.experiment.study.executors import Executor, LocalExecutor, LostJob
 from multicontact_control.experiment.study.jobs import Job, JobResult, JobT
-from multicontact_control.wording import counted
+from multicontact_control.wording import counted, lasting
 from rich.console import Console
 
 START_UP = 3.0  # s, to start a pool of workers
@@ -126,7 +126,7 @@ class Estimate:
         known = f'{counted(self.runs, what)}, {self.finished} of them finished before'
         if self.seconds is None or not self.todo:
             return f'{known}; {workers} at once'
-        return (f'{known}; the other {self.todo} will take about {_words(self.seconds)} with '
+        return (f'{known}; the other {self.todo} will take about {lasting(self.seconds)} with '
                 f'{workers} at once')
 
 
@@ -177,11 +177,3 @@ def _probe(job: Job) -> float:
     except Exception:  # whatever ails this job comes out when it is run
         return 0.0
     return (time.perf_counter() - start) / duration
-
-
-def _words(seconds: float) -> str:
-    if seconds < 90.0:
-        return f'{seconds:.0f} s'
-    if seconds < 5400.0:
-        return f'{seconds / 60.0:.1f} min'
-    return f'{seconds / 3600.0:.1f} h'
