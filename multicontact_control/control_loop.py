@@ -28,7 +28,7 @@ from multicontact_control.sampling import (
     SampleClock,
     WrenchReading,
 )
-from multicontact_control.sensor.front_end import SensorFrontEnd
+from multicontact_control.sensor.front_end import KEPT, SensorFrontEnd
 from multicontact_control.sensor.push_config import PushTestConfig
 from multicontact_control.sensor.push_gate import PushGate
 from multicontact_control.sensor.tare import tare_bias, TareConfig
@@ -50,10 +50,9 @@ from multicontact_control.supervision.inputs import (
     WrenchInput,
 )
 from multicontact_control.supervision.supervisor import Supervisor, SupervisorStatus
-from multicontact_control.supervision.validation import as_number, copy_numbers
+from multicontact_control.supervision.validation import as_number, as_vector
 import numpy as np
 
-TARE_READINGS = 100
 TARE_GAP = 0.1  # s, without a wrench, after which what was read before is of no use for a tare
 STREAM_TIME = 1.0  # s, between commands; more often they are a stream, which insists on nothing
 LONGEST_PAUSE = 10.0  # s; stamps that jump farther ahead are of a clock that was set
@@ -167,8 +166,7 @@ class ControlLoop:
         self.tick = 0
         self._inputs = TickInputs(0.0)
         self._filtered: WrenchInput | None = None
-        self._readings: deque[Vector] = deque(maxlen=TARE_READINGS)
-        self._postures: deque[Vector] = deque(maxlen=TARE_READINGS)
+        self._postures: deque[Vector] = deque(maxlen=KEPT)
         self._read_at = math.nan
         self.variance: Vector = np.full(
             len(self.config.columns), self.config.initial_noise_variance)
@@ -290,17 +288,18 @@ class ControlLoop:
             self._filtered = WrenchInput(
                 stamp, self.controller.controller.controls['wrench'][0].copy())
             return False
-        raw = np.empty(6)
-        if not copy_numbers(reading, raw):
+        front = self._front_end
+        raw = as_vector(reading, front.raw)
+        if raw is None:
             self._filtered = WrenchInput(stamp, reading)  # for the watchdog to refuse
             return False
-        if not as_number(stamp) - self._read_at <= TARE_GAP:
-            self._readings.clear()  # the arm may have come elsewhere meanwhile
+        time = as_number(stamp)
+        if not time - self._read_at <= TARE_GAP:
+            front.forget()  # the arm may have come elsewhere meanwhile
             self._postures.clear()
-        self._read_at = as_number(stamp)
-        self._readings.append(raw)
-        wrench, self.sensor_fault = self._front_end.update(raw)
-        self._filtered = WrenchInput(stamp, wrench)
+        self._read_at = time
+        self.sensor_fault = front.take(raw)
+        self._filtered = WrenchInput(stamp, front.filtered)
         return True
 
     def _answer(self, seen: TickInputs, new: bool) -> Vector:
@@ -335,11 +334,11 @@ class ControlLoop:
             self.rejected.update(status.rejected)
         if status.limits:
             self.limited.update(status.limits)
-        touched = next((cause for cause in status.causes if cause.startswith(COLLISION)), '') if (
-            status.causes) else ''
-        if touched and not self._touched:
-            self.collisions[touched] += 1
-        self._touched = touched
+        if status.causes or self._touched:
+            touched = next((cause for cause in status.causes if cause.startswith(COLLISION)), '')
+            if touched and not self._touched:
+                self.collisions[touched] += 1
+            self._touched = touched
 
     def _push(self, seen: TickInputs) -> None:
         """Lead on with a push test, and obey its verdict."""
@@ -347,7 +346,7 @@ class ControlLoop:
         if joints is None or wrench is None or joints.stamp != wrench.stamp:
             return
         if self.push_gate.update(
-                joints.q, joints.qd, self._readings[-1], self.config.tool):
+                joints.q, joints.qd, self._front_end.raw, self.config.tool):
             if self.push_gate.open:
                 self._reference.unlock()
                 if not self.held:
@@ -550,7 +549,7 @@ class ControlLoop:
         if age > TARE_GAP:
             raise CommandError('wrench', 'a new one, for a tare', f'one of {age:.3g} s ago')
         joints = self._inputs.joints
-        readings = np.array(self._readings).reshape(-1, 6)
+        readings = self._front_end.kept
         if joints is None:
             raise CommandError('samples', 'some, for a tare', 'none')
         postures = self._postures or (joints.q,)  # none without a reading, which is refused below

@@ -335,6 +335,20 @@ JOINT_LIMITS = np.dtype([
     ('last', F),  # what was commanded last and what was added [N m]
 ])
 
+# What watches the wrist sensor and filters what it reads; one.
+FRONT_END = np.dtype([
+    ('raw', F, 6), ('last', F, 6),  # what it reads, and the reading before [N, N m]
+    ('filtered', F, 6),  # what goes on [N, N m]
+    ('full_scale', F, 6),  # from where on an axis is saturated [N, N m]
+    ('frozen_ticks', I),  # equal readings in a row from which on it is frozen, 0 for never
+    ('equal', I),  # readings in a row that are equal, the newest counted
+    ('order', I),  # of the low-pass, 0 for none
+    ('b', F, 3), ('a', F, 3),  # its coefficients, highest power of z first
+    ('memory', F, (2, 6)),  # its state, of no use
+    ('begun', B),  # until a first reading has come
+    ('count', I),  # readings that are kept for a tare, or have been
+], align=True)
+
 # What comes in at a tick: of joints, wrench and R, in this order, stamp and readability; one.
 ARRIVAL = np.dtype([
     ('time', F),  # now, NaN if it is no number [s]
@@ -349,6 +363,7 @@ VERDICT = np.dtype([
     ('stale', np.uint8, 3),  # whether the last valid one is too old
     ('repeated', B),  # whether this is the tick before once more
     ('blind', B),  # whether joints were valid neither in this tick nor in the one before
+    ('acted', B),  # whether torques that came with the joints say anything
 ], align=True)
 
 # Readings of one joint: the newest, the one before, the newest that is valid.

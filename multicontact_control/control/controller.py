@@ -76,7 +76,8 @@ class Controller:
         whose friction is neither expected nor allowed for, the force or couple that it is read
         as, and how much of it 1 N is [N].
     measured
-        Where what is measured goes: q and v, shape (2, n), wrench, shape (6,), and R, shape (r,).
+        Where what is measured goes: q and v, shape (2, n), wrench, shape (6,), R, shape (r,), and
+        the torques that acted, shape (n,).
 
     Raises
     ------
@@ -101,7 +102,8 @@ class Controller:
         self._wrench: Vector = self.controls['wrench'][0]
         self._alpha_meas: Vector = self.contacts['alpha_meas']
         self._noise_variance: Vector = self.contacts['noise_variance']
-        self.measured = self.arm.motion, self._wrench, self._noise_variance
+        effort: Vector = self.arm.joints['effort']
+        self.measured = self.arm.motion, self._wrench, self._noise_variance, effort
         self._torque: Vector = self.arm.joints['torque']
         # numpy copies a structured array field by field, which takes five times as long.
         self._contact_bytes = self.contacts.view(np.uint8)

@@ -92,13 +92,13 @@ def contact_status(loop: ControlLoop) -> Status:
             'force' if output.active[i] else 'motion')
         if loop.config.force.stiffness == 'adaptive':
             values |= _stiffness(name, output.contacts[i])
-        if status is None:
+        if loop.supervisor is None:
             continue
-        energy = float(status.energy[contact])
-        limit = float(status.energy_limit[contact])
+        state = loop.supervisor.reference.contact_states[i]
+        energy, limit = float(state['energy']), float(state['energy_limit'])
         values[f'{name} energy_j'], values[f'{name} energy_limit_j'] = energy, limit
-        if status.contact_states[contact] in TROUBLED:
-            trouble.append(f'{name} is {status.contact_states[contact]}')
+        if values[name] in TROUBLED:
+            trouble.append(f'{name} is {values[name]}')
         if energy > limit:
             trouble.append(f'{name} has taken up {energy:.3g} J, more than {limit:g} J')
     return Status('contacts', values, warning='; '.join(trouble))

@@ -11,13 +11,109 @@ is at rest: `frozen_ticks` must be 0 for it.
 
 from __future__ import annotations
 
-from operator import ge
+from typing import Any
 
-from multicontact_control.arrays import require_shape, Vector
+from multicontact_control.arrays import Matrix, require_shape, Vector
 from multicontact_control.butterworth import butterworth
+from multicontact_control.compiled import bound, compiled
 from multicontact_control.config import SensorFrontEndConfig
 from multicontact_control.errors import ConfigError
+from multicontact_control.records import FRONT_END
 import numpy as np
+
+KEPT = 100  # readings, for a tare
+FAULTS = ('', 'frozen', 'saturated')  # by what `watch_wrench` returns
+FINE, FROZEN, SATURATED = range(3)
+
+
+@compiled
+def watch_wrench(front: Any) -> int:
+    """
+    Find out what is wrong with a reading, as raw as it is.
+
+    Parameters
+    ----------
+    front
+        Record of `FRONT_END`, changed.
+
+    Returns
+    -------
+    int
+        FROZEN, SATURATED, or FINE if nothing is.
+
+    """
+    same, saturated = front.equal > 0, False
+    for i in range(6):
+        raw, last = front.raw[i], front.last[i]
+        same = same and (raw == last or (np.isnan(raw) and np.isnan(last)))
+        saturated = saturated or abs(raw) >= front.full_scale[i]
+        front.last[i] = raw
+    front.equal = front.equal + 1 if same else 1
+    if 0 < front.frozen_ticks <= front.equal:
+        return FROZEN
+    return SATURATED if saturated else FINE
+
+
+@compiled
+def low_pass(front: Any) -> None:
+    """
+    Filter a reading (transposed direct form II, gain 1 at rest), settled on the first one.
+
+    A reading that is not finite is handed through and not remembered: who watches must see it,
+    and the ones after it must not suffer.
+
+    Parameters
+    ----------
+    front
+        Record of `FRONT_END`, changed.
+
+    """
+    a, b, memory = front.a, front.b, front.memory
+    finite = True
+    for i in range(6):
+        front.filtered[i] = front.raw[i]
+        finite = finite and np.isfinite(front.raw[i])
+    if front.order == 0 or not finite:
+        return
+    for i in range(6):
+        raw = front.raw[i]
+        if not front.begun:
+            memory[0, i] = raw * ((b[1] + b[2]) - (a[1] + a[2]))
+            memory[1, i] = raw * (b[2] - a[2])
+        filtered = b[0] * raw + memory[0, i]
+        memory[0, i] = b[1] * raw - a[1] * filtered + memory[1, i]
+        memory[1, i] = b[2] * raw - a[2] * filtered
+        front.filtered[i] = filtered
+    front.begun = True
+
+
+@compiled
+def take_wrench(fronts: Any, raw: Vector, kept: Matrix) -> int:
+    """
+    Keep a reading, watch and filter it.
+
+    Parameters
+    ----------
+    fronts
+        One record of `FRONT_END`, changed.
+    raw
+        The reading, shape (6,) [N, N m].
+    kept
+        The newest readings, in the order in which they came but for where it began anew; one is
+        overwritten, shape (k, 6) [N, N m].
+
+    Returns
+    -------
+    int
+        As for `watch_wrench`.
+
+    """
+    front = fronts[0]
+    for i in range(6):
+        front.raw[i] = kept[front.count % kept.shape[0], i] = raw[i]
+    front.count += 1
+    low_pass(front)
+    return watch_wrench(front)
 
 
 class SensorFrontEnd:
@@ -31,6 +127,12 @@ class SensorFrontEnd:
     rate
         Rate of the readings [Hz].
 
+    Attributes
+    ----------
+    raw, filtered
+        The newest reading, and what has become of it, overwritten by the next, shape (6,)
+        [N, N m].
+
     Raises
     ------
     ConfigError
@@ -39,17 +141,57 @@ class SensorFrontEnd:
     """
 
     def __init__(self, config: SensorFrontEndConfig, rate: float) -> None:
-        self._limits = [config.saturation_fraction * limit for limit in config.full_scale]
-        self._frozen_ticks = config.frozen_ticks
-        self._low_pass = LowPass(config, rate) if config.filter_order else None
+        self._front: Any = np.zeros(1, dtype=FRONT_END)
+        self._kept: Matrix = np.zeros((KEPT, 6))
+        front = self._front[0]
+        front['full_scale'] = (
+            config.saturation_fraction * np.array(config.full_scale or (np.inf,) * 6))
+        front['frozen_ticks'] = config.frozen_ticks
+        order = front['order'] = config.filter_order
+        if order:
+            if config.filter_cutoff >= 0.5 * rate:
+                raise ConfigError(
+                    'sensor.filter_cutoff', f'below the Nyquist frequency {0.5 * rate:g} Hz',
+                    f'{config.filter_cutoff:g} Hz')
+            front['b'][:order + 1], front['a'][:order + 1] = butterworth(
+                order, config.filter_cutoff, rate)
+        self.raw: Vector = front['raw']
+        self.filtered: Vector = front['filtered']
+        self._take_wrench = bound(take_wrench, self._front, self.raw, self._kept)
         self.reset()
 
     def reset(self) -> None:
         """Forget the readings so far."""
-        self._last = b''
-        self._equal = 0
-        if self._low_pass is not None:
-            self._low_pass.reset()
+        self._front['equal'], self._front['begun'] = 0, False
+        self.forget()
+
+    def forget(self) -> None:
+        """Keep no reading so far for a tare."""
+        self._front['count'] = 0
+
+    @property
+    def kept(self) -> Matrix:
+        """Return the newest readings as they came, 100 at most, oldest first, shape (k, 6)."""
+        count = int(self._front['count'][0])
+        kept: Matrix = np.roll(self._kept, -count, axis=0) if count > KEPT else self._kept[:count]
+        return kept.copy()
+
+    def take(self, raw: Vector) -> str:
+        """
+        Take in the next reading, and leave what becomes of it in `filtered`.
+
+        Parameters
+        ----------
+        raw
+            Contiguous, shape (6,) [N, N m].
+
+        Returns
+        -------
+        str
+            As `update` does.
+
+        """
+        return FAULTS[self._take_wrench(self._front, raw, self._kept)]
 
     def update(self, wrench_sensor: Vector) -> tuple[Vector, str]:
         """
@@ -63,7 +205,7 @@ class SensorFrontEnd:
         Returns
         -------
         wrench_sensor : Vector
-            Low-passed, or the very reading, bias and weight still in it, shape (6,) [N, N m].
+            Low-passed, or the reading itself, bias and weight still in it, shape (6,) [N, N m].
         fault : str
             ``frozen`` if the last `frozen_ticks` readings were the same in all axes,
             ``saturated`` if an axis is at full scale, empty if nothing is wrong.
@@ -74,71 +216,7 @@ class SensorFrontEnd:
             If it is not of that shape.
 
         """
-        if wrench_sensor.shape != (6,):
-            require_shape('wrench_sensor', wrench_sensor, (6,))
-        bits = wrench_sensor.tobytes()  # a tenth of the time of comparing arrays
-        self._equal = self._equal + 1 if bits == self._last else 1
-        self._last = bits
-        fault = ''
-        if 0 < self._frozen_ticks <= self._equal:
-            fault = 'frozen'
-        elif any(map(ge, map(abs, wrench_sensor.tolist()), self._limits)):  # numpy takes 3 us
-            fault = 'saturated'
-        if self._low_pass is not None:
-            wrench_sensor = self._low_pass.update(wrench_sensor)
-        return wrench_sensor, fault
-
-
-class LowPass:
-    """
-    A Butterworth low-pass of order 1 or 2 that starts settled on the first reading.
-
-    Parameters
-    ----------
-    config
-        Order and cut-off.
-    rate
-        Rate of the readings [Hz].
-
-    Raises
-    ------
-    ConfigError
-        If the cut-off is not below half the rate.
-
-    """
-
-    def __init__(self, config: SensorFrontEndConfig, rate: float) -> None:
-        if config.filter_cutoff >= 0.5 * rate:
-            raise ConfigError(
-                'sensor.filter_cutoff', f'below the Nyquist frequency {0.5 * rate:g} Hz',
-                f'{config.filter_cutoff:g} Hz')
-        self._b, self._a = butterworth(config.filter_order, config.filter_cutoff, rate)
-        self.reset()
-
-    def reset(self) -> None:
-        """Start afresh with the next reading."""
-        self._memory: list[Vector] | None = None
-
-    def update(self, wrench: Vector) -> Vector:
-        """
-        Return the filtered reading (transposed direct form II, gain 1 at rest).
-
-        A reading that is not finite is handed through and not remembered: who watches must see
-        it, and the ones after it must not suffer.
-
-        Parameters
-        ----------
-        wrench
-            Next reading, shape (6,) [N, N m].
-
-        """
-        if not np.isfinite(wrench).all():
-            return wrench
-        b, a, order = self._b, self._a, len(self._b) - 1
-        if self._memory is None:
-            self._memory = [wrench * (b[i:].sum() - a[i:].sum()) for i in range(1, order + 1)]
-        memory = [*self._memory, np.zeros_like(wrench)]
-        result: Vector = b[0] * wrench + memory[0]
-        self._memory = [
-            b[i] * wrench - a[i] * result + memory[i] for i in range(1, order + 1)]
-        return result
+        if wrench_sensor.shape != self.raw.shape:
+            require_shape('wrench_sensor', wrench_sensor, self.raw.shape)
+        fault = self.take(np.ascontiguousarray(wrench_sensor, dtype=float))
+        return self.filtered.copy(), fault

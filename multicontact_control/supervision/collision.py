@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import deque
-import math
 from typing import Any
 
 from multicontact_control.arrays import Vector
@@ -11,8 +10,6 @@ from multicontact_control.config import ControllerConfig
 from multicontact_control.control.arm_state import TOUCHED
 from multicontact_control.control.controller import Controller
 from multicontact_control.dynamics.robot import RobotModel
-from multicontact_control.supervision.inputs import JointInput
-from multicontact_control.supervision.validation import copy_numbers
 import numpy as np
 
 COLLISION = 'collision'
@@ -74,20 +71,28 @@ class CollisionWatch:
         """Take note of a command, shape (n,) [N m]."""
         self._commands.append(torque)
 
-    def take(self, joints: JointInput | None, added: Vector | None = None) -> None:
-        """Take note of the torque that acted before a sample, and of what the arm adds to it."""
-        self._acted = joints is not None and joints.effort is not None and (
-            joints.names is None) and copy_numbers(joints.effort, self._effort) and (
-                tells(self._effort.tolist()))
-        if added is not None:
+    def take(self, acted: bool, added: Vector | None = None) -> None:
+        """
+        Take note of the torque that acted before a sample.
+
+        Parameters
+        ----------
+        acted
+            Whether it was measured, and is in the arm's joints.
+        added
+            By the arm to that, shape (n,) [N m]; None for nothing.
+
+        """
+        self._acted = acted
+        if acted and added is not None:
             self._effort += added
         if self._doubted:
             self._doubt[:], self._doubted = 0.0, False
         commands = self._commands
         if self._by_command and not self._acted and len(commands) == commands.maxlen:
-            before, acted, after = commands[0], commands[1], commands[min(2, len(commands) - 1)]
-            self._doubt[:] = np.maximum(np.abs(acted - before), np.abs(after - acted))
-            self._effort[:], self._acted, self._doubted = acted, True, True
+            before, last, after = commands[0], commands[1], commands[min(2, len(commands) - 1)]
+            self._doubt[:] = np.maximum(np.abs(last - before), np.abs(after - last))
+            self._effort[:], self._acted, self._doubted = last, True, True
 
     def look(self, stamp: float, measured: bool) -> None:
         """
@@ -139,11 +144,6 @@ class CollisionWatch:
         if beyond.size:
             self._farthest = max(self._farthest, int(beyond[-1]))
         return f'{COLLISION}_{self._names[max(self._farthest, 0)]}'
-
-
-def tells(effort: list[float]) -> bool:
-    """Return whether torques say anything: a driver that measures none may say 0, or NaN."""
-    return any(effort) and math.isfinite(sum(effort))
 
 
 def collision_thresholds(config: ControllerConfig, robot: RobotModel) -> Vector:

@@ -311,6 +311,32 @@ def check_ages(watch: Any, variances: Any) -> None:
 
 
 @compiled
+def take_effort(came: Vector, effort: Vector) -> bool:
+    """
+    Keep torques if they say anything: a driver that measures none may say 0, or NaN.
+
+    Parameters
+    ----------
+    came, effort
+        What came with the joints, and what to fill, shape (n,) [N m].
+
+    Returns
+    -------
+    bool
+        Whether they do.
+
+    """
+    moved, total = False, 0.0
+    for j in range(came.shape[0]):
+        moved = moved or came[j] != 0.0
+        total += came[j]
+    if not (moved and np.isfinite(total)):
+        return False
+    copy_vector(came, effort)
+    return True
+
+
+@compiled
 def hand_over(
     watch: Any, joints: Any, variances: Any, motion: Matrix, wrench: Vector,
     noise_variance: Vector,
@@ -326,22 +352,31 @@ def hand_over(
 
 @compiled
 def check_inputs(
-    watches: Any, joints: Any, variances: Any, motion: Matrix, wrench: Vector,
-    noise_variance: Vector,
+    watches: Any, joints: Any, variances: Any, places: Any, time: float, joint_reading: Any,
+    wrench_reading: Any, variance_reading: Any,
 ) -> bool:
     """
     Check the inputs of a tick, keep what is valid of them, and hand it over.
+
+    A reading is its stamp, NaN if that is no number [s]; what is wrong with it before its numbers
+    are looked at, FINE if nothing is; and these numbers, of no use unless it is.
 
     Parameters
     ----------
     watches
         One record of `WATCH`; memory and wrench are changed, the verdict is filled.
     joints, variances
-        Records of `JOINT_READING`, shape (n,), and `VARIANCE_READING`, shape (r,), with the
-        newest numbers in place; changed.
-    motion, wrench, noise_variance
-        Filled with what is valid: q and v, shape (2, n) [rad, rad/s], shape (6,) [N, N m] and
-        shape (r,) [N^2].
+        Records of `JOINT_READING`, shape (n,), and `VARIANCE_READING`, shape (r,), changed.
+    places
+        Filled with what is valid: q and v, shape (2, n) [rad, rad/s], wrench, shape (6,)
+        [N, N m], and R, shape (r,) [N^2]; and with the torques that came with the joints, valid
+        or not, if they say anything, shape (n,) [N m].
+    time
+        Now, NaN if it is no number [s].
+    joint_reading
+        With q and v, whether torques came with them, and which, shape (n,).
+    wrench_reading, variance_reading
+        With the wrench, shape (6,), and R, shape (r,).
 
     Returns
     -------
@@ -350,8 +385,16 @@ def check_inputs(
         the wrench is new.
 
     """
+    motion, wrench, noise_variance, effort = places
+    joint_stamp, joint_content, q, qd, with_effort, new_effort = joint_reading
+    wrench_stamp, wrench_content, new_wrench = wrench_reading
+    variance_stamp, variance_content, new_variance = variance_reading
     watch = watches[0]
     arrival, memory, verdict = watch.arrival, watch.memory, watch.verdict
+    arrival.time = time
+    arrival.stamp[JOINTS], arrival.content[JOINTS] = joint_stamp, joint_content
+    arrival.stamp[WRENCH], arrival.content[WRENCH] = wrench_stamp, wrench_content
+    arrival.stamp[VARIANCE], arrival.content[VARIANCE] = variance_stamp, variance_content
     clock = check_clock(arrival.time, memory, watch.settings)
     verdict.repeated = False
     if clock == CLOCK_STILL:
@@ -365,8 +408,17 @@ def check_inputs(
     verdict.clock = clock
     for i in range(3):
         verdict.problem[i] = check_arrival(i, arrival, memory, watch.settings)
+    if joint_content == FINE:
+        for j in range(joints.shape[0]):
+            joints[j].q, joints[j].qd = q[j], qd[j]
+    if wrench_content == FINE:
+        copy_vector(new_wrench, watch.wrench.new)
+    if variance_content == FINE:
+        for i in range(variances.shape[0]):
+            variances[i].new = new_variance[i]
     check_contents(watch, joints, variances)
     check_ages(watch, variances)
+    verdict.acted = with_effort and take_effort(new_effort, effort)
     hand_over(watch, joints, variances, motion, wrench, noise_variance)
     verdict.blind = memory.blind_ticks > 1
     well = clock == CLOCK_FINE and not verdict.blind and verdict.problem[WRENCH] == FINE

@@ -69,13 +69,10 @@ class ContactReference:
         self._record['settings'] = contact_settings(contact_state, config.period)
         self._limits = self._record['limits']
         self._leaders = np.array(config.leaders)
-        self._couples = len(self._leaders) < len(config.columns)
         self.contact_states: Any = contact_states(
             [column.stiffness for column in config.columns],
             [column.kind != FORCE for column in config.columns])
         self._codes: Codes = self.contact_states['state']
-        self._energies: Vector = self.contact_states['energy']
-        self._energy_limits: Vector = self.contact_states['energy_limit']
         self._wanted = TaskArrays(
             self._record['wanted'], self.contact_states['wanted'], self.contact_states['asked'])
         contacts_alone: Any = np.zeros(len(config.columns), dtype=CONTACT)
@@ -120,21 +117,6 @@ class ContactReference:
     def state_codes(self) -> Codes:
         """States as `supervision.contacts` counts them, shape (r,)."""
         return self._codes
-
-    @property
-    def energies(self) -> Vector:
-        """Energy of the passivity observer of each contact's normal force [J]."""
-        return self._of_forces(self._energies)
-
-    @property
-    def energy_limits(self) -> Vector:
-        """Bound of that energy [J]."""
-        return self._of_forces(self._energy_limits)
-
-    def _of_forces(self, values: Vector) -> Vector:
-        """Return those of the normal forces among values of all columns, as an array apart."""
-        chosen: Vector = values[self._leaders] if self._couples else values.copy()
-        return chosen
 
     @property
     def held(self) -> Mask:

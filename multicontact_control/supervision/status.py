@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from multicontact_control.arrays import Vector
 from multicontact_control.control.tick import ControlOutput
 from multicontact_control.records import CONTACT, CONTROL
 import numpy as np
@@ -26,8 +25,6 @@ class SupervisorStatus(NamedTuple):
         Limits that were enforced.
     contact_states
         State of each contact.
-    energy, energy_limit
-        Of each contact's passivity observer, shape (r,) [J].
     task_time
         Time of the task, which stands still during a reaction [s].
 
@@ -38,8 +35,6 @@ class SupervisorStatus(NamedTuple):
     rejected: tuple[str, ...]
     limits: tuple[str, ...]
     contact_states: tuple[str, ...]
-    energy: Vector
-    energy_limit: Vector
     task_time: float
 
 

@@ -58,7 +58,7 @@ from multicontact_control.supervision.supervised_law import (
     SupervisedLaw,
 )
 from multicontact_control.supervision.validation import (
-    copy_numbers,
+    as_vector,
     finite_number,
     ValidatedInputs,
     Watchdog,
@@ -253,12 +253,9 @@ class Supervisor(BumplessController):
         if self._running and not self._paused and 0.5 * self._period < skipped <= LONGEST_SKIP:
             self._task_ticks += round(skipped / self._period)
         self._time = now
-        self.collisions.take(
-            inputs.joints, None if self.own_weight is None else self.own_weight.torque)
         if not self._transition.begun and inputs.joints is not None:
-            self._effort = np.zeros(self._robot.joint_count)
-            if not copy_numbers(inputs.joints.effort, self._effort):
-                self._effort = None
+            effort = as_vector(inputs.joints.effort, np.zeros(self._robot.joint_count))
+            self._effort = None if effort is None else effort.copy()
         if not inputs.sensor_fault:
             self._sensor_faults = 0
             return self._watchdog.validate(inputs)
@@ -329,6 +326,8 @@ class Supervisor(BumplessController):
         """Work out where the arm is."""
         arm, self._wrench_known, self._blind = (
             self.controller.arm, valid.measured, valid.blind)
+        self.collisions.take(
+            self._watchdog.acted, None if self.own_weight is None else self.own_weight.torque)
         self.collisions.look(self._watchdog.joint_stamp, valid.measured)
         if valid.q is not None and arm.refresh():
             self._arm = arm
@@ -483,11 +482,9 @@ class Supervisor(BumplessController):
         self, output: ControlOutput, reaction: str, causes: tuple[str, ...],
         rejected: tuple[str, ...], limits: tuple[str, ...],
     ) -> TickOutput:
-        reference = self.reference
         self.collisions.commanded(output.torque)
         self._output, self._status = output, SupervisorStatus(
-            reaction, causes, rejected, limits, reference.state_names, reference.energies,
-            reference.energy_limits, self._task_time())
+            reaction, causes, rejected, limits, self.reference.state_names, self._task_time())
         return TickOutput(output, self._status)
 
     def _last_resort(self, cause: str) -> TickOutput:

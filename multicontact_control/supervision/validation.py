@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from multicontact_control.arrays import Matrix, Vector
+from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.compiled import bound
 from multicontact_control.config import ControllerConfig
 from multicontact_control.records import (
@@ -27,7 +27,6 @@ from multicontact_control.supervision.readings import (
     INVALID,
     JOINTS,
     NAMES,
-    VARIANCE,
     WRENCH,
 )
 import numpy as np
@@ -35,7 +34,7 @@ import numpy as np
 __all__ = [
     'JointInput', 'TickInputs', 'ValidatedInputs', 'VarianceInput', 'Watchdog', 'WrenchInput']
 
-Places = tuple[Matrix, Vector, Vector]
+Places = tuple[Matrix, Vector, Vector, Vector]
 FLOAT = np.dtype(float)
 INPUTS = ('joints', 'wrench', 'variance')
 # Names of what `readings` counts.
@@ -79,19 +78,16 @@ class ValidatedInputs(NamedTuple):
     measured: bool = True
 
 
-def copy_numbers(values: Any, buffer: Vector) -> bool:
-    """Copy values, whatever they are; return whether they are as many numbers as the buffer."""
-    if type(values) is np.ndarray and values.dtype is FLOAT and values.shape == buffer.shape:
-        buffer[:] = values
-        return True
+def as_vector(values: Any, like: Vector) -> Vector | None:
+    """Return values, whatever they are, as one array of numbers like another; None if not so."""
+    if type(values) is np.ndarray and values.dtype is FLOAT and (
+            values.shape == like.shape and values.strides == like.strides):
+        return values
     try:
-        vector = np.array(values, dtype=float)
+        vector: Vector = np.array(values, dtype=float, order='C')
     except (TypeError, ValueError, OverflowError):
-        return False
-    if vector.shape != buffer.shape:
-        return False
-    buffer[:] = vector
-    return True
+        return None
+    return vector if vector.shape == like.shape else None
 
 
 def as_number(value: Any) -> float:
@@ -124,8 +120,8 @@ class Watchdog:
     config
         Names, limits, ages.
     places
-        Where what is valid goes: q and v, shape (2, n), wrench, shape (6,), and R, shape (r,); its
-        own if not given.
+        Where what is valid goes: q and v, shape (2, n), wrench, shape (6,), and R, shape (r,); and
+        the torques that came with the joints, shape (n,); its own if not given.
 
     """
 
@@ -139,24 +135,20 @@ class Watchdog:
         self._initial_variance = min(
             max(config.initial_noise_variance, watch.variance_floor), watch.variance_ceiling)
         self._watch = watch_record(config)
-        motion, valid_wrench, noise_variance = places or (
-            np.zeros((2, len(self._names))), np.zeros(6), np.zeros(r))
-        self._arguments = (
-            self._watch, self._joints, self._variances, motion, valid_wrench, noise_variance)
-        # Views of what every tick fills in: looking up a field takes long.
-        arrival = self._watch['arrival']
-        self._time: Vector = arrival['time']
-        self._stamps: Vector = arrival['stamp'][0]
-        self._contents: Vector = arrival['content'][0]
-        self._new_q: Vector = self._joints['q']
-        self._new_qd: Vector = self._joints['qd']
-        wrench = self._watch['wrench'][0]
-        self._new_wrench: Vector = wrench['new']
-        self._new_variance: Vector = self._variances['new']
+        places = places or (
+            np.zeros((2, len(self._names))), np.zeros(6), np.zeros(r), np.zeros(len(self._names)))
+        self._arguments = self._watch, self._joints, self._variances, places
+        # What stands for numbers that have not come; what has is like it.
+        self._no_joints, self._no_wrench, self._no_variance = (
+            np.zeros(count) for count in (len(self._names), 6, r))
+        # Views of what every tick looks at: looking up a field takes long.
+        self._acted: Mask = self._watch['verdict']['acted']
         self._valid_stamps: Vector = self._watch['memory']['valid'][0]
-        self._all_well = ValidatedInputs(
-            motion[0], motion[1], valid_wrench, noise_variance, (), ())
-        self._check_inputs = bound(check_inputs, *self._arguments)
+        q, qd = places[0]
+        self._all_well = ValidatedInputs(q, qd, places[1], places[2], (), ())
+        self._check_inputs = bound(
+            check_inputs, *self._arguments, 0.0, self._take_joints(None),
+            _take(None, self._no_wrench), _take(None, self._no_variance))
         self.reset()
 
     def reset(self) -> None:
@@ -173,36 +165,42 @@ class Watchdog:
         """Return the stamp of the newest valid joint state, NaN if there was none [s]."""
         return float(self._valid_stamps[JOINTS])
 
+    @property
+    def acted(self) -> bool:
+        """Whether torques came with the newest joint state that say anything."""
+        return bool(self._acted[0])
+
     def validate(self, inputs: TickInputs) -> ValidatedInputs:
         """Take in what is known at a tick and say what of it is valid."""
         time, joints, wrench, variance, _ = inputs
-        contents = self._contents
-        self._time[0] = as_number(time)
-        contents[JOINTS] = ABSENT if joints is None else self._take_joints(joints)
-        contents[WRENCH] = ABSENT if wrench is None else self._take(
-            WRENCH, wrench, self._new_wrench)
-        contents[VARIANCE] = ABSENT if variance is None else self._take(
-            VARIANCE, variance, self._new_variance)
-        return self._all_well if self._check_inputs(*self._arguments) else self._report()
+        return self._all_well if self._check_inputs(
+            *self._arguments, as_number(time), self._take_joints(joints),
+            _take(wrench, self._no_wrench), _take(variance, self._no_variance),
+        ) else self._report()
 
-    def _take_joints(self, reading: JointInput) -> int:
-        """Put a joint state in place; return what is wrong with it so far."""
-        self._stamps[JOINTS] = as_number(reading.stamp)
-        q, qd = self._new_q, self._new_qd
-        complete = copy_numbers(reading.q, q) and copy_numbers(reading.qd, qd)
-        if reading.names is not None:
-            order = self._order_of(reading.names)
+    def _take_joints(
+        self, reading: JointInput | None,
+    ) -> tuple[float, int, Vector, Vector, bool, Vector]:
+        """Return stamp, what is wrong with it so far, q, v, whether there is an effort, which."""
+        nothing = self._no_joints
+        if reading is None:
+            return math.nan, ABSENT, nothing, nothing, False, nothing
+        stamp, given_q, given_qd, names, given_effort = reading
+        q, qd = as_vector(given_q, nothing), as_vector(given_qd, nothing)
+        effort = None if given_effort is None or names is not None else (
+            as_vector(given_effort, nothing))
+        content = FINE
+        if names is not None:
+            order = self._order_of(names)
             if order is None:
-                return NAMES
-            if complete and order != self._in_order:
-                q[:], qd[:] = q[order], qd[order]
-        return FINE if complete else INVALID
-
-    def _take(self, which: int, reading: WrenchInput | VarianceInput, buffer: Vector) -> int:
-        """Put another reading in place; return what is wrong with it so far."""
-        stamp, numbers = reading
-        self._stamps[which] = as_number(stamp)
-        return FINE if copy_numbers(numbers, buffer) else INVALID
+                content = NAMES
+            elif order != self._in_order and q is not None and qd is not None:
+                q, qd = q[order], qd[order]
+        if content == FINE and (q is None or qd is None):
+            content = INVALID
+        return (as_number(stamp), content, nothing if q is None else q,
+                nothing if qd is None else qd, effort is not None,
+                nothing if effort is None else effort)
 
     def _order_of(self, names: Any) -> list[int] | None:
         """Return where each joint is among names, None if these are not the joints' names."""
@@ -235,6 +233,18 @@ class Watchdog:
                 causes.append(f"{key}_{problem or 'stale'}")
         return valid._replace(causes=tuple(causes), rejected=tuple(
             f'{key}_{problem}' for key, problem in zip(INPUTS, problems) if problem))
+
+
+def _take(
+    reading: WrenchInput | VarianceInput | None, nothing: Vector,
+) -> tuple[float, int, Vector]:
+    """Return stamp, what is wrong with it so far, and numbers of another reading."""
+    if reading is None:
+        return math.nan, ABSENT, nothing
+    numbers = as_vector(reading[1], nothing)
+    if numbers is None:
+        return as_number(reading[0]), INVALID, nothing
+    return as_number(reading[0]), FINE, numbers
 
 
 def watch_record(config: ControllerConfig) -> Records:

@@ -6,7 +6,7 @@ from multicontact_control.control.controller import Controller, Measurement
 from multicontact_control.control.reference import CommandedReference
 from multicontact_control.errors import ConfigError, ShapeError
 from multicontact_control.paths import config_dir
-from multicontact_control.sensor.front_end import LowPass, SensorFrontEnd
+from multicontact_control.sensor.front_end import SensorFrontEnd
 import numpy as np
 import pytest
 from scipy.signal import butter, group_delay, lfilter
@@ -37,26 +37,31 @@ def front_end(order, cutoff):
     return SensorFrontEndConfig(filter_order=order, filter_cutoff=cutoff)
 
 
+def low_pass(config, rate=RATE):
+    chain = SensorFrontEnd(config, rate)
+    return chain, lambda wrench: chain.update(wrench)[0]
+
+
 @pytest.mark.parametrize('order', [1, 2])
 def test_low_pass_is_scipys_butterworth(order):
     signal = np.random.default_rng(0).standard_normal((200, 6))
     signal[0] = 0.0
-    low_pass = LowPass(front_end(order, 40.0), RATE)
+    _, passed = low_pass(front_end(order, 40.0))
     b, a = butter(order, 40.0, fs=RATE)
     np.testing.assert_allclose(
-        [low_pass.update(x) for x in signal], lfilter(b, a, signal, axis=0), atol=1e-12)
+        [passed(x) for x in signal], lfilter(b, a, signal, axis=0), atol=1e-12)
 
 
 @pytest.mark.parametrize('order', [1, 2])
 def test_low_pass_starts_settled_and_survives_a_missing_number(order):
-    low_pass = LowPass(front_end(order, 40.0), RATE)
+    chain, passed = low_pass(front_end(order, 40.0))
     wrench = np.arange(1.0, 7.0)
     for _ in range(20):
-        np.testing.assert_allclose(low_pass.update(wrench), wrench, rtol=1e-12)
-    assert np.isnan(low_pass.update(np.full(6, np.nan))).all()
-    np.testing.assert_allclose(low_pass.update(wrench), wrench, rtol=1e-12)
-    low_pass.reset()
-    np.testing.assert_allclose(low_pass.update(-wrench), -wrench, rtol=1e-12)
+        np.testing.assert_allclose(passed(wrench), wrench, rtol=1e-12)
+    assert np.isnan(passed(np.full(6, np.nan))).all()
+    np.testing.assert_allclose(passed(wrench), wrench, rtol=1e-12)
+    chain.reset()
+    np.testing.assert_allclose(passed(-wrench), -wrench, rtol=1e-12)
 
 
 @pytest.mark.parametrize('order', [1, 2])
@@ -67,8 +72,8 @@ def test_filter_delay_is_the_group_delay_at_rest_and_that_of_a_ramp(order, cutof
     # scipy cannot divide where a zero of the filter lies; 0 Hz is far from it.
     _, samples = group_delay(butter(order, cutoff, fs=RATE), w=[1e-3], fs=RATE)
     assert delay == pytest.approx(samples[0] / RATE, rel=1e-4)
-    low_pass = LowPass(config, RATE)
-    ramp = [low_pass.update(np.full(6, k / RATE))[0] for k in range(1000)]
+    _, passed = low_pass(config)
+    ramp = [passed(np.full(6, k / RATE))[0] for k in range(1000)]
     assert 999 / RATE - ramp[-1] == pytest.approx(delay, rel=1e-9)
 
 
@@ -102,7 +107,7 @@ def test_low_pass_that_does_not_fit_the_loop_is_refused(sensor, message):
 
 def test_low_pass_beyond_nyquist_of_its_own_rate_is_refused():
     with pytest.raises(ConfigError, match='sensor.filter_cutoff: expected below'):
-        LowPass(front_end(1, 100.0), 150.0)
+        SensorFrontEnd(front_end(1, 100.0), 150.0)
 
 
 def test_front_end_watches_the_raw_reading_and_hands_on_the_filtered_one():

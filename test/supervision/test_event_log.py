@@ -2,13 +2,12 @@
 
 from multicontact_control.supervision.event_log import CAPACITY, EventLog, read_event
 from multicontact_control.supervision.status import SupervisorStatus
-import numpy as np
 import pytest
 
 
 def status(reaction='none', causes=(), limits=(), states=('holding', 'given up')):
     return SupervisorStatus(
-        reaction, causes, (), limits, states, np.zeros(2), np.zeros(2), 0.0)
+        reaction, causes, (), limits, states, 0.0)
 
 
 def test_an_event_is_read_as_it_was_written():

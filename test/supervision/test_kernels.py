@@ -138,7 +138,7 @@ def test_reference_equals_plain_python(seed, box):
         assert pair[0].limited == pair[1].limited
         assert pair[0].states == pair[1].states
         assert pair[0].state_names == tuple(state.value for state in pair[1].states)
-        energies[0].append(pair[0].energies)
+        energies[0].append(pair[0].contact_states['energy'].copy())
         energies[1].append([each.energy for each in pair[1].observers])
     # The logarithm of a rotation after a pause is pinocchio's, to 3e-12.
     np.testing.assert_allclose(*outputs, rtol=0.0, atol=2e-11)

@@ -32,7 +32,7 @@ import numpy as np
 LAW_DURATION = 4.0  # s of the scenario, with both contacts held from 1 s on
 # What a tick consists of, in its order: where it is, its name, the stage it counts for.
 BARE = (
-    (SensorFrontEnd, 'update', 'sensor'), (RobotModel, 'compute', 'dynamics'),
+    (SensorFrontEnd, 'take', 'sensor'), (RobotModel, 'compute', 'dynamics'),
     (ArmState, 'look', 'contacts'), (HoldableReference, 'update', 'reference'),
     (Controller, 'decide', 'law'), (NoiseEstimator, 'update', 'estimators'))
 SUPERVISED = (
