@@ -47,7 +47,8 @@ def largest_energy(plant, stiffness, modelled, force, estimator='lead_window'):
         loop.control.set_forces({'table': force, 'board': force})
         for _ in range(3000):
             loop.advance()
-            found.append(loop.status.energy / np.maximum(loop.status.energy_limit, 1e-12))
+            states = loop.control.supervisor.reference.contact_states
+            found.append(states['energy'] / np.maximum(states['energy_limit'], 1e-12))
     finally:
         loop.close()
     return np.max(found[1000:])
