@@ -21,11 +21,15 @@ import numpy as np
 WARM_UP = 10  # minutes, before which memory is not looked at
 LARGEST_GROWTH = 2.0  # MB per simulated hour that is no leak
 LARGEST_DRIFT = 0.2  # N between the first and the last quarter's error at rest, mean or rms
+SHORT = ('unsafe', 'alt.', 'osc.', 'stuck')  # heads of PROBLEMS in a terminal
 COLUMNS = (
-    Column('plant', number=False), Column('seed'), Column('hours'), Column('episodes'),
-    Column('helped'), *map(Column, PROBLEMS),
-    Column('memory [MB/h]'), Column('error at rest [N]: first quarter'), Column('last'),
-    Column('rms'), Column('last'), Column('good', number=False))
+    Column('plant', number=False), Column('seed', 'seed'), Column('hours', 'hours'),
+    Column('episodes', 'epis.'), Column('helped', 'helped', spare=True),
+    *(Column(name, short) for name, short in zip(PROBLEMS, SHORT, strict=True)),
+    Column('memory [MB/h]', 'MB/h'),
+    Column('error at rest [N]: first quarter', 'first N', spare=True), Column('last', 'last N'),
+    Column('rms', 'first rms', spare=True), Column('last', 'last rms', spare=True),
+    Column('good', number=False))
 GOOD = 14  # place of that column
 
 

@@ -1,19 +1,23 @@
 """Soaks: what they find, and that a quarter of an hour on each plant finds nothing."""
 
+import io
+
 from multicontact_control.errors import ConfigError
 from multicontact_control.experiment import soak as soaking
 from multicontact_control.experiment.faults.judge import MET_FORCE
 from multicontact_control.experiment.faults.situation import with_obstacles
 from multicontact_control.experiment.faults.vocabulary import SIDE_WALL
-from multicontact_control.experiment.soak import Soak
+from multicontact_control.experiment.soak import PROBLEMS, Soak
 from multicontact_control.experiment.study.presets.soak.study import (
     is_good,
     memory_growth,
     SoakStudy,
 )
 from multicontact_control.experiment.study.study import run_study, StudyOptions
+from multicontact_control.experiment.study.table import terminal_table
 import numpy as np
 import pytest
+from rich.console import Console
 
 
 @pytest.fixture
@@ -107,6 +111,23 @@ def test_leak_and_drift_are_no_good():
     assert not is_good(outcome(0.0, 0.5))
     assert not is_good(outcome(0.0, 0.1, rms=0.5))
     assert not is_good({**outcome(0.0, 0.1), 'counts': {'stuck': 1}})
+
+
+def test_terminal_of_80_columns_has_a_line_for_each_soak(tmp_path):
+    """Its heads and numbers were split into pieces of four letters."""
+    minutes = [{'memory_mb': 300.0 - k / 60.0, 'error_n': 0.1, 'error_rms_n': 0.2}
+               for k in range(60)]
+    soaks = [{'plant': plant, 'seed': 23, 'simulated_s': 86_400.0, 'helped': 12, 'counts': {},
+              'episodes': {'faults': 23_456}, 'minutes': minutes,
+              **dict.fromkeys(PROBLEMS, [])} for plant in ('rigid', 'puma')]
+    (section,) = SoakStudy().page(soaks, tmp_path).sections
+    text = io.StringIO()
+    Console(file=text, width=80).print(terminal_table(section.heading, section.listing, 80))
+    _, _, head, _, *lines = text.getvalue().strip().splitlines()
+    assert [line.split() for line in lines] == [
+        [plant, '23', '24.00', '23456', *['0'] * len(PROBLEMS), '-1.00', '0.100', 'yes']
+        for plant in ('rigid', 'puma')]
+    assert {'plant', 'unsafe', 'stuck', 'good'} <= set(head.split())
 
 
 def test_options_that_are_not_acceptable_are_named():
