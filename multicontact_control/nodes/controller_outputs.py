@@ -11,14 +11,17 @@ from multicontact_control.config import ControllerConfig
 from multicontact_control.config.columns import ACROSS
 from multicontact_control.control.controller import ControlOutput
 from multicontact_control.dynamics.pose import Pose
+from multicontact_control.errors import MessageError
 from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.nodes.controller_config import ControllerNodeConfig
 from multicontact_control.nodes.graph_node import create_publisher, full_topic_name
+from multicontact_control.nodes.raw_messages import find_places, HEADER
 from multicontact_control.nodes.streams import Streams
 import numpy as np
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from rclpy.serialization import serialize_message
 from std_msgs.msg import ColorRGBA, Float64MultiArray
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -27,9 +30,8 @@ SHAFT_DIAMETER, HEAD_DIAMETER, HEAD_LENGTH = 0.008, 0.016, 0.02  # m
 SMALLEST_FORCE = 0.2  # N; below it the arrow would be noise
 LIFETIME = 0.5  # s; a viewer drops the arrows of a controller that is gone
 BESIDE = 0.022  # m, between the arrows of a contact
-CONTROLLED, FELT, ESTIMATED, DESIRED = (
-    ColorRGBA(r=red, g=green, b=blue, a=1.0) for red, green, blue in (
-        (1.0, 0.45, 0.1), (0.5, 0.5, 0.5), (0.18, 0.45, 0.75), (0.2, 0.58, 0.36)))
+CONTROLLED, FELT, ESTIMATED, DESIRED = (  # red, green, blue, opacity
+    (1.0, 0.45, 0.1, 1.0), (0.5, 0.5, 0.5, 1.0), (0.18, 0.45, 0.75, 1.0), (0.2, 0.58, 0.36, 1.0))
 KINDS = (('', FELT), ('/estimated', ESTIMATED), ('/desired', DESIRED))
 
 
@@ -188,9 +190,23 @@ class ContactMarkers:
         self._points_operational = np.array([contact.point_operational for contact in contacts])
         self._every = max(1, round(config.rate / rate)) if rate > 0.0 else 0
         self._scale = scale
-        self._arrows = [[_arrow(f'{NAMESPACE}/{name}{kind}', number, colour)
-                         for number, name in enumerate(self._names)] for kind, colour in KINDS]
-        self._message = MarkerArray(markers=[arrow for row in self._arrows for arrow in row])
+        arrows = [_arrow(f'{NAMESPACE}/{name}{kind}', number, colour)
+                  for kind, colour in KINDS for number, name in enumerate(self._names)]
+        # Making a message of six arrows out of objects takes a quarter of a period.
+        self._bytes = bytearray(serialize_message(MarkerArray(markers=arrows)))
+        fields = find_places(MarkerArray, bytes(self._bytes)).fields
+
+        def values(kind: str, field: str, width: int = 1) -> tuple[Any, Any]:
+            """Return the bytes as values of a kind, and where among them a field of each is."""
+            size = np.dtype(kind).itemsize
+            first = [(fields[f'markers/{k}/{field}'] - HEADER) // size for k in range(len(arrows))]
+            return (np.frombuffer(self._bytes, kind, (len(self._bytes) - HEADER) // size, HEADER),
+                    np.array(first)[:, None] + np.arange(width))
+
+        self._integers, self._stamps = values('<i4', 'header/stamp/sec', 2)
+        self._actions = values('<i4', 'action')[1]
+        self._colours, self._colour_places = values('<f4', 'color/r', 4)
+        self._numbers, self._points = values('<f8', 'points/0/x', 6)
 
     def due(self, tick: int) -> bool:
         """Return whether the sample `tick` is one to show."""
@@ -199,9 +215,9 @@ class ContactMarkers:
     def message(
         self, stamp: int, pose: Pose, forces: Sequence[Vector], active: Any,
         normals_world: Matrix,
-    ) -> MarkerArray:
+    ) -> bytes:
         """
-        Return the arrows of one sample, in a message that the next call changes.
+        Return the arrows of one sample, as the bytes of a MarkerArray.
 
         Parameters
         ----------
@@ -216,26 +232,27 @@ class ContactMarkers:
         normals_world
             Of their contacts, as they are taken for now, shape (r, 3).
 
+        Raises
+        ------
+        MessageError
+            If a number is not finite.
+
         """
         normals = normals_world[self._leaders]
-        beside = BESIDE * np.array([_beside(normal) for normal in normals])
         feet = pose.position_world + (self._points_operational + self._centres(
             forces[0], pose, normals)) @ pose.rotation_world.T
-        time = messages.ns_to_stamp(stamp)
-        active = np.asarray(active)[self._leaders]
-        for arrow, controlled in zip(self._arrows[0], active.tolist()):
-            arrow.color = CONTROLLED if controlled else FELT
-        for place, (row, values) in enumerate(zip(self._arrows, forces)):
-            alpha = values[self._leaders]
-            tips = feet + place * beside
-            tails = tips - self._scale * alpha[:, None] * normals
-            for arrow, force, tail, tip in zip(
-                    row, alpha.tolist(), tails.tolist(), tips.tolist()):
-                arrow.header.stamp = time
-                arrow.action = Marker.ADD if force > SMALLEST_FORCE else Marker.DELETE
-                for point, position in zip(arrow.points, (tail, tip)):
-                    point.x, point.y, point.z = position
-        return self._message
+        alpha = np.array(forces)[:, self._leaders, None]
+        tips = feet + np.arange(len(forces))[:, None, None] * BESIDE * _beside(normals)
+        points = np.concatenate((tips - self._scale * alpha * normals, tips), axis=-1)
+        if not np.isfinite(points).all():
+            raise MessageError('points', 'finite ones', points.tolist())
+        self._numbers[self._points] = points.reshape(-1, 6)
+        self._integers[self._stamps] = messages.split_stamp(stamp)
+        self._integers[self._actions] = np.where(
+            alpha.reshape(-1, 1) > SMALLEST_FORCE, Marker.ADD, Marker.DELETE)
+        self._colours[self._colour_places[:len(self._names)]] = np.where(
+            np.asarray(active)[self._leaders, None], CONTROLLED, FELT)
+        return bytes(self._bytes)
 
     def _centres(self, alpha: Vector, pose: Pose, normals: Matrix) -> Matrix:
         """Return the centres of pressure from those of the contacts, operational axes [m]."""
@@ -253,16 +270,19 @@ class ContactMarkers:
         return centres
 
 
-def _beside(normal_world: Vector) -> Vector:
-    """Return a direction in a surface: up, or along world -y in one that is about level."""
-    axis = np.array([0.0, 0.0, 1.0] if abs(normal_world[2]) < 0.8 else [0.0, -1.0, 0.0])
-    along = axis - normal_world * (normal_world @ axis)
-    return np.asarray(along / np.linalg.norm(along))
+def _beside(normals_world: Matrix) -> Matrix:
+    """Return directions in surfaces, (n, 3): up, or along world -y in those about level."""
+    level = np.abs(normals_world[:, 2:]) >= 0.8
+    axes = np.where(level, (0.0, -1.0, 0.0), (0.0, 0.0, 1.0))
+    along = axes - normals_world * np.sum(normals_world * axes, axis=1, keepdims=True)
+    return np.asarray(along / np.linalg.norm(along, axis=1, keepdims=True))
 
 
-def _arrow(namespace: str, number: int, colour: ColorRGBA) -> Marker:
+def _arrow(namespace: str, number: int, colour: tuple[float, ...]) -> Marker:
     """Return an arrow of the controller, without time and place."""
-    marker = Marker(ns=namespace, id=number, type=Marker.ARROW, color=colour,
+    red, green, blue, opacity = colour
+    marker = Marker(ns=namespace, id=number, type=Marker.ARROW,
+                    color=ColorRGBA(r=red, g=green, b=blue, a=opacity),
                     points=[Point(), Point()], lifetime=Duration(seconds=LIFETIME).to_msg())
     marker.header.frame_id = topics.WORLD_FRAME
     marker.pose.orientation.w = 1.0

@@ -21,6 +21,7 @@ from multicontact_control.errors import MessageError
 from multicontact_control.force.noise import Innovation
 from multicontact_control.nodes import messages
 from multicontact_control.nodes.loop_statistics import NANOSECONDS
+from multicontact_control.nodes.message_definitions import message_class
 from multicontact_control.nodes.messages import all_finite, InnovationReading, NamedReading
 from multicontact_control.sampling import JointReading, WrenchReading
 import numpy as np
@@ -56,6 +57,8 @@ class Places:
         Where doubles stand: first byte and count of each run of them.
     constants
         First and last byte, exclusive, of everything else.
+    fields
+        First byte of the values of each field, by its path, e.g. `markers/0/color/r`.
 
     """
 
@@ -63,6 +66,7 @@ class Places:
     stamp: int = -1
     numbers: list[tuple[int, int]] = field(default_factory=list)
     constants: list[tuple[int, int]] = field(default_factory=list)
+    fields: dict[str, int] = field(default_factory=dict)
 
     def add_numbers(self, start: int, count: int) -> None:
         """Note some doubles, one run with those right before."""
@@ -82,31 +86,35 @@ class _Walk:
         self._order = '<I' if data[:2] == LITTLE_ENDIAN else '>I'
         self.places = Places()
 
-    def message(self, message_class: Any) -> None:
-        """Go along a message."""
-        for name, kind in message_class.get_fields_and_field_types().items():
-            count = 1
+    def message(self, class_: Any, path: str = '') -> None:
+        """Go along a message, which stands in another one at some path."""
+        for name, kind in class_.get_fields_and_field_types().items():
             if kind.startswith('sequence<'):
-                kind, count = kind[len('sequence<'):-1], self._length()
-            self._values(kind, count, getattr(message_class(), name))
+                self._values(kind[len('sequence<'):-1], self._length(), path + name, '/{}')
+            else:
+                self._values(kind, 1, path + name)
 
-    def _values(self, kind: str, count: int, example: Any) -> None:
+    def _values(self, kind: str, count: int, path: str, place: str = '') -> None:
         places = self.places
         if kind == 'double':
             if count:
-                places.add_numbers(self._pass(8, count), count)
+                places.fields[path] = self._pass(8, count)
+                places.add_numbers(places.fields[path], count)
         elif kind == 'string':
             for _ in range(count):
                 length = self._length()
                 self._constant(self._pass(1, length), length)
         elif kind in SIZES:
-            self._constant(self._pass(SIZES[kind], count), SIZES[kind] * count)
+            places.fields[path] = self._pass(SIZES[kind], count)
+            self._constant(places.fields[path], SIZES[kind] * count)
         elif kind == STAMP_TYPE and places.stamp < 0:
-            places.stamp = self._pass(4, 2)
-        elif '[' in kind or count != 1:
+            places.stamp = places.fields[f'{path}/sec'] = self._pass(4, 2)
+        elif '[' in kind:
             raise TypeError(f'messages with fields of type {kind} are not read in place')
         else:
-            self.message(type(example))
+            part = message_class(kind.replace('/', '/msg/'))
+            for k in range(count):
+                self.message(part, f'{path}{place.format(k)}/')
 
     def _constant(self, start: int, size: int) -> None:
         self.places.constants.append((start, start + size))
@@ -126,13 +134,13 @@ class _Walk:
         return start
 
 
-def find_places(message_class: Any, data: bytes) -> Places:
+def find_places(class_: Any, data: bytes) -> Places:
     """
     Find where stamp, numbers and the rest stand in a message.
 
     Parameters
     ----------
-    message_class
+    class_
         Its class: of numbers, strings, sequences of them and messages of these.
     data
         CDR with its encapsulation header, of either byte order.
@@ -144,7 +152,7 @@ def find_places(message_class: Any, data: bytes) -> Places:
 
     """
     walk = _Walk(data)
-    walk.message(message_class)
+    walk.message(class_)
     return walk.places
 
 
@@ -154,7 +162,7 @@ class MessageTemplate:
 
     Parameters
     ----------
-    message_class
+    class_
         Its class, which begins with a time.
     data
         One such message, little endian.
@@ -166,8 +174,8 @@ class MessageTemplate:
 
     """
 
-    def __init__(self, message_class: Any, data: bytes) -> None:
-        places = find_places(message_class, data)
+    def __init__(self, class_: Any, data: bytes) -> None:
+        places = find_places(class_, data)
         self._size, self._stamp = places.end, places.stamp
         self.lengths = tuple(count for _, count in places.numbers)
         # From the first number on all are at multiples of 8 bytes from each other, so that one
@@ -244,7 +252,7 @@ class MessageReader(Generic[Reading]):
 
     Parameters
     ----------
-    message_class
+    class_
         Of the topic.
     by_class
         Reads a message; raises `MessageError` if it cannot be used.
@@ -262,11 +270,11 @@ class MessageReader(Generic[Reading]):
     """
 
     def __init__(
-        self, message_class: Any, by_class: Callable[[Any], Reading],
+        self, class_: Any, by_class: Callable[[Any], Reading],
         arrange: Callable[[Any], Arrangement | None],
         by_numbers: Callable[..., Reading],
     ) -> None:
-        self._class = message_class
+        self._class = class_
         self._by_class, self._arrange, self._by_numbers = by_class, arrange, by_numbers
         self._template: MessageTemplate | None = None
         self._runs: Sequence[int] = ()

@@ -2,11 +2,13 @@
 
 from multicontact_control.config import ControllerConfig, read_parameters, validate
 from multicontact_control.dynamics.pose import Pose
+from multicontact_control.errors import MessageError
 from multicontact_control.nodes.controller_outputs import ContactMarkers
 from multicontact_control.paths import config_dir
 import numpy as np
 import pytest
-from visualization_msgs.msg import Marker
+from rclpy.serialization import deserialize_message
+from visualization_msgs.msg import Marker, MarkerArray
 
 STAMP = 1_795_000_000_000_000_000
 QUARTER_TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -26,10 +28,15 @@ def normals(config):
     return np.array([config.contacts[name].normal_world for name in config.contact_names])
 
 
+def arrows_of(config, *sample):
+    data = ContactMarkers(config, rate=25.0, scale=0.01).message(*sample)
+    return deserialize_message(data, MarkerArray)
+
+
 def test_arrows_point_along_the_normals_that_are_found(config):
     found = np.array([[0.0, 0.6, -0.8], [0.6, 0.8, 0.0]])
-    markers = ContactMarkers(config, rate=25.0, scale=0.01).message(
-        STAMP, Pose(np.zeros(3), np.eye(3)), [np.array([10.0, 4.0])] * 3, [True, True],
+    markers = arrows_of(
+        config, STAMP, Pose(np.zeros(3), np.eye(3)), [np.array([10.0, 4.0])] * 3, [True, True],
         found).markers
     for marker, force, normal in zip(markers, (10.0, 4.0) * 3, [*found] * 3):
         tail, tip = (as_array(point) for point in marker.points)
@@ -39,8 +46,8 @@ def test_arrows_point_along_the_normals_that_are_found(config):
 def test_arrows_end_at_the_tips_and_are_as_long_as_their_force(config):
     pose = Pose(np.array([0.5, 0.1, 0.7]), QUARTER_TURN)
     alpha = np.array([10.0, 4.0])
-    message = ContactMarkers(config, rate=25.0, scale=0.01).message(
-        STAMP, pose, (alpha, alpha + 1.0, alpha + 2.0), [True, False], normals(config))
+    message = arrows_of(
+        config, STAMP, pose, (alpha, alpha + 1.0, alpha + 2.0), [True, False], normals(config))
     assert len(message.markers) == 6
     for marker, name, force in zip(message.markers, config.contact_names, alpha):
         contact = config.contacts[name]
@@ -56,8 +63,8 @@ def test_arrows_end_at_the_tips_and_are_as_long_as_their_force(config):
 
 def test_estimated_and_desired_force_stand_beside_the_measured_one(config):
     forces = np.array([10.0, 4.0]), np.array([9.0, 5.0]), np.array([8.0, 0.0])
-    markers = ContactMarkers(config, rate=25.0, scale=0.01).message(
-        STAMP, Pose(np.zeros(3), np.eye(3)), forces, [True, True],
+    markers = arrows_of(
+        config, STAMP, Pose(np.zeros(3), np.eye(3)), forces, [True, True],
         normals(config)).markers
     assert [marker.ns.rpartition('/')[2] for marker in markers[::2]] == [
         'table', 'estimated', 'desired']
@@ -73,10 +80,33 @@ def test_estimated_and_desired_force_stand_beside_the_measured_one(config):
 
 
 def test_contact_without_force_has_no_arrow(config):
-    message = ContactMarkers(config, rate=25.0, scale=0.01).message(
-        STAMP, Pose(np.zeros(3), np.eye(3)), [np.array([0.0, -3.0])] * 3, [False, False],
+    message = arrows_of(
+        config, STAMP, Pose(np.zeros(3), np.eye(3)), [np.array([0.0, -3.0])] * 3, [False, False],
         normals(config))
     assert [marker.action for marker in message.markers] == [Marker.DELETE] * 6
+
+
+def test_arrows_of_a_sample_owe_nothing_to_those_before(config):
+    """They are written into the same bytes: stamps, colours, actions and places are all new."""
+    at, same = Pose(np.zeros(3), np.eye(3)), ContactMarkers(config, rate=25.0, scale=0.01)
+    samples = [
+        (STAMP, at, [np.array([10.0, 4.0])] * 3, [True, False], normals(config)),
+        (STAMP + 40_000_000, Pose(np.array([0.1, 0.2, 0.3]), QUARTER_TURN),
+         [np.array([0.0, -3.0]), np.array([5.0, 6.0]), np.zeros(2)], [False, True],
+         -normals(config)),
+        (0, at, [np.ones(2)] * 3, [False, False], normals(config))]
+    for sample in samples:
+        found = deserialize_message(same.message(*sample), MarkerArray)
+        assert found == arrows_of(config, *sample)
+        assert {(marker.header.stamp.sec, marker.header.stamp.nanosec)
+                for marker in found.markers} == {divmod(sample[0], 10 ** 9)}
+        assert [marker.color.r > 0.9 for marker in found.markers[:2]] == sample[3]
+
+
+def test_number_that_is_not_finite_is_not_drawn(config):
+    with pytest.raises(MessageError, match='points: expected finite ones'):
+        arrows_of(config, STAMP, Pose(np.zeros(3), np.eye(3)), [np.array([np.nan, 4.0])] * 3,
+                  [True, True], normals(config))
 
 
 @pytest.mark.parametrize(('rate', 'count'), [(25.0, 25), (0.0, 0), (1000.0, 500)])

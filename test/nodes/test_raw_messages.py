@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import struct
 
-from geometry_msgs.msg import PoseStamped, Vector3, Wrench, WrenchStamped
+from geometry_msgs.msg import Point, PoseStamped, Vector3, Wrench, WrenchStamped
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from multicontact_control.errors import MessageError
@@ -24,7 +24,8 @@ import pytest
 from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Header
+from std_msgs.msg import ColorRGBA, Header
+from visualization_msgs.msg import Marker, MarkerArray
 
 STAMP = 1_795_000_000_123_456_789
 TEXT = st.text(st.characters(codec='utf-8', exclude_characters='\0'), max_size=9)
@@ -57,6 +58,33 @@ def outcome(read, data):
         return read(data)
     except MessageError as error:
         return str(error)
+
+
+@given(st.lists(st.tuples(TEXT, st.integers(0, 3), TEXT, st.floats(0.0, 1.0, width=32)),
+                max_size=3))
+@settings(deadline=None)
+def test_fields_of_messages_in_messages_are_found(arrows):
+    """A marker has nearly all that a message can have, and a second stamp in its texture."""
+    data = serialize_message(MarkerArray(markers=[
+        Marker(ns=name, action=k, text=text, points=[Point(x=float(k), z=0.5)] * count,
+               color=ColorRGBA(b=blue), colors=[ColorRGBA(g=blue)] * count)
+        for k, (name, count, text, blue) in enumerate(arrows)]))
+    places = find_places(MarkerArray, data)
+    assert places.end <= len(data) < places.end + 4  # rclpy fills up to a multiple of 4
+
+    def at(kind, field):
+        return struct.unpack_from(kind, data, places.fields[field])[0]
+
+    for k, (_, count, _, blue) in enumerate(arrows):
+        marker = f'markers/{k}'
+        assert (at('<i', f'{marker}/action'), at('<f', f'{marker}/color/b')) == (k, blue)
+        for i in range(count):
+            assert at('<d', f'{marker}/points/{i}/x') == k
+            assert at('<d', f'{marker}/points/{i}/z') == 0.5
+            assert at('<f', f'{marker}/colors/{i}/g') == blue
+    for length in range(4, places.end):
+        with pytest.raises(MessageError, match='at least'):
+            find_places(MarkerArray, data[:length])
 
 
 def test_joints_among_others_are_read_in_place():
