@@ -53,7 +53,7 @@ class RecorderConfig(StartupConfig):
     chunk_size: int = parameter(
         CHUNK_SIZE, 'Bytes of messages that are compressed together.', unit='B', ge=1024)
     poll_period: Real = parameter(
-        0.05, 'Time between two looks for messages.', unit='s', gt=0.0, le=1.0)
+        0.02, 'Time between two looks for messages.', unit='s', gt=0.0, le=1.0)
     quiet_time: Real = parameter(
         0.2, 'Time without a message after which a recorder that is to stop does.', unit='s',
         ge=0.0)
