@@ -290,6 +290,10 @@ def run_node(make_node: Callable[[], Any], args: Sequence[str] | None = None) ->
         traceback.print_exc()
         return EXIT_ERROR
     finally:
+        # All is written. A signal that comes while the interpreter and the middleware take
+        # themselves apart, which lasts a second on a busy machine, would end it with -15.
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
         sys.stderr.flush()
         rclpy.try_shutdown()
 

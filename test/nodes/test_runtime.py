@@ -1,6 +1,7 @@
 """What a process of ROS does before it starts, and what ends it."""
 
 import os
+import signal
 import subprocess
 import sys
 
@@ -50,4 +51,45 @@ def test_only_what_comes_for_an_end_that_is_gone_is_ignored(domain_id):
         env={**os.environ, 'ROS_DOMAIN_ID': str(domain_id)})
     # The middleware may have said something before, e.g. about shared memory.
     assert (script.returncode, script.stdout.splitlines()[-1:]) == (0, ['raised']), (
+        script.stdout + script.stderr)
+
+
+STOPPED_LATE = """
+import os
+import signal
+import sys
+
+from multicontact_control.nodes.runtime import run_node
+from rclpy.node import Node
+
+
+class Idle(Node):
+    def run(self, spinner):
+        os.kill(os.getpid(), signal.SIGINT)
+        while not spinner.stop:
+            spinner.spin_once()
+
+    def close(self):
+        print('closed', flush=True)
+
+
+class TakenApart:
+    # Python has put its handlers of signals away by then.
+    def __del__(self, kill=os.kill, pid=os.getpid(), number=int(sys.argv[1])):
+        kill(pid, number)
+
+
+sys.last = TakenApart()
+sys.exit(run_node(lambda: Idle('idle')))
+"""
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_node_that_has_closed_is_not_ended_by_a_signal(domain_id, number):
+    """A controller that waited 5 s for a reader that was dead ended with -15."""
+    script = subprocess.run(
+        [sys.executable, '-c', STOPPED_LATE, str(int(number))], capture_output=True, text=True,
+        env={**os.environ, 'ROS_DOMAIN_ID': str(domain_id)})
+    assert (script.returncode, script.stdout.splitlines()[-1:]) == (0, ['closed']), (
         script.stdout + script.stderr)
