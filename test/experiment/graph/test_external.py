@@ -250,7 +250,7 @@ class Terminal:
 
 
 class Listener(GuestNode):
-    """Notes when efforts and measured forces came last, and what the efforts were."""
+    """Notes when efforts and measured forces came last, and stamp and largest of all efforts."""
 
     def __init__(self, domain_id):
         super().__init__('listener', domain_id)
@@ -263,7 +263,7 @@ class Listener(GuestNode):
             while (taken := take(end)) is not None:
                 self.stamps[i] = messages.stamp_to_ns(taken[0].header.stamp)
                 if not i:
-                    self.efforts.append(np.array(taken[0].effort))
+                    self.efforts.append((self.stamps[i], np.abs(taken[0].effort).max()))
         return True
 
 
@@ -291,10 +291,11 @@ def test_robot_that_presses_is_left_with_the_safe_behaviour(shell, tmp_path, end
         assert not nodes_of(tmp_path / 'run')
         answered, controlled = listener.stamps
         assert answered - controlled > 30_000_000
-        # A busy machine may let it look as if the robot had gone before that. The 40 N m go over
-        # to none at 100 N m/s at most, in 0.75 s: 12 % of them in the first 0.2 s.
-        if answered - controlled > 200_000_000:
-            assert np.abs(listener.efforts[-1]).max() < 0.92 * np.abs(listener.efforts[0]).max()
+        # The 40 N m go over to none at 100 N m/s at most, in 375 answers: 12 % of them in the
+        # first 100. On a busy machine there may be fewer, however long it takes.
+        safe = [effort for stamp, effort in listener.efforts if stamp > controlled]
+        if len(safe) > 100:
+            assert safe[-1] < 0.92 * safe[0]
     running.wait(PATIENCE)
     if end != 'killed':
         assert running.returncode == 0
