@@ -29,10 +29,12 @@ PAIRS, QUICK_PAIRS = 300, 12  # of faults at the same time
 FAULTS_PER_JOB = 12
 PLACES = {PROCESS: 'in process', GRAPH: 'over the graph'}
 COLUMNS = (
-    Column('input', number=False), Column('kind', number=False), Column('n'),
-    Column('reaction', number=False), Column('to safe [ms]'), Column('force [N]'),
-    Column('torque'), Column('off command [ms]: median'), Column('largest'), Column('changes'),
-    Column('short', number=False), Column('safe', number=False))
+    Column('input', number=False), Column('kind', number=False), Column('n', 'n'),
+    Column('reaction', number=False), Column('to safe [ms]', 'safe ms', spare=True),
+    Column('force [N]', 'N'), Column('torque', 'torque', spare=True),
+    Column('off command [ms]: median', 'off ms', spare=True), Column('largest', 'off ms'),
+    Column('changes', 'changes', spare=True), Column('short', number=False),
+    Column('safe', number=False))
 SAFE = 11  # place of that column
 
 

@@ -18,6 +18,7 @@ from multicontact_control.experiment.study.presets.faults.study import (
     situation,
 )
 from multicontact_control.experiment.study.study import report_study, run_study, StudyOptions
+from multicontact_control.experiment.study.table import terminal_table
 import pytest
 from rich.console import Console
 
@@ -71,6 +72,20 @@ def test_rows_of_process_and_graph_are_in_one_table_and_page(tmp_path):
         assert 'force <beyond> the ceiling' in text
         for word in ('in process', 'over the graph', 'float, hold', 'never', '1 not'):
             assert word in text
+
+
+def test_terminal_of_80_columns_has_names_in_one_piece(tmp_path):
+    """The ten words of its head left four letters to each kind."""
+    rows = [row(kind=kind, input=source, reaction=reaction, time_to_safe_s=1.2,
+                peak_force_n=160.7, off_command_s=1.2, transitions=7)
+            for kind, source in KINDS for reaction in ('hold', 'float', 'inflate')]
+    (section,) = FaultStudy().page(rows, tmp_path).sections
+    shown = io.StringIO()
+    Console(file=shown, width=80).print(
+        terminal_table(section.heading, section.listing, 80))
+    words = shown.getvalue().split()
+    assert {'input', 'kind', 'reaction', 'short', 'safe', '160.7', '1200', 'process'} <= set(words)
+    assert {name for fault in KINDS for name in fault if len(name) <= 13} <= set(words)
 
 
 def test_negative_seed_is_refused():
