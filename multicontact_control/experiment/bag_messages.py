@@ -10,7 +10,7 @@ import struct
 from typing import Any
 
 from mcap.exceptions import McapError
-from mcap.reader import make_reader, McapReader, NonSeekingReader
+from mcap.reader import NonSeekingReader
 from mcap_ros2.decoder import DecoderFactory
 from multicontact_control.errors import RunError
 from multicontact_control.experiment.bag_columns import BagColumns
@@ -161,8 +161,10 @@ def _read(path: Path, wanted: Mapping[str, str], reading: _Reading) -> None:
     except OSError as error:
         raise RunError(f'{path}: {error.strerror}') from None
     with stream:
+        # mcap's seeking reader would hold all messages before it hands out the first.
+        messages = NonSeekingReader(stream).iter_messages(log_time_order=False)
         try:
-            for schema, channel, record in _reader(stream).iter_messages(log_time_order=False):
+            for schema, channel, record in messages:
                 _take(schema, channel, record, wanted, reading, factory)
         except DAMAGED:
             reading.cut_off = True  # what came before is whole
@@ -193,15 +195,3 @@ def _take(
         reading.unreadable[name] = f'cannot be read: {error}'
         return
     reading.by_name[name] = columns
-
-
-def _reader(stream: Any) -> McapReader:
-    """Return a reader of a file that may be cut off."""
-    try:
-        reader = make_reader(stream)
-        if reader.get_summary() is not None:
-            return reader
-    except DAMAGED:
-        pass  # it is read from the beginning, as far as it goes
-    stream.seek(0)
-    return NonSeekingReader(stream)

@@ -1,12 +1,16 @@
 """Recordings of anybody: whatever they lack is said, and nothing is called stable by a sensor."""
 
 import shutil
+import tracemalloc
 
 import foreign_bag
 from foreign_bag import AT, COMMAND, controller_file, JOINTS, MADE, RATE, TOPICS, write_bag
+from mcap.reader import NonSeekingReader
+from mcap.writer import Writer
 from multicontact_control.cli import app
 from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.experiment.bag import answered, read_bag
+from multicontact_control.experiment.bag_messages import read_messages
 from multicontact_control.experiment.contact_identification import read_recording
 from multicontact_control.experiment.display import summary_table, verdict_lines
 from multicontact_control.experiment.external import resolve_external
@@ -15,6 +19,7 @@ from multicontact_control.experiment.judge import verdict_text
 from multicontact_control.experiment.results import load
 from multicontact_control.files import json_text
 from multicontact_control.nodes import messages, topics
+from multicontact_control.nodes.bag_writer import CHUNK_SIZE
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -249,11 +254,32 @@ def test_stamps_that_are_no_clock_are_refused(tmp_path):
 
 def test_message_of_another_type_is_remarked(bag, tmp_path):
     path = tmp_path / 'x.mcap'
-    path.write_bytes(bag.read_bytes().replace(
-        b'geometry_msgs/msg/WrenchStamped', b'geometry_msgs/msg/WrenchStampes'))
+    with bag.open('rb') as stream, path.open('wb') as copy:
+        writer, channels = Writer(copy), {}
+        writer.start()
+        for schema, channel, message in NonSeekingReader(stream).iter_messages():
+            if channel.id not in channels:
+                name = schema.name.replace('WrenchStamped', 'WrenchStampes')
+                channels[channel.id] = writer.register_channel(
+                    channel.topic, channel.message_encoding,
+                    writer.register_schema(name, schema.encoding, schema.data))
+            writer.add_message(
+                channels[channel.id], message.log_time, message.data, message.publish_time)
+        writer.finish()
     remarks = load(path).summary['remarks']
     assert any(remark.startswith('/ft_sensor/wrench: expected geometry_msgs/msg/WrenchStamped')
                for remark in remarks)
+
+
+def test_reading_holds_no_more_than_a_chunk(bag):
+    """All messages were held before the first was taken: 2 GB for ten minutes of a graph."""
+    tracemalloc.start()
+    try:
+        found = read_messages(bag, {})
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert found.others and peak < 3 * CHUNK_SIZE
 
 
 def test_what_is_no_recording_is_said_in_a_line(tmp_path):
