@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+from multicontact_control.control.reference.scenario import sine_motion
 from multicontact_control.experiment.metrics import (
     contact_summary,
     losses,
@@ -46,6 +47,17 @@ def test_windows_are_those_of_the_definition(setup, data):
     assert (rest[0], rest[-1]) == pytest.approx((5.0, 6.498))
     assert (moving[0], moving[-1]) == pytest.approx((8.5, 11.998))
     assert data.time[judged.loaded][0] == pytest.approx(2.5)
+
+
+@pytest.mark.parametrize('scenario', ['quick', 'paper'])
+def test_moving_window_holds_a_reversal(scenario):
+    """Friction turns there: `quick` took 12 s and was judged between two of them."""
+    setup = resolve(scenario)
+    time = np.arange(setup.ticks) * setup.controller.period
+    judged = windows(setup.scenario.reference, time)
+    # The window begins at a reversal, which it does not hold.
+    speeds = [sine_motion(setup.scenario.reference.motion, t)[1] for t in time[judged.moving][5:]]
+    assert np.count_nonzero(np.diff(np.sign(speeds))) >= 1
 
 
 def test_perfect_run_is_without_error(setup, data):
