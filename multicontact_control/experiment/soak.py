@@ -334,10 +334,10 @@ def passes_over(fault: Fault) -> bool:
     return not isinstance(fault.action, PlantEdit) or fault.action.end is not None
 
 
-def resident_memory() -> float:
-    """Return the resident memory of this process [MB]; its largest, where that is all there is."""
+def resident_memory(process: int | str = 'self') -> float:
+    """Return the resident memory of a process [MB]; where there is no such thing, our largest."""
     try:
-        pages = int(Path('/proc/self/statm').read_text(encoding='ascii').split()[1])
+        pages = int(Path(f'/proc/{process}/statm').read_text(encoding='ascii').split()[1])
         return pages * resource.getpagesize() / 1e6
     except (OSError, IndexError, ValueError):
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3

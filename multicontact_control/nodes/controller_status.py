@@ -36,6 +36,7 @@ class SupervisorReport:
         values |= {f'ticks with {name}': n for name, n in counts[0].items() if name != NONE}
         values |= {f'rejected {name}': n for name, n in counts[1].items()}
         values |= {f'limited {name}': n for name, n in counts[2].items()}
+        values['fastest_change_hz'] = max(loop.events.alternating(loop.time).values(), default=0.0)
         causes = ', '.join(status.causes)
         if SEVERITY.index(status.reaction) > SEVERITY.index(INFLATE):
             outside = loop.supervisor.outside if loop.supervisor is not None else ()

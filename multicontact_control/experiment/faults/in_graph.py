@@ -146,7 +146,7 @@ class GraphCampaign:
     def _run_in(self, session: FaultSession, tasks: list[Task]) -> bool:
         """Run the faults until none is left; return False if one was not safe."""
         while tasks:
-            row = _one(session, *tasks.pop(0))
+            row = break_once(session, *tasks.pop(0))
             self._add(row)
             self.busy = max(self.busy, busy_share(
                 session.watch.reports, session.setup.controller.period))
@@ -171,7 +171,7 @@ class GraphCampaign:
         return folder
 
 
-def _one(session: FaultSession, fault: Fault, seed: int) -> FaultRow:
+def break_once(session: FaultSession, fault: Fault, seed: int) -> FaultRow:
     """Let one fault happen, bring the graph back, and judge it."""
     random = fault.random(seed)
     problems, begin, before = [], time.time(), ' before the fault'

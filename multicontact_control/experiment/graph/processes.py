@@ -62,6 +62,11 @@ class NodeProcesses:
         """Names of the nodes that were started and not ended from here."""
         return tuple(self._running)
 
+    @property
+    def numbers(self) -> tuple[int, ...]:
+        """Numbers of their processes."""
+        return tuple({process.pid for process in self._running.values()})
+
     def start_all(self) -> None:
         """
         Start every node.

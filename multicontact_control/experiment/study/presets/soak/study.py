@@ -48,6 +48,8 @@ class SoakStudy(Study[SoakJob, list[dict[str, Any]]]):
         The first; every process has the next.
     parts
         Processes per plant.
+    graph
+        Whether over ROS 2 graphs, in real time.
 
     """
 
@@ -55,6 +57,7 @@ class SoakStudy(Study[SoakJob, list[dict[str, Any]]]):
     plants: tuple[str, ...] = field(default_factory=plants_of)
     seed: int = 0
     parts: int = 1
+    graph: bool = False
 
     title = 'soak'
     name = 'soak'
@@ -77,8 +80,8 @@ class SoakStudy(Study[SoakJob, list[dict[str, Any]]]):
     def jobs(self) -> list[SoakJob]:
         """Return the soaks, of equal length."""
         count = len(self.plants) * self.parts
-        return [SoakJob(self.plants[k % len(self.plants)], self.seed + k, self.hours / count)
-                for k in range(count)]
+        return [SoakJob(self.plants[k % len(self.plants)], self.seed + k, self.hours / count,
+                        self.graph) for k in range(count)]
 
     def content(self, run: JobRun[SoakJob]) -> list[dict[str, Any]]:
         """Return what came of every soak."""
@@ -97,9 +100,10 @@ class SoakStudy(Study[SoakJob, list[dict[str, Any]]]):
             for what in PROBLEMS for text in soak[what]]
         kinds = sum((Counter(soak['episodes']) for soak in content), Counter())
         hours = sum(soak['simulated_s'] for soak in content) / 3600.0
+        what = 'hours over the graph' if self.graph else 'simulated hours'
         return Page(
             'Soak', [Section('Soaks', _listing(content))], warnings=problems,
-            findings=[f'{hours:.2f} simulated hours: ' + ', '.join(
+            findings=[f'{hours:.2f} {what}: ' + ', '.join(
                 f'{count} x {kind}' for kind, count in sorted(kinds.items()))])
 
 
@@ -122,10 +126,12 @@ def errors_at_rest(
 
 
 def is_good(soak: Mapping[str, Any]) -> bool:
-    """Return whether nothing happened in a soak that should not have."""
+    """Return whether nothing happened that should not have; too short a soak shows no trend."""
     growth = memory_growth(soak['minutes'])
+    if soak['counts'] or growth is None:
+        return not soak['counts']
     errors = [errors_at_rest(soak['minutes'], name) for name in ('error_n', 'error_rms_n')]
-    return not soak['counts'] and (growth is None or growth <= LARGEST_GROWTH) and not any(
+    return growth <= LARGEST_GROWTH and not any(
         abs(last - first) > LARGEST_DRIFT for first, last in errors)
 
 
