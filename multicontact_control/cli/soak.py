@@ -22,7 +22,7 @@ def soak(
     parts: Annotated[int, typer.Option(help='Processes per plant, which share the hours.')] = 1,
     graph: Annotated[bool, typer.Option(
         '--graph', help='Over running ROS 2 graphs, in real time and one after the other: nodes '
-        'are killed, messages damaged, wrong commands sent.')] = False,
+        'are killed, messages damaged, wrong commands sent. Run anew each time.')] = False,
     jobs: options.Jobs = 0, dask: options.Dask = '', out: options.StudyOut = None,
     dry_run: options.DryRun = False, overwrite: options.RunAgain = False,
 ) -> None:
@@ -40,11 +40,16 @@ def soak(
             require_ros()
         # Only now: what is heavy is not loaded for the sake of an error.
         from multicontact_control.experiment.scenario import plants_of
-        from multicontact_control.experiment.study.presets.soak.study import is_good, SoakStudy
+        from multicontact_control.experiment.study.presets.soak.study import (
+            GraphSoakStudy,
+            is_good,
+            SoakStudy,
+        )
         from multicontact_control.experiment.study.study import run_study, StudyOptions
 
+        study = GraphSoakStudy if graph else SoakStudy
         content = run_study(
-            SoakStudy(hours, plants_of(robot, options.split_list(plants)), seed, parts, graph),
-            StudyOptions(out, 1 if graph else jobs, dask, dry_run, overwrite))
+            study(hours, plants_of(robot, options.split_list(plants)), seed, parts),
+            StudyOptions(out, 1 if graph else jobs, dask, dry_run, overwrite or graph))
     if content is not None and not all(map(is_good, content)):
         raise typer.Exit(EXIT_FAILED)

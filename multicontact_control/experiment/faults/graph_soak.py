@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from pathlib import Path
 import shutil
-import tempfile
+from tempfile import mkdtemp
 import time
 
 from multicontact_control.errors import RunError
@@ -70,7 +70,7 @@ class GraphSoak:
 
     def run(self, duration: float) -> SoakOutcome:
         """Let things happen for a time [s]; bags and logs are kept if something went wrong."""
-        folder = Path(tempfile.mkdtemp(prefix='soak-'))
+        folder = Path(mkdtemp(prefix='soak-'))
         self._begin = time.monotonic()
         self._next_minute, failures, number = self._begin + MINUTE, 0, 0
         with reserve_domain() as domain_id:

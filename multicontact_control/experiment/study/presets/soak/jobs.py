@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 from multicontact_control.experiment.faults.situation import with_obstacles
 from multicontact_control.experiment.scenario import resolve, Setup
-from multicontact_control.experiment.soak import Soak
+from multicontact_control.experiment.soak import Soak, SoakOutcome
 from multicontact_control.experiment.study.jobs import content_key, JobResult, setup_content
 from multicontact_control.files import finite
 
@@ -48,17 +48,16 @@ class SoakJob:
 def run_soak_job(job: SoakJob) -> JobResult:
     """Run a soak; `metrics` are its `SoakOutcome`."""
     start = time.perf_counter()
-    if job.graph:
-        # Only now: a soak in process needs no ROS.
-        from multicontact_control.experiment.faults.graph_soak import GraphSoak
+    soak = Soak(job.setup(), job.seed)
+    try:
+        outcome = soak.run(job.simulated_time())
+    finally:
+        soak.close()
+    return soak_result(outcome, time.perf_counter() - start)
 
-        outcome = GraphSoak(job.setup(), job.seed).run(job.simulated_time())
-    else:
-        soak = Soak(job.setup(), job.seed)
-        try:
-            outcome = soak.run(job.simulated_time())
-        finally:
-            soak.close()
+
+def soak_result(outcome: SoakOutcome, wall: float) -> JobResult:
+    """Return a soak that has taken some time [s] as the result of a job."""
     metrics = {**vars(outcome), 'episodes': dict(outcome.episodes),
                'counts': dict(outcome.counts), 'minutes': [*map(asdict, outcome.minutes)]}
-    return JobResult(finite(metrics), {}, time.perf_counter() - start)
+    return JobResult(finite(metrics), {}, wall)

@@ -6,13 +6,14 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from multicontact_control.errors import check_all, ConfigError
 from multicontact_control.experiment.scenario import plants_of
 from multicontact_control.experiment.soak import PROBLEMS
 from multicontact_control.experiment.study.execute import JobRun
 from multicontact_control.experiment.study.page import Page, Section
+from multicontact_control.experiment.study.presets.soak.graph_job import run_graph_soak_job
 from multicontact_control.experiment.study.presets.soak.jobs import run_soak_job, SoakJob
 from multicontact_control.experiment.study.study import Study
 from multicontact_control.experiment.study.table import Column, Line, Listing
@@ -48,8 +49,6 @@ class SoakStudy(Study[SoakJob, list[dict[str, Any]]]):
         The first; every process has the next.
     parts
         Processes per plant.
-    graph
-        Whether over ROS 2 graphs, in real time.
 
     """
 
@@ -57,8 +56,8 @@ class SoakStudy(Study[SoakJob, list[dict[str, Any]]]):
     plants: tuple[str, ...] = field(default_factory=plants_of)
     seed: int = 0
     parts: int = 1
-    graph: bool = False
 
+    graph: ClassVar[bool] = False
     title = 'soak'
     name = 'soak'
     measure = staticmethod(run_soak_job)
@@ -105,6 +104,13 @@ class SoakStudy(Study[SoakJob, list[dict[str, Any]]]):
             'Soak', [Section('Soaks', _listing(content))], warnings=problems,
             findings=[f'{hours:.2f} {what}: ' + ', '.join(
                 f'{count} x {kind}' for kind, count in sorted(kinds.items()))])
+
+
+class GraphSoakStudy(SoakStudy):
+    """Soaks over ROS 2 graphs, in real time."""
+
+    graph = True
+    measure = staticmethod(run_graph_soak_job)
 
 
 def memory_growth(minutes: Sequence[Mapping[str, Any]]) -> float | None:
