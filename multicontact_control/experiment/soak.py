@@ -317,9 +317,8 @@ class Soak:
         self._fastest_change = max([self._fastest_change, *rates.values()])
         if round(self.outcome.simulated_s) % 60:
             return
-        self.outcome.minutes.append(Minute(
-            resident_memory(), float(np.mean(self._quiet_errors or [np.nan])),
-            float(np.sqrt(np.mean(self._quiet_squares or [np.nan]))), self._fastest_change))
+        self.outcome.minutes.append(minute_of(
+            resident_memory(), self._quiet_errors, self._quiet_squares, self._fastest_change))
         self._quiet_errors, self._quiet_squares, self._fastest_change = [], [], 0.0
 
     def _report(self, what: str, text: str) -> None:
@@ -327,6 +326,14 @@ class Soak:
         found: list[str] = getattr(self.outcome, what)
         if len(found) < MOST_REPORTED:
             found.append(f'{self.outcome.simulated_s:.1f} s, {self._doing}: {text}')
+
+
+def minute_of(
+    memory_mb: float, errors: Sequence[float], squares: Sequence[float], changes_per_s: float,
+) -> Minute:
+    """Return a minute from the mean errors [N] and mean squares [N^2] of its pauses."""
+    return Minute(memory_mb, float(np.mean(errors or [np.nan])),
+                  float(np.sqrt(np.mean(squares or [np.nan]))), changes_per_s)
 
 
 def passes_over(fault: Fault) -> bool:

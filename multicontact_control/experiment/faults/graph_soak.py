@@ -23,7 +23,7 @@ from multicontact_control.experiment.graph.domain import reserve_domain
 from multicontact_control.experiment.graph.spec import CONTROLLER
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.experiment.soak import (
-    Minute,
+    minute_of,
     MOST_REPORTED,
     PAUSE,
     PROBLEMS,
@@ -43,6 +43,9 @@ TOO_FAST = 2.0  # changes of a state per second, over 5 s
 class GraphSoak:
     """
     Graphs under random commands and faults.
+
+    Torques and largest forces are judged while faults happen and until they are over. Forces that
+    oscillate are not looked for: the arm never rests.
 
     Parameters
     ----------
@@ -136,10 +139,9 @@ class GraphSoak:
             self._report('alternating', f'{fastest:.1f}/s')
         if time.monotonic() >= self._next_minute:
             self._next_minute += MINUTE
-            self.outcome.minutes.append(Minute(
+            self.outcome.minutes.append(minute_of(
                 sum(map(resident_memory, session.processes.numbers)),
-                float(np.mean(self._errors or [np.nan])),
-                float(np.sqrt(np.mean(self._squares or [np.nan]))), self._fastest_change))
+                self._errors, self._squares, self._fastest_change))
             self._errors, self._squares, self._fastest_change = [], [], 0.0
 
     def _report(self, what: str, text: str) -> None:
