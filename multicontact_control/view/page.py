@@ -201,14 +201,14 @@ def _line(content: str) -> str:
 
 
 def status_html(title: str, snapshot: Snapshot) -> str:
-    """Return the time, how regular the loop is, and what it does."""
+    """
+    Return the time, what the loop does, and how regular it is.
+
+    The number of its lines does not follow the numbers: what is below would move under the mouse.
+    """
     timing = snapshot.timing
-    parts = [f'<b>{snapshot.time:.1f} s</b>']
-    if np.isfinite(timing.typical):
-        parts.append(f'tick {1e-3 * timing.typical:.2f} ms, at worst {1e-3 * timing.worst:.2f}')
-        late = f'{timing.misses} late' if timing.misses else 'none late'
-        slow = f', {timing.pace:.2f} of real time' if timing.pace < 0.97 else ''
-        parts.append(f'{late}{slow}')
+    slow = f' at {timing.pace:.2f} of real time' if timing.pace < 0.97 else ''
+    parts = [f'<b>{snapshot.time:.1f} s</b>{slow}']
     reaction = snapshot.reaction
     if reaction not in ('none', '', 'recorded'):
         reasons = html.escape(' '.join(snapshot.reasons))
@@ -217,8 +217,14 @@ def status_html(title: str, snapshot: Snapshot) -> str:
         parts.append('<b>held</b>')
     if snapshot.moving:
         parts.append(html.escape(snapshot.moving))
+    regular = '&nbsp;'
+    if np.isfinite(timing.typical):
+        late = f'{timing.misses} late' if timing.misses else 'none late'
+        regular = (f'tick {1e-3 * timing.typical:.2f} ms, at worst {1e-3 * timing.worst:.2f}'
+                   f' &middot; {late}')
     return _line(f'<span style="color:#6b7280">{html.escape(title)}</span><br>'
-                 + ' &middot; '.join(parts))
+                 f'{" &middot; ".join(parts)}'
+                 f'<div style="white-space:nowrap;overflow:hidden">{regular}</div>')
 
 
 def contacts_html(names: Any, leaders: Any, snapshot: Snapshot) -> str:

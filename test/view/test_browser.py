@@ -46,6 +46,24 @@ def page():
     page.close()
 
 
+def press(element, key):
+    """
+    Press a key on an element.
+
+    `click` of playwright waits for two frames first, and now and then for ever if a shader is
+    compiled meanwhile, which takes seconds beside other work.
+    """
+    element.focus()
+    element.press(key)
+
+
+def wait_for_frames(tab, number):
+    """Wait until the page has drawn a number of times."""
+    tab.evaluate("""async number => {
+        while (number--) await new Promise(done => requestAnimationFrame(done));
+    }""", number)
+
+
 def open_page(page, chromium, size):
     """Return context and tab of a browser that shows a page with samples."""
     context = chromium.new_context(viewport=size)
@@ -81,7 +99,7 @@ def test_page_loads_without_errors_and_a_slider_presses(page, chromium):
     refused = tab.get_by_text('refused: force on table')
     refused.wait_for()
     assert '0 or 3 to 30 N, found 0.5 N' in refused.inner_text()
-    tab.get_by_role('button', name='Press with 10 N').click()
+    press(tab.get_by_role('button', name='Press with 10 N'), 'Enter')
     wait_for(lambda: page.newest.commanded['table'] == 10.0, 'the button')
     before = page.newest.time
     context.close()
@@ -94,19 +112,19 @@ def test_page_loads_without_errors_and_a_slider_presses(page, chromium):
 def test_operational_point_is_dragged_along_the_table_by_the_mouse(page, chromium):
     context, opened = open_page(page, chromium, BOTH_PANELS)
     tab, handle = opened.page, page.scene_view._handle
-    tab.get_by_role('button', name='Press with 10 N').click()
+    press(tab.get_by_role('button', name='Press with 10 N'), 'Enter')
     wait_for(lambda: page.newest.states == ('holding', 'holding'), 'both contacts')
-    tab.get_by_role('tab', name='Move').click()
-    tab.get_by_label('drag').first.click()
+    press(tab.get_by_role('tab', name='Move'), 'Enter')
+    press(tab.get_by_label('drag').first, 'Space')
     wait_for(lambda: handle.visible, 'the handle')
     start = page.newest.position_des.copy()
     wait_for(lambda: np.abs(handle.position - start).max() < 1e-3, 'the handle at the arm')
-    time.sleep(2.0)  # the browser draws twice a second, and grasps what it has drawn
+    wait_for_frames(tab, 4)  # the browser grasps what it has drawn
     # By its arrow along the table and the board: where that is, is seen by the handle alone.
     for far in np.linspace(0.12, 0.2, 9):
         tab.mouse.move(*pixel(page, tab, start + [far, 0.0, 0.0]))
         if far == 0.12:
-            time.sleep(1.0)
+            wait_for_frames(tab, 2)
             tab.mouse.down()
         time.sleep(0.2)
     wait_for(lambda: page.newest.position_des[0] > start[0] + 0.05, 'the way to where it is')

@@ -277,3 +277,17 @@ def test_events_say_what_has_changed():
     assert reader.read('none | torque | holding, free') == (
         'control again, table holding, limit: torque')
     assert reader.read('pushed by +5 N along x') == 'pushed by +5 N along x'
+
+
+def test_numbers_do_not_move_what_is_below_them():
+    def found(**timing):
+        shown = dict(typical=np.nan, worst=np.nan, misses=0, pace=1.0)
+        return page_module.status_html('arm', SimpleNamespace(
+            time=1.0, timing=SimpleNamespace(**{**shown, **timing}), reaction='none', reasons=(),
+            held=False, moving=''))
+    pages = [found(), found(typical=1e5, worst=2e5),
+             found(typical=1e6, worst=2e7, misses=123456, pace=0.5)]
+    assert {page.count('<br>') + page.count('<div') for page in pages} == {3}
+    # A line that grows is cut, not broken.
+    assert all('white-space:nowrap' in page.split('<br>')[1] for page in pages)
+    assert 'none late' in pages[1] and '123456 late' in pages[2] and '0.50 of' in pages[2]
