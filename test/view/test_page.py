@@ -281,7 +281,7 @@ def test_events_say_what_has_changed():
 
 def test_numbers_do_not_move_what_is_below_them():
     def found(**timing):
-        shown = dict(typical=np.nan, worst=np.nan, misses=0, pace=1.0)
+        shown = {'typical': np.nan, 'worst': np.nan, 'misses': 0, 'pace': 1.0}
         return page_module.status_html('arm', SimpleNamespace(
             time=1.0, timing=SimpleNamespace(**{**shown, **timing}), reaction='none', reasons=(),
             held=False, moving=''))
