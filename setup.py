@@ -39,6 +39,7 @@ install_requires = [
     'mcap-ros2-support>=0.5.5,<0.7',
     'zstandard>=0.22,<1',
     'setproctitle>=1.3,<2',
+    'psutil>=5.9,<8',
 ]
 
 extras_require = {

@@ -117,6 +117,18 @@ def test_process_that_nobody_waits_for_is_one_of_the_others():
     assert 0.2 / os.cpu_count() < bystanders.share() <= 1.0
 
 
+def test_time_of_grandchildren_is_ours_while_their_parent_lives():
+    """As of nodes, which a server forks that outlives their graph."""
+    busy = 'import time\nwhile time.process_time() < 1.0: pass'
+    start = (f'import subprocess, sys; subprocess.run([sys.executable, "-c", {busy!r}]); '
+             'print("done", flush=True); sys.stdin.read()')
+    before = timing._own_time()
+    with subprocess.Popen([sys.executable, '-c', start], stdin=subprocess.PIPE,
+                          stdout=subprocess.PIPE) as child:
+        assert child.stdout.readline() == b'done\n'
+        assert timing._own_time() - before > 0.9
+
+
 @pytest.mark.parametrize('trustworthy', [True, False])
 def test_table_says_whether_to_believe_it(result, trustworthy):
     result = {**result, 'machine': {**result['machine'], 'trustworthy': trustworthy}}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, ExitStack
+from contextlib import contextmanager, ExitStack, suppress
 import os
 import platform
 from time import perf_counter_ns
@@ -12,6 +12,7 @@ from typing import Any
 from multicontact_control.arrays import Vector
 from multicontact_control.experiment.metrics import percentiles
 import numpy as np
+import psutil
 
 NOISY_TAIL = 2.0  # p99 of a floor over its p50
 NOISY_SPREAD = 0.15  # of a floor's p50 between repeats
@@ -117,7 +118,7 @@ class Bystanders:
 
 
 def _processor_time() -> tuple[float, float, float] | None:
-    """Return the time of all cores [s], how much of it was idle, how much this process took."""
+    """Return the time of all cores [s], how much of it was idle, how much was ours."""
     try:
         with open('/proc/stat', encoding='utf-8') as file:
             # user nice system idle iowait irq softirq steal; guests are in user and nice
@@ -125,7 +126,16 @@ def _processor_time() -> tuple[float, float, float] | None:
     except OSError:
         return None
     frequency = os.sysconf('SC_CLK_TCK')
-    return sum(ticks) / frequency, (ticks[3] + ticks[4]) / frequency, sum(os.times()[:4])
+    return sum(ticks) / frequency, (ticks[3] + ticks[4]) / frequency, _own_time()
+
+
+def _own_time() -> float:
+    """Return what this process and all that come from it took, and those they waited for [s]."""
+    this, own = psutil.Process(), 0.0
+    for process in (this, *this.children(recursive=True)):
+        with suppress(psutil.NoSuchProcess):
+            own += sum(process.cpu_times()[:4])
+    return own
 
 
 def share_notes(share: float | None) -> list[str]:
