@@ -22,8 +22,7 @@ def soak(
     parts: Annotated[int, typer.Option(help='Processes per plant, which share the hours.')] = 1,
     graph: Annotated[bool, typer.Option(
         '--graph', help='Over running ROS 2 graphs, in real time and one after the other: nodes '
-        'are killed, messages damaged, wrong commands sent. Run '
-        'anew each time; torques are judged during faults, oscillation is not.')] = False,
+        'are killed, messages damaged, wrong commands sent. Run anew each time.')] = False,
     jobs: options.Jobs = 0, dask: options.Dask = '', out: options.StudyOut = None,
     dry_run: options.DryRun = False, overwrite: options.RunAgain = False,
 ) -> None:

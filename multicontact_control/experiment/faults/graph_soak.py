@@ -1,9 +1,9 @@
 """
 A long time of work over a graph, in real time: random forces and faults, and what must never be.
 
-The arm slides to and fro all the time. An episode is a new command or a fault; after it, every
-force has to be as commanded again. What is not safe, or does not come back, ends the graph; the
-next one begins anew.
+The arm slides to and fro. An episode is a new command or a fault; after it, every force has to be
+as commanded again. Then nothing happens for a while, and in half of these pauses the arm rests.
+What is not safe, or does not come back, ends the graph; the next one begins anew.
 """
 
 from __future__ import annotations
@@ -15,12 +15,14 @@ import time
 
 from multicontact_control.errors import RunError
 from multicontact_control.experiment.faults.fault import GRAPH
-from multicontact_control.experiment.faults.graph_session import FaultSession
-from multicontact_control.experiment.faults.graph_watch import busy_share
+from multicontact_control.experiment.faults.graph_session import END_TIME, FaultSession
+from multicontact_control.experiment.faults.graph_watch import busy_share, observe, Window
 from multicontact_control.experiment.faults.in_graph import break_once, MAX_FAILURES
+from multicontact_control.experiment.faults.judge import never_allowed
 from multicontact_control.experiment.faults.vocabulary import faults_of
 from multicontact_control.experiment.graph.domain import reserve_domain
 from multicontact_control.experiment.graph.spec import CONTROLLER
+from multicontact_control.experiment.oscillation import oscillations
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.experiment.soak import (
     minute_of,
@@ -36,7 +38,8 @@ import numpy as np
 FORCES = (5.0, 20.0)  # N, that are commanded
 FAULT_CHANCE = 0.6  # of an episode, to be a fault
 MINUTE = 60.0  # s
-REST = 0.5  # s after an episode, before forces are looked at
+REST_CHANCE = 0.5  # of a pause, that the arm rests in it
+REST_TIME = 3.0  # s; an oscillation shows within 2
 TOO_FAST = 2.0  # changes of a state per second, over 5 s
 
 
@@ -44,8 +47,8 @@ class GraphSoak:
     """
     Graphs under random commands and faults.
 
-    Torques and largest forces are judged while faults happen and until they are over. Forces that
-    oscillate are not looked for: the arm never rests.
+    Torques and largest forces are judged all the time, but for up to 0.3 s before a fault. Errors
+    and oscillation of forces are those at rest.
 
     Parameters
     ----------
@@ -72,16 +75,23 @@ class GraphSoak:
         self._fastest_change = 0.0
 
     def run(self, duration: float) -> SoakOutcome:
-        """Let things happen for a time [s]; bags and logs are kept if something went wrong."""
+        """
+        Let things happen for a time [s], from when the first graph is up.
+
+        Bags and logs are kept if something went wrong.
+        """
         folder = Path(mkdtemp(prefix='soak-'))
         self._begin = time.monotonic()
-        self._next_minute, failures, number = self._begin + MINUTE, 0, 0
+        failures = number = 0
         with reserve_domain() as domain_id:
             while self._elapsed() < duration and failures < MAX_FAILURES:
                 number += 1
                 try:
                     with FaultSession(self._setup, folder / f'{number:03d}', domain_id) as session:
                         failures = 0
+                        if not self.outcome.episodes:
+                            self._begin = time.monotonic()
+                            self._next_minute = self._begin + MINUTE
                         if self._run_in(session, duration):
                             for problem in session.end_all():
                                 self._report('unsafe', problem)
@@ -105,9 +115,12 @@ class GraphSoak:
         while self._elapsed() < duration:
             kind = 'fault' if self._random.random() < FAULT_CHANCE else 'forces'
             self.outcome.episodes[kind] += 1
+            begin, largest = time.time(), dict(session.wanted)
             if kind == 'forces':
                 session.wanted.update(
                     {name: float(self._random.uniform(*FORCES)) for name in session.wanted})
+                largest = {name: max(force, largest[name])
+                           for name, force in session.wanted.items()}
                 session.recover()
             else:
                 fault = self._faults[int(self._random.integers(len(self._faults)))]
@@ -115,20 +128,22 @@ class GraphSoak:
                 if not row.safe:
                     self._report('unsafe', f'{fault.input} {fault.kind}: {row.problems}')
                     return False
+                begin = session.watch.polled
             self._pause(session)
+            now = session.watch.polled
+            problems, _ = never_allowed(observe(
+                session.watch, self._setup, largest, Window(begin, now, now)), self._setup)
+            if problems:
+                self._report('unsafe', f'after {kind}: {", ".join(sorted(problems))}')
+                return False
         return True
 
     def _pause(self, session: FaultSession) -> None:
         """Let nothing happen for a while, and look at what is never to happen."""
-        session.spin(REST)
-        begin = time.time()
-        session.spin(float(self._random.uniform(*PAUSE)))
-        said = session.watch.since(topics.TRUE_FORCES, begin)
-        if said:
-            errors = np.array([[x.values[name] - force for name, force in session.wanted.items()]
-                               for x in said])
-            self._errors += np.abs(errors.mean(axis=0)).tolist()
-            self._squares += (errors ** 2).mean(axis=0).tolist()
+        if self._random.random() < REST_CHANCE:
+            self._rest(session)
+        else:
+            session.spin(float(self._random.uniform(*PAUSE)))
         fresh = [x for x in session.watch.reports if x.time > self._looked]
         self._looked = fresh[-1].time if fresh else self._looked
         fastest = max((float(x.values.get('fastest_change_hz', 0.0)) for x in fresh
@@ -143,6 +158,26 @@ class GraphSoak:
                 sum(map(resident_memory, session.processes.numbers)),
                 self._errors, self._squares, self._fastest_change))
             self._errors, self._squares, self._fastest_change = [], [], 0.0
+
+    def _rest(self, session: FaultSession) -> None:
+        """Let the arm rest, and look at the forces."""
+        session.operator.stop()
+        session.spin(END_TIME)
+        begin = time.time()
+        session.spin(REST_TIME)
+        said = session.watch.since(topics.TRUE_FORCES, begin)
+        session.wait(session.operator.start, 'a controller that obeys')
+        if not said:
+            return  # the silence is judged with all else
+        errors = np.array([[x.values[name] - force for name, force in session.wanted.items()]
+                           for x in said])
+        self._errors += np.abs(errors.mean(axis=0)).tolist()
+        self._squares += (errors ** 2).mean(axis=0).tolist()
+        for (name, force), error in zip(session.wanted.items(), errors.T):
+            for found in oscillations(error, np.full(len(said), force),
+                                      np.ones(len(said), dtype=bool), self._setup.controller.rate):
+                self._report('oscillating', f'{name} at {found.frequency:.0f} Hz with '
+                             f'{found.rms:.2g} N rms')
 
     def _report(self, what: str, text: str) -> None:
         self.outcome.counts[what] += 1

@@ -143,15 +143,10 @@ def judge(
     fault: Fault, seed: int, setup: Setup, seen: Observation, *, where: str, phase: str = '',
 ) -> FaultRow:
     """Return the row of a fault from what was seen of it."""
-    config, problems = setup.controller, set(seen.problems)
+    config = setup.controller
     ceiling, period = config.contact_state.force_ceiling, config.period
-    step = np.array(config.limits.torque_rate or INF) * period
-    # The first command of a new process or activation starts from what the drives do.
-    fraction = _judge_torques(
-        seen, torque_limit(setup), step if fault.input != CONTROLLER else INF, problems)
-    if _longest(seen.time, seen.force > FORCE_MARGIN * ceiling, period) > (
-            RETRACT_TIME * (1.0 + TOLERANCE)):
-        problems.add('force beyond the ceiling for too long')
+    problems, fraction = never_allowed(
+        seen, setup, begins_anew=fault.input == CONTROLLER, goes_on=fault.goes_on)
     met = float(seen.met.max(initial=0.0)) if seen.met is not None else 0.0
     if met > MET_FORCE:
         problems.add('obstacle pressed too hard')
@@ -163,8 +158,6 @@ def judge(
     reached = _reaction_tick(seen.reactions, fault.expected(phase)) if told else 0
     if reached is None or reached > latest:
         problems.add('declared reaction late')
-    if fault.goes_on and any(end - begin > STOPPED for begin, end in seen.silences):
-        problems.add('commands stopped')
     over = seen.force > ceiling
     safe_from = [0.0, (reached or 0) * period, *seen.time[over].tolist(),
                  *(end for _, end in seen.silences)]
@@ -184,6 +177,36 @@ def judge(
         off_command_s=-1.0 if seen.forces is None or phase not in (REST, SLIDING) else round(
             float(off_command.sum()) * period, 6),
         transitions=transitions, shortfalls=', '.join(shortfalls))
+
+
+def never_allowed(
+    seen: Observation, setup: Setup, *, begins_anew: bool = False, goes_on: bool = True,
+) -> tuple[set[str], float]:
+    """
+    Return what may not be seen whatever happens, and the largest torque over its limit.
+
+    Parameters
+    ----------
+    seen
+        Commands, forces, and what is known to have gone wrong.
+    setup
+        Limits and rate.
+    begins_anew
+        Whether a process or an activation begins: its first command starts from what the drives
+        do.
+    goes_on
+        Whether the controller should not stop.
+
+    """
+    config, problems = setup.controller, set(seen.problems)
+    step = np.inf if begins_anew else np.array(config.limits.torque_rate or INF) * config.period
+    fraction = _judge_torques(seen, torque_limit(setup), step, problems)
+    above = seen.force > FORCE_MARGIN * config.contact_state.force_ceiling
+    if _longest(seen.time, above, config.period) > RETRACT_TIME * (1.0 + TOLERANCE):
+        problems.add('force beyond the ceiling for too long')
+    if goes_on and any(end - begin > STOPPED for begin, end in seen.silences):
+        problems.add('commands stopped')
+    return problems, fraction
 
 
 def _latest(fault: Fault, watch: WatchdogConfig) -> int:

@@ -152,9 +152,7 @@ def _listing(content: Sequence[Mapping[str, Any]]) -> Listing:
         lines.append(Line([
             soak['plant'], str(soak['seed']), f'{soak["simulated_s"] / 3600.0:.2f}',
             str(sum(soak['episodes'].values())), str(soak['helped']),
-            # Nobody looks for it over a graph.
-            *('-' if name == 'oscillating' and soak.get('graph') else str(counts.get(name, 0))
-              for name in PROBLEMS),
+            *(str(counts.get(name, 0)) for name in PROBLEMS),
             '-' if growth is None else f'{growth:.2f}', *(f'{error:.3f}' for error in errors),
             'yes' if good else 'no'], good))
     return Listing(COLUMNS, lines, verdict=GOOD)
