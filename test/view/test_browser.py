@@ -50,8 +50,8 @@ def press(element, key):
     """
     Press a key on an element.
 
-    `click` of playwright waits for two frames first, and now and then for ever if a shader is
-    compiled meanwhile, which takes seconds beside other work.
+    `click` of playwright waits for two frames first, and beside other work now and then for ever,
+    although the page draws.
     """
     element.focus()
     element.press(key)
