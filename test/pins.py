@@ -1,0 +1,136 @@
+"""
+What a redesign must not change: torques, summaries and study tables, kept in ``data/pins.json``.
+
+``python test/pins.py`` compares them all and prints what differs; ``--write 'REASON'`` pins anew.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import defaultdict
+import json
+from pathlib import Path
+import subprocess
+import sys
+import tempfile
+import time
+
+from multicontact_control.experiment.scenario import resolve
+import numpy as np
+from runs import run_of, summary_of
+
+ROOT = Path(__file__).resolve().parents[1]
+FILE = ROOT / 'test' / 'data' / 'pins.json'
+EVERY = 500  # ticks, between two torques that are kept
+SETUPS = {
+    f'{scenario}, preset {preset}, {plant}, {"supervised" if supervised else "bare"}':
+        (scenario, preset, plant, supervised)
+    for scenario, preset in (('quick', 'paper'), ('disturbance', 'best'))
+    for plant in ('rigid', 'puma') for supervised in (False, True)}
+SUMMARIES = [name for name in SETUPS if 'puma, supervised' in name or 'paper, rigid, b' in name]
+STUDIES = {
+    'compare': 'compare --quick --plants rigid', 'laws': 'compare --laws --quick --plants rigid',
+    'map': 'map --quick --plants rigid', 'robots': 'robots --robots panda',
+    'sweep': 'sweep stiffness --seeds 1', 'tune': 'tune pi --plants rigid',
+    'faults': 'faults --quick --plants rigid'}
+VOLATILE = ('timing', 'wall_s', 'error_at_s')
+
+
+def _resolved(name: str):
+    scenario, preset, plant, supervised = SETUPS[name]
+    return resolve(scenario, plant=plant, preset=preset), supervised
+
+
+def trajectory(name: str) -> dict:
+    """Return the hash of a run, and its torques every 500 ticks over their limits."""
+    setup, supervised = _resolved(name)
+    data = run_of(setup, supervised=supervised).data
+    return {'sha256': summary_of(setup, supervised=supervised)['trajectory_sha256'],
+            'torque_share': (data.torque[::EVERY] / setup.controller.torque_limit).tolist()}
+
+
+def summary(name: str) -> dict:
+    """Return all numbers of a run's ``summary.json`` but those of timing."""
+    setup, supervised = _resolved(name)
+    return dict(_numbers(json.loads(json.dumps(summary_of(setup, supervised=supervised)))))
+
+
+def study(name: str) -> dict:
+    """Return the table of a small study: for each measure the count and the mean of its cells."""
+    with tempfile.TemporaryDirectory() as folder:
+        subprocess.run(
+            [sys.executable, '-m', 'multicontact_control.cli', *STUDIES[name].split(), '--out',
+             folder], cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
+        values = defaultdict(list)
+        for path in Path(folder, 'cells').glob('*.json'):
+            for key, value in _numbers(json.loads(path.read_text())['metrics']):
+                values[''.join(c for c in key if not c.isdigit())].append(value)
+    return {key: [len(some), float(np.mean(some))] for key, some in sorted(values.items())}
+
+
+def _numbers(content, path=''):
+    """Yield the path and the value of every number and truth value."""
+    if isinstance(content, dict | list):
+        items = content.items() if isinstance(content, dict) else enumerate(content)
+        for key, value in items:
+            if key not in VOLATILE:
+                yield from _numbers(value, f'{path}.{key}')
+    elif isinstance(content, bool | int | float):
+        yield path, float(content)
+
+
+def differences(pinned: dict, now: dict, tolerance: float = 1e-9) -> list[str]:
+    """Return a line for every number that is not the pinned one."""
+    return [f'{key}: pinned {pinned.get(key)}, now {now.get(key)}'
+            for key in sorted({*pinned, *now})
+            if key not in pinned or key not in now
+            or not np.allclose(pinned[key], now[key], rtol=tolerance, atol=1e-12)]
+
+
+def everything() -> dict:
+    """Compute all pins."""
+    parts: dict = {'trajectories': {}, 'summaries': {}, 'studies': {}}
+    for kind, names, compute in (('trajectories', SETUPS, trajectory),
+                                 ('summaries', SUMMARIES, summary), ('studies', STUDIES, study)):
+        for name in names:
+            print(f'{kind}: {name}', flush=True)
+            parts[kind][name] = compute(name)
+    return parts
+
+
+def timing() -> dict:
+    """Return the supervised tick's p50 and the time of a whole `simulate`, on this machine."""
+    with tempfile.TemporaryDirectory() as folder:
+        start = time.perf_counter()
+        subprocess.run(
+            [sys.executable, '-m', 'multicontact_control.cli', 'simulate', '--scenario', 'quick',
+             '--out', f'{folder}/run'], cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
+        wall = time.perf_counter() - start
+        ticks = json.loads(Path(folder, 'run', 'summary.json').read_text())['timing']['tick_us']
+    return {'supervised_tick_p50_us': ticks['p50'], 'simulate_quick_s': round(wall, 2)}
+
+
+def main() -> None:
+    """Compare with the pins, or write them."""
+    parser = argparse.ArgumentParser(description=__doc__.split('\n')[1])
+    parser.add_argument('--write', metavar='REASON', help='pin anew, and say why')
+    reason = parser.parse_args().write
+    pinned = json.loads(FILE.read_text()) if FILE.exists() else {'reasons': []}
+    now = everything()
+    if reason:
+        content = {'reasons': [*pinned['reasons'], reason], 'timing': timing(), **now}
+        FILE.write_text(json.dumps(content, indent=1) + '\n')
+        return
+    found = [f'{kind}: {name}: sha256' for kind in ('trajectories',) for name in SETUPS
+             if pinned[kind][name]['sha256'] != now[kind][name]['sha256']]
+    for kind in ('summaries', 'studies'):
+        for name, content in now[kind].items():
+            found += [f'{kind}: {name}{line}' for line in differences(
+                pinned[kind][name], content)]
+    print(f'timing: pinned {pinned["timing"]}, now {timing()}')
+    print('\n'.join(found) or 'all pins hold')
+    sys.exit(bool(found))
+
+
+if __name__ == '__main__':
+    main()
