@@ -16,6 +16,7 @@ TEST_ARGS ?=
 # Three workers for two cores: graphs that start and end leave them idle half of the time.
 # test/conftest.py divides the tests among them.
 PYTEST = $(BIN)/python -m pytest -n 3
+READY = $(TEST_STAMP) $(DATA_STAMP) $(COMPILED_STAMP)
 
 # A native ROS 2 Jazzy is used where there is one; the wheels must not shadow it.
 ROS_PREFIX ?= /opt/ros/jazzy
@@ -74,7 +75,7 @@ if sys.version_info >= (3, 12) and not (headers.is_file() and shutil.which('c++'
 endef
 export CHECK_PYTHON
 
-.PHONY: help setup demo run simulate test browser check lint reference docs clean
+.PHONY: help setup demo run simulate lint check test nightly browser reference docs clean
 
 help:  ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "make %-10s %s\n", $$1, $$2}' Makefile
@@ -95,15 +96,17 @@ lint: $(TEST_STAMP)  ## Check style and types
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 
-test: $(TEST_STAMP) $(DATA_STAMP) $(COMPILED_STAMP) lint  ## Check style and types, then run the tests
-	@$(WITH_ROS) exec $(PYTEST) -m 'not webgl' $(TEST_ARGS)
+check: $(READY) lint  ## For every commit, a minute: style, types, unit tests
+	@$(WITH_ROS) exec $(PYTEST) -m 'not (ros or slow or nightly)' $(TEST_ARGS)
 
-browser: $(TEST_STAMP) $(DATA_STAMP) $(COMPILED_STAMP)  ## Drive the live view in Chromium (Debian: chromium)
-	@$(WITH_ROS) MULTICONTACT_BROWSER=required exec $(BIN)/python -m pytest test/view/test_browser.py
+test: $(READY) lint  ## Check style and types, then run the tests: six minutes
+	@$(WITH_ROS) exec $(PYTEST) -m 'not nightly' $(TEST_ARGS)
 
-check: $(TEST_STAMP) $(DATA_STAMP) $(COMPILED_STAMP) lint  ## For every commit: style, types, unit tests, one run
-	@$(WITH_ROS) $(PYTEST) -m 'not (ros or slow or colcon or linter)' $(TEST_ARGS)
-	@$(WITH_ROS) exec $(BIN)/multicontact simulate --scenario quick --out $(VENV)/check --overwrite
+nightly: $(READY)  ## What takes long: packaging, documents, browser, clusters, all robots, studies
+	@$(WITH_ROS) exec $(BIN)/python -m pytest -m nightly $(TEST_ARGS)
+
+browser: $(READY)  ## Drive the pages in Chromium (Debian: chromium)
+	@$(WITH_ROS) MULTICONTACT_BROWSER=required exec $(BIN)/python -m pytest -m browser $(TEST_ARGS)
 
 reference: $(RUN_STAMP)  ## Write docs/reference anew, from what the code declares
 	@$(WITH_ROS) exec $(BIN)/python docs/make_reference.py
