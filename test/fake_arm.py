@@ -25,18 +25,6 @@ DEPTH = QoSProfile(depth=1000)
 
 
 class FakeArm:
-    """
-    Publishes samples of an arm at home, one at a time, and waits for each answer.
-
-    Parameters
-    ----------
-    middleware
-        Its node publishes.
-    profile
-        Quality of service that it publishes its samples with.
-
-    """
-
     def __init__(self, middleware, profile=DEPTH):
         self._middleware = middleware
         node = middleware.node
@@ -79,14 +67,12 @@ class FakeArm:
         self.wrench = self.weight + np.concatenate([force @ R, moment @ R])
 
     def send(self):
-        """Publish the next sample; return its stamp."""
         self.k += 1
         stamp = self.k * PERIOD
         self.send_parts(stamp, {'joints', 'wrench'})
         return stamp
 
     def send_parts(self, stamp, parts):
-        """Publish the joints, the wrench, both or none of a sample."""
         if 'wrench' in parts:
             self._wrench.publish(messages.wrench_message(stamp, self.wrench, 'ft_face'))
         if 'joints' in parts:
@@ -99,14 +85,12 @@ class FakeArm:
         return self._middleware.take(self._commands, JointState)
 
     def commands(self):
-        """Return the stamps of all commands that have come since."""
         stamps = []
         while (taken := take(self._commands)) is not None:
             stamps.append(messages.stamp_to_ns(taken[0].header.stamp))
         return stamps
 
     def answer(self, stamp):
-        """Return the torque that answers a sample, None if it has not come."""
         taken = self._middleware.take(self._commands, JointState)
         if taken is not None and messages.stamp_to_ns(taken.header.stamp) == stamp:
             return np.array(taken.effort)
@@ -144,11 +128,9 @@ class FakeArm:
         return answers[0]
 
     def desired(self):
-        """Return the newest desired forces by name."""
         return self._newest(self._desired)
 
     def measured(self):
-        """Return the newest measured forces by name."""
         return self._newest(self._measured)
 
     def _newest(self, subscription):
@@ -175,7 +157,6 @@ class FakeArm:
         return self.report
 
     def newest_report(self, node='controller_node'):
-        """Return the newest diagnostics as {part: (level, message, values)}, None without any."""
         report = self._middleware.take(self._diagnostics, DiagnosticArray)
         if report is None or not report.status[0].name.startswith(node):
             return None

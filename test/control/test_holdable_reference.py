@@ -22,16 +22,6 @@ def moving():
     return ScenarioReference(config, rate=1.0 / H, contact_names=('one',))
 
 
-def test_reference_that_is_not_held_is_the_other_one():
-    reference, other = HoldableReference(moving()), moving()
-    for source in (reference, other):
-        source.start(START, NORMALS)
-    for k in range(500):
-        a, b = (x.update(k * H, NOTHING) for x in (reference, other))
-        np.testing.assert_array_equal(a.pose_des.position_world, b.pose_des.position_world)
-        np.testing.assert_array_equal(a.twist_des, b.twist_des)
-
-
 def test_hold_stands_still_and_release_goes_on_where_the_scenario_was():
     reference, other = HoldableReference(moving()), moving()
     for source in (reference, other):
