@@ -5,9 +5,6 @@ from pathlib import Path
 import shutil
 
 from forked_python import forked_python
-from multicontact_control.algebra import dot
-from multicontact_control.compiled import bound
-import numpy as np
 import pytest
 
 ROOT = Path(__file__).parents[1]
@@ -17,16 +14,6 @@ ROOT = Path(__file__).parents[1]
 def python():
     with forked_python() as started:
         yield started
-
-
-def test_bound_kernel_is_compiled_before_its_first_call_and_not_again():
-    x, y = np.arange(3.0), np.ones(3)
-    fast = bound(dot, x, y)
-    compiled = len(dot.signatures)
-    assert fast(x, y) == dot(x, y) == 3.0
-    with pytest.raises(TypeError):
-        fast(x.astype(np.float32), y)
-    assert len(dot.signatures) == compiled > 0
 
 
 CALLER = (

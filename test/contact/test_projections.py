@@ -53,12 +53,3 @@ def test_projections_are_those_of_the_equations_in_full_matrices(N, Lambda):
                           (projections(N, Lambda), equations.inertia_projections(N, Lambda))):
         np.testing.assert_allclose(found.Omega_f, wanted.Omega_f, atol=1e-12)
         np.testing.assert_allclose(found.Omega_m, wanted.Omega_m, atol=1e-12)
-
-
-def test_no_contact_leaves_all_motion_free():
-    """With no contact Omega_m = 1 and forces are 0."""
-    N = np.zeros((6, 0))
-    for found in (projections(N), projections(N, np.eye(6))):
-        np.testing.assert_array_equal(found.Omega_m, np.eye(6))
-        np.testing.assert_array_equal(found.Omega_f, np.zeros((6, 6)))
-    np.testing.assert_array_equal(allocate_force(N, np.zeros(0), 'decoupled'), np.zeros(6))

@@ -56,20 +56,6 @@ def test_hold_keeps_the_desired_forces():
     assert held.active.all()
 
 
-def test_hold_needs_a_first_tick_and_ends_with_a_new_start():
-    reference = HoldableReference(moving())
-    for _ in range(2):
-        reference.hold(START, np.ones(1, dtype=bool))
-        assert not (reference.begun or reference.held)
-        reference.start(START, NORMALS)
-    reference.update(0.0, NOTHING)
-    assert reference.begun
-    reference.hold(START, np.ones(1, dtype=bool))
-    assert reference.held
-    reference.start(START, NORMALS)
-    assert not reference.held
-
-
 def test_a_locked_reference_stands_still_until_it_is_unlocked_and_then_begins():
     reference, other = HoldableReference(moving(), locked=True), moving()
     for source in (reference, other):

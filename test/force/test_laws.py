@@ -7,7 +7,6 @@ from force_loop import observer_of
 from multicontact_control.config import (
     ForceConfig,
     LawName,
-    read_parameters,
     read_yaml,
 )
 from multicontact_control.errors import ConfigError
@@ -307,11 +306,6 @@ def test_discretisation_is_scipys(states):
 def test_combinations_that_make_no_sense_are_refused(force, field):
     with pytest.raises(ConfigError, match=field):
         resolve('quick', controller={'force': force})
-
-
-def test_default_values_are_those_of_the_file():
-    force = read_parameters(config_dir() / 'controller.yaml')['force']
-    assert {name: getattr(ForceConfig(), name) for name in force} == force
 
 
 @pytest.mark.parametrize('pause', [False, True], ids=['live change', 'pause'])

@@ -4,7 +4,7 @@ from force_loop import estimator_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from multicontact_control.config import NoiseEstimatorConfig, validate
-from multicontact_control.errors import ConfigError, ShapeError
+from multicontact_control.errors import ConfigError
 from multicontact_control.force.noise import ESTIMATORS, Innovation, make_noise_estimator
 import numpy as np
 import pytest
@@ -73,16 +73,6 @@ def test_estimators_reset_forgets_all_samples(name):
     first = [estimator.update(*sample) for sample in samples]
     estimator.reset()
     np.testing.assert_array_equal([estimator.update(*sample) for sample in samples], first)
-
-
-@pytest.mark.parametrize('name', NAMES)
-def test_estimators_refuse_a_sample_of_another_size(name):
-    estimator = estimator_of(name, contacts=2)
-    with pytest.raises(ShapeError, match=r'alpha: expected shape \(2,\)'):
-        estimator.update(np.zeros(3))
-    if estimator.uses_innovation:
-        with pytest.raises(ShapeError, match=r'prior_variance: expected shape \(2,\)'):
-            estimator.update(np.zeros(2), Innovation(np.zeros(2), np.zeros(1), np.ones(2)))
 
 
 @pytest.mark.parametrize(('field', 'value'), [
