@@ -44,14 +44,10 @@ class FakeArm:
         self.motion_command = node.create_publisher(
             topics.MOTION_COMMAND.message, topics.MOTION_COMMAND.name,
             topics.MOTION_COMMAND.profile)
-        self._commands = node.create_subscription(
-            JointState, 'joint_effort_command', lambda _: None, DEPTH)
-        self._desired = node.create_subscription(
-            JointState, 'contact_forces/desired', lambda _: None, DEPTH)
-        self._measured = node.create_subscription(
-            JointState, 'contact_forces/measured', lambda _: None, DEPTH)
-        self._diagnostics = node.create_subscription(
-            DiagnosticArray, 'diagnostics', lambda _: None, DEPTH)
+        self._commands, self._desired, self._measured, self._diagnostics = (
+            node.create_subscription(kind, name, lambda _: None, DEPTH) for kind, name in (
+                (JointState, 'joint_effort_command'), (JointState, 'contact_forces/desired'),
+                (JointState, 'contact_forces/measured'), (DiagnosticArray, 'diagnostics')))
 
     def press(self, **forces):
         """Let the sensor read these contact forces [N], and nothing else but the tool."""
@@ -98,17 +94,9 @@ class FakeArm:
 
     def step(self):
         """Publish a sample and return the torque that answers it."""
-        found = []
-
-        def answered():
-            torque = self.answer(stamp)
-            if torque is not None:
-                found.append(torque)
-            return found
-
         stamp = self.send()
-        wait_for(answered, f'answer to sample {self.k}')
-        return found[0]
+        return wait_for(lambda: [x for x in [self.answer(stamp)] if x is not None],
+                        f'answer to sample {self.k}')[0]
 
     def connect(self):
         """Send samples until the newest is answered; return the first answer that came."""
@@ -134,16 +122,8 @@ class FakeArm:
         return self._newest(self._measured)
 
     def _newest(self, subscription):
-        found = []
-
-        def come():
-            taken = self._middleware.take(subscription, JointState)
-            if taken is not None:
-                found.append(taken)
-            return bool(found)
-
-        wait_for(come, 'forces')
-        return dict(zip(found[-1].name, found[-1].effort))
+        forces = wait_for(lambda: self._middleware.take(subscription, JointState), 'forces')
+        return dict(zip(forces.name, forces.effort))
 
     def diagnostics(self, condition, *, node='controller_node'):
         """Step until diagnostics satisfy a condition on {part: (level, message, values)}."""

@@ -1,5 +1,5 @@
 """
-How surfaces move, and how they are tilted, estimated.
+Surfaces that move or are tilted: their speeds and normals, estimated.
 
 Both are learnt from what is measured anyway, slowly and within declared bounds, while a contact is
 force controlled.
