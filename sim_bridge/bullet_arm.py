@@ -6,9 +6,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from multicontact_control.arrays import Vector
+import pybullet as bullet
 from sim_bridge.arm import Arm, SENSOR_FRAME, TOOL_LINK, urdf_text
 from sim_bridge.engine_arm import EngineArm
-from sim_bridge.quiet_bullet import bullet
 
 MAX_JOINT_SPEED = 1e4
 

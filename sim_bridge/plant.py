@@ -14,8 +14,7 @@ from sim_bridge.arm import SENSOR_FRAME, TOOL_LINK
 from sim_bridge.config import PlantConfig
 from sim_bridge.contacts import Contacts
 from sim_bridge.drives import clip_torque, EngineDrives, FlexibleDrives, RigidDrives
-from sim_bridge.engine import make_engine
-from sim_bridge.engine_arm import EngineArm
+from sim_bridge.engine_arm import EngineArm, make_engine
 from sim_bridge.joint_friction import joint_friction
 from sim_bridge.pushes import Pushes, ToolPush
 from sim_bridge.robots import find_robot
@@ -23,38 +22,19 @@ from sim_bridge.wrench_sensor import WrenchSensor
 
 
 class Sample(NamedTuple):
-    """
-    What can be known of the plant at the end of a control period.
+    """What can be known of the plant at the end of a control period."""
 
-    Attributes
-    ----------
-    q, qd
-        Joint angles and speeds as the encoders see them, shape (n,) [rad], [rad/s].
-    effort
-        Torque applied over the period, shape (n,) [N m].
-    wrench
-        Reading of the wrist sensor: what the arm exerts on the tool, sensor frame,
-        shape (6,) [N, N m].
-    wrench_filtered
-        The same behind the sensor's low-passes.
-    contact_force
-        True forces of robot on surface over the last substep, the one the sensor's reading
-        belongs to, and couples of edges and planes, shape (nc,) [N].
-    saturated
-        Whether a torque was clipped.
-    tool_push_world
-        True force of a hand on the tool over the period that ended, world axes, shape (3,) [N]:
-        like any contact in what the sensor reads (its opposite), but not in `contact_force`.
-
-    """
-
-    q: Vector
-    qd: Vector
-    effort: Vector
-    wrench: Vector
-    wrench_filtered: Vector
+    q: Vector  # joint angles as the encoders see them, shape (n,) [rad]
+    qd: Vector  # joint speeds, likewise, shape (n,) [rad/s]
+    effort: Vector  # torque applied over the period, shape (n,) [N m]
+    wrench: Vector  # the arm's on the tool, as the sensor reads it, its frame, shape (6,) [N, N m]
+    wrench_filtered: Vector  # the same behind the sensor's low-passes
+    # True forces of robot on surface over the last substep, the one the sensor's reading belongs
+    # to, and couples of edges and planes, shape (nc,) [N].
     contact_force: Vector
-    saturated: bool
+    saturated: bool  # whether a torque was clipped
+    # True force of a hand on the tool over the period that ended, world axes, shape (3,) [N]: the
+    # sensor reads its opposite; it is not in `contact_force`.
     tool_push_world: Vector
 
 

@@ -27,7 +27,6 @@ import pinocchio as pin
 from sim_bridge.arm import Arm, OPERATIONAL_FRAME, SENSOR_FRAME
 from sim_bridge.config import SurfaceConfig
 from sim_bridge.posture import frame_jacobian, frame_pose, limits_of, reach
-from sim_bridge.puma560 import load_robot, puma_arm
 from sim_bridge.robot_file import PlantVariant, RobotFile
 from sim_bridge.urdf_arm import Mount, read_arm
 
@@ -49,40 +48,27 @@ LIFT, TILT = 0.12, 0.5  # m and rad, for weighing the tool
 
 @dataclass(frozen=True)
 class Robot:
-    """
-    A robot of config/robots, or of a file.
+    """A robot of config/robots, or of a file."""
 
-    Attributes
-    ----------
-    name
-        Name, or path of the file.
-    file
-        What it says.
-    folder
-        That its paths are relative to.
-
-    """
-
-    name: str
+    name: str  # or path of the file
     file: RobotFile
-    folder: Path
+    folder: Path  # that its paths are relative to
 
     @cached_property
     def arm(self) -> Arm:
         """Return the arm with its tool."""
         file = self.file
-        if file.dh:
-            return puma_arm(load_robot(self._path(file.dh)))
         arm = read_arm(urdf_path(file.urdf, self.folder), file.joint_names, Mount(
             file.mount_link, file.mount_rpy, file.tool, file.tip_links), file.locked)
         none = (0.0,) * len(arm.links)
         given = zip(arm.links, file.armature or none, file.viscous or none, file.coulomb or none,
+                    file.coulomb_negative or file.coulomb or none,
                     file.torque_limit or arm.torque_limit,
                     file.speed_limit or [link.speed_limit for link in arm.links])
         links = tuple(replace(
-            link, armature=armature, viscous=viscous, coulomb_positive=coulomb,
-            coulomb_negative=coulomb, torque_limit=torque, speed_limit=speed)
-            for link, armature, viscous, coulomb, torque, speed in given)
+            link, armature=armature, viscous=viscous, coulomb_positive=positive,
+            coulomb_negative=negative, torque_limit=torque, speed_limit=speed)
+            for link, armature, viscous, positive, negative, torque, speed in given)
         for name in ('torque_limit', 'speed_limit'):
             if min(getattr(link, name) for link in links) <= 0.0:
                 raise ConfigError(name, 'a value above 0, since the URDF has none', 'nothing',
@@ -346,7 +332,7 @@ def urdf_name(path: Path, folder: Path) -> str:
 def has_urdf(robot: Robot) -> bool:
     """Return whether the URDF of a robot is installed."""
     try:
-        return bool(robot.file.dh) or urdf_path(robot.file.urdf, robot.folder).is_file()
+        return urdf_path(robot.file.urdf, robot.folder).is_file()
     except ConfigError:
         return False
 

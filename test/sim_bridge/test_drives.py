@@ -1,13 +1,12 @@
-from arms import plant_config
 import numpy as np
 import pinocchio as pin
 import pytest
 from sim_bridge.drives import FlexibleDrives, implicit_joint_speed, RigidDrives
-from sim_bridge.joint_friction import FRICTION, friction_torque, joint_friction
+from sim_bridge.joint_friction import FRICTION, friction_torque, implicit_speed, joint_friction
 from sim_bridge.kinematics import mass_matrix
-from sim_bridge.puma560 import puma_arm
 
-STEP = 1e-3
+STEP, SUBSTEP, INERTIA = 1e-3, 2.5e-4, 0.784
+ROW = np.array([(0.5, 27.0, 25.0, 1e-3)], dtype=FRICTION)[0]
 NO_FRICTION = np.array([(0.0, 0.0, 0.0, 1e-3)] * 2, dtype=FRICTION)
 
 
@@ -42,26 +41,15 @@ def test_flexible_drives_rest_with_springs_wound_up():
     np.testing.assert_allclose(drives.qd, 0.0, atol=1e-12)
 
 
-def test_drive_modes_with_locked_rotors_are_the_noted_ones(model):
-    """Eigenfrequencies of M x'' + K x = 0 at home, without rotors [Hz]."""
-    config = plant_config('puma')
-    data = model.createData()
-    upper = np.triu(pin.crba(model, data, np.array(config.home)))
-    mass_matrix = upper + np.triu(upper, 1).T
-    squares = np.linalg.eigvals(np.linalg.solve(mass_matrix, np.diag(config.drive_stiffness)))
-    modes = np.sort(np.sqrt(squares.real)) / (2 * np.pi)
-    np.testing.assert_allclose(modes, [16, 21, 33, 78, 104, 192], rtol=0.1)
-
-
 @pytest.fixture
-def arm_with_rotors(robot, model):
-    model.armature = np.array(robot.exact_armature)
+def arm_with_rotors(puma, model):
+    model.armature = np.array(puma.armature)
     return model
 
 
-def test_rigid_drives_make_bare_links_accelerate_as_with_rotors(robot, arm_with_rotors, rng):
+def test_rigid_drives_make_bare_links_accelerate_as_with_rotors(puma, arm_with_rotors, rng):
     model = arm_with_rotors
-    drives = RigidDrives(model, joint_friction(puma_arm(robot), 0.0, 1e-3), STEP)
+    drives = RigidDrives(model, joint_friction(puma, 0.0, 1e-3), STEP)
     bare = model.copy()
     bare.armature = np.zeros(6)
     for _ in range(5):
@@ -72,8 +60,8 @@ def test_rigid_drives_make_bare_links_accelerate_as_with_rotors(robot, arm_with_
         np.testing.assert_allclose(found, expected, atol=1e-9)
 
 
-def test_implicit_joint_speed_solves_its_equation(robot, arm_with_rotors, rng):
-    model, table = arm_with_rotors, joint_friction(puma_arm(robot), 1.0, 1e-3)
+def test_implicit_joint_speed_solves_its_equation(puma, arm_with_rotors, rng):
+    model, table = arm_with_rotors, joint_friction(puma, 1.0, 1e-3)
     for _ in range(50):
         inertia = mass_matrix(model, model.createData(), rng.uniform(-1, 1, 6))
         free = rng.standard_normal(6) * 10 ** rng.uniform(-6, 0.5, 6)
@@ -85,8 +73,8 @@ def test_implicit_joint_speed_solves_its_equation(robot, arm_with_rotors, rng):
 
 
 def test_rigid_drives_with_friction_brake_like_the_implicit_solution(
-        robot, arm_with_rotors, rng):
-    model, table = arm_with_rotors, joint_friction(puma_arm(robot), 0.6, 1e-3)
+        puma, arm_with_rotors, rng):
+    model, table = arm_with_rotors, joint_friction(puma, 0.6, 1e-3)
     drives = RigidDrives(model, table, STEP)
     bare = model.copy()
     bare.armature = np.zeros(6)
@@ -97,3 +85,22 @@ def test_rigid_drives_with_friction_brake_like_the_implicit_solution(
     expected = qd + STEP * pin.aba(
         model, model.createData(), q, qd, torque - np.array(friction))
     np.testing.assert_allclose(speed, expected, atol=1e-9)
+
+
+def test_implicit_speed_solves_its_equation(rng):
+    for _ in range(500):
+        free = rng.choice([-1, 1]) * 10 ** rng.uniform(-9, 1)
+        speed = implicit_speed(free, SUBSTEP, INERTIA, ROW)
+        residual = speed - free + SUBSTEP / INERTIA * friction_torque(speed, ROW)
+        assert residual == pytest.approx(0.0, abs=1e-9 * max(1e-3, abs(free)))
+        assert min(0.0, free) <= speed <= max(0.0, free)
+
+
+def test_friction_holds_a_torque_below_coulombs():
+    """What an explicit tanh cannot do at this step: come to rest, and stay."""
+    speed, travel = 0.05, 0.0
+    for tick in range(8000):
+        speed = implicit_speed(speed + SUBSTEP / INERTIA * 15.0, SUBSTEP, INERTIA, ROW)
+        travel += SUBSTEP * speed if tick >= 4000 else 0.0
+    assert speed == pytest.approx(1e-3 * np.arctanh(15.0 / 27.0), rel=0.01)
+    assert travel < 1e-3

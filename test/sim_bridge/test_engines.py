@@ -8,7 +8,7 @@ import pytest
 from robots import ENGINES, needs_mujoco, ROBOTS
 from sim_bridge.arm import SENSOR_FRAME
 from sim_bridge.config import PlantConfig
-from sim_bridge.engine import make_engine
+from sim_bridge.engine_arm import make_engine
 from sim_bridge.plant import Plant
 from sim_bridge.robots import find_robot
 
@@ -39,7 +39,9 @@ def test_steps_are_those_of_pinocchio_and_so_is_the_wrench(name, engine, rng):
     model, data = arm.model(), arm.model().createData()
     n, tip = model.nv, list(arm.tips)[-1]
     body = make_engine(plant_config(name, engine=engine), arm)
-    frames = [model.getFrameId(frame) for frame in (tip, 'wrist_point', SENSOR_FRAME)]
+    elbow = (n + 1) // 2
+    frames = [model.getFrameId(frame) for frame in (
+        tip, 'wrist_point', SENSOR_FRAME, f'link{elbow}')]
     face = model.frames[frames[2]].placement
     fastest = 0.0
     for largest_push in (0.0, 1.0):
@@ -59,8 +61,10 @@ def test_steps_are_those_of_pinocchio_and_so_is_the_wrench(name, engine, rng):
             if largest_push:
                 body.push_tool(force.tolist(), points[0].tolist())
                 body.push_link(-1, push.tolist(), points[1].tolist())
+                body.push_link(elbow - 1, force.tolist(), points[3].tolist())
             wrench = np.array(body.step(torque))
-            qdd = pin.aba(model, data, q, qd, torque + levers[0].T @ force + levers[1].T @ push)
+            qdd = pin.aba(model, data, q, qd, torque + (
+                levers[0] + levers[3]).T @ force + levers[1].T @ push)
             pin.forwardKinematics(model, data, q, qd, qdd)
             pin.updateFramePlacements(model, data)
             pose, inertia = data.oMf[frames[2]], carried(arm)
@@ -136,7 +140,7 @@ def test_native_contact_is_as_stiff_as_the_surface_is_configured(name):
     model, data, home = plant.model, plant.model.createData(), np.array(config.home)
     frame = model.getFrameId('wrist_point')
     sample = plant.reset()
-    for _ in range(1000):
+    for _ in range(500):
         pin.computeJointJacobians(model, data, sample.q)
         pin.updateFramePlacements(model, data)
         jacobian = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
@@ -155,33 +159,18 @@ def test_native_contact_is_as_stiff_as_the_surface_is_configured(name):
     plant.close()
 
 
-@pytest.mark.parametrize(('changes', 'message'), [
-    ({'contact': 'native'}, 'contact: expected compliant with this engine'),
-    ({'contact': 'native', 'engine': 'mujoco', 'joint_friction_scale': 0.5},
-     'joint_friction_scale: expected 0 with rigid drives'),
-    ({'contact': 'native', 'engine': 'mujoco', 'surfaces': {'table': {
-        'shape': 'sphere', 'radius': 1.0}}}, 'surfaces.table: expected a plane at rest'),
-    ({'engine': 'ode'}, 'engine: expected')])
-def test_what_an_engine_cannot_do_is_refused(changes, message):
-    from multicontact_control.config import merge
-
-    with pytest.raises(ConfigError, match=message):
-        validate(PlantConfig, merge(find_robot().plant_values('rigid'), changes))
-
-
 @needs_mujoco
 def test_surfaces_of_the_engine_are_met_by_tips_and_stay_as_they_are():
     native = {'engine': 'mujoco', 'contact': 'native'}
     config = plant_config('puma', **native)
     link = config.surfaces['table'].model_copy(update={'tip_link': 'link6'})
-    with pytest.raises(ConfigError, match='surfaces.table.tip_link: expected one of the tips .*'
-                                          "tip_board, tip_table with native .*, found 'link6'"):
+    with pytest.raises(ConfigError, match=r'^surfaces\.table\.tip_link'):
         Plant(config.model_copy(update={'surfaces': {**config.surfaces, 'table': link}}),
               rate=500.0, seed=0)
     plant = Plant(config, rate=500.0, seed=0)
     for change in (plant.contacts.scale_stiffness, plant.contacts.scale_friction,
                    plant.contacts.set_friction, plant.contacts.shift,
                    plant.contacts.put_before_tip):
-        with pytest.raises(ConfigError, match='contact: expected compliant, .* found native'):
+        with pytest.raises(ConfigError, match='^contact'):
             change(0, 0.5)
     plant.close()

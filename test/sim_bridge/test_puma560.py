@@ -1,34 +1,28 @@
+"""config/puma560.urdf and config/robots/puma.yaml against the published numbers."""
+
 import json
 from pathlib import Path
 
-from multicontact_control.config import merge, read_yaml, validate
-from multicontact_control.errors import ConfigError
-from multicontact_control.paths import config_dir
+from arms import HOME
+from multicontact_control.config import read_yaml
 import numpy as np
 import pinocchio as pin
 import pytest
-from sim_bridge.arm import OPERATIONAL_FRAME, SENSOR_FRAME
-from sim_bridge.puma560 import DATA_FILE, load_robot, puma_arm, RobotData, URDF_FILE
+from sim_bridge.arm import OPERATIONAL_FRAME
 
-REFERENCE = json.loads(
-    (Path(__file__).parents[1] / 'data' / 'puma560_reference.json').read_text())['samples']
-HOME = np.array([1.847117449942421, 0.8705595994175255, 2.9372057614605662, 0.0,
-                 -0.6661727072882984, 1.847117449942421])
-
-
-@pytest.fixture
-def bare_model(robot, model):
-    """Return the arm as published: with rotors, without the tool."""
-    link = robot.links[-1]
-    model.inertias[6] = pin.Inertia(link.mass, np.array(link.com), np.diag(link.inertia))
-    model.armature = np.array(robot.exact_armature)
-    return model
+DATA = Path(__file__).parents[1] / 'data'
+REFERENCE = json.loads((DATA / 'puma560_reference.json').read_text())['samples']
+TABLE = read_yaml(DATA / 'puma560.yaml')
 
 
 @pytest.mark.parametrize('sample', REFERENCE)
-def test_urdf_dynamics_agree_with_roboticstoolbox(bare_model, sample):
-    """Torques, inertia, gravity and pose of the published arm (roboticstoolbox's Puma560)."""
-    model, data = bare_model, bare_model.createData()
+def test_urdf_dynamics_agree_with_roboticstoolbox(puma, model, sample):
+    """Torques, inertia, gravity and pose of the published arm, without the tool."""
+    link = TABLE['links'][-1]
+    model.inertias[6] = pin.Inertia(
+        link['mass'], np.array(link['com']), np.diag(link['inertia']))
+    model.armature = np.array(puma.armature)
+    data = model.createData()
     q, qd, qdd = (np.array(sample[name]) for name in ('q', 'qd', 'qdd'))
     np.testing.assert_allclose(pin.rnea(model, data, q, qd, qdd), sample['tau'], atol=1e-9)
     upper = np.triu(pin.crba(model, data, q))
@@ -40,13 +34,20 @@ def test_urdf_dynamics_agree_with_roboticstoolbox(bare_model, sample):
     np.testing.assert_allclose(pose, sample['T'], atol=1e-9)
 
 
-def test_urdf_in_config_is_the_generated_one(robot):
-    committed = (config_dir() / URDF_FILE).read_text(encoding='utf-8')
-    assert committed == puma_arm(robot).urdf, 'run python3 -m sim_bridge.puma560'
-
-
-def test_exact_armature_rounds_to_the_published_one(robot):
-    np.testing.assert_allclose(robot.exact_armature, robot.armature, atol=6e-4)
+def test_motors_and_limits_are_the_published_ones_at_the_joint(puma):
+    """Jm G^2, b G^2 and F |G|; the armature is published rounded, too."""
+    for number, (link, motor) in enumerate(zip(puma.links, TABLE['motors'], strict=True)):
+        gear = abs(motor['gear'])
+        positive, negative = motor['coulomb']
+        np.testing.assert_allclose(
+            [link.armature, link.viscous, link.coulomb_positive, link.coulomb_negative],
+            [motor['rotor_inertia'] * gear ** 2, motor['viscous'] * gear ** 2,
+             positive * gear, -negative * gear], rtol=1e-12)
+        assert link.armature == pytest.approx(TABLE['armature'][number], abs=6e-4)
+        assert link.torque_limit == TABLE['torque_limit'][number]
+        assert link.speed_limit == TABLE['speed_limit'][number]
+        np.testing.assert_allclose(
+            np.degrees([link.lower, link.upper]), TABLE['position_limit_deg'][number])
 
 
 def test_home_has_tool_down_and_tips_where_the_paper_wants_them(model):
@@ -61,9 +62,6 @@ def test_home_has_tool_down_and_tips_where_the_paper_wants_them(model):
         lever = data.oMf[model.getFrameId(tip)].translation - wrist.translation
         stiffness.append(6000.0 * (1.0 + np.sum(np.cross(lever, normal) ** 2)))
     np.testing.assert_allclose(stiffness, [6000.0, 6216.6], atol=1e-9)
-    face = data.oMf[model.getFrameId(SENSOR_FRAME)]
-    np.testing.assert_allclose(face.translation - wrist.translation, [0.0, 0.0, -0.056],
-                               atol=1e-12)
 
 
 def test_motion_along_x_keeps_clear_of_limits_and_singularities(model):
@@ -79,19 +77,3 @@ def test_motion_along_x_keeps_clear_of_limits_and_singularities(model):
             q += np.linalg.solve(jacobian, [direction * 1e-3, 0.0, 0.0, 0.0, 0.0, 0.0])
             assert np.all(q > model.lowerPositionLimit + 0.5)
             assert np.all(q < model.upperPositionLimit - 0.5)
-
-
-@pytest.mark.parametrize(('change', 'field'), [
-    ({'torque_limit': [1.0]}, 'torque_limit'),
-    ({'tool': {'mass': -1.0}}, 'tool.mass'),
-    ({'arms': 2}, 'arms'),
-])
-def test_robot_data_names_the_bad_field(change, field):
-    values = merge(read_yaml(config_dir() / DATA_FILE), change)
-    with pytest.raises(ConfigError, match=rf'^{field}: expected'):
-        validate(RobotData, values)
-
-
-def test_load_robot_names_the_missing_file(tmp_path):
-    with pytest.raises(ConfigError, match='readable file'):
-        load_robot(tmp_path / 'none.yaml')

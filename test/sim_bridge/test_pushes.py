@@ -1,6 +1,5 @@
 """A hand that pushes the tool: seen by the sensor, and felt by the arm."""
 
-from multicontact_control.errors import ConfigError
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -15,8 +14,7 @@ def push(force, link='tip_board'):
             'tool_push_force_world': tuple(force), 'tool_push_link': link}
 
 
-@pytest.mark.parametrize('preset', ['rigid', 'puma'])
-@pytest.mark.parametrize('link', ['tip_board', 'tip_table'])
+@pytest.mark.parametrize(('preset', 'link'), [('rigid', 'tip_board'), ('puma', 'tip_table')])
 def test_sensor_reads_the_opposite_of_a_push_at_the_tool(make_plant, model, preset, link):
     """A held arm: force and moment as statics has them."""
     force = np.array([4.0, -6.0, 8.0])
@@ -38,7 +36,7 @@ def test_sensor_reads_the_opposite_of_a_push_at_the_tool(make_plant, model, pres
     assert np.max(np.abs(sample.qd)) < 1e-2
 
 
-def test_push_at_the_tool_moves_the_arm_while_it_lasts(make_plant, model, robot):
+def test_push_at_the_tool_moves_the_arm_while_it_lasts(make_plant, model, puma):
     """The momentum it leaves behind: M dqd = J^T F dt at the point pushed."""
     plant, still = make_plant(**FREE, **push((0.0, 0.0, 30.0))), make_plant(**FREE)
     for tick in range(60):
@@ -51,15 +49,9 @@ def test_push_at_the_tool_moves_the_arm_while_it_lasts(make_plant, model, robot)
     pin.updateFramePlacements(model, data)
     jacobian = pin.getFrameJacobian(
         model, data, model.getFrameId('tip_board'), pin.LOCAL_WORLD_ALIGNED)
-    model.armature = np.array(robot.exact_armature)
+    model.armature = np.array(puma.armature)
     upper = np.triu(pin.crba(model, data, home))
     expected = np.linalg.solve(
         upper + np.triu(upper, 1).T, jacobian[:3].T @ [0.0, 0.0, 30.0 * 0.02])
     np.testing.assert_allclose(sample.qd, expected, atol=0.02 * np.max(np.abs(expected)))
     np.testing.assert_array_equal(plant.step(plant.initial_torque).tool_push_world, np.zeros(3))
-
-
-def test_push_at_no_link_of_the_arm_is_refused(make_plant):
-    for link in ('tip_wall', 'link3'):
-        with pytest.raises(ConfigError, match=f"tool_push_link: expected a .* found '{link}'"):
-            make_plant(tool_push_link=link)
