@@ -13,9 +13,14 @@ import pinocchio as pin
 from sim_bridge.arm import SENSOR_FRAME, TOOL_LINK
 from sim_bridge.config import PlantConfig
 from sim_bridge.contacts import Contacts
-from sim_bridge.drives import clip_torque, EngineDrives, FlexibleDrives, RigidDrives
+from sim_bridge.drives import (
+    clip_torque,
+    EngineDrives,
+    FlexibleDrives,
+    joint_friction,
+    RigidDrives,
+)
 from sim_bridge.engine_arm import EngineArm, make_engine
-from sim_bridge.joint_friction import joint_friction
 from sim_bridge.pushes import Pushes, ToolPush
 from sim_bridge.robots import find_robot
 from sim_bridge.wrench_sensor import WrenchSensor

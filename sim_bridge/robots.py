@@ -75,11 +75,6 @@ class Robot:
                                   self.name)
         return replace(arm, links=links)
 
-    @property
-    def home(self) -> Vector:
-        """Return the joint angles at the start, shape (n,) [rad]."""
-        return np.array(self.plant_values('')['home'])
-
     def elbow(self) -> tuple[str, Vector]:
         """
         Return where an obstacle meets the arm before its wrist sensor.
@@ -95,7 +90,8 @@ class Robot:
         if self.file.elbow is not None:
             return f'link{self.file.elbow.link}', np.array(self.file.elbow.normal_world)
         link = f'link{(len(self.arm.links) + 1) // 2}'
-        torques = frame_jacobian(self.arm.model(), self.home, link)[:3] / self.arm.torque_limit
+        home = np.array(self.plant_values('')['home'])
+        torques = frame_jacobian(self.arm.model(), home, link)[:3] / self.arm.torque_limit
         axis = int(np.argmax(np.abs(torques[:2]).max(axis=1)))
         return link, np.eye(3)[axis]
 
@@ -172,12 +168,8 @@ class Robot:
 
     def urdf_dir(self) -> Path:
         """Return the folder that the controller's `robot.urdf` is relative to."""
-        return self.folder_of_config if self.file.controller_file else _urdf_file(self.arm).parent
-
-    @property
-    def folder_of_config(self) -> Path:
-        """Return the folder of its parameter files."""
-        return self._path(self.file.controller_file).parent
+        file = self.file.controller_file
+        return (self._path(file) if file else _urdf_file(self.arm)).parent
 
     def calibration_values(self) -> dict[str, Any]:
         """Return the poses in which its tool is weighed, as config/calibration.yaml has them."""

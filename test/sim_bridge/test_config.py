@@ -3,14 +3,6 @@ from multicontact_control.errors import ConfigError
 import pytest
 
 
-def test_presets_differ_in_drives_and_friction_alone():
-    rigid, puma = plant_config('rigid'), plant_config('puma')
-    assert (rigid.drives, rigid.joint_friction_scale) == ('rigid', 0.0)
-    assert (puma.drives, puma.joint_sensing) == ('flexible', 'motor')
-    assert rigid.surfaces == puma.surfaces
-    assert rigid.sensor == puma.sensor
-
-
 @pytest.mark.parametrize(('change', 'field'), [
     ({'contact_names': ['table', 'wall']}, 'contact_names'),
     ({'contact_names': ['table', 'table']}, 'contact_names'),

@@ -1,8 +1,15 @@
 import numpy as np
 import pinocchio as pin
 import pytest
-from sim_bridge.drives import FlexibleDrives, implicit_joint_speed, RigidDrives
-from sim_bridge.joint_friction import FRICTION, friction_torque, implicit_speed, joint_friction
+from sim_bridge.drives import (
+    FlexibleDrives,
+    FRICTION,
+    friction_torque,
+    implicit_joint_speed,
+    implicit_speed,
+    joint_friction,
+    RigidDrives,
+)
 from sim_bridge.kinematics import mass_matrix
 
 STEP, SUBSTEP, INERTIA = 1e-3, 2.5e-4, 0.784
@@ -47,17 +54,20 @@ def arm_with_rotors(puma, model):
     return model
 
 
-def test_rigid_drives_make_bare_links_accelerate_as_with_rotors(puma, arm_with_rotors, rng):
-    model = arm_with_rotors
-    drives = RigidDrives(model, joint_friction(puma, 0.0, 1e-3), STEP)
-    bare = model.copy()
+@pytest.mark.parametrize('scale', [0.0, 0.6])
+def test_rigid_drives_make_bare_links_move_as_with_rotors_and_friction(
+        puma, arm_with_rotors, rng, scale):
+    model, table = arm_with_rotors, joint_friction(puma, scale, 1e-3)
+    drives, bare = RigidDrives(model, table, STEP), model.copy()
     bare.armature = np.zeros(6)
     for _ in range(5):
         q, qd, torque, load = rng.uniform(-1, 1, (4, 6))
         applied = drives.advance(torque, load, q, qd)
-        found = pin.aba(bare, bare.createData(), q, qd, applied + load)
-        expected = pin.aba(model, model.createData(), q, qd, torque + load)
-        np.testing.assert_allclose(found, expected, atol=1e-9)
+        speed = qd + STEP * pin.aba(bare, bare.createData(), q, qd, applied + load)
+        friction = [friction_torque(v, row) for v, row in zip(speed, table, strict=True)]
+        expected = qd + STEP * pin.aba(
+            model, model.createData(), q, qd, torque + load - np.array(friction))
+        np.testing.assert_allclose(speed, expected, atol=1e-9)
 
 
 def test_implicit_joint_speed_solves_its_equation(puma, arm_with_rotors, rng):
@@ -70,21 +80,6 @@ def test_implicit_joint_speed_solves_its_equation(puma, arm_with_rotors, rng):
         friction = [friction_torque(v, row) for v, row in zip(speed, table, strict=True)]
         residual = inertia @ (speed - free) + STEP * np.array(friction)
         np.testing.assert_allclose(residual, 0.0, atol=1e-10)
-
-
-def test_rigid_drives_with_friction_brake_like_the_implicit_solution(
-        puma, arm_with_rotors, rng):
-    model, table = arm_with_rotors, joint_friction(puma, 0.6, 1e-3)
-    drives = RigidDrives(model, table, STEP)
-    bare = model.copy()
-    bare.armature = np.zeros(6)
-    q, qd, torque = rng.uniform(-1, 1, (3, 6))
-    applied = drives.advance(torque, np.zeros(6), q, qd)
-    speed = qd + STEP * pin.aba(bare, bare.createData(), q, qd, applied)
-    friction = [friction_torque(v, row) for v, row in zip(speed, table, strict=True)]
-    expected = qd + STEP * pin.aba(
-        model, model.createData(), q, qd, torque - np.array(friction))
-    np.testing.assert_allclose(speed, expected, atol=1e-9)
 
 
 def test_implicit_speed_solves_its_equation(rng):
