@@ -315,8 +315,8 @@ def _placement(element: ElementTree.Element, path: str = 'origin') -> Placement:
 
 def _body(link: ElementTree.Element) -> Body:
     moments = [_numbers(link, 'inertial/inertia', name)[0] for name in ('ixx', 'iyy', 'izz')]
-    return Body(*_numbers(link, 'inertial/mass', 'value'), _placement(link, 'inertial/origin'),
-                _triple(moments))
+    mass, = _numbers(link, 'inertial/mass', 'value')
+    return Body(mass, _placement(link, 'inertial/origin'), _triple(moments))
 
 
 def _triple(values: Iterable[float]) -> Vector3:

@@ -83,7 +83,7 @@ class Plant:
         self.contact_names = config.column_names
         self.joint_names = self.description.joint_names
         self._model = self.description.model()
-        require_fit(config, self._model)
+        _require_fit(config, self._model)
         # What touches the tool is felt by the wrist sensor, what touches a link is not.
         self._sensed_tips = [
             config.surfaces[name].tip_link in (TOOL_LINK, *self.description.tips)
@@ -250,16 +250,7 @@ class Plant:
             tool_push_world=self._tool_push.force_world)
 
 
-def require_fit(config: PlantConfig, model: pin.Model) -> None:
-    """
-    Check a plant against its arm.
-
-    Raises
-    ------
-    ConfigError
-        If the number of joints does not match, or a tip is on no link that a joint carries.
-
-    """
+def _require_fit(config: PlantConfig, model: pin.Model) -> None:
     if len(config.home) != model.nv:
         raise ConfigError('home', f'{model.nv} values, one per joint', len(config.home))
     links = [frame.name for frame in model.frames

@@ -33,17 +33,6 @@ def test_plant_repeats_bit_for_bit_with_its_seed(make_plant, preset):
     assert fingerprint(make_plant(preset, seed=4)) != first
 
 
-@pytest.mark.parametrize('preset', ['rigid', 'puma'])
-def test_initial_torque_holds_the_arm_at_home(make_plant, preset):
-    plant = make_plant(preset)
-    start = plant.reset()
-    for _ in range(500):
-        sample = plant.step(plant.initial_torque)
-    np.testing.assert_allclose(sample.q, start.q, atol=1e-9)
-    np.testing.assert_array_equal(sample.contact_force, [0.0, 0.0])
-    assert not sample.saturated
-
-
 def test_rigid_plant_moves_like_pinocchio_with_armature(puma, model, make_plant, rng):
     """A free motion, step by step: ABA with armature and symplectic Euler."""
     plant = make_plant('rigid', contact_names=())
@@ -118,3 +107,17 @@ def test_body_on_a_spring_gives_way_as_newton_says(make_plant):
         places.append(contacts.places_world[1] @ normal - start)
     _, expected = signal.step(([force], [mass, damping, stiffness]), T=step * np.arange(2001))
     np.testing.assert_allclose(places, expected[1:], atol=np.diff(expected).max())
+
+
+@pytest.mark.parametrize('period', [0.0, 0.5])
+def test_surface_moves_as_configured(make_plant, period):
+    """By v (t - t_0), or by v T / 2 pi (1 - cos 2 pi (t - t_0) / T)."""
+    plant = make_plant(surfaces={
+        'velocity': 0.02, 'motion_start': 0.1, 'motion_period': period})
+    before = plant.contacts.places_world.copy()
+    for _ in range(400):
+        plant.contacts.move(1e-3)
+    way = 0.02 * 0.3 if not period else 0.02 * period / (2.0 * np.pi) * (
+        1.0 - np.cos(2.0 * np.pi * 0.3 / period))
+    np.testing.assert_allclose(
+        plant.contacts.places_world[0] - before[0], [0.0, 0.0, -way], atol=3e-5)
