@@ -4,15 +4,10 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Any, TYPE_CHECKING
+from typing import Any
 
 from multicontact_control.arrays import Vector
-from multicontact_control.errors import ConfigError
 import numpy as np
-
-if TYPE_CHECKING:
-    from sim_bridge.arm import Arm
-    from sim_bridge.config import PlantConfig
 
 
 class EngineArm(ABC):
@@ -82,26 +77,3 @@ class EngineArm(ABC):
 
     def close(self) -> None:  # noqa: B027 - not every engine has anything to give back
         """Give the world back."""
-
-
-def make_engine(config: PlantConfig, arm: Arm) -> EngineArm:
-    """
-    Return the engine of a plant, which is loaded only where one asks for it.
-
-    Raises
-    ------
-    ConfigError
-        If it is not installed.
-
-    """
-    if config.engine == 'pybullet':
-        from sim_bridge.bullet_arm import BulletArm
-
-        return BulletArm(arm, config.gravity_world, config.substep)
-    try:
-        from sim_bridge.mujoco_arm import MujocoArm
-    except ImportError as error:
-        raise ConfigError(
-            'engine', 'pybullet, or what pip install "multicontact_control[mujoco]" brings',
-            f'mujoco ({error})') from None
-    return MujocoArm(arm, config)

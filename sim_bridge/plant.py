@@ -10,7 +10,7 @@ from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.sensor.weight import weight_reading
 import numpy as np
 import pinocchio as pin
-from sim_bridge.arm import SENSOR_FRAME, TOOL_LINK
+from sim_bridge.arm import Arm, SENSOR_FRAME, TOOL_LINK
 from sim_bridge.config import PlantConfig
 from sim_bridge.contacts import Contacts
 from sim_bridge.drives import (
@@ -20,7 +20,7 @@ from sim_bridge.drives import (
     joint_friction,
     RigidDrives,
 )
-from sim_bridge.engine_arm import EngineArm, make_engine
+from sim_bridge.engine_arm import EngineArm
 from sim_bridge.pushes import Pushes, ToolPush
 from sim_bridge.robots import find_robot
 from sim_bridge.wrench_sensor import WrenchSensor
@@ -248,6 +248,29 @@ class Plant:
             wrench=self._sensor.reading.copy(), wrench_filtered=self._sensor.filtered.copy(),
             contact_force=self.contacts.alpha, saturated=saturated,
             tool_push_world=self._tool_push.force_world)
+
+
+def make_engine(config: PlantConfig, arm: Arm) -> EngineArm:
+    """
+    Return the engine of a plant, which is loaded only where one asks for it.
+
+    Raises
+    ------
+    ConfigError
+        If it is not installed.
+
+    """
+    if config.engine == 'pybullet':
+        from sim_bridge.bullet_arm import BulletArm
+
+        return BulletArm(arm, config.gravity_world, config.substep)
+    try:
+        from sim_bridge.mujoco_arm import MujocoArm
+    except ImportError as error:
+        raise ConfigError(
+            'engine', 'pybullet, or what pip install "multicontact_control[mujoco]" brings',
+            f'mujoco ({error})') from None
+    return MujocoArm(arm, config)
 
 
 def _require_fit(config: PlantConfig, model: pin.Model) -> None:
