@@ -43,14 +43,6 @@ def test_surface_is_found_within_its_errors(recording, contact):
     assert NOISE ** 2 < 1.2 * found['noise_variance_n2']['value'] < 4.0 * NOISE ** 2
 
 
-def test_surface_under_an_edge_is_found_by_its_force_and_not_by_its_couple():
-    setup = resolve('edge', plant='rigid', seed=3, duration=6.0)
-    found = identify_contacts(run_of(setup).data, setup.controller, setup.urdf_dir)
-    assert [*found] == ['edge']
-    stiffness = found['edge']['stiffness_n_m']
-    assert abs(stiffness['value'] - 6000.0) < 4.0 * stiffness['std'] + 300.0
-
-
 def test_more_delay_of_the_actuator_is_found(recording):
     """Three periods more."""
     later = recorded(actuator_delay_ticks=4)[2]

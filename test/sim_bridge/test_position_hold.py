@@ -1,4 +1,4 @@
-"""Drives without a controller: they hold where they are."""
+"""Drives without a controller hold where they are."""
 
 import numpy as np
 import pinocchio as pin
