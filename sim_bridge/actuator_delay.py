@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from multicontact_control.arrays import require_shape, Vector
-from multicontact_control.errors import ConfigError
 import numpy as np
 
 
@@ -24,16 +23,9 @@ class ActuatorDelay:
     misses
         How many periods had to hold an older command because theirs was not there.
 
-    Raises
-    ------
-    ConfigError
-        If `ticks` is negative.
-
     """
 
     def __init__(self, ticks: int, initial: Vector) -> None:
-        if ticks < 0:
-            raise ConfigError('actuator_delay_ticks', 'no negative count', ticks)
         self._ticks = ticks
         self._held: Vector = np.array(initial, dtype=float)
         self._held_tick = -1
@@ -49,7 +41,7 @@ class ActuatorDelay:
         tick
             Index of the sample.
         torque
-            Joint torque, shape (n,) [N m]; copied.
+            Joint torque, shape (n,) [N m].
 
         """
         require_shape('torque', torque, self._held.shape)

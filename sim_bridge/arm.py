@@ -1,25 +1,24 @@
 """
 An arm with a wrist sensor and a tool, as every engine is told of it.
 
-A chain of joints that turn about the z axis of their own frame, each with one rigid link. Whatever
-an arm is made from (`puma560`, `urdf_arm`) ends here, and what an engine or the controller reads
-(a URDF, a MuJoCo model) is written from here.
+A chain of joints that turn about the z axis of their own frame, each with one rigid link. Every
+URDF (`urdf_arm`) becomes one of these, and what an engine or the controller reads (a URDF, a
+MuJoCo model) is written from it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
-from functools import cached_property
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass
 import math
 from typing import Any
+import xml.etree.ElementTree as ElementTree
 
 from multicontact_control.config import Vector3
 from multicontact_control.dynamics.robot import load_model
 from multicontact_control.errors import ConfigError
 import numpy as np
 import pinocchio as pin
-from sim_bridge.visuals import Visual, with_visuals
 
 BASE_LINK = 'base_link'
 OPERATIONAL_FRAME = 'wrist_point'
@@ -31,20 +30,10 @@ NO_LIMIT = 1e9  # what an endless joint's limit is in a URDF [rad]
 
 @dataclass(frozen=True)
 class Placement:
-    """
-    A frame in another one.
+    """A frame in another one."""
 
-    Attributes
-    ----------
-    position
-        Of its origin [m].
-    rpy
-        Its axes: turned about the other's x, then y, then z [rad].
-
-    """
-
-    position: Vector3 = (0.0, 0.0, 0.0)
-    rpy: Vector3 = (0.0, 0.0, 0.0)
+    position: Vector3 = (0.0, 0.0, 0.0)  # of its origin [m]
+    rpy: Vector3 = (0.0, 0.0, 0.0)  # its axes, turned about the other's x, then y, then z [rad]
 
     @classmethod
     def of(cls, placement: pin.SE3) -> Placement:
@@ -60,23 +49,11 @@ class Placement:
 
 @dataclass(frozen=True)
 class Body:
-    """
-    Mass properties.
+    """Mass properties."""
 
-    Attributes
-    ----------
-    mass
-        [kg].
-    com
-        Centre of mass, and the principal axes of inertia there.
-    inertia
-        About these axes [kg m^2].
-
-    """
-
-    mass: float
-    com: Placement
-    inertia: Vector3
+    mass: float  # [kg]
+    com: Placement  # centre of mass, and the principal axes of inertia there
+    inertia: Vector3  # about these axes [kg m^2]
 
     @classmethod
     def of(cls, inertia: pin.Inertia) -> Body:
@@ -93,62 +70,25 @@ class Body:
 
 @dataclass(frozen=True)
 class Link:
-    """
-    One joint and what it carries.
+    """One joint and what it carries."""
 
-    Attributes
-    ----------
-    joint
-        Name of the joint.
-    placement
-        Of the joint's frame in the link before; the joint turns about its z axis.
-    body
-        In the joint's frame.
-    lower, upper
-        Range, infinite for a joint without end [rad].
-    speed_limit, torque_limit
-        [rad/s], [N m].
-    armature
-        Rotor inertia, joint side [kg m^2].
-    viscous, coulomb_positive, coulomb_negative
-        Friction, joint side, Coulomb friction for either direction >= 0 [N m s/rad], [N m].
-
-    """
-
-    joint: str
-    placement: Placement
-    body: Body
-    lower: float
+    joint: str  # name of the joint
+    placement: Placement  # of the joint's frame in the link before; it turns about its z axis
+    body: Body  # in the joint's frame
+    lower: float  # range, infinite for a joint without end [rad]
     upper: float
-    speed_limit: float
-    torque_limit: float
-    armature: float = 0.0
-    viscous: float = 0.0
-    coulomb_positive: float = 0.0
-    coulomb_negative: float = 0.0
+    speed_limit: float  # [rad/s]
+    torque_limit: float  # [N m]
+    armature: float = 0.0  # rotor inertia, joint side [kg m^2]
+    viscous: float = 0.0  # friction, joint side [N m s/rad]
+    coulomb_positive: float = 0.0  # friction at positive speed, joint side, >= 0 [N m]
+    coulomb_negative: float = 0.0  # at negative speed
 
 
 @dataclass(frozen=True)
 class Arm:
     """
     A chain of links with a wrist sensor and a tool on the last one.
-
-    Attributes
-    ----------
-    name
-        Of the robot, in the URDF.
-    links
-        Base to wrist.
-    operational, sensor
-        Frames of the operational point and of the sensor's face, in the last link's frame.
-    face_mass
-        What the sensor weighs of itself [kg].
-    tool
-        What hangs on the sensor, in its frame.
-    tips
-        Points of the tool that may touch, by URDF link, in the sensor's frame [m].
-    visuals
-        What links look like, by their name in the URDF.
 
     Raises
     ------
@@ -157,14 +97,14 @@ class Arm:
 
     """
 
-    name: str
-    links: tuple[Link, ...]
-    operational: Placement
-    sensor: Placement
-    face_mass: float
-    tool: Body
-    tips: Mapping[str, Vector3]
-    visuals: Mapping[str, Sequence[Visual]] = field(default_factory=dict)
+    name: str  # of the robot, in the URDF
+    links: tuple[Link, ...]  # base to wrist
+    operational: Placement  # of the operational point, in the last link's frame
+    sensor: Placement  # of the sensor's face, in the last link's frame
+    face_mass: float  # of the sensor itself [kg]
+    tool: Body  # what hangs on the sensor, in the sensor's frame
+    tips: Mapping[str, Vector3]  # of the tool, by URDF link, in the sensor's frame [m]
+    text: str = ''  # URDF with sensor and tool that the arm comes from; empty: written anew
 
     def __post_init__(self) -> None:
         own = (BASE_LINK, *(f'link{i + 1}' for i in range(len(self.links))), SENSOR_FRAME,
@@ -206,10 +146,10 @@ class Arm:
                    self.tool.com.position)
         return (x, y, z)
 
-    @cached_property
+    @property
     def urdf(self) -> str:
         """Return the URDF text of the arm with its tool, whose joints all turn about z."""
-        return with_visuals(urdf_text(self), self.visuals)
+        return self.text or urdf_text(self)
 
     def model(self) -> pin.Model:
         """Return a rigid-body model of the arm with its tool, without armature."""
@@ -266,7 +206,7 @@ def urdf_text(arm: Arm, *, for_bullet: bool = False) -> str:
 
 
 _HEADER = """<?xml version="1.0"?>
-<!-- Generated from the configuration of the robot by sim_bridge/arm.py: change that. -->"""
+<!-- Written by sim_bridge/arm.py from the robot's file: change that. -->"""
 
 
 def _joint(link: Link, parent: str, child: str, *, endless: bool) -> list[str]:
@@ -313,7 +253,73 @@ def numbers(values: Iterable[float]) -> str:
     return ' '.join(repr(float(value)) for value in values)
 
 
-def _triple(values: Any) -> Vector3:
+def arm_of_urdf(text: str) -> Arm:
+    """
+    Return the arm of a URDF as `urdf_text` writes it; visuals may stand in it, too.
+
+    Raises
+    ------
+    ConfigError
+        If a joint, link or value that `urdf_text` writes is missing.
+
+    """
+    root = parse_urdf(text)
+    joints = {_value(joint, 'child', 'link'): joint for joint in root.findall('joint')}
+    elements = {link.get('name', ''): link for link in root.findall('link')}
+    missing = {SENSOR_FRAME, TOOL_LINK, OPERATIONAL_FRAME} - joints.keys()
+    if missing:
+        raise ConfigError('mount_link', 'a link of a URDF that lacks '
+                          f'{", ".join(sorted(missing))}', 'nothing')
+    links = []
+    for child, joint in joints.items():
+        kind = joint.get('type')
+        if kind not in ('revolute', 'continuous'):
+            continue
+        if _numbers(joint, 'axis', 'xyz') != (0.0, 0.0, 1.0):
+            raise ConfigError('mount_link', 'a link, for joints that turn about another axis than '
+                              'z', 'nothing')
+        range_of = [_numbers(joint, 'limit', end)[0] if kind == 'revolute' else sign * math.inf
+                    for end, sign in (('lower', -1.0), ('upper', 1.0))]
+        links.append(Link(
+            joint.get('name', ''), _placement(joint), _body(elements[child]), *range_of,
+            *_numbers(joint, 'limit', 'velocity'), *_numbers(joint, 'limit', 'effort')))
+    tips = {child: _placement(joint).position for child, joint in joints.items()
+            if _value(joint, 'parent', 'link') == TOOL_LINK}
+    return Arm(root.get('name', 'arm'), tuple(links), _placement(joints[OPERATIONAL_FRAME]),
+               _placement(joints[SENSOR_FRAME]), _body(elements[SENSOR_FRAME]).mass,
+               _body(elements[TOOL_LINK]), tips, text)
+
+
+def parse_urdf(text: str) -> ElementTree.Element:
+    """Return the root element of a URDF; ConfigError if it is no XML."""
+    try:
+        return ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        raise ConfigError('urdf', 'a valid URDF', str(error)) from None
+
+
+def _value(element: ElementTree.Element, path: str, name: str) -> str:
+    found = element.find(path)
+    if found is None or name not in found.attrib:
+        raise ConfigError('urdf', f"{path} with {name} in '{element.get('name')}'", 'none')
+    return found.attrib[name]
+
+
+def _numbers(element: ElementTree.Element, path: str, name: str) -> tuple[float, ...]:
+    return tuple(float(number) for number in _value(element, path, name).split())
+
+
+def _placement(element: ElementTree.Element, path: str = 'origin') -> Placement:
+    return Placement(*(_triple(_numbers(element, path, name)) for name in ('xyz', 'rpy')))
+
+
+def _body(link: ElementTree.Element) -> Body:
+    moments = [_numbers(link, 'inertial/inertia', name)[0] for name in ('ixx', 'iyy', 'izz')]
+    mass, = _numbers(link, 'inertial/mass', 'value')
+    return Body(mass, _placement(link, 'inertial/origin'), _triple(moments))
+
+
+def _triple(values: Iterable[float]) -> Vector3:
     x, y, z = (float(value) for value in values)
     return (x, y, z)
 

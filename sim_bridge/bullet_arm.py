@@ -6,9 +6,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from multicontact_control.arrays import Vector
+import pybullet as bullet
 from sim_bridge.arm import Arm, SENSOR_FRAME, TOOL_LINK, urdf_text
 from sim_bridge.engine_arm import EngineArm
-from sim_bridge.quiet_bullet import bullet
 
 MAX_JOINT_SPEED = 1e4
 
@@ -53,16 +53,7 @@ class BulletArm(EngineArm):
             self.body, link, force, point, bullet.WORLD_FRAME, self.client)
 
     def step(self, torque: Vector) -> tuple[float, ...]:
-        """
-        Advance `q` and `qd` by one step under joint torques, shape (n,) [N m].
-
-        Returns
-        -------
-        tuple of float
-            What the arm exerts on the tool, in the sensor's frame, six numbers [N, N m]: PyBullet
-            gives it at the child's centre of mass, which in the sensor's face is its origin.
-
-        """
+        """Advance by one step and return what the arm exerts on the tool; see `EngineArm`."""
         client, body, unused, q, qd = self.client, self.body, self._unused, self.q, self.qd
         bullet.setJointMotorControlArray(  # keywords would take as long again
             body, self._links, bullet.TORQUE_CONTROL, unused, unused, torque.tolist(), unused,
@@ -71,6 +62,7 @@ class BulletArm(EngineArm):
         *joints, sensor = bullet.getJointStates(body, self._read_joints, client)
         for i, (angle, speed, _, _) in enumerate(joints):
             q[i], qd[i] = angle, speed
+        # At the child's centre of mass, which in the sensor's face is its origin.
         wrench: tuple[float, ...] = sensor[2]
         return wrench
 

@@ -5,22 +5,13 @@ from __future__ import annotations
 import math
 from typing import Literal
 
-from multicontact_control.config import (
-    check_namespace,
-    Config,
-    parameter,
-    Real,
-    UnitVector3,
-    Vector,
-    Vector3,
-)
+from multicontact_control.config import Config, parameter, Real, UnitVector3, Vector, Vector3
 from multicontact_control.config.columns import ACROSS, ALONG, SUFFIXES
 from multicontact_control.errors import ConfigError
 from multicontact_control.wording import counted
 from pydantic import model_validator
 
 MAX_ACTUATOR_DELAY = 5
-MOVES = {False: 'rests', True: 'moves'}
 
 
 class SurfaceConfig(Config):
@@ -57,9 +48,6 @@ class SurfaceConfig(Config):
         'that gives way nowhere.', unit='kg', ge=0.0)
     mount_stiffness: Real = parameter(1000.0, 'Of that spring.', unit='N/m', ge=0.0)
     mount_damping: Real = parameter(100.0, 'Of that spring.', unit='N s/m', ge=0.0)
-    opposed_by: str = parameter(
-        '', 'Namespace of a second graph in this ROS domain whose arm presses on the same body '
-        'from behind, with its contact of the same name; empty for none.')
     stiffness: Real = parameter(6000.0, 'Contact stiffness.', unit='N/m', gt=0.0)
     damping: Real = parameter(30.0, 'Contact damping.', unit='N s/m', ge=0.0)
     friction: Real = parameter(0.1, 'Coulomb friction coefficient.', ge=0.0, le=2.0)
@@ -69,18 +57,6 @@ class SurfaceConfig(Config):
         4e-5, 'Standard deviation of the height profile, 0 for a smooth one.', unit='m', ge=0.0)
     roughness_length: Real = parameter(
         1e-4, 'Standard deviation of the Gaussian that smooths the profile.', unit='m', gt=0.0)
-
-    @model_validator(mode='after')
-    def _check_shape(self) -> SurfaceConfig:
-        if (self.shape == 'plane') != (self.radius == 0.0):
-            raise ConfigError('radius', '0 for a plane, and another number for what is curved',
-                              f'{self.radius:g} of a {self.shape}')
-        return self
-
-    def least_mass(self, substep: float) -> float:
-        """Return the mass [kg] from which on springs and dampers are not too quick for a step."""
-        return substep * max(self.damping + self.mount_damping,
-                             substep * (self.stiffness + self.mount_stiffness))
 
     @property
     def moves(self) -> bool:
@@ -128,9 +104,6 @@ class PlantConfig(Config):
     contact: Literal['compliant', 'native'] = parameter(
         'compliant', 'Whether surfaces push as they are configured, the same with every engine, '
         'or the contact solver of the engine does, with planes at rest and without roughness.')
-    tip_radius: Real = parameter(
-        0.005, "Radius of the balls at the tips that the engine's own contacts have.", unit='m',
-        gt=0.0)
     home: Vector = parameter(..., 'Joint angles at the start.', unit='rad')
     gravity_world: Vector3 = parameter((0.0, 0.0, -9.81), 'Gravity.', unit='m/s^2')
     substep: Real = parameter(2.5e-4, 'Integration step.', unit='s', gt=0.0)
@@ -180,7 +153,7 @@ class PlantConfig(Config):
             if len(set(names)) != len(names):
                 raise ConfigError('contact_names', 'distinct names, obstacle_names included',
                                   list(names))
-        self._check_bodies()
+        self._check_surfaces()
         self._check_lengths()
         self._check_native()
         for name in ('drive_stiffness', 'torque_limit'):
@@ -192,23 +165,23 @@ class PlantConfig(Config):
                 raise ConfigError(name, 'no negative value', min(getattr(self, name)))
         return self
 
-    def _check_bodies(self) -> None:
-        for name in self.met:
-            surface, field = self.surfaces[name], f'surfaces.{name}'
-            opposed, least = surface.opposed_by, surface.least_mass(self.substep)
-            check_namespace(opposed)
-            if opposed and (name in self.obstacle_names or surface.contact):
-                raise ConfigError(f'{field}.opposed_by', 'none for an obstacle, or a tip of an '
-                                  'edge or plane', f"'{opposed}'")
-            if opposed and surface.mass == 0.0:
-                raise ConfigError(f'{field}.mass', 'above 0 kg of a body that is pressed from '
-                                  'behind, too (opposed_by)', surface.mass)
-            if 0.0 < surface.mass < least:
-                raise ConfigError(f'{field}.mass', f'0 or at least {least:.2g} kg with its '
-                                  'springs, dampers and this substep', surface.mass)
+    def _check_surfaces(self) -> None:
+        for name, surface in self.surfaces.items():
+            field = f'surfaces.{name}'
+            if (surface.shape == 'plane') != (surface.radius == 0.0):
+                raise ConfigError(
+                    f'{field}.radius', '0 for a plane, and another number for what is curved',
+                    f'{surface.radius:g} of a {surface.shape}')
             if surface.mass > 0.0 and surface.velocity != 0.0:
                 raise ConfigError(f'{field}.velocity', '0 of a body that gives way (mass)',
                                   f'{surface.velocity:g} m/s')
+            # Springs and dampers that are not too quick for a step.
+            least = self.substep * max(surface.damping + surface.mount_damping, self.substep * (
+                surface.stiffness + surface.mount_stiffness))
+            if 0.0 < surface.mass < least:
+                raise ConfigError(
+                    f'{field}.mass', f'0 or at least {least:.2g} kg with its springs, dampers and '
+                    'this substep', surface.mass)
 
     def _check_native(self) -> None:
         if self.contact == 'compliant':
@@ -221,8 +194,9 @@ class PlantConfig(Config):
         for name in self.met:
             surface = self.surfaces[name]
             if surface.shape != 'plane' or surface.moves:
-                raise ConfigError(f'surfaces.{name}', 'a plane at rest with native contacts',
-                                  f'a {surface.shape} that {MOVES[surface.moves]}')
+                raise ConfigError(
+                    f'surfaces.{name}', 'a plane at rest with native contacts',
+                    f'a {surface.shape} that {"moves" if surface.moves else "rests"}')
 
     def _check_lengths(self) -> None:
         joints, pushes = len(self.home), len(self.push_start)

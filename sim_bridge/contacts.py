@@ -10,7 +10,7 @@ from multicontact_control.errors import ConfigError
 import numpy as np
 import pinocchio as pin
 from sim_bridge.arm import OPERATIONAL_FRAME
-from sim_bridge.config import PlantConfig, SurfaceConfig
+from sim_bridge.config import PlantConfig
 from sim_bridge.kinematics import (
     add_joint_torque,
     chain_of,
@@ -70,7 +70,6 @@ class Contacts:
                         if config.surfaces[name].moves]
         self._time = 0.0
         self._given_way = np.zeros(len(names))  # m, along the normals
-        self._opposing = np.zeros(len(names))  # N
         frame = model.frames[model.getFrameId(OPERATIONAL_FRAME)]
         self._operational: Vector = np.array(frame.placement.translation)
         self.pressed: Vector = self._surfaces['alpha']
@@ -104,30 +103,19 @@ class Contacts:
             return
         self._time += step
         for i, config in self._moving:
-            speed = self._speed_given_way(i, config, step) if config.mass > 0.0 else (
-                self._speed_given(config))
+            if config.mass > 0.0:  # a body on a spring, by semi-implicit Euler
+                speed = float(self._surfaces[i]['speed'])
+                force = (self.pressed[i] - config.mount_stiffness * self._given_way[i]
+                         - config.mount_damping * speed)
+                speed += step * float(force) / config.mass
+                self._given_way[i] += step * speed
+            else:
+                time = self._time - config.motion_start
+                speed = 0.0 if time <= 0.0 else config.velocity
+                if config.motion_period > 0.0:
+                    speed *= float(np.sin(2.0 * np.pi * time / config.motion_period))
             self._surfaces[i]['speed'] = speed
             self.shift(i, speed * step)
-
-    def _speed_given(self, config: SurfaceConfig) -> float:
-        time = self._time - config.motion_start
-        speed = 0.0 if time <= 0.0 else config.velocity
-        if config.motion_period > 0.0:
-            speed *= float(np.sin(2.0 * np.pi * time / config.motion_period))
-        return speed
-
-    def _speed_given_way(self, i: int, config: SurfaceConfig, step: float) -> float:
-        """Return how fast a body on a spring goes when arms press it, by semi-implicit Euler."""
-        speed = float(self._surfaces[i]['speed'])
-        force = (self.pressed[i] - self._opposing[i] - config.mount_stiffness * self._given_way[i]
-                 - config.mount_damping * speed)
-        speed += step * float(force) / config.mass
-        self._given_way[i] += step * speed
-        return speed
-
-    def oppose(self, contact: int, force: float) -> None:
-        """Press a body that gives way from behind with a normal force [N] from now on."""
-        self._opposing[contact] = force
 
     def _changing(self, surface: int) -> Any:
         """Return a surface that is to be changed; ConfigError if it is the engine's own."""

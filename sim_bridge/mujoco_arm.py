@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import mujoco
 from multicontact_control.arrays import Matrix, Vector
@@ -11,115 +10,50 @@ from multicontact_control.errors import ConfigError
 import numpy as np
 import pinocchio as pin
 from sim_bridge.arm import Arm, Body, numbers, Placement, SENSOR_FRAME, TOOL_LINK
-from sim_bridge.config import PlantConfig
+from sim_bridge.config import PlantConfig, SurfaceConfig
 from sim_bridge.engine_arm import EngineArm
 
 # Impedance of the engine's contacts. Beside the spring it makes a contact as heavy as
 # d / (1 - d) of what it meets, so it is small; spring and damper are then set by solref.
 IMPEDANCE = 0.01
 PLANE_SIZE = '1 1 0.1'
+TIP_RADIUS = 0.005  # m, of the balls at the tips
 FRICTION_RATIO = 100.0  # how much harder friction holds than the surface: else it creeps
-
-
-@dataclass(frozen=True)
-class NativePlane:
-    """
-    A plane and the tip that may touch it.
-
-    Attributes
-    ----------
-    point, normal
-        Of the plane, world axes, the normal INTO it.
-    tip
-        In the sensor's frame [m].
-    stiffness, damping, friction
-        [N/m], [N s/m], coefficient.
-
-    """
-
-    point: Sequence[float]
-    normal: Sequence[float]
-    tip: Sequence[float]
-    stiffness: float
-    damping: float
-    friction: float
-
-
-@dataclass(frozen=True)
-class NativeContacts:
-    """
-    What the engine's contact solver has to deal with.
-
-    Attributes
-    ----------
-    planes
-        In the order of `PlantConfig.met`.
-    radius
-        Of the balls at the tips [m].
-    home
-        Posture in which each ball touches its plane with the tip itself, shape (n,) [rad].
-    armature
-        The rotors, which the engine then carries itself, shape (n,) [kg m^2]; none where they
-        are behind springs.
-
-    """
-
-    planes: tuple[NativePlane, ...]
-    radius: float
-    home: Vector
-    armature: Vector
-
-    @classmethod
-    def of(cls, config: PlantConfig, arm: Arm) -> NativeContacts:
-        """Return those of a plant; ConfigError if one is met by another link than a tip."""
-        planes = []
-        for name in config.met:
-            surface = config.surfaces[name]
-            if surface.tip_link not in arm.tips:
-                raise ConfigError(
-                    f'surfaces.{name}.tip_link', f'one of the tips {", ".join(sorted(arm.tips))} '
-                    'with native contacts', f"'{surface.tip_link}'")
-            planes.append(NativePlane(
-                surface.point_world, surface.normal_world, arm.tips[surface.tip_link],
-                surface.stiffness, surface.damping, surface.friction))
-        armature = np.array(arm.armature) * (config.drives == 'rigid')
-        return cls(tuple(planes), config.tip_radius, np.array(config.home), armature)
 
 
 class MujocoArm(EngineArm):
     """
-    One arm alone in a MuJoCo world; see `EngineArm`.
+    One arm alone in a MuJoCo world, or before planes of the engine's own; see `EngineArm`.
 
     Parameters
     ----------
     arm
         The arm.
-    gravity_world
-        Gravity [m/s^2].
-    step
-        Integration step [s].
-    native
-        Contacts of the engine's own; None for a world without.
+    config
+        The plant: gravity, substep and, with native contacts, the surfaces.
+
+    Raises
+    ------
+    ConfigError
+        If a native contact is met by another link than a tip.
 
     """
 
-    def __init__(
-        self, arm: Arm, gravity_world: Sequence[float], step: float,
-        native: NativeContacts | None = None,
-    ) -> None:
+    def __init__(self, arm: Arm, config: PlantConfig) -> None:
         super().__init__(len(arm.links))
-        self._model = mujoco.MjModel.from_xml_string(
-            mjcf_text(arm, gravity_world, step, native))
+        native = config.contact == 'native'
+        self._planes = _planes(arm, config) if native else []
+        self._model = mujoco.MjModel.from_xml_string(mjcf_text(arm, config, self._planes))
         self._set_inertias(arm)
-        self._planes = () if native is None else native.planes
         self._data = mujoco.MjData(self._model)
         self._sensor = self._model.body(SENSOR_FRAME).id
         self._tool = self._model.body(TOOL_LINK).id
         self._links = [self._model.body(f'link{i + 1}').id for i in range(len(arm.links))]
-        if native is not None:
-            self._model.dof_armature[:] = native.armature
+        if native:
+            # Rotors that are not behind springs, which the engine then carries itself.
+            self._model.dof_armature[:] = np.array(arm.armature) * (config.drives == 'rigid')
             mujoco.mj_setConst(self._model, self._data)
-            self._set_springs(native)
+            self._set_springs()
         self._placed = False
         self._forces = np.zeros(len(self._planes))
         self._touch = np.zeros(6)
@@ -173,7 +107,7 @@ class MujocoArm(EngineArm):
             self._model.body(name).inertia[:] = body.inertia
         mujoco.mj_setConst(self._model, mujoco.MjData(self._model))
 
-    def _set_springs(self, native: NativeContacts) -> None:
+    def _set_springs(self) -> None:
         """
         Make the engine's contacts as stiff and damped as the surfaces are configured.
 
@@ -182,15 +116,25 @@ class MujocoArm(EngineArm):
         """
         model = self._model
         tool, last = self._tool, 0
-        for i, plane in enumerate(native.planes):
+        for i, plane in enumerate(self._planes):
             inverse_mass = model.body_invweight0[tool, 0] + model.body_invweight0[last, 0]
             scale = inverse_mass * (1.0 - IMPEDANCE)
             model.pair_solref[i] = (-plane.stiffness * scale, -plane.damping * scale)
 
 
-def mjcf_text(
-    arm: Arm, gravity_world: Sequence[float], step: float, native: NativeContacts | None = None,
-) -> str:
+def _planes(arm: Arm, config: PlantConfig) -> list[SurfaceConfig]:
+    planes = []
+    for name in config.met:
+        surface = config.surfaces[name]
+        if surface.tip_link not in arm.tips:
+            raise ConfigError(
+                f'surfaces.{name}.tip_link', f'one of the tips {", ".join(sorted(arm.tips))} '
+                'with native contacts', f"'{surface.tip_link}'")
+        planes.append(surface)
+    return planes
+
+
+def mjcf_text(arm: Arm, config: PlantConfig, planes: Sequence[SurfaceConfig]) -> str:
     """Return the MJCF of an arm; with isotropic inertias, the true ones have to be set."""
     parts, end = [], []
     bodies = arm.bodies
@@ -201,28 +145,31 @@ def mjcf_text(
     parts += [_body(SENSOR_FRAME, arm.sensor, bodies[-2]), f'<site name="{SENSOR_FRAME}"/>',
               _body(TOOL_LINK, Placement(), bodies[-1])]
     pairs = []
-    if native is not None:
-        turn = _sensor_axes(arm, native.home)
-        for i, plane in enumerate(native.planes):
-            centre = np.array(plane.tip) - native.radius * (turn.T @ np.array(plane.normal))
-            parts.append(f'<geom name="tip{i}" type="sphere" size="{native.radius!r}" '
+    if planes:
+        # Each ball touches its plane with the tip itself at home.
+        turn = _sensor_axes(arm, np.array(config.home))
+        for i, plane in enumerate(planes):
+            centre = np.array(arm.tips[plane.tip_link]) - TIP_RADIUS * (
+                turn.T @ np.array(plane.normal_world))
+            parts.append(f'<geom name="tip{i}" type="sphere" size="{TIP_RADIUS!r}" '
                          f'pos="{numbers(centre)}" contype="0" conaffinity="0" mass="0"/>')
             mu = max(plane.friction, 1e-6)
             pairs.append(f'<pair geom1="plane{i}" geom2="tip{i}" condim="3" '
                          f'friction="{mu!r} {mu!r} 0 0 0" solref="-1 -1" '
                          f'solimp="{IMPEDANCE!r} {IMPEDANCE!r} 0.001 0.5 1"/>')
     end += ['</body>', '</body>']
-    flag = '' if native else '<flag contact="disable" constraint="disable"/>'
-    planes = [] if native is None else [
-        f'<geom name="plane{i}" type="plane" size="{PLANE_SIZE}" pos="{numbers(plane.point)}" '
-        f'zaxis="{numbers([-x for x in plane.normal])}" contype="0" conaffinity="0"/>'
-        for i, plane in enumerate(native.planes)]
+    flag = '' if planes else '<flag contact="disable" constraint="disable"/>'
+    geoms = [
+        f'<geom name="plane{i}" type="plane" size="{PLANE_SIZE}" '
+        f'pos="{numbers(plane.point_world)}" zaxis="{numbers(-x for x in plane.normal_world)}" '
+        'contype="0" conaffinity="0"/>' for i, plane in enumerate(planes)]
     return ''.join([
         f'<mujoco model="{arm.name}"><compiler angle="radian" autolimits="false"/>',
-        f'<option timestep="{step!r}" gravity="{numbers(gravity_world)}" integrator="Euler" '
+        f'<option timestep="{config.substep!r}" gravity="{numbers(config.gravity_world)}" '
+        f'integrator="Euler" '
         f'cone="elliptic" impratio="{FRICTION_RATIO!r}" solver="Newton" iterations="100" '
         f'tolerance="1e-12">{flag}</option>',
-        '<worldbody>', *planes, *parts, *end, '</worldbody>',
+        '<worldbody>', *geoms, *parts, *end, '</worldbody>',
         '<contact>', *pairs, '</contact>' if pairs else '</contact>',
         f'<sensor><force site="{SENSOR_FRAME}"/><torque site="{SENSOR_FRAME}"/></sensor>',
         '</mujoco>'])

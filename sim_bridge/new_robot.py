@@ -13,11 +13,11 @@ from multicontact_control.config import ControllerConfig, validate
 from multicontact_control.errors import ConfigError
 import numpy as np
 import pinocchio as pin
-from sim_bridge.arm import Arm
+from sim_bridge.arm import Arm, parse_urdf
 from sim_bridge.posture import condition, limits_of, reach
+from sim_bridge.robot_file import ToolData
 from sim_bridge.robots import find_robot, SCHEME, urdf_name
-from sim_bridge.tool import ToolData
-from sim_bridge.urdf_arm import Mount, read_arm
+from sim_bridge.urdf_arm import Mount, read_arm, read_urdf
 import yaml
 
 MARK = 'PLACEHOLDER'
@@ -34,23 +34,11 @@ STARTS = 4  # postures from which each is tried
 
 @dataclass(frozen=True)
 class NewRobot:
-    """
-    A configuration that was written.
-
-    Attributes
-    ----------
-    path
-        The file.
-    missing
-        What it still needs, in sentences.
-    found
-        What was found out, in sentences.
-
-    """
+    """A configuration that was written."""
 
     path: Path
-    missing: tuple[str, ...]
-    found: tuple[str, ...]
+    missing: tuple[str, ...]  # what it still needs, in sentences
+    found: tuple[str, ...]  # what was found out, in sentences
 
 
 def new_robot(urdf: Path, sensor: str, tip: str, out: Path) -> NewRobot:
@@ -72,7 +60,7 @@ def new_robot(urdf: Path, sensor: str, tip: str, out: Path) -> NewRobot:
         If the URDF is not that of an arm, or has no such links.
 
     """
-    root = _root(urdf)
+    root = parse_urdf(read_urdf(urdf))
     joints, locked = _joints(root, sensor)
     if tip not in _links(root):
         raise ConfigError('tip', f'a link of the URDF among {", ".join(_links(root))}',
@@ -135,15 +123,6 @@ def write_controller(made: NewRobot, out: Path) -> None:
         "# Check every contact's normal and point, what hangs on the sensor, the torque limits\n"
         "# and the sensor's frame. Guessed or not known, and yours to replace:\n"
         f'{guesses}\n{body}', encoding='utf-8')
-
-
-def _root(urdf: Path) -> ElementTree.Element:
-    try:
-        return ElementTree.fromstring(urdf.read_text(encoding='utf-8'))
-    except OSError as error:
-        raise ConfigError('urdf', 'a readable URDF file', f'{urdf} ({error.strerror})') from None
-    except ElementTree.ParseError as error:
-        raise ConfigError('urdf', 'a valid URDF', f'{urdf} ({error})') from None
 
 
 def _links(root: ElementTree.Element) -> list[str]:

@@ -10,51 +10,36 @@ from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.sensor.weight import weight_reading
 import numpy as np
 import pinocchio as pin
-from sim_bridge.arm import SENSOR_FRAME, TOOL_LINK
+from sim_bridge.arm import Arm, SENSOR_FRAME, TOOL_LINK
 from sim_bridge.config import PlantConfig
 from sim_bridge.contacts import Contacts
-from sim_bridge.drives import clip_torque, EngineDrives, FlexibleDrives, RigidDrives
-from sim_bridge.engine import make_engine
+from sim_bridge.drives import (
+    clip_torque,
+    EngineDrives,
+    FlexibleDrives,
+    joint_friction,
+    RigidDrives,
+)
 from sim_bridge.engine_arm import EngineArm
-from sim_bridge.joint_friction import joint_friction
 from sim_bridge.pushes import Pushes, ToolPush
 from sim_bridge.robots import find_robot
 from sim_bridge.wrench_sensor import WrenchSensor
 
 
 class Sample(NamedTuple):
-    """
-    What can be known of the plant at the end of a control period.
+    """What can be known of the plant at the end of a control period."""
 
-    Attributes
-    ----------
-    q, qd
-        Joint angles and speeds as the encoders see them, shape (n,) [rad], [rad/s].
-    effort
-        Torque applied over the period, shape (n,) [N m].
-    wrench
-        Reading of the wrist sensor: what the arm exerts on the tool, sensor frame,
-        shape (6,) [N, N m].
-    wrench_filtered
-        The same behind the sensor's low-passes.
-    contact_force
-        True forces of robot on surface over the last substep, the one the sensor's reading
-        belongs to, and couples of edges and planes, shape (nc,) [N].
-    saturated
-        Whether a torque was clipped.
-    tool_push_world
-        True force of a hand on the tool over the period that ended, world axes, shape (3,) [N]:
-        like any contact in what the sensor reads (its opposite), but not in `contact_force`.
-
-    """
-
-    q: Vector
-    qd: Vector
-    effort: Vector
-    wrench: Vector
-    wrench_filtered: Vector
+    q: Vector  # joint angles as the encoders see them, shape (n,) [rad]
+    qd: Vector  # joint speeds, likewise, shape (n,) [rad/s]
+    effort: Vector  # torque applied over the period, shape (n,) [N m]
+    wrench: Vector  # the arm's on the tool, as the sensor reads it, its frame, shape (6,) [N, N m]
+    wrench_filtered: Vector  # the same behind the sensor's low-passes
+    # True forces of robot on surface over the last substep, the one the sensor's reading belongs
+    # to, and couples of edges and planes, shape (nc,) [N].
     contact_force: Vector
-    saturated: bool
+    saturated: bool  # whether a torque was clipped
+    # True force of a hand on the tool over the period that ended, world axes, shape (3,) [N]: the
+    # sensor reads its opposite; it is not in `contact_force`.
     tool_push_world: Vector
 
 
@@ -98,7 +83,7 @@ class Plant:
         self.contact_names = config.column_names
         self.joint_names = self.description.joint_names
         self._model = self.description.model()
-        require_fit(config, self._model)
+        _require_fit(config, self._model)
         # What touches the tool is felt by the wrist sensor, what touches a link is not.
         self._sensed_tips = [
             config.surfaces[name].tip_link in (TOOL_LINK, *self.description.tips)
@@ -265,16 +250,30 @@ class Plant:
             tool_push_world=self._tool_push.force_world)
 
 
-def require_fit(config: PlantConfig, model: pin.Model) -> None:
+def make_engine(config: PlantConfig, arm: Arm) -> EngineArm:
     """
-    Check a plant against its arm.
+    Return the engine of a plant, which is loaded only where one asks for it.
 
     Raises
     ------
     ConfigError
-        If the number of joints does not match, or a tip is on no link that a joint carries.
+        If it is not installed.
 
     """
+    if config.engine == 'pybullet':
+        from sim_bridge.bullet_arm import BulletArm
+
+        return BulletArm(arm, config.gravity_world, config.substep)
+    try:
+        from sim_bridge.mujoco_arm import MujocoArm
+    except ImportError as error:
+        raise ConfigError(
+            'engine', 'pybullet, or what pip install "multicontact_control[mujoco]" brings',
+            f'mujoco ({error})') from None
+    return MujocoArm(arm, config)
+
+
+def _require_fit(config: PlantConfig, model: pin.Model) -> None:
     if len(config.home) != model.nv:
         raise ConfigError('home', f'{model.nv} values, one per joint', len(config.home))
     links = [frame.name for frame in model.frames

@@ -15,13 +15,12 @@ REACHED = 1e-9  # m, rad
 FAR = 10.0  # rad, from which on a limit is none
 
 
-def reach(
-    model: pin.Model, pose: pin.SE3, start: Vector, *, centred: bool = True,
-) -> Vector | None:
+def reach(model: pin.Model, pose: pin.SE3, start: Vector) -> Vector | None:
     """
     Return joint angles that put the operational frame there, None if none are found.
 
-    Damped least squares from a posture on, within the joints' limits.
+    Damped least squares from a posture on, within the joints' limits. What the task leaves free
+    goes to the middle of the joints' range.
 
     Parameters
     ----------
@@ -31,8 +30,6 @@ def reach(
         Wanted, in the world.
     start
         Shape (n,) [rad].
-    centred
-        Whether what the task leaves free goes to the middle of the joints' range, or stays.
 
     """
     data, frame = model.createData(), model.getFrameId(OPERATIONAL_FRAME)
@@ -46,7 +43,7 @@ def reach(
             return q
         inverse = jacobian.T @ np.linalg.inv(jacobian @ jacobian.T + DAMPING * np.eye(6))
         change = inverse @ error
-        fading = centred * CENTRING * max(0.0, 1.0 - 2.0 * step / STEPS)
+        fading = CENTRING * max(0.0, 1.0 - 2.0 * step / STEPS)
         change += fading * (middle - q - inverse @ (jacobian @ (middle - q)))
         change *= min(1.0, LARGEST_STEP / max(np.abs(change).max(), 1e-300))
         q = np.clip(q + change, lower, upper)

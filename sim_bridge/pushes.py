@@ -99,22 +99,7 @@ class ToolPush(Pushes):
         self.point_world = np.zeros(3)
 
     def add_load(self, q: Vector, load: Vector) -> bool:
-        """
-        Add what the push does to the joints.
-
-        Parameters
-        ----------
-        q
-            Link side of the joints, shape (n,) [rad].
-        load
-            Added to, shape (n,) [N m].
-
-        Returns
-        -------
-        bool
-            Whether anything pushes.
-
-        """
+        """Add what acts to the load of the joints at `q`, shape (n,) [N m]; return whether any."""
         if not self.acting:
             return False
         rotation = np.empty((3, 3))

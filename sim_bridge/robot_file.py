@@ -8,7 +8,23 @@ from multicontact_control.config import Config, parameter, Real, UnitVector3, Ve
 from multicontact_control.errors import ConfigError
 from multicontact_control.wording import counted
 from pydantic import model_validator
-from sim_bridge.tool import ToolData
+from sim_bridge.arm import Body, Placement
+
+
+class ToolData(Config):
+    """The tool beyond the wrist sensor, in the sensor's frame."""
+
+    face_offset: Real = parameter(..., 'Operational point to sensor face, along its z.', unit='m')
+    face_mass: Real = parameter(..., 'Mass of the face itself.', unit='kg', gt=0.0)
+    mass: Real = parameter(..., 'Mass of the tool.', unit='kg', gt=0.0)
+    com: Vector3 = parameter(..., 'Centre of mass of the tool.', unit='m')
+    inertia: Vector3 = parameter(..., 'Ixx, Iyy, Izz about the com.', unit='kg m^2')
+    tips: dict[str, Vector3] = parameter(..., 'Bar tips by URDF link name.', unit='m')
+
+    @property
+    def body(self) -> Body:
+        """Return its mass properties, in the sensor's frame."""
+        return Body(self.mass, Placement(self.com), self.inertia)
 
 
 class SideConfig(Config):
@@ -68,17 +84,16 @@ class RobotFile(Config):
     surfaces, what the sensor weighs.
     """
 
-    description: str = parameter('', 'What it is, and where its numbers come from.')
-    dh: str = parameter(
-        '', 'File of published Denavit-Hartenberg parameters, instead of a URDF.')
     urdf: str = parameter(
-        '', 'URDF: package://NAME/... for one that comes with a Python package, or a path, '
+        ..., 'URDF: package://NAME/... for one that comes with a Python package, or a path, '
         'relative to this file.')
-    joint_names: tuple[str, ...] = parameter((), 'Joints of the arm, base to wrist.')
+    joint_names: tuple[str, ...] = parameter(..., 'Joints of the arm, base to wrist.')
     locked_joints: tuple[str, ...] = parameter((), 'All other joints of the URDF.')
     locked_positions: Vector = parameter((), 'Where each of them is; empty for 0.',
                                          unit='rad or m')
-    mount_link: str = parameter('', 'URDF link that carries the wrist sensor.')
+    mount_link: str = parameter(
+        '', 'URDF link that carries the wrist sensor; empty for a URDF that has the links ft_face '
+        '(sensor), tool, wrist_point (operational point) and tips, as `new-robot` writes it.')
     mount_rpy: Vector3 = parameter(
         (0.0, 0.0, 0.0), 'Axes of operational point and sensor in that link.', unit='rad')
     tool: ToolData | None = parameter(
@@ -92,6 +107,8 @@ class RobotFile(Config):
     viscous: Vector = parameter((), 'Viscous friction of each joint; empty for none.',
                                 unit='N m s/rad')
     coulomb: Vector = parameter((), 'Coulomb friction of each joint; empty for none.', unit='N m')
+    coulomb_negative: Vector = parameter(
+        (), 'That at negative speed; empty for the same.', unit='N m')
     torque_limit: Vector = parameter((), "Largest joint torque; empty for the URDF's.",
                                      unit='N m')
     speed_limit: Vector = parameter((), "Largest joint speed; empty for the URDF's.",
@@ -116,21 +133,19 @@ class RobotFile(Config):
 
     @model_validator(mode='after')
     def _check(self) -> RobotFile:
-        if bool(self.dh) == bool(self.urdf):
-            raise ConfigError('urdf', 'a URDF, or dh', 'both' if self.dh else 'neither')
-        if self.urdf:
-            self._check_urdf()
+        for name in () if self.controller_file else ('home', 'contacts'):
+            if not getattr(self, name):
+                raise ConfigError(name, 'a value, without a controller_file', 'nothing')
+        self._check_urdf()
         for name in (self.default_plant, *self.plant_aliases.values()):
             if name not in self.plants:
                 raise ConfigError('plants', f"'{name}' among them", list(self.plants))
         return self
 
     def _check_urdf(self) -> None:
-        for name in ('joint_names', 'mount_link', 'home', 'contacts'):
-            if not getattr(self, name):
-                raise ConfigError(name, 'a value, with a URDF', 'nothing')
         joints = len(self.joint_names)
-        for name in ('home', 'armature', 'viscous', 'coulomb', 'torque_limit', 'speed_limit'):
+        for name in ('home', 'armature', 'viscous', 'coulomb', 'coulomb_negative',
+                     'torque_limit', 'speed_limit'):
             found = len(getattr(self, name))
             if found not in (0, joints):
                 raise ConfigError(name, f'{counted(joints, "values")}, one per joint', found)

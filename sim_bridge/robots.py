@@ -27,7 +27,6 @@ import pinocchio as pin
 from sim_bridge.arm import Arm, OPERATIONAL_FRAME, SENSOR_FRAME
 from sim_bridge.config import SurfaceConfig
 from sim_bridge.posture import frame_jacobian, frame_pose, limits_of, reach
-from sim_bridge.puma560 import load_robot, puma_arm
 from sim_bridge.robot_file import PlantVariant, RobotFile
 from sim_bridge.urdf_arm import Mount, read_arm
 
@@ -49,50 +48,32 @@ LIFT, TILT = 0.12, 0.5  # m and rad, for weighing the tool
 
 @dataclass(frozen=True)
 class Robot:
-    """
-    A robot of config/robots, or of a file.
+    """A robot of config/robots, or of a file."""
 
-    Attributes
-    ----------
-    name
-        Name, or path of the file.
-    file
-        What it says.
-    folder
-        That its paths are relative to.
-
-    """
-
-    name: str
+    name: str  # or path of the file
     file: RobotFile
-    folder: Path
+    folder: Path  # that its paths are relative to
 
     @cached_property
     def arm(self) -> Arm:
         """Return the arm with its tool."""
         file = self.file
-        if file.dh:
-            return puma_arm(load_robot(self._path(file.dh)))
         arm = read_arm(urdf_path(file.urdf, self.folder), file.joint_names, Mount(
             file.mount_link, file.mount_rpy, file.tool, file.tip_links), file.locked)
         none = (0.0,) * len(arm.links)
         given = zip(arm.links, file.armature or none, file.viscous or none, file.coulomb or none,
+                    file.coulomb_negative or file.coulomb or none,
                     file.torque_limit or arm.torque_limit,
                     file.speed_limit or [link.speed_limit for link in arm.links])
         links = tuple(replace(
-            link, armature=armature, viscous=viscous, coulomb_positive=coulomb,
-            coulomb_negative=coulomb, torque_limit=torque, speed_limit=speed)
-            for link, armature, viscous, coulomb, torque, speed in given)
+            link, armature=armature, viscous=viscous, coulomb_positive=positive,
+            coulomb_negative=negative, torque_limit=torque, speed_limit=speed)
+            for link, armature, viscous, positive, negative, torque, speed in given)
         for name in ('torque_limit', 'speed_limit'):
             if min(getattr(link, name) for link in links) <= 0.0:
                 raise ConfigError(name, 'a value above 0, since the URDF has none', 'nothing',
                                   self.name)
         return replace(arm, links=links)
-
-    @property
-    def home(self) -> Vector:
-        """Return the joint angles at the start, shape (n,) [rad]."""
-        return np.array(self.plant_values('')['home'])
 
     def elbow(self) -> tuple[str, Vector]:
         """
@@ -109,7 +90,8 @@ class Robot:
         if self.file.elbow is not None:
             return f'link{self.file.elbow.link}', np.array(self.file.elbow.normal_world)
         link = f'link{(len(self.arm.links) + 1) // 2}'
-        torques = frame_jacobian(self.arm.model(), self.home, link)[:3] / self.arm.torque_limit
+        home = np.array(self.plant_values('')['home'])
+        torques = frame_jacobian(self.arm.model(), home, link)[:3] / self.arm.torque_limit
         axis = int(np.argmax(np.abs(torques[:2]).max(axis=1)))
         return link, np.eye(3)[axis]
 
@@ -186,12 +168,8 @@ class Robot:
 
     def urdf_dir(self) -> Path:
         """Return the folder that the controller's `robot.urdf` is relative to."""
-        return self.folder_of_config if self.file.controller_file else _urdf_file(self.arm).parent
-
-    @property
-    def folder_of_config(self) -> Path:
-        """Return the folder of its parameter files."""
-        return self._path(self.file.controller_file).parent
+        file = self.file.controller_file
+        return (self._path(file) if file else _urdf_file(self.arm)).parent
 
     def calibration_values(self) -> dict[str, Any]:
         """Return the poses in which its tool is weighed, as config/calibration.yaml has them."""
@@ -346,7 +324,7 @@ def urdf_name(path: Path, folder: Path) -> str:
 def has_urdf(robot: Robot) -> bool:
     """Return whether the URDF of a robot is installed."""
     try:
-        return bool(robot.file.dh) or urdf_path(robot.file.urdf, robot.folder).is_file()
+        return urdf_path(robot.file.urdf, robot.folder).is_file()
     except ConfigError:
         return False
 

@@ -55,7 +55,6 @@ from rosgraph_msgs.msg import Clock
 from sim_bridge.actuator_delay import ActuatorDelay
 from sim_bridge.arm import SENSOR_FRAME
 from sim_bridge.config import PlantConfig
-from sim_bridge.opposing_arms import OpposingArms
 from sim_bridge.plant import Plant, Sample
 from sim_bridge.position_hold import PositionHold
 from sim_bridge.surface_markers import SurfaceMarkers
@@ -127,8 +126,6 @@ class SimNode(Node):
         self.streams.advertise(self._examples(), batched=config.recording_batches)
         self._reader = effort_reader(self._plant.joint_names)
         self.streams.subscribe(topics.EFFORT_COMMAND, self._on_command, qos.INPUT)
-        self._opposing = OpposingArms(plant_config, self._plant, self.streams, self._refusals,
-                                      config.rate)
         self._watch, self._fresh = LoopStatistics(config.rate), Freshness()
         self._fresh.expect(topics.EFFORT_COMMAND.name)
         self._diagnostics = Diagnostics(self, self._statuses)
@@ -276,7 +273,6 @@ class SimNode(Node):
 
     def _advance(self, torque: Any) -> None:
         start = time.perf_counter_ns()
-        self._opposing.press(self._tick)
         self._sample = self._plant.step(torque)
         self._saturated += self._sample.saturated
         self._step_times.add(time.perf_counter_ns() - start)

@@ -43,22 +43,11 @@ SURFACE = np.dtype([
 
 
 class Surfaces(NamedTuple):
-    """
-    Several surfaces.
+    """Several surfaces; each height profile repeats after its last point."""
 
-    Attributes
-    ----------
-    records
-        Records of `SURFACE`, shape (nc,).
-    heights, slopes
-        Height profiles, positive towards the robot, shape (nc, m) [m], each of which repeats
-        after its last point; their derivatives along the track, shape (nc, m).
-
-    """
-
-    records: Records
-    heights: Matrix
-    slopes: Matrix
+    records: Records  # of `SURFACE`, shape (nc,)
+    heights: Matrix  # profiles, positive towards the robot, shape (nc, m) [m]
+    slopes: Matrix  # their derivatives along the track, shape (nc, m)
 
 
 def build_surfaces(

@@ -15,19 +15,10 @@ LARGEST_ANGLE = 0.9  # sine of the angle up to which what is strongly curved is 
 
 
 class Patch(NamedTuple):
-    """
-    A closed mesh.
+    """A closed mesh."""
 
-    Attributes
-    ----------
-    vertices
-        From the point of the surface, world axes, shape (m, 3) [m].
-    faces
-        Three of them, counterclockwise from outside, shape (k, 3).
-
-    """
-
-    vertices: Matrix
+    vertices: Matrix  # from the point of the surface, world axes, shape (m, 3) [m]
+    # Three vertices each, counterclockwise from outside, shape (k, 3).
     faces: np.ndarray[tuple[int, ...], np.dtype[np.int64]]
 
 

@@ -12,8 +12,8 @@ from multicontact_control.dynamics.robot import load_model
 from multicontact_control.errors import ConfigError
 import numpy as np
 import pinocchio as pin
-from sim_bridge.arm import Arm, Body, Link, Placement
-from sim_bridge.tool import ToolData
+from sim_bridge.arm import Arm, arm_of_urdf, Body, Link, parse_urdf, Placement
+from sim_bridge.robot_file import ToolData
 
 FACE_MASS = 1e-3  # kg, of a sensor whose tool is in the URDF
 SMALLEST_INERTIA = 1e-7  # kg m^2, for what has a mass and is given none
@@ -22,26 +22,12 @@ ALONG_Z = 1e-9  # how far an axis may be from z to be taken for it
 
 @dataclass(frozen=True)
 class Mount:
-    """
-    Where an arm ends and what hangs there.
+    """Where an arm ends and what hangs there."""
 
-    Attributes
-    ----------
-    link
-        URDF link that carries the sensor.
-    rpy
-        Axes of the operational frame, and of the sensor, in that of the link [rad].
-    tool
-        What hangs there instead of all that the URDF has beyond the link; None if that is it.
-    tip_links
-        Of a tool in the URDF, the links that may touch.
-
-    """
-
-    link: str
-    rpy: Vector3 = (0.0, 0.0, 0.0)
-    tool: ToolData | None = None
-    tip_links: Sequence[str] = ()
+    link: str  # of the URDF, which carries the sensor; empty for one that has sensor and tool
+    rpy: Vector3 = (0.0, 0.0, 0.0)  # axes of operational frame and sensor in the link [rad]
+    tool: ToolData | None = None  # instead of all that the URDF has beyond the link
+    tip_links: Sequence[str] = ()  # of a tool in the URDF, those that may touch
 
 
 def read_arm(
@@ -67,10 +53,12 @@ def read_arm(
         If the URDF is not such an arm.
 
     """
-    try:
-        text = path.read_text(encoding='utf-8')
-    except OSError as error:
-        raise ConfigError('urdf', 'a readable URDF file', f'{path} ({error.strerror})') from None
+    text = read_urdf(path)
+    if not mount.link:
+        arm = arm_of_urdf(text)
+        _check_names(list(arm.joint_names), joint_names)
+        return arm
+    name = parse_urdf(text).get('name') or 'arm'
     bare = _without(text, _beyond(text, mount.link))
     model = load_model(bare, {name: locked[name] for name in locked if f'"{name}"' in bare})
     _check_chain(model, joint_names, mount.link)
@@ -90,22 +78,19 @@ def read_arm(
     tool = mount.tool
     if tool is None:
         return _with_tool_of_urdf(text, locked, model, turns[-1], Arm(
-            _name(text), tuple(links), Placement.of(sensor), Placement.of(sensor), FACE_MASS,
+            name, tuple(links), Placement.of(sensor), Placement.of(sensor), FACE_MASS,
             links[-1].body, {}), mount)
     face = sensor * pin.SE3(np.eye(3), np.array([0.0, 0.0, tool.face_offset]))
-    return Arm(_name(text), tuple(links), Placement.of(sensor), Placement.of(face),
+    return Arm(name, tuple(links), Placement.of(sensor), Placement.of(face),
                tool.face_mass, tool.body, tool.tips)
 
 
-def _parse(text: str) -> ElementTree.Element:
+def read_urdf(path: Path) -> str:
+    """Return the text of a URDF; ConfigError if it is not readable."""
     try:
-        return ElementTree.fromstring(text)
-    except ElementTree.ParseError as error:
-        raise ConfigError('urdf', 'a valid URDF', str(error)) from None
-
-
-def _name(text: str) -> str:
-    return _parse(text).get('name') or 'arm'
+        return path.read_text(encoding='utf-8')
+    except OSError as error:
+        raise ConfigError('urdf', 'a readable URDF file', f'{path} ({error.strerror})') from None
 
 
 def _ends(joint: ElementTree.Element) -> tuple[str, str]:
@@ -117,7 +102,7 @@ def _ends(joint: ElementTree.Element) -> tuple[str, str]:
 
 def _beyond(text: str, link: str) -> set[str]:
     """Return the links that hang on one, that one left out; ConfigError if there is none."""
-    root = _parse(text)
+    root = parse_urdf(text)
     known = [element.get('name', '') for element in root.findall('link')]
     if link not in known:
         raise ConfigError('mount_link', f'a link of the URDF among {", ".join(known)}',
@@ -134,7 +119,7 @@ def _beyond(text: str, link: str) -> set[str]:
 
 def _without(text: str, links: set[str]) -> str:
     """Return a URDF without some links and the joints that carry them."""
-    root = _parse(text)
+    root = parse_urdf(text)
     for element in list(root):
         if (element.tag == 'link' and element.get('name') in links) or (
                 element.tag == 'joint' and _ends(element)[1] in links):
@@ -144,13 +129,16 @@ def _without(text: str, links: set[str]) -> str:
     return ElementTree.tostring(root, encoding='unicode')
 
 
-def _check_chain(model: pin.Model, joint_names: Sequence[str], mount: str) -> None:
-    names = list(model.names)[1:]
+def _check_names(names: list[str], joint_names: Sequence[str]) -> None:
     if names != list(joint_names):
         others = [name for name in names if name not in joint_names]
         raise ConfigError(
             'joint_names', f'the joints up to mount_link, {names}' + (
                 f', or {others} in locked_joints' if others else ''), list(joint_names))
+
+
+def _check_chain(model: pin.Model, joint_names: Sequence[str], mount: str) -> None:
+    _check_names(list(model.names)[1:], joint_names)
     if list(model.parents)[1:] != list(range(model.njoints - 1)):
         raise ConfigError('joint_names', 'one joint after the other', 'a tree')
     if _frame(model, mount).parentJoint != model.njoints - 1:

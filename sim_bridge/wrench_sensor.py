@@ -192,22 +192,9 @@ def settle(value: float, stages: Matrix, memory: Matrix) -> None:
 @compiled
 def low_pass(signal: float, stages: Matrix, memory: Matrix) -> float:
     """
-    Advance the chain by one reading (transposed direct form II, gain 1 at rest).
+    Return the output of the chain for the next reading, and update its memory, shape (stages, 2).
 
-    Parameters
-    ----------
-    signal
-        The reading.
-    stages
-        From `low_pass_stages`.
-    memory
-        Updated, shape (stages, 2).
-
-    Returns
-    -------
-    float
-        The last stage's output.
-
+    Transposed direct form II, gain 1 at rest.
     """
     for stage in range(stages.shape[0]):
         b0, b1, b2, a1, a2 = stages[stage]

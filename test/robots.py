@@ -11,10 +11,11 @@ ENGINES = ['pybullet', pytest.param('mujoco', marks=needs_mujoco)]
 
 
 def robot_parameters(names):
-    """Return robots as parameters of a test."""
-    return [pytest.param(name, marks=pytest.mark.skipif(
-        not has_urdf(find_robot(name)),
-        reason=f'the URDF of {name} is not installed: extra [robots]')) for name in names]
+    """Return robots as parameters of a test; all but the PUMA and the Panda are nightly."""
+    return [pytest.param(name, marks=[
+        pytest.mark.skipif(not has_urdf(find_robot(name)),
+                           reason=f'the URDF of {name} is not installed: extra [robots]'),
+        *([] if name in ('puma', 'panda') else [pytest.mark.nightly])]) for name in names]
 
 
 ROBOTS = robot_parameters(robot_names())

@@ -16,7 +16,6 @@ from multicontact_control.config import NoiseEstimatorConfig
 from multicontact_control.control.controller import ControlOutput
 from multicontact_control.control_loop import ControlLoop
 from multicontact_control.errors import (
-    ConfigError,
     ContactGeometryError,
     RunError,
     SingularTaskError,
@@ -78,21 +77,11 @@ class ClosedLoop:
     history
         What was known at the last ticks if nothing was wrong with it, newest last.
 
-    Raises
-    ------
-    ConfigError
-        If a surface is to be pressed by the arm of another graph, which nothing hears here.
-
     """
 
     def __init__(
         self, setup: Setup, *, supervised: bool = True, commanded: bool = False,
     ) -> None:
-        for name, surface in setup.plant.surfaces.items():
-            if surface.opposed_by:
-                raise ConfigError(
-                    f'plant.surfaces.{name}.opposed_by', 'none in process: `multicontact run` '
-                    'hears another graph', f"'{surface.opposed_by}'")
         self.setup = setup
         config = setup.controller
         self.control = ControlLoop(

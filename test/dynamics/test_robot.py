@@ -10,7 +10,7 @@ from multicontact_control.errors import ConfigError
 from multicontact_control.paths import config_dir
 import numpy as np
 import pytest
-from sim_bridge.puma560 import load_robot, puma_arm
+from sim_bridge.robots import find_robot
 
 REFERENCE = json.loads(
     (Path(__file__).parents[1] / 'data' / 'puma560_reference.json').read_text())
@@ -19,15 +19,13 @@ REFERENCE = json.loads(
 @pytest.fixture
 def puma(tmp_path):
     """Return the arm of the reference values: without tool, armature to the last digit."""
-    data = load_robot()
-    urdf = ElementTree.fromstring(puma_arm(data).urdf)
+    urdf = ElementTree.parse(config_dir() / 'puma560.urdf').getroot()
     for link in urdf.findall('link'):
         if link.get('name') in ('ft_face', 'tool'):
             link.remove(link.find('inertial'))
     (tmp_path / 'puma.urdf').write_text(ElementTree.tostring(urdf, encoding='unicode'))
     config = controller_config().robot.model_copy(update={
-        'urdf': 'puma.urdf',
-        'armature': tuple(m.rotor_inertia * m.gear ** 2 for m in data.motors)})
+        'urdf': 'puma.urdf', 'armature': find_robot('puma').arm.armature})
     return RobotModel(config, tmp_path)
 
 

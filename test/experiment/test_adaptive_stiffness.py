@@ -1,4 +1,4 @@
-"""The presets `best` and `adaptive` on the simulated arm, with surfaces nobody told them of."""
+"""The presets `best` and `adaptive` on surfaces whose stiffness the controller is not told."""
 
 from multicontact_control.experiment.claim_metrics import disturbance_summary
 from multicontact_control.experiment.closed_loop import run_in_process
@@ -6,29 +6,31 @@ from multicontact_control.experiment.metrics import step_responses, windows
 from multicontact_control.experiment.scenario import resolve
 import numpy as np
 import pytest
+from runs import run_of
+
+pytestmark = pytest.mark.slow
 
 STEPS = ((2.0, 10.0), (3.5, 15.0))
 # The arm gives way at the board's tip, in series with the surface: about 47 kN/m on `puma`.
 ARM = {'rigid': np.inf, 'puma': 47e3}
 
 
-def run(plant, stiffness, seed, *, preset='adaptive', duration=5.0, motion=False, disturb=None):
+def setup_of(plant, stiffness, seed, *, preset='adaptive', duration=5.0, motion=False):
     scenario = {'duration': duration, 'reference': {'force_steps': [
         {'time': time, 'forces': {'table': force, 'board': force}} for time, force in STEPS]}}
     if not motion:
         scenario['reference']['motion'] = None
-    setup = resolve('quick', plant=plant, seed=seed, preset=preset, plant_overrides={
+    return resolve('quick', plant=plant, seed=seed, preset=preset, plant_overrides={
         'surfaces': {name: {'stiffness': stiffness} for name in ('table', 'board')}},
         scenario_overrides=scenario)
-    return setup, run_in_process(setup, supervised=True, disturb=disturb).data
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize('plant', ['rigid', 'puma'])
-@pytest.mark.parametrize('stiffness', [300.0, 1000.0, 3000.0, 10_000.0, 30_000.0])
-def test_steps_are_the_same_on_every_surface(plant, stiffness):
+@pytest.mark.parametrize(('plant', 'stiffness'), [
+    ('rigid', 300.0), ('puma', 300.0), ('puma', 3000.0), ('rigid', 30_000.0), ('puma', 30_000.0)])
+def test_adaptive_steps_are_the_same_on_every_surface(plant, stiffness):
     """Over 100:1 without a parameter changed; the first step may still be learning."""
-    setup, data = run(plant, stiffness, seed=31)
+    setup = setup_of(plant, stiffness, seed=31)
+    data = run_of(setup).data
     for contact, name in enumerate(data.contact_names):
         first, second = step_responses(data, setup, contact)
         assert second.rise_63 <= (0.13 if stiffness < 1000.0 else 0.07)
@@ -39,39 +41,30 @@ def test_steps_are_the_same_on_every_surface(plant, stiffness):
         assert data.stiffness_est[at, contact] == pytest.approx(felt, rel=0.2)
         assert data.stiffness_std[at, contact] < 0.2 * felt
         assert data.margin[at, contact] > 1.0
+        np.testing.assert_allclose(  # no drift at rest
+            data.stiffness[at:, contact], data.stiffness[at, contact], rtol=0.004)
         touched = data.alpha_true[:, contact] > 0.0
         begin = int(np.argmax(touched))
         gaps = np.diff(np.flatnonzero(touched[begin:])) - 1
         assert gaps.max(initial=0) / data.rate <= 0.06
 
 
-def openings(preset, seed):
+def openings(preset):
     """Return for how long each contact with 60 kN/m is open once it was pressed [s]."""
-    _, data = run('puma', 60_000.0, seed, preset=preset, duration=3.5)
+    data = run_of(setup_of('puma', 60_000.0, 1, preset=preset, duration=3.5)).data
     return [2e-3 * np.count_nonzero(force[int(np.argmax(force > 1.0)):] < 0.2)
             for force in data.alpha_true.T]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize('seed', [0, 1, 3])
-def test_friction_of_the_joints_does_not_open_a_hard_contact(seed):
+def test_friction_of_the_joints_does_not_open_a_hard_contact():
     """A slip by 33 um is 2 N there; the paper's law integrates against stiction, and slips."""
     for preset in ('best', 'adaptive'):
-        assert max(openings(preset, seed)) <= 0.01
-    assert max(openings('paper', seed)) > 0.1
+        assert max(openings(preset)) <= 0.01
+    assert max(openings('paper')) > 0.1
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize('plant', ['rigid', 'puma'])
-def test_stiffness_does_not_drift_at_rest(plant):
-    _, data = run(plant, 3000.0, seed=32, duration=10.0)
-    used = data.stiffness[round(5.0 * data.rate):]
-    np.testing.assert_allclose(used, np.broadcast_to(used[0], used.shape), rtol=0.004)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize('plant', ['rigid', 'puma'])
-def test_border_between_soft_and_hard_is_crossed_while_sliding(plant):
+def test_adaptive_crosses_a_border_between_soft_and_hard_while_sliding(plant):
     """1000 to 30 000 N/m within 2 mm of sliding, and back."""
     borders = {9.5: 30.0, 11.5: 1.0 / 30.0}
 
@@ -81,7 +74,8 @@ def test_border_between_soft_and_hard_is_crossed_while_sliding(plant):
                 for contact in (0, 1):
                     loop.plant.contacts.scale_stiffness(contact, factor ** 0.1)
 
-    _, data = run(plant, 1000.0, seed=33, duration=13.0, motion=True, disturb=disturb)
+    data = run_in_process(setup_of(plant, 1000.0, seed=33, duration=13.0, motion=True),
+                          supervised=True, disturb=disturb).data
     error = data.alpha_true - 15.0
     for begin, end in ((9.8, 11.5), (11.8, 13.0)):
         window = (data.time >= begin) & (data.time < end)
@@ -89,11 +83,9 @@ def test_border_between_soft_and_hard_is_crossed_while_sliding(plant):
     assert (data.alpha_true[data.time > 9.0] > 0.0).all()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize('seed', [34, 35])
-def test_best_is_quick_and_quiet_on_flexible_drives(seed):
-    setup = resolve('disturbance', plant='puma', seed=seed, preset='best')
-    data = run_in_process(setup, supervised=True).data
+def test_best_is_quick_and_quiet_on_flexible_drives():
+    setup = resolve('disturbance', plant='puma', seed=34, preset='best')
+    data = run_of(setup).data
     quiet = disturbance_summary(data, setup, None)
     judged = windows(setup.scenario.reference, data.time)
     moving = judged.moving & (np.abs(data.time - 13.5) > 1.5)
@@ -110,13 +102,11 @@ def test_best_is_quick_and_quiet_on_flexible_drives(seed):
         assert (data.alpha_true[data.time > 2.0, contact] > 0.0).all()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize('ratio', [0.05, 10.0, 20.0])
+@pytest.mark.parametrize('ratio', [0.05, 20.0])
 def test_best_does_not_oscillate_however_wrong_its_stiffness(ratio):
     """At rest; a step on a surface that is far too stiff throws the tip back, for a moment."""
-    setup, data = run('puma', ratio * 6000.0, seed=36, preset='best', duration=5.5)
-    rest = data.time > 4.5
-    error = data.alpha_true[rest] - 15.0
+    data = run_of(setup_of('puma', ratio * 6000.0, seed=36, preset='best', duration=5.5)).data
+    error = data.alpha_true[data.time > 4.5] - 15.0
     assert np.sqrt((error ** 2).mean(axis=0)).max() < 0.3
     for touched in (data.alpha_true[data.time > 1.7] > 0.0).T:
         assert np.diff(np.flatnonzero(touched)).max() / data.rate < 0.07

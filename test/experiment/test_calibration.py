@@ -1,26 +1,16 @@
 """Weighing the tool and pushing it, on the simulated arm with noise."""
 
-from multicontact_control.config import (
-    ControllerConfig,
-    merge,
-    read_parameters,
-    validate,
-)
+from multicontact_control.config import ControllerConfig, merge, read_parameters, validate
 from multicontact_control.control.wrench import contact_wrench
-from multicontact_control.errors import CalibrationError, ConfigError
+from multicontact_control.errors import CalibrationError
 from multicontact_control.experiment.calibration import (
     calibrate,
     calibration_config,
-    CalibrationConfig,
     sensor_setup,
     write_tool,
 )
 from multicontact_control.experiment.position_controlled_plant import ServoedPlant
-from multicontact_control.experiment.push_trial import (
-    fault_mounting,
-    push_setup,
-    run_push_test,
-)
+from multicontact_control.experiment.push_trial import fault_mounting, push_setup, run_push_test
 from multicontact_control.paths import config_dir
 from multicontact_control.sensor.push_config import PushTestConfig
 import numpy as np
@@ -40,7 +30,6 @@ def test_calibration_finds_tool_and_bias_of_the_noisy_sensor(tmp_path, plant, se
     assert result.good
     np.testing.assert_allclose(
         result.found.bias_sensor[3:], result.truth.bias_sensor[3:], atol=5e-3)
-    assert result.found.force_residual < 0.02
     assert result.found.condition < 5.0
     controller = validate(ControllerConfig, merge(
         read_parameters(config_dir() / 'controller.yaml'),
@@ -48,72 +37,41 @@ def test_calibration_finds_tool_and_bias_of_the_noisy_sensor(tmp_path, plant, se
     assert controller.tool == result.found.tool()
 
 
-def test_no_bar_reaches_a_surface_in_any_pose():
-    setup, config = sensor_setup('rigid', 0), calibration_config()
-    tips = []
-    arm = ServoedPlant(setup)
-    for pose in config.poses:
-        arm.move(np.array(pose), 1.0)
-        assert not arm.sample.contact_force.any()
-        np.testing.assert_allclose(arm.sample.q, pose, atol=0.03)
-        for name in arm._plant.contact_names:
-            surface, i = setup.plant.surfaces[name], arm._plant.contact_names.index(name)
-            tips.append((np.array(surface.point_world) - arm._plant.contacts.points_world[i])
-                        @ surface.normal_world)
-    arm.close()
-    assert min(tips) > 0.02
-
-
-def test_calibration_of_a_flipped_sensor_is_refused():
-    setup = sensor_setup('rigid', 0, sensor={'mounting': [-1, 0, 0, 0, -1, 0, 0, 0, -1]})
-    with pytest.raises(CalibrationError, match='is the sign of the sensor flipped'):
-        calibrate(setup, calibration_config().model_copy(update=SHORT))
-
-
-def test_bias_of_a_plants_own_is_kept():
-    assert sensor_setup('rigid', 0, sensor={'bias': [1.0] * 6}).plant.sensor.bias == (1.0,) * 6
-    assert sensor_setup('rigid', 0).plant.sensor.bias != sensor_setup('rigid', 1).plant.sensor.bias
-
-
-def test_poses_of_different_lengths_are_refused():
-    with pytest.raises(ConfigError, match='poses: expected as many joints in every pose'):
-        validate(CalibrationConfig, {'poses': [[0.0], [0.0, 1.0]]})
-
-
-@pytest.mark.parametrize(('plant', 'fault', 'seed', 'message'), [
-    ('rigid', 'none', 0, 'push test passed'), ('puma', 'none', 1, 'push test passed'),
-    ('rigid', 'sign', 0, 'failed: sign flipped'), ('puma', 'sign', 3, 'failed: sign flipped'),
-    ('rigid', 'scale', 1, 'failed: scale 0.5'),
-    *(('rigid', 'rotate', seed, f"failed: rotated by {degrees} deg about the sensor's {axis}")
-      for seed, (degrees, axis) in enumerate(
-          (degrees, axis) for degrees in (90, -90) for axis in 'xyz')),
-    ('puma', 'rotate', 5, "failed: rotated by -90 deg about the sensor's z")])
-def test_push_test_on_the_simulated_arm(plant, fault, seed, message):
-    """Tared first, so that nothing is wrong at rest."""
-    config, said = PushTestConfig(settle_time=0.2, hold_time=0.2), []
-    setup = push_setup(plant, seed, config, fault_mounting(fault, seed))
-    result = run_push_test(setup, config, said.append)
-    assert message in result.message
-    assert result.passed is (fault == 'none')
-    assert said[0] == 'keep off the tool'
-    assert said[-1] == result.message
-
-
-def test_unknown_fault_is_refused():
-    with pytest.raises(ConfigError, match='fault: expected one of none, sign, rotate, scale'):
-        fault_mounting('dead', 0)
-
-
-def test_servoed_arm_reads_nothing_with_the_right_tool_in_every_pose():
+def test_calibration_poses_are_free_and_weigh_nothing_with_the_right_tool():
     """The configured tool is the plant's: compensated readings vanish, up to the noise."""
     setup = sensor_setup('rigid', 0, sensor={'noise': False, 'bias': [1.0] * 6})
     tool = setup.controller.tool.model_copy(update={'bias_sensor': (1.0,) * 6})
     arm = ServoedPlant(setup)
-    for pose in calibration_config().poses[:3]:
+    for pose in calibration_config().poses:
         arm.move(np.array(pose), 0.8)
         sample, state = arm.hold(0.4)[-1]
+        assert not sample.contact_force.any()
+        np.testing.assert_allclose(sample.q, pose, atol=0.03)
         wrench = contact_wrench(
             sample.wrench, state.sensor_pose, state.pose.position_world, tool,
             np.array(setup.controller.robot.gravity_world))
         np.testing.assert_allclose(wrench, 0.0, atol=0.03)
     arm.close()
+
+
+def test_calibration_of_a_flipped_sensor_is_refused():
+    setup = sensor_setup('rigid', 0, sensor={'mounting': [-1, 0, 0, 0, -1, 0, 0, 0, -1]})
+    with pytest.raises(CalibrationError, match='sign'):
+        calibrate(setup, calibration_config().model_copy(update=SHORT))
+
+
+@pytest.mark.parametrize(('plant', 'fault', 'seed', 'found'), [
+    ('rigid', 'none', 0, 'passed'), ('puma', 'none', 1, 'passed'),
+    ('rigid', 'sign', 0, 'sign flipped'), ('puma', 'sign', 3, 'sign flipped'),
+    ('rigid', 'scale', 1, 'scale 0.5'),
+    *(('rigid', 'rotate', seed, f"rotated by {degrees} deg about the sensor's {axis}")
+      for seed, (degrees, axis) in enumerate(
+          (degrees, axis) for degrees in (90, -90) for axis in 'xyz')),
+    ('puma', 'rotate', 5, "rotated by -90 deg about the sensor's z")])
+def test_push_test_names_the_fault_of_the_mounting(plant, fault, seed, found):
+    """Tared first, so that nothing is wrong at rest."""
+    config = PushTestConfig(settle_time=0.2, hold_time=0.2)
+    setup = push_setup(plant, seed, config, fault_mounting(fault, seed))
+    result = run_push_test(setup, config, lambda instruction: None)
+    assert found in result.message
+    assert result.passed is (fault == 'none')

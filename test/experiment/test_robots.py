@@ -1,52 +1,45 @@
-"""Every robot in the loop, and what its surroundings may do to it."""
+"""Robots in the loop: other arms, other rates, encoders with steps, a sensor mounted wrong."""
 
-from multicontact_control.contact.surfaces import SLIDING_SPEED
-from multicontact_control.errors import ConfigError
-from multicontact_control.experiment.closed_loop import run_in_process
-from multicontact_control.experiment.scenario import plant_source, plants_of, resolve
-from multicontact_control.experiment.summary import summarise
+from arms import HOME
+from multicontact_control.config import (
+    SensorFrontEndConfig,
+    WatchdogConfig,
+)
+from multicontact_control.errors import CommandError
+from multicontact_control.experiment.closed_loop import ClosedLoop
+from multicontact_control.experiment.scenario import resolve
 import numpy as np
 import pytest
-from robots import needs_mujoco, OTHERS, robot_parameters
+from robots import needs_mujoco, OTHERS
+from runs import run_of, summary_of
 from sim_bridge.robots import find_robot
 
 DURATION = 9.5  # s, of `quick`, whose motion has been judged for 1 s then
+nightly = pytest.mark.nightly
 
 
-def run(scenario, duration=DURATION, **options):
-    setup = resolve(scenario, preset='best', duration=duration, **options)
-    result = run_in_process(setup, supervised=True)
-    summary = summarise(result.data, setup, mode='in_process', timing={},
-                        ended_early=result.ended_early, events=result.events)
-    assert summary['stable'], (summary['instabilities'], result.events[-3:])
-    return result.data, list(summary['contacts'].values())
+def run(scenario, **options):
+    setup = resolve(scenario, preset='best', duration=DURATION, **options)
+    summary = summary_of(setup)
+    assert summary['stable'], summary['instabilities']
+    return run_of(setup).data, list(summary['contacts'].values())
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize('name', OTHERS)
-def test_robot_presses_on_two_surfaces_and_slides_along_them(name):
-    """Noisy sensor, rough surfaces with friction, rigid drives: 15 N on each."""
-    data, contacts = run('quick', robot=name)
+@pytest.mark.parametrize(('plant', 'name'), [
+    *(pytest.param('', *name.values, marks=name.marks) for name in OTHERS),
+    ('flexible', 'panda'), pytest.param('flexible', 'iiwa', marks=nightly)])
+def test_robot_presses_on_two_surfaces_and_slides_along_them(name, plant):
+    """Noisy sensor, rough surfaces with friction, rigid or flexible drives: 15 N on each."""
+    data, contacts = run('quick', robot=name, plant=plant)
     assert data.q.shape[1] == len(find_robot(name).arm.links)
     for contact in contacts:
-        assert contact['rest']['true_error_rms_n'] < 0.03
-        assert contact['moving']['true_error_rms_n'] < 1.1
-        assert contact['moving']['contact_loss_fraction'] == 0.0
-        assert contact['step_rise_63_s'] < 0.06
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize('name', ['panda', 'iiwa'])
-def test_robot_with_flexible_drives_and_friction_presses_and_slides(name):
-    _, contacts = run('quick', robot=name, plant='flexible')
-    for contact in contacts:
-        assert contact['rest']['true_error_rms_n'] < 0.15
+        assert contact['rest']['true_error_rms_n'] < (0.15 if plant else 0.03)
         assert contact['moving']['true_error_rms_n'] < 1.2
         assert contact['moving']['contact_loss_fraction'] == 0.0
+        assert plant or contact['step_rise_63_s'] < 0.06
 
 
 @needs_mujoco
-@pytest.mark.slow
 def test_engines_agree_in_the_loop_and_on_their_own_contacts():
     """The same surfaces give the same errors to some mN; the engine's own are smooth."""
     same = {'plant_overrides': {'engine': 'mujoco'}}
@@ -58,58 +51,72 @@ def test_engines_agree_in_the_loop_and_on_their_own_contacts():
         for window in ('rest', 'moving'):
             assert a[window]['true_error_rms_n'] == pytest.approx(
                 b[window]['true_error_rms_n'], abs=0.02)
-        assert c['rest']['true_error_rms_n'] < 0.3 and c['moving']['true_error_rms_n'] < 0.3
+            assert c[window]['true_error_rms_n'] < 0.3
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(('scenario', 'largest'), [
-    ('moving_surface', 1.5), ('curved', 2.0), ('tilt', 2.0)])
-def test_surfaces_that_are_not_as_told_are_followed(scenario, largest):
+@pytest.mark.parametrize('scenario', [
+    'tilt', *(pytest.param(name, marks=nightly) for name in ('moving_surface', 'curved'))])
+def test_surfaces_that_are_not_as_told_are_followed(scenario):
     """Without losing the contact, and off by what tilt and friction take of 15 N at most."""
-    _, contacts = run(scenario, robot='iiwa')
-    for contact in contacts:
-        assert contact['moving']['true_error_rms_n'] < largest
+    for contact in run(scenario, robot='panda')[1]:
+        assert contact['moving']['true_error_rms_n'] < 2.0
         assert contact['moving']['contact_loss_fraction'] == 0.0
 
 
-@pytest.mark.parametrize('robot', robot_parameters(['puma', 'panda', 'iiwa', 'ur5']))
-def test_untold_tilt_is_made_good_within_a_second_of_sliding_on_smooth_surfaces(robot):
-    """20 degrees, which cost 0.9 N at rest; roughness alone would be 0.77 N in motion."""
-    smooth = {name: {'roughness_std': 0.0} for name in ('table', 'board')}
-    setup = resolve('tilt', robot=robot, plant='rigid', preset='best', duration=11.0,
-                    plant_overrides={'surfaces': smooth})
-    data = run_in_process(setup, supervised=True).data
-    errors = data.alpha_true - 15.0
-    speed = np.linalg.norm(np.gradient(data.position, setup.controller.period, axis=0), axis=1)
-    sliding = np.flatnonzero((data.time > 6.5) & (speed > SLIDING_SPEED))[0]
-    second = round(setup.controller.rate)
-    assert np.abs(errors[sliding - second:sliding].mean(axis=0)).min() > 0.3
-    assert np.sqrt((errors[sliding + second:] ** 2).mean(axis=0)).max() < 0.3
+@pytest.mark.parametrize(('rate', 'force'), [
+    (125.0, {'damping_rate': 40.0, 'input_delay': 0.012, 'time_constant': 0.05}), (1000.0, {})])
+def test_a_robot_of_another_rate_presses_without_any_reaction(rate, force):
+    """Ages, gaps and bounces are counted in periods: a single sample says nothing of a surface."""
+    loop = ClosedLoop(resolve('quick', plant='rigid', noise_estimator={'rate': rate}, controller={
+        'rate': rate, 'force': force,
+        'watchdog': {'frozen_joint_samples': 0}}), commanded=True)
+    forces = []
+    free = loop.sample.wrench
+    loop.advance()
+    loop.control.set_forces({'table': 10.0, 'board': 10.0})
+    for _ in range(round(3.0 * rate)):
+        loop.advance()
+        forces.append(loop.true_forces)
+    np.testing.assert_allclose(np.mean(forces[-round(0.2 * rate):], axis=0), 10.0, atol=0.5)
+    loop.advance(lambda inputs: inputs._replace(wrench=inputs.wrench._replace(wrench=free)))
+    for _ in range(round(0.5 * rate)):
+        loop.advance()
+    loop.close()
+    assert set(loop.control.reactions) == {'none'}
+    assert not loop.control.rejected
+    assert not [event for _, event in loop.control.events.events if 'lost' in event]
 
 
-def test_plants_are_named_with_their_robot():
-    assert plants_of() == ('rigid', 'puma')
-    assert plant_source('flexible').name == plant_source('').name == 'puma'
-    assert plants_of('panda') == ('panda/rigid', 'panda/flexible')
-    assert plants_of('panda', ['rigid']) == ('panda/rigid',)
-    assert plant_source('iiwa/rigid').robot.name == plant_source('', 'iiwa').robot.name == 'iiwa'
-    assert plant_source('iiwa/rigid').name == 'iiwa/rigid'
-    with pytest.raises(ConfigError, match='plant: expected one of rigid, flexible, or a path'):
-        plant_source('puma', 'panda')
-    with pytest.raises(ConfigError, match="robot: expected one of .*panda.*, found 'robbie'"):
-        plant_source('rigid', 'robbie')
+@pytest.mark.parametrize(('samples', 'trips'), [
+    (WatchdogConfig().frozen_joint_samples, False), (2, True)])
+def test_encoder_with_steps_is_not_taken_for_a_frozen_one(samples, trips):
+    """A joint that moves by less than a step in a period repeats itself."""
+    step = 2.0 * np.pi / 2 ** 16
+
+    def rounded(inputs):
+        joints = inputs.joints
+        return inputs._replace(joints=joints._replace(
+            q=step * np.round(joints.q / step), qd=1e-3 * np.round(1e3 * joints.qd)))
+
+    loop = ClosedLoop(resolve('quick', plant='rigid', controller={
+        'watchdog': {'frozen_joint_samples': samples}}))
+    for _ in range(700):
+        loop.advance(rounded)
+    loop.close()
+    assert ('joints_frozen' in loop.control.rejected) == trips
+    assert trips or set(loop.control.reactions) == {'none'}
 
 
-@pytest.mark.parametrize('name', robot_parameters(['panda', 'kinova']))
-def test_written_configuration_of_another_robot_stands_alone(tmp_path, name):
-    """URDF with the tool beside it, and the plant says whose it is."""
-    from multicontact_control.config import ControllerConfig, read_parameters, validate
-    from multicontact_control.dynamics.robot import RobotModel
-    from sim_bridge.config import PlantConfig
-
-    setup = resolve('quick', robot=name)
-    files = setup.write(tmp_path)
-    controller = validate(ControllerConfig, read_parameters(files['controller_node']))
-    assert controller == setup.controller
-    assert RobotModel(controller.robot, tmp_path).joint_count == len(find_robot(name).arm.links)
-    assert validate(PlantConfig, read_parameters(files['sim_node'])).robot == name
+def test_with_a_flipped_sensor_nothing_moves_before_the_push_test_is_passed():
+    """As it is by default: every command is refused, and the arm stays where it is."""
+    loop = ClosedLoop(resolve('quick', plant='rigid', controller={
+        'sensor': {'require_push_test': SensorFrontEndConfig().require_push_test}}),
+        commanded=True)
+    for _ in range(300):
+        loop.advance(lambda inputs: inputs._replace(
+            wrench=inputs.wrench._replace(wrench=-inputs.wrench.wrench)))
+        with pytest.raises(CommandError, match='push_test'):
+            loop.control.set_forces({'table': 10.0, 'board': 10.0})
+    assert np.abs(loop.sample.q - HOME).max() < 1e-3
+    assert not loop.control.output.active.any()
+    loop.close()

@@ -4,18 +4,18 @@ from arms import plant_config
 import numpy as np
 import pytest
 from sim_bridge.plant import Plant
-from sim_bridge.puma560 import load_robot, puma_arm
+from sim_bridge.robots import find_robot
 
 
 @pytest.fixture(scope='session')
-def robot():
-    return load_robot()
+def puma():
+    return find_robot('puma').arm
 
 
 @pytest.fixture
-def model(robot):
+def model(puma):
     """Return the arm with its tool, without armature."""
-    return puma_arm(robot).model()
+    return puma.model()
 
 
 @pytest.fixture

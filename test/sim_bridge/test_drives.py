@@ -1,13 +1,19 @@
-from arms import plant_config
 import numpy as np
 import pinocchio as pin
 import pytest
-from sim_bridge.drives import FlexibleDrives, implicit_joint_speed, RigidDrives
-from sim_bridge.joint_friction import FRICTION, friction_torque, joint_friction
+from sim_bridge.drives import (
+    FlexibleDrives,
+    FRICTION,
+    friction_torque,
+    implicit_joint_speed,
+    implicit_speed,
+    joint_friction,
+    RigidDrives,
+)
 from sim_bridge.kinematics import mass_matrix
-from sim_bridge.puma560 import puma_arm
 
-STEP = 1e-3
+STEP, SUBSTEP, INERTIA = 1e-3, 2.5e-4, 0.784
+ROW = np.array([(0.5, 27.0, 25.0, 1e-3)], dtype=FRICTION)[0]
 NO_FRICTION = np.array([(0.0, 0.0, 0.0, 1e-3)] * 2, dtype=FRICTION)
 
 
@@ -42,38 +48,30 @@ def test_flexible_drives_rest_with_springs_wound_up():
     np.testing.assert_allclose(drives.qd, 0.0, atol=1e-12)
 
 
-def test_drive_modes_with_locked_rotors_are_the_noted_ones(model):
-    """Eigenfrequencies of M x'' + K x = 0 at home, without rotors [Hz]."""
-    config = plant_config('puma')
-    data = model.createData()
-    upper = np.triu(pin.crba(model, data, np.array(config.home)))
-    mass_matrix = upper + np.triu(upper, 1).T
-    squares = np.linalg.eigvals(np.linalg.solve(mass_matrix, np.diag(config.drive_stiffness)))
-    modes = np.sort(np.sqrt(squares.real)) / (2 * np.pi)
-    np.testing.assert_allclose(modes, [16, 21, 33, 78, 104, 192], rtol=0.1)
-
-
 @pytest.fixture
-def arm_with_rotors(robot, model):
-    model.armature = np.array(robot.exact_armature)
+def arm_with_rotors(puma, model):
+    model.armature = np.array(puma.armature)
     return model
 
 
-def test_rigid_drives_make_bare_links_accelerate_as_with_rotors(robot, arm_with_rotors, rng):
-    model = arm_with_rotors
-    drives = RigidDrives(model, joint_friction(puma_arm(robot), 0.0, 1e-3), STEP)
-    bare = model.copy()
+@pytest.mark.parametrize('scale', [0.0, 0.6])
+def test_rigid_drives_make_bare_links_move_as_with_rotors_and_friction(
+        puma, arm_with_rotors, rng, scale):
+    model, table = arm_with_rotors, joint_friction(puma, scale, 1e-3)
+    drives, bare = RigidDrives(model, table, STEP), model.copy()
     bare.armature = np.zeros(6)
     for _ in range(5):
         q, qd, torque, load = rng.uniform(-1, 1, (4, 6))
         applied = drives.advance(torque, load, q, qd)
-        found = pin.aba(bare, bare.createData(), q, qd, applied + load)
-        expected = pin.aba(model, model.createData(), q, qd, torque + load)
-        np.testing.assert_allclose(found, expected, atol=1e-9)
+        speed = qd + STEP * pin.aba(bare, bare.createData(), q, qd, applied + load)
+        friction = [friction_torque(v, row) for v, row in zip(speed, table, strict=True)]
+        expected = qd + STEP * pin.aba(
+            model, model.createData(), q, qd, torque + load - np.array(friction))
+        np.testing.assert_allclose(speed, expected, atol=1e-9)
 
 
-def test_implicit_joint_speed_solves_its_equation(robot, arm_with_rotors, rng):
-    model, table = arm_with_rotors, joint_friction(puma_arm(robot), 1.0, 1e-3)
+def test_implicit_joint_speed_solves_its_equation(puma, arm_with_rotors, rng):
+    model, table = arm_with_rotors, joint_friction(puma, 1.0, 1e-3)
     for _ in range(50):
         inertia = mass_matrix(model, model.createData(), rng.uniform(-1, 1, 6))
         free = rng.standard_normal(6) * 10 ** rng.uniform(-6, 0.5, 6)
@@ -84,16 +82,10 @@ def test_implicit_joint_speed_solves_its_equation(robot, arm_with_rotors, rng):
         np.testing.assert_allclose(residual, 0.0, atol=1e-10)
 
 
-def test_rigid_drives_with_friction_brake_like_the_implicit_solution(
-        robot, arm_with_rotors, rng):
-    model, table = arm_with_rotors, joint_friction(puma_arm(robot), 0.6, 1e-3)
-    drives = RigidDrives(model, table, STEP)
-    bare = model.copy()
-    bare.armature = np.zeros(6)
-    q, qd, torque = rng.uniform(-1, 1, (3, 6))
-    applied = drives.advance(torque, np.zeros(6), q, qd)
-    speed = qd + STEP * pin.aba(bare, bare.createData(), q, qd, applied)
-    friction = [friction_torque(v, row) for v, row in zip(speed, table, strict=True)]
-    expected = qd + STEP * pin.aba(
-        model, model.createData(), q, qd, torque - np.array(friction))
-    np.testing.assert_allclose(speed, expected, atol=1e-9)
+def test_implicit_speed_solves_its_equation(rng):
+    for _ in range(500):
+        free = rng.choice([-1, 1]) * 10 ** rng.uniform(-9, 1)
+        speed = implicit_speed(free, SUBSTEP, INERTIA, ROW)
+        residual = speed - free + SUBSTEP / INERTIA * friction_torque(speed, ROW)
+        assert residual == pytest.approx(0.0, abs=1e-9 * max(1e-3, abs(free)))
+        assert min(0.0, free) <= speed <= max(0.0, free)

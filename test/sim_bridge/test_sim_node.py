@@ -3,13 +3,11 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 import json
-import signal
 import time
 
 from multicontact_control.experiment.graph.domain import reserve_domain
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.composition import Composition
-from multicontact_control.nodes.graph_node import ignore, take
 from multicontact_control.nodes.local_delivery import LocalDelivery
 from multicontact_control.nodes.raw_messages import joint_state_reader, template_of
 from multicontact_control.nodes.runtime import Spinner, StopFlag
@@ -18,16 +16,13 @@ import numpy as np
 import pytest
 import rclpy
 from rclpy.signals import SignalHandlerOptions
-from sensor_msgs.msg import JointState
 from sim_bridge.sim_node import SimNode
-from visualization_msgs.msg import MarkerArray
 
 pytestmark = pytest.mark.ros
 
 JOINTS = [f'joint{i}' for i in range(1, 7)]
 LATE = (5, 6, 12)
 TICKS = 20
-LONGEST = 30_000
 
 
 @pytest.fixture(autouse=True)
@@ -87,29 +82,3 @@ def test_answer_that_is_late_is_missed_even_if_the_simulator_waited_for_it(tmp_p
     assert told['deadline_misses'] >= len(LATE)
     histogram = told['latency_histogram']
     assert sum(histogram['counts']) == TICKS - 1
-
-
-def test_body_is_pressed_from_behind_by_another_graph_as_long_as_it_is_heard():
-    stop = StopFlag()
-    places = []
-
-    def look(_k):
-        while (taken := take(shown)) is not None:
-            board, = (x for x in taken[0].markers if x.ns.endswith('/board'))
-            places.append(board.pose.position.y)
-        pressed = any(place < places[0] - 0.01 for place in places)
-        if not pressed:
-            pressing.publish(messages.joint_state_message(
-                1, ['table', 'board'], effort=np.array([0.0, 20.0])))
-        elif abs(places[-1] - places[0]) < 1e-3:
-            stop.signal = signal.SIGINT
-
-    # A board that gives way by 20 mm, towards the arm.
-    with ros(f'ticks:={LONGEST}', 'surfaces.board.mass:=5.0', 'surfaces.board.opposed_by:=right'):
-        right = rclpy.create_node('sim_node', namespace='right')
-        pressing = right.create_publisher(
-            JointState, topics.TRUE_FORCES.name, topics.TRUE_FORCES.profile)
-        shown = right.create_subscription(
-            MarkerArray, f'/{topics.SURFACE_MARKERS.name}', ignore, topics.SURFACE_MARKERS.profile)
-        simulate(look, stop)
-    assert stop, f'{len(places)} places, the last of them {places[-5:]}'

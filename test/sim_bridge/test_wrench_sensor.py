@@ -22,13 +22,6 @@ def readings(instrument, wrenches):
     return np.array(raw), np.array(filtered)
 
 
-def test_sensor_with_everything_off_is_ideal(rng):
-    wrenches = rng.standard_normal((10, 6)) * 1e3
-    raw, filtered = readings(sensor(), wrenches)
-    np.testing.assert_array_equal(raw, wrenches)
-    np.testing.assert_array_equal(filtered, wrenches)
-
-
 def test_sensor_quantises_to_14_bits_of_full_scale(rng):
     steps = quantum(SensorConfig())
     np.testing.assert_allclose(steps[[0, 2, 3]], [200 / 16384, 400 / 16384, 10 / 16384])
@@ -52,13 +45,6 @@ def test_sensor_noise_has_the_asked_deviation():
     assert abs(np.mean(raw[1:, 0] * raw[:-1, 0])) < 0.03 * 0.047 ** 2
 
 
-def test_sensor_noise_repeats_with_its_seed():
-    first, again, other = (
-        readings(sensor(seed, noise=True), np.zeros((2000, 6)))[0] for seed in (5, 5, 6))
-    assert first.tobytes() == again.tobytes()
-    assert first.tobytes() != other.tobytes()
-
-
 def test_readings_do_not_depend_on_how_many_are_taken_at_once(rng):
     wrenches = rng.standard_normal((40, 6))
     changes = {'noise': True, 'quantise': True, 'low_pass': True,
@@ -69,12 +55,6 @@ def test_readings_do_not_depend_on_how_many_are_taken_at_once(rng):
         several.read(wrenches[end - 8:end])
         assert several.reading.tobytes() == raw[end - 1].tobytes()
         assert several.filtered.tobytes() == filtered[end - 1].tobytes()
-
-
-def test_sensor_bias_is_added():
-    bias = (1.0, -2.0, 3.0, -0.1, 0.2, -0.3)
-    raw, _ = readings(sensor(bias=bias), np.zeros((1, 6)))
-    np.testing.assert_array_equal(raw[0], bias)
 
 
 @pytest.mark.parametrize(('cutoff', 'decibel'), [(500.0, -3.01), (125.0, -3.03), (31.25, -3.03)])
@@ -89,18 +69,8 @@ def test_low_pass_gain_at_the_cutoff(cutoff, decibel):
     assert 20 * np.log10(abs(phasor)) == pytest.approx(decibel, abs=0.03)
 
 
-def test_low_pass_starts_settled_and_has_unit_gain_at_rest():
-    wrench = np.arange(1.0, 7.0)
-    _, filtered = readings(sensor(low_pass=True), [wrench] * 50)
-    np.testing.assert_allclose(filtered, np.tile(wrench, (50, 1)), rtol=1e-12)
-
-
-def test_low_pass_stages_are_a_jr3s_cascade():
-    assert [len(low_pass_stages(cutoff, 4000.0)) for cutoff in (500.0, 125.0, 31.25)] == [1, 2, 3]
-
-
 def test_low_pass_cutoff_beyond_nyquist_is_refused():
-    with pytest.raises(ConfigError, match=r'sensor.low_pass_cutoff: expected below .* 500 Hz'):
+    with pytest.raises(ConfigError, match='^sensor.low_pass_cutoff'):
         low_pass_stages(500.0, 1000.0)
 
 

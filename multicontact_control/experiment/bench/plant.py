@@ -18,9 +18,9 @@ from multicontact_control.experiment.bench.timing import (
 from multicontact_control.experiment.closed_loop import run_in_process
 from multicontact_control.experiment.scenario import resolve
 import numpy as np
+import pybullet as bullet
 from sim_bridge.bullet_arm import BulletArm
 from sim_bridge.plant import Plant
-from sim_bridge.quiet_bullet import bullet
 
 RESTART = 250  # periods after which an arm that falls is put back
 READY = (
