@@ -17,10 +17,13 @@ from pathlib import Path
 import signal
 import subprocess
 import sys
+import threading
 
-from multicontact_control.process import FOLLOW_PARENT, THREAD_VARIABLES
+from multicontact_control.process import THREAD_VARIABLES
 
 PRELOAD = 'multicontact_control.experiment.graph.preload'
+# The command line that a node is listed by fits in the room of its server's environment.
+ROOM = 'MULTICONTACT_ROOM'
 CONTEXT = multiprocessing.get_context('forkserver')
 
 
@@ -34,7 +37,9 @@ def prepare_nodes() -> None:
         paths = [str(root), *filter(None, os.environ.get('PYTHONPATH', '').split(os.pathsep))]
         os.environ['PYTHONPATH'] = os.pathsep.join(dict.fromkeys(paths))
     CONTEXT.set_forkserver_preload([PRELOAD])
+    os.environ[ROOM] = ' ' * 4096
     forkserver.ensure_running()
+    del os.environ[ROOM]
 
 
 class NodeProcess:
@@ -119,10 +124,17 @@ def _run(module: str, command: list[str], environment: dict[str, str], log: str)
     sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
     os.environ.clear()
     os.environ.update(environment)
-    if FOLLOW_PARENT in environment:
-        os.environ[FOLLOW_PARENT] = str(os.getppid())  # which ends with the one that started it
+    threading.Thread(target=_follow_parent, daemon=True).start()
     name = Path(command[0]).name if command[0] != sys.executable else command[2].rpartition('.')[2]
     sys.argv = [name, *command[1 if command[0] != sys.executable else 3:]]
     setproctitle(' '.join(command))
     setthreadtitle(name)
     sys.exit(import_module(module).main())
+
+
+def _follow_parent() -> None:
+    """Interrupt this process when the one that started it has ended."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os.kill(os.getpid(), signal.SIGINT)

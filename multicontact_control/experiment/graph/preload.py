@@ -7,8 +7,10 @@ import multicontact_control.compiled as compiled
 import multicontact_control.nodes.controller_node
 import multicontact_control.nodes.noise_estimator_node
 import multicontact_control.nodes.recorder_node  # noqa: F401 - loaded for those that are forked
+from setproctitle import setproctitle
 import sim_bridge.sim_node  # noqa: F401
 
+setproctitle('multicontact_control: nodes are forked from this')
 for _ in compiled.load_stored():
     pass
 gc.collect()

@@ -42,8 +42,8 @@ LOG_LINES = 12
 class NodeEndedError(RunError):
     """A node has ended that should not have."""
 
-    def __init__(self, node_name: str, report: str) -> None:
-        self.node_name = node_name
+    def __init__(self, node_name: str, code: int, report: str) -> None:
+        self.node_name, self.code = node_name, code
         super().__init__(report)
 
 
@@ -137,7 +137,7 @@ class NodeProcesses:
         for name in self._ends:
             code = codes.get(name)
             if code is not None and code not in allowed:
-                raise NodeEndedError(name, self.report(name, ending(code)))
+                raise NodeEndedError(name, code, self.report(name, ending(code)))
 
     def report(self, name: str, how: str) -> str:
         """Return what happened to a node, with the end of its log."""

@@ -11,7 +11,6 @@ import sys
 from typing import Any
 
 from multicontact_control.nodes.topics import CONTROLLER, ESTIMATOR, RECORDER, SIM
-from multicontact_control.process import FOLLOW_PARENT
 
 START_ORDER = (RECORDER, ESTIMATOR, CONTROLLER, SIM)
 MANAGED = (ESTIMATOR, CONTROLLER)  # in the order in which they are activated
@@ -165,4 +164,4 @@ def node_parameters(name: str, spec: GraphSpec) -> dict[str, Any]:
 def node_environment(spec: GraphSpec, domain_id: int) -> dict[str, str]:
     """Return the environment of the nodes."""
     return {**os.environ, 'ROS_DOMAIN_ID': str(domain_id),
-            'ROS_LOG_DIR': str((spec.logs / 'ros').resolve()), FOLLOW_PARENT: str(os.getpid())}
+            'ROS_LOG_DIR': str((spec.logs / 'ros').resolve())}
