@@ -125,7 +125,7 @@ def kernels() -> tuple[Any, ...]:
 
 def load_stored() -> Iterator[str]:
     """
-    Take all that was compiled from the cache on disk, before anybody calls it.
+    Take all that was compiled from the cache on disk, before its first call.
 
     Yields
     ------

@@ -37,7 +37,6 @@ from multicontact_control.supervision.collision import COLLISION
 from multicontact_control.supervision.command_limits import (
     check_offsets,
     check_position,
-    check_shared,
     CommandLimits,
     half_lengths,
     offset_shares,
@@ -419,9 +418,6 @@ class ControlLoop:
         followed = {name: share for name, share in reference.shares.items() if name not in forces}
         check_offsets(
             self.config, {**reference.forces, **forces}, {**followed, **shares})
-        law = self.controller.controller
-        if law.dependent:
-            check_shared(self.config, law.contacts['N'], {**reference.forces, **forces})
         # A client may repeat its command many times a second, or vary it: neither asks for
         # another try of what has been given up.
         if reference.set_forces(forces, shares):

@@ -30,15 +30,12 @@ LAW = np.dtype([
     ('nullspace_damping', F),  # d [1/s]
     ('posture_stiffness', F),  # k_q of the posture in the null space, 0 for none [1/s^2]
     ('stop_stiffness', F),  # k_s by which joints are kept off their stops there [1/s^2]
-    ('stop_margin', F),  # from how far before a stop on [rad]
-    ('manipulability', F),  # gain by which they are kept off singularities there [rad^2/s^2]
     ('least_share', F),  # s_0 of what goes beyond the priority, at a torque limit
     ('limited', B),  # whether the law keeps to the torque limits itself, not a gate after it
     ('max_condition', F),  # largest accepted condition number of Lambda^-1
     ('singular_mobility', F),  # eigenvalue up to which Lambda^-1 is damped, 0 for none [1/kg]
     ('inertia_metric', B),  # whether motion is kept off the contacts in the metric of Lambda
     ('decoupled', B),  # whether the contact points are driven, or the coordinates along N_i
-    ('dependent', B),  # whether columns of N depend on each other: smallest norm
     ('separated', B),  # whether friction is expected or allowed for in the measured wrench
     ('force_noise', F),  # of the wrist sensor, per axis [N]
     ('torque_noise', F),  # the same [N m]
@@ -124,7 +121,6 @@ CONTACT = np.dtype([
     ('friction_std', F),  # of friction that is allowed for, 0 for couples [N]
     ('torsion_std', F),  # of its torque about the normal [N m]
     ('friction_coefficient', F),  # that is expected while sliding, 0 for couples
-    ('slip_speed', F),  # sliding speed at which 71 % of that is expected [m/s]
     ('friction', F, 3),  # what of it is found, world axes [N]
     ('normal_told', F, 3),  # normal as configured
     ('normal_gain', F),  # share of the way that the estimated normal goes per period
@@ -210,17 +206,12 @@ STIFFNESS = np.dtype([
     ('share', F),  # of a couple: its stiffness over that of its contact's normal force
     ('period', F),  # h [s]
     ('lowest', F), ('highest', F),  # k stays within [N/m]
-    ('largest_damping', F),  # c stays below [N s/m]
     ('tool_mass', F),  # beyond the sensor [kg]
     ('fastest_pole', F),  # 1 / tau [1/s]
     ('pole_ratio', F),  # of the second pole to the first
     ('transition', F, 2),  # of the undelayed plant: of speed to force over k [s], and of speed
     ('down', F), ('up', F),  # how much ln k may change in a sample
     ('settle', F),  # share of the way that c goes in a sample
-    ('window', F),  # after a touch or a step, in which samples are accepted [s]
-    ('smallest_signal', F),  # filtered force from which on they are [N]
-    ('input_limit', F),  # of |u| [m/s^2]
-    ('approach_limit', F),  # of the rate of alpha_ref over k [m/s]
     ('ratio_limit', F, LIMITS),  # true over modelled stiffness up to which the loop is stable,
     # of models of `lowest` to `highest`, in even steps of ln k
     ('delay_gain', F, (MAX_STATES, 2)),  # E_j, what inputs under way add to the state, per k

@@ -88,13 +88,6 @@ def contact_wrench(reading, sensor_pose, position, tool, gravity):
                            + np.cross(sensor_pose.position_world - position, force)])
 
 
-def mobility_damping(smallest, singular_mobility):
-    """Return e_0 / 2 (1 - e / e_0)^2 for a smallest eigenvalue e below e_0, else 0."""
-    if smallest >= singular_mobility:
-        return 0.0
-    return 0.5 * singular_mobility * (1.0 - smallest / singular_mobility) ** 2
-
-
 @dataclass
 class OperationalSpace:
     Lambda: np.ndarray
@@ -104,12 +97,16 @@ class OperationalSpace:
 
 
 def operational_space(state, singular_mobility=0.0):
-    """Lambda = (J M^-1 J^T)^-1, J_bar = M^-1 J^T Lambda, mu and p (P04 eq. 23)."""
+    """
+    Lambda = (J M^-1 J^T)^-1, J_bar = M^-1 J^T Lambda, mu and p (P04 eq. 23).
+
+    Lambda^-1 is damped by e_0 / 2 (1 - e / e_0)^2 if its smallest eigenvalue e is below e_0.
+    """
     M, J = state.mass_matrix, state.jacobian
     mobility = J @ np.linalg.solve(M, J.T)
     smallest = np.linalg.eigvalsh(mobility)[0]
-    if singular_mobility:
-        mobility = mobility + mobility_damping(smallest, singular_mobility) * np.eye(6)
+    if smallest < singular_mobility:
+        mobility += 0.5 * singular_mobility * (1.0 - smallest / singular_mobility) ** 2 * np.eye(6)
     Lambda = np.linalg.inv(mobility)
     J_bar = np.linalg.solve(M, J.T @ Lambda)
     return OperationalSpace(Lambda, J_bar, J_bar.T @ state.coriolis - Lambda @ (

@@ -1,10 +1,9 @@
 """
-A simulator of somebody's own, who knows nothing of this package: pinocchio, a wall, ROS topics.
+A user's own simulator, without this package: pinocchio, a wall, ROS topics.
 
 As a program it is the node `my_arm`: an arm of seven joints with a wrist sensor that carries a
 tool and has a bias. Its brakes are on until efforts come, and again when they stay away. It waits
-a little for the efforts that answer a sample, as simulators do, so that a busy machine is no
-fault of the controller's.
+for the efforts that answer a sample, as simulators do.
 """
 
 import sys
@@ -21,17 +20,7 @@ BIAS = np.array([1.5, -0.7, 2.0, 0.05, -0.02, 0.03])  # N, N m
 
 
 class Arm:
-    """
-    An arm whose wrist meets a springy wall, and a sensor with noise.
-
-    Attributes
-    ----------
-    q, v
-        Joint angles and speeds, shape (7,) [rad], [rad/s].
-    pushes
-        Forces on origins of frames by name, world axes, shape (3,) [N].
-
-    """
+    """An arm whose wrist meets a springy wall; `pushes` are forces on frames [N], world axes."""
 
     def __init__(self, urdf, armature, normal, distance, stiffness):
         self._model = pin.buildModelFromUrdf(str(urdf))
@@ -47,7 +36,6 @@ class Arm:
 
     @property
     def wrist(self):
-        """Return where the wrist is."""
         pin.framesForwardKinematics(self._model, self._data, self.q)
         return self._data.oMf[self._wrist]
 
@@ -58,18 +46,15 @@ class Arm:
         return self._stiffness * max(depth, 0.0)
 
     def weight_sensor(self):
-        """Return what the sensor reads of its tool, and of itself."""
         force = -TOOL_MASS * self.wrist.rotation.T @ self._model.gravity.linear
         return np.concatenate([force, np.cross(TOOL_COM, force)]) + BIAS
 
     def wrench_sensor(self):
-        """Return a reading, shape (6,) [N, N m]."""
         pressing = self.wrist.rotation.T @ (self.force * self._normal)
         noise = self._random.normal(size=6) * ([0.05] * 3 + [0.005] * 3)
         return np.concatenate([pressing, np.zeros(3)]) + noise
 
     def jacobian(self, frame):
-        """Return the Jacobian of the origin of a frame, shape (3, 7)."""
         return pin.computeFrameJacobian(
             self._model, self._data, self.q, self._model.getFrameId(frame),
             pin.LOCAL_WORLD_ALIGNED)[:3]
@@ -85,13 +70,10 @@ class Arm:
             self.q = self.q + self.v * period / substeps
 
     def brake(self):
-        """Stand still."""
         self.v = np.zeros_like(self.v)
 
 
 class Topics:
-    """The arm's ends of its topics."""
-
     def __init__(self, namespace):
         from geometry_msgs.msg import WrenchStamped
         import rclpy
@@ -129,7 +111,6 @@ class Topics:
 
 
 def main():
-    """Run the arm whose URDF is given until the process is ended."""
     arm = Arm(sys.argv[1], [0.1] * 7, [1.0, 0.0, 0.0], 0.005, 5000.0)
     topics = Topics(sys.argv[2] if len(sys.argv) > 2 else '')
     efforts, heard, k, due = None, -BRAKE_TIME, 0, time.monotonic()

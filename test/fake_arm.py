@@ -25,18 +25,6 @@ DEPTH = QoSProfile(depth=1000)
 
 
 class FakeArm:
-    """
-    Publishes samples of an arm at home, one at a time, and waits for each answer.
-
-    Parameters
-    ----------
-    middleware
-        Its node publishes.
-    profile
-        Quality of service that it publishes its samples with.
-
-    """
-
     def __init__(self, middleware, profile=DEPTH):
         self._middleware = middleware
         node = middleware.node
@@ -56,14 +44,10 @@ class FakeArm:
         self.motion_command = node.create_publisher(
             topics.MOTION_COMMAND.message, topics.MOTION_COMMAND.name,
             topics.MOTION_COMMAND.profile)
-        self._commands = node.create_subscription(
-            JointState, 'joint_effort_command', lambda _: None, DEPTH)
-        self._desired = node.create_subscription(
-            JointState, 'contact_forces/desired', lambda _: None, DEPTH)
-        self._measured = node.create_subscription(
-            JointState, 'contact_forces/measured', lambda _: None, DEPTH)
-        self._diagnostics = node.create_subscription(
-            DiagnosticArray, 'diagnostics', lambda _: None, DEPTH)
+        self._commands, self._desired, self._measured, self._diagnostics = (
+            node.create_subscription(kind, name, lambda _: None, DEPTH) for kind, name in (
+                (JointState, 'joint_effort_command'), (JointState, 'contact_forces/desired'),
+                (JointState, 'contact_forces/measured'), (DiagnosticArray, 'diagnostics')))
 
     def press(self, **forces):
         """Let the sensor read these contact forces [N], and nothing else but the tool."""
@@ -79,14 +63,12 @@ class FakeArm:
         self.wrench = self.weight + np.concatenate([force @ R, moment @ R])
 
     def send(self):
-        """Publish the next sample; return its stamp."""
         self.k += 1
         stamp = self.k * PERIOD
         self.send_parts(stamp, {'joints', 'wrench'})
         return stamp
 
     def send_parts(self, stamp, parts):
-        """Publish the joints, the wrench, both or none of a sample."""
         if 'wrench' in parts:
             self._wrench.publish(messages.wrench_message(stamp, self.wrench, 'ft_face'))
         if 'joints' in parts:
@@ -99,14 +81,12 @@ class FakeArm:
         return self._middleware.take(self._commands, JointState)
 
     def commands(self):
-        """Return the stamps of all commands that have come since."""
         stamps = []
         while (taken := take(self._commands)) is not None:
             stamps.append(messages.stamp_to_ns(taken[0].header.stamp))
         return stamps
 
     def answer(self, stamp):
-        """Return the torque that answers a sample, None if it has not come."""
         taken = self._middleware.take(self._commands, JointState)
         if taken is not None and messages.stamp_to_ns(taken.header.stamp) == stamp:
             return np.array(taken.effort)
@@ -114,17 +94,9 @@ class FakeArm:
 
     def step(self):
         """Publish a sample and return the torque that answers it."""
-        found = []
-
-        def answered():
-            torque = self.answer(stamp)
-            if torque is not None:
-                found.append(torque)
-            return found
-
         stamp = self.send()
-        wait_for(answered, f'answer to sample {self.k}')
-        return found[0]
+        return wait_for(lambda: [x for x in [self.answer(stamp)] if x is not None],
+                        f'answer to sample {self.k}')[0]
 
     def connect(self):
         """Send samples until the newest is answered; return the first answer that came."""
@@ -144,24 +116,14 @@ class FakeArm:
         return answers[0]
 
     def desired(self):
-        """Return the newest desired forces by name."""
         return self._newest(self._desired)
 
     def measured(self):
-        """Return the newest measured forces by name."""
         return self._newest(self._measured)
 
     def _newest(self, subscription):
-        found = []
-
-        def come():
-            taken = self._middleware.take(subscription, JointState)
-            if taken is not None:
-                found.append(taken)
-            return bool(found)
-
-        wait_for(come, 'forces')
-        return dict(zip(found[-1].name, found[-1].effort))
+        forces = wait_for(lambda: self._middleware.take(subscription, JointState), 'forces')
+        return dict(zip(forces.name, forces.effort))
 
     def diagnostics(self, condition, *, node='controller_node'):
         """Step until diagnostics satisfy a condition on {part: (level, message, values)}."""
@@ -175,7 +137,6 @@ class FakeArm:
         return self.report
 
     def newest_report(self, node='controller_node'):
-        """Return the newest diagnostics as {part: (level, message, values)}, None without any."""
         report = self._middleware.take(self._diagnostics, DiagnosticArray)
         if report is None or not report.status[0].name.startswith(node):
             return None

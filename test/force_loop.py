@@ -2,27 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from multicontact_control.config import NoiseEstimatorConfig
 from multicontact_control.force import observer as aob
 from multicontact_control.force.noise import Innovation, make_noise_estimator
-from multicontact_control.force.plant_model import delayed_plant, design_force_loop
+from multicontact_control.force.plant_model import delayed_plant, place_poles
 import numpy as np
 
 H = 0.002
-
-
-@dataclass(frozen=True)
-class LoopRun:
-    force: np.ndarray  # true force [N]
-    noise_variance: np.ndarray  # R after each tick [N^2]
 
 
 def estimator_of(name, contacts=1, **values):
     names = tuple(f'contact{i}' for i in range(contacts))
     return make_noise_estimator(
         NoiseEstimatorConfig(estimator=name, contact_names=names, **values))
+
+
+def design_force_loop(
+    stiffness=6000.0, damping_rate=20.0, input_delay=0.006, period=H, time_constant=0.02,
+):
+    return place_poles(delayed_plant(stiffness, damping_rate, input_delay, period), period,
+                       time_constant=time_constant)
 
 
 class ActiveObserver:
@@ -65,40 +64,30 @@ class ActiveObserver:
         return aob.command(self.records[0], force_des)
 
     def continue_from(self, other):
-        return aob.continue_from(self.records, other.records)
+        aob.continue_from(self.records, other.records)
 
 
-def observer_of(order=1, damping_rate=20.0, stiffness=6000.0):
-    return ActiveObserver(design_force_loop(
-        stiffness, damping_rate=damping_rate, input_delay=0.006, period=H, time_constant=0.02),
-        order=order)
+def observer_of(order=1, damping_rate=20.0):
+    return ActiveObserver(design_force_loop(damping_rate=damping_rate), order=order)
 
 
-def run_force_loop(estimator, ticks, *, noise=None, disturbance=None, leak=None, command=10.0):
+def run_force_loop(estimator, noise=0.0, leak=0.0, command=10.0):
     """
-    Hold a force with the R of the tick before, as the controller does.
+    Hold a force with the R of the tick before, as the controller does; return R [N^2] by tick.
 
-    Starts at rest at the commanded force. `noise` adds to the measurement, `disturbance` to the
-    input [m/s^2], `leak` to the true and the measured force, as that of another contact does.
+    Starts at rest at the commanded force. `noise` adds to the measurement, `leak` to the true and
+    the measured force, as that of another contact does.
     """
-    zeros = np.zeros(ticks)
-    noise, disturbance, leak = (
-        zeros if series is None else series for series in (noise, disturbance, leak))
-    observer = observer_of()
-    plant = delayed_plant(6000.0, 20.0, 0.006, H)
-    x = np.zeros(5)
+    observer, plant, x = observer_of(), delayed_plant(6000.0, 20.0, 0.006, H), np.zeros(5)
     x[0] = command
     observer.reset(command)
-    variance = np.array([0.6])
-    forces, variances = np.empty(ticks), np.empty(ticks)
-    for k in range(ticks):
-        forces[k] = x[0] + leak[k]
-        measured = forces[k] + noise[k]
-        observer.update(measured, variance[0])
+    variances = [0.6]
+    for each in np.asarray(noise) + leak:
+        measured = x[0] + each
+        observer.update(measured, variances[-1])
         u = observer.command(command)
-        variance = estimator.update(np.array([measured]), Innovation(
-            np.array([observer.innovation]), np.array([observer.prior_variance]),
-            np.array([observer.variance_used])))
-        variances[k] = variance[0]
-        x = plant.Phi @ x + plant.Gamma * (u + disturbance[k])
-    return LoopRun(forces, variances)
+        variances.append(estimator.update(np.array([measured]), Innovation(*(
+            np.array([value]) for value in (
+                observer.innovation, observer.prior_variance, observer.variance_used))))[0])
+        x = plant.Phi @ x + plant.Gamma * u
+    return np.array(variances[1:])

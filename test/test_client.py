@@ -15,8 +15,7 @@ from multicontact_control.client import (
     NotReachedError,
     STATE_TOPICS,
 )
-from multicontact_control.config import ControllerConfig, read_parameters, validate
-from multicontact_control.errors import CommandError, RunError
+from multicontact_control.errors import RunError
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.graph_node import create_publisher, create_subscription, ignore
 from multicontact_control.nodes.link import (
@@ -28,8 +27,6 @@ from multicontact_control.nodes.link import (
     GuestNode,
     LifecycleDriver,
 )
-from multicontact_control.paths import config_dir
-from multicontact_control.supervision.command_limits import check_shared
 import numpy as np
 import pytest
 from rclpy.executors import SingleThreadedExecutor
@@ -376,31 +373,6 @@ def test_state_is_of_one_sample(domain_id):
                 assert {state.forces['table'], state.forces_estimated['table'],
                         state.forces_desired['table'], state.position_world[0],
                         state.position_desired[0]} == {round(1e9 * state.time)}
-    finally:
-        controller.close()
-
-
-def test_refusal_of_what_dependent_contacts_share_is_heard(domain_id):
-    N = np.zeros((3, 6))
-    N[:, 2], N[:, 4] = 1.0, [-1.0, 0.0, 1.0]
-    names = ('table', 'b', 'c')
-    contact = {'normal_world': [0.0, 0.0, -1.0], 'point_operational': [0.0] * 3,
-               'stiffness': 6000.0}
-    config = validate(ControllerConfig, {
-        **read_parameters(config_dir() / 'controller.yaml'), 'contact_names': names,
-        'contacts': dict.fromkeys(names, contact),
-        'force': {'dependent_columns': 'minimum_norm'}})
-    with pytest.raises(CommandError) as refusal:
-        check_shared(config, N, {'table': 5.0, 'b': 5.0, 'c': 20.0})
-    controller = StandIn(domain_id)
-    try:
-        controller.refuse_forces(refusal.value)
-        controller.publish_samples_whose_clock_is_set_back()
-        with MultiContactClient('stand_in', domain_id=domain_id, timeout=PATIENCE) as client:
-            client.set_forces({'table': 5.0})
-            with pytest.raises(CommandRefusedError, match='on table: .*dependent contacts share'):
-                client.wait_until_reached(timeout=PATIENCE)
-            assert client.wait_until_reached(timeout=PATIENCE)  # nothing is commanded any more
     finally:
         controller.close()
 

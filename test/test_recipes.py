@@ -14,7 +14,7 @@ from multicontact_control.control_loop import ControlLoop
 from multicontact_control.experiment.closed_loop import run_in_process
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.force.noise import ESTIMATORS
-from multicontact_control.force.noise.estimator import InnovationEstimator
+from multicontact_control.force.noise.innovation import InnovationEstimator
 from multicontact_control.paths import config_dir
 from multicontact_control.sampling import PairedSample
 from multicontact_control.supervision.command_limits import CommandLimits

@@ -25,16 +25,12 @@ class NoiseEstimatorConfig(Config):
         50, 'Samples in the window N of eq. 43, of forces or of innovations.', ge=2, le=10000)
     zero_frequency: Real = parameter(3.0, 'Zero of G_f, eq. 42.', unit='Hz', gt=0.0)
     pole_frequency: Real = parameter(60.0, 'Pole of G_f, eq. 42.', unit='Hz', gt=0.0)
-    innovation_form: Literal['prior', 'posterior'] = parameter(
-        'prior', 'Form of `innovation`: mean of r r^T - C P_1 C^T or of e e^T + C P C^T.')
     forgetting_factor: Real = parameter(
         0.98, 'Forgetting factor b of `sage_husa`; 0.98 remembers about 50 samples.',
         gt=0.0, lt=1.0)
     bayes_decay: Real = parameter(
         0.98, 'Decay rho of `variational_bayes`; 0.98 remembers about 50 samples.',
         gt=0.0, lt=1.0)
-    bayes_iterations: int = parameter(
-        3, 'Iterations of `variational_bayes` per sample.', ge=1, le=20)
     variance_scale: Real = parameter(
         1.0, 'What an estimated R is multiplied by, e.g. to compare two estimators at the same '
         'value at rest; `fixed_variance` is not.', gt=0.0)

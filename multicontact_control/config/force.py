@@ -69,26 +69,6 @@ class AdaptiveStiffnessConfig(Config):
     highest: Real = parameter(
         8e4, 'Largest stiffness of the model, from which it starts at the first touch.',
         unit='N/m', gt=0.0)
-    largest_damping: Real = parameter(
-        60.0, 'Largest damping of the model.', unit='N s/m', ge=0.0)
-    memory: Real = parameter(
-        0.1, 'Memory of the estimate, in time of samples that are accepted.', unit='s', gt=0.0)
-    window: Real = parameter(
-        0.3, 'Time after a touch or a step of the command in which samples are accepted.',
-        unit='s', gt=0.0)
-    smallest_signal: Real = parameter(
-        0.15, 'Band-passed force from which on a sample is accepted.', unit='N', gt=0.0)
-    fall_time: Real = parameter(
-        0.02, 'Shortest time in which the stiffness of the model falls to 1 / e; at least a '
-        'period counts.', unit='s', gt=0.0)
-    rise_time: Real = parameter(
-        0.004, 'Shortest time in which it rises to e times its value; at least a period counts.',
-        unit='s', gt=0.0)
-    input_limit: Real = parameter(
-        40.0, 'Largest acceleration that the force law asks for.', unit='m/s^2', gt=0.0)
-    approach_limit: Real = parameter(
-        0.25, 'Speed into the surface at which the desired force is followed at most.',
-        unit='m/s', gt=0.0)
 
     @cross_check
     def _check_order(self) -> Iterator[ConfigError]:
@@ -131,8 +111,5 @@ class ForceConfig(Config):
         1, 'Order of the active state p_k, 0 for plain pole placement without it.', ge=0, le=3)
     allocation: Literal['decoupled', 'paper'] = parameter(
         'decoupled', 'Force allocation: f_c* = N (N^T N)^-1 alpha* or N alpha* (eq. 30).')
-    dependent_columns: Literal['refused', 'minimum_norm'] = parameter(
-        'refused', 'What to do with contacts whose forces one wrench cannot tell apart: refuse '
-        'them, or share the wrench among them with the smallest norm.')
     projection: Literal['euclidean', 'inertia'] = parameter(
         'euclidean', 'Metric of Omega_f and Omega_m: eqs 11-12 or dynamically consistent.')

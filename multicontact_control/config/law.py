@@ -40,12 +40,6 @@ class PostureConfig(Config):
         unit='rad/s', live=True, ge=0.0, le=50.0)
     joints: Vector = parameter(
         (), 'The posture; empty for the one the arm starts in.', unit='rad')
-    limit_margin: Real = parameter(
-        0.1, 'How far before its stop (limits.joint_lower, joint_upper) a joint begins to be '
-        'pushed away from it; 0 for never.', unit='rad', ge=0.0, le=1.0)
-    manipulability: Real = parameter(
-        0.0, 'Acceleration per gradient of log sqrt(det(J J^T)), by which joints leave singular '
-        'postures; 0 for none.', unit='rad^2/s^2', live=True, ge=0.0, le=1e3)
 
 
 class ContactConfig(Config):
@@ -88,25 +82,18 @@ class ContactConfig(Config):
         0.0, 'Coulomb friction that is expected along the sliding velocity when the wrench is '
         'taken apart; friction_std is then that of what differs from it.', live=True, ge=0.0,
         le=2.0)
-    slip_speed: Real = parameter(
-        0.01, 'Sliding speed at which 71 % of that is expected.', unit='m/s', live=True, gt=0.0)
     normal_turn_rate: Real = parameter(
         0.0, 'How fast the normal may turn to where the force on a sliding contact says that it '
         'is; 0 to keep to normal_world. Not more than is needed: what slips at the touch turns it '
         'as fast. Needs friction_std.', unit='rad/s', live=True, ge=0.0, le=10.0)
     normal_range: Real = parameter(
         0.6, 'How far from normal_world it may turn.', unit='rad', live=True, gt=0.0, le=1.5)
-    normal_time: Real = parameter(
-        0.06, 'Time constant with which it turns; on rough surfaces it swings with 0.03 s.',
-        unit='s', live=True, gt=0.0, le=10.0)
     surface_speed: Real = parameter(
         0.0, 'Speed of the surface along its normal, away from the robot if positive; K_2 damps '
         'the motion relative to it.', unit='m/s', live=True, ge=-0.5, le=0.5)
     surface_speed_limit: Real = parameter(
         0.0, 'Largest speed beyond that which is estimated; 0 to not estimate it.', unit='m/s',
         live=True, ge=0.0, le=0.5)
-    surface_speed_time: Real = parameter(
-        0.05, 'Time constant of that estimate.', unit='s', live=True, gt=0.0, le=10.0)
     law: Literal[LawName, ''] = parameter('', 'Force law of this contact, empty for force.law.')
 
     @property

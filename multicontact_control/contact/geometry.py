@@ -14,7 +14,6 @@ from multicontact_control.records import Records
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-MAX_COLUMNS = 12
 SMALLEST_SINGULAR_VALUE = 1e-6  # of N with points of length 1; below it columns are dependent
 ORIENTATIONS = Rotation.from_rotvec(
     [[0.0, 0.0, 0.0], [0.7, -0.4, 0.3], [-0.2, 1.1, 0.5]]).as_matrix()  # any, but not special
@@ -56,19 +55,7 @@ def fill_normal_space(contacts: Any, rotation: Matrix) -> None:
 
 @compiled
 def fill_couple(contact: Any, normal: Vector, rotation: Matrix) -> None:
-    """
-    Fill in the column of a couple; see `fill_normal_space`.
-
-    Parameters
-    ----------
-    contact
-        Record of `CONTACT`, `N` of which is filled.
-    normal
-        Of the surface, world axes, shape (3,).
-    rotation
-        As for `fill_normal_space`.
-
-    """
+    """Fill in the column of a couple on a surface with this normal; see `fill_normal_space`."""
     e, couple = np.empty(3), np.empty(3)
     multiply(rotation, contact.direction, e)
     if contact.kind == ALONG:
@@ -128,9 +115,9 @@ def are_independent(contacts: Records) -> bool:
     return False
 
 
-def check_columns(names: Sequence[str], contacts: Records, *, minimum_norm: bool) -> bool:
+def check_columns(names: Sequence[str], contacts: Records) -> None:
     """
-    Find out whether the wrench is to be shared among columns that depend on each other.
+    Refuse contacts that one wrist sensor cannot tell apart.
 
     Parameters
     ----------
@@ -138,25 +125,17 @@ def check_columns(names: Sequence[str], contacts: Records, *, minimum_norm: bool
         Of the columns.
     contacts
         Records of `CONTACT` with normals and points, shape (r,).
-    minimum_norm
-        Whether it may be.
 
     Raises
     ------
     ConfigError
-        If it may not, or there are too many of them.
+        If their columns depend on each other, as those of more than six always do.
 
     """
-    if len(names) > MAX_COLUMNS:
-        raise ConfigError('contacts', f'at most {MAX_COLUMNS} forces and couples', len(names))
-    if are_independent(contacts):
-        return False
-    if not minimum_norm:
+    if not are_independent(contacts):
         raise ConfigError(
             'contacts', 'forces none of which the others could have made (independent columns of '
-            "N, P04 eq. 5), or force.dependent_columns 'minimum_norm'",
-            f'{", ".join(names)}, which depend on each other')
-    return True
+            'N, P04 eq. 5)', f'{", ".join(names)}, which depend on each other')
 
 
 def friction_coupling(contacts: Records, rotation_world: Matrix) -> Matrix:

@@ -17,14 +17,10 @@ from multicontact_control.algebra import (
 )
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
-import numpy as np
 
 # A normal counts as dependent when the others leave less than this share of its square: what is
 # left of it multiplies the sensor's noise by more than 1000.
 SMALLEST_PIVOT = 1e-6
-# Share of the trace that is added to the diagonal where columns may depend on each other: what is
-# solved for is then that of the smallest norm, to about the root of the machine's precision.
-RIDGE = 1e-9
 
 
 @compiled
@@ -51,8 +47,7 @@ def active_rows(contacts: Any, everyone: bool, rows: Matrix) -> None:
 
 @compiled
 def factorise_contacts(
-    contacts: Any, everyone: bool, rows: Matrix, weighted_rows: Matrix, dependent: bool,
-    factor: Matrix,
+    contacts: Any, everyone: bool, rows: Matrix, weighted_rows: Matrix, factor: Matrix,
 ) -> bool:
     """
     Factorise N^T D, with 1 on the diagonal of every contact that is left out.
@@ -66,8 +61,6 @@ def factorise_contacts(
         As for `active_rows`.
     rows, weighted_rows
         N^T and D^T, zero for those left out, shape (r, 6).
-    dependent
-        Whether columns of N may depend on each other; then (N^T D)^-1 is its pseudo-inverse.
     factor
         Filled with the Cholesky factor, shape (r, r).
 
@@ -78,47 +71,15 @@ def factorise_contacts(
 
     """
     count = rows.shape[0]
-    trace = 0.0
     for i in range(count):
         for j in range(i, count):
             total = 0.0
             for k in range(6):
                 total += rows[i, k] * weighted_rows[j, k]
             factor[i, j] = total
-        trace += factor[i, i]
         if not (everyone or contacts[i].active):
             factor[i, i] = 1.0
-    if dependent:
-        for i in range(count):
-            factor[i, i] += RIDGE * trace
-        return cholesky(factor, factor, 0.0)
     return cholesky(factor, factor, SMALLEST_PIVOT)
-
-
-@compiled
-def project_forces(rows: Matrix, factor: Matrix, contacts: Any) -> None:
-    """
-    Leave of the desired forces what a wrench can make: alpha_des = N^+ N alpha_des.
-
-    What is taken away are forces that the contacts exert on each other through the tool, which
-    one wrist sensor does not feel and one rigid tool cannot choose.
-
-    Parameters
-    ----------
-    rows, factor
-        N^T, zero for those left out, shape (r, 6), and the factor of N^T N, shape (r, r).
-    contacts
-        Records of `CONTACT`, `alpha_des` of which is changed, shape (r,).
-
-    """
-    count = rows.shape[0]
-    wrench, alpha = np.zeros(6), np.empty(count)
-    for i in range(count):
-        for k in range(6):
-            wrench[k] += rows[i, k] * contacts[i].alpha_des
-    coordinates(rows, factor, wrench, alpha)
-    for i in range(count):
-        contacts[i].alpha_des = alpha[i]
 
 
 @compiled

@@ -1,5 +1,5 @@
 """
-What surfaces do that nobody has told: how they move, and how they are tilted.
+Surfaces that move or are tilted: their speeds and normals, estimated.
 
 Both are learnt from what is measured anyway, slowly and within declared bounds, while a contact is
 force controlled.
@@ -48,12 +48,6 @@ def follow_speed(frame: Any, contact: Any) -> None:
 
     The force changes at k times the speed of the contact point relative to the surface, so the
     surface moves at v - (d alpha / dt) / k, low-passed and bounded.
-
-    Parameters
-    ----------
-    frame, contact
-        As for `follow_surfaces`; one contact.
-
     """
     seen = 0.0
     if contact.active:
@@ -73,12 +67,6 @@ def follow_normal(frame: Any, contact: Any) -> None:
     force at the contact after v is taken out of it is along the normal. The normal goes there as
     a low-pass does, no faster than a declared speed, and stays within a declared angle. A
     velocity that is steeper than that angle, and than 34 degrees, is that of a bounce.
-
-    Parameters
-    ----------
-    frame, contact
-        As for `follow_surfaces`; the normal force of one contact, with its friction.
-
     """
     if contact.alpha_meas < PRESSED:
         return

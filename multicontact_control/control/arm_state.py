@@ -23,24 +23,7 @@ OPERATIONAL_SPEED, JOINT_SPEED, AMBIGUOUS, TOUCHED = 1, 2, 4, 8
 def fill_joints(
     q: Vector, velocity: Vector, mass_matrix: Matrix, bias_torque: Vector, joints: Any,
 ) -> bool:
-    """
-    Fill in the joints, unless the model gives no finite numbers there.
-
-    Parameters
-    ----------
-    q, velocity
-        Shape (n,) [rad, rad/s].
-    mass_matrix, bias_torque
-        M, shape (n, n) [kg m^2], and C v + g, shape (n,) [N m].
-    joints
-        Records of `JOINT`, shape (n,).
-
-    Returns
-    -------
-    bool
-        Whether all numbers are finite; if not, nothing has changed.
-
-    """
+    """Fill in the joints; return False, nothing changed, where the model gives no numbers."""
     for j in range(joints.shape[0]):
         if not np.isfinite(bias_torque[j]):
             return False
@@ -56,19 +39,7 @@ def fill_joints(
 
 @compiled
 def fill_frame(velocity: Vector, jacobian: Matrix, placements: Any, frame: Any) -> None:
-    """
-    Fill in pose and twist of the operational frame, and the pose of the sensor.
-
-    Parameters
-    ----------
-    velocity, jacobian
-        v, shape (n,) [rad/s], and J, shape (6, n).
-    placements
-        See `LiveTerms`.
-    frame
-        Record of `FRAME`.
-
-    """
+    """Fill in pose and twist of the operational frame, and the pose of the sensor."""
     position, rotation, sensor_position, sensor_rotation = placements
     copy_vector(position, frame.position)
     copy_matrix(rotation, frame.rotation)
@@ -83,20 +54,7 @@ def fill_frame(velocity: Vector, jacobian: Matrix, placements: Any, frame: Any) 
 
 @compiled
 def check_speeds(joints: Any, frame: Any) -> int:
-    """
-    Find out whether the arm is too fast.
-
-    Parameters
-    ----------
-    joints, frame
-        Records of `JOINT`, shape (n,), and record of `FRAME`.
-
-    Returns
-    -------
-    int
-        Sum of OPERATIONAL_SPEED and JOINT_SPEED.
-
-    """
+    """Return the sum of OPERATIONAL_SPEED and JOINT_SPEED where the arm is too fast."""
     excess = 0
     for j in range(joints.shape[0]):
         if abs(joints[j].velocity) > joints[j].speed_limit:
@@ -210,11 +168,7 @@ class ArmState:
 
     @property
     def finite(self) -> bool:
-        """
-        Whether the model gave finite numbers for the joints that were given last.
-
-        If not, the arm is where it was before.
-        """
+        """Whether the model gave finite numbers; if not, the arm is where it was before."""
         return self.found != NO_NUMBERS
 
     def update(self, q: Vector, velocity: Vector) -> bool:

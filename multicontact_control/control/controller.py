@@ -21,7 +21,11 @@ from multicontact_control.control.law import control_law, DEPENDENT, OK, SINGULA
 from multicontact_control.control.reference import ReferenceSource, TaskArrays
 from multicontact_control.control.tick import ControlOutput, Measurement
 from multicontact_control.control.wrench import tool_record
-from multicontact_control.dynamics.operational_space import MAX_CONDITION, task_inertia
+from multicontact_control.dynamics.operational_space import (
+    MAX_CONDITION,
+    STOP_MARGIN,
+    task_inertia,
+)
 from multicontact_control.dynamics.pose import Pose
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import (
@@ -41,6 +45,8 @@ TASK_SIZE = 6  # joints with which an arm has no null space
 STOP_RATIO = 4.0  # frequency by which joints are kept off their stops, over the posture's
 LARGEST_DRIFT = 0.02  # of a stiffness, from which on an observer is redesigned
 LEVERED = 1.05  # N that 1 N of friction is read as, from which on a lever is to blame
+NORMAL_TIME = 0.06  # s, in which an estimated normal turns; 0.03 s swings on rough surfaces
+SURFACE_SPEED_TIME = 0.05  # s, time constant of an estimated speed of a surface
 
 
 class Controller:
@@ -69,8 +75,6 @@ class Controller:
         first sample on, of `FORCE_LAW`, shape (r,).
     active
         Which contacts are force controlled, in these records, shape (r,).
-    dependent
-        Whether their columns depend on each other, and share what the wrench tells.
     misread_friction
         From the first sample on, where a lever turns friction into more than itself: a contact
         whose friction is neither expected nor allowed for, the force or couple that it is read
@@ -110,7 +114,7 @@ class Controller:
         self._control_bytes = self.controls.view(np.uint8)
         self.misread_friction: list[tuple[str, str, float]] = []
         self._adopt(config)
-        self.controls['law']['dependent'] = self.dependent = depend(config, self.contacts)
+        check_columns(config.column_names, self.contacts)
         self.reset()
         pose = self._pose()
         pose.quaternion_xyzw  # noqa: B018 - no step is to wait for it to be compiled
@@ -125,9 +129,7 @@ class Controller:
         """Set everything that follows from the configuration alone."""
         before = getattr(self, 'config', None)
         self.config = config
-        dependent = self.controls['law']['dependent'].copy()
         self.controls['law'] = law_record(config)
-        self.controls['law']['dependent'] = dependent
         by_momentum = config.wrench_input == 'momentum'  # from which nothing has to be taken off
         self.controls['tool'] = tool_record(
             ToolConfig() if by_momentum else config.tool, np.array(config.robot.gravity_world))
@@ -200,7 +202,7 @@ class Controller:
                                   getattr(config, name))
         columns = self.contacts.copy()
         place_columns(config, columns)
-        depend(config, columns)  # normals may be others
+        check_columns(config.column_names, columns)  # normals may be others
         if not self._started:
             return None
         laws = self._design(config, self.arm.pose.rotation_world)
@@ -215,7 +217,6 @@ class Controller:
         """
         laws = self.redesign(config)
         self._adopt(config)
-        self.controls['law']['dependent'] = self.dependent = depend(config, self.contacts)
         if laws is not None:
             self.laws = laws
             self.misread_friction = self._find_misread_friction()
@@ -258,25 +259,12 @@ class Controller:
         self.arm.update(q, qd)
 
     def answer(self, time: float, noise_variance: Vector) -> ControlOutput:
-        """
-        Answer the sample that has been seen: the second half of `step`, which says what is raised.
-
-        Parameters
-        ----------
-        time
-            See `Measurement`.
-        noise_variance
-            As for `step`.
-
-        """
+        """Answer the sample that has been seen, as `step` does, of which it is the second half."""
         if noise_variance.shape != self._noise_variance.shape:
             require_shape('noise_variance', noise_variance, self._noise_variance.shape)
         self._noise_variance[:] = noise_variance
         self.begin()
-        reference = self._reference.update(time, self._alpha_meas)
-        if self.dependent:
-            self._task.forget()  # the law writes over what dependent contacts are to press with
-        self._task.take(reference)
+        self._task.take(self._reference.update(time, self._alpha_meas))
         self.decide()
         return self.output(self._torque.copy())
 
@@ -297,7 +285,7 @@ class Controller:
         """Redesign the observers of `paper` allocation when turning has changed k_s (eq. 17)."""
         factors = loop_stiffnesses(self.config, self.arm.pose.rotation_world) / self._stiffnesses
         if np.abs(factors - 1.0).max() > LARGEST_DRIFT:
-            rescale(self.observers, factors)
+            rescale(self.laws['observer'], factors)
             self._stiffnesses = self._stiffnesses * factors
 
     def output(self, torque: Vector) -> ControlOutput:
@@ -311,7 +299,6 @@ class Controller:
         return Pose(position.copy(), rotation.copy())
 
     def _find_misread_friction(self) -> list[tuple[str, str, float]]:
-        """Return what `misread_friction` is where the arm is now."""
         coupling = friction_coupling(self.contacts.copy(), self.arm.pose.rotation_world)
         names, contacts = self.config.column_names, self.config.contacts
         return [(names[j], names[i], float(coupling[i, j]))
@@ -325,10 +312,10 @@ class Controller:
         self._stiffnesses = loop_stiffnesses(self.config, pose.rotation_world)
         self.laws = self._design(self.config, pose.rotation_world)
         self._reference.start(pose, self.contacts['normal'].copy())
-        joints, margin = self.arm.joints, self.config.posture.limit_margin
+        joints = self.arm.joints
         joints['posture'] = np.clip(  # what lies beyond a stop would be fought over
-            self.config.posture.joints or self.arm.q, joints['lower'] + margin,
-            joints['upper'] - margin)
+            self.config.posture.joints or self.arm.q, joints['lower'] + STOP_MARGIN,
+            joints['upper'] - STOP_MARGIN)
         self.misread_friction = self._find_misread_friction()
         self._started = True
 
@@ -369,15 +356,7 @@ class Controller:
             np.linalg.pinv(N) if self._coordinate_driven else N.T) @ twist_rate)
 
     def refuse(self, status: int) -> NoReturn:
-        """
-        Say why there is no torque.
-
-        Parameters
-        ----------
-        status
-            What `control_law` has returned, not OK.
-
-        """
+        """Raise what a status of `control_law` other than OK means."""
         if status != SINGULAR:
             raise ContactGeometryError(
                 'N: expected independent columns, found normals and contact points of '
@@ -385,12 +364,6 @@ class Controller:
         state = self.robot.update(self.arm.q, self.arm.velocity)
         task_inertia(state.mass_matrix, state.jacobian)  # says what is wrong
         raise SingularTaskError('J M^-1 J^T: expected a positive definite matrix')
-
-
-def depend(config: ControllerConfig, contacts: Records) -> bool:
-    """Return whether columns depend on each other and may; ConfigError if they must not."""
-    return check_columns(config.column_names, contacts,
-                         minimum_norm=config.force.dependent_columns == 'minimum_norm')
 
 
 def law_record(config: ControllerConfig) -> Records:
@@ -407,8 +380,6 @@ def law_record(config: ControllerConfig) -> Records:
         w = config.posture.natural_frequency
         law['nullspace_damping'] = max(config.nullspace_damping, 2.0 * w)
         law['posture_stiffness'], law['stop_stiffness'] = w ** 2, (STOP_RATIO * w) ** 2
-        law['stop_margin'] = config.posture.limit_margin
-        law['manipulability'] = config.posture.manipulability
     law['limited'], law['least_share'] = True, config.limits.least_task_share
     law['max_condition'] = MAX_CONDITION
     law['singular_mobility'] = config.limits.singular_mobility
@@ -431,7 +402,7 @@ def place_columns(config: ControllerConfig, columns: Records) -> None:
         # A normal that has been found is kept while nothing else is told of it.
         if (record['normal_told'] != told).any() or not contact.normal_turn_rate:
             record['normal'] = record['normal_told'] = told
-        record['normal_gain'] = config.period / (contact.normal_time + config.period)
+        record['normal_gain'] = config.period / (NORMAL_TIME + config.period)
         record['turn_limit'] = contact.normal_turn_rate * config.period
         record['smallest_cosine'] = math.cos(contact.normal_range)
         record['point'] = contact.point_operational
@@ -441,12 +412,10 @@ def place_columns(config: ControllerConfig, columns: Records) -> None:
         record['stiffness'] = column.stiffness
         if is_force:
             record['surface_speed'] = contact.surface_speed
-            record['surface_gain'] = config.period / (
-                contact.surface_speed_time + config.period)
+            record['surface_gain'] = config.period / (SURFACE_SPEED_TIME + config.period)
             limit = record['surface_speed_limit'] = contact.surface_speed_limit
             record['surface_speed_est'] = np.clip(record['surface_speed_est'], -limit, limit)
             record['friction_coefficient'] = contact.friction_coefficient
-            record['slip_speed'] = contact.slip_speed
             record['friction_std'] = contact.friction_std
             record['torsion_std'] = 0.0 if contact.type == 'point' else (
                 contact.friction_std * contact.half_length)

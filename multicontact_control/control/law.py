@@ -13,20 +13,44 @@ from multicontact_control.contact.projections import (
     compose_acceleration,
     coordinates,
     factorise_contacts,
-    project_forces,
 )
 from multicontact_control.contact.surfaces import follow_surfaces
-from multicontact_control.control.motion import motion_law
 from multicontact_control.dynamics.operational_space import (
     add_nullspace_torque,
     bias_acceleration,
     mobility_and_inertia,
 )
+from multicontact_control.dynamics.rotations import rotation_vector
 from multicontact_control.force.force_law import answer_forces
 import numpy as np
 
 # What `control_law` returns.
 OK, SINGULAR, DEPENDENT = range(3)
+
+
+@compiled
+def motion_law(law: Any, task: Any, frame: Any, f_t: Vector) -> None:
+    """
+    Fill in f_t*, the acceleration that leads the operational point to its reference.
+
+    f_t* = a_des + k_v (theta_des - theta) + k_p (x_des - x), k_p = omega_n^2 and
+    k_v = 2 zeta omega_n (P04 sec. 3.1; sec. 5.2: critically damped, 30 rad/s).
+
+    Parameters
+    ----------
+    law, task, frame
+        Records of `LAW`, `TASK` and `FRAME`.
+    f_t
+        Filled, world axes, shape (6,) [m/s^2, rad/s^2].
+
+    """
+    turn = np.empty(3)
+    rotation_vector(task.rotation, frame.rotation, turn)
+    for i in range(3):
+        f_t[i] = law.k_p * (task.position[i] - frame.position[i])
+        f_t[3 + i] = law.k_p * turn[i]
+    for i in range(6):
+        f_t[i] += task.acceleration[i] + law.k_v * (task.twist[i] - frame.twist[i])
 
 
 @compiled
@@ -72,19 +96,7 @@ def force_law(
 
 @compiled
 def finish_torque(law: Any, joints: Any) -> None:
-    """
-    Add the friction that the joints are expected to take, then keep to the limits if asked to.
-
-    Gamma += F_c tanh(v / v_0) + F_v v.
-
-    Parameters
-    ----------
-    law
-        Record of `LAW`.
-    joints
-        Records of `JOINT`, shape (n,); their torque and its priority are changed.
-
-    """
+    """Add the expected friction, Gamma += F_c tanh(v / v_0) + F_v v, then keep to the limits."""
     n = joints.shape[0]
     for j in range(n):
         joint = joints[j]
@@ -204,18 +216,15 @@ def control_law(
     rows = np.empty((count, 6))
     factor = np.empty((count, count))
     active_rows(contacts, False, rows)
-    if not factorise_contacts(contacts, False, rows, rows, law.dependent, factor):
+    if not factorise_contacts(contacts, False, rows, rows, factor):
         return DEPENDENT
-    if law.dependent:
-        project_forces(rows, factor, contacts)
     weighted_rows, weighted_factor = rows, factor
     if law.inertia_metric:
         weighted_rows = np.empty((count, 6))
         weighted_factor = np.empty((count, count))
         for i in range(count):
             multiply(mobility, rows[i], weighted_rows[i])
-        if not factorise_contacts(
-                contacts, False, rows, weighted_rows, law.dependent, weighted_factor):
+        if not factorise_contacts(contacts, False, rows, weighted_rows, weighted_factor):
             return DEPENDENT
     f_t = np.empty(6)
     f_c = np.empty(6)
@@ -245,7 +254,6 @@ def control_law(
             joints[j].torque += jacobian[i, j] * force[i]
             joints[j].priority += jacobian[i, j] * held[i]
     if n > 6 or damping > 0.0:
-        add_nullspace_torque(
-            joints, mass_matrix, jacobian, L, Y, Lambda, law)
+        add_nullspace_torque(joints, mass_matrix, jacobian, L, Y, Lambda, law)
     finish_torque(law, joints)
     return OK

@@ -16,17 +16,7 @@ RELEASE = 0.5  # share of its threshold that a residual must fall below to count
 
 @compiled
 def tool_velocity(control: Any, lever: Vector, velocity: Vector) -> None:
-    """
-    Fill in where the centre of mass of what hangs on the sensor is, and how fast.
-
-    Parameters
-    ----------
-    control
-        Record of `CONTROL`.
-    lever, velocity
-        From the operational point to it, world axes, shape (3,) [m], and its speed [m/s].
-
-    """
+    """Fill in the lever to the tool's centre of mass, world axes, and its velocity."""
     frame, tool = control.frame, control.tool
     for i in range(3):
         lever[i] = frame.sensor_position[i] - frame.position[i]
@@ -40,17 +30,9 @@ def tool_velocity(control: Any, lever: Vector, velocity: Vector) -> None:
 @compiled
 def felt_wrench(control: Any, wrench: Vector) -> None:
     """
-    Fill in what the tool does to its surroundings as the sensor feels it, but for its inertia.
+    Fill in the `operational_wrench` without the tool's inertia m a, which the arm's model has.
 
-    The sensor reads the tool's inertia, m a, too, which the arm's model has already.
-
-    Parameters
-    ----------
-    control
-        Record of `CONTROL`; of the momentum, the elapsed time must be above 0.
-    wrench
-        Filled, at the operational point, world axes, shape (6,) [N, N m].
-
+    The elapsed time of the momentum must be above 0.
     """
     momentum = control.momentum
     lever, velocity = np.empty(3), np.empty(3)
@@ -130,7 +112,7 @@ def observe_momentum(control: Any, joints: Any, mass_matrix: Matrix, jacobian: M
 @compiled
 def wrench_of_residual(
     control: Any, joints: Any, mass_matrix: Matrix, jacobian: Matrix,
-) -> bool:
+) -> None:
     """
     Fill in the wrench that explains the residual, as a sensor at the operational point reads it.
 
@@ -142,12 +124,7 @@ def wrench_of_residual(
     control
         Record of `CONTROL`; its wrench is filled in.
     joints, mass_matrix, jacobian
-        As for `observe_momentum`.
-
-    Returns
-    -------
-    bool
-        Whether the posture allows it; if not, the wrench is what it was.
+        As for `observe_momentum`; in a singular posture the wrench stays what it was.
 
     """
     n = joints.shape[0]
@@ -156,7 +133,7 @@ def wrench_of_residual(
     law, rotation = control.law, control.frame.sensor_rotation
     if mobility_and_inertia(mass_matrix, jacobian, law.max_condition, law.singular_mobility, L, Y,
                             mobility, Lambda) < 0.0:
-        return False
+        return
     reduced, acceleration, wrench = np.empty(n), np.empty(6), np.empty(6)
     for j in range(n):
         reduced[j] = joints[j].residual
@@ -168,4 +145,3 @@ def wrench_of_residual(
         for j in range(3):
             control.wrench[i] += rotation[j, i] * wrench[j]
             control.wrench[3 + i] += rotation[j, i] * wrench[3 + j]
-    return True

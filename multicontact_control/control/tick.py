@@ -37,9 +37,10 @@ class Measurement:
 
 class ControlOutput(NamedTuple):
     """
-    The answer to one sample.
+    The answer to one sample; a named tuple is made in a third of the time of a dataclass.
 
-    A named tuple, which is made in a third of the time of a frozen dataclass.
+    Estimates and desired forces are 0 where no force is controlled; `innovation`,
+    `prior_variance` and `variance_used` also for the sample with which control starts.
 
     Attributes
     ----------
@@ -79,27 +80,22 @@ class ControlOutput(NamedTuple):
 
     @property
     def alpha_des(self) -> Vector:
-        """Desired contact forces, 0 where no force is controlled, shape (r,) [N]."""
+        """Desired contact forces, shape (r,) [N]."""
         return self.contacts['alpha_des']
 
     @property
     def alpha_est(self) -> Vector:
-        """Estimated contact forces, 0 where no force is controlled, shape (r,) [N]."""
+        """Estimated contact forces, shape (r,) [N]."""
         return self.contacts['alpha_est']
 
     @property
     def alpha_rate_est(self) -> Vector:
-        """Their estimated rates, 0 where no force is controlled, shape (r,) [N/s]."""
+        """Their estimated rates, shape (r,) [N/s]."""
         return self.contacts['alpha_rate_est']
 
     @property
     def innovation(self) -> Vector:
-        """
-        Return what each observer found: alpha_meas minus its prediction, shape (r,) [N].
-
-        This, `prior_variance` and `variance_used` are 0 where no force is controlled, and for
-        the sample with which control starts.
-        """
+        """Return alpha_meas minus each observer's prediction, shape (r,) [N]."""
         return self.contacts['innovation']
 
     @property

@@ -24,6 +24,8 @@ from multicontact_control.dynamics.pose import Pose
 from multicontact_control.records import CONTROL, Records, TOOL
 import numpy as np
 
+SLIP_SPEED = 0.01  # m/s, v_s: the sliding speed at which 71 % of the friction is expected
+
 
 @compiled
 def operational_wrench(control: Any, wrench: Vector) -> None:
@@ -98,7 +100,7 @@ def measure_contacts(control: Any, contacts: Any) -> bool:
     if law.separated:
         expect_friction(control.frame, contacts, rows)
         allow_for_friction(control, contacts, rows, wrench, W)
-    if not factorise_contacts(contacts, True, rows, rows, law.dependent, factor):
+    if not factorise_contacts(contacts, True, rows, rows, factor):
         return False
     coordinates(rows, factor, wrench, alpha)
     for i in range(count):
@@ -113,15 +115,8 @@ def expect_friction(frame: Any, contacts: Any, rows: Matrix) -> None:
     """
     Add the friction that 1 N along the normal is expected to come with.
 
-    The robot drags a surface along its sliding velocity v by mu v / sqrt(v^2 + v_s^2).
-
-    Parameters
-    ----------
-    frame, contacts
-        Records of `FRAME` and `CONTACT`, shape (r,); `friction` is filled in, per newton.
-    rows
-        N^T, shape (r, 6), added to.
-
+    The robot drags a surface along its sliding velocity v by mu v / sqrt(v^2 + v_s^2): filled in
+    in `friction` of the contacts, per newton, and added to `rows`, N^T, shape (r, 6).
     """
     point, velocity, moment, twist = np.empty(3), np.empty(3), np.empty(3), frame.twist
     for i in range(contacts.shape[0]):
@@ -138,7 +133,7 @@ def expect_friction(frame: Any, contacts: Any, rows: Matrix) -> None:
         for k in range(3):
             velocity[k] -= into * contact.normal[k]
         share = contact.friction_coefficient / np.sqrt(
-            dot(velocity, velocity) + contact.slip_speed ** 2)
+            dot(velocity, velocity) + SLIP_SPEED ** 2)
         for k in range(3):
             contact.friction[k] = share * velocity[k]
         cross(point, contact.friction, moment)
@@ -200,18 +195,10 @@ def find_friction(
     control: Any, contacts: Any, rows: Matrix, wrench: Vector, factor: Matrix,
 ) -> None:
     """
-    Fill in the friction of each contact that is most likely, s^2 T^T W^-1 (f_c - N alpha).
+    Add to the expected friction of each contact the likeliest other, s^2 T^T W^-1 (f_c - N alpha).
 
-    That comes to what was expected, of which N is full.
-
-    Parameters
-    ----------
-    control, contacts
-        As for `allow_for_friction`; `alpha_meas` is there already, and in `friction` what is
-        expected per newton.
-    rows, wrench, factor
-        As `allow_for_friction` leaves them; the wrench is overwritten.
-
+    `rows`, `wrench` and `factor` are as `allow_for_friction` leaves them, `alpha_meas` is there
+    already; the wrench is overwritten.
     """
     law, frame = control.law, control.frame
     lever, column = np.empty(3), np.empty(6)
@@ -234,21 +221,7 @@ def find_friction(
 def fill_friction(
     law: Any, frame: Any, contact: Any, axis: int, lever: Vector, column: Vector,
 ) -> None:
-    """
-    Fill in the wrench of friction at a contact that 1 N along an axis of the world makes.
-
-    Parameters
-    ----------
-    law, frame, contact
-        Records of `LAW`, `FRAME` and `CONTACT`.
-    axis
-        0, 1 or 2; what of it is along the normal is left out.
-    lever
-        As for `weigh_at_sensor`.
-    column
-        Filled, at the sensor and in units of its noise, shape (6,).
-
-    """
+    """Fill in the wrench at the sensor, over its noise, of 1 N of friction along a world axis."""
     point, across, moment = np.empty(3), np.empty(3), np.empty(3)
     multiply(frame.rotation, contact.point, point)
     for k in range(3):
@@ -271,19 +244,7 @@ def add_square(scale: float, x: Vector, A: Matrix) -> None:
 
 @compiled
 def weigh_at_sensor(law: Any, lever: Vector, wrench: Vector) -> None:
-    """
-    Move a wrench from the operational point to the sensor, in units of its noise.
-
-    Parameters
-    ----------
-    law
-        Record of `LAW`.
-    lever
-        From the operational point to the sensor, world axes, shape (3,) [m].
-    wrench
-        Changed, shape (6,).
-
-    """
+    """Move a wrench by the lever from operational point to sensor, in units of its noise."""
     moment = np.empty(3)
     cross(lever, wrench, moment)
     for k in range(3):

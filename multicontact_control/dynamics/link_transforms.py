@@ -47,7 +47,6 @@ class _Joint:
     slide: Vector3
 
     def at(self, position: float) -> LinkTransform:
-        """Return the child's pose for a joint position [rad or m]."""
         origin = self.origin
         if self.kind in FIXED:
             return origin

@@ -6,11 +6,9 @@ from typing import Any
 
 from multicontact_control.algebra import (
     cholesky,
-    cross,
     gram,
     multiply,
     multiply_transposed,
-    solve_cholesky,
     solve_lower,
     solve_lower_columns,
 )
@@ -20,6 +18,7 @@ from multicontact_control.errors import SingularTaskError
 import numpy as np
 
 MAX_CONDITION = 1e8
+STOP_MARGIN = 0.1  # rad, from how far before its stop on a joint is pushed away from it
 
 
 @compiled
@@ -147,9 +146,9 @@ def add_nullspace_torque(
     """
     Give the motion that the operational point does not see a posture, off the stops, and damp it.
 
-    Gamma += (1 - J^T J_bar^T)(C v + g + M (k_q (q_0 - q) + s(q) + k_w dw/dq - d v)); see
-    `stop_repulsion` for s and `add_manipulability_gradient` for w. Neither motion nor contact
-    forces feel it: of what it adds to gravity and Coriolis' part, J M^-1 Gamma is 0.
+    Gamma += (1 - J^T J_bar^T)(C v + g + M (k_q (q_0 - q) + s(q) - d v)); see `stop_repulsion` for
+    s. Neither motion nor contact forces feel it: of what it adds to gravity and Coriolis' part,
+    J M^-1 Gamma is 0.
 
     Parameters
     ----------
@@ -158,7 +157,7 @@ def add_nullspace_torque(
     mass_matrix, jacobian, L, Y, Lambda
         As for `mobility_and_inertia`.
     law
-        Record of `LAW`: d, k_q, k_w, and what keeps joints off their stops.
+        Record of `LAW`: d, k_q, and what keeps joints off their stops.
 
     """
     n = joints.shape[0]
@@ -166,15 +165,12 @@ def add_nullspace_torque(
     for j in range(n):
         joint = joints[j]
         pull[j] = law.posture_stiffness * (joint.posture - joint.q) + stop_repulsion(joint, law)
-    if law.manipulability > 0.0:
-        add_manipulability_gradient(jacobian, law.manipulability, pull)
-    pulled = law.posture_stiffness > 0.0 or law.manipulability > 0.0
     for i in range(n):
         momentum = 0.0
         for j in range(n):
             momentum += mass_matrix[min(i, j), max(i, j)] * joints[j].velocity
         free[i] = joints[i].bias_torque - law.nullspace_damping * momentum
-        if pulled:
+        if law.posture_stiffness > 0.0:
             for j in range(n):
                 free[i] += mass_matrix[min(i, j), max(i, j)] * pull[j]
         joints[i].torque += free[i]
@@ -195,59 +191,14 @@ def stop_repulsion(joint: Any, law: Any) -> float:
 
     x is the way that is left to the stop; from the margin m on it is 0, with a slope of 0.
     """
-    if law.stop_margin <= 0.0:
-        return 0.0
     push = 0.0
-    below = law.stop_margin - (joint.q - joint.lower)
+    below = STOP_MARGIN - (joint.q - joint.lower)
     if below > 0.0:
-        push += law.stop_stiffness * below * below / law.stop_margin
-    above = law.stop_margin - (joint.upper - joint.q)
+        push += law.stop_stiffness * below * below / STOP_MARGIN
+    above = STOP_MARGIN - (joint.upper - joint.q)
     if above > 0.0:
-        push -= law.stop_stiffness * above * above / law.stop_margin
+        push -= law.stop_stiffness * above * above / STOP_MARGIN
     return push
-
-
-@compiled
-def add_manipulability_gradient(jacobian: Matrix, gain: float, pull: Vector) -> None:
-    """
-    Add a multiple of the gradient of w = log sqrt(det(J J^T)) over the joints.
-
-    dw/dq_i = sum_j P_j^T dJ_j/dq_i with P = (J J^T)^-1 J. Columns [v; z] of a chain's J change by
-    [z_i x v_j; z_i x z_j] with a joint before them (and their own), [z_j x v_i; 0] with one after.
-
-    Parameters
-    ----------
-    jacobian
-        J, shape (6, n), world axes, linear rows first.
-    gain
-        Of the gradient.
-    pull
-        Added to, shape (n,); left as it is where J J^T has no inverse.
-
-    """
-    n = pull.shape[0]
-    product, factor = np.zeros((6, 6)), np.empty((6, 6))
-    for i in range(6):
-        for j in range(6):
-            for k in range(n):
-                product[i, j] += jacobian[i, k] * jacobian[j, k]
-    if not cholesky(product, factor, 0.0):
-        return
-    weights, linear, angular = np.empty((n, 6)), np.empty(3), np.empty(3)
-    for j in range(n):
-        for k in range(6):
-            weights[j, k] = jacobian[k, j]
-        solve_cholesky(factor, weights[j])
-    for i in range(n):
-        for j in range(n):
-            first, second = min(i, j), max(i, j)
-            cross(jacobian[3:, first], jacobian[:3, second], linear)
-            for k in range(3):
-                pull[i] += gain * weights[j, k] * linear[k]
-            if i < j:
-                cross(jacobian[3:, i], jacobian[3:, j], angular)
-                for k in range(3):
-                    pull[i] += gain * weights[j, 3 + k] * angular[k]
 
 
 def task_inertia(

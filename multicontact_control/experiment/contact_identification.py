@@ -217,10 +217,9 @@ def _identify(signal: ContactSignals, config: ControllerConfig) -> dict[str, Any
 
 def _band_passed(signal: ContactSignals, config: ControllerConfig) -> tuple[Matrix, Mask]:
     """Return z, v, w, alpha and a behind the on-line estimate's band-pass, and what it takes."""
-    h, adaptive = config.period, config.force.adaptive
+    h = config.period
     record: Any = np.zeros(1, dtype=STIFFNESS)[0]
-    record['period'], record['window'] = h, adaptive.window
-    record['smallest_signal'] = adaptive.smallest_signal
+    record['period'] = h
     fit = record['slow']
     adopt_band(fit, SLOW_BAND, h, math.inf)
     filtered = np.zeros((len(signal.alpha), 5))

@@ -87,7 +87,6 @@ def _design_law(
 
 @contextmanager
 def _designing(name: str) -> Iterator[None]:
-    """Say of whatever cannot be worked out that there is no such law."""
     try:
         with np.errstate(all='ignore'):
             yield
@@ -217,19 +216,7 @@ def continue_laws_at(laws: Records, held: Mask, force: Vector) -> None:
 
 
 def act_beyond(laws: Records, which: Mask, acceleration: Vector) -> None:
-    """
-    Tell force laws that more acts on their contacts than they have answered.
-
-    Parameters
-    ----------
-    laws
-        Records of `FORCE_LAW`, changed, shape (r,).
-    which
-        Which of them, shape (r,).
-    acceleration
-        Of these contacts, along their normals [m/s^2].
-
-    """
+    """Add an acceleration along the normals [m/s^2] to what these laws, (r,), predict with."""
     laws['observer']['command'][which] += acceleration
     laws['linear']['extra'][which] += acceleration
 

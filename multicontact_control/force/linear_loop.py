@@ -15,8 +15,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 import math
 
-from multicontact_control.arrays import Matrix, require_shape, Vector
-from multicontact_control.errors import ConfigError
+from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.force.linear_law import LinearLaw
 from multicontact_control.force.observer import ObserverDesign
 from multicontact_control.force.plant_model import delayed_hold
@@ -57,29 +56,13 @@ class LinearArmPlant:
     delay: float
     damping_rate: float = 0.0
 
-    def __post_init__(self) -> None:
-        square = (len(self.stiffness), len(self.stiffness))
-        require_shape('mobility', self.mobility, square)
-        require_shape('tool_inertia', self.tool_inertia, square)
-        require_shape('damping', self.damping, square[:1])
-        if not self.delay >= 0.0:
-            raise ConfigError('delay', 'a number >= 0', self.delay)
-
 
 def steady_gain(observer: ObserverDesign, noise_variance: float) -> Vector:
     """
     Return the gain K, shape (n,), that an observer settles at with a constant R [N^2].
 
     From the stabilising solution P_1 of the discrete Riccati equation of P04 eqs 39-40.
-
-    Raises
-    ------
-    ConfigError
-        If R is not positive.
-
     """
-    if not (noise_variance > 0.0 and math.isfinite(noise_variance)):
-        raise ConfigError('noise_variance', 'a positive number', noise_variance)
     C = np.zeros((observer.Q.shape[0], 1))
     C[0] = 1.0
     P_1 = solve_discrete_are(
@@ -173,17 +156,11 @@ def last_stable(
     """
     low = 0.0
     for high in ratios:
-        if not stable(high):
-            return bisect(stable, low, high, tolerance) if low else (0.0, 0.0)
-        low = high
+        if stable(high):
+            low = high
+            continue
+        while low and high / low - 1.0 > tolerance:
+            middle = math.sqrt(low * high)
+            low, high = (middle, high) if stable(middle) else (low, middle)
+        return (low, high) if low else (0.0, 0.0)
     return math.inf, math.inf
-
-
-def bisect(
-    stable: Callable[[float], bool], low: float, high: float, tolerance: float,
-) -> tuple[float, float]:
-    """Return where a verdict changes from True at `low` to False at `high`, by ratios."""
-    while high / low - 1.0 > tolerance:
-        middle = math.sqrt(low * high)
-        low, high = (middle, high) if stable(middle) else (low, middle)
-    return low, high

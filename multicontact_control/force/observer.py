@@ -15,9 +15,8 @@ from typing import Any
 from multicontact_control.algebra import copy_vector
 from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.compiled import compiled
-from multicontact_control.errors import ConfigError
 from multicontact_control.force.plant_model import ForceLoop
-from multicontact_control.records import MAX_ORDER, MAX_STATES, OBSERVER, Records
+from multicontact_control.records import MAX_STATES, OBSERVER, Records
 import numpy as np
 
 
@@ -77,18 +76,7 @@ def design_observer(
     initial_covariance
         P_0 = initial_covariance I.
 
-    Raises
-    ------
-    ConfigError
-        If `order` is out of range or a covariance is not positive.
-
     """
-    if not 0 <= order <= MAX_ORDER:
-        raise ConfigError('active_state_order', f'0 to {MAX_ORDER}', order)
-    for name, value in (('process_noise', process_noise),
-                        ('initial_covariance', initial_covariance)):
-        if not value > 0.0:
-            raise ConfigError(name, 'a positive number', value)
     n = loop.plant.Phi.shape[0]
     size = n + order
     Phi_n, Phi_c = np.zeros((size, size)), np.zeros((size, size))
@@ -143,32 +131,26 @@ def make_observers(designs: Sequence[ObserverDesign]) -> Records:
     return observers
 
 
-def continue_from(observers: Records, others: Records) -> bool:
+def continue_from(observers: Records, others: Records) -> None:
     """
     Take over what observers of another design know of the same contacts.
 
     The input that acts is the one the others have commanded, so the first prediction is that
-    of the plant under the others' feedback.
+    of the plant under the others' feedback. Nothing is taken over if the numbers of states differ.
 
     Parameters
     ----------
     observers, others
         Records of `OBSERVER`, shape (r,); the first are changed.
 
-    Returns
-    -------
-    bool
-        Whether the numbers of states agree; nothing is taken over otherwise.
-
     """
     if not same_states(observers, others):
-        return False
+        return
     for name in ('x_est', 'P', 'running'):
         observers[name] = others[name]
     difference = _predicted_feedback(observers) - _predicted_feedback(others)
     observers['command'] = others['command'] + np.einsum(
         'ij,ij->i', difference, others['x_est'])
-    return True
 
 
 def same_states(observers: Records, others: Records) -> bool:
@@ -373,18 +355,7 @@ def continue_at(observers: Records, held: Mask, force: Vector) -> None:
 
 @compiled
 def observe(observer: Any, contact: Any, measured: bool) -> None:
-    """
-    Predict, and correct by the measured force: one sample of an observer that runs.
-
-    Parameters
-    ----------
-    observer, contact
-        Records of `OBSERVER` and `CONTACT`, both changed.
-    measured
-        Whether the measured force is of this sample; if not, the prediction stands, which is to
-        correct with an infinite R.
-
-    """
+    """Predict, and correct by the force; if it was not measured, by none (R = inf)."""
     predict(observer)
     if not measured:
         copy_vector(observer.x_1, observer.x_est)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 import math
 
-from multicontact_control.arrays import Matrix, require_shape, Vector
+from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import MAX_DELAY_PERIODS
 from multicontact_control.errors import ConfigError, MulticontactError
 import numpy as np
@@ -127,12 +127,8 @@ def _zero_order_hold(A: Matrix, B: Matrix, duration: float) -> tuple[Matrix, Mat
 def _damped_hold(
     stiffness: float, damping_rate: float, duration: float,
 ) -> tuple[Matrix, Matrix]:
-    """
-    Return the same for A = [[0, 1], [0, -K_2]], B = [[0], [k]], in closed form.
-
-    A general matrix exponential may keep a control tick waiting for the threads of its BLAS, for
-    tens of milliseconds.
-    """
+    """Return the same for A = [[0, 1], [0, -K_2]], B = [[0], [k]], in closed form."""
+    # A general matrix exponential may keep a control tick waiting for the threads of its BLAS.
     x = damping_rate * duration
     first = -math.expm1(-x) / x if x else 1.0  # (1 - e^-x) / x
     # (1 - first) / x, by its series where that would cancel
@@ -163,16 +159,11 @@ def ackermann(Phi: Matrix, Gamma: Vector, poles: Sequence[float]) -> Vector:
 
     Raises
     ------
-    ShapeError
-        If the shapes do not fit.
     MulticontactError
         If the system cannot be controlled by its input.
 
     """
     n = Phi.shape[0]
-    require_shape('Phi', Phi, (n, n))
-    require_shape('Gamma', Gamma, (n,))
-    require_shape('poles', np.asarray(poles), (n,))
     # Balanced first: alpha is some 1e4 times its inputs, and Ackermann squares that again.
     scale = np.maximum(np.abs(Gamma), np.abs(Phi).max(axis=1))
     scale[scale == 0.0] = 1.0
@@ -220,45 +211,24 @@ class ForceLoop:
         return matrix
 
 
-def design_force_loop(
-    stiffness: float, *, damping_rate: float, input_delay: float, period: float,
-    time_constant: float, second_pole_ratio: float = 1.0,
+def place_poles(
+    plant: DelayedPlant, period: float, *, time_constant: float, second_pole_ratio: float = 1.0,
 ) -> ForceLoop:
     """
-    Design the feedback of one force loop.
+    Design the feedback of a delayed plant.
 
     Poles at exp(-h / tau) and exp(-h ratio / tau), the delay states' at 0.
 
     Parameters
     ----------
-    stiffness
-        k of the model [N/m].
-    damping_rate
-        K_2 [1/s].
-    input_delay
-        T_d [s].
-    period
-        h [s].
+    plant, period
+        The plant, and h [s].
     time_constant
         tau of the dominant pole [s].
     second_pole_ratio
         How much faster the second pole is; 1 gives two equal ones.
 
-    Raises
-    ------
-    ConfigError
-        If a value is out of its range.
-
     """
-    return place_poles(
-        delayed_plant(stiffness, damping_rate, input_delay, period), period,
-        time_constant=time_constant, second_pole_ratio=second_pole_ratio)
-
-
-def place_poles(
-    plant: DelayedPlant, period: float, *, time_constant: float, second_pole_ratio: float = 1.0,
-) -> ForceLoop:
-    """Design the feedback of a delayed plant; see `design_force_loop`."""
     poles = [math.exp(-period / time_constant),
              math.exp(-period * second_pole_ratio / time_constant)]
     poles += [0.0] * (len(plant.Gamma) - len(poles))

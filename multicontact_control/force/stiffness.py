@@ -35,6 +35,12 @@ SLOW_SHARE, FAST_SHARE = 0.3, 0.5  # r^2 from which on a fit is believed
 FAST_EXCESS = 1.5  # how much stiffer than the slow fit the fast one has to find the surface
 INERTIA_SHARE = 0.8  # of k / m, which the square of the fastest pole stays below
 SLOWEST_POLE = 10.0  # 1/s, of the second pole
+MEMORY = 0.1  # s, of the slow fit, in time of samples that are accepted
+WINDOW = 0.3  # s after a touch or a step of the command in which it accepts samples
+LARGEST_DAMPING = 60.0  # N s/m, of the model
+FALL_TIME, RISE_TIME = 0.02, 0.004  # s, shortest in which the model's k changes by a factor e
+INPUT_LIMIT = 40.0  # m/s^2, of |u|
+APPROACH_LIMIT = 0.25  # m/s into the surface, at which the desired force is followed at most
 
 
 def adopt_stiffness(
@@ -42,34 +48,29 @@ def adopt_stiffness(
     tool_mass: float, ratio_limits: Sequence[float],
 ) -> None:
     """
-    Set what an adaptive stiffness starts from.
+    Fill in a record of `STIFFNESS`.
 
     Parameters
     ----------
     record
-        Record of `STIFFNESS`, filled.
+        What is filled in.
     plant, stiffness
         The plant of the force loop, for that stiffness [N/m], from which the model starts.
     config
         The force law.
-    period
-        h [s].
-    tool_mass
-        All that hangs on the sensor [kg].
+    period, tool_mass
+        h [s], and all that hangs on the sensor [kg].
     ratio_limits
         True over modelled stiffness up to which the loop is stable, of `model_stiffnesses`.
 
     """
     adaptive: AdaptiveStiffnessConfig = config.adaptive
-    for name in ('lowest', 'highest', 'largest_damping', 'window', 'smallest_signal',
-                 'input_limit', 'approach_limit'):
-        record[name] = getattr(adaptive, name)
     values = {
         'adaptive': True, 'period': period, 'tool_mass': tool_mass,
+        'lowest': adaptive.lowest, 'highest': adaptive.highest,
         'fastest_pole': 1.0 / config.time_constant, 'pole_ratio': config.second_pole_ratio,
         # A model changes once a period: e times its value in less would be a jump.
-        'down': min(period / adaptive.fall_time, 1.0),
-        'up': min(period / adaptive.rise_time, 1.0),
+        'down': min(period / FALL_TIME, 1.0), 'up': min(period / RISE_TIME, 1.0),
         'settle': period / DAMPING_TIME, 'ratio_limit': ratio_limits, 'k': stiffness,
         'c': 0.0}
     for name, value in values.items():
@@ -77,7 +78,7 @@ def adopt_stiffness(
     record['transition'] = plant.Phi[0, 1], plant.Phi[1, 1]
     gains, input_gain = predictor_gains(plant, stiffness)
     record['delay_gain'][:len(gains)], record['input_gain'] = gains, input_gain
-    adopt_band(record['slow'], SLOW_BAND, period, adaptive.memory)
+    adopt_band(record['slow'], SLOW_BAND, period, MEMORY)
     adopt_band(record['fast'], FAST_BAND, period, FAST_MEMORY)
 
 
@@ -249,11 +250,10 @@ def find_stiffness(
         stiffness.depth += 0.5 * h * (speed + stiffness.speed)
         stiffness.felt = alpha > END
     stiffness.speed = speed
-    mass, smallest = stiffness.tool_mass, stiffness.smallest_signal
     sample = np.array([stiffness.depth, speed, friction, alpha])
-    take_sample(stiffness.slow, sample, h, mass,
-                stiffness.felt and stiffness.since <= stiffness.window, smallest)
-    take_sample(stiffness.fast, sample, h, mass, stiffness.felt, smallest)
+    mass = stiffness.tool_mass
+    take_sample(stiffness.slow, sample, h, mass, stiffness.felt and stiffness.since <= WINDOW)
+    take_sample(stiffness.fast, sample, h, mass, stiffness.felt)
     if stiffness.slow.k > 0.0 and stiffness.slow.share > SLOW_SHARE:
         stiffness.k_est = stiffness.slow.k
         stiffness.k_std = stiffness.slow.k_std
@@ -267,7 +267,7 @@ def follow_stiffness(observer: Any, stiffness: Any) -> None:
     target = k
     if slow.k > 0.0 and slow.share > SLOW_SHARE:
         target = slow.k + 2.0 * slow.k_std
-        damping = min(max(slow.c, 0.0), stiffness.largest_damping)
+        damping = min(max(slow.c, 0.0), LARGEST_DAMPING)
         c += stiffness.settle * (damping - c)
     # Against what the slow fit says, and not against k in use, which it would drive up and down.
     if fast.share > FAST_SHARE and fast.k - fast.k_std > FAST_EXCESS * target:
@@ -292,17 +292,7 @@ def stable_ratio(stiffness: Any) -> float:
 def learn_stiffness(
     observer: Any, stiffness: Any, contact: Any, measured: bool, speed: float, friction: float,
 ) -> None:
-    """
-    Take a sample into the model of a contact's surface, whatever law moves it.
-
-    Parameters
-    ----------
-    observer, stiffness, contact, measured, speed
-        As for `observe_and_follow`.
-    friction
-        As from `friction_of_others` [N].
-
-    """
+    """Take a sample into the model of a contact's surface; see `observe_and_follow`."""
     alpha = contact.alpha_meas if measured else contact.alpha_est
     find_stiffness(stiffness, alpha, contact.alpha_des, speed, friction)
     follow_stiffness(observer, stiffness)
@@ -317,17 +307,7 @@ def learn_stiffness(
 
 @compiled
 def share_stiffness(observer: Any, stiffness: Any, contact: Any, leader: Any, whole: Any) -> None:
-    """
-    Let the model of a couple follow what is found for the normal force of its contact.
-
-    Parameters
-    ----------
-    observer, stiffness, contact
-        As for `observe_and_follow`.
-    leader, whole
-        Records of `CONTACT` and `STIFFNESS` of that normal force.
-
-    """
+    """Let the model of a couple follow the normal force of its contact, `leader` and `whole`."""
     share = stiffness.share
     k = min(max(share * whole.k, stiffness.lowest), stiffness.highest)
     if k != stiffness.k:
@@ -373,10 +353,10 @@ def observe_and_follow(
         stiffness.alpha_ref = contact.alpha_meas
         if stiffness.share == 0.0:
             stiffness.alpha_ref = max(contact.alpha_meas, 0.0)
-    step = stiffness.k * stiffness.approach_limit * stiffness.period
+    step = stiffness.k * APPROACH_LIMIT * stiffness.period
     stiffness.alpha_ref += min(max(contact.alpha_des - stiffness.alpha_ref, -step), step)
     u = command(observer, stiffness.alpha_ref)
-    u = min(max(u, -stiffness.input_limit), stiffness.input_limit)
+    u = min(max(u, -INPUT_LIMIT), INPUT_LIMIT)
     observer.command = u  # what the open loop is predicted with
     contact.alpha_est = observer.x_est[0] + observer.damping_time * observer.x_est[1]
     contact.alpha_rate_est = observer.x_est[1]

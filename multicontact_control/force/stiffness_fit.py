@@ -23,6 +23,7 @@ CORRELATION = 8.0  # samples of a band-passed signal for one that is independent
 LEAST_WEIGHT = 5.0  # samples, for a fit
 SMALLEST_PIVOT = 1e-6  # what must be left of a scaled column that the others do not explain
 LARGEST_FRICTION = 1.0
+SMALLEST_SIGNAL = 0.15  # N, filtered, from which on a sample is accepted
 
 
 def adopt_band(fit: Any, band: tuple[float, float], period: float, memory: float) -> None:
@@ -57,7 +58,7 @@ def filter_sample(fit: Any, sample: Vector, filtered: Vector) -> None:
 
 @compiled
 def take_sample(
-    fit: Any, sample: Vector, period: float, mass: float, accepted: bool, smallest: float,
+    fit: Any, sample: Vector, period: float, mass: float, accepted: bool,
 ) -> None:
     """
     Filter a sample, and if it is accepted and large enough, fit k, c and mu anew.
@@ -73,15 +74,13 @@ def take_sample(
         h [s], and mass of the tool [kg].
     accepted
         Whether the sample may count.
-    smallest
-        Force from which on it does, once filtered [N].
 
     """
     filtered = np.empty(4)
     filter_sample(fit, sample, filtered)
     filtered[3] -= mass * (filtered[1] - fit.speed) / period
     fit.speed = filtered[1]
-    if not accepted or abs(filtered[3]) < smallest:
+    if not accepted or abs(filtered[3]) < SMALLEST_SIGNAL:
         return
     for i in range(4):
         for j in range(i, 4):
@@ -123,24 +122,11 @@ def solve_fit(fit: Any) -> None:
 @compiled
 def least_squares(sums: Matrix, fixed: Mask, value: Vector, variance: Vector) -> bool:
     """
-    Solve the normal equations of three parameters, of which some are fixed.
+    Solve the normal equations of three parameters, shape (3,), of which some are fixed.
 
-    Parameters
-    ----------
-    sums
-        Of the products of three regressors and of what they explain, shape (4, 4); only its upper
-        triangle is read.
-    fixed, value
-        Which parameters stay as they are, and the parameters; the others are filled in, shape
-        (3,).
-    variance
-        The variance of the first one in units of that of a sample is filled in, shape (3,).
-
-    Returns
-    -------
-    bool
-        Whether the regressors tell the parameters apart.
-
+    `sums` are those of the products of three regressors and of what they explain, shape (4, 4),
+    upper triangle. Of `variance` the first is filled in, over that of a sample. False where the
+    regressors do not tell the parameters apart.
     """
     normal, L = np.zeros((3, 3)), np.zeros((3, 3))
     solution, scale = np.zeros(3), np.ones(3)

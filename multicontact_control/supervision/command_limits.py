@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 
-from multicontact_control.arrays import Matrix, Vector
+from multicontact_control.arrays import Vector
 from multicontact_control.config import Config, ControllerConfig, LimitsConfig, parameter, Real
 from multicontact_control.errors import CommandError
-import numpy as np
 
 START_EXCESS = 1e-3  # m or rad beyond a limit, from where control may start all the same
 
@@ -119,42 +118,6 @@ def check_offsets(
                 f'centre of pressure of {column.name}',
                 f'at most {largest * column.half_length:.3g} m from the middle',
                 f'{share * column.half_length:.3g} m')
-
-
-def check_shared(
-    config: ControllerConfig, columns: Matrix, forces: Mapping[str, float],
-) -> None:
-    """
-    Refuse forces of which dependent contacts make others that are too small.
-
-    Only N^+ N alpha of them can be controlled: see `project_forces`.
-
-    Parameters
-    ----------
-    config
-        Contacts.
-    columns
-        Of N where the arm is, as rows, shape (r, 6).
-    forces
-        What would be commanded by contact, and couple [N].
-
-    Raises
-    ------
-    CommandError
-        Naming the contact.
-
-    """
-    pressed = [forces.get(config.columns[column.leader].name, 0.0) > 0.0
-               for column in config.columns]
-    N = columns[pressed].T
-    names = [name for name, active in zip(config.column_names, pressed) if active]
-    shared = np.linalg.pinv(N, rcond=1e-6) @ N @ [forces.get(name, 0.0) for name in names]
-    least = config.contact_state.smallest_force
-    for name, force in zip(names, shared):
-        if name in config.contacts and not force >= least * (1.0 - 1e-6):
-            raise CommandError(
-                f'force on {name}', f'at least {least:g} N of what dependent contacts share',
-                f'{force:.3g} N')
 
 
 def check_position(position_world: Vector, limits: LimitsConfig) -> None:

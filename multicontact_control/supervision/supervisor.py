@@ -77,8 +77,8 @@ OF_THE_LAW = ('active', 'alpha_des', 'alpha_fed', 'alpha_est', 'alpha_rate_est',
 SATURATED = frozenset(ENFORCED[TORQUE | JOINT_STOP])
 FIXED = ('torque_limit', 'sensor', 'contact_state', 'limits', 'watchdog', 'collision')
 LIVE_OF_CONTACTS = (
-    'friction_coefficient', 'slip_speed', 'normal_world', 'normal_turn_rate', 'normal_range',
-    'normal_time', 'surface_speed', 'surface_speed_limit', 'surface_speed_time')
+    'friction_coefficient', 'normal_world', 'normal_turn_rate', 'normal_range', 'surface_speed',
+    'surface_speed_limit')
 
 
 class Supervisor(BumplessController):

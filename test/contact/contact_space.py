@@ -23,7 +23,7 @@ def _factorised(N, Lambda=None):
     weighted = rows if Lambda is None else np.ascontiguousarray(
         np.linalg.solve(Lambda, rows.T).T)
     factor = np.empty((len(rows), len(rows)))
-    assert executed.factorise_contacts(contacts, False, rows, weighted, False, factor)
+    assert executed.factorise_contacts(contacts, False, rows, weighted, factor)
     return rows, weighted, factor
 
 

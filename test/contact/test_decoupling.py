@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from contact_space import allocate_force, contact_normals, contact_rates
+from contact_space import allocate_force, contact_normals
 from contact_space import projections as projections_of
 from multicontact_control.contact.geometry import operational_stiffness
 import numpy as np
@@ -10,7 +10,6 @@ import pytest
 
 STIFFNESS = np.array([6000.0, 4000.0, 9000.0])  # of the three surfaces [N/m]
 INPUTS = np.array([0.7, -0.4, 1.1])  # a_i [m/s^2]
-PERIOD = 1e-5  # s
 
 
 @dataclass(frozen=True)
@@ -27,16 +26,11 @@ class World:
         return contact_normals(normals, self.scale * levers)
 
     @property
-    def similarity(self):
-        """S: twists and accelerations in this unit are S times those in metres and radians."""
-        return np.diag([self.scale] * 3 + [1.0] * 3)
-
-    @property
     def Lambda(self):
         """Task inertia, so that a^T Lambda a / scale^2 is the same number in every unit."""
         root = np.random.default_rng(26).standard_normal((6, 6))
         metric = np.diag([4.0] * 3 + [0.1] * 3) + 0.02 * root @ root.T
-        inverse = np.linalg.inv(self.similarity)
+        inverse = np.diag([1.0 / self.scale] * 3 + [1.0] * 3)  # of twists in this unit
         return self.scale ** 2 * inverse @ metric @ inverse
 
 
@@ -52,23 +46,9 @@ def projections(request):
 
 
 def _force_acceleration(projections, allocation):
-    """Step a rigid body on springs by a tick or two and difference its contact forces twice."""
+    """Return d^2 alpha / dt^2 of springs at rest whose tool begins to accelerate."""
     N = METRES.N
-    acceleration = projections.Omega_c @ allocate_force(N, INPUTS, allocation)
-    twist, displacement = np.zeros(6), np.zeros(6)
-    forces = [np.zeros(3)]
-    for _ in range(2):  # exact for a constant acceleration
-        displacement = displacement + PERIOD * twist + 0.5 * PERIOD ** 2 * acceleration
-        twist = twist + PERIOD * acceleration
-        forces.append(STIFFNESS * (N.T @ displacement))
-    return (forces[2] - 2.0 * forces[1] + forces[0]) / PERIOD ** 2
-
-
-def test_lever_arms_overlap():
-    """N^T N is full: the paper's decoupling has nothing to stand on (paper notes 9)."""
-    product = METRES.N.T @ METRES.N
-    assert np.abs(product - np.diag(np.diag(product))).min(
-        where=~np.eye(3, dtype=bool), initial=np.inf) > 0.01
+    return STIFFNESS * (N.T @ projections.Omega_c @ allocate_force(N, INPUTS, allocation))
 
 
 def test_decoupled_allocation_gives_every_force_its_own_acceleration(projections):
@@ -96,40 +76,8 @@ def test_paper_allocation_decouples_orthogonal_contacts():
         6000.0 * N.T @ allocate_force(N, INPUTS[:2], 'paper'), k_s * INPUTS[:2], rtol=1e-12)
 
 
-def test_unit_of_length_changes_the_projections_of():
-    """Omega_f and Omega_m add metres to radians (paper notes 10)."""
-    metres, other = projections_of(METRES.N), projections_of(MILLIMETRES.N)
-    S = MILLIMETRES.similarity
-    inverse = np.linalg.inv(S)
-    for there, here in ((other.Omega_m, S @ metres.Omega_m @ inverse),
-                        (other.Omega_f, inverse @ metres.Omega_f @ S)):
-        assert np.abs(there - here).max() > 0.1 * np.abs(here).max()
-
-
-def test_unit_of_length_only_renames_the_projections_of():
-    """The same maps in other coordinates: S Omega_m S^-1, and S^-1 Omega_f S for wrenches."""
-    metres = projections_of(METRES.N, METRES.Lambda)
-    other = projections_of(MILLIMETRES.N, MILLIMETRES.Lambda)
-    S = MILLIMETRES.similarity
-    inverse = np.linalg.inv(S)
-    np.testing.assert_allclose(
-        inverse @ other.Omega_m @ S, metres.Omega_m, rtol=1e-9, atol=1e-11)
-    np.testing.assert_allclose(
-        S @ other.Omega_f @ inverse, metres.Omega_f, rtol=1e-9, atol=1e-11)
-
-
-def test_unit_of_length_changes_the_stiffness_along_a_normal():
-    """k_s = k_env (1 + |l x n|^2) weighs a moment arm in its unit (P04 eq. 17)."""
-    normal, lever = np.array([0.0, 1.0, 0.0]), np.array([0.03, -0.16, 0.19])
-    metres, millimetres = (
-        operational_stiffness(6000.0, normal, scale * lever) for scale in (1.0, 1000.0))
-    assert metres == pytest.approx(6000.0 * 1.037)
-    assert millimetres == pytest.approx(6000.0 * 37001.0)
-
-
 @pytest.mark.parametrize('metric', ['euclidean', 'inertia'])
 def test_unit_of_length_leaves_decoupled_contact_accelerations(metric):
-    """N^T Omega_c f_c* = a in any unit; with `paper` the contacts move differently."""
     accelerations = {}
     for world in (METRES, MILLIMETRES):
         projections = (projections_of(world.N) if metric == 'euclidean'
@@ -142,14 +90,3 @@ def test_unit_of_length_leaves_decoupled_contact_accelerations(metric):
         np.testing.assert_allclose(accelerations['decoupled', world], INPUTS, rtol=1e-9)
     assert np.abs(
         accelerations['paper', MILLIMETRES] / accelerations['paper', METRES] - 1.0).min() > 1.0
-
-
-def test_unit_of_length_leaves_decoupled_contact_rates():
-    """N^T theta is a speed; N^+ theta of `paper` is not."""
-    twist = np.random.default_rng(27).standard_normal(6)
-    rates = {
-        (allocation, world): contact_rates(world.N, world.similarity @ twist, allocation)
-        / world.scale for allocation in ('decoupled', 'paper') for world in (METRES, MILLIMETRES)}
-    np.testing.assert_allclose(
-        rates['decoupled', MILLIMETRES], rates['decoupled', METRES], rtol=1e-9)
-    assert np.abs(rates['paper', MILLIMETRES] / rates['paper', METRES] - 1.0).min() > 0.01

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 from equations import (
     allocate_force,
     contact_coordinates,
@@ -18,9 +20,7 @@ from equations import (
     posture_pull,
 )
 from multicontact_control.contact.geometry import operational_stiffness
-from multicontact_control.control.controller import ControlOutput
-from multicontact_control.force.plant_model import design_force_loop
-from multicontact_control.records import CONTACT, CONTROL
+from multicontact_control.force.plant_model import delayed_plant, place_poles
 import numpy as np
 
 
@@ -40,10 +40,6 @@ class ReferenceController:
         none = np.zeros(robot.joint_count)
         self._coulomb = np.array(config.friction.coulomb) if config.friction.coulomb else none
         self._viscous = np.array(config.friction.viscous) if config.friction.viscous else none
-        self.reset()
-
-    def reset(self):
-        """Forget everything measured; the next sample starts anew."""
         self._observers = []
         self._active = np.zeros(len(self.config.contact_names), dtype=bool)
 
@@ -67,7 +63,7 @@ class ReferenceController:
         N = N_all[:, self._active]
         acceleration = self._acceleration(
             state, space, reference, N, self._force_inputs(reference, alpha_meas, noise_variance))
-        alpha_est = self._estimates(0)
+        alpha_est = self._of_active('x_est', 0)
         fed = self._fed_forward(N_all, space, alpha_meas, alpha_est, reference.alpha_des)
         force = space.Lambda @ acceleration + space.mu + space.p + N @ fed[self._active]
         torque = joint_torque(force, state, space, **self._nullspace(measurement.q))
@@ -75,18 +71,13 @@ class ReferenceController:
         torque += friction
         priority = state.coriolis + state.gravity + friction + state.jacobian.T @ (
             N @ fed[self._active])
-        contacts = np.zeros(self._active.shape, dtype=CONTACT)
-        contacts['active'], contacts['alpha_meas'] = self._active, alpha_meas
-        contacts['alpha_des'], contacts['alpha_est'] = reference.alpha_des, alpha_est
-        contacts['alpha_rate_est'] = self._estimates(1)
-        for name in ('innovation', 'prior_variance', 'variance_used'):
-            contacts[name] = self._reports(name)
-        controls = np.zeros(1, dtype=CONTROL)
-        for name, pose in (('frame', state.pose), ('task', reference.pose_des)):
-            controls[name]['position'], controls[name]['rotation'] = pose
-        return ControlOutput(
-            limited_torque(torque, priority, self._torque_limit,
-                           self.config.limits.least_task_share), contacts, controls)
+        return SimpleNamespace(
+            torque=limited_torque(torque, priority, self._torque_limit,
+                                  self.config.limits.least_task_share),
+            active=self._active, alpha_meas=alpha_meas, alpha_des=reference.alpha_des,
+            alpha_est=alpha_est, alpha_rate_est=self._of_active('x_est', 1),
+            **{name: self._of_active(name)
+               for name in ('innovation', 'prior_variance', 'variance_used')})
 
     def _fed_forward(self, N, space, alpha_meas, alpha_est, alpha_des):
         """Return the contact forces that are fed forward, shape (r,) [N]."""
@@ -104,8 +95,7 @@ class ReferenceController:
         config = self.config
         if self.robot.joint_count <= 6:
             return {'nullspace_damping': config.nullspace_damping}
-        w, margin, limits = (
-            config.posture.natural_frequency, config.posture.limit_margin, config.limits)
+        w, margin, limits = config.posture.natural_frequency, 0.1, config.limits
         lower = np.array(limits.joint_lower or [-np.inf] * len(q))
         upper = np.array(limits.joint_upper or [np.inf] * len(q))
         posture = np.clip(self._start, lower + margin, upper - margin)
@@ -138,10 +128,10 @@ class ReferenceController:
             # `decoupled` drives the contact point itself, `paper` the coordinate along N_i.
             stiffness = k_env if force.allocation == 'decoupled' else operational_stiffness(
                 k_env, normal, lever)
-            loop = design_force_loop(
-                stiffness, damping_rate=force.damping_rate, input_delay=force.input_delay,
-                period=self.config.period, time_constant=force.time_constant,
-                second_pole_ratio=force.second_pole_ratio)
+            h = self.config.period
+            loop = place_poles(
+                delayed_plant(stiffness, force.damping_rate, force.input_delay, h), h,
+                time_constant=force.time_constant, second_pole_ratio=force.second_pole_ratio)
             observers.append(Observer(
                 loop.plant.Phi, loop.plant.Gamma, loop.L, order=force.active_state_order,
                 process_noise=force.process_noise,
@@ -166,27 +156,15 @@ class ReferenceController:
     def _acceleration(self, state, space, reference, N, inputs):
         """Return Omega_m f_t* + Omega_f f_c* (P04 eq. 27)."""
         force = self.config.force
-        projections = self._projections(N, space)
+        projections = inertia_projections(N, space.Lambda) if (
+            force.projection == 'inertia') else euclidean_projections(N)
         f_t = motion_acceleration(self.config.motion, reference, state.pose, state.twist_world)
         rates = contact_rates(N, state.twist_world, force.allocation)
         alpha_star = inputs - force.damping_rate * rates
         f_c = allocate_force(N, alpha_star, force.allocation)
-        acceleration = projections.Omega_m @ f_t + projections.Omega_c @ f_c
-        return acceleration
+        return projections.Omega_m @ f_t + projections.Omega_c @ f_c
 
-    def _projections(self, N, space):
-        if self.config.force.projection == 'inertia':
-            return inertia_projections(N, space.Lambda)
-        return euclidean_projections(N)
-
-    def _estimates(self, derivative: int):
-        """Return alpha (0) or its rate (1) as the observers of the active contacts see it."""
-        return np.array([
-            observer.x_est[derivative] if active else 0.0
-            for observer, active in zip(self._observers, self._active)])
-
-    def _reports(self, name: str):
-        """Return what the observers of the active contacts say about their last update."""
-        return np.array([
-            getattr(observer, name) if active else 0.0
-            for observer, active in zip(self._observers, self._active)])
+    def _of_active(self, name, *index):
+        """Return what the observers of the active contacts know, 0 for the others."""
+        return np.array([np.asarray(getattr(observer, name))[index] if active else 0.0
+                         for observer, active in zip(self._observers, self._active)])

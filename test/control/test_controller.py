@@ -1,12 +1,22 @@
-"""The composed control law on a simple arm model: decoupling, seeding, limits."""
+"""The control law: physics, the same in plain numpy on random states, refusals."""
 
-from arms import controller_config, HOME
+from arms import controller_config, HOME, seven_joint_config, seven_joint_urdf
 from multicontact_control.control.controller import Controller, Measurement
-from multicontact_control.control.reference import CommandedReference
-from multicontact_control.errors import ShapeError
+from multicontact_control.control.reference import CommandedReference, Reference
+from multicontact_control.dynamics.pose import Pose
+from multicontact_control.dynamics.robot import RobotModel
+from multicontact_control.errors import (
+    ConfigError,
+    ContactGeometryError,
+    ShapeError,
+    SingularTaskError,
+)
+from multicontact_control.experiment.scenario import resolve
 from multicontact_control.paths import config_dir
 import numpy as np
 import pytest
+from reference_controller import ReferenceController
+from runs import run_of
 
 REST = np.zeros(6)
 NOTHING = np.zeros(3)
@@ -43,7 +53,6 @@ def _acceleration(controller, measurement, torque, contact_wrench):
 
 
 def test_controller_at_rest_compensates_gravity():
-    """At the start pose, without contact, the torque is that of gravity."""
     controller, _ = _controller()
     output = controller.step(_sample(controller), np.full(2, 0.6))
     state = controller.robot.update(HOME, np.zeros(6))
@@ -52,7 +61,6 @@ def test_controller_at_rest_compensates_gravity():
 
 
 def test_what_friction_is_read_as_is_worked_out_once():
-    """At the first sample, and when the contacts change, and with no report of it."""
     lever = {'table': {'type': 'edge', 'point_operational': [0.0, 0.0, 0.24]}}
     controller, _ = _controller(
         contact_names=['table'], contacts=lever, reference=CommandedReference(['t', 't/along']))
@@ -65,16 +73,6 @@ def test_what_friction_is_read_as_is_worked_out_once():
     controller.reconfigure(controller.config.model_copy(update={
         'contacts': {**controller.config.contacts, 'table': table}}))
     assert controller.misread_friction == []
-
-
-def test_controller_measures_each_contact_force():
-    """10 N at the table's tip along its normal is alpha = [10, 0]."""
-    controller, _ = _controller()
-    table = np.array(controller.config.contacts['table'].point_operational)
-    output = controller.step(
-        _sample(controller, force_world=np.array([0, 0, -10.0]), point_operational=table),
-        np.full(2, 0.6))
-    np.testing.assert_allclose(output.alpha_meas, [10.0, 0.0], atol=1e-9)
 
 
 @pytest.mark.parametrize('projection', ['euclidean', 'inertia'])
@@ -110,70 +108,7 @@ def test_motion_error_accelerates_no_contact(projection, allocation):
     assert np.abs(a).max() > 1.0
 
 
-def test_controller_seeds_the_observer_with_the_measured_force():
-    """A contact that becomes force controlled starts from what is measured."""
-    controller, reference = _controller()
-    table = np.array(controller.config.contacts['table'].point_operational)
-    controller.step(_sample(controller), np.full(2, 0.6))
-    reference.set_forces({'table': 7.0})
-    output = controller.step(
-        _sample(controller, 0.002, force_world=np.array([0, 0, -7.0]),
-                point_operational=table), np.full(2, 0.6))
-    np.testing.assert_allclose(output.alpha_est, [7.0, 0.0], atol=1e-9)
-    np.testing.assert_array_equal(output.active, [True, False])
-
-
-def test_controller_tells_the_innovation_of_every_active_contact():
-    """Report alpha - C x_1 with its variances; zeros without force control and when it starts."""
-    controller, reference = _controller()
-    table = np.array(controller.config.contacts['table'].point_operational)
-
-    def step(tick, force):
-        return controller.step(
-            _sample(controller, 0.002 * tick, force_world=np.array([0, 0, -force]),
-                    point_operational=table), np.array([0.4, 0.5]))
-
-    free = step(0, 7.0)
-    reference.set_forces({'table': 7.0})
-    first, second = step(1, 7.0), step(2, 7.25)
-    for output in (free, first):
-        for values in (output.innovation, output.prior_variance, output.variance_used):
-            np.testing.assert_array_equal(values, np.zeros(2))
-    np.testing.assert_allclose(second.innovation, [0.25, 0.0], atol=1e-9)
-    np.testing.assert_array_equal(second.variance_used, [0.4, 0.0])
-    share = second.prior_variance[0] / (second.prior_variance[0] + 0.4)
-    assert second.prior_variance[1] == 0.0
-    assert second.alpha_est[0] == pytest.approx(7.0 + share * 0.25, rel=1e-9)
-
-
-def test_controller_clips_torque_at_its_limit():
-    """No command beyond the limit, whatever the error."""
-    controller, reference = _controller()
-    controller.step(_sample(controller), np.full(2, 0.6))
-    reference.set_motion(np.array([0.5, 0.5, 0.9]), np.array([0, 0, 0, 1.0]), np.zeros(6),
-                         np.zeros(6))
-    output = controller.step(_sample(controller, 0.002), np.full(2, 0.6))
-    limit = np.array(controller.config.torque_limit)
-    assert (np.abs(output.torque) <= limit).all()
-    assert (np.abs(output.torque) == limit).any()
-
-
-def test_controller_compensates_friction_in_the_direction_of_motion():
-    """Coulomb through tanh, viscous in proportion."""
-    qd = np.array([0.1, -0.1, 0.0, 0.001, 0.0, 0.0])
-    plain, _ = _controller()
-    config = controller_config(friction={'coulomb': [2.0] * 6, 'viscous': [0.5] * 6,
-                                         'speed': 0.01})
-    compensated = Controller.from_config(
-        config, CommandedReference(config.contact_names), config_dir())
-    sample = _sample(plain, qd=qd)
-    difference = (compensated.step(sample, np.full(2, 0.6)).torque
-                  - plain.step(sample, np.full(2, 0.6)).torque)
-    np.testing.assert_allclose(difference, 2.0 * np.tanh(qd / 0.01) + 0.5 * qd, atol=1e-12)
-
-
 def test_controller_reset_forgets_everything():
-    """The same samples give the same torques after a reset."""
     controller, reference = _controller()
 
     def run():
@@ -191,8 +126,150 @@ def test_controller_reset_forgets_everything():
     np.testing.assert_array_equal(run(), first)
 
 
-def test_controller_refuses_arrays_of_another_size():
-    """Shapes are checked before anything changes."""
+SERIES = ('torque', 'alpha_meas', 'alpha_est', 'alpha_rate_est', 'alpha_des', 'innovation',
+          'prior_variance', 'variance_used')
+
+
+class RandomTask:
+    """Asks for something else at every tick, contacts coming and going."""
+
+    def __init__(self, contacts):
+        self._generator = np.random.default_rng(0)
+        self._contacts = contacts
+
+    def start(self, pose, normals_world):
+        self._pose = pose
+
+    def update(self, time, alpha_meas):
+        random = self._generator
+        turn = random.normal(size=4) * [0.2, 0.2, 0.2, 0.0] + [0.0, 0.0, 0.0, 1.0]
+        offset = Pose.from_quaternion(0.05 * random.normal(size=3), turn)
+        active = random.random(self._contacts) < 0.8
+        return Reference(
+            pose_des=Pose(self._pose.position_world + offset.position_world,
+                          offset.rotation_world @ self._pose.rotation_world),
+            twist_des=0.1 * random.normal(size=6), acceleration_des=random.normal(size=6),
+            active=active, alpha_des=np.where(active, 20.0 * random.random(self._contacts), 0.0))
+
+
+def assert_close(output, expected, tolerance):
+    """Check to a tolerance of the largest of each kind."""
+    for name in SERIES:
+        found, wanted = getattr(output, name), getattr(expected, name)
+        np.testing.assert_allclose(
+            found, wanted, rtol=0.0, atol=tolerance * max(1.0, np.abs(wanted).max()),
+            err_msg=name)
+
+
+def assert_law_is_numpy(config, base_dir=None, home=HOME, tolerance=1e-12):
+    """Compare both laws on random states and random contacts that come and go."""
+    count, random = len(config.contact_names), np.random.default_rng(0)
+    compiled, plain = (
+        kind(config, RobotModel(config.robot, base_dir or config_dir()), RandomTask(count))
+        for kind in (Controller, ReferenceController))
+    for k in range(50):
+        sample = Measurement(0.002 * k, home + 0.1 * random.normal(size=home.shape),
+                             random.normal(size=home.shape), 10.0 * random.normal(size=6))
+        variance = np.exp(random.normal(size=count))
+        assert_close(compiled.step(sample, variance), plain.step(sample, variance), tolerance)
+
+
+@pytest.mark.parametrize('order', [0, 1, 3])
+@pytest.mark.parametrize('allocation', ['decoupled', 'paper'])
+@pytest.mark.parametrize('projection', ['euclidean', 'inertia'])
+def test_law_equals_numpy_for_every_option(order, allocation, projection):
+    assert_law_is_numpy(controller_config(force={
+        'active_state_order': order, 'allocation': allocation, 'projection': projection}))
+
+
+@pytest.mark.parametrize('fed_forward', ['estimate', 'desired', 'mixed', 'measured'])
+@pytest.mark.parametrize('stiffness', [6000.0, 60_000.0])
+def test_law_equals_numpy_whatever_is_fed_forward(fed_forward, stiffness):
+    contacts = {name: {'stiffness': stiffness} for name in ('table', 'board')}
+    assert_law_is_numpy(controller_config(
+        force={'fed_forward': fed_forward, 'input_delay': 0.0031}, contacts=contacts,
+        friction={'coulomb': [1.0] * 6, 'viscous': [0.5] * 6}, torque_limit=[]))
+
+
+@pytest.mark.parametrize('count', [1, 2, 6])
+@pytest.mark.parametrize('projection', ['euclidean', 'inertia'])
+def test_law_equals_numpy_with_seven_joints_and_up_to_six_contacts(tmp_path, count, projection):
+    random, names = np.random.default_rng(count), [f'contact{i}' for i in range(count)]
+    normals = random.normal(size=(count, 3))
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    config = controller_config(
+        robot=seven_joint_config(seven_joint_urdf(tmp_path)).model_dump(),
+        friction=NO_FRICTION, torque_limit=[100.0] * 7, limits={
+            'joint_lower': [-3.0] * 7, 'joint_upper': [3.0] * 7, 'joint_speed': [],
+            'torque_rate': []}, collision={'threshold': [1.0] * 7}, contact_names=names,
+        contacts={name: {'normal_world': normal.tolist(), 'point_operational': point.tolist()}
+                  for name, normal, point in zip(names, normals, random.normal(size=(count, 3)))},
+        force={'projection': projection})
+    assert_law_is_numpy(
+        config, tmp_path, np.array([0.3, 0.7, -0.4, 0.9, 0.5, -0.8, 2.95]), 1e-9)
+
+
+@pytest.mark.slow
+def test_run_equals_numpy_tick_by_tick():
+    setup = resolve('quick', plant='rigid', seed=0, duration=4.0, scenario_overrides={
+        'reference': {
+            'force_steps': [{'time': 1.2, 'forces': {'table': 10.0, 'board': 15.0}}],
+            'motion': {'start_time': 1.8, 'period': 2.0, 'amplitude': 0.04, 'blend_time': 0.5}}})
+    data, config = run_of(setup, supervised=False).data, setup.controller
+    assert (data.alpha_true[-1] > 5.0).all() and np.ptp(data.position[:, 0]) > 0.07
+    plain = ReferenceController(
+        config, RobotModel(config.robot, setup.urdf_dir), setup.reference())
+    variance = np.full(2, config.initial_noise_variance)
+    for k in range(data.ticks):
+        output = plain.step(
+            Measurement(k * config.period, data.q[k], data.qd[k], data.wrench[k]), variance)
+        variance = data.noise_variance[k]
+        for name in SERIES[:5]:
+            wanted = getattr(output, name)
+            np.testing.assert_allclose(
+                getattr(data, name)[k], wanted, rtol=0.0,
+                atol=1e-11 * max(1.0, np.abs(wanted).max()), err_msg=f'{name} at tick {k}')
+
+
+def step(q=HOME, wrench=REST, variance=2, **changes):
+    controller, _ = _controller(**changes)
+    return controller.step(Measurement(0.0, q, np.zeros(6), wrench), np.ones(variance))
+
+
+def test_output_stays_when_the_next_sample_comes():
     controller, _ = _controller()
-    with pytest.raises(ShapeError, match=r'noise_variance: expected shape \(2,\)'):
-        controller.step(_sample(controller), np.ones(3))
+    first = controller.step(_sample(controller), np.ones(2))
+    copies = {name: getattr(first, name).copy() for name in SERIES}
+    controller.step(_sample(controller, q=HOME + 0.1), np.ones(2))
+    for name, copy in copies.items():
+        np.testing.assert_array_equal(getattr(first, name), copy)
+
+
+def test_impossible_states_are_refused():
+    with pytest.raises(SingularTaskError, match='condition number'):
+        step(np.zeros(6), limits={'singular_mobility': 0.0})
+    with pytest.raises(SingularTaskError, match='finite'):
+        step(np.full(6, np.nan))
+
+
+def test_wrench_of_nan_gives_no_torque_that_looks_right():
+    controller, reference = _controller()
+    sample = Measurement(0.0, HOME, REST, np.full(6, np.nan))
+    controller.step(sample, np.ones(2))
+    reference.set_forces({'table': 5.0})
+    assert np.isnan(controller.step(sample, np.ones(2)).torque).any()
+
+
+def test_dependent_contacts_are_refused():
+    same = {'normal_world': [0.0, 0.0, -1.0], 'point_operational': [0.0, 0.0, 0.24]}
+    with pytest.raises(ConfigError, match='table, board'):
+        step(contacts={'board': same})
+    above = {**same, 'point_operational': [0.0, 0.0, 0.3]}  # with the tool upright, as it is here
+    with pytest.raises(ContactGeometryError, match='table, board'):
+        step(contacts={'board': above})
+
+
+@pytest.mark.parametrize('sizes', [(5, 6, 2), (6, 5, 2), (6, 6, 3)])
+def test_arrays_of_wrong_size_are_refused(sizes):
+    with pytest.raises(ShapeError):
+        step(np.zeros(sizes[0]), np.zeros(sizes[1]), sizes[2])

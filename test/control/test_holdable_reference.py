@@ -22,16 +22,6 @@ def moving():
     return ScenarioReference(config, rate=1.0 / H, contact_names=('one',))
 
 
-def test_reference_that_is_not_held_is_the_other_one():
-    reference, other = HoldableReference(moving()), moving()
-    for source in (reference, other):
-        source.start(START, NORMALS)
-    for k in range(500):
-        a, b = (x.update(k * H, NOTHING) for x in (reference, other))
-        np.testing.assert_array_equal(a.pose_des.position_world, b.pose_des.position_world)
-        np.testing.assert_array_equal(a.twist_des, b.twist_des)
-
-
 def test_hold_stands_still_and_release_goes_on_where_the_scenario_was():
     reference, other = HoldableReference(moving()), moving()
     for source in (reference, other):
@@ -64,20 +54,6 @@ def test_hold_keeps_the_desired_forces():
     held = reference.update(H, NOTHING)
     assert held.alpha_des == pytest.approx([7.0])
     assert held.active.all()
-
-
-def test_hold_needs_a_first_tick_and_ends_with_a_new_start():
-    reference = HoldableReference(moving())
-    for _ in range(2):
-        reference.hold(START, np.ones(1, dtype=bool))
-        assert not (reference.begun or reference.held)
-        reference.start(START, NORMALS)
-    reference.update(0.0, NOTHING)
-    assert reference.begun
-    reference.hold(START, np.ones(1, dtype=bool))
-    assert reference.held
-    reference.start(START, NORMALS)
-    assert not reference.held
 
 
 def test_a_locked_reference_stands_still_until_it_is_unlocked_and_then_begins():

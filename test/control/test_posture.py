@@ -31,7 +31,6 @@ def test_pushed_elbow_comes_back_and_the_force_on_the_wall_stays(tmp_path):
 
 @pytest.mark.slow
 def test_joint_is_kept_off_its_stop(tmp_path):
-    """A posture beyond a stop is not gone to, and a stop within reach is left."""
     arm, loop = seven_joint_loop(tmp_path, collision=REPORT_ONLY)
     lower, upper = arm.q - 2.0, arm.q + 2.0
     upper[2] = arm.q[2] + 0.05  # within the margin of 0.1 rad

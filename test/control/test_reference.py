@@ -43,27 +43,7 @@ def test_approach_moves_towards_every_untouched_surface():
         [False, False], [True, False]]
 
 
-def test_approach_position_is_the_integral_of_its_speed():
-    """Position, speed and acceleration belong together."""
-    reference = _reference(approach=ApproachConfig(start_time=0.1))
-    run = _run(reference, 1.0, lambda t: np.zeros(2))
-    speed = np.array([r.twist_des[1] for r in run])
-    position = np.array([r.pose_des.position_world[1] for r in run])
-    np.testing.assert_allclose(np.diff(position), speed[1:] / RATE, atol=1e-12)
-    acceleration = np.array([r.acceleration_des[1] for r in run])
-    np.testing.assert_allclose(np.diff(speed)[60:200] * RATE, acceleration[60:200], rtol=1e-6)
-
-
-def test_nothing_happens_before_the_approach_starts():
-    """A large force before it is not a contact."""
-    reference = _reference(approach=ApproachConfig(start_time=1.0))
-    for r in _run(reference, 0.9, lambda t: np.full(2, 50.0)):
-        assert not r.active.any()
-        np.testing.assert_array_equal(r.twist_des, 0.0)
-
-
 def test_force_steps_apply_to_active_contacts_from_their_time_on():
-    """Preload from contact on, then the last step that names the contact."""
     reference = _reference(
         approach=ApproachConfig(start_time=0.0, preload=2.0),
         force_steps=(ForceStepConfig(time=0.2, forces={'table': 10.0, 'board': 10.0}),
@@ -75,25 +55,7 @@ def test_force_steps_apply_to_active_contacts_from_their_time_on():
     np.testing.assert_array_equal(run[200].alpha_des, [10.0, 15.0])
 
 
-def test_task_at_rest_is_the_same_object_until_something_changes():
-    reference = _reference(
-        approach=ApproachConfig(start_time=0.1, preload=2.0),
-        force_steps=(ForceStepConfig(time=0.2, forces={'table': 10.0}),),
-        motion=SineConfig(start_time=0.3, amplitude=0.1))
-    tasks = [reference.task(k / RATE) for k in range(200)]
-    for first, last in ((0, 49), (50, 99), (100, 150)):
-        assert all(task is tasks[first] for task in tasks[first:last + 1])
-    assert [task.alpha_des.tolist() for task in (tasks[0], tasks[50], tasks[100])] == [
-        [0.0, 0.0], [2.0, 2.0], [10.0, 2.0]]
-    assert len({id(task) for task in tasks[150:]}) == 50
-    assert (np.diff([task.pose_des.position_world[0] for task in tasks[150:]]) > 0.0).all()
-    reference.start(Pose(POSE.position_world + 1.0, np.eye(3)), NORMALS)
-    np.testing.assert_array_equal(
-        reference.task(0.0).pose_des.position_world, POSE.position_world + 1.0)
-
-
 def test_sine_motion_derivatives_agree_with_differences():
-    """Speed and acceleration of the blended sinusoid, and its start at rest."""
     config = SineConfig(start_time=1.0)
     times = np.linspace(1.0, 6.0, 400)
     h = 1e-5
@@ -105,54 +67,11 @@ def test_sine_motion_derivatives_agree_with_differences():
     assert max(abs(v) for v in sine_motion(config, 1.0 + 1e-4)) < 1e-4
 
 
-def test_sine_motion_has_the_papers_size_after_the_blend():
-    """0.15 m of amplitude and 8 s of period."""
-    config = SineConfig(start_time=0.0)
-    s = np.array([sine_motion(config, t)[0] for t in np.linspace(8.0, 16.0, 2001)])
-    assert s.max() == pytest.approx(0.15, rel=1e-5)
-    assert s.min() == pytest.approx(-0.15, rel=1e-5)
-
-
-def test_scenario_refuses_a_step_of_an_unknown_contact():
-    """The message names the step, the known contacts and the unknown one."""
-    config = ReferenceConfig(force_steps=(ForceStepConfig(time=1.0, forces={'wall': 1.0}),))
-    with pytest.raises(ConfigError, match=r"force_steps.0.forces: .*table, board, found 'wall'"):
-        ScenarioReference(config, rate=RATE, contact_names=('table', 'board'))
-
-
-def test_scenario_refuses_steps_out_of_order():
-    """Steps are in rising order of time."""
-    with pytest.raises(ConfigError, match='times in rising order'):
-        ReferenceConfig(force_steps=(ForceStepConfig(time=2.0, forces={}),
-                                     ForceStepConfig(time=1.0, forces={})))
-
-
-def test_commanded_reference_holds_the_start_until_told_otherwise():
-    """No force is controlled and the pose at the start is held."""
-    reference = CommandedReference(('table', 'board'))
-    reference.start(POSE, NORMALS)
-    r = reference.update(0.0, np.zeros(2))
-    assert not r.active.any()
-    assert r.pose_des is POSE
-
-
-def test_commanded_forces_activate_their_contacts():
-    """A force above 0 makes a contact force controlled; others keep their command."""
-    reference = CommandedReference(('table', 'board'))
-    reference.start(POSE, NORMALS)
-    reference.set_forces({'board': 5.0})
-    reference.set_forces({'table': 2.0})
-    r = reference.update(0.0, np.zeros(2))
-    np.testing.assert_array_equal(r.alpha_des, [2.0, 5.0])
-    assert r.active.all()
-
-
 @pytest.mark.parametrize(('forces', 'message'), [
     ({'wall': 1.0}, "expected contacts among table, board, found 'wall'"),
     ({'table': 3.0, 'board': float('nan')}, 'contact_forces/command.board: expected a force'),
     ({'table': 3.0, 'board': -1.0}, 'contact_forces/command.board: expected a force')])
 def test_commanded_reference_refuses_bad_forces_and_changes_nothing(forces, message):
-    """All of a command is taken or none of it."""
     reference = CommandedReference(('table', 'board'))
     reference.start(POSE, NORMALS)
     with pytest.raises(ConfigError, match=message):
@@ -163,7 +82,6 @@ def test_commanded_reference_refuses_bad_forces_and_changes_nothing(forces, mess
 @pytest.mark.parametrize('bad', [
     (np.full(3, np.inf), np.array([0, 0, 0, 1.0])), (np.zeros(3), np.zeros(4))])
 def test_commanded_reference_refuses_bad_motions_and_changes_nothing(bad):
-    """Numbers that are not finite and quaternions without length."""
     reference = CommandedReference(('table', 'board'))
     reference.start(POSE, NORMALS)
     with pytest.raises(ConfigError, match='motion/command: expected'):
@@ -172,7 +90,6 @@ def test_commanded_reference_refuses_bad_motions_and_changes_nothing(bad):
 
 
 def test_twist_of_a_motion_that_stops_coming_counts_for_a_while_only():
-    """The pose that was commanded last is then gone to, and not away from."""
     reference = CommandedReference(('table', 'board'))
     reference.start(POSE, NORMALS)
     motion = (POSE.position_world, np.array([0, 0, 0, 1.0]), np.ones(6), np.ones(6))

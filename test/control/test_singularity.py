@@ -70,18 +70,3 @@ def test_damping_is_smooth_bounded_and_absent_away_from_singularities():
     assert (1.0 / damped).max() <= 2.0 / 0.01 + 1e-9
     np.testing.assert_allclose(damped[e >= 0.01], e[e >= 0.01], rtol=1e-12)
     assert np.abs(np.diff(damped, 2)).max() < 2e-8
-
-
-def test_gravity_is_held_exactly_in_the_singularity():
-    """At rest where the pose is right the torque is gravity's, although J has no inverse."""
-    config = controller_config()
-    robot = RobotModel(config.robot, config_dir())
-    follow = Follow((0.0, 0.0, 0.0))
-    controller = Controller(config, RobotModel(config.robot, config_dir()), follow)
-    q = HOME.copy()
-    q[4] = 0.0
-    state = robot.update(q, np.zeros(6))
-    follow.now = state.pose, np.zeros(6)
-    torque = controller.step(
-        Measurement(0.0, q, np.zeros(6), np.zeros(6)), np.full(2, 0.6)).torque
-    np.testing.assert_allclose(torque, state.gravity, atol=1e-9)

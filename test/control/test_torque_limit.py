@@ -21,7 +21,6 @@ def limited(torque, priority, limit, least_share=0.0, added=0.0):
 
 @given(seed=st.integers(0, 2 ** 32 - 1), size=st.floats(0.1, 30.0))
 def test_torque_beyond_its_limits_keeps_its_direction(seed, size):
-    """The largest share of what goes beyond the priority, which is within the limits here."""
     random = np.random.default_rng(seed)
     limit = random.uniform(5.0, 20.0, 6)
     priority = random.uniform(-0.9, 0.9, 6) * limit

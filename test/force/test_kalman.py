@@ -1,21 +1,14 @@
-"""The compiled Kalman update: its equations, and its covariance over a million updates."""
+"""The compiled Kalman update: its equations, and its covariance over many updates."""
 
-from force_loop import ActiveObserver
+from force_loop import observer_of
 from multicontact_control.force.observer import correct, predict
-from multicontact_control.force.plant_model import design_force_loop
 from multicontact_control.records import MAX_ORDER
 from numba import njit
 import numpy as np
 import pytest
 
 FLOOR, CEILING = 1e-3, 1e6  # the defaults of NoiseEstimatorConfig
-UPDATES = 1_000_000
-
-
-def _observer(order, damping_rate=20.0):
-    return ActiveObserver(design_force_loop(
-        6000.0, damping_rate=damping_rate, input_delay=0.006, period=0.002, time_constant=0.02),
-        order=order)
+UPDATES = 300_000
 
 
 @njit
@@ -80,10 +73,9 @@ def _jumping_variance(rng):
 
 @pytest.mark.parametrize('damping_rate', [0.0, 20.0])
 @pytest.mark.parametrize('order', range(MAX_ORDER + 1))
-def test_covariance_stays_symmetric_and_positive_over_a_million_jumps(order, damping_rate):
-    """R between its floor and its ceiling, nine decades apart; looked at after every update."""
+def test_covariance_stays_symmetric_and_positive(order, damping_rate):
     rng = np.random.default_rng(11)
-    observer = _observer(order, damping_rate)
+    observer = observer_of(order, damping_rate)
     variances = _jumping_variance(rng)
     noise = rng.standard_normal(UPDATES) * np.minimum(np.sqrt(variances), 1.0)
     pivot, asymmetry, largest = _run(observer.records, noise, variances)
@@ -92,30 +84,7 @@ def test_covariance_stays_symmetric_and_positive_over_a_million_jumps(order, dam
     assert pivot > 1e-9
     assert largest < 1e3
     # And P is not only positive but right: a fresh filter ends where this one does.
-    fresh = _observer(order, damping_rate)
+    fresh = observer_of(order, damping_rate)
     for filter_ in (observer, fresh):
         _run(filter_.records, np.zeros(20000), np.full(20000, 0.6))
     np.testing.assert_allclose(observer.P, fresh.P, rtol=1e-6, atol=1e-15)
-
-
-@pytest.mark.parametrize('order', range(MAX_ORDER + 1))
-def test_kalman_update_is_joseph_s_form(order):
-    """P = (1 - K C) P_1 (1 - K C)^T + K R K^T, in full matrices."""
-    rng = np.random.default_rng(13)
-    observer = _observer(order)
-    n = observer.Gamma.shape[0]
-    root = rng.standard_normal((n, n))
-    P, x = root @ root.T, rng.standard_normal(n)
-    P_1 = observer.Phi_n @ P @ observer.Phi_n.T + np.diag(observer.Q)
-    x_1 = observer.Phi_c @ x + observer.Gamma * 2.0
-    C = np.eye(n)[:1]
-    K = P_1 @ C.T / (P_1[0, 0] + 0.3)
-    A = np.eye(n) - K @ C
-    observer.x_est[:], observer.P[:] = x, P
-    observer.records['command'], observer.records['running'] = 2.0, True
-    observer.update(5.0, 0.3)
-    assert observer.innovation == pytest.approx(5.0 - x_1[0], rel=1e-12)
-    assert observer.prior_variance == pytest.approx(P_1[0, 0], rel=1e-12)
-    np.testing.assert_allclose(observer.x_est, x_1 + K[:, 0] * observer.innovation, rtol=1e-10)
-    np.testing.assert_allclose(
-        observer.P, A @ P_1 @ A.T + 0.3 * K @ K.T, rtol=1e-9, atol=1e-9 * np.abs(P).max())

@@ -2,11 +2,10 @@
 
 from arms import controller_config, HOME, still_config
 from multicontact_control.contact.geometry import normal_space
-from multicontact_control.control.controller import Controller, Measurement
 from multicontact_control.control.reference import CommandedReference
 from multicontact_control.control_loop import ControlLoop
 from multicontact_control.dynamics.robot import RobotModel
-from multicontact_control.errors import CommandError, ConfigError
+from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.faults.vocabulary import PARTS
 from multicontact_control.experiment.scenario import resolve
@@ -38,54 +37,10 @@ def test_contacts_that_no_wrist_sensor_can_tell_apart_are_refused(points):
 
 
 def test_three_feet_are_accepted_and_so_is_what_depends_in_one_orientation_only():
-    """Neither shares the wrench with the smallest norm, as four feet have to."""
-    three = pressing(dict(list(FEET.items())[:3]))
-    four = pressing(FEET)
-    four = four.model_copy(update={'force': four.force.model_copy(
-        update={'dependent_columns': 'minimum_norm'})})
     here = ROBOT.update(HOME, np.zeros(6)).pose.rotation_world
-    for config, dependent, rank in ((three, False, 3), (four, True, 3),
-                                    (aligned_config(), False, 1)):
+    for config, rank in ((pressing(dict(list(FEET.items())[:3])), 3), (aligned_config(), 1)):
         law = Supervisor(config, ROBOT, CommandedReference(config.contact_names)).controller
-        assert law.controls['law']['dependent'][0] == dependent
         assert np.linalg.matrix_rank(normal_space(law.contacts.copy(), here), 1e-9) == rank
-
-
-def test_forces_of_dependent_contacts_are_shared_anew_in_every_tick():
-    """What was shared once is not shared again, which would wear it down."""
-    config = pressing(FEET)
-    config = config.model_copy(update={'force': config.force.model_copy(
-        update={'dependent_columns': 'minimum_norm'})})
-    reference = CommandedReference(config.contact_names)
-    law, shared = Controller(config, ROBOT, reference), []
-    for k in range(50):
-        output = law.step(Measurement(0.002 * k, HOME, np.zeros(6), np.zeros(6)), np.full(4, 0.6))
-        if k == 0:
-            reference.set_forces({'a': 9.0, 'b': 5.0, 'c': 5.0, 'd': 5.0})
-        else:
-            shared.append(output.alpha_des.copy())
-    np.testing.assert_array_equal(shared, shared[:1] * len(shared))
-    np.testing.assert_allclose(shared[0], [8.0, 6.0, 4.0, 6.0], atol=1e-3)
-
-
-def test_forces_that_dependent_contacts_would_turn_into_pulls_are_refused():
-    loop = ControlLoop(still_config(
-        contact_names=list(FEET), force={'dependent_columns': 'minimum_norm'},
-        contacts={name: {'normal_world': [0.0, 0.0, -1.0], 'point_operational': point}
-                  for name, point in FEET.items()}), None, CommandLimits(), config_dir())
-    weight = weight_reading(ROBOT.update(HOME, np.zeros(6)).sensor_pose.rotation_world,
-                            loop.config.tool, np.array(loop.config.robot.gravity_world))
-    random = np.random.default_rng(0)
-    for k in range(5):
-        loop.step(PairedSample(2_000_000 * k, HOME, np.zeros(6),
-                               weight + 0.02 * random.standard_normal(6), None))
-    with pytest.raises(CommandError, match='force on c: expected at least 3 N of what dependent '
-                       'contacts share, found -1.25 N'):
-        loop.set_forces({'a': 20.0, 'b': 3.0, 'c': 3.0, 'd': 3.0})
-    assert set(loop.commanded_forces.values()) == {0.0}
-    loop.set_forces({'a': 9.0, 'b': 5.0, 'c': 5.0, 'd': 5.0})
-    loop.set_forces({'d': 0.0})  # three of them are independent
-    assert loop.commanded_forces == {'a': 9.0, 'b': 5.0, 'c': 5.0, 'd': 0.0}
 
 
 def aligned_points():

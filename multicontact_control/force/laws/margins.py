@@ -136,9 +136,5 @@ def stable_ratios(law: LinearLaw, model: LoopModel) -> tuple[float, float]:
     def stable(ratio: float) -> bool:
         return spectral_radius(contact_loop(law, model, ratio)) < 1.0 + 1e-9
 
-    return (_inverse(last_stable(lambda ratio: stable(1.0 / ratio), RATIOS, 1e-3)[0]),
-            last_stable(stable, RATIOS, 1e-3)[0])
-
-
-def _inverse(ratio: float) -> float:
-    return 1.0 / ratio if ratio else math.inf
+    down = last_stable(lambda ratio: stable(1.0 / ratio), RATIOS, 1e-3)[0]
+    return 1.0 / down if down else math.inf, last_stable(stable, RATIOS, 1e-3)[0]

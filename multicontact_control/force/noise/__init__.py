@@ -3,17 +3,22 @@
 from collections.abc import Mapping
 
 from multicontact_control.config import NoiseEstimatorConfig
-from multicontact_control.force.noise.estimator import NoiseEstimator
-from multicontact_control.force.noise.filtered_window import HfWindow, LeadWindow, Window
-from multicontact_control.force.noise.fixed import Fixed
-from multicontact_control.force.noise.innovation import Innovation
-from multicontact_control.force.noise.innovation_window import InnovationWindow, WindowedMean
-from multicontact_control.force.noise.lead_filter import lead_filter, LeadFilter
-from multicontact_control.force.noise.sage_husa import SageHusa
-from multicontact_control.force.noise.variational_bayes import VariationalBayes
+from multicontact_control.force.noise.estimator import Fixed, Innovation, NoiseEstimator
+from multicontact_control.force.noise.innovation import (
+    InnovationWindow,
+    SageHusa,
+    VariationalBayes,
+)
+from multicontact_control.force.noise.window import (
+    HfWindow,
+    lead_filter,
+    LeadFilter,
+    LeadWindow,
+    Window,
+)
 
 __all__ = [
-    'ESTIMATORS', 'Innovation', 'LeadFilter', 'NoiseEstimator', 'WindowedMean', 'lead_filter',
+    'ESTIMATORS', 'Innovation', 'LeadFilter', 'NoiseEstimator', 'lead_filter',
     'make_noise_estimator']
 
 ESTIMATORS: Mapping[str, type[NoiseEstimator]] = {

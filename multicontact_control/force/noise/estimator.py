@@ -3,15 +3,62 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from dataclasses import dataclass
 import math
 
 from multicontact_control.arrays import Mask, require_shape, Vector
 from multicontact_control.config import NoiseEstimatorConfig
-from multicontact_control.force.noise.innovation import Innovation
-from multicontact_control.force.noise.kernels import all_below, settle_variance
 import numpy as np
 
 MAX_MAGNITUDE = 1e100  # sums of squares of samples below it stay finite
+
+
+@dataclass(frozen=True, slots=True)
+class Innovation:
+    """
+    The innovations of one tick, one per contact.
+
+    A contact that is not force controlled, or whose observer has just been started, has no
+    innovation. It is marked by a `variance_used` of 0, which no observer ever uses; its other
+    entries mean nothing and are 0.
+
+    Attributes
+    ----------
+    innovation
+        r = alpha - C x_1, shape (r,) [N].
+    prior_variance
+        C P_1 C^T, the variance of r that the prediction accounts for, shape (r,) [N^2].
+    variance_used
+        R the observer worked with, shape (r,) [N^2].
+
+    """
+
+    innovation: Vector
+    prior_variance: Vector
+    variance_used: Vector
+
+    @property
+    def valid(self) -> Mask:
+        """Which contacts have an innovation, shape (r,)."""
+        mask: Mask = self.variance_used > 0.0
+        return mask
+
+    @property
+    def residual(self) -> Vector:
+        """Return what the correction leaves of r, e = r R / (C P_1 C^T + R), shape (r,) [N]."""
+        return self.innovation * self._share_of_noise()
+
+    @property
+    def posterior_variance(self) -> Vector:
+        """C P C^T = C P_1 C^T R / (C P_1 C^T + R), shape (r,) [N^2]."""
+        return self.prior_variance * self._share_of_noise()
+
+    def _share_of_noise(self) -> Vector:
+        """Return R / (C P_1 C^T + R), 0 where there is no innovation, shape (r,)."""
+        valid = self.valid
+        share: Vector = (np.where(valid, self.variance_used, 0.0)
+                         / np.where(valid, self.prior_variance + self.variance_used, 1.0))
+        return share
 
 
 class NoiseEstimator(ABC):
@@ -45,15 +92,13 @@ class NoiseEstimator(ABC):
         self._alpha: Vector = np.zeros(self._contacts)
         self._largest_step = math.exp(1.0 / (config.rate * config.slew_time)) if (
             config.slew_time > 0.0) else math.inf
-        self._limits = config.variance_scale, config.variance_floor, config.variance_ceiling
-        self.reset()
-        zero, one = np.zeros(self._contacts), np.ones(self._contacts)
-        self.update(zero, Innovation(zero, one, one))  # compiles what no tick should wait for
         self.reset()
 
     def reset(self) -> None:
         """Forget all samples."""
-        self._variance: Vector = self._clamp(np.full(self._contacts, self.config.fixed_variance))
+        self._variance: Vector = np.clip(
+            np.full(self._contacts, self.config.fixed_variance), self.config.variance_floor,
+            self.config.variance_ceiling)
         self._given = self._variance.copy()
         self._forget()
 
@@ -93,54 +138,25 @@ class NoiseEstimator(ABC):
             self._variance, self._given / self._largest_step, self._given * self._largest_step)
         return self._given.copy()
 
-    def _clamp(self, variance: Vector) -> Vector:
-        clamped: Vector = np.clip(
-            variance, self.config.variance_floor, self.config.variance_ceiling)
-        return clamped
-
     @abstractmethod
     def _forget(self) -> None:
         """Forget all samples."""
 
     @abstractmethod
     def _take(self, innovation: Innovation | None) -> bool:
-        """
-        Take in the sample in `_alpha` and put what is known now in `_variance`.
-
-        Returns
-        -------
-        bool
-            Whether all numbers could be used; if not, nothing has changed.
-
-        """
+        """Take in `_alpha`, set `_variance`; return False, nothing changed, if it is no use."""
 
 
-class InnovationEstimator(NoiseEstimator):
-    """An estimator that works on the observers' innovations alone."""
+def usable(values: Vector) -> bool:
+    """Return whether all magnitudes are below MAX_MAGNITUDE, which that of NaN is not."""
+    return bool((np.abs(values) < MAX_MAGNITUDE).all())
 
-    uses_innovation = True
+
+class Fixed(NoiseEstimator):
+    """The configured `fixed_variance`, which `variance_scale` does not scale."""
+
+    def _forget(self) -> None:
+        pass
 
     def _take(self, innovation: Innovation | None) -> bool:
-        usable = all_below(self._alpha, MAX_MAGNITUDE)
-        if innovation is None:
-            return usable
-        for name in ('innovation', 'prior_variance', 'variance_used'):
-            values = getattr(innovation, name)
-            require_shape(name, values, self._alpha.shape)
-            usable = usable and bool((np.abs(values) < MAX_MAGNITUDE).all())  # not so for NaN
-        if usable:
-            estimate, known = self._estimate_from(innovation)
-            settle_variance(estimate, known, *self._limits, self._variance)
-        return usable
-
-    @abstractmethod
-    def _estimate_from(self, innovation: Innovation) -> tuple[Vector, Mask]:
-        """
-        Take in innovations of finite numbers.
-
-        Returns
-        -------
-        tuple
-            Estimated variances, shape (r,) [N^2], and which of them are known.
-
-        """
+        return usable(self._alpha)

@@ -1,56 +1,117 @@
-"""What an observer's prediction and the measurement make of each other."""
+"""R from the observers' innovations."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from abc import abstractmethod
 
-from multicontact_control.arrays import Mask, Vector
+from multicontact_control.arrays import Mask, Matrix, require_shape, Vector
+from multicontact_control.force.noise.estimator import Innovation, NoiseEstimator, usable
 import numpy as np
 
+BAYES_ITERATIONS = 3  # per sample
 
-@dataclass(frozen=True, slots=True)
-class Innovation:
+
+class InnovationEstimator(NoiseEstimator):
+    """An estimator that works on the observers' innovations alone."""
+
+    uses_innovation = True
+
+    def _take(self, innovation: Innovation | None) -> bool:
+        if not usable(self._alpha):
+            return False
+        if innovation is None:
+            return True
+        parts = {name: getattr(innovation, name)
+                 for name in ('innovation', 'prior_variance', 'variance_used')}
+        for name, values in parts.items():
+            require_shape(name, values, self._alpha.shape)
+        if not all(usable(values) for values in parts.values()):
+            return False
+        estimate, known = self._estimate_from(innovation)
+        self._variance[:] = np.where(known, np.clip(
+            self.config.variance_scale * estimate, self.config.variance_floor,
+            self.config.variance_ceiling), self._variance)
+        return True
+
+    @abstractmethod
+    def _estimate_from(self, innovation: Innovation) -> tuple[Vector, Mask]:
+        """Return estimated variances, shape (r,) [N^2], and which of them are known."""
+
+
+class InnovationWindow(InnovationEstimator):
     """
-    The innovations of one tick, one per contact.
+    Maybeck's maximum likelihood estimate (P04 ref. 6), R = (1/N) sum [r r^T - C P_1 C^T].
 
-    A contact that is not force controlled, or whose observer has just been started, has no
-    innovation. It is marked by a `variance_used` of 0, which no observer ever uses; its other
-    entries mean nothing and are 0.
-
-    Attributes
-    ----------
-    innovation
-        r = alpha - C x_1, shape (r,) [N].
-    prior_variance
-        C P_1 C^T, the variance of r that the prediction accounts for, shape (r,) [N^2].
-    variance_used
-        R the observer worked with, shape (r,) [N^2].
-
+    Noise can drive that below zero, whence the floor. A contact's R is known once it has had N
+    innovations.
     """
 
-    innovation: Vector
-    prior_variance: Vector
-    variance_used: Vector
+    def _forget(self) -> None:
+        self._samples: Matrix = np.zeros((self.config.window, self._contacts))
+        self._counts = np.zeros(self._contacts, dtype=int)
 
-    @property
-    def valid(self) -> Mask:
-        """Which contacts have an innovation, shape (r,)."""
-        mask: Mask = self.variance_used > 0.0
-        return mask
+    def _estimate_from(self, innovation: Innovation) -> tuple[Vector, Mask]:
+        length, valid = len(self._samples), innovation.valid
+        terms = innovation.innovation ** 2 - innovation.prior_variance
+        contacts = np.flatnonzero(valid)
+        self._samples[self._counts[contacts] % length, contacts] = terms[contacts]
+        self._counts[contacts] += 1
+        # Summed each time: a running sum would keep the rounding of every large sample for ever.
+        return self._samples.sum(axis=0) / length, (self._counts >= length) & valid
 
-    @property
-    def residual(self) -> Vector:
-        """Return what the correction leaves of r, e = r R / (C P_1 C^T + R), shape (r,) [N]."""
-        return self.innovation * self._share_of_noise()
 
-    @property
-    def posterior_variance(self) -> Vector:
-        """C P C^T = C P_1 C^T R / (C P_1 C^T + R), shape (r,) [N^2]."""
-        return self.prior_variance * self._share_of_noise()
+class SageHusa(InnovationEstimator):
+    """
+    Sage and Husa: R_k = (1 - d_k) R_k-1 + d_k (e e^T + C P C^T), d_k = (1 - b) / (1 - b^k).
 
-    def _share_of_noise(self) -> Vector:
-        """Return R / (C P_1 C^T + R), 0 where there is no innovation, shape (r,)."""
-        valid = self.valid
-        share: Vector = (np.where(valid, self.variance_used, 0.0)
-                         / np.where(valid, self.prior_variance + self.variance_used, 1.0))
-        return share
+    d_1 = 1: the first innovation of a contact alone makes its first R, and d_k falls towards
+    1 - b as more come. k counts each contact's own innovations.
+    """
+
+    def _forget(self) -> None:
+        self._count = np.zeros(self._contacts)
+        self._mean: Vector = np.zeros(self._contacts)
+
+    def _estimate_from(self, innovation: Innovation) -> tuple[Vector, Mask]:
+        valid = innovation.valid
+        b = self.config.forgetting_factor
+        self._count = self._count + valid
+        weight = (1.0 - b) / (1.0 - b ** np.maximum(self._count, 1.0))
+        term = innovation.residual ** 2 + innovation.posterior_variance
+        # Without the bound one wild sample would be remembered for thousands of ticks.
+        mean = np.minimum((1.0 - weight) * self._mean + weight * term,
+                          self.config.variance_ceiling / self.config.variance_scale)
+        self._mean = np.where(valid, mean, self._mean)
+        return self._mean, valid
+
+
+class VariationalBayes(InnovationEstimator):
+    """
+    Shape a and scale b of R's inverse gamma distribution (Sarkka and Nummenmaa 2009); R = b / a.
+
+    a^-, b^- = rho a, rho b; a = a^- + 1/2; then, a few times, b = b^- + e^2/2 + C P C^T/2 with
+    e and C P C^T for R = b / a. The prediction is the observer's, the correction in these
+    iterations is the estimator's own: the observer itself works with the R of the tick before.
+    A contact starts at R = `fixed_variance` with the weight of a full memory, a = 1/(2 (1-rho)).
+    """
+
+    def _forget(self) -> None:
+        weight = 0.5 / (1.0 - self.config.bayes_decay)
+        self._shape: Vector = np.full(self._contacts, weight)
+        self._scale: Vector = weight * self._variance / self.config.variance_scale
+
+    def _estimate_from(self, innovation: Innovation) -> tuple[Vector, Mask]:
+        valid = innovation.valid
+        rho = self.config.bayes_decay
+        shape = np.where(valid, rho * self._shape + 0.5, self._shape)
+        prior = rho * self._scale
+        scale = self._scale
+        for _ in range(BAYES_ITERATIONS):
+            share = Innovation(innovation.innovation, innovation.prior_variance, scale / shape)
+            scale = prior + 0.5 * (share.residual ** 2 + share.posterior_variance)
+        # Without the bound one wild sample would be remembered for thousands of ticks.
+        scale = np.minimum(
+            scale, shape * self.config.variance_ceiling / self.config.variance_scale)
+        self._shape = shape
+        self._scale = np.where(valid, scale, self._scale)
+        return self._scale / self._shape, valid

@@ -1,0 +1,195 @@
+"""
+The designs of the force laws, behind one registry: an active observer, and linear laws.
+
+Each takes the `LoopModel` that it is designed for, and the gains in `ForceConfig`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+import math
+
+from multicontact_control.arrays import Vector
+from multicontact_control.config import ForceConfig
+from multicontact_control.force.linear_law import LinearLaw, LoopModel, sampled
+from multicontact_control.force.linear_loop import steady_gain
+from multicontact_control.force.observer import design_observer, ObserverDesign
+from multicontact_control.force.plant_model import ForceLoop, place_poles
+import numpy as np
+from scipy.linalg import solve_discrete_are
+
+
+def design_aob(model: LoopModel, config: ForceConfig) -> ObserverDesign:
+    """Design the active observer (P04 eqs 34-37, 41)."""
+    loop = place_poles(model.plant, model.period, time_constant=config.time_constant,
+                       second_pole_ratio=config.second_pole_ratio)
+    return design_observer(
+        loop, order=config.active_state_order, process_noise=config.process_noise,
+        initial_covariance=config.initial_covariance)
+
+
+def steady_law(observer: ObserverDesign, gain: Vector) -> LinearLaw:
+    """
+    Return an observer whose gain no longer changes as a linear law, its state the prediction x_1.
+
+    u = L_1 alpha_des - [L_r 1] x_est with x_est = x_1 + K (alpha - C x_1), and the next
+    prediction is Phi_c x_est + Gamma (L_1 alpha_des + extra) (P04 eqs 36-39).
+
+    Parameters
+    ----------
+    observer
+        Its design.
+    gain
+        K, shape (n,), as from `steady_gain`.
+
+    """
+    n = len(observer.Gamma)
+    correction = np.eye(n)
+    correction[:, 0] -= gain
+    outputs = np.zeros((3, n))  # of x_est
+    outputs[0], outputs[1, 0] = -observer.feedback, 1.0
+    if observer.order:
+        outputs[2, n - observer.order] = 1.0
+    L_1 = observer.feedback[0]
+    B, D = np.zeros((n, 3)), np.zeros((3, 3))
+    B[:, 0], B[:, 1] = observer.Phi_c @ gain, L_1 * observer.Gamma
+    D[:, 0], D[0, 1] = outputs @ gain, L_1
+    start_force, start_disturbance = np.zeros(n), np.zeros(n)
+    start_force[0] = 1.0
+    if observer.order:
+        start_disturbance[n - observer.order:] = 1.0
+    return LinearLaw(observer.Phi_c @ correction, B, outputs @ correction, D, observer.Gamma,
+                     start_force, start_disturbance)
+
+
+def design_pi(model: LoopModel, config: ForceConfig) -> LinearLaw:
+    """
+    Design u = K_p e + K_i int e dt with e = alpha_des - alpha, alpha low-passed.
+
+    K_p = bandwidth K_2 / k gives the loop that bandwidth on a surface of the stiffness k. What
+    acts beyond u is integrated at the same rate, so that a limit does not wind the integral up.
+    """
+    pi = config.pi
+    gain = pi.bandwidth * model.damping_rate / model.stiffness
+    integral = gain * pi.integral_rate
+    if not pi.filter_cutoff:  # int e dt alone
+        return sampled(
+            np.zeros((1, 1)), np.array([[-integral, integral, 0.0]]),
+            np.array([[1.0], [0.0], [-1.0]]),
+            np.array([[-gain, gain, 0.0], [1.0, 0.0, 0.0], [0.0] * 3]), model.period,
+            E=np.array([pi.integral_rate]), start_disturbance=np.array([-1.0]))
+    cutoff = 2.0 * math.pi * pi.filter_cutoff
+    return sampled(  # low-passed alpha, and K_i int e dt
+        np.array([[-cutoff, 0.0], [-integral, 0.0]]),
+        np.array([[cutoff, 0.0, 0.0], [0.0, integral, 0.0]]),
+        np.array([[-gain, 1.0], [1.0, 0.0], [0.0, -1.0]]),
+        np.array([[0.0, gain, 0.0], [0.0] * 3, [0.0] * 3]), model.period,
+        E=np.array([0.0, pi.integral_rate]), start_force=np.array([1.0, 0.0]),
+        start_disturbance=np.array([0.0, -1.0]))
+
+
+def design_dob(model: LoopModel, config: ForceConfig) -> LinearLaw:
+    """
+    Design u = K_p (alpha_des - alpha) - d with d = Q (G_n^-1 alpha - e^(-s T_d) u).
+
+    G_n = k / (s (s + K_2)) is the nominal plant and Q = omega^2 / (s + omega)^2. The inputs under
+    way are kept in whole periods, at least one.
+    """
+    values, h = config.dob, model.period
+    omega, K_2, k = values.observer_bandwidth, model.damping_rate, model.stiffness
+    gain = values.bandwidth * K_2 / k
+    delay = max(1, round(model.input_delay / h))
+    # Q alpha, in controllable form; of it s (s + K_2) / k makes Q G_n^-1 alpha.
+    A = np.array([[0.0, 1.0], [-omega ** 2, -2.0 * omega]])
+    force = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    C, D = np.zeros((3, 2)), np.zeros((3, 3))
+    still = np.array([1.0 / omega ** 2, 0.0])  # of a filter whose input is constantly 1
+    C[2], D[2, 0] = omega ** 2 / k * np.array([-omega ** 2, K_2 - 2.0 * omega]), omega ** 2 / k
+    inverse = sampled(A, force, C, D, h, start_force=still)
+    C[2], D[2, 0] = [omega ** 2, 0.0], 0.0
+    acted = sampled(A, force, C, D, h, start_force=still)  # Q u
+    # States: of Q G_n^-1 alpha, of Q u, and u of the last periods, oldest first.
+    n, line = 4 + delay, 4
+    A_all, B_all = np.zeros((n, n)), np.zeros((n, 3))
+    C_all, D_all = np.zeros((3, n)), np.zeros((3, 3))
+    A_all[:2, :2], B_all[:2] = inverse.A, inverse.B
+    A_all[2:4, 2:4], A_all[2:4, line] = acted.A, acted.B[:, 0]
+    for j in range(line, n - 1):
+        A_all[j, j + 1] = 1.0
+    C_all[2, :2], C_all[2, 2:4], C_all[2, line] = inverse.C[2], -acted.C[2], -acted.D[2, 0]
+    D_all[1, 0], D_all[2] = 1.0, inverse.D[2]
+    C_all[0] = -C_all[2]
+    D_all[0] = gain * np.array([-1.0, 1.0, 0.0]) - D_all[2]
+    A_all[n - 1], B_all[n - 1] = C_all[0], D_all[0]
+    E, start_force, start_disturbance = np.zeros(n), np.zeros(n), np.zeros(n)
+    E[n - 1] = 1.0
+    start_force[:2] = inverse.start_force
+    start_disturbance[2:4], start_disturbance[line:] = -acted.start_force, -1.0
+    return LinearLaw(A_all, B_all, C_all, D_all, E, start_force, start_disturbance)
+
+
+def design_lqg(model: LoopModel, config: ForceConfig) -> LinearLaw:
+    """
+    Design the AOB's model with constant gains, both from Riccati equations.
+
+    The filter settles at R = `noise_variance`; the feedback minimises sum alpha^2 + rho u^2.
+    """
+    Phi, Gamma = model.plant.Phi, model.plant.Gamma[:, None]
+    weight = np.zeros_like(Phi)
+    weight[0, 0] = 1.0
+    rho = config.lqg.input_weight
+    S = solve_discrete_are(Phi, Gamma, weight, np.array([[rho]]))
+    L = (Gamma.T @ S @ Phi / (rho + Gamma.T @ S @ Gamma))[0]
+    observer = design_observer(ForceLoop(model.plant, L), process_noise=config.process_noise)
+    return steady_law(observer, steady_gain(observer, config.lqg.noise_variance))
+
+
+def design_admittance(model: LoopModel, config: ForceConfig) -> LinearLaw:
+    """
+    Design u = K_2 v_ref, with M dv/dt = e - D v and v_ref = v + K_i int e dt.
+
+    The damping K_2 makes that a speed controller, u - K_2 v_contact. D = k / bandwidth.
+    """
+    values, K_2 = config.admittance, model.damping_rate
+    compliance = values.bandwidth / model.stiffness  # 1 / D
+    rate, integral = 1.0 / values.inertia_time, compliance * values.integral_rate
+    extra = values.integral_rate / max(K_2, 1.0)  # per input, so that a limit does not wind it up
+    return sampled(  # v, and K_i int e dt
+        np.array([[-rate, 0.0], [0.0, 0.0]]),
+        np.array([[-rate * compliance, rate * compliance, 0.0], [-integral, integral, 0.0]]),
+        np.array([[K_2, K_2], [0.0, 0.0], [0.0, -K_2]]),
+        np.array([[0.0] * 3, [1.0, 0.0, 0.0], [0.0] * 3]), model.period,
+        E=np.array([0.0, extra]),
+        start_disturbance=np.array([0.0, -1.0 / K_2 if K_2 else 0.0]))
+
+
+def design_impedance(model: LoopModel, config: ForceConfig) -> LinearLaw:
+    """
+    Design u = omega^2 (alpha_des / k - z), z the way into the surface since the touch.
+
+    At the touch z = alpha / k. Nothing integrates a force error away: the force is as exact as the
+    stiffness k of the model and what is fed forward.
+    """
+    spring = config.impedance.natural_frequency ** 2
+    return sampled(
+        np.zeros((1, 1)), np.array([[0.0, 0.0, 1.0]]),
+        np.array([[-spring], [0.0], [0.0]]),
+        np.array([[0.0, spring / model.stiffness, 0.0], [1.0, 0.0, 0.0], [0.0] * 3]),
+        model.period, start_force=np.array([1.0 / model.stiffness]))
+
+
+def design_feedforward(model: LoopModel, config: ForceConfig) -> LinearLaw:
+    """Return u = 0: what is fed forward, and the damping K_2, are all that acts."""
+    nothing = np.zeros((3, 3))
+    nothing[1, 0] = 1.0  # alpha_est = alpha
+    none = np.zeros(0)
+    return LinearLaw(
+        np.zeros((0, 0)), np.zeros((0, 3)), np.zeros((3, 0)), nothing, none, none, none)
+
+
+Design = Callable[[LoopModel, ForceConfig], ObserverDesign | LinearLaw]
+
+LAWS: Mapping[str, Design] = {
+    'aob': design_aob, 'pi': design_pi, 'dob': design_dob, 'lqg': design_lqg,
+    'admittance': design_admittance, 'impedance': design_impedance,
+    'feedforward': design_feedforward}

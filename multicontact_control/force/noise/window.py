@@ -1,0 +1,182 @@
+"""R as the windowed variance of the force, filtered or not (P04 eqs 42-44)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import math
+from typing import Any, Literal
+
+from multicontact_control.arrays import Matrix, Vector
+from multicontact_control.compiled import bound, compiled
+from multicontact_control.force.noise.estimator import Innovation, MAX_MAGNITUDE, NoiseEstimator
+from multicontact_control.records import FILTER_STATE, NOISE_WINDOW
+import numpy as np
+
+Normalisation = Literal['dc', 'hf']
+
+
+@dataclass(frozen=True, slots=True)
+class LeadFilter:
+    """
+    alpha_f,k = a alpha_f,k-1 + b (alpha_k - c alpha_k-1): G_f of P04 eq. 42, matched z.
+
+    Attributes
+    ----------
+    pole, zero, gain
+        a, c and b.
+
+    """
+
+    pole: float
+    zero: float
+    gain: float
+
+    def variance_factor(self) -> float:
+        """Variance of the output for white noise of unit variance at the input."""
+        a, c, b = self.pole, self.zero, self.gain
+        return b * b * (1.0 + (a - c) ** 2 / (1.0 - a * a))
+
+    @property
+    def dc_gain(self) -> float:
+        """Gain for a constant force."""
+        return self.gain * (1.0 - self.zero) / (1.0 - self.pole)
+
+
+def lead_filter(
+    zero_frequency: float, pole_frequency: float, rate: float, normalisation: Normalisation = 'dc',
+) -> LeadFilter:
+    """
+    Design G_f (P04 eq. 42).
+
+    With a DC gain of 1, as the paper says, a zero below the pole makes it a lead, which amplifies
+    noise by `variance_factor`. With a gain of 1 at half the rate it is a high-pass filter.
+
+    Parameters
+    ----------
+    zero_frequency, pole_frequency
+        Of the continuous filter, mapped by z = exp(-2 pi f h) [Hz].
+    rate
+        1/h [Hz].
+    normalisation
+        Where the gain is 1: at DC or at half the rate.
+
+    """
+    zero = math.exp(-2.0 * math.pi * zero_frequency / rate)
+    pole = math.exp(-2.0 * math.pi * pole_frequency / rate)
+    gain = (1.0 - pole) / (1.0 - zero) if normalisation == 'dc' else (1.0 + pole) / (1.0 + zero)
+    return LeadFilter(pole=pole, zero=zero, gain=gain)
+
+
+@compiled
+def advance_filter(window: Any, states: Any, alpha: Vector) -> None:
+    """Take forces, shape (r,) [N], into filters: a alpha_f,k-1 + b (alpha_k - c alpha_k-1)."""
+    for i in range(alpha.shape[0]):
+        state = states[i]
+        state.filtered = window.pole * state.filtered + window.gain * (
+            alpha[i] - window.zero * state.alpha)
+        state.alpha = alpha[i]
+
+
+@compiled
+def windowed_variance(samples: Matrix, count: int, variance: Vector) -> None:
+    """Fill in the variance, shape (r,), over `count` samples, shape (N, r) (P04 eqs 43-44)."""
+    for i in range(samples.shape[1]):
+        total = 0.0
+        for k in range(count):
+            total += samples[k, i]
+        mean = total / count
+        total = 0.0
+        for k in range(count):
+            deviation = samples[k, i] - mean
+            total += deviation * deviation
+        variance[i] = total / count
+
+
+@compiled
+def take_into_window(
+    alpha: Vector, windows: Any, states: Any, samples: Matrix, variance: Vector,
+) -> bool:
+    """
+    Filter one sample per contact, and estimate R once the window is full (P04 eqs 42-44).
+
+    The first sample is the filter's steady state.
+
+    Parameters
+    ----------
+    alpha
+        Forces, shape (r,) [N].
+    windows
+        One record of `NOISE_WINDOW`; its count is raised.
+    states
+        Records of `FILTER_STATE`, changed, shape (r,).
+    samples
+        Window of filtered forces, overwritten in turn, shape (N, r).
+    variance
+        R, overwritten once the window is full, shape (r,) [N^2].
+
+    Returns
+    -------
+    bool
+        Whether the forces could be used; if not, nothing has changed.
+
+    """
+    window = windows[0]
+    length, contacts = samples.shape
+    for i in range(contacts):
+        if not abs(alpha[i]) < MAX_MAGNITUDE:  # nor is NaN
+            return False
+    if window.count == 0:
+        for i in range(contacts):
+            states[i].alpha = alpha[i]
+            states[i].filtered = window.dc_gain * alpha[i]
+    advance_filter(window, states, alpha)
+    for i in range(contacts):
+        samples[window.count % length, i] = states[i].filtered
+    window.count += 1
+    if window.count >= length:
+        estimate = np.empty(contacts)
+        windowed_variance(samples, length, estimate)
+        for i in range(contacts):
+            variance[i] = min(max(window.scale * estimate[i], window.floor), window.ceiling)
+    return True
+
+
+class Window(NoiseEstimator):
+    """The variance of the force itself over the window, known once the window is full."""
+
+    def _forget(self) -> None:
+        config, design = self.config, self._design()
+        self._window = np.zeros(1, dtype=NOISE_WINDOW)
+        for name in ('pole', 'zero', 'gain', 'dc_gain'):
+            self._window[name] = getattr(design, name)
+        for name in ('scale', 'floor', 'ceiling'):
+            self._window[name] = getattr(config, f'variance_{name}')
+        self._states = np.zeros(self._contacts, dtype=FILTER_STATE)
+        self._samples: Matrix = np.zeros((config.window, self._contacts))
+        self._take_into_window = bound(
+            take_into_window, self._alpha, self._window, self._states, self._samples,
+            self._variance)
+
+    def _design(self) -> LeadFilter:
+        return LeadFilter(pole=0.0, zero=0.0, gain=1.0)  # what comes in goes out
+
+    def _take(self, innovation: Innovation | None) -> bool:
+        return bool(self._take_into_window(
+            self._alpha, self._window, self._states, self._samples, self._variance))
+
+
+class LeadWindow(Window):
+    """The paper's estimator: lead filter of unit gain at DC, then windowed variance."""
+
+    normalisation: Normalisation = 'dc'
+
+    def _design(self) -> LeadFilter:
+        return lead_filter(
+            self.config.zero_frequency, self.config.pole_frequency, self.config.rate,
+            self.normalisation)
+
+
+class HfWindow(LeadWindow):
+    """The other reading of the paper: the same filter with unit gain at high frequency."""
+
+    normalisation: Normalisation = 'hf'
