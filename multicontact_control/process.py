@@ -10,8 +10,6 @@ import os
 # Every library that may do numpy's linear algebra looks at one of these when it is loaded.
 THREAD_VARIABLES = (
     'OPENBLAS_NUM_THREADS', 'OMP_NUM_THREADS', 'MKL_NUM_THREADS', 'NUMBA_NUM_THREADS')
-# Names the process whose end interrupts this one.
-FOLLOW_PARENT = 'MULTICONTACT_FOLLOW_PARENT'
 PR_SET_TIMERSLACK = 29
 MCL_CURRENT, MCL_FUTURE = 1, 2
 

@@ -1,17 +1,16 @@
 """
-The plant as a ROS 2 node: paced by the wall clock, or in lockstep with the controller.
+The plant as a ROS 2 node: it waits for the controller, or runs free as a robot does.
 
-In real time sample k is published at the absolute deadline k h of the monotonic clock. Then the
+In lockstep, the default, the plant advances while the controller computes; the next sample goes
+out when the command for the last one has come, and not before its time by the wall clock (at
+`speed` times real time). A busy machine makes simulated time slow; the physics stays the same.
+
+Free-running, sample k is published at the absolute deadline k h of the monotonic clock. Then the
 node waits for the command that answers it, advances the plant by one period with the torque that
 was due at the deadline, and waits for the next deadline. A command that is not there one period
 after its sample is a deadline miss; the last torque is held, for `command_timeout` at most: then
 the drives hold their position by themselves, until the next command. If the node itself is late by
-more than `MAX_LATE_PERIODS` (the machine was busy elsewhere), the deadlines are moved back instead
-of publishing the samples that are due in a burst that nobody could answer; such a slip is counted,
-and simulated time then lags the wall clock by that much.
-
-In lockstep nothing looks at a clock: the plant advances while the controller computes, and the
-next sample goes out when the command has come.
+more than `MAX_LATE_PERIODS`, the deadlines are moved back; such a slip is counted.
 """
 
 from __future__ import annotations
@@ -61,6 +60,7 @@ from sim_bridge.surface_markers import SurfaceMarkers
 from std_msgs.msg import String
 
 MAX_LATE_PERIODS = 2
+CATCH_UP = NANOSECONDS // 10  # lag behind the wall clock that lockstep makes up for [ns]
 RESEND_PERIOD, RESEND_PERIOD_GATED = 1.0, 10.0
 RESENDS = 5  # times that a sample is sent in lockstep within answer_timeout
 WAIT_FRACTION = 0.5
@@ -74,9 +74,13 @@ class SimNodeConfig(StartupConfig):
     seed: int = parameter(0, 'Seed of roughness and sensor noise.', ge=0)
     ticks: int = parameter(0, 'Samples after which the node ends, 0 for never.', ge=0)
     lockstep: bool = parameter(
-        False, 'Whether to wait for every command instead of the wall clock.')
+        True, 'Whether to wait for the command that answers each sample; false for a plant that '
+        'runs on, as a robot does.')
+    speed: Real = parameter(
+        1.0, 'Simulated time per wall time at most, in lockstep; 0 for as fast as it goes.',
+        ge=0.0, le=100.0)
     answer_timeout: Real = parameter(
-        10.0, 'Longest wait for a command in lockstep.', unit='s', gt=0.0)
+        3.0, 'Longest wait for a command in lockstep.', unit='s', gt=0.0)
     command_timeout: Real = parameter(
         0.05, 'Time without a command, in real time, after which the drives hold their position; '
         '0 to hold the last torque for ever.', unit='s', ge=0.0)
@@ -115,7 +119,8 @@ class SimNode(Node):
         self._hold = PositionHold(self._plant.model, config.hold_frequency)
         # Longest time to a command that is no miss [ns].
         self._period = np.inf if config.lockstep else NANOSECONDS / config.rate
-        self._saturated = self._misses = self._slips = self._timeouts = 0
+        self._saturated = self._misses = self._slips = self._timeouts = self._on_time = 0
+        self._due = 0  # when the newest sample was due [ns]
         self._latency, self._step_times = DurationLog(), DurationLog()
         self._start = time.monotonic_ns()
         self._wall = 0
@@ -166,7 +171,7 @@ class SimNode(Node):
         if self._config.lockstep:
             self._run_lockstep(spinner)
         else:
-            self._run_real_time(spinner)
+            self._run_free(spinner)
         self._wall = time.monotonic_ns() - self._start
         self.streams.flush()
 
@@ -183,7 +188,7 @@ class SimNode(Node):
             'ticks': self._tick + 1, 'rate_hz': self._config.rate,
             'lockstep': self._config.lockstep, 'deadline_misses': self._misses,
             'pace_slips': self._slips, 'command_timeouts': self._timeouts,
-            'wall_s': self._wall * 1e-9,
+            'wall_s': self._wall * 1e-9, 'on_time_share': self._on_time / samples,
             'latency_us': self._latency.percentiles(),
             'latency_histogram': self._latency.histogram(),
             'plant_us': self._step_times.percentiles(),
@@ -210,7 +215,7 @@ class SimNode(Node):
     def _done(self) -> bool:
         return 0 < self._config.ticks <= self._tick + 1
 
-    def _run_real_time(self, spinner: Spinner) -> None:
+    def _run_free(self, spinner: Spinner) -> None:
         period = self._period
         # Sample 0 was answered just now: the next one follows a period after it, or at once.
         anchor = max(int(self._published[0]), time.monotonic_ns() - int(period))
@@ -254,6 +259,7 @@ class SimNode(Node):
         return self._hold.torque(self._sample.q, self._sample.qd)
 
     def _run_lockstep(self, spinner: Spinner) -> None:
+        self._due = int(self._published[0])
         if self._delay_ticks == 0:
             self._wait_for_answer(spinner)
         while not (spinner.stop or self._done):
@@ -261,6 +267,7 @@ class SimNode(Node):
             # moves on while the controller thinks about sample k.
             self._advance(self._delay.torque_for(self._tick))
             self._wait_for_answer(spinner)
+            self._keep_pace(spinner)
             if spinner.stop:
                 return
             self._tick += 1
@@ -270,6 +277,24 @@ class SimNode(Node):
             if self._delay_ticks == 0:
                 self._wait_for_answer(spinner)
         self._wait_for_answer(spinner)
+
+    def _keep_pace(self, spinner: Spinner) -> None:
+        """Wait until the next sample is due by the wall clock."""
+        period = NANOSECONDS / self._config.rate
+        if self._config.speed == 0.0:
+            return
+        self._due += int(period / self._config.speed)
+        self._spin_until(spinner, self._due)
+        late = time.monotonic_ns() - self._due
+        self._on_time += late <= period
+        if late > CATCH_UP:
+            self._due += late
+
+    @property
+    def _realtime_factor(self) -> float:
+        """Simulated time over wall time of the run so far."""
+        wall = (time.monotonic_ns() - self._start) * 1e-9
+        return self._tick / self._config.rate / wall if self._tick else 0.0
 
     def _advance(self, torque: Any) -> None:
         start = time.perf_counter_ns()
@@ -363,7 +388,8 @@ class SimNode(Node):
     def _statuses(self) -> list[Status]:
         loop = {**self._watch.report(), 'ticks': self._tick + 1, 'pace_slips': self._slips,
                 'command_timeouts': self._timeouts, 'saturated_ticks': self._saturated,
-                'lockstep': self._config.lockstep}
+                'lockstep': self._config.lockstep,
+                'realtime_factor': round(self._realtime_factor, 3)}
         missed = loop['deadline_misses']
         forces = zip(self._plant.contact_names, self._sample.contact_force.tolist())
         return [

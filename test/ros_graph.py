@@ -15,7 +15,7 @@ import time
 from typing import Any, TypeVar
 
 from multicontact_control.experiment.graph.domain import reserve_domain
-from multicontact_control.experiment.graph.fork_server import base_environment, fork_server
+from multicontact_control.experiment.graph.node_process import NodeProcess
 from multicontact_control.nodes.link import GuestNode
 from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.parameter import Parameter, parameter_value_to_python
@@ -39,7 +39,7 @@ setup = resolve('quick', plant='rigid', seed=spec.get('seed', 0),
 config = folder / 'config'
 setup.write(config)
 run_graph(GraphSpec(
-    out=folder, rate=rate, lockstep=True, **spec,
+    out=folder, rate=rate, speed=0.0, **spec,
     reference_file=config / 'reference.yaml' if ticks else None,
     parameter_files={'controller_node': config / 'controller.yaml',
                      'sim_node': config / 'plant.yaml',
@@ -64,7 +64,7 @@ def start_graph(
     folder: Path, domain_id: int, *, namespace: str = 'arm', ticks: int = 0, **spec: Any,
 ) -> subprocess.Popen[str]:
     """
-    Start the rigid plant's graph in lockstep, in a process of its own.
+    Start the rigid plant's graph, as fast as it goes, in a process of its own.
 
     With `ticks` it follows the scenario quick for so long; otherwise it obeys commands until it
     is interrupted. `spec` is of `GraphSpec`, as far as json has it.
@@ -110,27 +110,21 @@ def end_of(process: subprocess.Popen[str] | StartedNode) -> tuple[str, str]:
     return process.communicate(timeout=PATIENCE)
 
 
-class StartedNode:
-    """A node in a process of its own, with what it writes: much of what `subprocess.Popen` is."""
+class StartedNode(NodeProcess):
+    """A node in a process of its own, with what it writes."""
 
     def __init__(self, module: str, arguments: list[str]) -> None:
-        self.args = [sys.executable, '-m', module, *arguments]
-        self._outputs = tuple(tempfile.TemporaryFile('a+b') for _ in range(2))
-        environment = base_environment()
-        self._process = fork_server(environment).start(
-            module, self.args, module, arguments, environment, self._outputs)
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._process, name)
+        file, name = tempfile.mkstemp()
+        os.close(file)
+        self._log = Path(name)
+        super().__init__(module, [sys.executable, '-m', module, *arguments],
+                         dict(os.environ), self._log)
 
     def communicate(self, timeout: float | None = None) -> tuple[str, str]:
-        """Wait for its end; return what it wrote to stdout and to stderr."""
-        self._process.wait(timeout)
-        said = []
-        for output in self._outputs:
-            output.seek(0)
-            said.append(output.read().decode())
-        return said[0], said[1]
+        """Wait for its end; return what it wrote to stdout and stderr, twice."""
+        self.wait(timeout)
+        text = self._log.read_text(encoding='utf-8')
+        return text, text
 
 
 class Middleware:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from enum import Enum
 from typing import Annotated, Any, NoReturn
 
 from multicontact_control.cli.exits import (
@@ -33,17 +32,8 @@ from multicontact_control.cli.options import (
     Seed,
     Settings,
 )
-from multicontact_control.experiment.graph.fork_server import base_environment, fork_server
+from multicontact_control.experiment.graph.node_process import prepare_nodes
 import typer
-
-
-class Composed(str, Enum):
-    """Which nodes share a process."""
-
-    AUTO = 'auto'
-    NONE = 'none'
-    CONTROL = 'control'
-    ALL = 'all'
 
 
 def run(
@@ -64,18 +54,15 @@ def run(
         '--commanded', help='Let the simulated arm obey the command topics, as a robot does, '
         'instead of playing the scenario, of which contacts, surfaces and disturbances stay. Ends '
         'after --duration, or with Ctrl-C.')] = False,
-    lockstep: Annotated[bool, typer.Option(
-        '--lockstep', help='Let the nodes wait for each other instead of for the wall clock: '
-        'the same torques as `simulate`, bit for bit.')] = False,
+    speed: Annotated[float, typer.Option(
+        min=0.0, max=100.0, help='Simulated time per wall time at most; 0 for as fast as it '
+        'goes. The torques are those of `simulate`, bit for bit, at any speed.')] = 1.0,
+    free_running: Annotated[bool, typer.Option(
+        '--free-running', help='Let the simulated arm run on without waiting for commands, as a '
+        'robot does; missed deadlines are counted.')] = False,
     domain_id: Annotated[int | None, typer.Option(
         help='ROS_DOMAIN_ID of the graph; that of the environment, or the first one without '
         'participants on this machine (0 with --external), if not given.')] = None,
-    composed: Annotated[Composed, typer.Option(
-        help='Which nodes share a process and hand each other their messages: `none`, `control` '
-        '(controller and noise estimator), `all` (the simulated plant, too), or `auto`: all in '
-        'lockstep, otherwise none, but if deadlines are missed in the first seconds, the graph '
-        'starts anew with all, and what was recorded or commanded until then is lost. Topics, '
-        'services and torques stay the same.')] = Composed.AUTO,
     realtime: Annotated[bool, typer.Option(
         '--realtime', help='Ask for SCHED_FIFO, a processor and locked memory for the nodes that '
         'control, and say at the end what they got.')] = False,
@@ -85,11 +72,12 @@ def run(
     """
     Run a scenario on the ROS 2 graph, record it to MCAP and report it.
 
-    Starts simulator, controller, noise estimator and recorder, each in a process of its own unless
-    the machine is too slow for that, stops them together, then draws the figures from the bag.
-    Exit code 0: stable, or not judged (the machine missed a tenth of the deadlines, or nothing was
-    ever pressed); 1: not stable, held by the supervisor, or a node died; 2: bad input; 128 + n:
-    ended by signal n.
+    Starts simulator, controller, noise estimator and recorder, each in a process of its own, stops
+    them together, then draws the figures from the bag. The simulator waits for the controller: on
+    a busy machine simulated time is slow, and the forces stay the same.
+    Exit code 0: stable, or not judged (nothing was ever pressed, or a free run missed more than
+    1 % of its deadlines); 1: not stable, held by the supervisor, or a node died; 2: bad input;
+    128 + n: ended by signal n.
     With --external 0 also without ground truth, where nothing is called stable, and 1 also if the
     robot is gone.
     """
@@ -98,12 +86,11 @@ def run(
     with errors_in_one_line():
         namespace = check_namespace(namespace)
         given = given_options(context)
-        # Only now: what is heavy is not loaded for the sake of an error. The nodes' modules are,
-        # by the process that they will be forked from, while this one loads its own.
-        fork_server(base_environment())
+        # The nodes' modules are loaded by another process, while this one loads its own.
+        prepare_nodes()
         if external:
-            refuse_options(given, ('robot', 'plant', 'seed', 'commanded', 'lockstep', 'engine'),
-                           '--external')
+            refuse_options(given, ('robot', 'plant', 'seed', 'commanded', 'speed', 'free_running',
+                                   'engine'), '--external')
             resolved, folder = prepare_external(
                 controller or (), scenario if 'scenario' in given else None, duration,
                 noise_estimator, out, overwrite, preset=preset if 'preset' in given else '',
@@ -111,8 +98,8 @@ def run(
             from multicontact_control.experiment.run import GraphOptions, run_external
 
             outcome, interrupted = run_external(resolved, folder, GraphOptions(
-                domain_id=domain_id, namespace=namespace, composed=composed.value,
-                realtime=realtime), robot_timeout=robot_timeout, supervised=not bare)
+                domain_id=domain_id, namespace=namespace, realtime=realtime),
+                robot_timeout=robot_timeout, supervised=not bare)
             end(outcome, interrupted)
         refuse_options(given, ('controller', 'robot_timeout'), 'a simulated plant')
         if commanded:
@@ -124,7 +111,7 @@ def run(
         from multicontact_control.experiment.run import GraphOptions, run_real_time
 
         summary, interrupted = run_real_time(setup, folder, GraphOptions(
-            lockstep=lockstep, domain_id=domain_id, namespace=namespace, composed=composed.value,
+            free_running=free_running, speed=speed, domain_id=domain_id, namespace=namespace,
             realtime=realtime, endless=commanded and duration is None), supervised=not bare)
     end(summary, interrupted)
 

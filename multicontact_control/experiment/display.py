@@ -6,13 +6,11 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 import math
 from pathlib import Path
-from typing import Any, Protocol, TYPE_CHECKING
+from typing import Any, Protocol
 
-from multicontact_control.errors import RunError
 from multicontact_control.experiment.judge import (
     EXTERNAL_RUN,
     HELD,
-    HOPELESS,
     NOT_STABLE,
     REAL_TIME,
     RECORDED,
@@ -41,19 +39,15 @@ from rich.progress import (
 )
 from rich.table import Table
 
-if TYPE_CHECKING:  # rclpy is needed for it, and not for the rest
-    from multicontact_control.experiment.graph.progress import GraphProgress
-
-FIRST_DEADLINES = 250  # that are waited for before anything is said of them
-LAST_CHANCE = 1500  # deadlines up to which a graph is started anew
-LATE = 0.002  # share of missed deadlines for that: twice what a run should miss
 COLOURS = {STABLE: 'green', HELD: 'yellow', UNJUDGED: 'yellow', NOT_STABLE: 'red'}
 
 
 class ShowProgress(Protocol):
-    """Takes the time into a run [s] and the measured forces [N]."""
+    """Takes the time into a run [s], the measured forces [N] and the real-time factor."""
 
-    def __call__(self, time: float, forces: Mapping[str, float]) -> None:
+    def __call__(
+        self, time: float, forces: Mapping[str, float], realtime_factor: float = 0.0,
+    ) -> None:
         """Show them."""
         ...
 
@@ -75,8 +69,12 @@ def progress_bar(
     with moving_bar(*columns, console=console, refresh_per_second=5) as progress:
         task = progress.add_task(title, total=duration, forces=waiting)
 
-        def show(time: float, forces: Mapping[str, float]) -> None:
+        def show(
+            time: float, forces: Mapping[str, float], realtime_factor: float = 0.0,
+        ) -> None:
             text = '  '.join(f'{name} {force:5.1f} N' for name, force in forces.items())
+            if realtime_factor:
+                text += f'  {realtime_factor:.2f} x real time'
             progress.update(task, completed=min(time, duration or time), forces=text)
 
         yield show
@@ -93,38 +91,6 @@ def count_bar(console: Console | None = None) -> Progress:
         TextColumn('{task.description}'), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
         TextColumn('left'), TimeRemainingColumn(), console=console, kind=CountBar,
         refresh_per_second=2, speed_estimate_period=7200.0)
-
-
-class TooSlowError(RunError):
-    """Too many of the first deadlines were missed for going on like that."""
-
-
-class PaceNotice:
-    """
-    Says once, from the first second on, that the machine is too busy for real time.
-
-    In `lockstep` there are no deadlines and nothing to say. If the graph `may_change`, a
-    `TooSlowError` is raised instead, in the first seconds and for far fewer missed deadlines.
-    """
-
-    def __init__(self, console: Console, *, lockstep: bool, may_change: bool = False) -> None:
-        self._console, self._told, self._may_change = console, lockstep, may_change
-
-    def look(self, progress: GraphProgress) -> None:
-        """Look at the deadlines that the simulator has told of."""
-        if self._told or progress.deadlines < FIRST_DEADLINES:
-            return
-        if self._may_change and progress.deadlines <= LAST_CHANCE and (
-                progress.missed > LATE * progress.deadlines):
-            raise TooSlowError(
-                f'{progress.missed} of the first {progress.deadlines} deadlines missed')
-        if progress.missed <= HOPELESS * progress.deadlines:
-            return
-        self._told = True
-        self._console.print(
-            f'[yellow]warning: {progress.missed} of the first {progress.deadlines} deadlines '
-            'missed: this machine is too busy for real time, and the figures will show it; '
-            '--lockstep has no deadlines[/yellow]', highlight=False, soft_wrap=True)
 
 
 def headline(summary: Mapping[str, Any]) -> str:

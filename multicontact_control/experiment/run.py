@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-import shutil
 from typing import Any, TYPE_CHECKING
 
 from multicontact_control.compiled import compiled_here
@@ -17,10 +16,8 @@ from multicontact_control.experiment.closed_loop import run_in_process
 from multicontact_control.experiment.compilation import ensure_compiled
 from multicontact_control.experiment.display import (
     next_lines,
-    PaceNotice,
     progress_bar,
     summary_table,
-    TooSlowError,
     verdict_lines,
 )
 from multicontact_control.experiment.external import dotted, External
@@ -41,7 +38,6 @@ from multicontact_control.terminal import terminal
 from rich.console import Console
 
 if TYPE_CHECKING:
-    from multicontact_control.experiment.graph.progress import GraphProgress
     from multicontact_control.experiment.graph.run import GraphResult, GraphSpec
 
 # Periods: a robot moves on while its samples are late, the simulated one has stood still, and a
@@ -50,7 +46,6 @@ SIMULATION_PATIENCE = 25.0
 # What of the timing only a plant of this package can tell.
 OF_THE_PLANT = ('deadline_misses', 'pace_slips', 'command_timeouts', 'latency_us', 'plant_us',
                 'latency_histogram', 'realtime_factor')
-AUTO = 'auto'
 UNANSWERED = 'ended before any sample was answered: there is nothing to report'
 
 
@@ -92,14 +87,12 @@ class GraphOptions:
 
     Attributes
     ----------
-    lockstep
-        Whether the nodes wait for each other instead of for the wall clock.
+    free_running
+        Whether the plant runs on without the command that answers its last sample, as a robot.
+    speed
+        Simulated time per wall time at most; 0 for as fast as it goes.
     domain_id, namespace
         ROS_DOMAIN_ID, by default that of the environment or a free one, and namespace.
-    composed
-        Which nodes share a process: ``none``, ``control`` (controller and noise estimator),
-        ``all`` (the plant, too), or ``auto``: none, unless deadlines are missed in the first
-        seconds; then all, as in lockstep.
     realtime
         Whether to ask for real-time priority, processors and memory.
     endless
@@ -107,10 +100,10 @@ class GraphOptions:
 
     """
 
-    lockstep: bool = False
+    free_running: bool = False
+    speed: float = 1.0
     domain_id: int | None = None
     namespace: str = ''
-    composed: str = AUTO
     realtime: bool = False
     endless: bool = False
 
@@ -138,32 +131,26 @@ def run_real_time(
     Raises
     ------
     ConfigError
-        If there is no such composition, or the scenario cannot begin by itself.
+        If the scenario cannot begin by itself.
     RunError
         If ROS cannot be loaded or a node dies; what was recorded stays in the folder.
 
     """
     console = console or terminal()
     with importing_ros('use `multicontact simulate`'):
-        from multicontact_control.experiment.graph.run import COMPOSED, GraphSpec
+        from multicontact_control.experiment.graph.run import GraphSpec
     config = folder / CONFIG_FOLDER
     refuse_push_test(setup)
-    if options.composed not in (AUTO, *COMPOSED):
-        raise ConfigError('composed', f'one of {AUTO}, {", ".join(COMPOSED)}',
-                          f"'{options.composed}'")
     ensure_compiled(console)
-    composed = options.composed
-    if composed == AUTO:
-        composed = 'all' if options.lockstep else 'none'
     spec = GraphSpec(
         out=folder, ticks=0 if options.endless else setup.ticks, rate=setup.controller.rate,
-        lockstep=options.lockstep, seed=setup.seed, domain_id=options.domain_id,
+        free_running=options.free_running, speed=options.speed, seed=setup.seed,
+        domain_id=options.domain_id,
         reference_file=None if setup.commanded_by_topic else config / 'reference.yaml',
         namespace=options.namespace, extra_parameters={'controller_node': {
             'supervised': supervised, 'patience': SIMULATION_PATIENCE}},
-        parameter_files=setup.write(config), realtime=options.realtime, recording_batches=True,
-        composed=composed)
-    result, composed = _run_graph(spec, setup, options, console)
+        parameter_files=setup.write(config), realtime=options.realtime)
+    result = _run_graph(spec, setup, options, console)
     if options.realtime:
         for name, node in result.timing.items():
             console.print(f'{name}: {node.get("scheduling", "ended without a word")}',
@@ -177,8 +164,8 @@ def run_real_time(
         setup = as_long_as(content.data, setup, config)
     events = result.timing.get('controller_node', {}).get('events', [])
     summary = summarise(
-        content.data, setup, mode='lockstep' if options.lockstep else REAL_TIME,
-        timing={**graph_timing(result.timing, content), 'composed': composed},
+        content.data, setup, mode=REAL_TIME if options.free_running else 'lockstep',
+        timing=graph_timing(result.timing, content),
         ended_early='' if interrupted is None else INTERRUPTED,
         events=events if supervised else None)
     summary |= {'ros_domain_id': result.domain_id, 'remarks': content.told}
@@ -220,7 +207,7 @@ def run_external(
     Raises
     ------
     ConfigError
-        If there is no such composition, or a parameter of the controller's node is not acceptable.
+        If a parameter of the controller's node is not acceptable.
     RunError
         If ROS cannot be loaded or a node dies; what was recorded stays in the folder.
 
@@ -234,9 +221,6 @@ def run_external(
     setup, config = external.setup, folder / CONFIG_FOLDER
     if not setup.commanded_by_topic:
         refuse_push_test(setup)
-    if options.composed not in (AUTO, 'none', 'control'):
-        raise ConfigError('composed', 'none or control in an external run',
-                          f"'{options.composed}'")
     node = validate(ControllerNodeConfig, external.node, 'controller_node')
     ensure_compiled(console)
     spec = GraphSpec(
@@ -244,8 +228,7 @@ def run_external(
         reference_file=None if setup.commanded_by_topic else config / 'reference.yaml',
         domain_id=shared_domain(options.domain_id), namespace=options.namespace,
         extra_parameters={CONTROLLER: {**dotted(external.node), 'supervised': supervised}},
-        parameter_files=setup.write(config), realtime=options.realtime, recording_batches=True,
-        composed='control' if options.composed == 'control' else 'none')
+        parameter_files=setup.write(config), realtime=options.realtime)
     robot = Robot(setup.controller.robot.joint_names, setup.controller.wrench_input,
                   node.pair_tolerance * setup.controller.period, node.effort_output_topic,
                   robot_timeout, external.duration)
@@ -291,38 +274,24 @@ def _report_external(
 
 def _run_graph(
     spec: GraphSpec, setup: Setup, options: GraphOptions, console: Console,
-) -> tuple[GraphResult, str]:
-    """Run the graph, once more in one process if need be; return also which nodes shared one."""
+) -> GraphResult:
+    """Run the graph and show how far it is."""
     from multicontact_control.experiment.graph.run import run_graph
 
-    may_change = options.composed == AUTO and spec.composed == 'none' and not options.lockstep
-    try:
-        duration = None if options.endless else setup.scenario.duration
-        with progress_bar(f'run {setup.scenario.name}', duration, console,
-                          'starting the nodes') as show:
-            pace = PaceNotice(console, lockstep=options.lockstep, may_change=may_change)
-
-            def on_progress(progress: GraphProgress) -> None:
-                show(progress.time, progress.forces)
-                pace.look(progress)
-
-            result = run_graph(
-                spec, on_progress,
-                on_wait=lambda text: console.print(
-                    text, highlight=False, markup=False, soft_wrap=True),
-                on_domain=lambda number: console.print(
-                    f'ROS domain {number}: ROS_DOMAIN_ID={number} multicontact topics',
-                    highlight=False))
-            if result.interrupted is None:
-                show(setup.scenario.duration, {})
-            return result, spec.composed
-    except TooSlowError as error:
-        console.print(f'{error}: starting anew with plant, controller and noise estimator in one '
-                      'process (--composed none keeps them apart)', highlight=False,
-                      soft_wrap=True)
-        for folder in (spec.bag, spec.logs):
-            shutil.rmtree(folder, ignore_errors=True)
-        return _run_graph(replace(spec, composed='all'), setup, options, console)
+    duration = None if options.endless else setup.scenario.duration
+    with progress_bar(
+            f'run {setup.scenario.name}', duration, console, 'starting the nodes') as show:
+        result = run_graph(
+            spec, lambda progress: show(
+                progress.time, progress.forces, progress.realtime_factor),
+            on_wait=lambda text: console.print(
+                text, highlight=False, markup=False, soft_wrap=True),
+            on_domain=lambda number: console.print(
+                f'ROS domain {number}: ROS_DOMAIN_ID={number} multicontact topics',
+                highlight=False))
+        if result.interrupted is None:
+            show(setup.scenario.duration, {})
+    return result
 
 
 def refuse_push_test(setup: Setup) -> None:
@@ -362,6 +331,7 @@ def graph_timing(
         'scheduling': {name: node['scheduling'] for name, node in timing.items()
                        if 'scheduling' in node},
         'realtime_factor': sim_time / wall if wall else None,
+        'on_time_share': sim.get('on_time_share'),
         'topic_rates_hz': {topic: round(rate, 3)
                            for topic, rate in sorted(content.topic_rates.items())}}
 

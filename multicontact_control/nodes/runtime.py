@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 import contextlib
-import ctypes
 import gc
 import os
 import signal
@@ -27,7 +26,7 @@ from multicontact_control.nodes.shared_memory import (
     remove_half_made_ports,
 )
 from multicontact_control.paths import config_dir
-from multicontact_control.process import FOLLOW_PARENT, settle_process
+from multicontact_control.process import settle_process
 import rclpy
 from rclpy.duration import Duration
 from rclpy.event_handler import EventHandler
@@ -41,7 +40,6 @@ SPIN_TIMEOUT = 0.1
 DRAIN_TIME = 0.1
 LOOK_PERIOD = 0.001
 ACKNOWLEDGE_TIMEOUT = 5.0
-PR_SET_PDEATHSIG = 1
 
 
 class StopFlag:
@@ -209,22 +207,6 @@ def yield_to_others(niceness: int) -> None:
         os.nice(niceness)
 
 
-def follow_parent() -> None:
-    """Be interrupted when the process ends that started this one, if it asked for that."""
-    parent = os.environ.get(FOLLOW_PARENT)
-    if parent is None:
-        return
-    _prctl(PR_SET_PDEATHSIG, signal.SIGINT)
-    if str(os.getppid()) != parent:
-        os.kill(os.getpid(), signal.SIGINT)  # it has ended before it could be followed
-
-
-def _prctl(option: int, value: int) -> None:
-    """Set a property of this process, where there is such a thing (Linux)."""
-    with contextlib.suppress(AttributeError, OSError):
-        ctypes.CDLL(None).prctl(option, value, 0, 0, 0)
-
-
 def start_ros(args: Sequence[str] | None) -> None:
     """
     Initialise rclpy without its signal handlers.
@@ -268,7 +250,6 @@ def run_node(make_node: Callable[[], Any], args: Sequence[str] | None = None) ->
     program = os.path.basename(sys.argv[0])
     stop = StopFlag()
     stop.install()
-    follow_parent()
     try:
         start_ros(args)
         with _compilations_told(program):

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 import contextlib
 import json
+from pathlib import Path
 import signal
 import subprocess
 import time
-from typing import Any, IO
+from typing import Any
 
 from multicontact_control.errors import RunError
-from multicontact_control.experiment.graph.fork_server import fork_server, ForkedProcess
+from multicontact_control.experiment.graph.node_process import NodeProcess
 from multicontact_control.experiment.graph.spec import (
     CONTROLLER,
     ESTIMATOR,
@@ -20,7 +21,6 @@ from multicontact_control.experiment.graph.spec import (
     node_environment,
     node_module,
     RECORDER,
-    ROS_ARGUMENTS,
     SIM,
     timing_file,
 )
@@ -42,8 +42,8 @@ LOG_LINES = 12
 class NodeEndedError(RunError):
     """A node has ended that should not have."""
 
-    def __init__(self, node_name: str, report: str) -> None:
-        self.node_name = node_name
+    def __init__(self, node_name: str, code: int, report: str) -> None:
+        self.node_name, self.code = node_name, code
         super().__init__(report)
 
 
@@ -53,9 +53,8 @@ class NodeProcesses:
     def __init__(self, spec: GraphSpec, domain_id: int) -> None:
         self._spec = spec
         self._environment = node_environment(spec, domain_id)
-        self._running: dict[str, ForkedProcess] = {}
-        self._ends: list[ForkedProcess] = []  # in the order in which they ended
-        self._logs: dict[str, IO[bytes]] = {}
+        self._running: dict[str, NodeProcess] = {}
+        self._ends: list[str] = []  # names of those that have ended, in that order
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -68,27 +67,16 @@ class NodeProcesses:
         return tuple({process.pid for process in self._running.values()})
 
     def start_all(self) -> None:
-        """
-        Start every node.
-
-        Raises
-        ------
-        RunError
-            If one cannot be started.
-
-        """
-        for process, names in self._spec.processes.items():
-            self._logs[process] = self._log_file(names[0]).open('wb')
-            self.start(process)
+        """Start every node."""
+        for name in self._spec.node_names:
+            self.start(name)
 
     def start(self, name: str, parameters: Mapping[str, Any] | None = None) -> None:
-        """Start a process, again if it has ended, with parameters over those of the graph."""
-        command, log = node_command(name, self._spec, parameters), self._logs[name]
-        process = fork_server(self._environment).start(
-            node_module(name, self._spec), command, name, command[command.index(ROS_ARGUMENTS):],
-            self._environment, (log, log), self._ends.append)
-        for member in self._spec.processes[name]:
-            self._running[member] = process
+        """Start a node, again if it has ended, with parameters over those of the graph."""
+        self._ends = [other for other in self._ends if other != name]
+        self._running[name] = NodeProcess(
+            node_module(name, self._spec), node_command(name, self._spec, parameters),
+            self._environment, self._log_file(name).resolve())
 
     def signal(self, name: str, number: signal.Signals) -> None:
         """Send a signal to a node."""
@@ -108,7 +96,7 @@ class NodeProcesses:
 
     def ended(self, name: str) -> bool:
         """Return whether a node has ended."""
-        return self._running[name] in self._ends
+        return self._running[name].returncode is not None
 
     def raise_if_ended(self, *, at_its_end: bool = False) -> None:
         """
@@ -143,12 +131,13 @@ class NodeProcesses:
 
     def _raise_unless(self, allowed: Collection[int]) -> None:
         """Raise an error about the first node that has ended with another exit code."""
-        names = {process: self._spec.process_of(name) for name, process in self._running.items()}
-        # The end of one that was stopped may not have been noted yet.
-        for process in [x for x in dict.fromkeys((*self._ends, *names)) if x in names]:
-            name, code = names[process], process.returncode
+        codes = {name: process.returncode for name, process in self._running.items()}
+        self._ends += [name for name, code in codes.items()
+                       if code is not None and name not in self._ends]
+        for name in self._ends:
+            code = codes.get(name)
             if code is not None and code not in allowed:
-                raise NodeEndedError(name, self.report(name, ending(code)))
+                raise NodeEndedError(name, code, self.report(name, ending(code)))
 
     def report(self, name: str, how: str) -> str:
         """Return what happened to a node, with the end of its log."""
@@ -165,8 +154,8 @@ class NodeProcesses:
     def _log(self, name: str) -> list[str]:
         return self._log_file(name).read_text(encoding='utf-8', errors='replace').splitlines()
 
-    def _log_file(self, name: str) -> Any:
-        return self._spec.logs / f'{self._spec.process_of(name)}.log'
+    def _log_file(self, name: str) -> Path:
+        return self._spec.logs / f'{name}.log'
 
     def stop(self, *, abort: bool = False) -> None:
         """
@@ -185,8 +174,6 @@ class NodeProcesses:
             names = [x for x in names if x == RECORDER]
         for name in names:
             _stop([self._running[name]], _signals_to(name))
-        for log in self._logs.values():
-            log.close()
 
     def timing(self) -> dict[str, dict[str, Any]]:
         """Return what each node wrote about its run; nothing for one that could not."""
@@ -204,7 +191,7 @@ def _signals_to(name: str) -> Signals:
     return RECORDER_SIGNALS if name == RECORDER else STOP_SIGNALS
 
 
-def _stop(processes: list[ForkedProcess], signals: Signals) -> None:
+def _stop(processes: list[NodeProcess], signals: Signals) -> None:
     """Send some processes one signal after the other, until they have ended."""
     for process in processes:
         process.send_signal(signal.SIGCONT)  # one that is halted would not hear of the others

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 import math
-from typing import Any
+import time
 
 from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.nodes.graph_node import ignore, take
 from multicontact_control.nodes.link import GuestNode
-
-LOOP_OF_SIM = f'{topics.SIM}: loop'
 
 
 @dataclass(frozen=True)
@@ -25,16 +23,14 @@ class GraphProgress:
         Time since the first sample that was seen [s].
     forces
         Measured force per contact [N].
-    deadlines, missed
-        How many deadlines the simulator has told of, about once a second, and how many of them
-        were missed.
+    realtime_factor
+        Simulated time over wall time since then.
 
     """
 
     time: float
     forces: Mapping[str, float]
-    deadlines: int = 0
-    missed: int = 0
+    realtime_factor: float = 0.0
 
 
 class ProgressListener(GuestNode):
@@ -42,12 +38,12 @@ class ProgressListener(GuestNode):
 
     def __init__(self, domain_id: int, namespace: str = '') -> None:
         super().__init__('run_progress', domain_id, namespace)
-        self._forces, self._reports = (
-            self.node.create_subscription(topic.message, topic.name, ignore, profile)
-            for topic, profile in ((topics.MEASURED_FORCES, qos.GLANCE),
-                                   (topics.DIAGNOSTICS, qos.REPORT)))
+        self._forces, self._variances = (
+            self.node.create_subscription(topic.message, topic.name, ignore, qos.GLANCE)
+            for topic in (topics.MEASURED_FORCES, topics.NOISE_VARIANCE))
         self._first: int | None = None
-        self._deadlines = self._missed = 0
+        self._newest = 0
+        self._start = 0.0
 
     @property
     def heard(self) -> bool:
@@ -56,24 +52,23 @@ class ProgressListener(GuestNode):
 
     def newest(self) -> GraphProgress | None:
         """Return what came last since the last call, if anything."""
-        while (report := take(self._reports)) is not None:
-            self._count_deadlines(report[0])
         taken = take(self._forces)
         if taken is None:
             return None
         message = taken[0]
         stamp = messages.stamp_to_ns(message.header.stamp)
         if self._first is None:
-            self._first = stamp
+            self._first, self._start = stamp, time.monotonic()
+        self._newest = stamp
         forces = {
             name: value for name, value in zip(message.name, message.effort)
             if math.isfinite(value)}
-        return GraphProgress(
-            (stamp - self._first) * 1e-9, forces, self._deadlines, self._missed)
+        simulated, wall = (stamp - self._first) * 1e-9, time.monotonic() - self._start
+        return GraphProgress(simulated, forces, simulated / wall if wall else 0.0)
 
-    def _count_deadlines(self, report: Any) -> None:
-        for status in report.status:
-            if status.name.endswith(LOOP_OF_SIM):
-                values = {entry.key: entry.value for entry in status.values}
-                self._deadlines = int(values['ticks'])
-                self._missed = int(values['deadline_misses_in_all'])
+    def waited_for(self) -> str:
+        """Return which node the others wait for, by the stamps of what each sent last."""
+        self.newest()
+        taken = take(self._variances)
+        behind = taken is None or messages.stamp_to_ns(taken[0].header.stamp) < self._newest
+        return topics.ESTIMATOR if behind else topics.CONTROLLER

@@ -15,10 +15,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from multicontact_control.errors import RunError
 from multicontact_control.experiment.graph.domain import reserve_domain
-from multicontact_control.experiment.graph.processes import NodeProcesses
+from multicontact_control.experiment.graph.processes import NodeEndedError, NodeProcesses
 from multicontact_control.experiment.graph.progress import GraphProgress, ProgressListener
-from multicontact_control.experiment.graph.spec import COMPOSED, GraphSpec, SIM
+from multicontact_control.experiment.graph.spec import GraphSpec, SIM
 from multicontact_control.experiment.graph.watching import (
     bring_up,
     collected_signals,
@@ -28,8 +29,6 @@ from multicontact_control.experiment.graph.watching import (
     Tell,
     watch,
 )
-
-__all__ = ['COMPOSED', 'GraphResult', 'GraphSpec', 'run_graph']
 
 
 @dataclass(frozen=True)
@@ -110,6 +109,10 @@ def run_graph(
                 failed = False
             except InterruptedRunError:
                 failed = False
+            except NodeEndedError as error:
+                if error.node_name == SIM and error.code > 0 and listener.heard:
+                    raise RunError(f'{listener.waited_for()} does not answer; {error}') from None
+                raise
             finally:
                 processes.stop(abort=failed)
             listener.newest()

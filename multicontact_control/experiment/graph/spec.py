@@ -10,9 +10,7 @@ from pathlib import Path
 import sys
 from typing import Any
 
-from multicontact_control.experiment.graph.fork_server import base_environment
 from multicontact_control.nodes.topics import CONTROLLER, ESTIMATOR, RECORDER, SIM
-from multicontact_control.process import FOLLOW_PARENT
 
 START_ORDER = (RECORDER, ESTIMATOR, CONTROLLER, SIM)
 MANAGED = (ESTIMATOR, CONTROLLER)  # in the order in which they are activated
@@ -20,16 +18,8 @@ MODULES = {
     RECORDER: 'multicontact_control.nodes.recorder_node',
     ESTIMATOR: 'multicontact_control.nodes.noise_estimator_node',
     CONTROLLER: 'multicontact_control.nodes.controller_node',
-    SIM: 'sim_bridge.sim_node',
-    'composed_node': 'multicontact_control.nodes.composed_node',
-    'composed_sim_node': 'sim_bridge.composed_sim_node'}
-# Nodes that may share a process: the name of that, and which they are.
-COMPOSED = {
-    'none': ('', ()),
-    'control': ('composed_node', (ESTIMATOR, CONTROLLER)),
-    'all': ('composed_sim_node', (ESTIMATOR, CONTROLLER, SIM))}
+    SIM: 'sim_bridge.sim_node'}
 FIFO_PRIORITY = 80  # below the kernel's own threads
-ROS_ARGUMENTS = '--ros-args'
 BARE_EFFORTS = 'std_msgs/msg/Float64MultiArray'
 
 
@@ -48,8 +38,10 @@ class GraphSpec:
         Samples until the run ends, 0 for a signal to end it.
     rate
         Control rate [Hz].
-    lockstep
-        Whether the nodes wait for each other instead of the wall clock.
+    free_running
+        Whether the plant goes on without the command that answers its last sample, as a robot.
+    speed
+        Simulated time per wall time at most; 0 for as fast as it goes.
     seed
         Seed of the plant.
     reference_file
@@ -64,13 +56,11 @@ class GraphSpec:
         Other names of topics per node name.
     extra_nodes
         More nodes by name: the module that each is.
-    composed
-        Which nodes share a process, see `COMPOSED`.
     recording_batches
         Whether the recorder gets what is sent at the control rate in batches.
     external
         Whether the robot, or its simulator, is somebody else's: there is no plant among the nodes,
-        and `ticks`, `seed` and `lockstep` have no meaning.
+        and `ticks`, `seed` and `speed` have no meaning.
     realtime
         Whether the nodes that control ask for a real-time priority and keep their memory.
 
@@ -80,7 +70,8 @@ class GraphSpec:
     parameter_files: Mapping[str, Path]
     ticks: int
     rate: float
-    lockstep: bool = False
+    free_running: bool = False
+    speed: float = 1.0
     seed: int = 0
     reference_file: Path | None = None
     domain_id: int | None = None
@@ -88,23 +79,9 @@ class GraphSpec:
     extra_parameters: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     remappings: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     extra_nodes: Mapping[str, str] = field(default_factory=dict)
-    composed: str = 'none'
     recording_batches: bool = False
     realtime: bool = False
     external: bool = False
-
-    @property
-    def processes(self) -> dict[str, tuple[str, ...]]:
-        """Names of the nodes of each process, in the order in which they are started."""
-        shared, members = COMPOSED[self.composed]
-        alone: dict[str, tuple[str, ...]] = {
-            name: (name,) for name in self.node_names if name not in members}
-        return {**alone, shared: members} if members else alone
-
-    def process_of(self, name: str) -> str:
-        """Return the name of the process that a node is in."""
-        shared, members = COMPOSED[self.composed]
-        return shared if name in members else name
 
     @property
     def node_names(self) -> tuple[str, ...]:
@@ -132,51 +109,32 @@ def timing_file(spec: GraphSpec, name: str) -> Path:
     return spec.logs / f'{name}.json'
 
 
-def node_module(process: str, spec: GraphSpec) -> str:
-    """Return the module whose `main` a process is."""
-    return {**MODULES, **spec.extra_nodes}[process]
+def node_module(name: str, spec: GraphSpec) -> str:
+    """Return the module whose `main` a node is."""
+    return {**MODULES, **spec.extra_nodes}[name]
 
 
 def node_command(
-    process: str, spec: GraphSpec, overrides: Mapping[str, Any] | None = None,
+    name: str, spec: GraphSpec, overrides: Mapping[str, Any] | None = None,
 ) -> list[str]:
     """
-    Return the command line of a process: its installed script, or its module.
+    Return the command line of a node: its installed script, or its module.
 
-    `overrides` are parameters over those of the graph. What is for several nodes is written to a
-    file among the logs.
+    `overrides` are parameters over those of the graph.
     """
-    script = Path(sys.executable).parent / process
+    script = Path(sys.executable).parent / name
     command = [str(script)] if os.access(script, os.X_OK) else (
-        [sys.executable, '-m', node_module(process, spec)])
-    command.append(ROS_ARGUMENTS)
+        [sys.executable, '-m', node_module(name, spec)])
+    command.append('--ros-args')
     if spec.namespace:
         command += ['-r', f'__ns:=/{spec.namespace}']
-    names = spec.processes[process]
-    files = [spec.parameter_files[name] for name in names if name in spec.parameter_files]
-    parameters = {name: {**node_parameters(name, spec), **(overrides or {})} for name in names}
-    if len(names) > 1:
-        files.append(_shared_parameters(spec.logs / f'{process}.yaml', parameters))
-        parameters = {}
-    for path in files:
-        command += ['--params-file', str(path.resolve())]
-    for name in names:
-        # Of several nodes, remappings are for one by its name.
-        whose = f'{name}:' if len(names) > 1 else ''
-        for topic, other in spec.remappings.get(name, {}).items():
-            command += ['-r', f'{whose}{topic}:={other}']
-    for values in parameters.values():
-        for key, value in values.items():
-            command += ['-p', f'{key}:={_as_argument(value)}']
+    if name in spec.parameter_files:
+        command += ['--params-file', str(spec.parameter_files[name].resolve())]
+    for topic, other in spec.remappings.get(name, {}).items():
+        command += ['-r', f'{topic}:={other}']
+    for key, value in {**node_parameters(name, spec), **(overrides or {})}.items():
+        command += ['-p', f'{key}:={json.dumps(value)}']  # JSON keeps 500.0 a double
     return command
-
-
-def _shared_parameters(path: Path, parameters: Mapping[str, Mapping[str, Any]]) -> Path:
-    """Write the parameters of the nodes of one process, which a command line cannot tell apart."""
-    path.write_text(json.dumps({
-        f'/**/{name}': {'ros__parameters': values} for name, values in parameters.items()},
-        indent=1), encoding='utf-8')
-    return path
 
 
 def node_parameters(name: str, spec: GraphSpec) -> dict[str, Any]:
@@ -190,29 +148,20 @@ def node_parameters(name: str, spec: GraphSpec) -> dict[str, Any]:
         if bare:
             values['extra_topics'] = [f'{bare} {BARE_EFFORTS}']
     if name == SIM:
-        values |= {'ticks': spec.ticks, 'rate': float(spec.rate), 'seed': spec.seed}
+        values |= {'ticks': spec.ticks, 'rate': float(spec.rate), 'seed': spec.seed,
+                   'speed': float(spec.speed)}
     if name == CONTROLLER and spec.reference_file is not None:
         values['reference_file'] = str(spec.reference_file.resolve())
     if name == CONTROLLER and name in spec.parameter_files:
         values['base_dir'] = str(spec.parameter_files[name].resolve().parent)
     if name in (SIM, CONTROLLER):
-        values['lockstep'] = spec.lockstep
+        values['lockstep'] = not (spec.free_running or spec.external)
     if spec.realtime and name != RECORDER:
         values |= {'fifo_priority': FIFO_PRIORITY, 'lock_memory': True}
-        if spec.composed == 'all':
-            values['cpus'] = [max(os.sched_getaffinity(0))]  # the last: interrupts like the first
     return {**values, **spec.extra_parameters.get(name, {})}
-
-
-def _as_argument(value: Any) -> str:
-    """Return a value as YAML on one line; JSON is that, and keeps 500.0 a double."""
-    return json.dumps(value)
 
 
 def node_environment(spec: GraphSpec, domain_id: int) -> dict[str, str]:
     """Return the environment of the nodes."""
-    environment = base_environment()
-    environment['ROS_DOMAIN_ID'] = str(domain_id)
-    environment['ROS_LOG_DIR'] = str((spec.logs / 'ros').resolve())
-    environment[FOLLOW_PARENT] = str(os.getpid())
-    return environment
+    return {**os.environ, 'ROS_DOMAIN_ID': str(domain_id),
+            'ROS_LOG_DIR': str((spec.logs / 'ros').resolve())}

@@ -7,23 +7,17 @@ The robot is `external_arm.py`, a process that knows nothing of this package.
 from __future__ import annotations
 
 import contextlib
-import fcntl
-from functools import partial
 import json
 import os
 from pathlib import Path
 import re
-import select
 import shlex
 import signal
 import subprocess
 import sys
-import termios
-import threading
 
 from arms import seven_joint_urdf
 from external_arm import BIAS, TOOL_COM, TOOL_MASS
-from mcap.reader import make_reader
 from multicontact_control.client import MultiContactClient
 from multicontact_control.experiment.bag import read_graph
 from multicontact_control.experiment.graph.domain import reserve_domain, shared_domain
@@ -71,21 +65,16 @@ class Shell:
             'COLUMNS': '200'}
         self._running = []
 
-    def start(self, *command, log, terminal=None):
-        """Start a process; it ends with its terminal if it gets one instead of a log."""
+    def start(self, *command, log):
         with (self.folder / log).open('w') as file:
             process = subprocess.Popen(
                 [sys.executable, *command], cwd=self.folder, env=self._environment,
-                stdin=terminal, stdout=file if terminal is None else terminal,
-                stderr=subprocess.STDOUT, start_new_session=True,
-                preexec_fn=None if terminal is None else partial(
-                    fcntl.ioctl, terminal, termios.TIOCSCTTY, 0))
+                stdout=file, stderr=subprocess.STDOUT, start_new_session=True)
         self._running.append(process)
         return process
 
-    def multicontact(self, *arguments, log, terminal=None):
-        return self.start(
-            '-m', 'multicontact_control.cli', *arguments, log=log, terminal=terminal)
+    def multicontact(self, *arguments, log):
+        return self.start('-m', 'multicontact_control.cli', *arguments, log=log)
 
     def said(self, log):
         return (self.folder / log).read_text(encoding='utf-8')
@@ -140,6 +129,7 @@ def test_domain_is_the_one_that_the_robot_is_in(monkeypatch):
     assert (shared_domain(None), shared_domain(7)) == (None, 7)  # None: as the environment says
 
 
+@pytest.mark.nightly
 def test_documented_way_leads_from_a_urdf_to_ten_newtons(shell, tmp_path):
     commands, program = documented()
     urdf = write_controller(tmp_path)
@@ -194,12 +184,9 @@ def test_documented_way_leads_from_a_urdf_to_ten_newtons(shell, tmp_path):
     forces = load(tmp_path / 'runs/latest').data
     assert np.nanmax(forces.alpha_meas) > 9.0 and np.nanmax(forces.command) == 10.0
     recorded = read_graph(tmp_path / 'runs/latest/bag').by_topic
-    # The safe behaviour, after the controller was deactivated: for half a second of the clock,
-    # which is less of the robot's time where a busy machine makes that slow.
+    # The safe behaviour, after the controller was deactivated.
     commands, forces = '/joint_effort_command', '/contact_forces/measured'
     assert recorded[commands[1:]].stamps[-1] > recorded[forces[1:]].stamps[-1]
-    arrivals = last_arrivals(tmp_path / 'runs/latest/bag')
-    assert arrivals[commands] - arrivals[forces] > 100_000_000
     code, text = shell.end(reporting, 'report')
     assert code == 0, text
     assert 'no ground truth' in (tmp_path / 'runs/latest/report.html').read_text(encoding='utf-8')
@@ -207,46 +194,6 @@ def test_documented_way_leads_from_a_urdf_to_ten_newtons(shell, tmp_path):
     assert code == 0 and 'wall: ' in text, text
     code, text = shell.end(judged, 'first')
     assert code == 0 and 'not judged' in text, text
-
-
-def last_arrivals(bag):
-    """Return when the last message of each topic was recorded, by the clock [ns]."""
-    path, = bag.glob('*.mcap')
-    with path.open('rb') as file:
-        return {channel.topic: message.log_time
-                for _, channel, message in make_reader(file).iter_messages()}
-
-
-def test_node_that_dies_before_the_robot_is_there_is_named(shell, tmp_path):
-    write_controller(tmp_path)
-    running = shell.multicontact(
-        'run', '--external', '--controller', 'controller.yaml', '--out', 'out', log='log')
-    shell.wait_until_said(running, 'log', 'nobody publishes it')
-    for entry in nodes_of(tmp_path / 'out', 'noise_estimator_node.json'):
-        os.kill(int(entry.name), signal.SIGKILL)
-    code, text = shell.end(running, 'log')
-    assert code == 1 and 'noise_estimator_node was killed by SIGKILL' in text, text
-
-
-class Terminal:
-    """A terminal that shows nobody what is written to it, until it is closed."""
-
-    def __init__(self):
-        self._master, self.end = os.openpty()
-        self._closing = threading.Event()
-        self._thread = threading.Thread(target=self._read, daemon=True)
-        self._thread.start()
-
-    def _read(self):
-        while not self._closing.is_set():
-            if select.select([self._master], [], [], 0.05)[0]:
-                os.read(self._master, 4096)
-
-    def close(self):
-        self._closing.set()
-        self._thread.join()
-        os.close(self._master)
-        os.close(self.end)
 
 
 class Listener(GuestNode):
@@ -267,26 +214,21 @@ class Listener(GuestNode):
         return True
 
 
-@pytest.mark.parametrize('end', ['killed', 'terminal closed'])
-def test_robot_that_presses_is_left_with_the_safe_behaviour(shell, tmp_path, end):
+def test_robot_that_presses_is_left_with_the_safe_behaviour(shell, tmp_path):
     urdf = write_controller(
         tmp_path, safe_behaviour={'kind': 'zero_torque'},
         tool={'mass': TOOL_MASS, 'com_sensor': TOOL_COM.tolist(), 'bias_sensor': BIAS.tolist()})
     shell.start(str(Path(__file__).parents[2] / 'external_arm.py'), str(urdf), log='arm')
-    terminal = Terminal()
     running = shell.multicontact(
         'run', '--external', '--controller', 'controller.yaml', '--out', 'run',
-        log='log', terminal=terminal.end)
+        log='log')
     with MultiContactClient(domain_id=shell.domain_id, timeout=PATIENCE) as arm:
         arm.set_forces({'wall': 10.0})
         arm.wait_until_reached(force_tolerance=1.0, timeout=PATIENCE)
     with Listener(shell.domain_id) as listener:
         wait_for(lambda: listener.poll() and listener.stamps[1], 'measured forces')
         nodes = nodes_of(tmp_path / 'run')
-        if end == 'killed':
-            running.kill()
-        else:
-            terminal.close()
+        running.kill()
         wait_for_end_of(nodes, 'their end', listener.poll)
         assert not nodes_of(tmp_path / 'run')
         answered, controlled = listener.stamps
@@ -297,25 +239,6 @@ def test_robot_that_presses_is_left_with_the_safe_behaviour(shell, tmp_path, end
         if len(safe) > 100:
             assert safe[-1] < 0.92 * safe[0]
     running.wait(PATIENCE)
-    if end != 'killed':
-        assert running.returncode == 0
-        assert json.loads((tmp_path / 'run/summary.json').read_text())['mode'] == 'external'
-
-
-def test_node_that_fails_while_the_run_is_stopped_is_named(shell, tmp_path):
-    urdf = write_controller(tmp_path)
-    shell.start(str(Path(__file__).parents[2] / 'external_arm.py'), str(urdf), log='arm')
-    running = shell.multicontact(
-        'run', '--external', '--controller', 'controller.yaml', '--out', 'run', log='log')
-    with Listener(shell.domain_id) as listener:
-        wait_for(lambda: listener.poll() and listener.stamps[1], 'measured forces')
-    controller = nodes_of(tmp_path / 'run', 'controller_node.json')
-    running.send_signal(signal.SIGINT)
-    wait_for_end_of(controller, 'its end')
-    for entry in nodes_of(tmp_path / 'run', 'recorder_node.json'):
-        os.kill(int(entry.name), signal.SIGKILL)
-    code, text = shell.end(running, 'log')
-    assert code == 1 and 'recorder_node was killed by SIGKILL' in text, text
 
 
 def nodes_of(folder, log=''):

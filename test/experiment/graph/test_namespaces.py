@@ -1,15 +1,13 @@
-"""Two graphs in one domain, each with its description, its markers and its /tf."""
+"""Two graphs in one domain."""
 
 from __future__ import annotations
 
 from multicontact_control.config import check_namespace
 from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.graph.domain import reserve_domain
-from multicontact_control.experiment.graph.spec import CONTROLLER, GraphSpec, node_command
 from multicontact_control.nodes import qos
 from multicontact_control.nodes.link import GuestNode
 from multicontact_control.paths import config_dir
-import numpy as np
 import pytest
 from ros_graph import end_of, start_graph, wait_for
 from rosbags.rosbag2 import Reader
@@ -113,7 +111,7 @@ def test_each_graph_records_its_own_topics_only(two_runs):
     for side in SIDES:
         with Reader(folders[side] / 'bag') as reader:
             counts = {x.topic: x.msgcount for x in reader.connections}
-        assert set(counts) - {'/tf', '/clock'} == {x for x in counts if x.startswith(f'/{side}/')}
+        assert set(counts) - {'/clock'} == {x for x in counts if x.startswith(f'/{side}/')}
         assert counts[f'/{side}/joint_states'] == TICKS
         assert counts[f'/{side}/joint_effort_command'] == TICKS
     positions = [read(folders[side], f'/{side}/ft_sensor/wrench')[-1].wrench.force.z
@@ -127,46 +125,6 @@ def test_late_subscriber_gets_the_description(two_runs):
     for side in SIDES:
         assert heard[side]['description'] == expected
         assert [x.data for x in read(folders[side], f'/{side}/robot_description')] == [expected]
-
-
-def test_bag_has_markers_and_transforms_at_their_rates(two_runs):
-    folders, _ = two_runs
-    for side in SIDES:
-        markers = read(folders[side], f'/{side}/contact_markers')
-        assert len(markers) == 25 * TICKS // 500
-        assert all(len(message.markers) == 6 for message in markers)
-        transforms = read(folders[side], '/tf')
-        assert abs(len(transforms) - 50 * TICKS // 500) <= 1
-
-
-def test_transforms_in_the_bag_lead_to_the_operational_point(two_runs):
-    folders, _ = two_runs
-    side = SIDES[0]
-    poses = {(x.header.stamp.sec, x.header.stamp.nanosec): x.pose.position
-             for x in read(folders[side], f'/{side}/operational_point/pose')}
-    checked = 0
-    for message in read(folders[side], '/tf'):
-        stamp = message.transforms[0].header.stamp
-        found = position_of(message.transforms, 'wrist_point')
-        pose = poses[stamp.sec, stamp.nanosec]
-        np.testing.assert_allclose(found, [pose.x, pose.y, pose.z], atol=1e-9)
-        checked += 1
-    assert checked > 0
-
-
-def position_of(transforms, link):
-    """Return where a link is, by following its parents."""
-    by_child = {x.child_frame_id: x for x in transforms}
-    position = np.zeros(3)
-    while link in by_child:
-        step = by_child[link]
-        x, y, z, w = (getattr(step.transform.rotation, name) for name in 'xyzw')
-        axis = np.array([x, y, z])
-        position = position + 2.0 * np.cross(axis, np.cross(axis, position) + w * position)
-        origin = step.transform.translation
-        position = position + [origin.x, origin.y, origin.z]
-        link = step.header.frame_id
-    return position
 
 
 def test_bare_efforts_are_those_of_the_command(two_runs):
@@ -190,11 +148,6 @@ def test_bare_efforts_are_in_the_bag(two_runs):
         # Nobody waits for who listens to it: the first ones may be missing.
         assert 0 < len(efforts) <= TICKS
         assert efforts == commands[-len(efforts):]
-
-
-def test_node_command_leaves_the_names_alone_without_a_namespace(tmp_path):
-    spec = GraphSpec(out=tmp_path, parameter_files={}, ticks=1, rate=500.0)
-    assert '-r' not in node_command(CONTROLLER, spec)
 
 
 @pytest.mark.parametrize(('namespace', 'bare'), [
