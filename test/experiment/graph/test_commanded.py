@@ -22,8 +22,8 @@ def test_a_simulated_arm_obeys_until_it_is_interrupted_and_is_judged_by_what_was
     with reserve_domain() as domain_id:
         process = subprocess.Popen(
             [sys.executable, '-m', 'multicontact_control.cli', 'run', '--commanded',
-             '--speed', '0', '--scenario', 'quick', '--plant', 'rigid', '--domain-id', str(domain_id),
-             '--out', str(out)],
+             '--speed', '0', '--scenario', 'quick', '--plant', 'rigid',
+             '--domain-id', str(domain_id), '--out', str(out)],
             cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
         try:
             with MultiContactClient(domain_id=domain_id, timeout=PATIENCE) as arm:
