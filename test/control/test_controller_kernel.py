@@ -15,13 +15,13 @@ from multicontact_control.errors import (
     ShapeError,
     SingularTaskError,
 )
-from multicontact_control.experiment.bench.scaling import synthetic_setup
 from multicontact_control.experiment.closed_loop import run_in_process
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.paths import config_dir
 import numpy as np
 import pytest
 from reference_controller import ReferenceController
+from synthetic_arm import synthetic_setup
 
 SERIES = ('torque', 'alpha_meas', 'alpha_est', 'alpha_rate_est', 'alpha_des', 'innovation',
           'prior_variance', 'variance_used')

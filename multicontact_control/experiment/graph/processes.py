@@ -16,9 +16,9 @@ from multicontact_control.experiment.graph.spec import (
     CONTROLLER,
     ESTIMATOR,
     GraphSpec,
+    MODULES,
     node_command,
     node_environment,
-    node_module,
     RECORDER,
     ROS_ARGUMENTS,
     SIM,
@@ -62,11 +62,6 @@ class NodeProcesses:
         """Names of the nodes that were started and not ended from here."""
         return tuple(self._running)
 
-    @property
-    def numbers(self) -> tuple[int, ...]:
-        """Numbers of their processes."""
-        return tuple({process.pid for process in self._running.values()})
-
     def start_all(self) -> None:
         """
         Start every node.
@@ -85,7 +80,7 @@ class NodeProcesses:
         """Start a process, again if it has ended, with parameters over those of the graph."""
         command, log = node_command(name, self._spec, parameters), self._logs[name]
         process = fork_server(self._environment).start(
-            node_module(name, self._spec), command, name, command[command.index(ROS_ARGUMENTS):],
+            MODULES[name], command, name, command[command.index(ROS_ARGUMENTS):],
             self._environment, (log, log), self._ends.append)
         for member in self._spec.processes[name]:
             self._running[member] = process
@@ -179,7 +174,7 @@ class NodeProcesses:
             that every message that was sent is in the bag.
 
         """
-        names = [x for x in (*STOP_ORDER, *self._spec.extra_nodes) if x in self._running]
+        names = [x for x in STOP_ORDER if x in self._running]
         if abort:
             _stop([self._running[x] for x in names if x != RECORDER], ABORT_SIGNALS)
             names = [x for x in names if x == RECORDER]

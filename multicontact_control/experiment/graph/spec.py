@@ -62,8 +62,6 @@ class GraphSpec:
         More parameters per node name, over those of its file.
     remappings
         Other names of topics per node name.
-    extra_nodes
-        More nodes by name: the module that each is.
     composed
         Which nodes share a process, see `COMPOSED`.
     recording_batches
@@ -87,7 +85,6 @@ class GraphSpec:
     namespace: str = ''
     extra_parameters: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     remappings: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
-    extra_nodes: Mapping[str, str] = field(default_factory=dict)
     composed: str = 'none'
     recording_batches: bool = False
     realtime: bool = False
@@ -109,7 +106,7 @@ class GraphSpec:
     @property
     def node_names(self) -> tuple[str, ...]:
         """Names of all nodes, in the order in which they are started."""
-        return (*START_ORDER[:-1], *self.extra_nodes, *(() if self.external else (SIM,)))
+        return (*START_ORDER[:-1], *(() if self.external else (SIM,)))
 
     @property
     def peers(self) -> tuple[str, ...]:
@@ -132,11 +129,6 @@ def timing_file(spec: GraphSpec, name: str) -> Path:
     return spec.logs / f'{name}.json'
 
 
-def node_module(process: str, spec: GraphSpec) -> str:
-    """Return the module whose `main` a process is."""
-    return {**MODULES, **spec.extra_nodes}[process]
-
-
 def node_command(
     process: str, spec: GraphSpec, overrides: Mapping[str, Any] | None = None,
 ) -> list[str]:
@@ -148,7 +140,7 @@ def node_command(
     """
     script = Path(sys.executable).parent / process
     command = [str(script)] if os.access(script, os.X_OK) else (
-        [sys.executable, '-m', node_module(process, spec)])
+        [sys.executable, '-m', MODULES[process]])
     command.append(ROS_ARGUMENTS)
     if spec.namespace:
         command += ['-r', f'__ns:=/{spec.namespace}']

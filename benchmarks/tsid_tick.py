@@ -1,10 +1,8 @@
 """
-TSID's tick on samples of ours, and pinocchio's bare calls beside it.
+TSID's tick on samples of ours: a script for the Python in whose environment TSID is.
 
-A script for the Python in whose environment TSID is, with the pinocchio it was built for: it
-imports nothing of this package. Its argument is the file that `against_tsid.py` writes. It prints
-one JSON object that describes the problem, and one with the times of a lap through all samples for
-each line it gets.
+It imports nothing of this package. Its argument is the file that `bench.py` writes; its last line
+is a JSON object.
 """
 
 from __future__ import annotations
@@ -20,6 +18,7 @@ import pinocchio as pin
 from tsid import tsid_pywrap as tsid
 
 PERIOD = 0.002  # s
+LAPS = 3
 FREQUENCY = 30.0  # of the motion tasks, critically damped [rad/s]
 FRICTION = 0.3  # of the contacts
 FORCE_WANTED, LARGEST_FORCE = 10.0, 100.0  # N
@@ -95,54 +94,21 @@ class Tick:
         return self.dynamics.getActuatorForces(solution)
 
 
-class BareDynamics:
-    """Pinocchio's calls for M, C v + g, J and dJ/dt v: the same as our own tick's floor."""
-
-    def __init__(self, problem: dict[str, Any]) -> None:
-        self.model = pin.buildModelFromUrdf(str(problem['urdf']))
-        self.data = self.model.createData()
-        self.frame = self.model.getFrameId(str(problem['frame']))
-        self.zero = np.zeros(self.model.nv)
-
-    def step(self, q: Any, v: Any) -> None:
-        """Make them, and drop what they return."""
-        model, data, frame = self.model, self.data, self.frame
-        pin.forwardKinematics(model, data, q, v, self.zero)
-        pin.getFrameClassicalAcceleration(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
-        pin.crba(model, data, q)
-        pin.nonLinearEffects(model, data, q, v)
-        pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)
-
-
-def lap(tick: Tick, bare: BareDynamics) -> dict[str, Any]:
-    """Return the times of both on every sample [us], and how many had no solution."""
-    ticks, floors = [], []
-    tick.unsolved = 0
-    for k, (q, v, wanted) in enumerate(tick.samples):
-        start = perf_counter_ns()
-        tick.step(PERIOD * k, q, v, wanted)
-        done = perf_counter_ns()
-        bare.step(q, v)
-        end = perf_counter_ns()
-        ticks.append((done - start) / 1e3)
-        floors.append((end - done) / 1e3)
-    return {'tick_us': ticks, 'dynamics_us': floors, 'unsolved': tick.unsolved}
-
-
 def main() -> None:
-    """Describe the problem, then take a lap for each line that comes in."""
+    """Time a tick on each sample, after one lap to warm up, and print what was found."""
     with np.load(sys.argv[1]) as file:
-        problem = dict(file)
-    tick, bare = Tick(problem), BareDynamics(problem)
-    dynamics = tick.dynamics
-    print(json.dumps({
-        'pinocchio': pin.__version__, 'variables': dynamics.nVar, 'equalities': dynamics.nEq,
-        'inequalities': dynamics.nIn}), flush=True)
+        tick = Tick(dict(file))
     gc.collect()
     gc.freeze()
     gc.disable()
-    for _ in sys.stdin:
-        print(json.dumps(lap(tick, bare)), flush=True)
+    for _ in range(1 + LAPS):
+        times, tick.unsolved = [], 0
+        for k, (q, v, wanted) in enumerate(tick.samples):
+            start = perf_counter_ns()
+            tick.step(PERIOD * k, q, v, wanted)
+            times.append((perf_counter_ns() - start) / 1e3)
+    print(json.dumps({'tick_us': times, 'unsolved': tick.unsolved, 'pinocchio': pin.__version__,
+                      'variables': tick.dynamics.nVar}))
 
 
 if __name__ == '__main__':
