@@ -12,6 +12,9 @@ SHELL := /bin/bash
 VENV := .venv
 RUN_ARGS ?=
 TEST_ARGS ?=
+CAMPAIGN_ARGS ?=
+SOAK_ARGS ?=
+BENCH_ARGS ?=
 
 # Three workers for two cores: graphs that start and end leave them idle half of the time.
 # test/conftest.py divides the tests among them.
@@ -74,7 +77,7 @@ if sys.version_info >= (3, 12) and not (headers.is_file() and shutil.which('c++'
 endef
 export CHECK_PYTHON
 
-.PHONY: help setup demo run simulate test browser check lint reference docs clean
+.PHONY: help setup demo run simulate test browser check campaign soak bench lint reference docs clean
 
 help:  ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "make %-10s %s\n", $$1, $$2}' Makefile
@@ -104,6 +107,15 @@ browser: $(TEST_STAMP) $(DATA_STAMP) $(COMPILED_STAMP)  ## Drive the live view i
 check: $(TEST_STAMP) $(DATA_STAMP) $(COMPILED_STAMP) lint  ## For every commit: style, types, unit tests, one run
 	@$(WITH_ROS) $(PYTEST) -m 'not (ros or slow or colcon or linter)' $(TEST_ARGS)
 	@$(WITH_ROS) exec $(BIN)/multicontact simulate --scenario quick --out $(VENV)/check --overwrite
+
+campaign: setup  ## Faults over running graphs: CAMPAIGN_ARGS="--quick"
+	@$(WITH_ROS) PYTHONPATH=test:$$PYTHONPATH exec $(BIN)/python -m campaign.faults $(CAMPAIGN_ARGS)
+
+soak: setup  ## Hours of random commands and faults: SOAK_ARGS="--hours 0.1 --graph"
+	@$(WITH_ROS) PYTHONPATH=test:$$PYTHONPATH exec $(BIN)/python -m campaign.soak $(SOAK_ARGS)
+
+bench: setup  ## How fast everything is: BENCH_ARGS="--ticks 2000"
+	@$(WITH_ROS) exec $(BIN)/python benchmarks/bench.py $(BENCH_ARGS)
 
 reference: $(RUN_STAMP)  ## Write docs/reference anew, from what the code declares
 	@$(WITH_ROS) exec $(BIN)/python docs/make_reference.py

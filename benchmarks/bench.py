@@ -2,17 +2,12 @@
 How fast everything is, each part beside its floor in the same run: `make bench`.
 
 Options go in BENCH_ARGS. Ratios compare between machines; times do not. TSID needs an older
-pinocchio, so it lives in an environment of its own, which --tsid-python names:
-
-    python3 -m venv tsid
-    tsid/bin/pip install tsid==1.7.1 pin==3.4.0 'cmeel-urdfdom<5' 'cmeel-tinyxml2<11'
+pinocchio: --tsid-python names the Python of its environment (docs/experiments.md).
 """
 
 import argparse
 import json
-import os
 from pathlib import Path
-import platform
 import subprocess
 import sys
 from tempfile import TemporaryDirectory
@@ -50,17 +45,12 @@ POINTS = np.array([[0.1, 0.2, -0.6], [-0.6, 0.1, 0.2], [0.6, 0.2, 0.1],
 
 
 def setup_of(duration=None):
-    """Return the scenario that everything is measured on."""
+    """Return the scenario of all measurements."""
     return resolve('quick', plant='rigid', seed=0, duration=duration)
 
 
 def race(work, floor, count, lap, restart):
-    """
-    Time something and its floor right after each call of it.
-
-    Both are called with their place in a `lap`, before which comes `restart`, untimed. Returns
-    percentiles of either [us], and the ratio of their medians.
-    """
+    """Time something and, after each call, its floor [us]; `restart` comes before each `lap`."""
     times = np.zeros((count, 2))
     for k in range(count):
         place = k % lap
@@ -80,8 +70,8 @@ def bare_dynamics(setup):
     """Return a function that makes pinocchio's calls for M, C v + g, J and dJ/dt v."""
     robot = setup.controller.robot
     model = pin.buildModelFromUrdf(str(setup.urdf_dir / robot.urdf))
-    data, frame, zero = model.createData(), model.getFrameId(robot.operational_frame), np.zeros(
-        model.nv)
+    data, frame = model.createData(), model.getFrameId(robot.operational_frame)
+    zero = np.zeros(model.nv)
 
     def compute(q, v):
         pin.forwardKinematics(model, data, q, v, zero)
@@ -93,12 +83,12 @@ def bare_dynamics(setup):
 
 
 def bench_tick(count, *, supervised, estimated=True):
-    """Time sample to torque, with the noise estimator if `estimated`, and the bare dynamics."""
+    """Time a tick, with the noise estimator if `estimated`, and the bare dynamics."""
     setup = setup_of()
     config, data = setup.controller, run_in_process(setup, supervised=supervised).data
-    wrench = getattr(data, config.wrench_series)
-    samples = [PairedSample(round(k * config.period * 1e9), *(x[k].copy() for x in (
-        data.q, data.qd, wrench, data.effort))) for k in range(data.ticks)]
+    series = data.q, data.qd, getattr(data, config.wrench_series), data.effort
+    samples = [PairedSample(round(k * config.period * 1e9), *(x[k].copy() for x in series))
+               for k in range(data.ticks)]
     loop = ControlLoop(config, setup.reference(), CommandLimits(), setup.urdf_dir,
                        supervised=supervised)
     estimator, compute = make_noise_estimator(setup.noise_estimator), bare_dynamics(setup)
@@ -120,11 +110,11 @@ def bench_plant(count):
     """Time a period of the plant, and `stepSimulation` of a bare arm as often as its substeps."""
     config = setup_of().plant
     plant = Plant(config, rate=RATE, seed=0)
-    bare, substeps = BulletArm(plant.description, config.gravity_world, config.substep), (
-        config.substeps(RATE))
+    bare = BulletArm(plant.description, config.gravity_world, config.substep)
+    substeps = range(config.substeps(RATE))
 
     def floor(_):
-        for _ in range(substeps):
+        for _ in substeps:
             pybullet.stepSimulation(physicsClientId=bare.client)
 
     def reset():
@@ -142,20 +132,18 @@ def bench_contacts(count):
     setup, random, found = setup_of(), np.random.default_rng(0), {}
     home = np.array(setup.plant.home)
     pose = RobotModel(setup.controller.robot, setup.urdf_dir).update(home, 0.0 * home).pose
-    table = setup.controller.contacts['table']
+    table, points = setup.controller.contacts['table'], POINTS @ pose.rotation_world
     for contacts in range(1, len(NORMALS) + 1):
         names = [f'contact{k + 1}' for k in range(contacts)]
         config = setup.controller.model_copy(update={'contact_names': tuple(names), 'contacts': {
-            name: table.model_copy(update={
-                'normal_world': tuple(normal), 'point_operational': tuple(
-                    point @ pose.rotation_world)})
-            for name, normal, point in zip(names, NORMALS, POINTS)}})
+            name: table.model_copy(update={'normal_world': (*n,), 'point_operational': (*p,)})
+            for name, n, p in zip(names, NORMALS, points)}})
         reference = CommandedReference(config.contact_names)
         controller = Controller.from_config(config, reference, setup.urdf_dir)
         times = np.zeros(count)
         for k in range(count):
-            sample = Measurement(k / RATE, home + 0.02 * random.standard_normal(6),
-                                 0.1 * random.standard_normal(6), random.standard_normal(6))
+            move, speed, wrench = random.standard_normal((3, 6))
+            sample = Measurement(k / RATE, home + 0.02 * move, 0.1 * speed, wrench)
             start = perf_counter_ns()
             controller.step(sample, np.full(contacts, 0.6))
             times[k] = perf_counter_ns() - start
@@ -167,46 +155,37 @@ def bench_contacts(count):
 
 def bench_graph(duration):
     """Run the graph [s] in lockstep and in real time: latency, misses, load of each node."""
-    from multicontact_control.experiment.graph.run import GraphSpec, run_graph  # needs ROS
+    from multicontact_control.experiment.graph.run import run_graph  # needs ROS
+    from multicontact_control.experiment.graph.spec import GraphSpec, START_ORDER
 
-    found = {}
+    setup, found = setup_of(duration), {}
     for mode in ('lockstep', 'real_time'):
-        cpu = {}
+        spent = []  # times of the wall and the nodes [s], a few times a second
 
-        def look(_progress, cpu=cpu):
+        def look(_progress, spent=spent):
+            now = {'wall': 1e-9 * perf_counter_ns()}
             for process in psutil.Process().children(recursive=True):
-                words = ' '.join(process.cmdline()).split('/')
-                for name in ('sim_node', 'controller_node', 'noise_estimator_node',
-                             'recorder_node'):
-                    if any(word.startswith(name) for word in words):
-                        now = sum(process.cpu_times()[:2]), perf_counter_ns() * 1e-9
-                        cpu.setdefault(name, []).append(now)
+                command = ' '.join(process.cmdline()[:3])
+                now |= {x: sum(process.cpu_times()[:2]) for x in START_ORDER if x in command}
+            spent.append(now)
 
         with TemporaryDirectory() as folder:
-            setup, out = setup_of(duration), Path(folder)
-            result = run_graph(GraphSpec(
-                out=out, ticks=setup.ticks, rate=setup.controller.rate,
-                lockstep=mode == 'lockstep', reference_file=out / 'config/reference.yaml',
-                parameter_files=setup.write(out / 'config')), look)
-        timing = result.timing
+            out = Path(folder)
+            sim = run_graph(GraphSpec(
+                out=out, ticks=setup.ticks, rate=RATE, lockstep=mode == 'lockstep',
+                reference_file=out / 'config/reference.yaml',
+                parameter_files=setup.write(out / 'config')), look).timing['sim_node']
+        first, last = spent[0], spent[-1]
         found[mode] = {
-            'realtime_factor': duration / timing['sim_node']['wall_s'],
-            'latency_us': timing['sim_node']['latency_us'],
-            'tick_us': timing['controller_node']['tick_us'],
-            'deadline_misses': timing['sim_node']['deadline_misses'],
-            'ticks': timing['sim_node']['ticks'],
-            'cores': {name: (x[-1][0] - x[0][0]) / (x[-1][1] - x[0][1])
-                      for name, x in cpu.items() if len(x) > 1}}
+            'realtime_factor': duration / sim['wall_s'],
+            **{name: sim[name] for name in ('latency_us', 'deadline_misses', 'ticks')},
+            'cores': {name: (last[name] - first[name]) / (last['wall'] - first['wall'])
+                      for name in START_ORDER if name in first and name in last}}
     return found
 
 
 def bench_tsid(python, law):
-    """
-    Return TSID's times on the samples of the scenario beside the `law`'s.
-
-    Its problem: one pose, one posture, two point contacts, torque limits, eiquadprog-fast.
-    RuntimeError if TSID cannot be run.
-    """
+    """Return TSID's times on the samples beside the `law`'s; RuntimeError if it cannot be run."""
     setup = setup_of()
     config, data = setup.controller, run_in_process(setup).data
     with TemporaryDirectory() as folder:
@@ -217,17 +196,13 @@ def bench_tsid(python, law):
             tips=[setup.plant.surfaces[name].tip_link for name in config.contact_names],
             normals=[config.contacts[name].normal_world for name in config.contact_names],
             q=data.q, qd=data.qd)
-        try:
-            done = subprocess.run(
-                [python, '-I', str(Path(__file__).with_name('tsid_tick.py')), str(path)],
-                capture_output=True, text=True, check=False)
-        except OSError as error:
-            raise RuntimeError(f"'{python}': {error.strerror}") from None
+        script = Path(__file__).with_name('tsid_tick.py')
+        done = subprocess.run([python, '-I', script, path], capture_output=True, text=True)
     if done.returncode:
-        raise RuntimeError((done.stderr.splitlines() or [f'exit code {done.returncode}'])[-1])
+        raise RuntimeError(done.stderr.rpartition('\n')[0].rpartition('\n')[2])
     found = json.loads(done.stdout.splitlines()[-1])
-    return {**found, 'us': law['us'], 'floor_us': percentiles(found.pop('tick_us')),
-            'ratio': law['us']['p50'] / float(np.median(found['tick_us'])), 'noisy': False}
+    times = percentiles(found.pop('tick_us'))
+    return {**law, **found, 'floor_us': times, 'ratio': law['us']['p50'] / times['p50']}
 
 
 def main(arguments=None):
@@ -238,14 +213,11 @@ def main(arguments=None):
     parser.add_argument('--seconds', type=float, default=10.0,
                         help='of each graph, 0 for none (%(default)s)')
     parser.add_argument('--json', type=Path, help='write all numbers to this file')
-    parser.add_argument('--tsid-python', default=os.environ.get(
-        'MULTICONTACT_TSID_PYTHON', sys.executable), help='Python with TSID (%(default)s)')
+    parser.add_argument('--tsid-python', default=sys.executable, help='Python that has TSID')
     options = parser.parse_args(arguments)
-    console, count = Console(), options.ticks
+    console, count, result = Console(), options.ticks, {}
     ensure_compiled()
     settle_process()
-    result = {'machine': {'processor': platform.machine(), 'cores': os.cpu_count(),
-                          'load_1min': os.getloadavg()[0]}}
     graph = [('graph', lambda: bench_graph(options.seconds))] if options.seconds else []
     for name, measure in (
             ('bare tick', lambda: bench_tick(count, supervised=False)),
@@ -254,10 +226,10 @@ def main(arguments=None):
             ('plant', lambda: bench_plant(min(count, 5000))),
             ('contacts', lambda: bench_contacts(max(200, count // 10))), *graph,
             ('law over TSID', lambda: bench_tsid(options.tsid_python, result['law alone']))):
-        console.print(f'{name} ...', style='dim')
+        print(name, '...', flush=True)
         try:
             result[name] = measure()
-        except (ImportError, RuntimeError) as error:
+        except (ImportError, OSError, RuntimeError) as error:
             console.print(f'{name}: skipped, {error}', style='yellow', highlight=False)
     console.print(table_of(result))
     if options.json:
@@ -269,18 +241,18 @@ def table_of(result):
     """Return the figures as a table."""
     table = Table('what', 'p50 [us]', 'p99 [us]', 'floor p50 [us]', 'ratio')
     for name, part in result.items():
-        if 'ratio' in part:
+        if name not in ('contacts', 'graph'):
             table.add_row(name, *(f'{x:.1f}' for x in (
                 part['us']['p50'], part['us']['p99'], part['floor_us']['p50'])),
                 f'{part["ratio"]:.2f}' + ' (noisy)' * part['noisy'])
     table.add_row('law, 1 to 6 contacts', ' '.join(
         f'{median:.0f}' for median in result['contacts'].values()))
     for mode, part in result.get('graph', {}).items():
-        latency = part['latency_us']
-        table.add_row(f'graph, {mode}: latency', f'{latency["p50"]:.0f}', f'{latency["p99"]:.0f}',
-                      '', f'{part["realtime_factor"]:.2f} x real time')
-        table.add_row(f'  missed {part["deadline_misses"]} of {part["ticks"]}; cores', *(
-            f'{name.split("_")[0]} {share:.2f}' for name, share in part['cores'].items()))
+        p50, p99 = (f'{part["latency_us"][x]:.0f}' for x in ('p50', 'p99'))
+        table.add_row(f'{mode}: latency', p50, p99, '', f'{part["realtime_factor"]:.2f} x time')
+        table.add_row(f'{mode}: deadlines missed', f'{part["deadline_misses"]} of {part["ticks"]}')
+        for name, share in part['cores'].items():
+            table.add_row(f'{mode}: {name}', f'{share:.2f} cores')
     return table
 
 

@@ -2,23 +2,22 @@
 TSID's tick on samples of ours: a script for the Python in whose environment TSID is.
 
 It imports nothing of this package. Its argument is the file that `bench.py` writes; its last line
-is a JSON object.
+is a JSON object. The pose wanted is the one at each sample, so that no limit is met which ours
+does not meet. Motion of the contacts is a cost: two points of one rigid tool, both held, are a
+constraint too many. Torque limits and friction cones are constraints.
 """
-
-from __future__ import annotations
 
 import gc
 import json
 import sys
 from time import perf_counter_ns
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
 from tsid import tsid_pywrap as tsid
 
 PERIOD = 0.002  # s
-LAPS = 3
+LAPS = 4  # the first to warm up
 FREQUENCY = 30.0  # of the motion tasks, critically damped [rad/s]
 FRICTION = 0.3  # of the contacts
 FORCE_WANTED, LARGEST_FORCE = 10.0, 100.0  # N
@@ -26,89 +25,63 @@ FORCE_WANTED, LARGEST_FORCE = 10.0, 100.0  # N
 MOTION, POSTURE, CONTACT, FORCE = 1.0, 1e-3, 1e-1, 1e-3
 
 
-class Tick:
-    """
-    TSID's inverse dynamics of a fixed-base arm: one pose, one posture, point contacts.
+def main():
+    """Time a tick on each sample."""
+    with np.load(sys.argv[1]) as file:
+        problem = dict(file)
+    robot = tsid.RobotWrapper(str(problem['urdf']), pin.StdVec_StdString(), False)
+    dynamics = tsid.InverseDynamicsFormulationAccForce('tick', robot, False)
+    home, frame = problem['q'][0], str(problem['frame'])
+    dynamics.computeProblemData(0.0, home, np.zeros_like(home))
+    data = dynamics.data()
 
-    The pose wanted is the one at each sample, so that no limit is met which ours does not meet.
-    Motion of the contacts is a cost: two points of one rigid tool, both held, are a constraint
-    too many. Torque limits and friction cones are constraints.
-    """
+    def pose_of(name):
+        return robot.framePosition(data, robot.model().getFrameId(name))
 
-    def __init__(self, problem: dict[str, Any]) -> None:
-        self.robot = tsid.RobotWrapper(str(problem['urdf']), pin.StdVec_StdString(), False)
-        self.dynamics = tsid.InverseDynamicsFormulationAccForce('tick', self.robot, False)
-        home = problem['q'][0]
-        self.dynamics.computeProblemData(0.0, home, np.zeros_like(home))
-        self.data = self.dynamics.data()
-        self.pose = tsid.TaskSE3Equality('pose', self.robot, str(problem['frame']))
-        self.posture = tsid.TaskJointPosture('posture', self.robot)
-        self._add_motions(home)
-        self.contacts = [  # TSID itself keeps references only
-            self._add_contact(str(tip), -normal)
-            for tip, normal in zip(problem['tips'], problem['normals'])]
-        self.limit = tsid.TaskActuationBounds('torque_limit', self.robot)
-        self.limit.setBounds(-problem['torque_limit'], problem['torque_limit'])
-        self.dynamics.addActuationTask(self.limit, 1.0, 0, 0.0)
-        self.solver = tsid.SolverHQuadProgFast('solver')
-        self.solver.resize(self.dynamics.nVar, self.dynamics.nEq, self.dynamics.nIn)
-        self.samples = [
-            (q, v, self._pose_wanted(q, v, str(problem['frame'])))
-            for q, v in zip(problem['q'], problem['qd'])]
-        self.unsolved = 0
-
-    def _pose_of(self, frame: str) -> Any:
-        return self.robot.framePosition(self.data, self.robot.model().getFrameId(frame))
-
-    def _pose_wanted(self, q: Any, v: Any, frame: str) -> Any:
-        self.robot.computeAllTerms(self.data, q, v)
-        return tsid.TrajectorySE3Constant('pose_wanted', self._pose_of(frame)).computeNext()
-
-    def _add_motions(self, home: Any) -> None:
-        self.posture.setReference(
-            tsid.TrajectoryEuclidianConstant('posture_wanted', home).computeNext())
-        for task, size, weight in ((self.pose, 6, MOTION), (self.posture, len(home), POSTURE)):
-            task.setKp(FREQUENCY ** 2 * np.ones(size))
-            task.setKd(2.0 * FREQUENCY * np.ones(size))
-            self.dynamics.addMotionTask(task, weight, 1, 0.0)
-
-    def _add_contact(self, frame: str, normal: Any) -> Any:
-        contact = tsid.ContactPoint(
-            frame, self.robot, frame, normal, FRICTION, 0.0, LARGEST_FORCE)
+    pose = tsid.TaskSE3Equality('pose', robot, frame)
+    posture = tsid.TaskJointPosture('posture', robot)
+    posture.setReference(tsid.TrajectoryEuclidianConstant('posture_wanted', home).computeNext())
+    for task, size, weight in ((pose, 6, MOTION), (posture, len(home), POSTURE)):
+        task.setKp(FREQUENCY ** 2 * np.ones(size))
+        task.setKd(2.0 * FREQUENCY * np.ones(size))
+        dynamics.addMotionTask(task, weight, 1, 0.0)
+    contacts = []  # TSID itself keeps references only
+    for tip, normal in zip(map(str, problem['tips']), -problem['normals']):
+        contact = tsid.ContactPoint(tip, robot, tip, normal, FRICTION, 0.0, LARGEST_FORCE)
         contact.setKp(np.zeros(3))
         contact.setKd(2.0 * FREQUENCY * np.ones(3))
         contact.useLocalFrame(False)
-        contact.setReference(self._pose_of(frame))
+        contact.setReference(pose_of(tip))
         contact.setForceReference(FORCE_WANTED * normal)
         contact.setRegularizationTaskWeightVector(np.ones(3))
-        self.dynamics.addRigidContact(contact, FORCE, CONTACT, 1)
-        return contact
-
-    def step(self, time: float, q: Any, v: Any, wanted: Any) -> Any:
-        """Return the torque for a sample, None where there is no solution."""
-        self.pose.setReference(wanted)
-        solution = self.solver.solve(self.dynamics.computeProblemData(time, q, v))
-        if solution.status != 0:
-            self.unsolved += 1
-            return None
-        return self.dynamics.getActuatorForces(solution)
-
-
-def main() -> None:
-    """Time a tick on each sample, after one lap to warm up, and print what was found."""
-    with np.load(sys.argv[1]) as file:
-        tick = Tick(dict(file))
+        dynamics.addRigidContact(contact, FORCE, CONTACT, 1)
+        contacts.append(contact)
+    limit = tsid.TaskActuationBounds('torque_limit', robot)
+    limit.setBounds(-problem['torque_limit'], problem['torque_limit'])
+    dynamics.addActuationTask(limit, 1.0, 0, 0.0)
+    solver = tsid.SolverHQuadProgFast('solver')
+    solver.resize(dynamics.nVar, dynamics.nEq, dynamics.nIn)
+    samples = []
+    for q, v in zip(problem['q'], problem['qd']):
+        robot.computeAllTerms(data, q, v)
+        wanted = tsid.TrajectorySE3Constant('pose_wanted', pose_of(frame)).computeNext()
+        samples.append((q, v, wanted))
     gc.collect()
     gc.freeze()
     gc.disable()
-    for _ in range(1 + LAPS):
-        times, tick.unsolved = [], 0
-        for k, (q, v, wanted) in enumerate(tick.samples):
+    for _ in range(LAPS):
+        times, unsolved = [], 0
+        for k, (q, v, wanted) in enumerate(samples):
             start = perf_counter_ns()
-            tick.step(PERIOD * k, q, v, wanted)
+            pose.setReference(wanted)
+            solution = solver.solve(dynamics.computeProblemData(PERIOD * k, q, v))
+            if solution.status == 0:
+                dynamics.getActuatorForces(solution)
+            else:
+                unsolved += 1
             times.append((perf_counter_ns() - start) / 1e3)
-    print(json.dumps({'tick_us': times, 'unsolved': tick.unsolved, 'pinocchio': pin.__version__,
-                      'variables': tick.dynamics.nVar}))
+    print(json.dumps({'tick_us': times, 'unsolved': unsolved, 'pinocchio': pin.__version__,
+                      'variables': dynamics.nVar}))
 
 
 if __name__ == '__main__':

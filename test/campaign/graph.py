@@ -13,7 +13,7 @@ import subprocess
 import sys
 import time
 
-from campaign.relay import INPUTS, outgoing
+from campaign.relay import INPUTS, PREFIX
 from campaign.soak import oscillating
 from geometry_msgs.msg import Transform, Twist, Vector3
 from multicontact_control.errors import RunError
@@ -41,14 +41,12 @@ RETURN_TIME, AMPLITUDE, MOTION_PERIOD = 1.0, 0.03, 3.0  # s, m, s of the motion
 END_TIME, NEAR = 1.0, 0.01  # s after a motion command that nothing follows; m
 QUIET, FAULT_TIME = (0.0, 0.3), (0.1, 0.4)  # s before a fault, and of one
 HALT_TIME, OUTAGE = (0.02, 0.2), (0.0, 0.5)  # s, of a process
-POLL_PERIOD = 0.005  # s
+POLL_PERIOD, SETTLE_TIME = 0.005, 0.2  # s, the latter to average forces
 WANTED_FORCE, FORCE_TOLERANCE = 10.0, 0.25  # N at every contact, and the share that is near it
 FORCES, REST_TIME = (5.0, 20.0), 3.0  # N of a soak; s, an oscillation shows within 2
-SETTLE_TIME = 0.2  # s, over which the force is averaged
 RECOVERY_TIME, ATTEMPTS = 90.0, 3  # s on a busy machine, with so many attempts at contact
 REPORT_TIME = 1.5  # s until the controller's diagnostics, one a second, tell of a fault
-# A machine without real-time priority has hiccups of many periods; they are not the faults that
-# are to be answered here. In process the limits are the default ones, of few periods.
+# A machine without real-time priority has hiccups of many periods: no faults to be answered here.
 PATIENT = {'patience': 10.0, 'watchdog.joint_max_age': 15.0, 'watchdog.wrench_max_age': 15.0,
            'watchdog.variance_max_age': 25.0, 'watchdog.rate_band': 25.0}
 
@@ -56,33 +54,26 @@ Report = namedtuple('Report', 'time node values')  # diagnostics
 
 
 class Graph(link.GuestNode):
-    """
-    One graph, which ends with its context.
-
-    `wanted` is the commanded force per contact [N]; `heard` has, for each of `CHECKED`, when
-    messages were sent [s] and their efforts by name; all until `polled` [s] are in it.
-    """
+    """One graph, which ends with its context, and the operator who presses and slides."""
 
     def __init__(self, setup, folder, domain_id):
         super().__init__('fault_campaign', domain_id)
         self._driver = link.LifecycleDriver(
             domain_id, lambda what: self.poll(), poll_period=4.0 * POLL_PERIOD)
         self.setup = setup
-        config, alone = folder / 'config', {'startup_peers': []}
-        setup.write(config)
         self.spec = spec.GraphSpec(
             out=folder, ticks=0, rate=setup.controller.rate, seed=setup.seed, domain_id=domain_id,
-            parameter_files={CONTROLLER: config / 'controller.yaml', SIM: config / 'plant.yaml',
-                             ESTIMATOR: config / 'noise_estimator.yaml'},
-            remappings={CONTROLLER: {x.name: outgoing(x.name) for x in INPUTS.values()}},
-            extra_parameters={CONTROLLER: {**alone, **PATIENT}, ESTIMATOR: alone, SIM: alone,
-                              RECORDER: alone})
+            parameter_files=setup.write(folder / 'config'),
+            remappings={CONTROLLER: {x.name: PREFIX + x.name for x in INPUTS.values()}},
+            extra_parameters={x: {'startup_peers': [], **(PATIENT if x == CONTROLLER else {})}
+                              for x in spec.START_ORDER})
         self.spec.logs.mkdir(parents=True, exist_ok=True)
         self.processes = NodeProcesses(self.spec, domain_id)
         self.wanted = dict.fromkeys(setup.controller.contact_names, WANTED_FORCE)
         self._subscriptions = {
             topic: self.node.create_subscription(topic.message, topic.name, ignore, qos.RECORDING)
             for topic in (*CHECKED, topics.POSE_DESIRED, topics.DIAGNOSTICS)}
+        # When messages were sent [s], and their efforts by name; all until `polled` [s].
         self.heard = {topic: deque(maxlen=REMEMBERED) for topic in CHECKED}
         self.reports = deque(maxlen=1000)
         self.pose, self.polled = None, math.inf
@@ -107,7 +98,6 @@ class Graph(link.GuestNode):
 
     def end_all(self):
         """End every node as at the end of a run; return which of them failed."""
-        self._begin = None
         codes = {x: self.processes.end(x) for x in (SIM, CONTROLLER, ESTIMATOR, RECORDER)}
         return [f'{name} ended with {code}' for name, code in codes.items() if code]
 
@@ -140,7 +130,7 @@ class Graph(link.GuestNode):
             self.poll()
             time.sleep(min(POLL_PERIOD, remaining))
 
-    def comes(self, condition, timeout=RECOVERY_TIME):
+    def comes(self, condition, timeout):
         """Wait for something; return whether it happens within a time [s]."""
         give_up = time.monotonic() + timeout
         while not condition() and time.monotonic() < give_up:
@@ -148,7 +138,7 @@ class Graph(link.GuestNode):
         return time.monotonic() < give_up
 
     def wait(self, condition, what):
-        if not self.comes(condition):
+        if not self.comes(condition, RECOVERY_TIME):
             raise RunError(f'{what}: not within {RECOVERY_TIME:g} s')
 
     def start_motion(self):
@@ -170,8 +160,7 @@ class Graph(link.GuestNode):
         return np.array([p.x, p.y, p.z])
 
     def _command_forces(self, forces):
-        self._force_command.publish(messages.joint_state_message(
-            0, list(forces), effort=list(forces.values())))
+        self._force_command.publish(JointState(name=list(forces), effort=list(forces.values())))
 
     def _command_motion(self):
         if self._begin is None or self.pose is None:
@@ -208,13 +197,11 @@ class Graph(link.GuestNode):
             self.processes.start(fault.input, bag if fault.input == RECORDER else {})
         elif action.steps == HALT:
             self.processes.signal(fault.input, signal.SIGSTOP)
-            try:
-                self.spin(float(random.uniform(*HALT_TIME)))
-            finally:
-                self.processes.signal(fault.input, signal.SIGCONT)
+            self.spin(float(random.uniform(*HALT_TIME)))
+            self.processes.signal(fault.input, signal.SIGCONT)
         else:
-            for transition in action.steps:
-                self._driver.change(fault.input, transition)
+            for step in action.steps:
+                self._driver.change(fault.input, step)
             self.spin(duration)
 
     def _mislead(self, fault, duration):
@@ -227,20 +214,18 @@ class Graph(link.GuestNode):
             publisher, message = self._motion_command, MultiDOFJointTrajectoryPoint(
                 transforms=[pose], velocities=[Twist()], accelerations=[Twist()])
         fault.action.change(message)
-        if not fault.action.last:
-            end = time.monotonic() + duration
-            while time.monotonic() < end:
-                publisher.publish(message)
-                self.spin(POLL_PERIOD)
-            return
-        self._begin = None
-        before = self._position()
-        publisher.publish(message)
-        self.spin(END_TIME)
-        way = math.dist(before, self._position())
-        speed = self.setup.controller.limits.operational_speed
-        if way >= speed * CommandLimits().motion_timeout + NEAR:
-            raise RunError(f'led on for {way:.2f} m after the last motion command')
+        end = time.monotonic() + duration
+        while time.monotonic() < end and not fault.action.last:
+            publisher.publish(message)
+            self.spin(POLL_PERIOD)
+        if fault.action.last:
+            self._begin, before = None, self._position()
+            publisher.publish(message)
+            self.spin(END_TIME)
+            way = math.dist(before, self._position())
+            speed = self.setup.controller.limits.operational_speed
+            if way >= speed * CommandLimits().motion_timeout + NEAR:
+                raise RunError(f'led on for {way:.2f} m after the last motion command')
 
     def _distort(self, text):
         """Let the relay begin a fault, or end it."""
@@ -252,11 +237,7 @@ class Graph(link.GuestNode):
         """Lead the graph back to where every contact has its force; RunError if that fails."""
         self._distort('')
         for name in spec.MANAGED:
-            state = self._driver.state(name, RECOVERY_TIME)
-            if state == 'unconfigured':
-                self._driver.change(name, link.CONFIGURE)
-            if state != 'active':
-                self._driver.change(name, link.ACTIVATE)
+            self._driver.bring_up(name)
         start, self.pose = time.time(), None
         self.wait(lambda: self.since(topics.EFFORT_COMMAND, start), 'commands')
         self.wait(lambda: self.since(topics.NOISE_VARIANCE, start), 'noise variances')
@@ -275,9 +256,8 @@ class Graph(link.GuestNode):
         if len(found) < 0.3 * SETTLE_TIME * self.spec.rate:
             return False
         forces = np.array([[values[name] for name in self.wanted] for _, values in found])
-        wanted = np.array(list(self.wanted.values()))
-        return bool((forces > 0.0).all() and (
-            np.abs(forces.mean(axis=0) - wanted) <= FORCE_TOLERANCE * wanted).all())
+        off = np.abs(forces.mean(axis=0) / list(self.wanted.values()) - 1.0)
+        return bool((forces > 0.0).all() and (off <= FORCE_TOLERANCE).all())
 
     def break_once(self, fault, seed, random=None):
         """Let a fault happen, recover, with a `random` press and rest; return the `FaultRow`."""

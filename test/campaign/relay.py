@@ -1,8 +1,7 @@
 """
 A node between simulator and controller that passes messages on, and damages them during a fault.
 
-Each line of its standard input, ``INPUT KIND SEED``, begins a fault; an empty one ends it. Each is
-answered by a line. The controller's inputs are remapped to the topics of `outgoing`.
+A line ``INPUT KIND SEED`` of its standard input begins a fault, an empty one ends it; it answers.
 """
 
 from collections import deque
@@ -17,14 +16,11 @@ import numpy as np
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 
+PREFIX = 'faulty/'  # of the topics that are passed on, to which the controller listens
 HISTORY = 512  # messages: a second at 500 Hz, twice the longest fault
 INPUTS = {'joints': topics.JOINT_STATES, 'wrench': topics.WRENCH,
           'variance': topics.NOISE_VARIANCE}
 FIELDS = {'q': 'position', 'qd': 'velocity', 'names': 'name', 'variance': 'effort'}
-
-
-def outgoing(topic_name):
-    return f'faulty/{topic_name}'
 
 
 def read_field(message, name):
@@ -92,7 +88,7 @@ def main():
     executor.add_node(node)
     streams = {source: Stream(topic.message) for source, topic in INPUTS.items()}
     for source, topic in INPUTS.items():
-        publisher = node.create_publisher(topic.message, outgoing(topic.name), topic.profile)
+        publisher = node.create_publisher(topic.message, PREFIX + topic.name, topic.profile)
 
         def pass_on(data, stream=streams[source], publisher=publisher):
             for message in stream.passed_on(data):

@@ -4,10 +4,8 @@ Hours of random commands, faults and pauses: `make soak`, with options in SOAK_A
 In process, or with --graph over running graphs in real time. After each episode, a command or a
 fault, every force has to be as commanded again. Never may a torque or its rate be beyond its
 limit, a force beyond the ceiling for long, an obstacle be pressed by more than 40 N, a state
-alternate, or a force oscillate while nothing happens.
-
-Each seed has a file of JSON lines, one per episode; the same command goes on with the seeds that
-are missing. Exit code 1: something was seen that may never be, or memory grows.
+alternate, or a force oscillate while nothing happens: exit code 1; or memory grow.
+Each seed has a file of JSON lines, one per episode; the same command goes on with missing seeds.
 """
 
 import argparse
@@ -39,9 +37,7 @@ from rich.table import Table
 
 LONGEST_PART = 3600.0  # s of a seed
 LARGEST_FORCE = 25.0  # N, that is commanded
-RELEASED_SHARE = 0.1  # of the commands, that let a contact go
 REACH, FASTEST = 0.1, 0.2  # m to either side of the start, m/s
-HOLD_TIME = (0.5, 3.0)  # s
 PAUSE = (2.2, 4.0)  # s between episodes; an oscillation shows within 2
 EPISODES = {'forces': 0.35, 'motion': 0.3, 'hold': 0.05, 'fault': 0.24, 'two faults': 0.06}
 SETTLE_TIME, ATTEMPTS = 15.0, 4  # s, and how often: from the second on with the operator's help
@@ -59,22 +55,19 @@ class ProcessSoak:
         self._faults = [x for x in faults_of(PROCESS).values() if not (
             isinstance(x.action, PlantEdit) and x.action.end is None)]  # the world is as before
         config = self.setup.controller
-        self.names, self._rate, self._period = config.contact_names, config.rate, config.period
-        normals = np.array([config.contacts[name].normal_world for name in self.names])
+        self._rate, self._period = config.rate, config.period
+        normals = np.array([config.contacts[name].normal_world for name in config.contact_names])
         directions, sizes, _ = np.linalg.svd(np.eye(3) - np.linalg.pinv(normals) @ normals)
         self._free = directions[:, sizes > 0.5].T  # directions in which no contact is
-        self.wanted = dict.fromkeys(self.names, 0.0)
+        self.wanted = dict.fromkeys(config.contact_names, 0.0)
         pose = self.loop.advance().pose
-        self._before, self._problems, self._helped = self.loop.command.copy(), set(), 0
+        self._before, self._problems = self.loop.command.copy(), set()
         self._torques, self._forces, self._met = [], [], []
         # Of the start, not of the moment: errors of the orientation would add up.
         self._start, self._turn = pose.position_world.copy(), pose.quaternion_xyzw.copy()
         self._target = self._start
         self.command_forces()
         self.settle()
-
-    def close(self):
-        self.loop.close()
 
     def episode(self):
         """Let one thing happen, and return its line."""
@@ -85,10 +78,10 @@ class ProcessSoak:
             self._move()
         elif kind == 'hold':
             self.loop.control.hold(True)
-            self.wait(float(self._random.uniform(*HOLD_TIME)))
+            self.wait(float(self._random.uniform(0.5, 3.0)))
             self.loop.control.hold(False)
         else:
-            kind = self._break(2 if kind == 'two faults' else 1)
+            kind = self._break(1 + (kind == 'two faults'))
         self.settle()
         _, errors = self.wait(float(self._random.uniform(*PAUSE)))
         self._problems.update(oscillating(errors, self.wanted, self._rate))
@@ -99,23 +92,21 @@ class ProcessSoak:
         if max(self._met, default=0.0) > MET_FORCE:
             self._problems.add(f'{max(self._met):.0f} N on an obstacle')
         error = float(np.abs(errors.mean(axis=0)).max())
-        line = line_of(self.loop.tick * self._period, kind, self._problems,
-                       psutil.Process().memory_info().rss, error, self._helped)
-        self._before, self._problems, self._helped = self._torques[-1], set(), 0
+        memory = psutil.Process().memory_info().rss
+        line = line_of(self.loop.tick * self._period, kind, self._problems, memory, error)
+        self._before, self._problems = self._torques[-1], set()
         self._torques, self._forces, self._met = [], [], []
         return line
 
     def command_forces(self):
         """Command another force at every contact, or none."""
         smallest = self.setup.controller.contact_state.smallest_force
-        for name in self.names:
-            released = self._random.random() < RELEASED_SHARE
-            self.wanted[name] = 0.0 if released else float(
-                self._random.uniform(smallest, LARGEST_FORCE))
+        for name in self.wanted:
+            pressed = self._random.random() > 0.1
+            self.wanted[name] = pressed * float(self._random.uniform(smallest, LARGEST_FORCE))
         self.loop.control.set_forces(self.wanted)
 
     def _move(self):
-        """Go along a straight line, at rest at both ends."""
         goal = self._start + self._random.uniform(-REACH, REACH, len(self._free)) @ self._free
         before, way = self._target, goal - self._target
         duration = max(1.0, 1.875 * float(np.linalg.norm(way)) / FASTEST)
@@ -142,12 +133,10 @@ class ProcessSoak:
     def settle(self):
         """Wait until all is as commanded, and help if it does not come to that by itself."""
         for attempt in range(ATTEMPTS):
-            for _ in range(round(SETTLE_TIME / 0.5)):
-                if self.wait(0.5)[0]:
-                    return
-            self._helped += 1
+            if any(self.wait(0.5)[0] for _ in range(round(SETTLE_TIME / 0.5))):
+                return
             if attempt == 1:  # let go of everything first
-                self.loop.control.set_forces(dict.fromkeys(self.names, 0.0))
+                self.loop.control.set_forces(dict.fromkeys(self.wanted, 0.0))
                 self.wait(1.0)
             self.loop.control.set_forces(self.wanted)
             with contextlib.suppress(CommandError):  # there may be nothing to try again
@@ -170,7 +159,6 @@ class ProcessSoak:
         return held and status.reaction == 'none' and bool(near[wanted > 0.0].all()), errors
 
     def advance(self, faults=()):
-        """Take a tick."""
         loop = self.loop
         advance_with(faults, loop)
         self._torques.append(loop.command.copy())
@@ -182,10 +170,10 @@ class ProcessSoak:
                     loop.control.time))
 
 
-def line_of(seconds, kind, problems, memory, error=0.0, helped=0):
+def line_of(seconds, kind, problems, memory, error=0.0):
     """Return the line of an episode; `memory` is in bytes, the `error` at rest in N."""
     return {'time_s': round(seconds, 3), 'episode': kind, 'problems': sorted(problems),
-            'memory_mb': round(memory / 1e6, 1), 'error_n': round(error, 4), 'helped': helped}
+            'memory_mb': round(memory / 1e6, 1), 'error_n': round(error, 4)}
 
 
 def oscillating(errors, wanted, rate):
@@ -198,7 +186,8 @@ def oscillating(errors, wanted, rate):
 
 def process_episodes(plant, seed, _folder):
     """Yield the lines of a soak in process."""
-    with contextlib.closing(ProcessSoak(plant, seed)) as soak:
+    soak = ProcessSoak(plant, seed)
+    with contextlib.closing(soak.loop):
         while True:
             yield soak.episode()
 
@@ -217,35 +206,33 @@ def graph_episodes(plant, seed, folder):
 
 
 def memory_growth(lines):
-    """Return the slope of the memory after ten minutes [MB/h], NaN of less than as much again."""
+    """Return the slope of the memory after ten minutes [MB/h], NaN of less than twenty."""
     kept = [(x['time_s'] / 3600.0, x['memory_mb']) for x in lines if x['time_s'] > WARM_UP]
-    if not kept or kept[-1][0] - kept[0][0] < WARM_UP / 3600.0:
-        return math.nan
-    return float(np.polyfit(*zip(*kept), 1)[0])
+    long = lines[-1]['time_s'] > 2.0 * WARM_UP and len(kept) > 2
+    return float(np.polyfit(*zip(*kept), 1)[0]) if long else math.nan
 
 
 def soak(episodes, path, duration, advance=lambda seconds: None):
-    """Write the lines of the episodes of a time [s] to a file, and return them."""
-    partial, lines = path.with_suffix('.partial'), []
+    """Write the lines of the episodes of a time [s] to a file."""
+    partial, line = path.with_suffix('.partial'), {'time_s': 0.0}
     with contextlib.closing(episodes), partial.open('w', encoding='utf-8') as file:
-        while not lines or lines[-1]['time_s'] < duration:
-            lines.append(next(episodes))
-            print(json.dumps(lines[-1]), file=file, flush=True)
-            advance(lines[-1]['time_s'])
+        while line['time_s'] < duration:
+            line = next(episodes)
+            print(json.dumps(line), file=file, flush=True)
+            advance(line['time_s'])
     partial.replace(path)
-    return lines
 
 
-def report(found, console):
+def report(found):
     """Print a row for each plant and seed, and all problems; return whether there are none."""
-    table = Table('plant', 'seed', 'hours', 'episodes', 'helped', 'problems', 'error [N]', 'MB/h')
-    good = True
+    console, good = Console(), True
+    table = Table('plant', 'seed', 'hours', 'episodes', 'problems', 'error [N]', 'MB/h')
     for (plant, seed), lines in found.items():
         growth, problems = memory_growth(lines), [(x, y) for x in lines for y in x['problems']]
         good = good and not problems and not growth > LARGEST_GROWTH
         table.add_row(plant, str(seed), f'{lines[-1]["time_s"] / 3600.0:.2f}', str(len(lines)),
-                      str(sum(x['helped'] for x in lines)), str(len(problems)),
-                      f'{np.mean([x["error_n"] for x in lines]):.3f}', f'{growth:.2f}')
+                      str(len(problems)), f'{np.mean([x["error_n"] for x in lines]):.3f}',
+                      f'{growth:.2f}')
         for line, problem in problems:
             console.print(f'{plant}, seed {seed}, {line["time_s"]:.1f} s, {line["episode"]}: '
                           f'{problem}', style='red', highlight=False)
@@ -269,20 +256,19 @@ def main(arguments=None):
     duration = 3600.0 * options.hours / parts
     place, start = (GRAPH, graph_episodes) if options.graph else (PROCESS, process_episodes)
     options.out.mkdir(parents=True, exist_ok=True)
-    console, found = Console(), {}
-    with count_bar(console) as progress:
+    found = {}
+    with count_bar() as progress:
         bar = progress.add_task('seconds', total=round(parts * duration))
         for k in range(parts):
             plant, seed = options.plants[k % len(options.plants)], options.seed + k
             path = options.out / f'{place}-{plant}-{seed}-{duration:.0f}s.jsonl'
-            if path.exists():
-                lines = [*map(json.loads, path.read_text(encoding='utf-8').splitlines())]
-            else:
-                lines = soak(start(plant, seed, options.out / 'graphs'), path, duration,
-                             lambda seconds, done=k * duration: progress.update(
-                                 bar, completed=round(done + seconds)))
-            found[plant, seed] = lines
-    return 0 if report(found, console) else 1
+            if not path.exists():
+                soak(start(plant, seed, options.out / 'graphs'), path, duration,
+                     lambda seconds, done=k * duration: progress.update(
+                         bar, completed=round(done + seconds)))
+            found[plant, seed] = [
+                json.loads(line) for line in path.read_text(encoding='utf-8').splitlines()]
+    return 0 if report(found) else 1
 
 
 if __name__ == '__main__':

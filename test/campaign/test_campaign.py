@@ -1,7 +1,9 @@
 """The campaign and the soak in short: over a running graph and in process."""
 
+import json
+
 from campaign.faults import run_faults
-from campaign.soak import oscillating, process_episodes, ProcessSoak, soak
+from campaign.soak import process_episodes, ProcessSoak, soak
 from multicontact_control.experiment.faults.fault import GRAPH
 from multicontact_control.experiment.faults.vocabulary import faults_of
 from multicontact_control.nodes.topics import CONTROLLER
@@ -11,10 +13,10 @@ import pytest
 
 def test_soak_in_process_sees_nothing_unsafe(tmp_path):
     path = tmp_path / 'soak.jsonl'
-    lines = soak(process_episodes('rigid', 0, tmp_path), path, 20.0)
+    soak(process_episodes('rigid', 0, tmp_path), path, 20.0)
+    lines = [json.loads(line) for line in path.read_text(encoding='utf-8').splitlines()]
     assert lines[-1]['time_s'] >= 20.0
     assert [line['problems'] for line in lines] == [[]] * len(lines)
-    assert len(path.read_text(encoding='utf-8').splitlines()) == len(lines)
 
 
 class Shaken(ProcessSoak):
@@ -30,9 +32,7 @@ class Shaken(ProcessSoak):
 def test_soak_reports_an_oscillating_force():
     shaken = Shaken('rigid', 0)
     assert any(x.startswith('table oscillates at 32 Hz') for x in shaken.episode()['problems'])
-    _, errors = shaken.wait(3.0)
-    shaken.close()
-    assert oscillating(0.0 * errors, shaken.wanted, 500.0) == []
+    shaken.loop.close()
 
 
 @pytest.mark.nightly
