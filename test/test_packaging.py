@@ -25,7 +25,7 @@ NODES = {
 ALLOWED_AT_THE_TOP = {
     'package.xml', 'setup.py', 'setup.cfg', 'multicontact_control', 'sim_bridge', 'config', 'test',
     'resource', 'README.md', 'LICENSE', 'CHANGELOG.md', 'CONTRIBUTING.md', 'Makefile', '.ci',
-    '.gitignore', 'pyproject.toml', 'docs'}
+    '.gitignore', 'pyproject.toml', 'docs', 'benchmarks'}
 IMPORT_NAMES = {'pin': 'pinocchio', 'pyyaml': 'yaml', 'mcap-ros2-support': 'mcap_ros2'}
 
 
