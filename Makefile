@@ -12,6 +12,9 @@ SHELL := /bin/bash
 VENV := .venv
 RUN_ARGS ?=
 TEST_ARGS ?=
+CAMPAIGN_ARGS ?=
+SOAK_ARGS ?=
+BENCH_ARGS ?=
 
 # Three workers for two cores: graphs that start and end leave them idle half of the time.
 # test/conftest.py divides the tests among them.
@@ -75,7 +78,8 @@ if sys.version_info >= (3, 12) and not (headers.is_file() and shutil.which('c++'
 endef
 export CHECK_PYTHON
 
-.PHONY: help setup demo run simulate lint check test nightly browser reference docs clean
+.PHONY: help setup demo run simulate lint check test nightly browser campaign soak bench reference \
+    docs clean
 
 help:  ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "make %-10s %s\n", $$1, $$2}' Makefile
@@ -107,6 +111,15 @@ nightly: $(READY)  ## What takes long: packaging, documents, browser, clusters, 
 
 browser: $(READY)  ## Drive the pages in Chromium (Debian: chromium)
 	@$(WITH_ROS) MULTICONTACT_BROWSER=required exec $(BIN)/python -m pytest -m browser $(TEST_ARGS)
+
+campaign: setup  ## Faults over running graphs: CAMPAIGN_ARGS="--quick"
+	@$(WITH_ROS) PYTHONPATH=test:$$PYTHONPATH exec $(BIN)/python -m campaign.faults $(CAMPAIGN_ARGS)
+
+soak: setup  ## Hours of random commands and faults: SOAK_ARGS="--hours 0.1 --graph"
+	@$(WITH_ROS) PYTHONPATH=test:$$PYTHONPATH exec $(BIN)/python -m campaign.soak $(SOAK_ARGS)
+
+bench: setup  ## How fast everything is: BENCH_ARGS="--ticks 2000"
+	@$(WITH_ROS) exec $(BIN)/python benchmarks/bench.py $(BENCH_ARGS)
 
 reference: $(RUN_STAMP)  ## Write docs/reference anew, from what the code declares
 	@$(WITH_ROS) exec $(BIN)/python docs/make_reference.py

@@ -149,7 +149,7 @@ setup(
     maintainer_email='maintainers@example.com',
     license='Apache-2.0',
     python_requires='>=3.10',
-    packages=find_packages(exclude=['test*']),
+    packages=find_packages(exclude=['test*', 'benchmarks*']),
     package_data={package_name: ['py.typed', 'experiment/page_assets/*']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{package_name}']),

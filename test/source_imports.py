@@ -6,8 +6,6 @@ import ast
 from pathlib import Path
 
 PACKAGES = ('multicontact_control', 'sim_bridge')
-# A script for another environment, with another pinocchio.
-STRANGER = 'multicontact_control.experiment.bench.tsid_tick'
 
 
 def module_paths(root: Path) -> dict[str, Path]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from source_imports import find_cycle, imports_of, is_ros, PACKAGES, STRANGER
+from source_imports import find_cycle, imports_of, is_ros
 
 ROOT = Path(__file__).resolve().parents[1]
 # What is not listed (config, errors, arrays, paths, sampling, ...) lies at the bottom.
@@ -37,8 +37,6 @@ def broken_rule(module: str, target: str) -> str:
     top = target.split('.')[0]
     if is_core(module) and (is_ros(target) or top in ('pybullet', 'sim_bridge')):
         return 'the core knows neither ROS nor the simulation'
-    if module == STRANGER:
-        return 'it runs where this package is not' if top in PACKAGES else ''
     if top in ('viser', 'websockets') and area(module) != 'view':
         return 'the page is an extra, known to view/ alone'
     if top == 'pinocchio' and module != PINOCCHIO_HOME and not module.startswith('sim_bridge'):
@@ -131,7 +129,6 @@ def test_checker_accepts_a_good_tree(tmp_path):
     ('cli/run.py', 'import viser', 'known to view/ alone'),
     ('errors.py', 'from multicontact_control.config import Config', 'import cycle'),
     ('force/noise.py', 'from .observer import Observer', 'import cycle'),
-    ('experiment/bench/tsid_tick.py', 'import multicontact_control.errors', 'this package is not'),
     ('../sim_bridge/plant.py', 'import multicontact_control.experiment.loop', 'import cycle'),
 ])
 def test_checker_finds_a_broken_rule(tmp_path, path, text, complaint):

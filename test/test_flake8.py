@@ -16,7 +16,8 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCES = [str(ROOT / name)
-           for name in ('multicontact_control', 'sim_bridge', 'test', 'docs', 'setup.py')]
+           for name in ('multicontact_control', 'sim_bridge', 'test', 'benchmarks', 'docs',
+                        'setup.py')]
 # A plugin, and the module that does the same.
 ELSEWHERE = {'flake8-docstrings': 'ament_pep257', 'flake8-quotes': 'ruff'}
 

@@ -7,7 +7,8 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCES = [str(ROOT / name)
-           for name in ('multicontact_control', 'sim_bridge', 'test', 'docs', 'setup.py')]
+           for name in ('multicontact_control', 'sim_bridge', 'test', 'benchmarks', 'docs',
+                        'setup.py')]
 
 
 @pytest.mark.linter

@@ -7,7 +7,6 @@ from copy import copy
 from typing import Annotated, Any
 
 from multicontact_control import __version__
-from multicontact_control.cli.bench import bench
 from multicontact_control.cli.calibrate import calibrate
 from multicontact_control.cli.compare import compare
 from multicontact_control.cli.compile_kernels import compile_kernels
@@ -23,7 +22,6 @@ from multicontact_control.cli.robots import robots
 from multicontact_control.cli.robustness_map import robustness_map
 from multicontact_control.cli.run import run
 from multicontact_control.cli.simulate import simulate
-from multicontact_control.cli.soak import soak
 from multicontact_control.cli.sweep import sweep
 from multicontact_control.cli.topics import topics
 from multicontact_control.cli.tune import tune
@@ -82,7 +80,7 @@ _COMMANDS: dict[str, Callable[..., None]] = {
     'push-test': push_test, 'new-robot': new_robot, 'compare': compare, 'design': design,
     'tune': tune, 'identify': identify, 'map': robustness_map, 'robots': robots, 'sweep': sweep,
     'report': report, 'topics': topics, 'echo': echo, 'record': record, 'faults': faults,
-    'soak': soak, 'bench': bench, 'compile': compile_kernels}
+    'compile': compile_kernels}
 for _name, _function in _COMMANDS.items():
     app.command(_name, cls=_Command)(_function)
 

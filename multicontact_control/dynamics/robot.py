@@ -207,15 +207,6 @@ class RobotModel:
         torque: Vector = -jacobian.T @ np.concatenate([weight, np.cross(lever, weight)])
         return torque
 
-    def bare_dynamics(self, q: Vector, v: Vector) -> None:
-        """Call pinocchio for M, C v + g, J and dJ/dt v and drop them: the floor of a tick."""
-        model, data, frame = self._model, self._data, self._frame
-        pin.forwardKinematics(model, data, q, v, self._zero)
-        pin.getFrameClassicalAcceleration(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
-        pin.crba(model, data, q)
-        pin.nonLinearEffects(model, data, q, v)
-        pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)
-
     def update(self, q: Vector, v: Vector) -> RobotState:
         """
         Compute the arm's state.

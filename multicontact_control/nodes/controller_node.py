@@ -54,7 +54,6 @@ from multicontact_control.sampling import PairedSample, SamplePairing, SampleTim
 import numpy as np
 
 # What is timed of a tick: a message into a reading (twice), the loop, the command, all the rest.
-STAGES = ('read', 'step', 'send', 'show')
 # Samples from which on a rate is known, and the factor from which on it is a wrong one.
 FEWEST, WRONG_RATE = 10, 1.3
 NO_WRENCH = np.zeros(6)
@@ -92,7 +91,7 @@ class ControllerNode(ManagedNode):
         self._last_taken = self._taken = 0
         self._reported_at, self._again = (0, -1), 0
         self._warned: set[str] = set()
-        self._stages = {stage: DurationLog() for stage in STAGES}
+        self._ticks = DurationLog()
         self._restarts = 0
         self._waiting: PairedSample | None = None
         self._older_stamp: int | None = None
@@ -236,8 +235,7 @@ class ControllerNode(ManagedNode):
         """Write the counts of this run, if asked to."""
         events = self._loop.events.events if self._loop is not None else []
         self._node_config.write_counts({
-            'steps': self._stages['step'].count, 'tick_us': self._stages['step'].percentiles(),
-            'stages_us': {stage: log.percentiles() for stage, log in self._stages.items()},
+            'steps': self._ticks.count, 'tick_us': self._ticks.percentiles(),
             'refused': dict(self.refusals.counts), 'unpaired': self._pairing.unpaired,
             'restarts': self._restarts, 'events': events})
 
@@ -272,9 +270,7 @@ class ControllerNode(ManagedNode):
         self._received = time.monotonic_ns()
 
     def _read(self, topic: topics.Topic, data: bytes) -> Any:
-        start = time.perf_counter_ns()
         reading = self._readers[topic].read(data)
-        self._stages['read'].add(time.perf_counter_ns() - start)
         self._fresh.note(topic.name)  # what is refused is none
         return reading
 
@@ -396,14 +392,10 @@ class ControllerNode(ManagedNode):
             # The command first: everything else can wait, the robot cannot.
             self._outputs.send(command)
             self._last_command = command
-            sent = time.perf_counter_ns()
             if sampled:
                 self._watch.add_latency(time.monotonic_ns() - self._received)
                 self._show(loop, stamp)
-            stages = self._stages
-            stages['step'].add(answered - start)
-            stages['send'].add(sent - answered)
-            stages['show'].add(time.perf_counter_ns() - sent)
+            self._ticks.add(answered - start)
         if self._events is not None:
             self._events.look()
 
@@ -431,7 +423,7 @@ class ControllerNode(ManagedNode):
         if self._events is not None:
             self._events.repeat()
         self._watch.missed, loop.skipped = loop.skipped, 0
-        timing = {**self._watch.report(), 'steps': self._stages['step'].count,
+        timing = {**self._watch.report(), 'steps': self._ticks.count,
                   'restarts': self._restarts, 'safe_behaviour': loop.safe,
                   'supervised': loop.supervisor is not None}
         missed = timing['deadline_misses']

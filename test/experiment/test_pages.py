@@ -11,7 +11,6 @@ from multicontact_control.experiment.html_figure import figure, plot
 from multicontact_control.experiment.html_parts import write_page
 from multicontact_control.experiment.panels import COLOURS, MEASURED, Panel, Span, Trace, TRUE
 from multicontact_control.experiment.results import LoadedRun
-from multicontact_control.experiment.soak import PROBLEMS
 from multicontact_control.experiment.study.cache import JobCache
 from multicontact_control.experiment.study.execute import JobRun
 from multicontact_control.experiment.study.jobs import JobResult
@@ -20,7 +19,6 @@ from multicontact_control.experiment.study.page import write_study_page
 from multicontact_control.experiment.study.presets.compare.study import ComparisonStudy
 from multicontact_control.experiment.study.presets.faults.study import FaultStudy
 from multicontact_control.experiment.study.presets.robustness.study import RobustnessStudy
-from multicontact_control.experiment.study.presets.soak.study import SoakStudy
 from multicontact_control.experiment.study.presets.sweep.config import StudyConfig
 from multicontact_control.experiment.study.presets.sweep.plan import plan_sweep
 from multicontact_control.experiment.study.presets.sweep.study import SweepStudy
@@ -298,22 +296,14 @@ def faults_page(folder):
     return write_study_page(FaultStudy().page(rows, folder), folder / 'faults')[-1]
 
 
-def soak_page(folder):
-    soaks = [{'plant': 'rigid', 'seed': 3, 'simulated_s': 3600.0, 'episodes': {'faults': 7},
-              'helped': 0, 'counts': {}, **{problem: [] for problem in PROBLEMS},
-              'minutes': [{'memory_mb': 100.0, 'error_n': 0.1, 'error_rms_n': 0.2}] * 60}]
-    return write_study_page(SoakStudy().page(soaks, folder), folder / 'soak')[-1]
-
-
 @pytest.mark.parametrize(('make', 'title', 'row', 'finding', 'colour'), [
     (map_page, 'How wrong stiffness and delay may be', ['fixed', '0.5 - 2', '0.5 - 1'], '',
      '#f3dcdc'),
     (sweep_page, 'Sweep one', ['rigid', '600', '2/2', '0.045'], '4 runs: 3 stable, 1 not',
      '#1f3b73'),
-    (faults_page, 'Faults of inputs, plant and graph',
-     ['wrench', 'nan', '2', 'hold', '4', '12.0', '0.20'], '3 faults of 2 kinds, 1 unsafe', ''),
-    (soak_page, 'Soak', ['rigid', '3', '1.00', '7'], '1.00 simulated hours: 7 x faults', '')],
-    ids=['map', 'sweep', 'faults', 'soak'])
+    (faults_page, 'Faults of inputs and plant',
+     ['wrench', 'nan', '2', 'hold', '4', '12.0', '0.20'], '3 faults of 2 kinds, 1 unsafe', '')],
+    ids=['map', 'sweep', 'faults'])
 def test_page_of_a_study(tab, tmp_path, make, title, row, finding, colour):
     path = make(tmp_path)
     assert path.stat().st_size < 1e6

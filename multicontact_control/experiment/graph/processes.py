@@ -17,9 +17,9 @@ from multicontact_control.experiment.graph.spec import (
     CONTROLLER,
     ESTIMATOR,
     GraphSpec,
+    MODULES,
     node_command,
     node_environment,
-    node_module,
     RECORDER,
     SIM,
     timing_file,
@@ -61,11 +61,6 @@ class NodeProcesses:
         """Names of the nodes that were started and not ended from here."""
         return tuple(self._running)
 
-    @property
-    def numbers(self) -> tuple[int, ...]:
-        """Numbers of their processes."""
-        return tuple({process.pid for process in self._running.values()})
-
     def start_all(self) -> None:
         """Start every node."""
         for name in self._spec.node_names:
@@ -75,7 +70,7 @@ class NodeProcesses:
         """Start a node, again if it has ended, with parameters over those of the graph."""
         self._ends = [other for other in self._ends if other != name]
         self._running[name] = NodeProcess(
-            node_module(name, self._spec), node_command(name, self._spec, parameters),
+            MODULES[name], node_command(name, self._spec, parameters),
             self._environment, self._log_file(name).resolve())
 
     def signal(self, name: str, number: signal.Signals) -> None:
@@ -168,7 +163,7 @@ class NodeProcesses:
             that every message that was sent is in the bag.
 
         """
-        names = [x for x in (*STOP_ORDER, *self._spec.extra_nodes) if x in self._running]
+        names = [x for x in STOP_ORDER if x in self._running]
         if abort:
             _stop([self._running[x] for x in names if x != RECORDER], ABORT_SIGNALS)
             names = [x for x in names if x == RECORDER]

@@ -54,8 +54,6 @@ class GraphSpec:
         More parameters per node name, over those of its file.
     remappings
         Other names of topics per node name.
-    extra_nodes
-        More nodes by name: the module that each is.
     recording_batches
         Whether the recorder gets what is sent at the control rate in batches.
     external
@@ -78,7 +76,6 @@ class GraphSpec:
     namespace: str = ''
     extra_parameters: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     remappings: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
-    extra_nodes: Mapping[str, str] = field(default_factory=dict)
     recording_batches: bool = False
     realtime: bool = False
     external: bool = False
@@ -86,7 +83,7 @@ class GraphSpec:
     @property
     def node_names(self) -> tuple[str, ...]:
         """Names of all nodes, in the order in which they are started."""
-        return (*START_ORDER[:-1], *self.extra_nodes, *(() if self.external else (SIM,)))
+        return (*START_ORDER[:-1], *(() if self.external else (SIM,)))
 
     @property
     def peers(self) -> tuple[str, ...]:
@@ -109,11 +106,6 @@ def timing_file(spec: GraphSpec, name: str) -> Path:
     return spec.logs / f'{name}.json'
 
 
-def node_module(name: str, spec: GraphSpec) -> str:
-    """Return the module whose `main` a node is."""
-    return {**MODULES, **spec.extra_nodes}[name]
-
-
 def node_command(
     name: str, spec: GraphSpec, overrides: Mapping[str, Any] | None = None,
 ) -> list[str]:
@@ -124,7 +116,7 @@ def node_command(
     """
     script = Path(sys.executable).parent / name
     command = [str(script)] if os.access(script, os.X_OK) else (
-        [sys.executable, '-m', node_module(name, spec)])
+        [sys.executable, '-m', MODULES[name]])
     command.append('--ros-args')
     if spec.namespace:
         command += ['-r', f'__ns:=/{spec.namespace}']

@@ -33,7 +33,7 @@ def test_stamp_follows_what_decides_an_outcome_and_nothing_else(tmp_path, monkey
 
 
 @pytest.mark.parametrize('task', [
-    'measure', 'presets.faults.jobs', 'presets.laws.jobs', 'presets.soak.jobs'])
+    'measure', 'presets.faults.jobs', 'presets.laws.jobs'])
 def test_stamp_covers_all_that_a_task_imports(task):
     graph = imports_of(ROOT)
     reached, ahead = set(), [f'multicontact_control.experiment.study.{task}']

@@ -14,7 +14,6 @@ from multicontact_control.experiment.study.presets.faults.study import FaultStud
 from multicontact_control.experiment.study.presets.laws.study import LawStudy
 from multicontact_control.experiment.study.presets.robots.study import RobotStudy
 from multicontact_control.experiment.study.presets.robustness.study import RobustnessStudy
-from multicontact_control.experiment.study.presets.soak.study import SoakStudy
 from multicontact_control.experiment.study.presets.sweep.study import sweep_study
 from multicontact_control.experiment.study.study import report_study, run_study, StudyOptions
 import pytest
@@ -68,7 +67,7 @@ def test_second_start_takes_from_the_cache_and_gives_the_same_files(tmp_path):
 @pytest.mark.parametrize('study', [
     ComparisonStudy(('rigid',), ('fixed',), 1, quick=True), SMALL,
     FaultStudy(7, quick=True, plants=('rigid',)), LawStudy(('rigid',), ('best',), 1, quick=True),
-    RobotStudy(('puma',), ('pybullet',), ('quick',)), SoakStudy(plants=('rigid',)),
+    RobotStudy(('puma',), ('pybullet',), ('quick',)),
     sweep_study('delay', seeds=(0,))], ids=lambda study: study.title)
 def test_study_of_which_everything_is_lost_says_so(tmp_path, study):
     jobs = study.jobs()

@@ -54,9 +54,9 @@ def test_campaign_has_every_fault_once_and_early_phases_first(quick):
     assert times == sorted(times)
 
 
-def test_rows_of_process_and_graph_are_in_one_table_and_page(tmp_path):
+def test_rows_are_in_one_table_and_page(tmp_path):
     rows = [row(), row(seed=2, reaction='float', time_to_safe_s=0.012),
-            row(where='graph', input='controller_node', kind='killed', time_to_safe_s=-1.0,
+            row(input='joints', kind='frozen', time_to_safe_s=-1.0,
                 safe=False, problems='force <beyond> the ceiling')]
     shown = io.StringIO()
     report_study(FaultStudy(), rows, JobRun(tmp_path, JobCache(tmp_path), {}, {}),
@@ -64,13 +64,12 @@ def test_rows_of_process_and_graph_are_in_one_table_and_page(tmp_path):
     report = json.loads((tmp_path / 'faults.json').read_text(encoding='utf-8'))
     assert list(report) == ['faults']
     assert [list(found)[:len(KEYS)] for found in report['faults']] == [KEYS] * 3
-    assert [found['where'] for found in report['faults']] == ['process', 'process', 'graph']
     page = (tmp_path / 'faults.html').read_text(encoding='utf-8')
     for text in (shown.getvalue(), page.replace('&lt;', '<').replace('&gt;', '>')):
         assert '3 faults of 2 kinds, 1 unsafe' in text
-        assert 'not safe: graph, rigid, rest, controller_node killed, seed 1: ' in text
+        assert 'not safe: rigid, rest, joints frozen, seed 1: ' in text
         assert 'force <beyond> the ceiling' in text
-        for word in ('in process', 'over the graph', 'float, hold', 'never', '1 not'):
+        for word in ('float, hold', 'never', '1 not'):
             assert word in text
 
 
@@ -84,7 +83,7 @@ def test_terminal_of_80_columns_has_names_in_one_piece(tmp_path):
     Console(file=shown, width=80).print(
         terminal_table(section.heading, section.listing, 80))
     words = shown.getvalue().split()
-    assert {'input', 'kind', 'reaction', 'short', 'safe', '160.7', '1200', 'process'} <= set(words)
+    assert {'input', 'kind', 'reaction', 'short', 'safe', '160.7', '1200'} <= set(words)
     assert {name for fault in KINDS for name in fault if len(name) <= 13} <= set(words)
 
 

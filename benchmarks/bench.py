@@ -1,0 +1,260 @@
+"""
+How fast everything is, each part beside its floor in the same run: `make bench`.
+
+Options go in BENCH_ARGS. Ratios compare between machines; times do not. TSID needs an older
+pinocchio: --tsid-python names the Python of its environment (docs/experiments.md).
+"""
+
+import argparse
+import json
+from pathlib import Path
+import subprocess
+import sys
+from tempfile import TemporaryDirectory
+from time import perf_counter_ns
+
+from multicontact_control.control.controller import Controller, Measurement
+from multicontact_control.control.reference import CommandedReference
+from multicontact_control.control_loop import ControlLoop
+from multicontact_control.dynamics.robot import RobotModel
+from multicontact_control.experiment.closed_loop import estimate_variance, run_in_process
+from multicontact_control.experiment.compilation import ensure_compiled
+from multicontact_control.experiment.metrics import percentiles
+from multicontact_control.experiment.scenario import resolve
+from multicontact_control.files import write_json
+from multicontact_control.force.noise import make_noise_estimator
+from multicontact_control.process import settle_process
+from multicontact_control.sampling import PairedSample
+from multicontact_control.supervision.command_limits import CommandLimits
+import numpy as np
+import pinocchio as pin
+import psutil
+import pybullet
+from rich.console import Console
+from rich.table import Table
+from sim_bridge.bullet_arm import BulletArm
+from sim_bridge.plant import Plant
+
+RATE = 500.0  # Hz
+FALL = 250  # periods after which an arm that falls is put back
+NOISY = 2.0  # p99 of a floor over its p50, from which on its ratio means nothing
+# Six independent contacts: unit normals and points, both in world axes.
+NORMALS = np.vstack([np.eye(3), -np.eye(3)])
+POINTS = np.array([[0.1, 0.2, -0.6], [-0.6, 0.1, 0.2], [0.6, 0.2, 0.1],
+                   [-0.2, 0.1, 0.6], [0.2, 0.6, -0.1], [0.1, -0.6, 0.2]])
+
+
+def setup_of(duration=None):
+    """Return the scenario of all measurements."""
+    return resolve('quick', plant='rigid', seed=0, duration=duration)
+
+
+def race(work, floor, count, lap, restart):
+    """Time something and, after each call, its floor [us]; `restart` comes before each `lap`."""
+    times = np.zeros((count, 2))
+    for k in range(count):
+        place = k % lap
+        if place == 0:
+            restart()
+        start = perf_counter_ns()
+        work(place)
+        done = perf_counter_ns()
+        floor(place)
+        times[k] = done - start, perf_counter_ns() - done
+    taken, bare = (percentiles(1e-3 * each) for each in times.T)
+    return {'us': taken, 'floor_us': bare, 'ratio': taken['p50'] / bare['p50'],
+            'noisy': bare['p99'] > NOISY * bare['p50']}
+
+
+def bare_dynamics(setup):
+    """Return a function that makes pinocchio's calls for M, C v + g, J and dJ/dt v."""
+    robot = setup.controller.robot
+    model = pin.buildModelFromUrdf(str(setup.urdf_dir / robot.urdf))
+    data, frame = model.createData(), model.getFrameId(robot.operational_frame)
+    zero = np.zeros(model.nv)
+
+    def compute(q, v):
+        pin.forwardKinematics(model, data, q, v, zero)
+        pin.getFrameClassicalAcceleration(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
+        pin.crba(model, data, q)
+        pin.nonLinearEffects(model, data, q, v)
+        pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)
+    return compute
+
+
+def bench_tick(count, *, supervised, estimated=True):
+    """Time a tick, with the noise estimator if `estimated`, and the bare dynamics."""
+    setup = setup_of()
+    config, data = setup.controller, run_in_process(setup, supervised=supervised).data
+    series = data.q, data.qd, getattr(data, config.wrench_series), data.effort
+    samples = [PairedSample(round(k * config.period * 1e9), *(x[k].copy() for x in series))
+               for k in range(data.ticks)]
+    loop = ControlLoop(config, setup.reference(), CommandLimits(), setup.urdf_dir,
+                       supervised=supervised)
+    estimator, compute = make_noise_estimator(setup.noise_estimator), bare_dynamics(setup)
+
+    def step(place):
+        loop.step(samples[place])
+        if estimated and loop.output is not None:
+            loop.take_variance(samples[place].stamp, estimate_variance(estimator, loop.output))
+
+    def restart():
+        loop.restart()
+        estimator.reset()
+
+    return race(step, lambda place: compute(samples[place].q, samples[place].qd), count,
+                len(samples), restart)
+
+
+def bench_plant(count):
+    """Time a period of the plant, and `stepSimulation` of a bare arm as often as its substeps."""
+    config = setup_of().plant
+    plant = Plant(config, rate=RATE, seed=0)
+    bare = BulletArm(plant.description, config.gravity_world, config.substep)
+    substeps = range(config.substeps(RATE))
+
+    def floor(_):
+        for _ in substeps:
+            pybullet.stepSimulation(physicsClientId=bare.client)
+
+    def reset():
+        plant.reset()
+        bare.reset(np.array(config.home))
+
+    found = race(lambda _: plant.step(plant.initial_torque), floor, count, FALL, reset)
+    plant.close()
+    bare.close()
+    return found
+
+
+def bench_contacts(count):
+    """Return the median time of a tick of the bare law [us] by the number of contacts."""
+    setup, random, found = setup_of(), np.random.default_rng(0), {}
+    home = np.array(setup.plant.home)
+    pose = RobotModel(setup.controller.robot, setup.urdf_dir).update(home, 0.0 * home).pose
+    table, points = setup.controller.contacts['table'], POINTS @ pose.rotation_world
+    for contacts in range(1, len(NORMALS) + 1):
+        names = [f'contact{k + 1}' for k in range(contacts)]
+        config = setup.controller.model_copy(update={'contact_names': tuple(names), 'contacts': {
+            name: table.model_copy(update={'normal_world': (*n,), 'point_operational': (*p,)})
+            for name, n, p in zip(names, NORMALS, points)}})
+        reference = CommandedReference(config.contact_names)
+        controller = Controller.from_config(config, reference, setup.urdf_dir)
+        times = np.zeros(count)
+        for k in range(count):
+            move, speed, wrench = random.standard_normal((3, 6))
+            sample = Measurement(k / RATE, home + 0.02 * move, 0.1 * speed, wrench)
+            start = perf_counter_ns()
+            controller.step(sample, np.full(contacts, 0.6))
+            times[k] = perf_counter_ns() - start
+            if k == 0:
+                reference.set_forces(dict.fromkeys(names, 5.0))
+        found[contacts] = 1e-3 * float(np.median(times))
+    return found
+
+
+def bench_graph(duration):
+    """Run the graph [s] in lockstep and in real time: latency, misses, load of each node."""
+    from multicontact_control.experiment.graph.run import run_graph  # needs ROS
+    from multicontact_control.experiment.graph.spec import GraphSpec, START_ORDER
+
+    setup, found = setup_of(duration), {}
+    for mode in ('lockstep', 'real_time'):
+        spent = []  # times of the wall and the nodes [s], a few times a second
+
+        def look(_progress, spent=spent):
+            now = {'wall': 1e-9 * perf_counter_ns()}
+            for process in psutil.Process().children(recursive=True):
+                command = ' '.join(process.cmdline()[:3])
+                now |= {x: sum(process.cpu_times()[:2]) for x in START_ORDER if x in command}
+            spent.append(now)
+
+        with TemporaryDirectory() as folder:
+            out = Path(folder)
+            sim = run_graph(GraphSpec(
+                out=out, ticks=setup.ticks, rate=RATE, lockstep=mode == 'lockstep',
+                reference_file=out / 'config/reference.yaml',
+                parameter_files=setup.write(out / 'config')), look).timing['sim_node']
+        first, last = spent[0], spent[-1]
+        found[mode] = {
+            'realtime_factor': duration / sim['wall_s'],
+            **{name: sim[name] for name in ('latency_us', 'deadline_misses', 'ticks')},
+            'cores': {name: (last[name] - first[name]) / (last['wall'] - first['wall'])
+                      for name in START_ORDER if name in first and name in last}}
+    return found
+
+
+def bench_tsid(python, law):
+    """Return TSID's times on the samples beside the `law`'s; RuntimeError if it cannot be run."""
+    setup = setup_of()
+    config, data = setup.controller, run_in_process(setup).data
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / 'problem.npz'
+        np.savez(
+            path, urdf=str((setup.urdf_dir / config.robot.urdf).resolve()),
+            frame=config.robot.operational_frame, torque_limit=config.torque_limit,
+            tips=[setup.plant.surfaces[name].tip_link for name in config.contact_names],
+            normals=[config.contacts[name].normal_world for name in config.contact_names],
+            q=data.q, qd=data.qd)
+        script = Path(__file__).with_name('tsid_tick.py')
+        done = subprocess.run([python, '-I', script, path], capture_output=True, text=True)
+    if done.returncode:
+        raise RuntimeError(done.stderr.rpartition('\n')[0].rpartition('\n')[2])
+    found = json.loads(done.stdout.splitlines()[-1])
+    times = percentiles(found.pop('tick_us'))
+    return {**law, **found, 'floor_us': times, 'ratio': law['us']['p50'] / times['p50']}
+
+
+def main(arguments=None):
+    """Measure, print a table, write JSON if asked to; return the exit code."""
+    parser = argparse.ArgumentParser(prog='make bench', description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument('--ticks', type=int, default=20_000, help='of each part (%(default)s)')
+    parser.add_argument('--seconds', type=float, default=10.0,
+                        help='of each graph, 0 for none (%(default)s)')
+    parser.add_argument('--json', type=Path, help='write all numbers to this file')
+    parser.add_argument('--tsid-python', default=sys.executable, help='Python that has TSID')
+    options = parser.parse_args(arguments)
+    console, count, result = Console(), options.ticks, {}
+    ensure_compiled()
+    settle_process()
+    graph = [('graph', lambda: bench_graph(options.seconds))] if options.seconds else []
+    for name, measure in (
+            ('bare tick', lambda: bench_tick(count, supervised=False)),
+            ('supervised tick', lambda: bench_tick(count, supervised=True)),
+            ('law alone', lambda: bench_tick(count, supervised=False, estimated=False)),
+            ('plant', lambda: bench_plant(min(count, 5000))),
+            ('contacts', lambda: bench_contacts(max(200, count // 10))), *graph,
+            ('law over TSID', lambda: bench_tsid(options.tsid_python, result['law alone']))):
+        print(name, '...', flush=True)
+        try:
+            result[name] = measure()
+        except (ImportError, OSError, RuntimeError) as error:
+            console.print(f'{name}: skipped, {error}', style='yellow', highlight=False)
+    console.print(table_of(result))
+    if options.json:
+        write_json(options.json, result)
+    return 0
+
+
+def table_of(result):
+    """Return the figures as a table."""
+    table = Table('what', 'p50 [us]', 'p99 [us]', 'floor p50 [us]', 'ratio')
+    for name, part in result.items():
+        if name not in ('contacts', 'graph'):
+            table.add_row(name, *(f'{x:.1f}' for x in (
+                part['us']['p50'], part['us']['p99'], part['floor_us']['p50'])),
+                f'{part["ratio"]:.2f}' + ' (noisy)' * part['noisy'])
+    table.add_row('law, 1 to 6 contacts', ' '.join(
+        f'{median:.0f}' for median in result['contacts'].values()))
+    for mode, part in result.get('graph', {}).items():
+        p50, p99 = (f'{part["latency_us"][x]:.0f}' for x in ('p50', 'p99'))
+        table.add_row(f'{mode}: latency', p50, p99, '', f'{part["realtime_factor"]:.2f} x time')
+        table.add_row(f'{mode}: deadlines missed', f'{part["deadline_misses"]} of {part["ticks"]}')
+        for name, share in part['cores'].items():
+            table.add_row(f'{mode}: {name}', f'{share:.2f} cores')
+    return table
+
+
+if __name__ == '__main__':
+    sys.exit(main())

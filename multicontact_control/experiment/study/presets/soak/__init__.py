@@ -1,1 +1,0 @@
-"""`multicontact soak`: hours of random commands and faults."""

@@ -1,0 +1,119 @@
+"""
+A node between simulator and controller that passes messages on, and damages them during a fault.
+
+A line ``INPUT KIND SEED`` of its standard input begins a fault, an empty one ends it; it answers.
+"""
+
+from collections import deque
+import sys
+import threading
+
+from multicontact_control.experiment.faults import vocabulary
+from multicontact_control.experiment.faults.fault import Delivery, Edit, GRAPH
+from multicontact_control.nodes import messages, qos, topics
+from multicontact_control.nodes.runtime import follow_parent, make_executor, start_ros
+import numpy as np
+from rclpy.node import Node
+from rclpy.serialization import deserialize_message, serialize_message
+
+PREFIX = 'faulty/'  # of the topics that are passed on, to which the controller listens
+HISTORY = 512  # messages: a second at 500 Hz, twice the longest fault
+INPUTS = {'joints': topics.JOINT_STATES, 'wrench': topics.WRENCH,
+          'variance': topics.NOISE_VARIANCE}
+FIELDS = {'q': 'position', 'qd': 'velocity', 'names': 'name', 'variance': 'effort'}
+
+
+def read_field(message, name):
+    if name == 'wrench':
+        force, torque = message.wrench.force, message.wrench.torque
+        return np.array([force.x, force.y, force.z, torque.x, torque.y, torque.z])
+    values = getattr(message, FIELDS[name])
+    return list(values) if name == 'names' else np.array(values)
+
+
+def _write_field(message, name, values):
+    if name == 'wrench':
+        force, torque = message.wrench.force, message.wrench.torque
+        force.x, force.y, force.z, torque.x, torque.y, torque.z = values.tolist()
+    else:
+        setattr(message, FIELDS[name], list(values))
+
+
+class Stream:
+    """The messages of one input, serialised; `history` has the good ones, newest last."""
+
+    def __init__(self, message):
+        self._message = message
+        self.history = deque(maxlen=HISTORY)
+        self._fault = None
+
+    def newest_stamp(self):
+        newest = deserialize_message(self.history[-1], self._message)
+        return messages.stamp_to_ns(newest.header.stamp)
+
+    def begin(self, fault, seed, start):
+        """Begin a fault at a stamp [ns], or end it by None."""
+        self._random = np.random.default_rng(seed)
+        self._start, self._choice = start, self._random.random(4)
+        self._passed, self._first, self._fault = 0, {}, fault
+
+    def passed_on(self, data):
+        """Return the messages that go on in the place of one."""
+        self.history.append(data)
+        if self._fault is None:
+            return [data]
+        n, action = self._passed, self._fault.action
+        self._passed += 1
+        if isinstance(action, Delivery):
+            last = len(self.history) - 1
+            return [self.history[max(0, last - age)] for age in action.ages(self._random, n)]
+        message = deserialize_message(data, self._message)
+        if isinstance(action, Edit):
+            now = {name: read_field(message, name) for name in action.fields}
+            self._first = self._first or now
+            for name, values in action.values(now, self._first, self._choice).items():
+                _write_field(message, name, values)
+        else:  # a clock
+            stamp = messages.stamp_to_ns(message.header.stamp)
+            shift = action.shift(1e-9 * (stamp - self._start), 1e-9 * self._start)
+            message.header.stamp = messages.ns_to_stamp(stamp + round(max(-stamp, 1e9 * shift)))
+        return [serialize_message(message)]
+
+
+def main():
+    """Pass messages on until the standard input is closed."""
+    follow_parent()
+    start_ros([])
+    node, executor, ended = Node('fault_relay'), make_executor(), threading.Event()
+    executor.add_node(node)
+    streams = {source: Stream(topic.message) for source, topic in INPUTS.items()}
+    for source, topic in INPUTS.items():
+        publisher = node.create_publisher(topic.message, PREFIX + topic.name, topic.profile)
+
+        def pass_on(data, stream=streams[source], publisher=publisher):
+            for message in stream.passed_on(data):
+                publisher.publish(message)
+
+        node.create_subscription(topic.message, topic.name, pass_on, qos.INPUT, raw=True)
+
+    def listen():
+        for line in sys.stdin:
+            for stream in streams.values():
+                stream.begin(None, 0, 0)
+            if line.strip():
+                source, kind, seed = line.split()
+                hit = [streams[x] for x in (
+                    ('joints', 'wrench') if source == vocabulary.CLOCK else (source,))]
+                start = max(x.newest_stamp() for x in hit) + round(1e9 * vocabulary.PERIOD)
+                for stream in hit:
+                    stream.begin(vocabulary.faults_of(GRAPH)[kind, source], int(seed), start)
+            print('done', flush=True)
+        ended.set()
+
+    threading.Thread(target=listen, daemon=True).start()
+    while not ended.is_set():
+        executor.spin_once(timeout_sec=0.1)
+
+
+if __name__ == '__main__':
+    main()

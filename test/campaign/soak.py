@@ -1,0 +1,275 @@
+"""
+Hours of random commands, faults and pauses: `make soak`, with options in SOAK_ARGS.
+
+In process, or with --graph over running graphs in real time. After each episode, a command or a
+fault, every force has to be as commanded again. Never may a torque or its rate be beyond its
+limit, a force beyond the ceiling for long, an obstacle be pressed by more than 40 N, a state
+alternate, or a force oscillate while nothing happens: exit code 1; or memory grow.
+Each seed has a file of JSON lines, one per episode; the same command goes on with missing seeds.
+"""
+
+import argparse
+import contextlib
+from itertools import count
+import json
+import math
+from pathlib import Path
+import sys
+import time
+
+from multicontact_control.errors import CommandError
+from multicontact_control.experiment.closed_loop import ClosedLoop
+from multicontact_control.experiment.display import count_bar
+from multicontact_control.experiment.faults.fault import GRAPH, PlantEdit, PROCESS
+from multicontact_control.experiment.faults.in_process import advance_with, Occurrence
+from multicontact_control.experiment.faults.judge import MET_FORCE, never_allowed, Observation
+from multicontact_control.experiment.faults.situation import with_obstacles
+from multicontact_control.experiment.faults.vocabulary import faults_of
+from multicontact_control.experiment.oscillation import oscillations
+from multicontact_control.experiment.scenario import plants_of
+from multicontact_control.quintic import quintic
+from multicontact_control.sampling import MotionReading
+from multicontact_control.supervision.contacts import ContactState
+import numpy as np
+import psutil
+from rich.console import Console
+from rich.table import Table
+
+LONGEST_PART = 3600.0  # s of a seed
+LARGEST_FORCE = 25.0  # N, that is commanded
+REACH, FASTEST = 0.1, 0.2  # m to either side of the start, m/s
+PAUSE = (2.2, 4.0)  # s between episodes; an oscillation shows within 2
+EPISODES = {'forces': 0.35, 'motion': 0.3, 'hold': 0.05, 'fault': 0.24, 'two faults': 0.06}
+SETTLE_TIME, ATTEMPTS = 15.0, 4  # s, and how often: from the second on with the operator's help
+OFF = 0.15  # of the command, and 1 N: mean error over 0.5 s that is as commanded
+WARM_UP, LARGEST_GROWTH = 600.0, 2.0  # s before which memory is not looked at; MB per hour
+
+
+class ProcessSoak:
+    """A closed loop in process under random commands and faults, until closed."""
+
+    def __init__(self, plant, seed):
+        self.setup = with_obstacles('quick', plant, seed)
+        self.loop = ClosedLoop(self.setup, commanded=True)
+        self._random = np.random.default_rng(seed)
+        self._faults = [x for x in faults_of(PROCESS).values() if not (
+            isinstance(x.action, PlantEdit) and x.action.end is None)]  # the world is as before
+        config = self.setup.controller
+        self._rate, self._period = config.rate, config.period
+        normals = np.array([config.contacts[name].normal_world for name in config.contact_names])
+        directions, sizes, _ = np.linalg.svd(np.eye(3) - np.linalg.pinv(normals) @ normals)
+        self._free = directions[:, sizes > 0.5].T  # directions in which no contact is
+        self.wanted = dict.fromkeys(config.contact_names, 0.0)
+        pose = self.loop.advance().pose
+        self._before, self._problems = self.loop.command.copy(), set()
+        self._torques, self._forces, self._met = [], [], []
+        # Of the start, not of the moment: errors of the orientation would add up.
+        self._start, self._turn = pose.position_world.copy(), pose.quaternion_xyzw.copy()
+        self._target = self._start
+        self.command_forces()
+        self.settle()
+
+    def episode(self):
+        """Let one thing happen, and return its line."""
+        kind = str(self._random.choice(list(EPISODES), p=list(EPISODES.values())))
+        if kind == 'forces':
+            self.command_forces()
+        elif kind == 'motion':
+            self._move()
+        elif kind == 'hold':
+            self.loop.control.hold(True)
+            self.wait(float(self._random.uniform(0.5, 3.0)))
+            self.loop.control.hold(False)
+        else:
+            kind = self._break(1 + (kind == 'two faults'))
+        self.settle()
+        _, errors = self.wait(float(self._random.uniform(*PAUSE)))
+        self._problems.update(oscillating(errors, self.wanted, self._rate))
+        seen = Observation(
+            torque=np.array(self._torques), before=self._before, force=np.array(self._forces),
+            time=self._period * np.arange(len(self._forces)), reaction='')
+        self._problems.update(never_allowed(seen, self.setup)[0])
+        if max(self._met, default=0.0) > MET_FORCE:
+            self._problems.add(f'{max(self._met):.0f} N on an obstacle')
+        error = float(np.abs(errors.mean(axis=0)).max())
+        memory = psutil.Process().memory_info().rss
+        line = line_of(self.loop.tick * self._period, kind, self._problems, memory, error)
+        self._before, self._problems = self._torques[-1], set()
+        self._torques, self._forces, self._met = [], [], []
+        return line
+
+    def command_forces(self):
+        """Command another force at every contact, or none."""
+        smallest = self.setup.controller.contact_state.smallest_force
+        for name in self.wanted:
+            pressed = self._random.random() > 0.1
+            self.wanted[name] = pressed * float(self._random.uniform(smallest, LARGEST_FORCE))
+        self.loop.control.set_forces(self.wanted)
+
+    def _move(self):
+        goal = self._start + self._random.uniform(-REACH, REACH, len(self._free)) @ self._free
+        before, way = self._target, goal - self._target
+        duration = max(1.0, 1.875 * float(np.linalg.norm(way)) / FASTEST)
+        for k in range(1, round(duration * self._rate) + 1):
+            s, ds, dds = quintic(k * self._period, duration)
+            self.loop.control.set_motion(MotionReading(
+                before + s * way, self._turn, np.concatenate([ds * way, np.zeros(3)]),
+                np.concatenate([dds * way, np.zeros(3)])))
+            self.advance()
+        self._target = goal
+
+    def _break(self, count):
+        """Let faults of different inputs happen at the same time; return their names."""
+        chosen = []
+        while len(chosen) < count:
+            fault = self._faults[int(self._random.integers(len(self._faults)))]
+            if all(fault.input != other.input for other in chosen):
+                chosen.append(fault)
+        found = [Occurrence(fault, self._random, self.loop) for fault in chosen]
+        for _ in range(max(each.lasts for each in found)):
+            self.advance(found)
+        return ' + '.join(f'{fault.input} {fault.kind}' for fault in chosen)
+
+    def settle(self):
+        """Wait until all is as commanded, and help if it does not come to that by itself."""
+        for attempt in range(ATTEMPTS):
+            if any(self.wait(0.5)[0] for _ in range(round(SETTLE_TIME / 0.5))):
+                return
+            if attempt == 1:  # let go of everything first
+                self.loop.control.set_forces(dict.fromkeys(self.wanted, 0.0))
+                self.wait(1.0)
+            self.loop.control.set_forces(self.wanted)
+            with contextlib.suppress(CommandError):  # there may be nothing to try again
+                self.loop.control.retry()
+        status = self.loop.status
+        self._problems.add(f'stuck: {status.contact_states}, {status.reaction} {status.causes}')
+        self.loop.control.restart()
+
+    def wait(self, duration):
+        """Wait [s]; return whether all was as commanded, and the errors, shape (ticks, r) [N]."""
+        forces = []
+        for _ in range(round(duration * self._rate)):
+            self.advance()
+            forces.append(self.loop.true_forces)
+        wanted, status = np.array(list(self.wanted.values())), self.loop.status
+        errors = np.array(forces) - wanted
+        held = all(state == ContactState.HOLDING.value
+                   for state, force in zip(status.contact_states, wanted) if force > 0.0)
+        near = np.abs(errors.mean(axis=0)) <= np.maximum(1.0, OFF * wanted)
+        return held and status.reaction == 'none' and bool(near[wanted > 0.0].all()), errors
+
+    def advance(self, faults=()):
+        loop = self.loop
+        advance_with(faults, loop)
+        self._torques.append(loop.command.copy())
+        self._forces.append(float(loop.true_forces.max()))
+        self._met.append(float(loop.obstacle_forces.max(initial=0.0)))
+        if loop.tick % round(self._rate) == 0:
+            self._problems.update(
+                f'{name} alternates' for name in loop.control.events.alternating(
+                    loop.control.time))
+
+
+def line_of(seconds, kind, problems, memory, error=0.0):
+    """Return the line of an episode; `memory` is in bytes, the `error` at rest in N."""
+    return {'time_s': round(seconds, 3), 'episode': kind, 'problems': sorted(problems),
+            'memory_mb': round(memory / 1e6, 1), 'error_n': round(error, 4)}
+
+
+def oscillating(errors, wanted, rate):
+    """Return which contacts oscillate about their wanted force [N], in words."""
+    judged = np.ones(len(errors), dtype=bool)
+    return [f'{name} oscillates at {found.frequency:.0f} Hz with {found.rms:.2g} N rms'
+            for (name, force), error in zip(wanted.items(), errors.T)
+            for found in oscillations(error, np.full(len(error), force), judged, rate)]
+
+
+def process_episodes(plant, seed, _folder):
+    """Yield the lines of a soak in process."""
+    soak = ProcessSoak(plant, seed)
+    with contextlib.closing(soak.loop):
+        while True:
+            yield soak.episode()
+
+
+def graph_episodes(plant, seed, folder):
+    """Yield the lines of a soak over graphs."""
+    from campaign.faults import run_faults  # needs ROS
+
+    random, faults = np.random.default_rng(seed), list(faults_of(GRAPH).values())
+    tasks = ((faults[int(random.integers(len(faults)))], k) for k in count())
+    begin = time.monotonic()
+    for row in run_faults(plant, tasks, seed, folder, [], random):
+        memory = sum(x.memory_info().rss for x in psutil.Process().children(recursive=True))
+        yield line_of(time.monotonic() - begin, f'{row.input} {row.kind}',
+                      filter(None, [row.problems]), memory)
+
+
+def memory_growth(lines):
+    """Return the slope of the memory after ten minutes [MB/h], NaN of less than twenty."""
+    kept = [(x['time_s'] / 3600.0, x['memory_mb']) for x in lines if x['time_s'] > WARM_UP]
+    long = lines[-1]['time_s'] > 2.0 * WARM_UP and len(kept) > 2
+    return float(np.polyfit(*zip(*kept), 1)[0]) if long else math.nan
+
+
+def soak(episodes, path, duration, advance=lambda seconds: None):
+    """Write the lines of the episodes of a time [s] to a file."""
+    partial, line = path.with_suffix('.partial'), {'time_s': 0.0}
+    with contextlib.closing(episodes), partial.open('w', encoding='utf-8') as file:
+        while line['time_s'] < duration:
+            line = next(episodes)
+            print(json.dumps(line), file=file, flush=True)
+            advance(line['time_s'])
+    partial.replace(path)
+
+
+def report(found):
+    """Print a row for each plant and seed, and all problems; return whether there are none."""
+    console, good = Console(), True
+    table = Table('plant', 'seed', 'hours', 'episodes', 'problems', 'error [N]', 'MB/h')
+    for (plant, seed), lines in found.items():
+        growth, problems = memory_growth(lines), [(x, y) for x in lines for y in x['problems']]
+        good = good and not problems and not growth > LARGEST_GROWTH
+        table.add_row(plant, str(seed), f'{lines[-1]["time_s"] / 3600.0:.2f}', str(len(lines)),
+                      str(len(problems)), f'{np.mean([x["error_n"] for x in lines]):.3f}',
+                      f'{growth:.2f}')
+        for line, problem in problems:
+            console.print(f'{plant}, seed {seed}, {line["time_s"]:.1f} s, {line["episode"]}: '
+                          f'{problem}', style='red', highlight=False)
+    console.print(table)
+    return good
+
+
+def main(arguments=None):
+    """Run the soak; return the exit code."""
+    parser = argparse.ArgumentParser(prog='make soak', description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument('--hours', type=float, default=1.0, help='of all seeds (%(default)s)')
+    parser.add_argument('--graph', action='store_true', help='over running graphs, in real time')
+    parser.add_argument('--plants', nargs='+', default=plants_of(), help='default: %(default)s')
+    parser.add_argument('--seed', type=int, default=0, help='the first')
+    parser.add_argument('--out', type=Path, default=Path('runs/soak'), help='%(default)s')
+    options = parser.parse_args(arguments)
+    if not options.hours > 0.0:
+        parser.error(f'--hours: expected a number > 0, found {options.hours:g}')
+    parts = max(len(options.plants), math.ceil(3600.0 * options.hours / LONGEST_PART))
+    duration = 3600.0 * options.hours / parts
+    place, start = (GRAPH, graph_episodes) if options.graph else (PROCESS, process_episodes)
+    options.out.mkdir(parents=True, exist_ok=True)
+    found = {}
+    with count_bar() as progress:
+        bar = progress.add_task('seconds', total=round(parts * duration))
+        for k in range(parts):
+            plant, seed = options.plants[k % len(options.plants)], options.seed + k
+            path = options.out / f'{place}-{plant}-{seed}-{duration:.0f}s.jsonl'
+            if not path.exists():
+                soak(start(plant, seed, options.out / 'graphs'), path, duration,
+                     lambda seconds, done=k * duration: progress.update(
+                         bar, completed=round(done + seconds)))
+            found[plant, seed] = [
+                json.loads(line) for line in path.read_text(encoding='utf-8').splitlines()]
+    return 0 if report(found) else 1
+
+
+if __name__ == '__main__':
+    sys.exit(main())
