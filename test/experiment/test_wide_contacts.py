@@ -2,7 +2,7 @@
 
 from multicontact_control.control_loop import ControlLoop
 from multicontact_control.errors import CommandError, ConfigError
-from multicontact_control.experiment.claim_metrics import evidence_of
+from multicontact_control.experiment.claims import evidence_of
 from multicontact_control.experiment.closed_loop import ClosedLoop, run_in_process
 from multicontact_control.experiment.judge import judge, STABLE
 from multicontact_control.experiment.metrics import force_error, losses, rms_in, windows

@@ -42,9 +42,8 @@ def lead_filter(
     """
     Design G_f (P04 eq. 42).
 
-    With a DC gain of 1, as the paper says, a zero below the pole makes it a lead: with 3 and
-    60 Hz at 500 Hz its gain rises to 19 and white noise leaves it with 269 times its variance.
-    With a gain of 1 at half the rate it is a high-pass filter of 1/19 at DC.
+    With a DC gain of 1, as the paper says, a zero below the pole makes it a lead, which
+    amplifies white noise. With a gain of 1 at half the rate it is a high-pass filter.
 
     Parameters
     ----------
