@@ -172,7 +172,7 @@ def bench_graph(duration):
         with TemporaryDirectory() as folder:
             out = Path(folder)
             sim = run_graph(GraphSpec(
-                out=out, ticks=setup.ticks, rate=RATE, lockstep=mode == 'lockstep',
+                out=out, ticks=setup.ticks, rate=RATE, free_running=mode == 'real_time',
                 reference_file=out / 'config/reference.yaml',
                 parameter_files=setup.write(out / 'config')), look).timing['sim_node']
         first, last = spent[0], spent[-1]

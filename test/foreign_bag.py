@@ -1,23 +1,50 @@
-"""Recordings that somebody else made of a controller and a robot of seven joints."""
+"""Recordings of a controller and a robot of seven joints, made without this package or ROS."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import SimpleNamespace
+
 from arms import seven_joint_urdf
-from multicontact_control.nodes import messages, topics
-from multicontact_control.nodes.bag_writer import BagWriter
+from mcap_ros2.writer import Writer
 import numpy as np
-from rclpy.serialization import serialize_message
+from rosbags.typesys import get_typestore, Stores
 import yaml
 
 RATE = 125.0
 JOINTS = tuple(f'j{i}' for i in range(7))
 COMMAND, PRELOAD, AT, MADE = 10.0, 2.0, 1.0, 1.5  # N, N, s, s
 START = 1_700_000_000_000_000_000  # ns
-ANSWERS = (topics.EFFORT_COMMAND, topics.MEASURED_FORCES)
-TOPICS = (
-    topics.JOINT_STATES, topics.WRENCH, topics.EFFORT_COMMAND, topics.MEASURED_FORCES,
-    topics.ESTIMATED_FORCES, topics.DESIRED_FORCES, topics.NOISE_VARIANCE, topics.POSE,
-    topics.POSE_DESIRED, topics.FORCE_COMMAND)
+NAMED = ('joint_states', 'joint_effort_command', *(f'contact_forces/{name}' for name in (
+    'measured', 'estimated', 'desired', 'noise_variance', 'command')))
+TRUTH, COMMANDED, MEASURED = (
+    'ground_truth/contact_forces', 'contact_forces/command', 'contact_forces/measured')
+TYPES = dict.fromkeys((*NAMED, TRUTH), 'sensor_msgs/msg/JointState') | {
+    'ft_sensor/wrench': 'geometry_msgs/msg/WrenchStamped'} | dict.fromkeys(
+        ('operational_point/pose', 'operational_point/pose_desired'),
+        'geometry_msgs/msg/PoseStamped')
+TOPICS = tuple(topic for topic in TYPES if topic != TRUTH)
+
+
+def header(ns):
+    return SimpleNamespace(frame_id='world', stamp=SimpleNamespace(
+        sec=ns // 10 ** 9, nanosec=ns % 10 ** 9))
+
+
+def joint_state(ns, name, position=(), velocity=(), effort=()):
+    return SimpleNamespace(header=header(ns), name=list(name), **{
+        field: list(map(float, values)) for field, values in (
+            ('position', position), ('velocity', velocity), ('effort', effort))})
+
+
+def xyz(values):
+    return SimpleNamespace(**dict(zip('xyzw', map(float, values))))
+
+
+def wrench(ns, values):
+    return SimpleNamespace(header=header(ns), wrench=SimpleNamespace(
+        force=xyz(values[:3]), torque=xyz(values[3:])))
 
 
 def rows(seconds, seed=0):
@@ -25,49 +52,56 @@ def rows(seconds, seed=0):
     random = np.random.default_rng(seed)
     for k in range(round(seconds * RATE)):
         t = k / RATE
-        stamp = START + round(t * 1e9)
+        ns = START + round(t * 1e9)
         wanted = 0.0 if t < MADE - 0.1 else PRELOAD if t < MADE else COMMAND
         way = np.exp(-max(t - MADE, 0.0) / 0.05)  # that is left, from the preload
         force = COMMAND - (COMMAND - PRELOAD) * way if t >= MADE else wanted
         seen = force + 0.05 * random.normal()
-
-        def named(value, stamp=stamp, **more):
-            return messages.joint_state_message(stamp, ['wall'], effort=[value], **more)
-
-        pose = messages.pose_message(stamp, np.array([0.5, 0.0, 0.3]), [0, 0, 0, 1], 'world')
+        pose = SimpleNamespace(header=header(ns), pose=SimpleNamespace(
+            position=xyz((0.5, 0.0, 0.3)), orientation=xyz((0.0, 0.0, 0.0, 1.0))))
         if t == AT:
-            yield topics.FORCE_COMMAND, t, messages.joint_state_message(
-                0, ['wall'], effort=[COMMAND])
-        yield from (
-            (topics.JOINT_STATES, t, messages.joint_state_message(
-                stamp, JOINTS, position=np.full(7, 0.3), velocity=np.zeros(7))),
-            (topics.WRENCH, t, messages.wrench_message(stamp, [seen, 0, 0, 0, 0, 0], 'wrist')),
-            (topics.EFFORT_COMMAND, t, messages.joint_state_message(
-                stamp, JOINTS, effort=np.full(7, 3.0))),
-            (topics.MEASURED_FORCES, t, named(seen)),
-            (topics.ESTIMATED_FORCES, t, named(force, velocity=[0.0])),
-            (topics.DESIRED_FORCES, t, named(wanted)),
-            (topics.NOISE_VARIANCE, t, named(0.5)), (topics.POSE, t, pose),
-            (topics.POSE_DESIRED, t, pose), (topics.TRUE_FORCES, t, named(force)))
+            yield COMMANDED, t, joint_state(0, ['wall'], effort=[COMMAND])
+        yield 'joint_states', t, joint_state(ns, JOINTS, np.full(7, 0.3), np.zeros(7))
+        yield 'ft_sensor/wrench', t, wrench(ns, [seen, 0, 0, 0, 0, 0])
+        yield 'joint_effort_command', t, joint_state(ns, JOINTS, effort=np.full(7, 3.0))
+        for name, value in ((MEASURED, seen), ('contact_forces/desired', wanted), (TRUTH, force),
+                            ('contact_forces/noise_variance', 0.5)):
+            yield name, t, joint_state(ns, ['wall'], effort=[value])
+        yield 'contact_forces/estimated', t, joint_state(
+            ns, ['wall'], velocity=[0.0], effort=[force])
+        yield 'operational_point/pose', t, pose
+        yield 'operational_point/pose_desired', t, pose
+
+
+@contextmanager
+def bag_file(folder) -> Iterator:
+    """Yield what writes topic, message and time [ns] to the only MCAP file of a new folder."""
+    folder.mkdir(parents=True)
+    store, schemas = get_typestore(Stores.ROS2_JAZZY), {}
+    with (folder / 'bag_0.mcap').open('wb') as stream:
+        writer = Writer(stream, chunk_size=4096)
+
+        def write(topic, message, ns):
+            kind = next(kind for name, kind in TYPES.items() if topic.endswith(name))
+            if kind not in schemas:
+                schemas[kind] = writer.register_msgdef(
+                    kind, store.generate_msgdef(kind, ros_version=2)[0])
+            writer.write_message(topic, schemas[kind], message, ns, ns)
+
+        yield write
+        writer.finish()
 
 
 def write_bag(
-    folder, *, without=(topics.TRUE_FORCES,), seconds=4.0, space='', change=lambda x: x,
-    unanswered=0.0,
+    folder, *, without=(TRUTH,), seconds=4.0, space='', change=lambda x: x, unanswered=0.0,
 ):
     """Write a recording, whose first seconds are not answered; return its MCAP file."""
-    with BagWriter(folder, chunk_size=4096) as writer:
-        known = set()
+    with bag_file(folder) as write:
         for topic, time, message in rows(seconds):
-            name = f'{space}/{topic.name}'
-            if topic in without or (topic in ANSWERS and time < unanswered):
-                continue
-            if name not in known:
-                known.add(name)
-                writer.add_topic(name, topic.type_name, topic.profile)
-            at = START + round(time * 1e9)
-            writer.write(name, serialize_message(change(message)), at, at)
-    return next(folder.glob('*.mcap'))
+            answer = topic in ('joint_effort_command', MEASURED)
+            if topic not in without and not (answer and time < unanswered):
+                write(f'{space}/{topic}', change(message), START + round(time * 1e9))
+    return folder / 'bag_0.mcap'
 
 
 def controller_file(folder, **changes):

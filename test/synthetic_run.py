@@ -8,8 +8,6 @@ from multicontact_control.experiment.recording import empty_run_data, RunData
 from multicontact_control.experiment.scenario import resolve, Setup
 import numpy as np
 
-RATE = 500.0
-
 
 def disturbance_setup(plant: str = 'rigid', **changes) -> Setup:
     return resolve('disturbance', plant=plant, **changes)
@@ -27,9 +25,8 @@ def perfect_run(setup: Setup) -> RunData:
         'q', 'qd', 'effort', 'torque', 'wrench', 'wrench_filtered', 'alpha_rate_est', 'position',
         'position_des')}
     turn = np.tile([0.0, 0.0, 0.0, 1.0], (data.ticks, 1))
-    variance = np.where(
-        (data.time >= reference.motion.start_time)[:, None], 100.0, 0.6) * np.ones(
-            (1, len(data.contact_names)))
+    variance = np.where(data.time[:, None] >= reference.motion.start_time, 100.0, 0.6) + (
+        0.0 * desired)
     return replace(
         data, **series, alpha_true=desired.copy(), alpha_meas=desired.copy(),
         alpha_est=desired.copy(), alpha_des=desired, noise_variance=variance, quaternion=turn,

@@ -20,9 +20,9 @@ def design(
     input_delay: Annotated[float, typer.Option(
         help='T_d, from commanded to acting input [s].')] = 0.006,
     noise: Annotated[float, typer.Option(
-        help='R that aob and lqg are designed for [N^2]. What it does to u is told for white '
-        'noise of this variance; behind the lead filter R is 269 times the variance of the force, '
-        'so by default that is 16 times too much.')] = 0.6,
+        help='R that aob and lqg are designed for [N^2]; the effect on u is that of white noise '
+        'of this variance. The R of the lead filter is larger than the variance of the force.'
+        )] = 0.6,
     damping_rate: Annotated[float, typer.Option(help='K_2 [1/s].')] = 100.0,
     rate: Annotated[float, typer.Option(help='Control rate [Hz].')] = 500.0,
     out: Annotated[Path | None, typer.Option(

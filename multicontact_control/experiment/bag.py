@@ -10,11 +10,14 @@ from multicontact_control.arrays import Matrix
 from multicontact_control.config import ControllerConfig
 from multicontact_control.config.columns import is_couple_name
 from multicontact_control.errors import RunError
-from multicontact_control.experiment.bag_columns import BagColumns, JOINT_STATE, POSE, WRENCH
 from multicontact_control.experiment.bag_messages import (
+    BagColumns,
     BagMessages,
     describe_others,
+    JOINT_STATE,
+    POSE,
     read_messages,
+    WRENCH,
 )
 from multicontact_control.experiment.oscillation import stretches
 from multicontact_control.experiment.recording import empty_run_data, RunData
@@ -29,29 +32,13 @@ REACHED = 0.99  # of a command, from which on the contact that it is for has bee
 
 @dataclass(frozen=True)
 class BagContent:
-    """
-    A bag read back.
+    """A bag read back."""
 
-    Attributes
-    ----------
-    data
-        Series by sample stamp.
-    topic_rates
-        Messages per second, of topics with more than one [Hz].
-    missing
-        Messages that the samples call for and the bag does not hold, by topic.
-    remarks
-        What the bag lacks, and what in it could not be read, in words.
-    start
-        Stamp of the first sample [ns].
-
-    """
-
-    data: RunData
-    topic_rates: dict[str, float]
-    missing: dict[str, int]
-    remarks: tuple[str, ...] = ()
-    start: int = 0
+    data: RunData  # by sample stamp
+    topic_rates: dict[str, float]  # messages per second, of topics with more than one [Hz]
+    missing: dict[str, int]  # messages that the samples call for and the bag lacks, by topic
+    remarks: tuple[str, ...] = ()  # what the bag lacks, and what could not be read, in words
+    start: int = 0  # stamp of the first sample [ns]
 
     @property
     def told(self) -> list[str]:
@@ -64,45 +51,19 @@ def read_bag(
     commanded: bool = False,
 ) -> BagContent:
     """
-    Read a recording of the graph.
+    Read a recording of the graph: a bag's folder, or its MCAP file, up to its last whole chunk.
 
-    Parameters
-    ----------
-    path
-        The bag's folder, or its MCAP file. What a killed recorder left is read up to its last
-        chunk.
-    controller
-        Rate, and the order of contacts and joints.
-    namespace
-        That of the graph; if not given, the only one in the bag.
-    commanded
-        Whether forces were commanded over topics, and not by a scenario.
-
-    Returns
-    -------
-    BagContent
-        One row per sample of ``joint_states``, without these of the topic with the most messages;
-        NaN where another message is missing.
-
-    Raises
-    ------
-    RunError
-        If the bag cannot be read or holds no samples.
-
+    `controller` gives rate, contacts and joints; `namespace` is that of the graph, if not given
+    the only one in the bag; `commanded` says whether forces were commanded over topics. Returns
+    one row per sample of ``joint_states``, without these of the topic with the most messages; NaN
+    where another message is missing. Raises RunError if the bag cannot be read or holds no
+    samples.
     """
     return content_of(path, read_graph(path, namespace), controller, commanded=commanded)
 
 
 def read_graph(path: Path, namespace: str | None = None) -> BagMessages:
-    """
-    Read the messages of a graph of this package.
-
-    Raises
-    ------
-    RunError
-        If there are none.
-
-    """
+    """Read the messages of a graph of this package; RunError if there are none."""
     found = read_messages(path, TYPES, namespace)
     if not any(topic in SERIES for topic in found.by_topic):
         unreadable = ''.join(f'; {text}' for text in found.unreadable)
@@ -141,11 +102,7 @@ def content_of(
 
 
 def answered(content: BagContent) -> BagContent:
-    """
-    Return what lies between the first and the last sample that the control law answered.
-
-    A robot may have published before, and after; all of it is returned where none was answered.
-    """
+    """Return what lies between the first and the last sample that was answered, if any was."""
     data, start = content.data, content.start
     for series in (data.alpha_meas, data.torque):
         known = np.flatnonzero(np.isfinite(series).any(axis=1))
@@ -189,8 +146,8 @@ def _commands(
     """
     Return the forces that were commanded over topics, shape (m, r) [N].
 
-    A command counts from when the contact was made: the way to the surface is no answer to it.
-    Where no command was recorded it is what the controller wanted.
+    A command counts from when the contact was made. Where no command was recorded it is what
+    the controller wanted.
     """
     if sent is None:
         return data.alpha_des.copy()
@@ -199,10 +156,10 @@ def _commands(
     places = np.searchsorted(published[order], sent.published)
     begins = np.append(ticks[order], data.ticks)[places]
     for asked, forces in zip(command.T, sent.values('effort', data.contact_names).T):
-        said = ~np.isnan(forces)  # the others say nothing of this contact
+        named = ~np.isnan(forces)
         begun = np.full(data.ticks + 1, np.nan)
         begun[0] = 0.0
-        begun[begins[said]] = forces[said]
+        begun[begins[named]] = forces[named]
         newest = np.where(np.isnan(begun), 0, np.arange(data.ticks + 1))
         asked[:] = begun[np.maximum.accumulate(newest)][:-1]
     for name, asked, wanted in zip(data.contact_names, command.T, data.alpha_des.T):

@@ -1,9 +1,10 @@
-"""The messages of a recording, whoever made it; needs no ROS installation."""
+"""The messages of a recording as columns of numbers; needs no ROS installation."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from array import array
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 import re
 import struct
@@ -12,8 +13,10 @@ from typing import Any
 from mcap.exceptions import McapError
 from mcap.reader import NonSeekingReader
 from mcap_ros2.decoder import DecoderFactory
+from multicontact_control.arrays import Matrix
 from multicontact_control.errors import RunError
-from multicontact_control.experiment.bag_columns import BagColumns
+import numpy as np
+from numpy.typing import NDArray
 import zstandard
 
 # What a file that is cut off, or holds something else, makes its readers raise.
@@ -21,61 +24,137 @@ DAMAGED = (McapError, EOFError, struct.error, ValueError, LookupError, RuntimeEr
            TypeError, AttributeError, OSError, zstandard.ZstdError,
            MemoryError)  # a length that has been damaged may be any
 NAMED = 6  # topics that a line names
+JOINT_STATE, WRENCH, POSE = (
+    'sensor_msgs/msg/JointState', 'geometry_msgs/msg/WrenchStamped',
+    'geometry_msgs/msg/PoseStamped')
+MARKERS = 'visualization_msgs/msg/MarkerArray'
+# Names of the numbers of a field, where the message has none.
+AXES = {
+    'wrench': ('force.x', 'force.y', 'force.z', 'torque.x', 'torque.y', 'torque.z'),
+    'point': ('x', 'y', 'z'), 'quaternion': ('x', 'y', 'z', 'w')}
+Names = tuple[str, ...]
+Numbers = tuple[Sequence[float], ...]
+
+
+def _joint_state(message: Any) -> tuple[Names, Numbers]:
+    return tuple(message.name), (message.position, message.velocity, message.effort)
+
+
+def _wrench(message: Any) -> tuple[Names, Numbers]:
+    force, torque = message.wrench.force, message.wrench.torque
+    return (), ((force.x, force.y, force.z, torque.x, torque.y, torque.z),)
+
+
+def _pose(message: Any) -> tuple[Names, Numbers]:
+    p, q = message.pose.position, message.pose.orientation
+    return (), ((p.x, p.y, p.z), (q.x, q.y, q.z, q.w))
+
+
+def _markers(message: Any) -> tuple[Names, Numbers]:
+    places = [marker.pose.position for marker in message.markers]
+    return (tuple(marker.ns.rpartition('/')[2] for marker in message.markers),
+            ([p.x for p in places], [p.y for p in places], [p.z for p in places]))
+
+
+# Fields of the messages of a type that are kept, and what reads their names and numbers.
+READERS: dict[str, tuple[Names, Callable[[Any], tuple[Names, Numbers]]]] = {
+    JOINT_STATE: (('position', 'velocity', 'effort'), _joint_state),
+    WRENCH: (('wrench',), _wrench), POSE: (('point', 'quaternion'), _pose),
+    MARKERS: (('x', 'y', 'z'), _markers)}
+
+
+class BagColumns:
+    """
+    The messages of one topic, in the order of the recording: 8 bytes for each of their numbers.
+
+    Parameters
+    ----------
+    type_name
+        One of `READERS`.
+
+    """
+
+    def __init__(self, type_name: str) -> None:
+        self._fields, self._read = READERS[type_name]
+        self._of_markers = type_name == MARKERS
+        self._stamps, self._published = array('q'), array('Q')
+        # Rows and numbers of messages with the same names and number of values in each field:
+        # several nodes may share a topic.
+        self._parts: dict[tuple[Names, tuple[int, ...]], tuple[array[int], array[float]]] = {}
+
+    def take(self, message: Any, published: int) -> None:
+        """Add a message that was sent at a time [ns since the epoch], or nothing if it fails."""
+        stamp = (message.markers[0] if self._of_markers else message).header.stamp
+        names, fields = self._read(message)
+        numbers = array('d', [number for values in fields for number in values])
+        stamps = array('q', [stamp.sec * 1_000_000_000 + stamp.nanosec])
+        when = array('Q', [published])
+        rows, kept = self._parts.setdefault(
+            (names, tuple(map(len, fields))), (array('q'), array('d')))
+        rows.append(len(self))
+        kept.extend(numbers)
+        self._stamps.extend(stamps)
+        self._published.extend(when)
+
+    def __len__(self) -> int:
+        """Return the number of messages."""
+        return len(self._stamps)
+
+    @property
+    def stamps(self) -> NDArray[np.int64]:
+        """Stamps of the headers, shape (m,) [ns]."""
+        return np.array(self._stamps, dtype=np.int64)
+
+    @property
+    def published(self) -> NDArray[np.uint64]:
+        """When the messages were sent, shape (m,) [ns since the epoch]."""
+        return np.array(self._published, dtype=np.uint64)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names in the first message that has any."""
+        return next((names for names, _ in self._parts if names), ())
+
+    def values(self, field: str, names: Sequence[str] = ()) -> Matrix:
+        """
+        Return the numbers of a field, shape (m, k); NaN where a message has none of a name.
+
+        `names` are the order of the columns, of messages with names.
+        """
+        names, place = AXES.get(field, names), self._fields.index(field)
+        found = np.full((len(self), len(names)), np.nan)
+        for (known, widths), (rows, numbers) in self._parts.items():
+            known = known or AXES.get(field, ())
+            first = sum(widths[:place])
+            columns = dict(zip(known, range(first, first + widths[place])))
+            block = np.asarray(numbers).reshape(len(rows), sum(widths))
+            for column, name in enumerate(names):
+                if name in columns:
+                    found[rows, column] = block[:, columns[name]]
+        return found
 
 
 @dataclass(frozen=True)
 class BagMessages:
-    """
-    The messages of some topics of one graph.
+    """The messages of some topics of one graph."""
 
-    Attributes
-    ----------
-    by_topic
-        What they say, by the name within the graph's namespace.
-    rates
-        Messages per second of all topics with more than one, by full name without the first
-        slash [Hz].
-    others
-        Names of all other topics.
-    cut_off
-        Whether the recording ends in the middle.
-    unreadable
-        What could not be read of these topics, in words.
-
-    """
-
-    by_topic: Mapping[str, BagColumns]
+    by_topic: Mapping[str, BagColumns]  # by the name within the graph's namespace
+    # Messages per second of all topics with more than one, by full name without slash [Hz].
     rates: Mapping[str, float]
-    others: tuple[str, ...]
-    cut_off: bool = False
-    unreadable: tuple[str, ...] = ()
-
-
-@dataclass
-class _Reading:
-    """What has been read so far."""
-
-    by_name: dict[str, BagColumns] = field(default_factory=dict)  # by full name
-    counts: dict[str, tuple[int, int, int]] = field(default_factory=dict)  # first, last [ns]
-    unreadable: dict[str, str] = field(default_factory=dict)
-    cut_off: bool = False
+    others: tuple[str, ...]  # names of all other topics
+    cut_off: bool = False  # whether the recording ends in the middle
+    unreadable: tuple[str, ...] = ()  # what could not be read of these topics, in words
 
 
 def bag_files(path: Path) -> list[Path]:
-    """
-    Return the MCAP files of a recording in their order: one file, or those of a rosbag2 folder.
-
-    Raises
-    ------
-    RunError
-        If there is none.
-
-    """
+    """Return the MCAP files of a recording in their order, or raise RunError if there is none."""
     if path.is_file():
         if path.suffix != '.mcap':
             raise RunError(f'{path}: expected an .mcap file or a folder with one')
         return [path]
-    files = sorted(path.glob('*.mcap'), key=_number)
+    # rosbag2 counts the files of a recording: bag_0, bag_1, ..., bag_10.
+    files = sorted(path.glob('*.mcap'), key=lambda file: (
+        int(number[1]) if (number := re.search(r'_(\d+)$', file.stem)) else -1, file.name))
     if files:
         return files
     found = 'a database' if any(path.glob('*.db3')) else 'none' if path.is_dir() else 'nothing'
@@ -83,50 +162,31 @@ def bag_files(path: Path) -> list[Path]:
     raise RunError(f'{path}: expected an .mcap file, found {found}{hint}')
 
 
-def _number(path: Path) -> tuple[int, str]:
-    """Return what rosbag2 counts the files of a recording with, bag_0, bag_1, ..., bag_10."""
-    number = re.search(r'_(\d+)$', path.stem)
-    return (int(number[1]) if number else -1, path.name)
-
-
 def read_messages(
     path: Path, wanted: Mapping[str, str], namespace: str | None = None,
 ) -> BagMessages:
     """
-    Read the messages of some topics, as far as the files go.
+    Read the messages of some topics of an MCAP file or a folder, as far as the files go.
 
-    Parameters
-    ----------
-    path
-        An MCAP file, or a folder with those of one recording.
-    wanted
-        Type of each topic by its name without namespace, one of `bag_columns.FIELDS`.
-    namespace
-        That of the graph; if not given, the only one that such topics are in.
-
-    Raises
-    ------
-    RunError
-        If there is no file, or it holds the topics of several graphs.
-
+    `wanted` has the type of each topic, one of `READERS`, by its name without namespace;
+    `namespace` is that of the graph; if not given, the only one that such topics are in. Raises
+    RunError if there is no file, or it holds the topics of several graphs.
     """
-    reading = _Reading()
+    reader = _Reader(wanted)
     for file in bag_files(path):
-        _read(file, wanted, reading)
-    spaces = _namespaces(reading, wanted)
+        reader.read(file)
+    spaces = reader.namespaces()
     if namespace is None and len(spaces) > 1:
         names = ', '.join(f"'{space}'" for space in sorted(spaces))
         raise RunError(f'{path}: expected the topics of one graph, found the namespaces {names}; '
                        '--namespace chooses one')
     chosen = spaces.pop() if namespace is None and spaces else (namespace or '').strip('/')
-    by_topic = {_split(name, wanted)[1]: found for name, found in reading.by_name.items()
-                if _split(name, wanted)[0] == chosen}
     return BagMessages(
-        by_topic,
+        {topic: columns for (space, topic), columns in reader.columns.items() if space == chosen},
         {name.lstrip('/'): (count - 1) / ((last - first) * 1e-9)
-         for name, (count, first, last) in reading.counts.items() if last > first},
-        tuple(sorted(set(reading.counts) - set(reading.by_name))), reading.cut_off,
-        tuple(f'{name}: {why}' for name, why in reading.unreadable.items()))
+         for name, (count, first, last) in reader.counts.items() if last > first},
+        tuple(sorted(name for name in reader.counts if reader.split(name) not in reader.columns)),
+        reader.cut_off, tuple(f'{name}: {why}' for name, why in reader.unreadable.items()))
 
 
 def describe_others(found: BagMessages) -> str:
@@ -137,61 +197,65 @@ def describe_others(found: BagMessages) -> str:
     return what + (', and a file that is cut off' if found.cut_off else '')
 
 
-def _namespaces(reading: _Reading, wanted: Mapping[str, str]) -> set[str]:
-    """Return the namespaces of the topics, without those that hold one of several only."""
-    spaces = [_split(name, wanted)[0] for name in reading.by_name]
-    # Grippers and the like have joint states of their own.
-    whole = {space for space in spaces if spaces.count(space) > 1}
-    return whole or set(spaces)
+class _Reader:
+    """Reads files one after the other, as far as they go."""
 
+    def __init__(self, wanted: Mapping[str, str]) -> None:
+        self._wanted, self._factory = wanted, DecoderFactory()
+        self.columns: dict[tuple[str, str], BagColumns] = {}  # by namespace and topic
+        self.counts: dict[str, tuple[int, int, int]] = {}  # by full name; first, last [ns]
+        self.unreadable: dict[str, str] = {}  # by full name
+        self.cut_off = False
 
-def _split(name: str, wanted: Mapping[str, str]) -> tuple[str, str]:
-    """Return namespace and name within it of a topic; an empty name if it is none of them."""
-    bare = name.strip('/')
-    for topic in wanted:
-        if bare == topic or bare.endswith(f'/{topic}'):
-            return bare[:-len(topic)].strip('/'), topic
-    return '', ''
+    def split(self, name: str) -> tuple[str, str]:
+        """Return namespace and name within it of a topic; an empty name if it is not wanted."""
+        bare = name.strip('/')
+        for topic in self._wanted:
+            if bare == topic or bare.endswith(f'/{topic}'):
+                return bare[:-len(topic)].strip('/'), topic
+        return '', ''
 
+    def namespaces(self) -> set[str]:
+        """Return the namespaces of the topics, without those that hold one of several only."""
+        spaces = [space for space, _ in self.columns]
+        # Grippers and the like have joint states of their own.
+        return {space for space in spaces if spaces.count(space) > 1} or set(spaces)
 
-def _read(path: Path, wanted: Mapping[str, str], reading: _Reading) -> None:
-    factory = DecoderFactory()
-    try:
-        stream = path.open('rb')
-    except OSError as error:
-        raise RunError(f'{path}: {error.strerror}') from None
-    with stream:
-        # mcap's seeking reader would hold all messages before it hands out the first.
-        messages = NonSeekingReader(stream).iter_messages(log_time_order=False)
+    def read(self, path: Path) -> None:
+        """Read a file up to where it is cut off."""
         try:
-            for schema, channel, record in messages:
-                _take(schema, channel, record, wanted, reading, factory)
-        except DAMAGED:
-            reading.cut_off = True  # what came before is whole
+            stream = path.open('rb')
+        except OSError as error:
+            raise RunError(f'{path}: {error.strerror}') from None
+        with stream:
+            # mcap's seeking reader would hold all messages before it hands out the first.
+            messages = NonSeekingReader(stream).iter_messages(log_time_order=False)
+            try:
+                for schema, channel, record in messages:
+                    self._take(schema, channel, record)
+            except DAMAGED:
+                self.cut_off = True  # what came before is whole
 
-
-def _take(
-    schema: Any, channel: Any, record: Any, wanted: Mapping[str, str], reading: _Reading,
-    factory: DecoderFactory,
-) -> None:
-    """Decode a message, if it is wanted."""
-    name, published = channel.topic, record.publish_time or record.log_time
-    count, first, _ = reading.counts.get(name, (0, published, published))
-    reading.counts[name] = (count + 1, first, published)
-    _, topic = _split(name, wanted)
-    if not topic or name in reading.unreadable:
-        return
-    if schema is None or schema.name != wanted[topic]:
-        kind = schema.name if schema else 'no type'
-        reading.unreadable[name] = f'expected {wanted[topic]}, found {kind}'
-        return
-    try:
-        decode = factory.decoder_for(channel.message_encoding, schema)
-        if decode is None:
-            raise ValueError(f'{channel.message_encoding} with {schema.encoding}')
-        columns = reading.by_name.get(name) or BagColumns(wanted[topic])
-        columns.take(decode(record.data), published)
-    except DAMAGED as error:
-        reading.unreadable[name] = f'cannot be read: {error}'
-        return
-    reading.by_name[name] = columns
+    def _take(self, schema: Any, channel: Any, record: Any) -> None:
+        """Decode a message, if it is wanted."""
+        name, published = channel.topic, record.publish_time or record.log_time
+        count, first, _ = self.counts.get(name, (0, published, published))
+        self.counts[name] = (count + 1, first, published)
+        place = self.split(name)
+        kind = self._wanted.get(place[1])
+        if kind is None or name in self.unreadable:
+            return
+        if schema is None or schema.name != kind:
+            found = schema.name if schema else 'no type'
+            self.unreadable[name] = f'expected {kind}, found {found}'
+            return
+        try:
+            decode = self._factory.decoder_for(channel.message_encoding, schema)
+            if decode is None:
+                raise ValueError(f'{channel.message_encoding} with {schema.encoding}')
+            columns = self.columns.get(place) or BagColumns(kind)
+            columns.take(decode(record.data), published)
+        except DAMAGED as error:
+            self.unreadable[name] = f'cannot be read: {error}'
+            return
+        self.columns[place] = columns

@@ -108,15 +108,7 @@ def sensor_setup(
 
 
 def calibrate(setup: Setup, config: CalibrationConfig) -> Calibration:
-    """
-    Weigh the tool of a setup from `sensor_setup`.
-
-    Raises
-    ------
-    CalibrationError
-        If the readings do not tell.
-
-    """
+    """Weigh the tool of a `sensor_setup`; CalibrationError if the readings do not tell."""
     # Only now: the simulator is not loaded for the sake of an error.
     from multicontact_control.experiment.compilation import ensure_compiled
     from multicontact_control.experiment.position_controlled_plant import ServoedPlant

@@ -63,16 +63,8 @@ def read_recording(
     """
     Read a run, or a bag with the parameter file of its controller.
 
-    Returns
-    -------
-    tuple
-        The series, the controller's configuration, and the folder that its URDF is relative to.
-
-    Raises
-    ------
-    ConfigError, RunError
-        If one of them cannot be read.
-
+    Returns the series, the configuration, and the folder that its URDF is relative to. Raises
+    ConfigError or RunError if one of them cannot be read.
     """
     remarks: tuple[str, ...] = ()
     if config is None and (folder / CONFIG_FOLDER).is_dir():
@@ -114,28 +106,13 @@ def identify_contacts(
     data: RunData, config: ControllerConfig, base_dir: Path,
 ) -> dict[str, dict[str, Any]]:
     """
-    Find out what the contacts of a recording are like.
+    Identify the contacts of a recording; the true forces are not used.
 
-    Parameters
-    ----------
-    data
-        The series; the true forces are not used.
-    config, base_dir
-        The controller's, and the folder that its URDF is relative to.
-
-    Returns
-    -------
-    dict
-        By contact: `stiffness_n_m`, `damping_n_s_m`, `friction` of the other surfaces,
-        `tool_mass_kg`, `noise_variance_n2` of the measured force at rest and `delay_s`, each a
-        mapping of `value` and `std`, its standard error; None where the data cannot tell.
-        `samples` is how many were used, `explained` what share of their variance.
-
-    Raises
-    ------
-    RunError
-        If no contact has a step of its command.
-
+    Returns by contact: `stiffness_n_m`, `damping_n_s_m`, `friction` of the other surfaces,
+    `tool_mass_kg`, `noise_variance_n2` of the measured force at rest and `delay_s`, each a mapping
+    of `value` and `std`, its standard error; None where the data cannot tell. `samples` is how
+    many were used, `explained` what share of their variance. Raises RunError if no contact has a
+    step of its command.
     """
     signals = contact_signals(data, config, base_dir)
     found = {name: _identify(signal, config) for name, signal in signals.items()}
@@ -147,11 +124,7 @@ def identify_contacts(
 def contact_signals(
     data: RunData, config: ControllerConfig, base_dir: Path,
 ) -> dict[str, ContactSignals]:
-    """
-    Return the signals of every contact's normal force, from joints, wrench and torque alone.
-
-    Couples of edges and planes move the arm too, and have no signals of their own.
-    """
+    """Return the signals of every contact's normal force, from joints, wrench and torque alone."""
     names = config.column_names
     controller = Controller.from_config(
         config, CommandedReference(names, config.leader_of), base_dir)
@@ -238,12 +211,7 @@ def _band_passed(signal: ContactSignals, config: ControllerConfig) -> tuple[Matr
 
 
 def noise_at_rest(signal: ContactSignals) -> dict[str, float] | None:
-    """
-    Return the variance of the force at rest, from its changes: noise that is white.
-
-    A contact that slides does not rest: there the roughness of its surface would be taken for
-    noise of the sensor.
-    """
+    """Return the variance of the force at rest, not in sliding, from its changes."""
     quiet = (signal.motion < QUIET_SPEED) & (signal.alpha_des > 0.0)
     both = quiet[1:] & quiet[:-1] & (np.diff(signal.alpha_des) == 0.0)
     changes = np.diff(signal.alpha)[both]

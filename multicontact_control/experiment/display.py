@@ -56,12 +56,7 @@ class ShowProgress(Protocol):
 def progress_bar(
     title: str, duration: float | None, console: Console, waiting: str = '',
 ) -> Iterator[ShowProgress]:
-    """
-    Show a bar with the live forces for the time of a run [s], None if it has no end.
-
-    Nothing moves where the console is not a terminal; `waiting` is what is said until the first
-    samples come.
-    """
+    """Show a bar with the live forces for the time of a run [s], `waiting` before samples come."""
     end = '' if duration is None else f' / {duration:.1f}'
     columns = (TextColumn('{task.description}'), BarColumn(),
                TextColumn(f'{{task.completed:5.1f}}{end} s'), TimeRemainingColumn(),
@@ -82,11 +77,7 @@ def progress_bar(
 
 
 def count_bar(console: Console | None = None) -> Progress:
-    """
-    Return the bar of a study: how much is done, for how long, and how long it will take.
-
-    Where nothing may move, a line a minute at most says so.
-    """
+    """Return the bar of a study: what is done, for how long, and how long it will take."""
     return moving_bar(
         TextColumn('{task.description}'), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
         TextColumn('left'), TimeRemainingColumn(), console=console, kind=CountBar,

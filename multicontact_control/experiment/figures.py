@@ -11,7 +11,6 @@ import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from multicontact_control.arrays import Vector
-from multicontact_control.experiment.html_figure import figure, plot
 from multicontact_control.experiment.judge import STABLE
 from multicontact_control.experiment.metrics import (
     has_truth,
@@ -23,12 +22,14 @@ from multicontact_control.experiment.metrics import (
     without_truth,
 )
 from multicontact_control.experiment.oscillation import stretches
-from multicontact_control.experiment.panels import (
+from multicontact_control.experiment.page import (
     COLOURS,
     COMMANDED,
     ESTIMATED,
+    figure,
     MEASURED,
     Panel,
+    plot,
     Span,
     Trace,
     TRUE,
@@ -68,13 +69,11 @@ def run_figures(data: RunData, setup: Setup) -> list[RunFigure]:
 
 def _known(drawn: RunFigure) -> RunFigure | None:
     """Return a figure without the series of which nothing is known, None if none is left."""
-    panels = [known for panel in drawn.panels if (known := _known_traces(panel)).traces]
-    page = _known_traces(drawn.page)
+    page, *panels = [panel._replace(traces=[
+        trace for trace in panel.traces if np.isfinite(trace.values).any()])
+        for panel in (drawn.page, *drawn.panels)]
+    panels = [panel for panel in panels if panel.traces]
     return drawn._replace(panels=panels, page=page) if panels and page.traces else None
-
-
-def _known_traces(panel: Panel) -> Panel:
-    return panel._replace(traces=[x for x in panel.traces if np.isfinite(x.values).any()])
 
 
 def _force(data: RunData, i: int, truth: bool) -> RunFigure:
@@ -96,7 +95,7 @@ def _force(data: RunData, i: int, truth: bool) -> RunFigure:
 
 
 def _force_limits(shown: Sequence[tuple[RunData, int]]) -> tuple[float, float]:
-    """Return from where to where the axis of some contacts of runs goes [N]."""
+    """Return the limits of the axis of some contacts of runs [N]."""
     low, high = -2.0, 5.0
     for data, i in shown:
         for values, margin in ((data.alpha_des, 1.6), (data.alpha_meas, 1.1),
@@ -158,39 +157,19 @@ def _stiffness(data: RunData) -> RunFigure:
                      'Stiffness found on-line', Panel('k [N/m]', lines, logarithmic=True))
 
 
-def run_title(setup: Setup) -> str:
-    """Return what a run is called."""
-    name, estimator = setup.scenario.name, setup.noise_estimator.estimator
-    if not setup.simulated:
-        return f'{name}, {setup.plant_name}, {estimator}'
-    return f'{name}, plant {setup.plant_name}, {estimator}, seed {setup.seed}'
-
-
 def draw_figures(
     data: RunData, setup: Setup, folder: Path, *, verdict: str = STABLE,
     formats: Sequence[str] = ('png',),
 ) -> list[Path]:
     """
-    Draw the figures of a run.
+    Draw the figures of a run into a folder and return the files.
 
-    Parameters
-    ----------
-    data, setup
-        The run.
-    folder
-        Where the files go.
-    verdict
-        What the run is called, and why; in the titles if it is not stable.
-    formats
-        Endings of the files, one each.
-
-    Returns
-    -------
-    list of Path
-        The files written.
-
+    `verdict` is that of the run with its reasons, in the titles if it is not stable; `formats` are
+    the endings of the files, one each.
     """
-    title = run_title(setup)
+    plant, seed = (f'plant {setup.plant_name}', f', seed {setup.seed}') if setup.simulated else (
+        setup.plant_name, '')
+    title = f'{setup.scenario.name}, {plant}, {setup.noise_estimator.estimator}{seed}'
     unknown = truth_lacking(without_truth(data, setup), data.contact_names)
     if unknown:
         title += f', {unknown}: errors are of the measured forces'
@@ -214,57 +193,31 @@ def draw_figures(
     return paths
 
 
-def draw_side_by_side(
-    runs: Sequence[tuple[str, RunData, Setup]], path: Path,
-) -> Path:
-    """
-    Draw the forces of several runs beside each other: all of a run, and its last step at rest.
-
-    Parameters
-    ----------
-    runs
-        What each is called, its series and configuration.
-    path
-        Of the PNG file.
-
-    """
+def draw_side_by_side(runs: Sequence[tuple[str, RunData, Setup]], path: Path) -> Path:
+    """Draw the forces of named runs into a PNG file: all of a run, and its last step at rest."""
     count = max(len(data.contact_names) for _, data, _ in runs)
     sheet = Figure(figsize=(5.5 * len(runs), 2.4 * (count + 1)), layout='constrained')
     grid = sheet.subplots(count + 1, len(runs), squeeze=False, sharey='row')
-    for column, (label, data, setup) in enumerate(runs):
-        grid[0, column].set_title(label, fontsize=11)
+    for column, (label, data, setup) in zip(grid.T, runs):
+        column[0].set_title(label, fontsize=11)
         truth, forces = has_truth(data, setup), judged_force(data, setup)
-        for contact, name in enumerate(data.contact_names):
-            axes = grid[contact, column]
-            axes.plot(data.time, data.alpha_meas[:, contact], color=MEASURED, linewidth=0.4,
-                      label='measured')
-            if truth[contact]:
-                axes.plot(data.time, data.alpha_true[:, contact], color=TRUE, linewidth=0.3,
-                          alpha=0.6, label='true')
-            axes.plot(data.time, data.alpha_des[:, contact], '--', color=COMMANDED,
-                      linewidth=1.0, label='commanded')
-            axes.set_ylabel(f'{name} [N]')
-        axes = grid[count, column]
-        last = max((step.time for contact in range(len(data.contact_names))
-                    for step in step_responses(data, setup, contact)), default=0.0)
+        for i, (name, axes) in enumerate(zip(data.contact_names, column)):
+            true = [Trace('true', data.alpha_true[:, i], TRUE, 0.3, faint=True)]
+            _draw_panel(axes, Panel(f'{name} [N]', [
+                Trace('measured', data.alpha_meas[:, i], width=0.4), *(true if truth[i] else ()),
+                Trace('commanded', data.alpha_des[:, i], COMMANDED, 1.0, dashed=True)],
+                _force_limits([(each, i) for _, each, _ in runs if i < len(each.contact_names)])),
+                data.time, ())
+        last = max((step.time for i in range(len(data.contact_names))
+                    for step in step_responses(data, setup, i)), default=0.0)
         shown = (data.time >= last - STEP_SHOWN[0]) & (data.time < last + STEP_SHOWN[1])
-        for contact, name in enumerate(data.contact_names):
-            axes.plot(1e3 * (data.time[shown] - last), forces[shown, contact],
-                      color=COLOURS[contact % len(COLOURS)], linewidth=1.2,
-                      label=f'{name}, {"true" if truth[contact] else "measured"}')
-        for desired in data.alpha_des[shown].T[:1]:
-            axes.plot(1e3 * (data.time[shown] - last), desired, '--', color=COMMANDED,
-                      linewidth=1.0, label='commanded')
-        axes.set_ylabel('force [N]')
-        axes.set_xlabel('time after the last step at rest [ms]')
-        grid[count - 1, column].set_xlabel('time [s]')
-    for axes in grid.ravel():
-        axes.grid(alpha=0.3)
-    for row in (0, count):
-        grid[row, 0].legend(loc='lower right', fontsize=7)
-    for row in range(count):
-        grid[row, 0].set_ylim(*_force_limits(
-            [(data, row) for _, data, _ in runs if row < len(data.contact_names)]))
+        _draw_panel(column[count], Panel('force [N]', [
+            *(Trace(f'{name}, {"true" if truth[i] else "measured"}', forces[shown, i],
+                    COLOURS[i % len(COLOURS)], 1.2) for i, name in enumerate(data.contact_names)),
+            *(Trace('commanded', desired, COMMANDED, 1.0, dashed=True)
+              for desired in data.alpha_des[shown].T[:1])]), 1e3 * (data.time[shown] - last), ())
+        column[count].set_xlabel('time after the last step at rest [ms]')
+        column[count - 1].set_xlabel('time [s]')
     path.parent.mkdir(parents=True, exist_ok=True)
     sheet.savefig(path, dpi=110)
     return path
@@ -313,9 +266,7 @@ def _judged(data: RunData, setup: Setup) -> list[Span]:
     return spans
 
 
-def _draw_panel(
-    axes: Axes, panel: Panel, time: Vector, shaded: Sequence[Span],
-) -> None:
+def _draw_panel(axes: Axes, panel: Panel, time: Vector, shaded: Sequence[Span]) -> None:
     for name, start, end in shaded:
         axes.axvspan(start, end, color=WINDOW, zorder=0)
         axes.annotate(name, (start, 1.0), xycoords=('data', 'axes fraction'), fontsize=7,
@@ -339,17 +290,7 @@ def _draw_panel(
 
 
 def interactive_figures(data: RunData, setup: Setup, number: int) -> str:
-    """
-    Return the figures of a run as HTML.
-
-    Parameters
-    ----------
-    data, setup
-        The run.
-    number
-        Of the run on the page, for the names of the figures.
-
-    """
+    """Return the figures of a run as HTML; `number` is that of the run on the page."""
     shaded = _judged(data, setup)
     return '\n'.join(
         figure(f'run{number}-{drawn.name}',

@@ -1,16 +1,14 @@
 """
-What a run is called: against what the scenario asked for, with what help, on what machine.
+The verdict on a run: against what the scenario asked for, with what help, on what machine.
 
 *Not stable* is a run with anything of `findings`. *Held by the supervisor* is one without, in
-which the supervisor had to step in again and again: bounds that are kept because something else
-than the control law keeps them are no sign of stability. *Not judged* is one that missed so many
-of its deadlines that the loop had another delay than its own: what came of that cannot be told
-from what the arm did; and, if nothing speaks against it, one that was interrupted, or never under
-load, or in which the arm answers or a force is known for less than half of the time under load.
-All others are *stable*.
+which the supervisor had to step in again and again. *Not judged* is one that missed so many of
+its deadlines that the loop had another delay than its own; and, if nothing speaks against it, one
+that was interrupted, or never under load, or in which the arm answers or a force is known for
+less than half of the time under load. All others are *stable*.
 
-Where nobody knows the true force of a contact, as on a robot, all this is judged by that measured,
-and says so; but a sensor does not vouch for itself: what would be stable is *not judged* then.
+Without the true force of a contact, as on a robot, all this is judged by that measured; what
+would be stable is *not judged* then.
 """
 
 from __future__ import annotations
@@ -131,17 +129,15 @@ class Timeliness:
 
 def verdict_text(summary: Mapping[str, Any]) -> str:
     """Return the verdict of a run and its reasons, as its summary has them."""
-    # In a file from before verdicts had names there is none.
-    name: str = summary.get('verdict', STABLE if summary['stable'] else NOT_STABLE)
-    forces = summary.get('forces', TRUE)
-    if forces != TRUE and name != UNJUDGED and summary['instabilities'] != [
-            summary.get('ended_early')]:
-        return f"{name} {BY_MEASUREMENT}: {'; '.join(summary['instabilities'])}"
+    name: str = summary['verdict']
+    reasons = '; '.join(summary['instabilities'])
     if name == UNJUDGED:
-        seen = '; '.join(summary['instabilities'])
-        return f"{name}: {summary.get('unjudged') or BUSY}" + (f'; seen: {seen}' if seen else '')
+        return f"{name}: {summary['unjudged']}" + (f'; seen: {reasons}' if reasons else '')
+    if summary.get('forces', TRUE) != TRUE and summary['instabilities'] != [
+            summary.get('ended_early')]:
+        return f'{name} {BY_MEASUREMENT}: {reasons}'
     if name != STABLE:
-        return f"{name}: {'; '.join(summary['instabilities'])}"
+        return f'{name}: {reasons}'
     text = AS_FAR_AS_KNOWN if summary.get('kept_real_time') is False else STABLE
     return text + _overshoots(summary)
 
@@ -160,26 +156,14 @@ def judge(
     timing: Mapping[str, Any] | None = None, ended_early: str = '', events: Sequence[Event] = (),
 ) -> Verdict:
     """
-    Judge a run.
+    Judge a run; `mode` and `timing` are those of ``summary.json``.
 
     Where real time was not kept (`timeliness`), only what happened at least 1 s away from gaps
-    and from reactions to late samples counts: that is how what the machine did is told from what
-    the arm did. Numbers that are not finite, and contacts that were never made, count all the
-    same. Where more than a tenth of the deadlines were missed, only the first of these does, and
-    the run is not judged: commands that come late leave no gap, and act as another delay. What
-    would be stable is not judged either if too little of it is known (`_doubt`).
-
-    Parameters
-    ----------
-    data, setup
-        The run.
-    mode, timing
-        As in ``summary.json``.
-    ended_early
-        Why it ended before its time, if it did; `INTERRUPTED` speaks neither for nor against it.
-    events
-        What the supervisor did, if there was one.
-
+    and from reactions to late samples counts. Numbers that are not finite, and contacts that were
+    never made, count all the same. Where more than a tenth of the deadlines were missed, only the
+    first of these does, and the run is not judged: commands that come late act as another delay.
+    What would be stable is not judged either if too little of it is known (`_doubt`).
+    `ended_early` is why it ended before its time; `INTERRUPTED` speaks neither for nor against it.
     """
     timely = timeliness(data, mode, timing or {}, events)
     found = findings(data, setup, timely.judged, ended_early)
@@ -226,16 +210,13 @@ def findings(
     data: RunData, setup: Setup, judged: Mask | None = None, ended_early: str = '',
 ) -> list[Finding]:
     """
-    Return the limits that a run has passed; none of them is set by the supervisor.
+    Return the limits that a run has passed, among the samples that are `judged`, or all.
 
     They are: no end before its time; nothing that is not finite; no torque at its limit for more
     than 0.1 s; every contact made; under load, which is from the first force step on, no contact
     lost for more than 0.1 s, nor more than 5 times within 10 s, and no force that oscillates
     (`oscillation`); no force beyond 5 times its command and half the force ceiling. Couples are
-    judged as forces are, while their contact is pressed and by how hard: what is lost by one is
-    an end of its contact.
-
-    Of the samples, those that are `judged` count, all if not given.
+    judged as forces are, while their contact is pressed.
     """
     judged = np.ones(data.ticks, dtype=bool) if judged is None else judged
     interrupted = ended_early == INTERRUPTED
@@ -307,9 +288,7 @@ def interventions(
     Return whether a supervisor stepped in again and again, or for long, under load.
 
     It steps in when a reaction replaces the control law, when a contact leaves the force law
-    (lost, retracting, given up), and when the last gate begins to enforce a limit. Contacts that
-    are sought, touched and pressed are the task; so is a reference that is kept within the
-    speeds allowed. A log that is full says nothing of what came later, and that is found, too.
+    (lost, retracting, given up), and when the last gate begins to enforce a limit.
     """
     loaded = judged & judged_windows(data, setup).loaded
     if not loaded.any():

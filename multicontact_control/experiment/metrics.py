@@ -1,4 +1,4 @@
-"""What is read off a run: errors, rise times, losses, oscillation, use of the torque."""
+"""What is read off a run: errors, answers to steps and pushes, losses, oscillation, torque."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from multicontact_control.experiment.oscillation import (
     bridged,
     Oscillation,
     oscillations,
+    spectrum,
     stretches,
 )
 from multicontact_control.experiment.recording import RunData
@@ -25,6 +26,13 @@ MOVING = 1e-3  # m/s, from which on a commanded pose moves
 LEAST_TRUTH = 0.9  # share of the time under load, that a true force is known for
 NO_TRUTH = 'no ground truth'
 ALL_OF_IT = 1.0 - 1e-6  # of a normal force, that presses at one end of its contact
+BAND_OF_COMMAND = 0.05  # recovered: the error is within this share of the command ...
+BAND_OF_NOISE = 3.0  # ... or this many standard deviations of the error before the push,
+BAND_HELD = 0.1  # s, for this long
+LOOK_BACK = 1.0  # s, before a push, from which its noise is taken
+LASTING = 0.5  # s; a push this long is to be controlled out while it lasts
+GROWTH = 0.5  # s before instability in which its oscillation is looked for
+SETTLE_AFTER_PUSH = 1.0  # s, left out of `rest` and `moving`
 
 
 @dataclass(frozen=True)
@@ -50,11 +58,10 @@ def windows(reference: ReferenceConfig, time: Vector) -> Windows:
 
 def judged_windows(data: RunData, setup: Setup) -> Windows:
     """
-    Return the judged stretches of a run.
+    Return the judged stretches of a run: of its scenario, or of the forces commanded over topics.
 
-    Those of its scenario; where forces were commanded over topics `loaded` is whenever one is
-    asked for, `moving` while the pose asked for moves, and `rest` what is 1 s away from that and
-    after every change of a command.
+    Of the latter `loaded` is while a force is asked for, `moving` while the pose asked for moves,
+    and `rest` what is 1 s away from that and from every change of a command.
     """
     if not setup.commanded_by_topic:
         return windows(setup.scenario.reference, data.time)
@@ -87,12 +94,7 @@ def known_share(data: RunData, force: Vector, window: Mask) -> float:
 
 
 def has_truth(data: RunData, setup: Setup) -> Mask:
-    """
-    Return of which contacts the true forces are known, shape (r,).
-
-    Somebody who knows them must have published them for most of the time under load: a simulator
-    may tell of one of its contacts only, or tell of them ten times a second.
-    """
+    """Return of which contacts the true forces are known for 0.9 of the load, shape (r,)."""
     truth = data.alpha_true
     return np.array([
         bool(np.isfinite(truth[:, i]).any()) and known_share(
@@ -129,11 +131,7 @@ class StepResponse:
 
 
 def step_responses(data: RunData, setup: Setup, contact: int) -> list[StepResponse]:
-    """
-    Return the answers of one contact to the force steps at rest, of scenario or commands.
-
-    Each is looked at until the next thing happens: a step, a push, the motion.
-    """
+    """Return the answers of one contact to the force steps at rest, until the next event each."""
     steps = _steps(data, setup, contact)
     ends = [time for time, _, _ in steps[1:]] + [float(data.time[-1])]
     force = judged_force(data, setup)[:, contact]
@@ -192,15 +190,11 @@ def losses(
     data: RunData, setup: Setup, contact: int, judged: Mask,
 ) -> tuple[list[int], list[int]]:
     """
-    Return when a contact was lost.
+    Return the first samples of every loss of a contact, and those after its last.
 
-    A loss is a force of 0 N for as long as it takes the supervisor to call a contact lost
-    (`contact_state.loss_time`): a tool that leaves the ground for one sample of 2 ms on a rough
-    surface has not lost it. A couple is lost while it is as large as the normal force of its
-    contact: the tool stands on one end of an edge, or on one side of a plane, and the other has
-    left the surface.
-
-    Returns, of the samples `judged`, the first of every loss, and that after its last.
+    A loss is a force of 0 N for `contact_state.loss_time`, among the samples `judged`. A couple is
+    lost while it is as large as the normal force of its contact: one end of an edge, or one side
+    of a plane, has left the surface.
     """
     leader = setup.controller.leader_of[contact]
     forces = judged_force(data, setup)
@@ -231,10 +225,9 @@ def is_couple(setup: Setup, contact: int) -> bool:
 
 def force_error(data: RunData, setup: Setup, contact: int) -> Vector:
     """
-    Return the force of a contact less what the task asks for, shape (m,) [N].
+    Return the force of a contact, true or else measured, less the command, shape (m,) [N].
 
-    The true force, or where nobody knows it, the measured one. The task's command counts, and not
-    what a supervisor makes of it: a contact that is lost or held has an error.
+    The task's command counts, and not what a supervisor makes of it.
     """
     error: Vector = judged_force(data, setup)[:, contact] - commanded(data, setup)[:, contact]
     return error
@@ -260,11 +253,7 @@ def saturation(data: RunData, setup: Setup) -> Mask:
 
 
 def least_torque_limit(setup: Setup) -> Vector:
-    """
-    Return the limits of the joint torques, shape (n,) [N m], infinite where there is none.
-
-    The smaller of the controller's and, where they are simulated, of the drives'.
-    """
+    """Return the smaller of controller's and drives' torque limits, shape (n,) [N m], or inf."""
     own = torque_limit(setup)
     return np.minimum(own, setup.drive_limit) if setup.drive_limit else own
 
@@ -276,11 +265,7 @@ def torque_limit(setup: Setup) -> Vector:
 
 
 def contact_summary(data: RunData, setup: Setup, contact: int) -> dict[str, Any]:
-    """
-    Return the numbers of one contact, as in ``summary.json``.
-
-    The step answers are those to the largest step up; every step is listed under ``steps``.
-    """
+    """Return the numbers of one contact; of the step answers those to the largest step up."""
     judged = judged_windows(data, setup)
     asked = ~(pressing(data, setup, contact) == 0.0)
     responses = step_responses(data, setup, contact)
@@ -329,9 +314,7 @@ def _window_summary(
         'contact_loss_fraction': lost_share(data, setup, contact, window)}
 
 
-def value_in(
-    window: Mask, values: Any, statistic: Callable[[Any], Any],
-) -> float | None:
+def value_in(window: Mask, values: Any, statistic: Callable[[Any], Any]) -> float | None:
     """Return a statistic of a series within a window, None where nothing is known of it."""
     chosen = values[window]
     known = chosen[~np.isnan(chosen)]
@@ -359,8 +342,7 @@ def motion_summary(data: RunData, setup: Setup) -> dict[str, float | None]:
     Return how well the commanded motion was followed.
 
     The position error counts along the directions that no contact constrains, the orientation
-    error in full, both from the first force step to the end; `moving_position_rms_m` in the
-    window `moving` only.
+    error in full, from the first force step on; `moving_position_rms_m` in the window `moving`.
     """
     judged = judged_windows(data, setup)
     if not (judged.loaded.any() and setup.controller.robot.urdf):  # a recording tells no normals
@@ -398,3 +380,100 @@ def percentiles(values: Vector) -> dict[str, float]:
     p50, p99, p999 = np.percentile(values, [50.0, 99.0, 99.9])
     return {'p50': float(p50), 'p99': float(p99), 'p999': float(p999),
             'max': float(np.max(values))}
+
+
+def after_motion(setup: Setup, unstable_at: float | None) -> float | None:
+    """Return the time from the start of the motion until a run became unstable [s]."""
+    start = motion_start(setup)
+    return None if unstable_at is None or start == math.inf else unstable_at - start
+
+
+def quiet_windows(data: RunData, setup: Setup) -> tuple[Mask, Mask]:
+    """Return the windows `rest` and `moving` without the pushes and 1 s after each."""
+    judged = windows(setup.scenario.reference, data.time)
+    quiet = np.ones(data.ticks, dtype=bool)
+    for start, duration in zip(setup.plant.push_start, setup.plant.push_duration):
+        quiet &= ~_between(data.time, start, start + duration + SETTLE_AFTER_PUSH)
+    return judged.rest & quiet, judged.moving & quiet
+
+
+def disturbance_summary(
+    data: RunData, setup: Setup, unstable_at: float | None,
+) -> dict[str, Any]:
+    """Return what `compare` needs beyond ``summary.json``, as JSON values."""
+    rest, moving = quiet_windows(data, setup)
+    contacts = {name: {
+        'rest': _errors(data, setup, i, rest), 'moving': _errors(data, setup, i, moving),
+        'recoveries': recoveries(data, setup, i, unstable_at)}
+        for i, name in enumerate(data.contact_names)}
+    return {
+        'contacts': contacts, 'unstable_at_s': unstable_at,
+        'oscillation_hz': None if unstable_at is None else growing_line(data, unstable_at),
+        'unstable_after_motion_s': after_motion(setup, unstable_at)}
+
+
+def _errors(data: RunData, setup: Setup, contact: int, window: Mask) -> dict[str, float | None]:
+    error = force_error(data, setup, contact)
+    return {'rms_n': rms_in(window, error), 'mean_n': mean_in(window, error),
+            'std_n': value_in(window, error, np.std),
+            'lost': lost_share(data, setup, contact, window),
+            'variance_n2': median_in(window, data.noise_variance[:, contact])}
+
+
+def recoveries(
+    data: RunData, setup: Setup, contact: int, unstable_at: float | None = None,
+) -> list[dict[str, Any]]:
+    """
+    Return the answers of one contact to the pushes of the plant.
+
+    Each has `start` and `duration` of the push [s], whether it comes `moving`; `peak`, the largest
+    error of the true force until the next event [N]; `band`, the error that counts as recovered
+    [N]; `recovery`, the time until the error stays within the band for 0.1 s [s]: from the end of
+    a short push, from the start of a lasting one. 0 if it never left the band, None if it did not
+    come back before the next event, or the run was unstable by then (`unstable_at` [s]).
+    """
+    last = float(data.time[-1])
+    error, command = force_error(data, setup, contact), setup.commanded(data.time)[:, contact]
+    found = []
+    for start, duration in zip(setup.plant.push_start, setup.plant.push_duration):
+        lasting = duration >= LASTING
+        from_time = start if lasting else start + duration
+        until = min(next_event(setup, start), last + 1.0 / data.rate,
+                    start + duration if lasting else math.inf)
+        before = _between(data.time, start - LOOK_BACK, start)
+        judged = _between(data.time, from_time, until)
+        if not (before.any() and judged.any()):
+            continue
+        band = max(BAND_OF_COMMAND * float(command[judged][0]),
+                   BAND_OF_NOISE * float(np.std(error[before])))
+        after = _settled(np.abs(error[judged]) <= band, round(BAND_HELD * data.rate))
+        # The end of a run that ended before its time takes no recovery back.
+        lost = unstable_at is not None and unstable_at < min(until, last)
+        found.append({
+            'start': start, 'duration': duration, 'moving': start >= motion_start(setup),
+            'peak': float(np.nanmax(np.abs(error[_between(data.time, start, until)]))),
+            'band': band, 'recovery': None if after is None or lost else after / data.rate})
+    return found
+
+
+def _between(time: Vector, start: float, end: float) -> Mask:
+    return (time >= start - 1e-9) & (time < end - 1e-9)
+
+
+def _settled(inside: Mask, held: int) -> int | None:
+    """Return the first sample from which the next `held` are inside; None if there is none."""
+    if len(inside) < held:
+        return None
+    counts = np.convolve(inside.astype(int), np.ones(held, dtype=int), 'valid')
+    first = np.flatnonzero(counts == held)
+    return int(first[0]) if first.size else None
+
+
+def growing_line(data: RunData, unstable_at: float) -> float | None:
+    """Return the strongest frequency of the true forces over the 0.5 s before that [Hz]."""
+    window = _between(data.time, unstable_at - GROWTH, unstable_at)
+    forces = data.alpha_true[window]
+    if forces.shape[0] < GROWTH * data.rate - 1 or not np.isfinite(forces).all():
+        return None
+    frequencies, power = spectrum(forces.T, data.rate, padding=8)
+    return float(frequencies[int(np.argmax(power.sum(axis=0)))])

@@ -12,9 +12,8 @@ if
   noise and a rough surface leave in a force is spread over the band, 0.1 to 0.2 of it in a line;
 - and in the same ones the rms of the line is at least 2.5 % of the command, and 0.1 N.
 
-What dies out within 1 s, as the answer to a step or a push, does not make a stretch. A limit
-cycle lasts, and one that a supervisor breaks begins again. Slower hunting is not looked for:
-sliding over a surface that is not flat, and friction that turns around, look the same there.
+What dies out within 1 s does not make a stretch. Slower hunting is not looked for: sliding over a
+surface that is not flat looks the same.
 """
 
 from __future__ import annotations
@@ -59,18 +58,9 @@ def oscillations(
     """
     Return where a force oscillates; see above.
 
-    Parameters
-    ----------
-    error
-        Force less what was asked for, NaN where it is not known, shape (m,) [N].
-    command
-        What was asked for, shape (m,) [N].
-    judged
-        Samples to look at, shape (m,). A window is left out, as if it were not there, if it
-        holds others, or more than 10 ms without samples, or if nothing is asked for in it.
-    rate
-        Samples per second [Hz].
-
+    `error` is the force less its command, NaN where it is not known, shape (m,) [N]; `command` has
+    shape (m,) [N], `rate` is in Hz. Windows with samples that are not `judged`, with more than 10
+    ms without samples, or with nothing asked for are left out.
     """
     length = round(WINDOW * rate)
     known = bridged(error, rate)
@@ -100,19 +90,10 @@ def lines(
     """
     Return the line of every stretch of windows.
 
-    Parameters
-    ----------
-    frequencies, power
-        Of every window, as from `spectrum`, shapes (f,) [Hz] and (w, f) [N^2].
-    limit
-        Rms from which on a line counts, shape (w,) [N].
-
-    Returns
-    -------
-    tuple
-        Whether the stretch that begins with a window oscillates, the line's frequency [Hz] and
-        rms [N], each of shape (w - 6,).
-
+    `frequencies`, shape (f,) [Hz], and `power`, shape (w, f) [N^2], are as from `spectrum`;
+    `limit` is the rms from which on a line counts, shape (w,) [N]. Returns whether the stretch
+    that begins with a window oscillates, the line's frequency [Hz] and rms [N], each of shape (w -
+    6,).
     """
     band = frequencies >= LOWEST
     flank = round(FLANK / frequencies[1])
@@ -137,20 +118,8 @@ def spectrum(values: Matrix, rate: float, padding: int = 1) -> tuple[Vector, Mat
     """
     Return the power of series over frequency, without mean and trend, under a Hann window.
 
-    Parameters
-    ----------
-    values
-        Shape (w, n).
-    rate
-        Samples per second [Hz].
-    padding
-        Length that zeros extend the series to, in lengths of its own.
-
-    Returns
-    -------
-    tuple
-        Frequencies, shape (f,) [Hz], and the mean square of each, shape (w, f).
-
+    `values` have shape (w, n), `rate` is in Hz, `padding` is the length with zeros relative to n.
+    Returns frequencies, shape (f,) [Hz], and the mean square of each, shape (w, f).
     """
     n = values.shape[1]
     ramp, hann = np.linspace(-1.0, 1.0, n), np.hanning(n)

@@ -17,11 +17,7 @@ class ServoedPlant:
     """
     Plant, actuator delay and servo: tau = M (qdd_des + 2 w e' + w^2 e) + c + g.
 
-    Attributes
-    ----------
-    sample, state
-        The last sample, and what the model makes of it.
-
+    `sample` is the last sample, `state` what the model makes of it.
     """
 
     def __init__(self, setup: Setup) -> None:

@@ -20,30 +20,11 @@ def push_running(
     on_instruction: Callable[[str], None] = lambda text: None,
 ) -> bool:
     """
-    Lead somebody through the push test of a running controller.
+    Lead the user through the push test of a running controller; return whether it was passed.
 
-    The controller has the time limits of the test. What it says comes with its diagnostics, once
-    a second.
-
-    Parameters
-    ----------
-    namespace, domain_id
-        Where it runs.
-    timeout
-        Longest wait for an answer, and without diagnostics [s].
-    on_instruction
-        Called with what is to be done, whenever that changes, and with the verdict.
-
-    Returns
-    -------
-    bool
-        Whether the test was passed.
-
-    Raises
-    ------
-    RunError
-        If no controller answers, it is not active, or it is silent.
-
+    `on_instruction` is called with what is to be done, whenever that changes, and with the
+    verdict; `timeout` is the longest wait for an answer, and without diagnostics [s]. Raises
+    RunError if no controller answers, it is not active, or it is silent.
     """
     # Queued: of several nodes that report at once the newest need not be the controller.
     with ControllerLink((), queued=(topics.DIAGNOSTICS,), namespace=namespace,

@@ -25,25 +25,10 @@ TARE_TIME, FIRST_PUSH, GAP, MARGIN = 0.3, 1.0, 0.8, 0.2  # s
 
 def fault_mounting(fault: str, seed: int) -> Matrix:
     """
-    Return what a fault makes of true forces and torques.
+    Return what a fault makes of true forces and torques in sensor axes, shape (3, 3).
 
-    Parameters
-    ----------
-    fault
-        One of `SENSOR_FAULTS`: a flipped sign, a quarter turn, or half the scale.
-    seed
-        Chooses the turn: about x, y, z for 0, 1, 2, and the other way round for 3, 4, 5.
-
-    Returns
-    -------
-    Matrix
-        Sensor axes, shape (3, 3).
-
-    Raises
-    ------
-    ConfigError
-        If there is no such fault.
-
+    A flipped sign, a quarter turn, or half the scale. The seed chooses the turn: about x, y, z for
+    0, 1, 2, the other way round for 3, 4, 5. Raises ConfigError if there is no such fault.
     """
     turn = (1.0 if seed // 3 % 2 == 0 else -1.0) * np.pi / 2.0
     made = {
@@ -76,24 +61,11 @@ def run_push_test(
     setup: Setup, config: PushTestConfig, on_instruction: Callable[[str], None] | None = None,
 ) -> PushTestResult:
     """
-    Tare, then push and judge.
+    Tare, then push and judge, for a setup of `push_setup`.
 
-    The tare hides a wrong sign at rest, as it would on the real arm: only a push shows it.
-
-    Parameters
-    ----------
-    setup, config
-        From `push_setup`, and the test.
-    on_instruction
-        Called with what the user would be told, whenever it changes.
-
-    Raises
-    ------
-    RunError
-        If the test does not come to its end.
-    CalibrationError
-        If the arm does not keep still enough for a tare.
-
+    The tare hides a wrong sign at rest: only a push shows it. `on_instruction` is called with each
+    new instruction to the user. Raises RunError if the test does not come to its end,
+    CalibrationError if the arm does not keep still enough for a tare.
     """
     # Only now: the simulator is not loaded for the sake of an error.
     from multicontact_control.experiment.closed_loop import ClosedLoop

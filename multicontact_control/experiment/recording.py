@@ -15,69 +15,41 @@ import numpy as np
 
 SERIES_FILE = 'samples.npz'
 OF_STIFFNESS = ('stiffness', 'stiffness_est', 'stiffness_std', 'margin')
-OPTIONAL = ('innovation', *OF_STIFFNESS, 'command')
 
 
 @dataclass(frozen=True)
 class RunData:
-    """
-    Every series of a run; row k belongs to sample k, NaN where a message is missing.
+    """Every series of a run; row k belongs to sample k, NaN where a message is missing."""
 
-    Attributes
-    ----------
-    rate
-        Samples per second [Hz].
-    contact_names, joint_names
-        Order of the contact and joint columns.
-    time
-        Time since the first sample, shape (m,) [s].
-    q, qd, effort, torque
-        Joint position, velocity, measured and commanded torque, shape (m, n).
-    wrench, wrench_filtered
-        What the wrist sensor reads, in its frame, shape (m, 6).
-    alpha_true, alpha_meas, alpha_est, alpha_rate_est, alpha_des
-        Contact forces [N] and the estimate's rate [N/s], shape (m, r).
-    noise_variance
-        R estimated from the samples up to k (the controller uses it at k + 1), shape (m, r).
-    innovation
-        alpha_meas minus what the observers predicted, 0 where no force is controlled, shape
-        (m, r) [N]; NaN throughout where it was not recorded.
-    stiffness, stiffness_est, stiffness_std, margin
-        That of the observers' models, what is estimated on-line and its standard error, and how
-        many times as stiff a surface might be, shape (m, r) [N/m], [N/m], [N/m], [-]; NaN
-        throughout where the stiffness is configured.
-    command
-        Forces commanded over topics, shape (m, r) [N]: from when the contact was made on, 0 where
-        none is asked for; NaN throughout where a scenario says what is asked for.
-    position, quaternion, position_des, quaternion_des
-        Operational point, world axes, shapes (m, 3) and (m, 4), scalar last.
-
-    """
-
-    rate: float
-    contact_names: tuple[str, ...]
-    joint_names: tuple[str, ...]
-    time: Vector
-    q: Matrix
+    rate: float  # samples per second [Hz]
+    contact_names: tuple[str, ...]  # order of the r columns of contacts
+    joint_names: tuple[str, ...]  # and of the n columns of joints
+    time: Vector  # since the first sample, shape (m,) [s]
+    q: Matrix  # joint position, velocity, measured and commanded torque, shape (m, n)
     qd: Matrix
     effort: Matrix
     torque: Matrix
-    wrench: Matrix
+    wrench: Matrix  # of the wrist sensor, in its frame, shape (m, 6)
     wrench_filtered: Matrix
-    alpha_true: Matrix
+    alpha_true: Matrix  # contact forces, shape (m, r) [N]
     alpha_meas: Matrix
     alpha_est: Matrix
-    alpha_rate_est: Matrix
+    alpha_rate_est: Matrix  # [N/s]
     alpha_des: Matrix
-    noise_variance: Matrix
+    noise_variance: Matrix  # R from the samples up to k, used at k + 1, shape (m, r) [N^2]
+    # alpha_meas minus what the observers predicted, 0 where no force is controlled [N].
     innovation: Matrix
+    # Of the observers' models, found on-line and its standard error, shape (m, r) [N/m], and how
+    # many times as stiff a surface might be; NaN throughout where the stiffness is configured.
     stiffness: Matrix
     stiffness_est: Matrix
     stiffness_std: Matrix
     margin: Matrix
+    # Forces commanded over topics, shape (m, r) [N]: from when the contact was made on, 0 where
+    # none is asked for; NaN throughout where a scenario says what is asked for.
     command: Matrix
-    position: Matrix
-    quaternion: Matrix
+    position: Matrix  # operational point, world axes, shape (m, 3)
+    quaternion: Matrix  # scalar last, shape (m, 4)
     position_des: Matrix
     quaternion_des: Matrix
 
@@ -110,22 +82,11 @@ class RunData:
 
     @classmethod
     def load(cls, folder: Path) -> RunData:
-        """
-        Read the series that `save` wrote.
-
-        Raises
-        ------
-        RunError
-            If the file is missing or damaged.
-
-        """
+        """Read the series that `save` wrote; RunError if the file is missing or damaged."""
         path = folder / SERIES_FILE
         try:
             with np.load(path, allow_pickle=False) as data:
-                values = {name: data[name] for name in data.files}
-            # Recordings from before these were kept are as good otherwise.
-            for name in OPTIONAL:
-                values.setdefault(name, np.full_like(values['alpha_meas'], np.nan))
+                values = {f.name: data[f.name] for f in fields(cls)}
         except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
             raise RunError(f'{path}: expected a recording of a run, found {error}') from None
         return cls(**{**values, 'rate': float(values['rate']),
@@ -140,7 +101,8 @@ def empty_run_data(ticks: int, controller: ControllerConfig) -> RunData:
         **dict.fromkeys(('q', 'qd', 'effort', 'torque'), len(joints)),
         **dict.fromkeys(('wrench', 'wrench_filtered'), 6),
         **dict.fromkeys(('alpha_true', 'alpha_meas', 'alpha_est', 'alpha_rate_est', 'alpha_des',
-                         'noise_variance', *OPTIONAL), len(contacts)),
+                         'noise_variance', 'innovation', *OF_STIFFNESS, 'command'),
+                        len(contacts)),
         **dict.fromkeys(('position', 'position_des'), 3),
         **dict.fromkeys(('quaternion', 'quaternion_des'), 4)}
     return RunData(

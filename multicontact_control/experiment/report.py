@@ -15,15 +15,15 @@ from multicontact_control.experiment.figures import (
     draw_side_by_side,
     interactive_figures,
 )
-from multicontact_control.experiment.html_figure import HELP
-from multicontact_control.experiment.html_parts import (
+from multicontact_control.experiment.judge import STABLE, verdict_text
+from multicontact_control.experiment.page import (
     claims_over_damping,
     claims_table,
+    HELP,
     image,
     table,
     write_page,
 )
-from multicontact_control.experiment.judge import STABLE, verdict_text
 from multicontact_control.experiment.results import FIGURE_FOLDER, LoadedRun, REPORT_FILE
 from multicontact_control.experiment.study.presets.compare.results import (
     claim_rows,
@@ -35,17 +35,6 @@ from multicontact_control.experiment.study.table import html_table, short_names
 import yaml
 
 FORMATS = ('png', 'pdf')
-BACKGROUND = """
-<p>The paper says that with a fixed R the control works only at rest, since the noise of the motion
-makes it unstable. In simulation that is not the whole story. A linear loop cannot be made
-unstable by additive noise: with <b>rigid drives a fixed R is not unstable</b>, it only lets
-more noise through. With <b>flexible drives it is unstable</b>, and the cause is the observer's
-bandwidth against a mode of the drives (42 to 48 Hz), not the noise itself: it is so without
-roughness and sensor noise too, and a larger R, whether estimated or fixed, cures it by slowing
-the observer down. At rest stiction hides it.</p>
-"""
-NO_COMPARISON = ('<p class=note>From the trials of this project, not from these runs; '
-                 'give <code>--comparison</code> for the numbers.</p>')
 
 
 def run_claims(run: LoadedRun, comparison: dict[str, Any] | None = None) -> list[Claim]:
@@ -58,30 +47,17 @@ def write_report(
     runs: Sequence[LoadedRun], out: Path, comparison: dict[str, Any] | None = None,
 ) -> list[Path]:
     """
-    Write the report and its figures.
+    Write ``report.html`` and ``figures/`` of at least one run into a folder and return the files.
 
-    Parameters
-    ----------
-    runs
-        At least one.
-    out
-        Folder of ``report.html`` and ``figures/``.
-    comparison
-        Content of ``comparison.json``.
-
-    Returns
-    -------
-    list of Path
-        The files, the page first.
-
+    The page comes first; `comparison` is the content of ``comparison.json``. Raises ConfigError if
+    the folder cannot be made.
     """
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ConfigError('out', 'a folder that can be made',
                           f'{out} ({error.strerror})') from None
-    paths, parts = [], ['' if not any(run.setup.simulated for run in runs) else BACKGROUND + (
-        NO_COMPARISON if comparison is None else _comparison_section(comparison))]
+    paths, parts = [], [] if comparison is None else [_comparison_section(comparison)]
     names = short_names([run.folder.resolve().as_posix().strip('/') for run in runs], '/')
     for number, (name, run) in enumerate(zip(names, runs)):
         paths += draw_figures(
@@ -92,7 +68,7 @@ def write_report(
         paths.append(draw_side_by_side(
             [(name, run.data, run.setup) for name, run in zip(names, runs)],
             out / FIGURE_FOLDER / 'side_by_side.png'))
-        parts.insert(1, f'<h2>Side by side</h2>{image(paths[-1], "forces of the runs")}')
+        parts.insert(0, f'<h2>Side by side</h2>{image(paths[-1], "forces of the runs")}')
     page = out / REPORT_FILE
     write_page(page, 'Multi-contact force control: the paper put to the test', '\n'.join(parts))
     return [page, *paths]
@@ -129,12 +105,10 @@ def _numbers(summary: dict[str, Any]) -> str:
 
 
 def _timing(summary: dict[str, Any]) -> str:
-    timing, rows = summary['timing'], []
-    for name, values in timing.items():
-        if isinstance(values, dict):
-            text = ', '.join(f'{key} {_text(value)}' for key, value in values.items())
-        else:
-            text = _text(values)
+    rows = []
+    for name, values in summary['timing'].items():
+        text = ', '.join(f'{key} {_text(value)}' for key, value in values.items()) if (
+            isinstance(values, dict)) else _text(values)
         rows.append([escape(name), escape(text)])
     return table(('', ''), rows, numbers_from=9)
 
@@ -163,6 +137,4 @@ def _comparison_section(comparison: dict[str, Any]) -> str:
 
 
 def _text(value: Any) -> str:
-    if isinstance(value, float):
-        return f'{value:.4g}'
-    return '-' if value is None else str(value)
+    return f'{value:.4g}' if isinstance(value, float) else '-' if value is None else str(value)

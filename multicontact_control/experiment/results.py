@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from datetime import datetime
+from itertools import count
 import os
 from pathlib import Path
 import shutil
@@ -23,7 +25,7 @@ from multicontact_control.experiment.external import setup_of_recording
 from multicontact_control.experiment.judge import RECORDED
 from multicontact_control.experiment.recording import RunData, SERIES_FILE
 from multicontact_control.experiment.scenario import EXTERNAL, NO_PLANT, ScenarioConfig, Setup
-from multicontact_control.experiment.summary import summarise, summarise_again
+from multicontact_control.experiment.summary import summarise
 from multicontact_control.files import read_json
 from sim_bridge.config import PlantConfig
 
@@ -40,27 +42,11 @@ SomeConfig = TypeVar('SomeConfig', bound=Config)
 
 def prepare_folder(out: Path | None, scenario: str, *, overwrite: bool, now: datetime) -> Path:
     """
-    Make the folder of a run.
+    Make and return the folder of a run, empty of any earlier run.
 
-    Parameters
-    ----------
-    out
-        The folder; None for ``runs/<date>-<time>-<scenario>``, numbered if that is taken.
-    scenario, now
-        For that name.
-    overwrite
-        Whether a run that is already in `out` may be replaced.
-
-    Returns
-    -------
-    Path
-        The folder, empty of any earlier run.
-
-    Raises
-    ------
-    ConfigError
-        If the folder holds something and must not be overwritten, or cannot be made.
-
+    Without `out` it is ``runs/<date>-<time>-<scenario>``, numbered if that is taken. With
+    `overwrite` a run that is already in `out` is replaced. Raises ConfigError if the folder holds
+    something else, or cannot be made.
     """
     default = Path('runs') / f'{now:%Y%m%d-%H%M%S}-{scenario}'
     # Where a link leads now: `runs/latest` leads elsewhere as soon as another run begins.
@@ -78,16 +64,14 @@ def prepare_folder(out: Path | None, scenario: str, *, overwrite: bool, now: dat
 
 
 def _make_numbered(folder: Path) -> Path:
-    """Make a folder that is nobody else's: with -2, -3, ... where another run was quicker."""
+    """Make a new folder: with -2, -3, ... where it exists."""
     folder.parent.mkdir(parents=True, exist_ok=True)
-    numbered, number = folder, 1
-    while True:
-        try:
+    for number in count(1):
+        numbered = folder if number == 1 else folder.with_name(f'{folder.name}-{number}')
+        with suppress(FileExistsError):
             numbered.mkdir()
-            return numbered
-        except FileExistsError:
-            number += 1
-            numbered = folder.with_name(f'{folder.name}-{number}')
+            break
+    return numbered
 
 
 def _empty(folder: Path, *, overwrite: bool) -> None:
@@ -133,19 +117,9 @@ class LoadedRun(NamedTuple):
 
 def load_setup(folder: Path) -> Setup:
     """
-    Rebuild what a run was made with.
+    Rebuild what a run was made with; ConfigError if a file is missing or not acceptable.
 
-    Parameters
-    ----------
-    folder
-        Of `multicontact run` or `simulate`. Of one that did not come to its end, and has no
-        summary, neither the plant's name nor its seed is known.
-
-    Raises
-    ------
-    ConfigError
-        If another file is missing, or one is not acceptable.
-
+    Of a run that did not come to its end, and has no summary, the plant is `unknown`, the seed 0.
     """
     if not (folder / CONFIG_FOLDER).is_dir():
         raise ConfigError('run', 'a folder of `multicontact run` or `simulate`', folder)
@@ -156,7 +130,7 @@ def load_setup(folder: Path) -> Setup:
         summary = read_json(folder / SUMMARY_FILE)
     try:
         plant, seed = str(summary['plant']), int(summary['seed'])
-        commanded = bool(summary.get('commanded_by_topic', False))
+        commanded = bool(summary.get('commanded_by_topic'))
     except (KeyError, TypeError, ValueError):
         raise ConfigError(str(folder / SUMMARY_FILE), 'the summary of a run',
                           'no plant and seed') from None
@@ -177,18 +151,7 @@ def load_run(folder: Path) -> LoadedRun:
     """
     Read a run, from its bag if it has one, from ``samples.npz`` otherwise.
 
-    Parameters
-    ----------
-    folder
-        Of `multicontact run` or `simulate`.
-
-    Raises
-    ------
-    ConfigError
-        If it is not such a folder.
-    RunError
-        If the recording cannot be read.
-
+    Raises ConfigError if it is not the folder of a run, RunError if the recording cannot be read.
     """
     setup = load_setup(folder)
     if (folder / BAG_FOLDER).is_dir():
@@ -199,33 +162,19 @@ def load_run(folder: Path) -> LoadedRun:
         data = RunData.load(folder)
     else:
         raise RunError(f'{folder}: expected {BAG_FOLDER}/ or {SERIES_FILE}, found neither')
-    # By today's definitions: the summary may be of older code, and a verdict is to be trusted.
-    summary = summarise_again(data, setup, read_json(folder / SUMMARY_FILE))
-    return LoadedRun(folder, setup, data, summary)
+    return LoadedRun(folder, setup, data, read_json(folder / SUMMARY_FILE))
 
 
 def load_recording(
     path: Path, files: Sequence[Path] = (), namespace: str | None = None,
 ) -> LoadedRun:
     """
-    Read what anybody recorded of a controller.
+    Read a recording of a controller: a bag's folder, or an MCAP file.
 
-    Parameters
-    ----------
-    path
-        Bag folder or MCAP file.
-    files
-        Parameter files of the controller; without any, names and rate are those of the messages.
-    namespace
-        That of the graph; if not given, the only one in the recording.
-
-    Raises
-    ------
-    ConfigError
-        If a parameter file is not acceptable.
-    RunError
-        If the recording cannot be read, or holds nothing of a controller.
-
+    `files` are the parameter files of the controller; without any, names and rate are those of the
+    messages. `namespace` is that of the graph; if not given, the only one in the recording. Raises
+    ConfigError if a parameter file is not acceptable, RunError if nothing of a controller can be
+    read.
     """
     found = read_graph(path, namespace)
     setup = setup_of_recording(path, found, files)
@@ -251,20 +200,10 @@ def is_whole_run(path: Path) -> bool:
 
 def load(path: Path, files: Sequence[Path] = (), namespace: str | None = None) -> LoadedRun:
     """
-    Read a run of this package, or what anybody recorded.
+    Read the folder of a run, or a recording: the folder of a bag, or an MCAP file.
 
-    Parameters
-    ----------
-    path
-        Folder of a run, of a bag, or an MCAP file.
-    files, namespace
-        As for `load_recording`; a run knows its own.
-
-    Raises
-    ------
-    ConfigError, RunError
-        If there is nothing, or it cannot be read.
-
+    The other arguments are those of `load_recording`; a run knows its own. Raises ConfigError or
+    RunError if there is nothing, or it cannot be read.
     """
     config, bag = path / CONFIG_FOLDER, path / BAG_FOLDER
     if not path.exists():

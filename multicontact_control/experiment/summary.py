@@ -32,20 +32,9 @@ def summarise(
     """
     Return the content of ``summary.json`` (schema 1).
 
-    Parameters
-    ----------
-    data, setup
-        The run.
-    mode
-        ``in_process``, ``lockstep`` or ``real_time``; ``external`` on a robot of others, and
-        ``recorded`` of what anybody recorded.
-    timing
-        Deadline misses, tick times, latencies.
-    ended_early
-        Why the run ended before its time, if it did; as for `judge`.
-    events
-        What the supervisor did: times [s] and what changed; None if there was no supervisor.
-
+    `mode` is ``in_process``, ``lockstep``, ``real_time``, ``external`` or ``recorded``; `timing`
+    has deadline misses, tick times and latencies. `ended_early` is as for `judge`. `events` of the
+    supervisor are times [s] and what changed; None if there was no supervisor.
     """
     # What the supervisor did after the run is not part of it.
     told = [(time, what) for time, what in events or () if time < data.ticks / data.rate]
@@ -75,15 +64,3 @@ def summarise(
         'supervised': events is not None} | (
             {} if events is None else {'events': [
                 {'time_s': round(time, 6), 'what': what} for time, what in told]})
-
-
-def summarise_again(
-    data: RunData, setup: Setup, summary: Mapping[str, Any],
-) -> dict[str, Any]:
-    """Return the summary of a recording by today's definitions, whatever made the old one."""
-    early = [text for text in summary['instabilities'] if text.startswith('tick ')]
-    events = [(event['time_s'], event['what']) for event in summary.get('events', ())]
-    return summarise(
-        data, setup, mode=summary['mode'], timing=summary['timing'],
-        ended_early=summary.get('ended_early') or (early[0] if early else ''),
-        events=events if summary.get('supervised') else None)

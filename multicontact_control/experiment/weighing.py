@@ -12,8 +12,13 @@ from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import Config, ControllerConfig, parameter, Real
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import CalibrationError, ConfigError, RunError
-from multicontact_control.experiment.bag_columns import BagColumns, JOINT_STATE, WRENCH
-from multicontact_control.experiment.bag_messages import describe_others, read_messages
+from multicontact_control.experiment.bag_messages import (
+    BagColumns,
+    describe_others,
+    JOINT_STATE,
+    read_messages,
+    WRENCH,
+)
 from multicontact_control.experiment.external import read_controller_files
 from multicontact_control.experiment.oscillation import stretches
 from multicontact_control.sensor.identification import (
@@ -72,29 +77,11 @@ def weigh_recording(
     """
     Identify a tool from a recording of an arm that is at rest in at least four poses.
 
-    Joint states and wrenches may have stamps of their own. Nothing may touch the tool at rest; a
-    rest whose readings are restless is left out.
-
-    Parameters
-    ----------
-    path
-        Bag folder or MCAP file.
-    files
-        Parameter files of the controller, for the arm and the sensor's frame.
-    namespace
-        That of the topics; if not given, the only one in the recording.
-    config
-        What counts as a rest.
-
-    Raises
-    ------
-    ConfigError
-        If a parameter file is not acceptable.
-    RunError
-        If the recording lacks something.
-    CalibrationError
-        If there are too few rests, or the readings do not tell.
-
+    Joint states and wrenches may have clocks of their own; a rest whose readings vary is left out.
+    `files` are the parameter files of the controller, for the arm and the sensor's frame;
+    `namespace` is that of the topics; if not given, the only one in the recording. Raises
+    ConfigError or RunError if a file or the recording lacks something, CalibrationError if there
+    are too few rests, or the readings do not tell.
     """
     config = config or RestConfig()
     controller, robot = _arm(files)
@@ -154,15 +141,7 @@ def find_rests(time: Vector, q: Matrix, config: RestConfig) -> list[tuple[float,
     """
     Return from when to when an arm was at rest, without the time to settle [s].
 
-    Parameters
-    ----------
-    time
-        Shape (m,) [s].
-    q
-        Angles of the joints, shape (m, n) [rad].
-    config
-        What counts as a rest.
-
+    `time` has shape (m,) [s], `q` the angles of the joints, shape (m, n) [rad].
     """
     order = np.argsort(time, kind='stable')
     time, q = time[order], q[order]
@@ -204,34 +183,12 @@ def weigh_running(
     Identify the tool of a robot by a controller that runs: it tilts the tool, and turns it back.
 
     The operational point stays where it is. No contact may be pressed meanwhile, and the bias of
-    the running controller is that of the first pose afterwards.
-
-    Parameters
-    ----------
-    files
-        Parameter files of the controller, for the arm and the sensor's frame.
-    namespace, domain_id
-        Where it runs.
-    tilt
-        Angle about world x and y, to either side [rad].
-    move_time
-        From pose to pose, or as long as `limits.operational_turn` demands [s].
-    timeout
-        Longest wait for an answer or a sample [s].
-    config
-        How long to settle and to average, and what counts as quiet.
-    tell
-        Called with what is being done.
-
-    Raises
-    ------
-    ConfigError
-        If a parameter file is not acceptable.
-    RunError
-        If no controller answers, if a contact is pressed, or a pose is not reached.
-    CalibrationError
-        If the readings do not tell.
-
+    the running controller is that of the first pose afterwards. `files` are the controller's
+    parameter files; `tilt` is the angle about world x and y, to either side [rad]; `move_time` the
+    least time from pose to pose [s]; `timeout` the longest wait for an answer or a sample [s];
+    `tell` is called with what is being done. Raises ConfigError if a parameter file is not
+    acceptable, RunError if no controller answers, a contact is pressed, or a pose is not reached,
+    CalibrationError if the readings do not tell.
     """
     from multicontact_control.client import MultiContactClient
     from multicontact_control.nodes import topics
@@ -334,27 +291,10 @@ def weigh_at_rest(
     sample: Callable[[], Sample], robot: RobotModel, config: RestConfig, timeout: float,
 ) -> PoseReading:
     """
-    Return the mean of the first rest from now on.
+    Return the mean of the first rest from now on, in the robot's time.
 
-    In the robot's time: a simulator may be slower than the clock on the wall, and an arm that is
-    still on its way would be weighed at an angle that it has left.
-
-    Parameters
-    ----------
-    sample
-        Returns one that comes from now on.
-    robot, config
-        The arm, and what counts as a rest.
-    timeout
-        Until it begins [s].
-
-    Raises
-    ------
-    RunError
-        If the robot's time does not go on.
-    CalibrationError
-        If there is no rest, or its readings are restless.
-
+    `sample` returns one that comes from now on; the rest begins within `timeout` [s]. Raises
+    RunError if the robot's time does not go on, CalibrationError without a quiet rest.
     """
     samples, look_at, length = [sample()], -np.inf, config.settle_time + config.average_time
     rests: list[tuple[float, float]] = []

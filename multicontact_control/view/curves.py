@@ -7,7 +7,7 @@ import threading
 from typing import Any, NamedTuple
 
 from multicontact_control.arrays import Matrix, Vector
-from multicontact_control.experiment.packing import envelope
+from multicontact_control.experiment.page import envelope
 from multicontact_control.view import source
 from multicontact_control.view.source import CurveLayout, RATE
 import numpy as np

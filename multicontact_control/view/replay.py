@@ -15,8 +15,7 @@ from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import ControllerConfig, Vector3
 from multicontact_control.errors import CommandError, ConfigError
 from multicontact_control.experiment.bag import answered, CUT_OFF, read_bag
-from multicontact_control.experiment.bag_columns import MARKERS
-from multicontact_control.experiment.bag_messages import read_messages
+from multicontact_control.experiment.bag_messages import MARKERS, read_messages
 from multicontact_control.experiment.recording import RunData, SERIES_FILE
 from multicontact_control.experiment.results import (
     BAG_FOLDER,

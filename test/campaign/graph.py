@@ -62,7 +62,8 @@ class Graph(link.GuestNode):
             domain_id, lambda what: self.poll(), poll_period=4.0 * POLL_PERIOD)
         self.setup = setup
         self.spec = spec.GraphSpec(
-            out=folder, ticks=0, rate=setup.controller.rate, seed=setup.seed, domain_id=domain_id,
+            out=folder, ticks=0, rate=setup.controller.rate, seed=setup.seed, free_running=True,
+            domain_id=domain_id,
             parameter_files=setup.write(folder / 'config'),
             remappings={CONTROLLER: {x.name: PREFIX + x.name for x in INPUTS.values()}},
             extra_parameters={x: {'startup_peers': [], **(PATIENT if x == CONTROLLER else {})}

@@ -1,8 +1,7 @@
 """The presets `best` and `adaptive` on surfaces whose stiffness the controller is not told."""
 
-from multicontact_control.experiment.claim_metrics import disturbance_summary
 from multicontact_control.experiment.closed_loop import run_in_process
-from multicontact_control.experiment.metrics import step_responses, windows
+from multicontact_control.experiment.metrics import disturbance_summary, step_responses, windows
 from multicontact_control.experiment.scenario import resolve
 import numpy as np
 import pytest

@@ -1,10 +1,6 @@
 """Limit cycles are found, noise and transients are not."""
 
-from multicontact_control.experiment.oscillation import (
-    bridged,
-    oscillations,
-    spectrum,
-)
+from multicontact_control.experiment.oscillation import oscillations
 import numpy as np
 import pytest
 
@@ -40,29 +36,16 @@ def test_limit_cycle_in_noise_is_found_with_its_frequency_and_size(frequency):
     assert one.duration == pytest.approx(6.0, abs=0.3)
 
 
-@pytest.mark.parametrize('colour', [0.0, 0.5, 0.8, 0.9, 0.95, 0.98])
-@pytest.mark.parametrize('seed', range(5))
+@pytest.mark.parametrize('colour', [0.0, 0.8, 0.95, 0.98])
+@pytest.mark.parametrize('seed', range(3))
 def test_noise_of_any_colour_is_no_oscillation(seed, colour):
-    """Even if it is a third of the command."""
     assert found_in(noise(3.0, seed, colour)) == []
 
 
-def test_what_dies_out_within_a_second_is_no_oscillation_and_two_are_one():
+def test_oscillation_lasts_two_seconds():
     for lasting, many in ((1.0, 0), (2.1, 1)):
         window = (TIME >= 1.0) & (TIME < 1.0 + lasting)
         assert len(found_in(np.where(window, tone(42.0, 2.0), 0.0))) == many
-
-
-def test_ringing_after_a_step_is_no_oscillation():
-    """5 N that decay with 0.3 s, on every step of 10 N, a second and a half apart."""
-    since = TIME % 1.5
-    assert found_in(5.0 * np.exp(-since / 0.3) * np.cos(2.0 * np.pi * 14.0 * since)) == []
-
-
-def test_single_window_without_does_not_end_an_oscillation():
-    """A supervisor that breaks it for 0.25 s only has it begin again."""
-    broken = (TIME % 1.5 >= 1.0) & (TIME % 1.5 < 1.25)
-    assert len(found_in(np.where(broken, noise(0.5), tone(42.0, 2.0)))) == 1
 
 
 @pytest.mark.parametrize(('share', 'many'), [(0.02, 0), (0.03, 1)])
@@ -71,14 +54,11 @@ def test_oscillation_is_measured_by_the_command(share, many):
         assert len(found_in(tone(42.0, share * command), command=command + 0.0 * TIME)) == many
 
 
-def test_what_the_sensor_cannot_see_and_what_is_not_asked_for_is_left_out():
+def test_tone_that_is_small_slow_not_judged_or_not_asked_for_is_left_out():
+    assert found_in(tone(2.0, 3.0)) == []
     assert found_in(tone(42.0, 0.08), command=0.0 * TIME + 1.0) == []
     assert found_in(tone(42.0, 5.0), command=0.0 * TIME) == []
     assert found_in(tone(42.0, 5.0), judged=TIME < 1.5) == []
-
-
-def test_slower_than_the_band_is_left_out():
-    assert found_in(tone(2.0, 3.0)) == []
 
 
 def test_gaps_alone_are_no_oscillation_and_hide_none():
@@ -89,28 +69,3 @@ def test_gaps_alone_are_no_oscillation_and_hide_none():
     assert found_in(quiet) == []
     (one,) = found_in(np.where(missing, np.nan, tone(42.0, 2.0)))
     assert one.frequency == pytest.approx(42.0, abs=1.0)
-
-
-def test_samples_that_do_not_count_are_left_out():
-    """Noise everywhere but where the tone is not judged."""
-    loud = (TIME >= 2.0) & (TIME < 4.5)
-    error = np.where(loud, tone(42.0, 2.0), noise(0.5))
-    assert len(found_in(error)) == 1
-    assert found_in(error, judged=~loud) == []
-
-
-def test_bridged_fills_short_gaps_only():
-    values = np.arange(40.0)
-    values[[0, 5, 6]] = values[20:30] = np.nan
-    filled = bridged(values, RATE)
-    np.testing.assert_allclose(filled[1:20], np.arange(1.0, 20.0))
-    assert np.isnan(filled[[0, *range(20, 30)]]).all()
-
-
-@pytest.mark.parametrize('padding', [1, 8])
-def test_spectrum_sums_up_to_the_mean_square(padding):
-    frequencies, power = spectrum(np.array([tone(42.0, 2.0)[:500], noise(1.0)[:500]]), RATE,
-                                  padding)
-    assert power.sum(axis=1) == pytest.approx([4.0, 1.0], rel=0.25)
-    assert frequencies[np.argmax(power[0])] == pytest.approx(42.0, abs=1.0)
-    assert frequencies[-1] == pytest.approx(250.0)

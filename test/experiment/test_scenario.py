@@ -1,27 +1,22 @@
-"""Scenarios: the files that are there, and one line for what is wrong with others."""
+"""Scenarios, presets, and values laid over everything by name."""
 
+from multicontact_control.cli.options import prepare
 from multicontact_control.config import ControllerConfig, read_parameters, read_yaml, validate
 from multicontact_control.errors import ConfigError
-from multicontact_control.experiment.scenario import resolve, scenario_path
+from multicontact_control.experiment.overrides import overridden
+from multicontact_control.experiment.scenario import preset_values, resolve
 from multicontact_control.paths import config_dir
-import numpy as np
 import pytest
 import yaml
+
+NAMES = [path.relative_to(config_dir() / 'presets').with_suffix('').as_posix()
+         for path in sorted((config_dir() / 'presets').rglob('*.yaml'))]
 
 
 @pytest.mark.parametrize('path', sorted((config_dir() / 'scenarios').glob('*.yaml')),
                          ids=lambda path: path.stem)
 def test_every_scenario_resolves_and_is_named_as_its_file(path):
-    """Whatever lies in config/scenarios can be run."""
     assert resolve(path.stem).scenario.name == path.stem
-
-
-def test_commanded_forces_are_those_of_the_file():
-    """Preload, a step on both contacts, one on the table alone; each from its sample on."""
-    setup = resolve('disturbance')
-    commanded = setup.commanded(np.array([0.0, 1.998, 2.0, 3.499, 3.5, 16.0]))
-    np.testing.assert_array_equal(commanded, [
-        [2.0, 2.0], [2.0, 2.0], [10.0, 10.0], [10.0, 10.0], [15.0, 10.0], [15.0, 10.0]])
 
 
 def _scenario(tmp_path, **changes):
@@ -38,42 +33,18 @@ def _scenario(tmp_path, **changes):
     ({'duration': -1.0}, 'duration: expected greater than 0, found -1.0'),
     ({'reference': {'force_steps': [{'time': 1.0, 'forces': {'wall': 3.0}}]}},
      "reference.force_steps.0.forces: expected contacts among table, board, found 'wall'"),
-    ({'controller': {'force': {'input_delay': 1.0}}}, 'force.input_delay: expected at most 10'),
     ({'controller': {'rate': 250.0}}, "noise_estimator.rate: expected the controller's 250 Hz"),
     ({'noise_estimator': {'contact_names': ['table']}},
      'noise_estimator.contact_names: expected the controller'),
-    ({'plant': {'substep': 0.0003}}, 'substep: expected'),
-])
+    ({'plant': {'substep': 0.0003}}, 'substep: expected')])
 def test_resolve_names_what_is_wrong_in_a_scenario(tmp_path, changes, message):
-    """Field, expectation and finding, on one line."""
     with pytest.raises(ConfigError, match=message) as caught:
         setup = resolve(_scenario(tmp_path, **changes))
         setup.plant.substeps(setup.controller.rate)
     assert '\n' not in str(caught.value)
 
 
-@pytest.mark.parametrize(('arguments', 'message'), [
-    ({'scenario': 'papper'}, "scenario: expected one of .*paper, .*quick, .*found 'papper'"),
-    ({'scenario': 'quick', 'plant': 'stiff'}, "plant: expected one of rigid, puma, .*'stiff'"),
-    ({'scenario': 'quick', 'seed': -1}, 'seed: expected a whole number >= 0, found -1'),
-    ({'scenario': 'quick', 'duration': 0.0}, 'duration: expected greater than 0')])
-def test_resolve_refuses_unknown_names_and_numbers_out_of_range(arguments, message):
-    """The known names are listed."""
-    with pytest.raises(ConfigError, match=message):
-        resolve(**arguments)
-
-
-def test_overrides_are_laid_over_files_in_order(tmp_path):
-    """File, then scenario, then argument."""
-    path = _scenario(tmp_path, controller={'force': {'damping_rate': 30.0}})
-    setup = resolve(path, controller={'motion': {'natural_frequency': 20.0}}, duration=2.0)
-    assert setup.controller.force.damping_rate == 30.0
-    assert setup.controller.motion.natural_frequency == 20.0
-    assert setup.ticks == 1000
-
-
 def test_written_configuration_is_what_the_nodes_read(tmp_path):
-    """The folder of a run can be run again, with its own URDF beside it."""
     setup = resolve('quick')
     setup.write(tmp_path / 'config')
     again = validate(ControllerConfig, read_parameters(tmp_path / 'config' / 'controller.yaml'))
@@ -82,6 +53,66 @@ def test_written_configuration_is_what_the_nodes_read(tmp_path):
     assert resolve(str(tmp_path / 'config' / 'scenario.yaml')).scenario == setup.scenario
 
 
-def test_scenario_path_takes_a_path(tmp_path):
-    """A file of one's own."""
-    assert str(scenario_path(_scenario(tmp_path))) == str(tmp_path / 'mine.yaml')
+@pytest.mark.parametrize('plant', ['rigid', 'puma'])
+@pytest.mark.parametrize('name', NAMES)
+def test_preset_says_what_it_sets_and_nothing_else_changes(name, plant):
+    plain, setup = resolve('quick', plant=plant), resolve('quick', plant=plant, preset=name)
+    given = preset_values(name)
+    for part in ('controller', 'noise_estimator'):
+        found, before = (getattr(each, part).model_dump() for each in (setup, plain))
+        for key in found:
+            if key not in given[part]:
+                assert found[key] == before[key]
+    force = setup.controller.model_dump()['force']
+    assert force == {key: force[key] | value if isinstance(value, dict) else value
+                     for key, value in {**force, **given['controller']['force']}.items()}
+
+
+def test_best_is_the_default_and_paper_is_as_published():
+    best, plain = resolve('quick', preset='best'), resolve('quick')
+    assert (best.controller, best.noise_estimator) == (plain.controller, plain.noise_estimator)
+    force = resolve('paper', preset='paper').controller.force
+    assert (force.law, force.damping_rate, force.fed_forward) == ('aob', 20.0, 'estimate')
+    force = resolve('quick', preset='paper', controller={
+        'force': {'damping_rate': 60.0}}).controller.force  # options go before a preset
+    assert (force.damping_rate, force.fed_forward) == (60.0, 'estimate')
+
+
+@pytest.mark.parametrize(('text', 'message'), [
+    ('sim_node:\n  ros__parameters: {}\n', 'a section of controller_node'),
+    ('controller_node:\n  force: {}\n', "holding 'ros__parameters'"),
+    ('controller_node:\n  ros__parameters: {force: {law: pid}}\n', 'force.law')])
+def test_preset_that_is_not_acceptable_is_refused(tmp_path, text, message):
+    path = tmp_path / 'mine.yaml'
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=message):
+        resolve('quick', preset=str(path))
+    path.write_text('/**/controller_node:\n  ros__parameters:\n    force: {law: dob}\n')
+    assert resolve('quick', preset=str(path)).controller.force.law == 'dob'
+
+
+def test_settings_reach_every_part():
+    options = {'plant': 'rigid', 'controller': {'force': {'law': 'dob'}}}
+    setup = resolve('quick', **overridden(options, [
+        'plant.surfaces.*.stiffness=60000', 'controller.force.damping_rate=60',
+        'noise_estimator.estimator=fixed', 'scenario.duration=3',
+        'controller.torque_limit=[1, 2, 3, 4, 5, 6]'], resolve('quick', plant='rigid')))
+    assert {surface.stiffness for surface in setup.plant.surfaces.values()} == {60_000.0}
+    assert setup.controller.force.damping_rate == 60.0
+    assert setup.controller.force.law == 'dob'
+    assert setup.controller.torque_limit == (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
+    assert setup.noise_estimator.estimator == 'fixed'
+    assert setup.scenario.duration == 3.0
+
+
+@pytest.mark.parametrize(('setting', 'message'), [
+    ('plant', "--set: expected KEY=VALUE.*'plant'"),
+    ('controller.force.damping_rate=[', 'a value as in a YAML file'),
+    ('controller.force.wurst=1', "one of law, .*'wurst'"),
+    ('scenario.duration=20', 'duration: expected nothing together with scenario.duration'),
+    ('plant.surfaces.*.stiffness=-1', 'stiffness: expected greater than 0')])
+def test_bad_setting_is_refused_before_anything_starts(tmp_path, setting, message):
+    out = tmp_path / 'run'
+    with pytest.raises(ConfigError, match=message):
+        prepare('quick', 'rigid', 0, 4.0, None, out, False, settings=[setting])
+    assert not out.exists()

@@ -1,32 +1,7 @@
-// Draws the figures of a page with uPlot, each from the numbers that are packed in its element.
-// uPlot draws the smallest and the largest value of every column of pixels in the range that is
-// looked at, out of all samples, and the samples themselves once they are fewer.
+// Draws the figures of a page with uPlot, each from the numbers in its element.
 'use strict';
 
-const UNKNOWN = -0x80000000;  // as in packing.py
-const TOO_OLD = 'This browser cannot unpack the curves (it has no DecompressionStream): Chrome ' +
-  'from 80, Firefox from 113 and Safari from 16.4 can.';
 const FONT = '12px system-ui, sans-serif', GRID = '#e6e6e6', TEXT = '#444';
-
-// Returns time and series as arrays of numbers, null where nothing is known.
-async function unpack(packed) {
-  const bytes = Uint8Array.from(atob(packed.data), letter => letter.charCodeAt(0));
-  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream('deflate'));
-  const planes = new Uint8Array(await new Response(stream).arrayBuffer());
-  const n = packed.length;
-  return packed.steps.map((step, k) => {
-    const values = new Array(n), at = 4 * n * k, logarithmic = packed.logarithmic[k];
-    let code = 0;
-    for (let i = at; i < at + n; i++) {
-      const zigzag = planes[i] | planes[i + n] << 8 | planes[i + 2 * n] << 16 |
-        planes[i + 3 * n] << 24;
-      code = code + ((zigzag >>> 1) ^ -(zigzag & 1)) | 0;
-      values[i - at] = code === UNKNOWN ? null :
-        logarithmic ? 10 ** (code * step) : code * step;
-    }
-    return values;
-  });
-}
 
 // Returns where a sample stands alone, so that no line shows it.
 function alone(values) {
@@ -121,7 +96,7 @@ function decades(u, marks) {
     marks.map(mark => Number.isInteger(Math.log10(mark)) ? mark : null);
 }
 
-function options(plot, series, width) {
+function options(plot, width) {
   const axis = {font: FONT, labelFont: FONT, stroke: TEXT, labelSize: 20,
     grid: {stroke: GRID, width: 1}, ticks: {stroke: GRID, width: 1}};
   const named = plot.places.length > 0, up = {...axis, size: 58, label: plot.label};
@@ -140,27 +115,19 @@ function options(plot, series, width) {
     series: [
       {label: plot.xlabel || '', value: (_, x) => x === null || x === undefined ? '-' :
         x.toFixed(3)},
-      ...plot.curves.map((style, i) => curve(style, series[i + 1]))],
+      ...plot.curves.map((style, i) => curve(style, plot.data[i + 1]))],
     hooks: {drawClear: [u => shade(u, plot)], draw: [u => annotate(u, plot)]}};
 }
 
-// Draws plots into an element, below each other, instead of what is in it. The newest call wins.
-async function drawFigure(place, plots) {
-  if (!('DecompressionStream' in window)) {
-    place.textContent = TOO_OLD;
-    return;
-  }
-  const turn = place.turn = (place.turn || 0) + 1;
-  place.dataset.state = 'drawing';
-  const all = await Promise.all(plots.map(plot => unpack(plot.packed)));
-  if (place.turn !== turn) return;
+// Draws plots into an element, below each other, instead of what is in it.
+function drawFigure(place, plots) {
   (place.plots || []).forEach(drawn => drawn.destroy());
   place.replaceChildren();
-  place.plots = plots.map((plot, i) => {
+  place.plots = plots.map(plot => {
     const below = document.createElement('div');
     below.setAttribute('aria-label', [plot.heading, plot.label].filter(Boolean).join(', '));
     place.append(below);
-    return new uPlot(options(plot, all[i], place.clientWidth), all[i], below);
+    return new uPlot(options(plot, place.clientWidth), plot.data, below);
   });
   if (!place.watched) {
     place.watched = new ResizeObserver(() => place.plots.forEach(drawn => {

@@ -7,7 +7,8 @@ import math
 import time
 from typing import Any, TYPE_CHECKING
 
-from multicontact_control.experiment.claim_metrics import disturbance_summary, evidence_of
+from multicontact_control.experiment.claims import evidence_of
+from multicontact_control.experiment.metrics import disturbance_summary
 from multicontact_control.experiment.recording import empty_run_data, RunData
 from multicontact_control.experiment.study.jobs import JobResult, RunJob
 from multicontact_control.experiment.summary import summarise

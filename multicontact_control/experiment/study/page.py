@@ -8,7 +8,7 @@ from html import escape
 from pathlib import Path
 
 from matplotlib.figure import Figure
-from multicontact_control.experiment.html_parts import image, write_page
+from multicontact_control.experiment.page import image, write_page
 from multicontact_control.experiment.study.table import html_table, Listing
 
 DPI = 130  # of the figure

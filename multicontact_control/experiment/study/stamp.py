@@ -11,7 +11,7 @@ from pathlib import Path
 # experiment/ only this does.
 WITHOUT = ('cli', 'client.py', 'nodes', 'tools')
 DECISIVE = (
-    'claim_metrics.py', 'closed_loop.py', 'faults/fault.py', 'faults/in_process.py',
+    'claims.py', 'closed_loop.py', 'faults/fault.py', 'faults/in_process.py',
     'faults/judge.py', 'faults/situation.py', 'faults/vocabulary.py', 'judge.py', 'metrics.py',
     'oscillation.py', 'overrides.py', 'recording.py', 'scenario.py', 'study/jobs.py',
     'study/measure.py', 'study/presets/faults/jobs.py', 'study/presets/laws/jobs.py',

@@ -9,7 +9,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from multicontact_control.experiment.html_parts import table
+from multicontact_control.experiment.page import table
 from multicontact_control.files import json_text, replacing
 import pyarrow.parquet as pq
 from rich.box import SIMPLE_HEAD

@@ -20,7 +20,7 @@ def test_stamp_follows_what_decides_an_outcome_and_nothing_else(tmp_path, monkey
                         ignore=shutil.ignore_patterns('__pycache__'))
     before = _stamp_of(tmp_path, monkeypatch)
     assert before == _stamp_of(tmp_path, monkeypatch) == _stamp_of(ROOT, monkeypatch)
-    for name in ('cli/run.py', 'client.py', 'experiment/html_parts.py'):
+    for name in ('cli/run.py', 'client.py', 'experiment/page.py'):
         name = f'multicontact_control/{name}'
         (tmp_path / name).write_text('# other text')
     assert _stamp_of(tmp_path, monkeypatch) == before

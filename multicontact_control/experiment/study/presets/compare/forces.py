@@ -7,14 +7,16 @@ from html import escape
 from typing import Any
 
 from multicontact_control.errors import RunError
-from multicontact_control.experiment.html_figure import figure, plot, script_json
 from multicontact_control.experiment.judge import verdict_text
-from multicontact_control.experiment.panels import (
+from multicontact_control.experiment.page import (
     COMMANDED,
     ESTIMATED,
+    figure,
     FILLED,
     OPEN,
     Panel,
+    plot,
+    script_json,
     Trace,
     TRUE,
 )
@@ -22,7 +24,7 @@ from multicontact_control.experiment.study.cache import JobCache
 from multicontact_control.experiment.study.presets.compare.matrix import AOB, PLAIN
 import numpy as np
 
-SAMPLES = 100_000  # of all runs together, each of its figures; what is more is thinned out
+SAMPLES = 40_000  # of all runs together, each of its figures; what is more is thinned out
 FEWEST = 500  # of a run
 HEIGHT, LOWEST = 190, 150  # px, of forces and of R
 GOOD, BAD = '#18794e', '#c0262d'
@@ -95,7 +97,7 @@ def _forces(row: dict[str, Any], cache: JobCache, longest: int) -> dict[str, Any
     size = plots[0]['thinned']
     drawn = '' if size == 1 else f'; smallest and largest of every {size} samples'
     plots[0]['heading'] = (f'{row["plant"]}, {row["label"]}, {row["kind"]}, seed {row["seed"]}: '
-                           f'{verdict_text(row)}{drawn}')
+                           f'{verdict_text(row["evidence"])}{drawn}')
     return {'plant': row['plant'], 'seed': row['seed'], 'plots': plots}
 
 

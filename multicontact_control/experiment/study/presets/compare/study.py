@@ -10,7 +10,7 @@ from typing import Any
 
 from multicontact_control.errors import check_all, ConfigError
 from multicontact_control.experiment.claims import judge_over_damping
-from multicontact_control.experiment.html_parts import claims_over_damping, claims_table
+from multicontact_control.experiment.page import claims_over_damping, claims_table
 from multicontact_control.experiment.scenario import plants_of, preset_values
 from multicontact_control.experiment.study.cache import JobCache
 from multicontact_control.experiment.study.execute import JobRun

@@ -6,8 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, ClassVar, TYPE_CHECKING
 
-from multicontact_control.experiment.claim_metrics import disturbance_summary
-from multicontact_control.experiment.metrics import force_error, step_responses, windows
+from multicontact_control.experiment.metrics import (
+    disturbance_summary,
+    force_error,
+    step_responses,
+    windows,
+)
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.scenario import resolve, Setup
 from multicontact_control.experiment.study.jobs import content_key, JobResult, setup_content

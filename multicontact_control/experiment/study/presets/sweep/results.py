@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from multicontact_control import __version__
 from multicontact_control.arrays import Vector
 from multicontact_control.experiment.overrides import EVERY
-from multicontact_control.experiment.panels import COLOURS
+from multicontact_control.experiment.page import COLOURS
 from multicontact_control.experiment.study.presets.sweep.plan import SweepPlan
 from multicontact_control.experiment.study.table import Column, Line, Listing, short_names
 import numpy as np

@@ -1,8 +1,8 @@
 import math
 
-from multicontact_control.experiment.claim_metrics import quiet_windows
 from multicontact_control.experiment.closed_loop import run_in_process
 from multicontact_control.experiment.judge import judge
+from multicontact_control.experiment.metrics import quiet_windows
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.experiment.study.jobs import job_of
 from multicontact_control.experiment.study.measure import final_error_share

@@ -1,0 +1,225 @@
+"""Self-contained pages: tables and figures in one HTML file, without network or server."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Sequence
+from html import escape
+import json
+from pathlib import Path
+from typing import Any, NamedTuple, TYPE_CHECKING
+
+from multicontact_control.arrays import Vector
+from multicontact_control.files import write_text
+import numpy as np
+
+if TYPE_CHECKING:
+    from multicontact_control.experiment.claims import Claim, ClaimOverDamping
+
+ASSETS = Path(__file__).parent / 'page_assets'
+LONGEST = 2000  # samples of a curve
+HEIGHT = 300  # px, without title and legend
+HELP = ('<p class=note>Drag over a figure to zoom into all of them, double click to see all '
+        'again; click a name to hide its curve.</p>')
+MEASURED, ESTIMATED, COMMANDED, TRUE = '#4c78a8', '#54a24b', '#222222', '#e45756'
+WINDOW = '#f2f2f2'
+# Of lines that have none of their own.
+COLOURS = ('#1f3b73', '#c26a00', '#18794e', '#c0262d', '#6b4fa0', '#777777', '#0b8a9e', '#8a6d00')
+FILLED, OPEN = 'filled', 'open'
+VERDICTS = {True: '<b class=yes>holds</b>', False: '<b class=no>does not hold</b>',
+            None: '<span class=unknown>not judged</span>'}
+STYLE = """
+body { font: 15px/1.5 system-ui, sans-serif; color: #222; max-width: 1180px;
+       margin: 2em auto; padding: 0 1em; }
+h1 { font-size: 1.5em; } h2 { font-size: 1.2em; margin-top: 2em; }
+table { border-collapse: collapse; margin: .6em 0; font-size: 13px; }
+th, td { border-bottom: 1px solid #ddd; padding: .25em .6em; text-align: left;
+         vertical-align: top; }
+td.number, th.number { text-align: right; font-variant-numeric: tabular-nums; }
+tr.choice { cursor: pointer; } tr.choice:hover { background: #eef3fa; }
+tr.chosen { background: #dce8f7; }
+.yes { color: #18794e; } .no { color: #c0262d; } .unknown { color: #777; }
+.note { color: #555; font-size: 13px; }
+pre { background: #f6f6f6; padding: .8em; overflow-x: auto; font-size: 12px; }
+img { max-width: 100%; }
+.figure { margin: .8em 0; } .figure .u-title { font-size: 14px; }
+.figure .u-legend { font-size: 12px; font-variant-numeric: tabular-nums; }
+.figure .u-legend th, .figure .u-legend td { border: 0; }
+"""
+
+
+class Trace(NamedTuple):
+    """A series as a line, or as points; a page has one width of lines."""
+
+    label: str
+    values: Vector  # shape (m,)
+    colour: str | None = MEASURED
+    width: float = 0.5
+    dashed: bool = False
+    faint: bool = False
+    marker: str = ''  # of points, FILLED or OPEN, on a page
+
+
+class Panel(NamedTuple):
+    """Lines over time on common axes; logarithmic if levels are named, too."""
+
+    label: str  # of the vertical axis
+    traces: Sequence[Trace]
+    limits: tuple[float, float] | None = None  # those of the data if not given
+    levels: Sequence[tuple[float, str]] = ()  # horizontal lines and what they stand for
+    height: float = 1.0  # relative to the other panels
+    logarithmic: bool = False
+
+    @property
+    def on_log_axis(self) -> bool:
+        """Return whether the vertical axis is logarithmic."""
+        return self.logarithmic or bool(self.levels)
+
+
+class Span(NamedTuple):
+    """A stretch of a run that is shaded."""
+
+    name: str
+    start: float  # s
+    end: float
+
+
+def envelope(
+    time: Vector, series: Sequence[Vector], longest: int,
+) -> tuple[Vector, list[Vector], int]:
+    """
+    Decimate series, each of shape (m,), to at most `longest` samples such that every peak is kept.
+
+    Returns times, series and the samples per stretch, of which the smallest and the largest finite
+    value are left, in their order; 1 if nothing is left out.
+    """
+    size = -(-2 * len(time) // longest)
+    if size <= 2:
+        return time, list(series), 1
+    starts = np.arange(0, len(time), size)
+    middles = (starts + np.minimum(starts + size, len(time))) // 2
+    return (np.stack([time[starts], time[middles]], axis=1).ravel(),
+            [_extremes(values, size) for values in series], size)
+
+
+def _extremes(values: Vector, size: int) -> Vector:
+    filled = np.full(-(-len(values) // size) * size, np.nan)
+    filled[:len(values)] = values
+    rows = filled.reshape(-1, size)
+    known = np.isfinite(rows)
+    places = np.stack([np.argmin(np.where(known, rows, np.inf), axis=1),
+                       np.argmax(np.where(known, rows, -np.inf), axis=1)], axis=1)
+    found: Vector = np.take_along_axis(
+        np.where(known, rows, np.nan), np.sort(places, axis=1), axis=1).ravel()
+    return found
+
+
+def plot(
+    panel: Panel, time: Vector, heading: str = '', *, shaded: Sequence[Span] = (),
+    height: int = HEIGHT, longest: int = LONGEST, places: Sequence[str] = (),
+) -> dict[str, Any]:
+    """
+    Return what figures.js draws of a panel over time [s], as JSON values.
+
+    `heading` is plain text, `shaded` are stretches with their names, `height` is that of the axes
+    [px], `longest` the samples that are drawn at most. `places` stand along the horizontal axis at
+    0, 1, ... instead of time.
+    """
+    thinned, series, size = envelope(time, [trace.values for trace in panel.traces], longest)
+    least = 0.0 if panel.on_log_axis else -np.inf
+    return {
+        'heading': heading, 'label': panel.label, 'height': height, 'places': list(places),
+        'xlabel': '' if places else 'time [s]', 'limits': panel.limits,
+        'logarithmic': panel.on_log_axis, 'levels': panel.levels, 'thinned': size,
+        'shaded': [list(span) for span in shaded], 'shade': WINDOW,
+        'curves': [{'label': trace.label, 'colour': trace.colour or COLOURS[i % len(COLOURS)],
+                    'dashed': trace.dashed, 'faint': trace.faint, 'marker': trace.marker}
+                   for i, trace in enumerate(panel.traces)],
+        'data': [np.round(thinned, 4).tolist(), *(
+            [float(f'{x:.5g}') if np.isfinite(x) and x > least else None for x in values]
+            for values in series)]}
+
+
+def figure(name: str, plots: Sequence[dict[str, Any]] = ()) -> str:
+    """Return the HTML of plots below each other; `name` must be the only one on its page."""
+    content = (f'<script type="application/json">{script_json(list(plots))}</script>'
+               if plots else '')
+    thinned = max((each['thinned'] for each in plots), default=1)
+    note = '' if thinned == 1 else (
+        f'<p class=note>Drawn are the smallest and the largest of every {thinned} samples.</p>')
+    return (f'<div class="figure" id="{escape(name)}"><noscript>Its curves need JavaScript.'
+            f'</noscript>{content}</div>{note}')
+
+
+def script_json(value: Any) -> str:
+    """Return JSON that can stand in a script element."""
+    text = json.dumps(value, separators=(',', ':'), allow_nan=False)
+    return text.replace('</', '<\\/')
+
+
+def page(title: str, body: str) -> str:
+    """Return a page of a plain title and a body in HTML, with what draws its figures."""
+    def read(name: str) -> str:
+        return (ASSETS / name).read_text(encoding='utf-8').strip()
+
+    # The license goes with every copy.
+    drawing = '' if '<div class="figure"' not in body else (
+        f'<!-- uPlot: {read("uPlot.LICENSE")} --><style>{read("uPlot.min.css")}</style>'
+        f'<script>{read("uPlot.iife.min.js")}</script><script>{read("figures.js")}</script>')
+    return (f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+            f'<title>{escape(title)}</title><style>{STYLE}</style>'
+            f'{drawing}</head>\n<body><h1>{escape(title)}</h1>\n{body}\n'
+            '</body></html>\n')
+
+
+def write_page(path: Path, title: str, body: str) -> None:
+    """Write a page such that a reader sees the old file or the new one, never half of one."""
+    write_text(path, page(title, body))
+
+
+def table(
+    head: Sequence[str], rows: Sequence[Sequence[str]], *, numbers_from: int = 1,
+    row_attributes: Sequence[str] = (),
+) -> str:
+    """
+    Return a table of HTML cells, with the columns from `numbers_from` on set to the right.
+
+    `row_attributes` are those of each row's element.
+    """
+    def line(cells: Sequence[str], tag: str, attribute: str = '') -> str:
+        inner = ''.join(
+            f'<{tag}{" class=number" if i >= numbers_from else ""}>{cell}</{tag}>'
+            for i, cell in enumerate(cells))
+        return f'<tr {attribute}>{inner}</tr>'
+
+    lines = [line(row, 'td', row_attributes[i] if i < len(row_attributes) else '')
+             for i, row in enumerate(rows)]
+    return f'<table>{line(head, "th")}{"".join(lines)}</table>'
+
+
+def claims_over_damping(claims: Sequence[ClaimOverDamping]) -> str:
+    """Return the table of the paper's claims over K_2, which it leaves open."""
+    rates = list(claims[0].verdicts) if claims else []
+    rows = []
+    for each in claims:
+        first = next(iter(each.verdicts.values()))
+        rows.append((
+            escape(first.claim), escape(first.paper),
+            *(f'{VERDICTS[claim.holds]}<br>{escape(claim.measured)}'
+              for claim in each.verdicts.values()), '<b>yes</b>' if each.depends else 'no'))
+    return table(('claim', 'in the paper', *(f'K<sub>2</sub> = {rate:g} 1/s' for rate in rates),
+                  'depends on K<sub>2</sub>'), rows, numbers_from=9)
+
+
+def claims_table(claims: Sequence[Claim]) -> str:
+    """Return the table of the paper's claims."""
+    return table(
+        ('claim', 'in the paper', 'measured', 'verdict', 'why'),
+        [(escape(claim.claim), escape(claim.paper), escape(claim.measured),
+          VERDICTS[claim.holds], escape(claim.why)) for claim in claims], numbers_from=9)
+
+
+def image(path: Path, alt: str) -> str:
+    """Return a PNG file as part of the page."""
+    data = base64.b64encode(path.read_bytes()).decode()
+    return f'<img alt="{escape(alt)}" src="data:image/png;base64,{data}">'

@@ -1,0 +1,94 @@
+"""Pages: what is in their HTML, how curves are decimated, and one of them in a browser."""
+
+import json
+import re
+
+from browser import Tab
+from multicontact_control.experiment import report
+from multicontact_control.experiment.page import (
+    envelope,
+    figure,
+    page,
+    Panel,
+    plot,
+    script_json,
+    Trace,
+)
+from multicontact_control.experiment.results import LoadedRun
+from multicontact_control.experiment.summary import summarise
+import numpy as np
+import pytest
+from synthetic_run import disturbance_setup, paper_run
+
+RANGES = ('() => [...document.querySelectorAll(".figure")].flatMap(place => place.plots.map('
+          'plot => [plot.scales.x.min, plot.scales.x.max]))')
+
+
+def test_page_needs_no_other_file():
+    panel = Panel('force [N]', [Trace('measured', np.arange(2.0))])
+    text = page('Title <1>', figure('forces', [plot(panel, np.arange(2.0))]))
+    assert 'Title &lt;1&gt;' in text and 'uPlot (v' in text
+    assert 'Copyright (c) 2022 Leon Sorokin' in text
+    assert 'uPlot (v' not in page('No figure', '<p>text</p>')
+    assert '</' not in script_json('</script>') and json.loads(script_json('</a>')) == '</a>'
+    assert not re.search(r'<script[^>]+src=|<link|<img[^>]+src="http', text)
+
+
+def test_envelope_keeps_every_peak_and_its_place():
+    time = np.arange(10001) / 500.0
+    values = np.sin(time)
+    values[4321], values[777] = 50.0, -40.0
+    x, (y, clock), size = envelope(time, [values, time], 200)
+    assert len(x) == len(y) <= 202 and size == 101
+    assert (y.max(), y.min()) == (50.0, -40.0)
+    assert (np.diff(x) >= 0.0).all() and (np.diff(clock) >= 0.0).all()
+    assert abs(x[y.argmax()] - time[4321]) <= size / 500.0
+
+
+@pytest.mark.parametrize('logarithmic', [False, True])
+def test_plot_has_numbers_where_values_can_be_drawn(logarithmic):
+    values = np.array([1e-3, 0.6, 100.0, np.nan, np.inf, 0.0, -1.0])
+    made = plot(Panel('R', [Trace('', values)], logarithmic=logarithmic), np.arange(7.0))
+    time, drawn = json.loads(script_json(made['data']))
+    assert time == list(range(7))
+    assert drawn == [1e-3, 0.6, 100.0, None, None, *([None] * 2 if logarithmic else [0.0, -1.0])]
+    long = plot(Panel('R', [Trace('', np.ones(100_000))]), np.arange(1e5))
+    assert [len(series) for series in long['data']] == [2000, 2000] and long['thinned'] == 100
+
+
+@pytest.mark.browser
+@pytest.mark.nightly
+def test_report_in_a_browser(chromium, tmp_path, monkeypatch):
+    monkeypatch.setattr(report, 'FORMATS', ('png',))
+    setup = disturbance_setup('puma')
+    data = paper_run(setup)
+    summary = summarise(data, setup, mode='in_process', timing={'tick_us': {'p50': 61.5}})
+    path = report.write_report([LoadedRun(tmp_path / 'run', setup, data, summary)], tmp_path)[0]
+    opened = Tab(chromium, path.as_uri(), viewport={'width': 1240, 'height': 900})
+    tab = opened.page
+    tab.wait_for_function('() => [...document.querySelectorAll(".figure")].every('
+                          'place => place.dataset.state == "drawn")')
+    names = [place.get_attribute('id') for place in tab.query_selector_all('.figure')]
+    assert names == [f'run0-{name}' for name in ('force0', 'force1', 'motion', 'variance')]
+    inks = opened.ink('.figure canvas')
+    assert len(inks) == 4 and all(0.01 < ink['share'] < 0.9 for ink in inks)
+    assert {'#54a24b', '#f2f2f2'} <= set(inks[0]['colours'])  # the estimate, judged windows
+    numbers = {row[0]: row[1:] for row in opened.cells(1)[1:]}
+    assert numbers['step rise 63 % [s]'] == [
+        f'{contact["step_rise_63_s"]:.4g}' for contact in summary['contacts'].values()]
+    whole = tab.evaluate(RANGES)
+    over = tab.locator('.u-over').first
+    box = over.bounding_box()
+    tab.mouse.move(box['x'] + 0.25 * box['width'], box['y'] + 50)
+    tab.mouse.down()
+    tab.mouse.move(box['x'] + 0.5 * box['width'], box['y'] + 50, steps=4)
+    tab.mouse.up()
+    tab.wait_for_function(  # a drag zooms all figures, a double click shows all again
+        f'whole => ({RANGES})().every(([low, high], i) => high - low < 0.3 * whole[i][1])',
+        arg=whole)
+    over.dblclick()
+    tab.wait_for_function(f'whole => JSON.stringify(({RANGES})()) == JSON.stringify(whole)',
+                          arg=whole)
+    tab.locator('.u-legend .u-series th').nth(1).click()
+    assert tab.evaluate('() => document.querySelector(".figure").plots[0].series[1].show') is False
+    assert (opened.problems, opened.requests) == ([], [])
