@@ -129,7 +129,7 @@ def evidence_of(data: RunData, setup: Setup, summary: Mapping[str, Any]) -> dict
         'input_delay_s': setup.controller.force.input_delay,
         'designed_rise_s': designed_rise(setup.controller.force),
         **{name: summary[name] for name in (
-            'verdict', 'instabilities', 'unjudged', 'unstable_at_s', 'kept_real_time')},
+            'verdict', 'instabilities', 'unjudged', 'unstable_at_s')},
         # What the supervisor holds tells nothing of what the law alone would do.
         'stable': None if summary['verdict'] == HELD else summary['stable'],
         'unstable_after_motion_s': after_motion(setup, summary['unstable_at_s']),
@@ -284,8 +284,6 @@ def _online(evidence: Evidence, rows: Rows) -> Verdict:
         return _unknown(verdict_text(evidence))
     if not evidence['ran_in_motion'] and evidence['stable']:
         return _unknown('the run has no motion')
-    if evidence['stable'] and evidence.get('kept_real_time') is False:
-        return _unknown(verdict_text(evidence))
     if evidence['stable']:
         return 'stable at rest and in motion', True, 'no limit of the verdict `stable` was passed'
     return _unstable_text(evidence), False, verdict_text(evidence)

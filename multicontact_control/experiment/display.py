@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-import math
 from pathlib import Path
 from typing import Any, Protocol
 
 from multicontact_control.experiment.judge import (
     EXTERNAL_RUN,
     HELD,
+    LOCKSTEP,
     NOT_STABLE,
     REAL_TIME,
     RECORDED,
@@ -153,24 +153,19 @@ def next_lines(folder: Path) -> list[str]:
 
 
 def _timeliness_lines(summary: Mapping[str, Any]) -> list[str]:
-    """Return what is said of deadlines that were missed, nothing if none was."""
-    timing = summary['timing']
-    misses, unanswered = timing.get('deadline_misses', 0), timing.get('unanswered_samples', 0)
-    ticks = summary['ticks']
-    counts = f"{counted(unanswered, 'samples')} not answered"
-    if summary['mode'] not in (EXTERNAL_RUN, RECORDED):  # there nobody counts deadlines
-        counts = f'{misses} of {ticks} deadlines missed, {counts}'
-    if timing.get('composed') == 'all':
-        counts += ' (in one process the simulator waits for them: no force suffers)'
-    if summary['kept_real_time'] is False:
-        # All is judged only where all was: 99.7 % are not 100.
-        judged = math.floor(100.0 * timing['judged_fraction'])
-        holds = counted(timing['late_reactions'], 'holds')
-        hint = '; --lockstep has no deadlines' if summary['mode'] == REAL_TIME else ''
-        return [f'[yellow]warning: the machine could not keep real time: {counts}, {holds}; '
-                f'figures are not representative, and {judged} % of the time under load was '
-                f'judged{hint}[/yellow]']
-    return [f'[yellow]warning: {counts}[/yellow]'] if misses or unanswered else []
+    """Return how real time was kept, as far as it is known."""
+    timing, ticks = summary['timing'], summary['ticks']
+    unanswered = timing.get('unanswered_samples', 0)
+    lines = []
+    if summary['mode'] == REAL_TIME:
+        misses, p99 = timing['deadline_misses'], (timing['latency_us'] or {}).get('p99')
+        lines.append(f'free-running: {misses} of {ticks} deadlines missed, latency p99 '
+                     f'{_number(p99, 0)} us')
+    elif timing.get('realtime_factor') and summary['mode'] == LOCKSTEP:
+        lines.append(f"{timing['realtime_factor']:.2f} times real time")
+    if unanswered:
+        lines.append(f"[yellow]warning: {counted(unanswered, 'samples')} not answered[/yellow]")
+    return lines
 
 
 def _percent(share: float | None) -> str:

@@ -2,10 +2,10 @@
 The verdict on a run: against what the scenario asked for, with what help, on what machine.
 
 *Not stable* is a run with anything of `findings`. *Held by the supervisor* is one without, in
-which the supervisor had to step in again and again. *Not judged* is one that missed so many of
-its deadlines that the loop had another delay than its own; and, if nothing speaks against it, one
-that was interrupted, or never under load, or in which the arm answers or a force is known for
-less than half of the time under load. All others are *stable*.
+which the supervisor had to step in again and again. *Not judged* is a free run that did not keep
+real time (1 % of its deadlines); and, if nothing speaks against it, one that was interrupted, or
+never under load, or in which a force is known for less than half of the time under load. All
+others are *stable*.
 
 Without the true force of a contact, as on a robot, all this is judged by that measured; what
 would be stable is *not judged* then.
@@ -30,7 +30,6 @@ from multicontact_control.experiment.metrics import (
     losses,
     pressing,
     saturation,
-    SETTLE_AFTER_STEP,
     torque_limit,
     truth_lacking,
     under_load,
@@ -42,7 +41,6 @@ from multicontact_control.experiment.scenario import Setup
 from multicontact_control.supervision.contacts import ContactState
 from multicontact_control.supervision.event_log import CAPACITY, Event
 from multicontact_control.supervision.fallback import INFLATE, NONE
-from multicontact_control.supervision.recovery import RECOVERING
 import numpy as np
 
 STABLE, HELD, NOT_STABLE, UNJUDGED = (
@@ -54,8 +52,6 @@ UNLOADED = 'never under load'
 UNFELT = 'neither true nor measured forces'
 # Of a run without ground truth, after what else is said of it.
 BY_MEASUREMENT = 'by the measured forces'
-# Of one whose machine was too busy for it: what went wrong with the samples is not judged.
-AS_FAR_AS_KNOWN = f'stable as far as it could be judged: {BUSY}'
 
 LONGEST_LOSS = 0.1  # s, of contact or to saturation: five time constants of the designed loop
 LARGEST_GAP = 0.1  # share of samples without an answer that still lets a run be judged
@@ -78,17 +74,13 @@ TRUE, MEASURED, UNKNOWN = 'true', 'measured', 'unknown'  # forces that a run is 
 WHOLE = (ContactState.IMPACT.value, ContactState.HOLDING.value)
 GONE = (ContactState.LOST.value, ContactState.RETRACTING.value, ContactState.GIVEN_UP.value)
 
-REAL_TIME = 'real_time'  # the mode with deadlines
+REAL_TIME = 'free_running'  # the mode with deadlines
+LOCKSTEP = 'lockstep'  # the simulator waits
 EXTERNAL_RUN, RECORDED = 'external', 'recorded'  # on a robot of others; what anybody recorded
 WITH_DEADLINES = (REAL_TIME, EXTERNAL_RUN, RECORDED)
-HOPELESS = 0.1  # share of the deadlines missed, from which on a run is not judged
 LARGEST_MISS = 0.01  # share of deadlines missed, or samples unanswered, that is still real time
-# Share of the time under load, that the arm answers for and every force is known for in a run
-# called stable.
+# Share of the time under load, for which every force is known in a run called stable.
 LEAST_JUDGED = 0.5
-SHORTEST_GAP = 2  # samples; one that is missing is bridged, and nobody reacts to it
-AFTERMATH = SETTLE_AFTER_STEP  # s after a gap; contacts are sought and loaded anew, as by a step
-LATE = ('stale', 'order', 'stamp', 'late')  # what is wrong with a sample that is late
 
 
 @dataclass(frozen=True)
@@ -97,7 +89,7 @@ class Finding:
 
     text: str
     time: float | None = None  # when [s]; None for what was missed throughout the run
-    always: bool = False  # however busy the machine was
+    always: bool = False  # however many deadlines were missed
 
 
 @dataclass(frozen=True)
@@ -107,24 +99,8 @@ class Verdict:
     name: str  # `STABLE`, `HELD`, `NOT_STABLE` or `UNJUDGED`
     reasons: tuple[str, ...]  # of a run that is not judged, what was seen all the same
     unstable_at: float | None  # of `findings` alone: the first that has a time [s], if any
-    timeliness: Timeliness
-    judged_share: float  # of the time under load, that the arm answers for
+    kept_real_time: bool | None  # None for a run without deadlines
     unjudged: str = ''  # why it is not judged, if it is not
-
-
-@dataclass(frozen=True)
-class Timeliness:
-    """
-    How the machine kept up with a run.
-
-    The arm answers for all samples, if real time was kept. Otherwise not for those from two
-    unanswered samples in a row, or from a reaction to late ones, until 1 s after it.
-    """
-
-    kept: bool | None  # None for a run without deadlines
-    reactions: int  # how often the supervisor held the arm because samples were late or missing
-    judged: Mask  # samples that the arm answers for, shape (m,)
-    hopeless: bool = False  # so many deadlines were missed that the run cannot be judged
 
 
 def verdict_text(summary: Mapping[str, Any]) -> str:
@@ -138,8 +114,7 @@ def verdict_text(summary: Mapping[str, Any]) -> str:
         return f'{name} {BY_MEASUREMENT}: {reasons}'
     if name != STABLE:
         return f'{name}: {reasons}'
-    text = AS_FAR_AS_KNOWN if summary.get('kept_real_time') is False else STABLE
-    return text + _overshoots(summary)
+    return STABLE + _overshoots(summary)
 
 
 def _overshoots(summary: Mapping[str, Any]) -> str:
@@ -158,34 +133,30 @@ def judge(
     """
     Judge a run; `mode` and `timing` are those of ``summary.json``.
 
-    Where real time was not kept (`timeliness`), only what happened at least 1 s away from gaps
-    and from reactions to late samples counts. Numbers that are not finite, and contacts that were
-    never made, count all the same. Where more than a tenth of the deadlines were missed, only the
-    first of these does, and the run is not judged: commands that come late act as another delay.
-    What would be stable is not judged either if too little of it is known (`_doubt`).
+    Where real time was not kept (`kept_real_time`) the run is not judged: commands that come late
+    act as another delay; only numbers that are not finite count. What would be stable is not
+    judged either if too little of it is known (`_doubt`).
     `ended_early` is why it ended before its time; `INTERRUPTED` speaks neither for nor against it.
     """
-    timely = timeliness(data, mode, timing or {}, events)
-    found = findings(data, setup, timely.judged, ended_early)
+    timely = kept_real_time(data, mode, timing or {})
+    found = findings(data, setup, ended_early)
     missing = _missing(data)
     if mode not in WITH_DEADLINES and missing > LARGEST_GAP:
         found.append(Finding(f'{100.0 * missing:.1f} % of the samples were not answered'))
-    helped = interventions(data, setup, events, timely.judged)
+    helped = interventions(data, setup, events)
     name = NOT_STABLE if found else HELD if helped else STABLE
-    loaded = judged_windows(data, setup).loaded
-    share = float(timely.judged[loaded].mean()) if loaded.any() else 1.0
     unjudged = ''
-    if timely.hopeless and not any(finding.always for finding in found):
+    if timely is False and not any(finding.always for finding in found):
         unjudged = BUSY
     elif name == STABLE:
-        unjudged = _doubt(data, setup, timely.judged, share, ended_early)
+        unjudged = _doubt(data, setup, ended_early)
     times = [finding.time for finding in found if finding.time is not None]
     return Verdict(
         UNJUDGED if unjudged else name, tuple(finding.text for finding in found + helped),
-        min(times, default=None), timely, share, unjudged)
+        min(times, default=None), timely, unjudged)
 
 
-def _doubt(data: RunData, setup: Setup, judged: Mask, share: float, ended_early: str) -> str:
+def _doubt(data: RunData, setup: Setup, ended_early: str) -> str:
     """Return why a run that nothing speaks against is not called stable; empty if it is."""
     forces = judged_force(data, setup)
     if ended_early == INTERRUPTED:
@@ -194,11 +165,8 @@ def _doubt(data: RunData, setup: Setup, judged: Mask, share: float, ended_early:
         return UNFELT
     if not judged_windows(data, setup).loaded.any():
         return UNLOADED
-    if share < LEAST_JUDGED:
-        return BUSY
     for contact, name in enumerate(data.contact_names):
-        felt = known_share(
-            data, np.where(judged, forces[:, contact], np.nan), under_load(data, setup, contact))
+        felt = known_share(data, forces[:, contact], under_load(data, setup, contact))
         if felt < LEAST_JUDGED:
             return (f'{name}: its force could be judged for {100.0 * felt:.0f} % of the time '
                     'under load')
@@ -206,11 +174,9 @@ def _doubt(data: RunData, setup: Setup, judged: Mask, share: float, ended_early:
     return f'{unknown}; {BY_MEASUREMENT} no limit was passed' if unknown else ''
 
 
-def findings(
-    data: RunData, setup: Setup, judged: Mask | None = None, ended_early: str = '',
-) -> list[Finding]:
+def findings(data: RunData, setup: Setup, ended_early: str = '') -> list[Finding]:
     """
-    Return the limits that a run has passed, among the samples that are `judged`, or all.
+    Return the limits that a run has passed.
 
     They are: no end before its time; nothing that is not finite; no torque at its limit for more
     than 0.1 s; every contact made; under load, which is from the first force step on, no contact
@@ -218,7 +184,6 @@ def findings(
     (`oscillation`); no force beyond 5 times its command and half the force ceiling. Couples are
     judged as forces are, while their contact is pressed.
     """
-    judged = np.ones(data.ticks, dtype=bool) if judged is None else judged
     interrupted = ended_early == INTERRUPTED
     found = [Finding(ended_early, float(data.time[-1]))] if (
         ended_early and not interrupted) else []
@@ -226,19 +191,19 @@ def findings(
     infinite = np.any([np.isinf(values).any(axis=1) for values in series], axis=0)
     if infinite.any():
         found.append(Finding('a number is not finite', _first(data, infinite), always=True))
-    saturated = judged[:, None] & saturation(data, setup)
+    saturated = saturation(data, setup)
     of_drives = saturated & (least_torque_limit(setup) < torque_limit(setup))
     found += _lasting(data, 'torque saturated' + (
         ' at the limit of the simulated drives' if of_drives.any() else ''),
         *stretches(np.asarray(saturated.any(axis=1))))
     for contact, name in enumerate(data.contact_names):
         found += [Finding(f'{name}: {finding.text}', finding.time)
-                  for finding in _contact_findings(data, setup, contact, judged, interrupted)]
+                  for finding in _contact_findings(data, setup, contact, interrupted)]
     return found
 
 
 def _contact_findings(
-    data: RunData, setup: Setup, contact: int, judged: Mask, interrupted: bool,
+    data: RunData, setup: Setup, contact: int, interrupted: bool,
 ) -> list[Finding]:
     couple = is_couple(setup, contact)
     wanted, commands = data.alpha_des[:, contact], commanded(data, setup)
@@ -247,7 +212,7 @@ def _contact_findings(
     idle = setup.commanded_by_topic and not pressed.any()
     if not (couple or idle or (wanted > 0.0).any()) and np.isfinite(wanted).any():
         return [] if interrupted else [Finding('no contact was made')]
-    loaded = judged & judged_windows(data, setup).loaded & pressed
+    loaded = judged_windows(data, setup).loaded & pressed
     begins, ends = losses(data, setup, contact, loaded)
     lost = 'contact lost at one end' if couple else 'contact lost'
     found = _lasting(data, lost, begins, ends)
@@ -260,7 +225,7 @@ def _contact_findings(
     # A couple may be of either sign; a pull is no pressure that is too large.
     size, asked = (np.abs(force), np.abs(command)) if couple else (force, command)
     ceiling = setup.controller.contact_state.force_ceiling
-    beyond = judged & (size > np.maximum(LARGEST_FORCE * asked, IMPACT_SHARE * ceiling))
+    beyond = size > np.maximum(LARGEST_FORCE * asked, IMPACT_SHARE * ceiling)
     if beyond.any():
         worst_at = int(np.argmax(np.where(beyond, size, 0.0)))
         found.append(Finding(
@@ -282,7 +247,7 @@ def _oscillations(data: RunData, setup: Setup, contact: int, judged: Mask) -> li
 
 
 def interventions(
-    data: RunData, setup: Setup, events: Sequence[Event], judged: Mask,
+    data: RunData, setup: Setup, events: Sequence[Event],
 ) -> list[Finding]:
     """
     Return whether a supervisor stepped in again and again, or for long, under load.
@@ -290,7 +255,7 @@ def interventions(
     It steps in when a reaction replaces the control law, when a contact leaves the force law
     (lost, retracting, given up), and when the last gate begins to enforce a limit.
     """
-    loaded = judged & judged_windows(data, setup).loaded
+    loaded = judged_windows(data, setup).loaded
     if not loaded.any():
         return []
     full = len(events) == CAPACITY
@@ -363,56 +328,11 @@ def replaces(reaction: str) -> bool:
     return reaction not in (NONE, INFLATE)
 
 
-def is_late(event: Event) -> bool:
-    """Return whether all that a supervisor reacted to is samples that were late or missing."""
-    causes = [cause for cause in event.causes if cause != RECOVERING]
-    return bool(causes) and all(
-        cause.startswith('clock_') or cause.endswith(LATE) for cause in causes)
-
-
-def timeliness(
-    data: RunData, mode: str, timing: Mapping[str, Any], events: Sequence[Event],
-) -> Timeliness:
-    """
-    Find out whether a run kept real time.
-
-    It did not if more than 1 % of the deadlines were missed or of the samples not answered, or
-    if the supervisor held the arm even once because samples did not come.
-    """
-    everything = np.ones(data.ticks, dtype=bool)
-    if mode not in WITH_DEADLINES:
-        return Timeliness(None, 0, everything)
-    missing = np.asarray(np.isnan(data.torque).any(axis=1))
-    if mode == RECORDED and missing.all():  # of a recording without commands nobody knows
-        return Timeliness(None, 0, everything)
-    held = late_reactions(events, float(data.time[-1]))
-    misses = int(timing.get('deadline_misses', 0))
-    if not held and max(misses, missing.sum()) <= LARGEST_MISS * data.ticks:
-        return Timeliness(True, 0, everything)
-    gaps = [(begin / data.rate, end / data.rate) for begin, end in zip(*stretches(missing))
-            if end - begin >= SHORTEST_GAP]
-    judged = everything
-    for begin, end in gaps + held:
-        judged &= ~((data.time >= begin) & (data.time < end + AFTERMATH))
-    return Timeliness(False, len(held), judged, misses > HOPELESS * data.ticks)
-
-
-def late_reactions(events: Sequence[Event], until: float) -> list[tuple[float, float]]:
-    """
-    Return from when to when the arm was held because samples were late or missing [s].
-
-    As long as nothing else calls for it, and up to `until`, or the end of a log that is full.
-    """
-    found: list[tuple[float, float]] = []
-    begin: float | None = None
-    for event in events:
-        held = replaces(event.reaction)
-        if begin is None and held and is_late(event):
-            begin = event.time
-        elif begin is not None and not (
-                held and (is_late(event) or event.causes == (RECOVERING,))):
-            found.append((begin, event.time))
-            begin = None
-    if begin is None:
-        return found
-    return [*found, (begin, until if len(events) < CAPACITY else events[-1].time)]
+def kept_real_time(data: RunData, mode: str, timing: Mapping[str, Any]) -> bool | None:
+    """Return whether at most 1 % of the deadlines were missed, and of the samples not answered."""
+    missing = np.isnan(data.torque).any(axis=1)
+    # Of a recording without commands it is not known.
+    if mode not in WITH_DEADLINES or mode == RECORDED and missing.all():
+        return None
+    misses = int(timing.get('deadline_misses') or 0)
+    return bool(max(misses, missing.sum()) <= LARGEST_MISS * data.ticks)

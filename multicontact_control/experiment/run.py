@@ -25,6 +25,7 @@ from multicontact_control.experiment.figures import draw_figures, draw_latency
 from multicontact_control.experiment.judge import (
     EXTERNAL_RUN,
     INTERRUPTED,
+    LOCKSTEP,
     REAL_TIME,
     verdict_text,
 )
@@ -164,7 +165,7 @@ def run_real_time(
         setup = as_long_as(content.data, setup, config)
     events = result.timing.get('controller_node', {}).get('events', [])
     summary = summarise(
-        content.data, setup, mode=REAL_TIME if options.free_running else 'lockstep',
+        content.data, setup, mode=REAL_TIME if options.free_running else LOCKSTEP,
         timing=graph_timing(result.timing, content),
         ended_early='' if interrupted is None else INTERRUPTED,
         events=events if supervised else None)

@@ -40,13 +40,9 @@ def summarise(
     told = [(time, what) for time, what in events or () if time < data.ticks / data.rate]
     verdict = judge(data, setup, mode=mode, timing=timing, ended_early=ended_early,
                     events=[read_event(*event) for event in told])
-    timely = verdict.timeliness
     without = without_truth(data, setup)
     truth = bool(data.contact_names) and not without
     known = MEASURED if np.isfinite(judged_force(data, setup)).any() else UNKNOWN
-    if timely.kept is not None:
-        timing = {**timing, 'late_reactions': timely.reactions,
-                  'judged_fraction': verdict.judged_share}
     return {
         'schema': 1, 'scenario': setup.scenario.name, 'plant': setup.plant_name,
         'noise_estimator': setup.noise_estimator.estimator, 'mode': mode, 'seed': setup.seed,
@@ -58,7 +54,7 @@ def summarise(
         'stable': None if verdict.unjudged else verdict.name == STABLE,
         'verdict': verdict.name, 'unjudged': verdict.unjudged or None,
         'instabilities': list(verdict.reasons), 'unstable_at_s': verdict.unstable_at,
-        'ended_early': ended_early or None, 'kept_real_time': timely.kept, 'claims': [],
+        'ended_early': ended_early or None, 'kept_real_time': verdict.kept_real_time, 'claims': [],
         'truth': truth, 'without_truth': without, 'forces': TRUE if truth else known,
         'commanded_by_topic': setup.commanded_by_topic,
         'supervised': events is not None} | (
