@@ -17,6 +17,7 @@ from multicontact_control.experiment.oscillation import (
 )
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.scenario import Setup
+from multicontact_control.supervision.contacts import LOSS_TIME
 import numpy as np
 
 SETTLE_AFTER_STEP = 1.0  # s, the start of the window `rest` after the last force step
@@ -195,7 +196,7 @@ def losses(
     Return when a contact was lost.
 
     A loss is a force of 0 N for as long as it takes the supervisor to call a contact lost
-    (`contact_state.loss_time`): a tool that leaves the ground for one sample of 2 ms on a rough
+    (`LOSS_TIME`): a tool that leaves the ground for one sample of 2 ms on a rough
     surface has not lost it. A couple is lost while it is as large as the normal force of its
     contact: the tool stands on one end of an edge, or on one side of a plane, and the other has
     left the surface.
@@ -210,7 +211,7 @@ def losses(
         couple = bridged(forces[:, contact], data.rate)
         # What is lost as a whole is told once, of the normal force.
         gone = ~gone & (np.abs(couple) >= ALL_OF_IT * force)
-    least = setup.controller.contact_state.loss_time * data.rate - 1e-9
+    least = LOSS_TIME * data.rate - 1e-9
     found = [(begin, end) for begin, end in zip(*stretches(judged & gone))
              if end - begin >= least]
     return [begin for begin, _ in found], [end for _, end in found]
