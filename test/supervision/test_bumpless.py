@@ -43,17 +43,17 @@ def gravity(controller):
     return controller.controller.robot.update(HOME, REST).gravity
 
 
-def test_first_command_is_the_measured_effort():
+@pytest.mark.parametrize('effort', [EFFORT, None, np.full(6, np.nan), np.zeros(6)])
+def test_first_command_is_the_measured_effort_or_gravity_compensation(effort):
     controller, _ = make()
-    output = controller.step(sample(controller, effort=EFFORT)).output
-    np.testing.assert_array_equal(output.torque, EFFORT)
-
-
-@pytest.mark.parametrize('effort', [None, np.full(6, np.nan), np.zeros(6)])
-def test_first_command_without_measured_effort_compensates_gravity(effort):
-    controller, _ = make()
-    output = controller.step(sample(controller, effort=effort)).output
-    np.testing.assert_array_equal(output.torque, gravity(controller))
+    for k in range(5):
+        output = controller.step(sample(controller, k, effort=effort)).output
+        if k == 0:
+            np.testing.assert_array_equal(
+                output.torque, EFFORT if effort is EFFORT else gravity(controller))
+    controller.reset()
+    output = controller.step(sample(controller, effort=-EFFORT)).output
+    np.testing.assert_array_equal(output.torque, -EFFORT)
 
 
 def test_torque_is_that_of_the_law_after_the_blend():
@@ -68,27 +68,17 @@ def test_torque_is_that_of_the_law_after_the_blend():
         assert equal == (k >= 10), k
 
 
-def test_reset_starts_from_the_measured_effort_again():
-    controller, _ = make()
-    for _ in range(2):
-        for k in range(5):
-            controller.step(sample(controller, k, effort=EFFORT))
-        controller.reset()
-    output = controller.step(sample(controller, effort=-EFFORT)).output
-    np.testing.assert_array_equal(output.torque, -EFFORT)
-
-
 def test_reconfigure_repeats_the_last_command_and_then_keeps_to_the_rate():
     controller, _ = make(transition={'torque_rate': 50.0, 'blend_time': 0.0})
     away = HOME + 0.01  # from the pose at the start, which is held
     controller.step(sample(controller))
-    for k in range(1, 2000):
+    for k in range(1, 300):
         before = controller.step(sample(controller, k, q=away)).output
     stiffer = controller_config(
         transition={'torque_rate': 50.0, 'blend_time': 0.0}, motion={'natural_frequency': 60.0})
     controller.reconfigure(stiffer)
     after = [controller.step(sample(controller, k, q=away)).output.torque
-             for k in range(2000, 9000)]
+             for k in range(300, 2300)]
     np.testing.assert_array_equal(after[0], before.torque)
     steps = np.abs(np.diff([before.torque, *after], axis=0))
     assert 0.0 < steps.max() <= 50.0 * controller.config.period * (1.0 + 1e-9)
@@ -144,7 +134,7 @@ def test_reconfigure_refuses_another_task_and_leaves_everything(changes):
 def test_safe_step_goes_from_the_last_command_to_the_declared_behaviour(kind):
     controller, _ = make(safe_behaviour={'kind': kind})
     last = controller.step(sample(controller, effort=EFFORT)).output.torque
-    torques = [controller.safe_step(sample(controller, k)).output.torque for k in range(1, 2500)]
+    torques = [controller.safe_step(sample(controller, k)).output.torque for k in range(1, 1200)]
     np.testing.assert_array_equal(torques[0], last)
     rate = controller.config.transition.torque_rate
     assert np.abs(np.diff(torques, axis=0)).max() <= rate * 0.002 * (1.0 + 1e-9)
@@ -174,7 +164,7 @@ def test_posture_is_held_as_it_is_when_holding_is_declared():
     controller.safe_step(sample(controller, 1, q=moved))
     controller.reconfigure(controller.config.model_copy(
         update={'safe_behaviour': SafeBehaviourConfig(kind='hold_position')}))
-    for k in range(2, 1000):
+    for k in range(2, 300):
         torque = controller.safe_step(sample(controller, k, q=moved)).output.torque
     weight = controller.controller.robot.update(moved, REST).gravity
     np.testing.assert_allclose(torque, weight, atol=1e-9)
@@ -183,9 +173,9 @@ def test_posture_is_held_as_it_is_when_holding_is_declared():
 def test_step_after_safe_steps_starts_the_law_anew_from_their_torque():
     controller, _ = make(safe_behaviour={'kind': 'zero_torque'})
     controller.step(sample(controller, effort=EFFORT))
-    for k in range(1, 2500):
+    for k in range(1, 1200):
         last = controller.safe_step(sample(controller, k)).output.torque
-    output = controller.step(sample(controller, 2500)).output
+    output = controller.step(sample(controller, 1200)).output
     np.testing.assert_array_equal(output.torque, last)
     assert not last.any()
 
@@ -223,12 +213,3 @@ def test_speed_of_a_surface_that_was_found_is_bounded_by_another_limit():
     for limit, left in ((0.02, 0.02), (0.0, 0.0)):
         controller.reconfigure(config(limit))
         assert found[0] == left
-
-
-def test_speed_of_a_surface_is_found_with_an_observer_only():
-    table = controller_config().contacts['table'].model_dump()
-    board = controller_config().contacts['board'].model_dump()
-    with pytest.raises(ConfigError, match='contacts.table.surface_speed_limit: expected 0 m/s '
-                       'unless force.law is aob, found 0.05 m/s with lqg'):
-        controller_config(force={'law': 'lqg'}, contacts={
-            'table': {**table, 'surface_speed_limit': 0.05}, 'board': board})

@@ -115,7 +115,7 @@ def test_frozen_readings_are_noticed_at_their_second_repetition():
 
 def test_joints_are_refused_for_the_recovery_time_after_a_jump():
     watchdog, random = warm()
-    away = np.array([0.0, 0.3, 0.0, 0.0, 0.0, 0.0])
+    away = np.array([0.0, 0.02, 0.0, 0.0, 0.0, 0.0])
     rejected = []
     for k in range(20, 60):
         inputs = good(k, random)
@@ -145,7 +145,8 @@ def test_tick_that_comes_again_is_repeated_once_and_then_a_frozen_clock():
     assert found[2].causes == ('clock_frozen',)
 
 
-KINDS = st.sampled_from(['good', *range(len(FAULTS)), *SOURCES])
+# But for old stamps, which may be those of the newest.
+KINDS = st.sampled_from(['good', *range(len(FAULTS) - len(SOURCES)), *SOURCES])
 
 
 @settings(max_examples=100, deadline=None)
