@@ -242,13 +242,6 @@ def test_retries_of_a_search_in_vain_do_not_lead_ever_farther():
     assert surface.place < 0.06
 
 
-def test_contact_no_longer_wanted_goes_back_to_the_task():
-    surface = holding()
-    trace = surface.run(2.0, wanted=False)
-    assert surface.state is FREE
-    assert abs(trace[-1, 0]) < 1e-4
-
-
 def test_force_after_a_loss_rises_at_its_rate():
     surface = holding()
     surface.run(0.3, alpha=0.0)
