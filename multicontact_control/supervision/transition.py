@@ -33,7 +33,8 @@ class QuinticBlend:
     def __init__(self, config: TransitionConfig, period: float) -> None:
         self.config = config
         self._period = period
-        self.cancel()
+        self._from: Vector | None = None
+        self._difference: Vector | None = None
         self._tick = self._ticks = 0
 
     @property
@@ -47,8 +48,7 @@ class QuinticBlend:
 
     def cancel(self) -> None:
         """Drop what is left of the difference at once; the caller handles the jump."""
-        self._from: Vector | None = None
-        self._difference: Vector | None = None
+        self._from = self._difference = None
 
     def apply(self, torque: Vector) -> Vector:
         """Return what to command, shape (n,) [N m]: the law's very object once all has faded."""
