@@ -48,8 +48,7 @@ def good(k, q=HOME, qd=None, force=(0.0, 0.0, 0.0)):
 def assert_sound(result, before=None):
     output = result.output
     for values in (output.torque, output.alpha_meas, output.alpha_est, output.alpha_rate_est,
-                   output.alpha_des, output.pose.position_world, output.pose.rotation_world,
-                   output.pose_des.position_world, output.pose.quaternion_xyzw):
+                   output.alpha_des, *output.pose, *output.pose_des):
         assert np.isfinite(values).all()
     assert (np.abs(output.torque) <= LIMIT).all()
     if before is not None:
@@ -104,16 +103,13 @@ def test_no_input_makes_it_raise_or_give_what_is_not_finite(cases, warm):
 @settings(max_examples=60, deadline=None)
 @given(q=st.lists(st.floats(-7, 7), min_size=6, max_size=6),
        qd=st.lists(st.floats(-6, 6), min_size=6, max_size=6),
-       wrench=st.lists(st.floats(-300, 300), min_size=6, max_size=6))
-def test_any_posture_and_motion_gets_a_torque_within_limits(q, qd, wrench):
+       force=st.lists(st.floats(-300, 300), min_size=3, max_size=3))
+def test_any_posture_and_motion_gets_a_torque_within_limits(q, qd, force):
     """Singular ones, ones beyond the stops, ones faster than allowed."""
     SUPERVISOR.reset()
     before = None
     for k in range(5):
-        result = SUPERVISOR.step(TickInputs(
-            k * H, JointInput(k * H, np.array(q) + k * H * np.array(qd), qd),
-            WrenchInput(k * H, np.array(wrench) + 0.01 * k),
-            VarianceInput((k - 1) * H, [0.6, 0.6])))
+        result = SUPERVISOR.step(good(k, np.array(q) + k * H * np.array(qd), qd, force))
         assert_sound(result, before)
         before = result
 
@@ -219,19 +215,6 @@ def test_no_tick_compiles_anything():
             supervisor.reference.lead_back()
     assert 'float' in reactions and reactions[-1] == 'none'
     assert compiled_here() == before
-
-
-def test_far_command_is_followed_within_the_speed_limit():
-    """A pose a metre away, outside the box: the reference stays within reach and in the box."""
-    task = CommandedReference(CONFIG.contact_names)
-    supervisor = make(task)
-    start = supervisor.step(good(0)).output.pose
-    task.set_motion(start.position_world + np.array([2.0, 0.0, 0.0]), start.quaternion_xyzw,
-                    np.zeros(6), np.zeros(6))
-    result = supervisor.step(good(1))
-    lead = np.linalg.norm(result.output.pose_des.position_world - start.position_world)
-    assert lead <= 2.0 / 30.0 * CONFIG.limits.operational_speed + 1e-6
-    assert 'reference' in result.status.limits
 
 
 @pytest.mark.parametrize('changes', [
