@@ -10,27 +10,9 @@ from multicontact_control.sensor.front_end import SensorFrontEnd
 import numpy as np
 import pytest
 from scipy.signal import butter, group_delay, lfilter
-from scipy.special import ndtr
 
 RATE = 500.0
 FULL_SCALE = (100.0, 100.0, 200.0, 5.0, 5.0, 5.0)
-STD = np.repeat([0.047, 0.004], 3)
-STEPS = np.array(FULL_SCALE) * 2 / 2 ** 14
-
-
-def repeat_probability(noise_std, steps, samples=2):
-    """
-    Return how likely a live, quantised sensor gives equal readings in a row in all its axes.
-
-    prod over the axes of sum_k p_k^samples, p_k the probability of converter step k, at the true
-    values that make it most likely.
-    """
-    chance, offsets = 1.0, np.linspace(0.0, 0.5, 26)
-    for std, step in zip(np.asarray(noise_std).tolist(), np.asarray(steps).tolist()):
-        reach = int(np.ceil(8.0 * std / step)) + 1
-        edges = (np.arange(-reach, reach + 2) - 0.5 + offsets[:, None]) * (step / std)
-        chance *= float(np.max(np.sum(np.diff(ndtr(edges), axis=1) ** samples, axis=1)))
-    return chance
 
 
 def front_end(order, cutoff):
@@ -143,22 +125,6 @@ def test_frozen_sensor_is_found_in_time_and_its_recovery(value):
     assert [take(almost)[0] for _ in range(5)] == [''] * 4 + ['frozen']
     take = monitor()[1]  # off by default
     assert not any(take([value] * 6)[0] for _ in range(20))
-
-
-def test_repeat_probability_is_that_of_simulated_readings():
-    rng = np.random.default_rng(0)
-    for std, step in ((0.047, STEPS[0]), (0.01, 0.05), (1.0, 0.3)):
-        # The bound is at the worst true value; the middle of a step is it if the step is wide.
-        read = np.rint(std * rng.standard_normal(400_000) / step)
-        measured = np.mean(read[1:] == read[:-1])
-        assert repeat_probability([std], [step]) == pytest.approx(measured, rel=0.03)
-
-
-def test_live_jr3_does_not_look_frozen():
-    """Five equal readings in a row: less than once in the age of the universe at 500 Hz."""
-    assert repeat_probability(STD, STEPS) == pytest.approx(6.3e-8, rel=0.1)
-    assert repeat_probability(STD, STEPS, samples=5) < 1e-25
-    assert repeat_probability(STD * 1e-3, STEPS, samples=5) == pytest.approx(1.0)  # too quiet
 
 
 @pytest.mark.parametrize(('values', 'message'), [
