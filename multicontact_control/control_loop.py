@@ -31,7 +31,7 @@ from multicontact_control.sampling import (
 from multicontact_control.sensor.front_end import KEPT, SensorFrontEnd
 from multicontact_control.sensor.push_config import PushTestConfig
 from multicontact_control.sensor.push_gate import PushGate
-from multicontact_control.sensor.tare import tare_bias, TareConfig
+from multicontact_control.sensor.tare import MAX_JOINT_SPEED, tare_bias, TareConfig
 from multicontact_control.supervision.bumpless import BumplessController, not_supervised
 from multicontact_control.supervision.collision import COLLISION
 from multicontact_control.supervision.command_limits import (
@@ -200,7 +200,7 @@ class ControlLoop:
         now = time if self.supervisor is not None else self.tick * self._period
         new = self._take_wrench(time, sample.wrench_sensor)
         return self._answer(TickInputs(
-            now, JointInput(time, sample.q, sample.qd, None, sample.effort), self._filtered,
+            now, JointInput(time, sample.q, sample.qd, sample.effort), self._filtered,
             self._variance, self.sensor_fault), new)
 
     def step_half(self, reading: JointReading | WrenchReading) -> Vector:
@@ -551,8 +551,8 @@ class ControlLoop:
         postures = self._postures or (joints.q,)  # none without a reading, which is refused below
         way = float(np.abs(postures[-1] - postures[0]).max())
         fastest = way / (max(len(postures) - 1, 1) * self._period)
-        if not fastest <= config.max_joint_speed:
-            raise CommandError('joint speeds', f'at most {config.max_joint_speed:g} rad/s for a '
+        if not fastest <= MAX_JOINT_SPEED:
+            raise CommandError('joint speeds', f'at most {MAX_JOINT_SPEED:g} rad/s for a '
                                'tare', f'{fastest:.3g} rad/s')
         model = self.config
         pose = self.controller.controller.robot.update(joints.q, joints.qd).sensor_pose

@@ -135,7 +135,6 @@ CONTACT = np.dtype([
     ('noise_variance', F),  # R_k [N^2]
     ('alpha_meas', F),  # measured force [N]
     ('alpha_des', F),  # desired force, 0 where not active [N]
-    ('damping', F),  # force taken off the torque for passivity, 0 where not active [N]
     ('guarded', B),  # whether the measured force is fed forward, as the surface seems to be gone
     ('alpha_fed', F),  # force fed forward, 0 where not active [N]
     ('alpha_est', F),  # estimated force, 0 where not active [N]
@@ -248,7 +247,7 @@ NOISE_WINDOW = np.dtype([
 # What the filter of one contact remembers of the sample before.
 FILTER_STATE = np.dtype([('alpha', F), ('filtered', F)])  # [N]
 
-# The supervised state of one contact, and its passivity observer.
+# The supervised state of one contact.
 CONTACT_STATE = np.dtype([
     ('couple', B),  # whether it is a couple, whose state is that of its contact's normal force
     ('state', I),  # see `supervision.contacts`
@@ -258,7 +257,6 @@ CONTACT_STATE = np.dtype([
     ('again', B),  # whether it is to be sought although it was given up
     ('wanted', B),  # whether the task asks for it
     ('asked', F),  # force the task asks for [N]
-    ('held', F),  # of a couple: normal force that the task asks of its contact [N]
     ('displacement', F),  # of the reference along the normal, relative to the task [m]
     ('speed', F),  # of that displacement [m/s]
     ('acceleration', F),  # of that displacement [m/s^2]
@@ -270,20 +268,16 @@ CONTACT_STATE = np.dtype([
     ('origin', F),  # displacement at which the surface is, NaN if it was never met [m]
     ('start', F),  # displacement at which the search began [m]
     ('target', F),  # displacement to go to [m]
-    ('energy', F),  # work not stored and not yet forgotten [J]
-    ('stored', F),  # energy stored in the surface [J]
-    ('energy_limit', F),  # what that energy must be below [J]
     ('stiffness', F),  # modelled, of the surface [N/m]
     ('surface_speed', F),  # along the normal, as far as it is known [m/s]
 ], align=True)
 
-# What is set for all contacts: the fields of `ContactStateConfig` of the same name; one.
-CONTACT_SETTINGS = np.dtype([('period', F), ('energy_keep', F), *((name, F) for name in (
-    'approach_speed', 'approach_ramp_time', 'approach_distance', 'search_distance',
-    'contact_threshold', 'release_threshold', 'release_fraction', 'escape_speed', 'preload',
-    'force_rate', 'impact_time', 'bounce_time', 'loss_time', 'rebound_time', 'lost_time',
-    'braking', 'force_ceiling', 'retract_distance', 'retract_speed', 'retry_time', 'energy_share',
-    'injected_damping', 'guard_fraction'))])
+# What is set for all contacts: the fields of `ContactStateConfig` of the same name, h, and times
+# of at least some periods; one.
+CONTACT_SETTINGS = np.dtype([(name, F) for name in (
+    'period', 'loss_time', 'bounce_time', 'approach_speed', 'approach_ramp_time',
+    'approach_distance', 'search_distance', 'contact_threshold', 'release_threshold', 'preload',
+    'force_rate', 'force_ceiling', 'retract_distance', 'retry_time')])
 
 # Bounds of the reference, and what a pause has left; one.
 REFERENCE_LIMITS = np.dtype([
@@ -304,7 +298,6 @@ PLAUSIBILITY = np.dtype([
     ('pull_threshold', F),  # largest accepted pull of a surface [N]
     ('inertia', F),  # what a lost contact may read more: the tool's inertia [N]
     ('friction_bound', F),  # force across the normals, per force along them
-    ('friction_offset', F),  # and without any [N]
     ('box', F, (2, 3)),  # where the operational point may be [m]
 ])
 
@@ -393,8 +386,7 @@ READING_SETTINGS = np.dtype([
     ('shortest', F), ('longest', F),  # periods that are not odd [s]
     ('max_age', F, 3),  # of each reading [s]
     ('position_jump', F), ('frozen_samples', I), ('frozen_joint_samples', I),
-    ('recovery_samples', I),  # `recovery_time`
-    ('variance_growth', F), ('variance_floor', F), ('variance_ceiling', F)])
+    ('recovery_samples', I)])  # `recovery_time`
 
 # All of these that are one; fewer arguments make a call shorter.
 WATCH = np.dtype([

@@ -7,7 +7,6 @@ from multicontact_control.config import (
     merge,
     NoiseEstimatorConfig,
     read_parameters,
-    read_yaml,
     validate,
     write_parameters,
 )
@@ -23,12 +22,6 @@ import pytest
     ({'contact_names': ['table', 'table']}, 'contact_names: expected distinct names'),
     ({'contacts': {'table': {'normal_world': [1.0, 0.0, 1.0]}}},
      r'contacts.table.normal_world: expected a vector of unit length .* found \[1.0, 0.0, 1.0\]'),
-    ({'contacts': {'table': {'normal_world': [0.0, 0.0, 0.0]}}},
-     'contacts.table.normal_world: expected a vector of unit length'),
-    ({'contacts': {'table': {'stiffness': 0.0}}},
-     'contacts.table.stiffness: expected greater than 0, found 0.0'),
-    ({'contacts': {'board': {'stiffness': -5.0}}},
-     'contacts.board.stiffness: expected greater than 0, found -5.0'),
     ({'contacts': {'board': {'stiffness': float('nan')}}},
      'contacts.board.stiffness: expected greater than 0, found nan'),
     ({'force': {'input_delay': 0.021}},
@@ -40,8 +33,6 @@ import pytest
     ({'force': {'allocation': 'paper'}, 'contacts': {'table': {'surface_speed_limit': 0.1}}},
      'contacts.table.surface_speed_limit: expected 0 m/s unless force.allocation is decoupled, '
      'found 0.1 m/s with paper'),
-    ({'force': {'allocation': 'paper'}, 'contacts': {'board': {'surface_speed': -0.02}}},
-     'contacts.board.surface_speed: expected 0 m/s unless'),
     ({'torque_limit': [1.0]}, 'torque_limit: expected 6 values, one per joint, found 1'),
     ({'torque_limit': [97.6, -186.4, 89.4, 24.2, 20.1, 21.3]},
      'torque_limit: expected values above 0 N m, found -186.4'),
@@ -51,15 +42,19 @@ import pytest
      'watchdog.wrench_full_scale: expected values above 0, found 0.0'),
     ({'contact_state': {'preload': 80.0}},
      'contact_state.preload: expected below force_ceiling 60 N, found 80 N'),
+    ({'contact_state': {'contact_threshold': 4.0}},
+     'contact_state.smallest_force: expected at least contact_threshold 4 N'),
+    ({'contact_state': {'contact_threshold': 0.3}}, 'contact_state.contact_threshold: expected'),
+    ({'limits': {'joint_margin': 1.0, 'joint_lower': [-1.0] * 6, 'joint_upper': [1.0] * 6}},
+     'limits.joint_margin: expected below half of the narrowest joint range 2 rad'),
+    ({'force': {'law': 'lqg'}, 'contacts': {'table': {'surface_speed_limit': 0.05}}},
+     'contacts.table.surface_speed_limit: expected 0 m/s unless force.law is aob'),
     ({'robot': {'armature': [1.0]}}, 'robot.armature: expected 6 values, one per joint, found 1'),
     ({'rate': 'fast'}, "rate: expected a valid number, .* found 'fast'"),
-    ({'tool': {'bias_sensor': [1.0]}}, 'tool.bias_sensor: expected 6 values, found 1'),
-    ({'sensor': {'filter_order': 3}}, 'sensor.filter_order: expected'),
     ({'robot': {'gravity_world': [0.0, 0.0, float('inf')]}},
      'robot.gravity_world.2: expected a finite number'),
 ])
 def test_validate_names_field_expectation_and_finding(changes, message):
-    """One line, from the file it came from."""
     with pytest.raises(ConfigError, match=f'^controller.yaml: {message}') as caught:
         controller_config(**changes)
     assert '\n' not in str(caught.value)
@@ -98,61 +93,36 @@ def test_all_that_is_wrong_is_said_at_once():
 
 
 def test_normal_within_a_thousandth_is_normalised():
-    """Rounded normals are accepted and made exact."""
     config = controller_config(contacts={'table': {'normal_world': [0.0, 0.0, -1.0009]}})
     assert config.contacts['table'].normal_world == (0.0, 0.0, -1.0)
-
-
-def test_configuration_is_frozen():
-    """A value is changed by making a new configuration."""
-    config = controller_config()
-    with pytest.raises(ValueError, match='frozen'):
-        config.rate = 100.0
 
 
 @pytest.mark.parametrize(('name', 'model'), [
     ('controller.yaml', ControllerConfig), ('noise_estimator.yaml', NoiseEstimatorConfig)])
 def test_parameter_files_read_back_as_written(tmp_path, name, model):
-    """Writing the exact configuration of a run loses nothing."""
     config = validate(model, read_parameters(config_dir() / name))
     write_parameters(tmp_path / name, config)
     assert validate(model, read_parameters(tmp_path / name)) == config
 
 
 @pytest.mark.parametrize(('text', 'message'), [
-    ('a: [1', 'expected valid YAML'), ('- 1', 'expected a mapping of keys to values, found list')])
-def test_read_yaml_refuses_what_is_no_mapping(tmp_path, text, message):
-    """The message names the file."""
+    ('a: [1', 'expected valid YAML'), ('- 1', 'expected a mapping of keys to values, found list'),
+    ('rate: 500.0', "one node key holding 'ros__parameters'"), (None, 'a readable file')])
+def test_file_that_holds_no_parameters_is_named_in_one_line(tmp_path, text, message):
     path = tmp_path / 'bad.yaml'
-    path.write_text(text, encoding='utf-8')
+    if text is not None:
+        path.write_text(text, encoding='utf-8')
     with pytest.raises(ConfigError, match=message) as caught:
-        read_yaml(path)
-    assert str(path) in str(caught.value)
-    assert '\n' not in str(caught.value)
-
-
-def test_read_yaml_refuses_a_missing_file(tmp_path):
-    """The message names the file and the reason."""
-    with pytest.raises(ConfigError, match='a readable file, found No such file'):
-        read_yaml(tmp_path / 'none.yaml')
-
-
-def test_read_parameters_refuses_a_file_without_a_parameter_section(tmp_path):
-    """A plain YAML file is no ROS 2 parameter file."""
-    path = tmp_path / 'plain.yaml'
-    path.write_text('rate: 500.0', encoding='utf-8')
-    with pytest.raises(ConfigError, match="one node key holding 'ros__parameters'"):
         read_parameters(path)
+    assert str(path) in str(caught.value) and '\n' not in str(caught.value)
 
 
 def test_merge_lays_nested_values_over_others():
-    """Only the named leaves change."""
     assert merge({'a': {'b': 1, 'c': 2}, 'd': 3}, {'a': {'b': 9}}) == {
         'a': {'b': 9, 'c': 2}, 'd': 3}
 
 
 def test_every_parameter_has_a_description_and_a_unit_entry():
-    """What a user may tune is explained."""
     def check(model):
         for name, field in model.model_fields.items():
             if isinstance(field.annotation, type) and hasattr(field.annotation, 'model_fields'):
@@ -169,6 +139,5 @@ def test_every_parameter_has_a_description_and_a_unit_entry():
     ({'variance_floor': 2.0, 'variance_ceiling': 1.0}, 'variance_floor: expected below'),
     ({'estimator': 'magic'}, "estimator: expected .*'lead_window'")])
 def test_noise_estimator_values_are_checked(change, message):
-    """Values that contradict each other are refused."""
     with pytest.raises(ConfigError, match=message):
         validate(NoiseEstimatorConfig, {'contact_names': ['a'], **change})

@@ -87,10 +87,8 @@ class SensorFrontEndConfig(Config):
         125.0, 'Cut-off of that low-pass; its delay is added to force.input_delay.', unit='Hz',
         gt=0.0)
     full_scale: Vector = parameter(
-        (), 'Largest reading of each axis, force first; empty where it is not known, and then '
-        'saturation is not detected.', unit='N, N m')
-    saturation_fraction: Real = parameter(
-        0.99, 'Share of full scale from which a reading counts as saturated.', gt=0.0, le=1.0)
+        (), 'Largest reading of each axis, force first, of which 99 % count as saturated; empty '
+        'where it is not known.', unit='N, N m')
     force_noise_std: Real = parameter(
         0.05, 'Noise of a force axis, by which readings are weighed where friction is allowed '
         'for (contacts.*.friction_std).', unit='N', gt=0.0)

@@ -35,17 +35,6 @@ class ContactStateConfig(Config):
         1.5, 'Measured force that counts as touch.', unit='N', gt=0.0, le=100.0)
     release_threshold: Real = parameter(
         0.5, 'Measured force below which a contact may be lost.', unit='N', ge=0.0, le=100.0)
-    release_fraction: Real = parameter(
-        0.3, 'The same relative to the force it was held with or is to have, whichever is less: '
-        'a tool that falls after its surface reads its own inertia.', ge=0.0, lt=1.0)
-    guard_fraction: Real = parameter(
-        0.3, 'Below this part of the force it was held with, the measured force of a contact is '
-        'fed forward instead of the estimate, so that the other contacts are not pressed with '
-        'what a surface that has gone does not bear; 0 for never.', ge=0.0, lt=1.0)
-    escape_speed: Real = parameter(
-        0.1, 'Speed of the contact point into its surface, beyond what the task asks of the arm, '
-        'that only a lost one reaches; while its force changes, more.',
-        unit='m/s', gt=0.0, le=5.0)
     retry_time: Real = parameter(
         5.0, 'After this a contact that was not found is sought again, twice as long after each '
         'search in vain; 0 for never. One that was left for its force is not, unless commanded.',
@@ -58,41 +47,10 @@ class ContactStateConfig(Config):
     force_rate: Real = parameter(
         100.0, 'Rise of the desired force of a contact that was lost, from touch on.',
         unit='N/s', gt=0.0, le=1e4)
-    impact_time: Real = parameter(
-        0.05, 'Least time in contact from touch to holding.', unit='s', ge=0.0, le=1.0)
-    bounce_time: Real = parameter(
-        0.01, 'The same as loss_time, between touch and holding; at least 3 periods.', unit='s',
-        ge=0.0, le=1.0)
-    loss_time: Real = parameter(
-        0.004, 'Time below the release threshold until a contact is lost; at least 2 periods.',
-        unit='s', ge=0.0, le=1.0)
-    rebound_time: Real = parameter(
-        0.1, 'The same as loss_time of a contact that held and was thrown back: its tip moves '
-        'away from the surface, and not after a surface that has gone. Once in half a second.',
-        unit='s', ge=0.0, le=1.0)
-    lost_time: Real = parameter(
-        0.05, 'Least time from loss to a new approach.', unit='s', ge=0.0, le=10.0)
-    braking: Real = parameter(
-        5.0, 'Acceleration that brakes a tip that has lost its surface, or pulls it back.',
-        unit='m/s^2', gt=0.0, le=50.0)
     force_ceiling: Real = parameter(
         60.0, 'Measured force at which a contact is left.', unit='N', gt=0.0, le=1000.0)
     retract_distance: Real = parameter(
         0.01, 'Way back from a surface that is left.', unit='m', gt=0.0, le=0.2)
-    retract_speed: Real = parameter(
-        0.05, 'Speed on that way.', unit='m/s', gt=0.0, le=0.25)
-    blend_time: Real = parameter(
-        0.003, 'Time constant by which a change of active contacts, or of the law, is blended.',
-        unit='s', gt=0.0, le=1.0)
-    energy_share: Real = parameter(
-        1.0, 'Energy a contact may take up beyond what it stores, within energy_memory, relative '
-        'to what it stores at the force it is asked for, alpha^2 / (2 k), and at least at preload '
-        'and contact_threshold together.', gt=0.0, le=1e4)
-    energy_memory: Real = parameter(
-        1.0, 'Time constant by which that energy is forgotten.', unit='s', gt=0.0, le=100.0)
-    injected_damping: Real = parameter(
-        0.0, 'Force per speed into the surface that is taken off the torque while that limit is '
-        'passed; 0 for none.', unit='N s/m', ge=0.0, le=1e4)
 
     @cross_check
     def _check_across_fields(self) -> Iterator[ConfigError]:
@@ -176,11 +134,8 @@ class CollisionConfig(Config):
         (), 'Torque in each joint from which on it counts, at rest; empty for the shares below.',
         unit='N m')
     limit_share: Real = parameter(
-        0.03, "That torque over the joint's limit (torque_limit, or that of the URDF)...", ge=0.0,
-        le=1.0)
-    least_threshold: Real = parameter(
-        1.0, '...and that torque in joints for which this share is less, as the wrist sensor is '
-        'no better...', unit='N m', gt=0.0)
+        0.03, "That torque over the joint's limit (torque_limit, or that of the URDF), at least "
+        '1 N m...', ge=0.0, le=1.0)
     friction_share: Real = parameter(
         1.0, '...and over its Coulomb friction (friction.coulomb), added to it.', ge=0.0, le=10.0)
     dynamic_share: Real = parameter(
@@ -208,13 +163,6 @@ class WatchdogConfig(Config):
         4.5, 'Largest age of R, which is one period old when all is well; an estimator that is '
         'late by two or three, on a busy machine, is no fault.', unit='periods', ge=2.0,
         le=1e4)
-    variance_growth: Real = parameter(
-        1.1, 'Factor per period on an R that is not renewed.', ge=1.0, le=10.0)
-    variance_floor: Real = parameter(
-        0.1, 'Smallest R that is used: a smaller one makes the observer faster than the drives.',
-        unit='N^2', gt=0.0)
-    variance_ceiling: Real = parameter(
-        1e3, 'Where that growth ends, and the largest R that is used.', unit='N^2', gt=0.0)
     on_joint_fault: Reaction = parameter(
         'float', 'Reaction to a joint state that is missing, stale or invalid.')
     on_wrench_fault: Reaction = parameter(
@@ -239,37 +187,17 @@ class WatchdogConfig(Config):
         unit='N, N m')
     pull_threshold: Real = parameter(
         4.0, 'Measured pull of a surface beyond which the wrench is refused.', unit='N', gt=0.0)
-    loss_acceleration: Real = parameter(
-        20.0, 'Acceleration of the tool, braked after a contact is lost, whose inertia may be '
-        'read as a pull of that contact beyond pull_threshold.', unit='m/s^2', ge=0.0, le=200.0)
     friction_bound: Real = parameter(
-        0.8, 'Largest accepted ratio of sideways to normal forces.', gt=0.0, le=10.0)
-    friction_offset: Real = parameter(
-        5.0, 'Sideways force that is always accepted.', unit='N', gt=0.0)
+        0.8, 'Largest accepted ratio of sideways to normal forces, beyond 5 N.', gt=0.0, le=10.0)
     position_jump: Real = parameter(
         0.01, 'Largest accepted difference between a joint angle and the one its speeds lead '
         'to.', unit='rad', gt=0.0)
     hold_frequency: Real = parameter(
         10.0, 'Natural frequency of the joints while the posture is held.', unit='rad/s',
         gt=0.0, le=100.0)
-    hold_force_time: Real = parameter(
-        0.5, 'Time constant by which the forces that contacts were held with fade while the '
-        'posture is.', unit='s', gt=0.0, le=60.0)
-    damping_rate: Real = parameter(
-        5.0, 'Damping of the joints over their inertia, of the reaction `damp`.', unit='1/s',
-        gt=0.0, le=100.0)
     recovery_time: Real = parameter(
-        0.05, 'How long all inputs must be good before control resumes.', unit='s', ge=0.0,
-        le=60.0)
-    relapse_time: Real = parameter(
-        5.0, 'A reaction that comes sooner after control has resumed (1 s for missing readings) '
-        'makes that time three times as long.', unit='s', ge=0.0, le=60.0)
-    longest_recovery: Real = parameter(
-        2.0, 'Up to this.', unit='s', ge=0.0, le=60.0)
-    relapses: int = parameter(
-        3, 'So many in a row, of what the arm does or meets and not of missing readings, and '
-        'control waits for an operator (a command of other forces, the first in a second, '
-        '~/retry, or ~/hold with data: false); 0 for never.', ge=0, le=1000)
+        0.05, 'How long all inputs must be good before control resumes; after each relapse three '
+        'times as long.', unit='s', ge=0.0, le=60.0)
 
     @cross_check
     def _check_lengths(self) -> Iterator[ConfigError]:

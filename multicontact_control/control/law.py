@@ -245,8 +245,8 @@ def control_law(
     for i in range(count):
         contact = contacts[i]
         for k in range(6):
-            force[k] += rows[i, k] * (contact.alpha_fed - contact.damping)
-            held[k] += rows[i, k] * (contact.alpha_fed - contact.damping)
+            force[k] += rows[i, k] * contact.alpha_fed
+            held[k] += rows[i, k] * contact.alpha_fed
     for j in range(n):
         joints[j].torque, joints[j].priority = 0.0, joints[j].bias_torque
     for i in range(6):

@@ -18,6 +18,7 @@ from multicontact_control.experiment.oscillation import (
 )
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.scenario import Setup
+from multicontact_control.supervision.contacts import LOSS_TIME
 import numpy as np
 
 SETTLE_AFTER_STEP = 1.0  # s, the start of the window `rest` after the last force step
@@ -192,9 +193,9 @@ def losses(
     """
     Return the first samples of every loss of a contact, and those after its last.
 
-    A loss is a force of 0 N for `contact_state.loss_time`, among the samples `judged`. A couple is
-    lost while it is as large as the normal force of its contact: one end of an edge, or one side
-    of a plane, has left the surface.
+    A loss is a force of 0 N for `LOSS_TIME`, among the samples `judged`. A couple is lost while it
+    is as large as the normal force of its contact: one end of an edge, or one side of a plane,
+    has left the surface.
     """
     leader = setup.controller.leader_of[contact]
     forces = judged_force(data, setup)
@@ -204,7 +205,7 @@ def losses(
         couple = bridged(forces[:, contact], data.rate)
         # What is lost as a whole is told once, of the normal force.
         gone = ~gone & (np.abs(couple) >= ALL_OF_IT * force)
-    least = setup.controller.contact_state.loss_time * data.rate - 1e-9
+    least = LOSS_TIME * data.rate - 1e-9
     found = [(begin, end) for begin, end in zip(*stretches(judged & gone))
              if end - begin >= least]
     return [begin for begin, _ in found], [end for _, end in found]

@@ -25,9 +25,10 @@ from multicontact_control.sensor.identification import (
     Identification,
     IdentificationConfig,
     identify_tool,
+    MIN_POSES,
     PoseReading,
 )
-from multicontact_control.sensor.tare import TareConfig
+from multicontact_control.sensor.tare import MIN_SAMPLES, TareConfig
 from multicontact_control.supervision.fallback import INFLATE, NONE
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -108,9 +109,9 @@ def weigh_recording(
             continue
         readings.append(_mean_reading(robot, q[(q_time >= begin) & (q_time <= end)], chosen))
         remarks.append(f'{when}: {len(chosen)} readings')
-    if len(readings) < config.identification.min_poses:
+    if len(readings) < MIN_POSES:
         raise CalibrationError('; '.join((
-            f'{path}: expected at least {config.identification.min_poses} rests of '
+            f'{path}: expected at least {MIN_POSES} rests of '
             f'{config.settle_time + config.average_time:g} s, found {len(readings)}', *remarks)))
     gravity = np.array(controller.robot.gravity_world)
     return Weighed(identify_tool(readings, gravity, config.identification), tuple(remarks))
@@ -164,7 +165,7 @@ def find_rests(time: Vector, q: Matrix, config: RestConfig) -> list[tuple[float,
 
 def _restless(wrenches: Matrix, quiet: TareConfig) -> str:
     """Return why readings cannot be averaged; empty if they can."""
-    if len(wrenches) < quiet.min_samples:
+    if len(wrenches) < MIN_SAMPLES:
         return f'{len(wrenches)} readings'
     if not np.isfinite(wrenches).all():
         return 'readings that are not finite'
@@ -212,7 +213,7 @@ def weigh_running(
             raise RunError(f'calibrate: expected free space, found {", ".join(pressed)} pressed')
         # A weight that is not known is a pull that no surface explains: control waits for us.
         tell('tare, so that the weight is not taken for a contact')
-        _tare(arm, 2 * config.quiet.min_samples, timeout)
+        _tare(arm, 2 * MIN_SAMPLES, timeout)
         with contextlib.suppress(RunError):  # if it does not wait
             arm.retry()
         _await_control(arm, timeout)

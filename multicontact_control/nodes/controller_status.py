@@ -74,7 +74,7 @@ def _told(what: str, counts: dict[str, int]) -> str:
 
 
 def contact_status(loop: ControlLoop) -> Status:
-    """Return the states and forces of the contacts, and the energy they have taken up."""
+    """Return the states and forces of the contacts."""
     output, status = loop.output, loop.status
     values: dict[str, Any] = {'held': loop.held}
     if output is None:
@@ -93,15 +93,8 @@ def contact_status(loop: ControlLoop) -> Status:
             'force' if output.active[i] else 'motion')
         if loop.config.force.stiffness == 'adaptive':
             values |= _stiffness(name, output.contacts[i])
-        if loop.supervisor is None:
-            continue
-        state = loop.supervisor.reference.contact_states[i]
-        energy, limit = float(state['energy']), float(state['energy_limit'])
-        values[f'{name} energy_j'], values[f'{name} energy_limit_j'] = energy, limit
         if values[name] in TROUBLED:
             trouble.append(f'{name} is {values[name]}')
-        if energy > limit:
-            trouble.append(f'{name} has taken up {energy:.3g} J, more than {limit:g} J')
     return Status('contacts', values, warning='; '.join(trouble))
 
 

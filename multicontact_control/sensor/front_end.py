@@ -1,19 +1,17 @@
 """
 The one way of a reading from the wrist sensor into the loop: watched, then low-passed.
 
-A frozen sensor repeats itself, but so does a live one now and then: its converter has steps, and
-two readings fall on the same one by chance. A single axis with noise of standard deviation sigma
-and step D repeats with a probability of about D / (2 sqrt(pi) sigma), 4 to 15 % for a 14-bit JR3
-with 0.047 N and 0.004 N m of noise; all six axes together 6e-8, and 5 equal readings in a row
-5e-28 (a test works both out). A sensor whose noise is far below a step repeats for ever while it
-is at rest: `frozen_ticks` must be 0 for it.
+A live sensor repeats itself, too: two readings may fall on the same step of its converter. All
+six axes of a 14-bit JR3 with 0.047 N and 0.004 N m of noise do so with a probability of 6e-8, five
+times in a row with 5e-28. A sensor whose noise is far below a step repeats for ever while it is at
+rest: `frozen_ticks` must be 0 for it.
 """
 
 from __future__ import annotations
 
 from typing import Any
 
-from multicontact_control.arrays import Matrix, require_shape, Vector
+from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.butterworth import butterworth
 from multicontact_control.compiled import bound, compiled
 from multicontact_control.config import SensorFrontEndConfig
@@ -21,6 +19,7 @@ from multicontact_control.errors import ConfigError
 from multicontact_control.records import FRONT_END
 import numpy as np
 
+SATURATED_SHARE = 0.99  # of full scale, from which on a reading counts as saturated
 KEPT = 100  # readings, for a tare
 FAULTS = ('', 'frozen', 'saturated')  # by what `watch_wrench` returns
 FINE, FROZEN, SATURATED = range(3)
@@ -28,20 +27,7 @@ FINE, FROZEN, SATURATED = range(3)
 
 @compiled
 def watch_wrench(front: Any) -> int:
-    """
-    Find out what is wrong with a reading, as raw as it is.
-
-    Parameters
-    ----------
-    front
-        Record of `FRONT_END`, changed.
-
-    Returns
-    -------
-    int
-        FROZEN, SATURATED, or FINE if nothing is.
-
-    """
+    """Return FROZEN or SATURATED if a raw reading is, otherwise FINE; `front` is `FRONT_END`."""
     same, saturated = front.equal > 0, False
     for i in range(6):
         raw, last = front.raw[i], front.last[i]
@@ -59,14 +45,8 @@ def low_pass(front: Any) -> None:
     """
     Filter a reading (transposed direct form II, gain 1 at rest), settled on the first one.
 
-    A reading that is not finite is handed through and not remembered: who watches must see it,
-    and the ones after it must not suffer.
-
-    Parameters
-    ----------
-    front
-        Record of `FRONT_END`, changed.
-
+    A reading that is not finite passes and is not remembered: the watchdog must see it, and the
+    readings after it must not suffer.
     """
     a, b, memory = front.a, front.b, front.memory
     finite = True
@@ -89,25 +69,7 @@ def low_pass(front: Any) -> None:
 
 @compiled
 def take_wrench(fronts: Any, raw: Vector, kept: Matrix) -> int:
-    """
-    Keep a reading, watch and filter it.
-
-    Parameters
-    ----------
-    fronts
-        One record of `FRONT_END`, changed.
-    raw
-        The reading, shape (6,) [N, N m].
-    kept
-        The newest readings, in the order in which they came but for where it began anew; one is
-        overwritten, shape (k, 6) [N, N m].
-
-    Returns
-    -------
-    int
-        As for `watch_wrench`.
-
-    """
+    """Filter and watch a reading, and keep it in a ring of the newest ones, shape (k, 6)."""
     front = fronts[0]
     for i in range(6):
         front.raw[i] = kept[front.count % kept.shape[0], i] = raw[i]
@@ -145,7 +107,7 @@ class SensorFrontEnd:
         self._kept: Matrix = np.zeros((KEPT, 6))
         front = self._front[0]
         front['full_scale'] = (
-            config.saturation_fraction * np.array(config.full_scale or (np.inf,) * 6))
+            SATURATED_SHARE * np.array(config.full_scale or (np.inf,) * 6))
         front['frozen_ticks'] = config.frozen_ticks
         order = front['order'] = config.filter_order
         if order:
@@ -178,7 +140,7 @@ class SensorFrontEnd:
 
     def take(self, raw: Vector) -> str:
         """
-        Take in the next reading, and leave what becomes of it in `filtered`.
+        Take in the next reading, and leave it low-passed, with bias and weight, in `filtered`.
 
         Parameters
         ----------
@@ -188,35 +150,8 @@ class SensorFrontEnd:
         Returns
         -------
         str
-            As `update` does.
-
-        """
-        return FAULTS[self._take_wrench(self._front, raw, self._kept)]
-
-    def update(self, wrench_sensor: Vector) -> tuple[Vector, str]:
-        """
-        Take the next reading, as the sensor gave it.
-
-        Parameters
-        ----------
-        wrench_sensor
-            Shape (6,) [N, N m].
-
-        Returns
-        -------
-        wrench_sensor : Vector
-            Low-passed, or the reading itself, bias and weight still in it, shape (6,) [N, N m].
-        fault : str
             ``frozen`` if the last `frozen_ticks` readings were the same in all axes,
             ``saturated`` if an axis is at full scale, empty if nothing is wrong.
 
-        Raises
-        ------
-        ShapeError
-            If it is not of that shape.
-
         """
-        if wrench_sensor.shape != self.raw.shape:
-            require_shape('wrench_sensor', wrench_sensor, self.raw.shape)
-        fault = self.take(np.ascontiguousarray(wrench_sensor, dtype=float))
-        return self.filtered.copy(), fault
+        return FAULTS[self._take_wrench(self._front, raw, self._kept)]

@@ -17,15 +17,14 @@ from multicontact_control.errors import CalibrationError
 import numpy as np
 
 UNKNOWNS = 10
+MIN_POSES = 4
+MAX_CONDITION = 30.0  # of the equations; a tilt of some 6 degrees
 NOTHING_HANGS = 3.0  # standard errors below which a mass is none
 
 
 class IdentificationConfig(Config):
     """Limits within which an identification is accepted."""
 
-    min_poses: int = parameter(4, 'Smallest number of poses.', ge=3)
-    max_condition: Real = parameter(
-        30.0, 'Largest condition number of the equations; 30 is a tilt of some 6 degrees.', gt=1.0)
     max_force_residual: Real = parameter(
         0.5, 'Largest rms of what the fit leaves of a force axis.', unit='N', gt=0.0)
     max_torque_residual: Real = parameter(
@@ -121,17 +120,16 @@ def identify_tool(
 
     """
     config = config or IdentificationConfig()
-    if len(readings) < config.min_poses:
-        raise CalibrationError(
-            f'poses: expected at least {config.min_poses}, found {len(readings)}')
+    if len(readings) < MIN_POSES:
+        raise CalibrationError(f'poses: expected at least {MIN_POSES}, found {len(readings)}')
     scale = float(np.sqrt(gravity_world @ gravity_world))
     down_world: Vector = gravity_world / scale
     A, b = _equations(readings, down_world)
     condition = float(np.linalg.cond(A))
-    if not condition <= config.max_condition:
+    if not condition <= MAX_CONDITION:
         raise CalibrationError(
             f'poses: expected orientations that tilt the tool differently (condition number at '
-            f'most {config.max_condition:g}), found {condition:.3g}')
+            f'most {MAX_CONDITION:g}), found {condition:.3g}')
     x: Vector = np.linalg.lstsq(A, b, rcond=None)[0].astype(float)
     return _accepted(x, A, b, condition, scale, len(readings), config)
 

@@ -69,14 +69,8 @@ class PushGate:
         """
         Begin a test with the next sample.
 
-        Parameters
-        ----------
-        config
-            The test.
-        point_sensor
-            Where the tool is pushed, sensor frame [m], to check the torque channels too; empty
-            not to.
-
+        `point_sensor` is where the tool is pushed, sensor frame [m], to check the torque channels
+        too; empty not to.
         """
         self._config, self._point, self._test = config, point_sensor, None
         self.result = None

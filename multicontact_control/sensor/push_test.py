@@ -10,7 +10,7 @@ from __future__ import annotations
 from enum import Enum
 
 from multicontact_control.arrays import Matrix, require_shape, Vector
-from multicontact_control.sensor.push_config import PushTestConfig
+from multicontact_control.sensor.push_config import DETECT_FORCE, PushTestConfig, RELEASE_FORCE
 from multicontact_control.sensor.push_verdict import failed, judge_pushes, PushTestResult
 import numpy as np
 
@@ -85,23 +85,13 @@ class PushTest:
 
     def update(self, wrench_world: Vector) -> PushPhase:
         """
-        Take the next wrench.
+        Take the next wrench, and return what the test waits for from now on.
 
         Parameters
         ----------
         wrench_world
             What `contact_wrench` makes of a reading: bias and weight taken off, world axes, at
             the operational point, force first, shape (6,) [N, N m].
-
-        Returns
-        -------
-        PushPhase
-            What the test waits for from now on.
-
-        Raises
-        ------
-        ShapeError
-            If the wrench is not of shape (6,).
 
         """
         require_shape('wrench_world', wrench_world, (6,))
@@ -130,7 +120,7 @@ class PushTest:
         self._samples = []
 
     def _wait_for_push(self, wrench: Vector) -> None:
-        if self._change(wrench) < self._config.detect_force:
+        if self._change(wrench) < DETECT_FORCE:
             self._samples = []  # not yet, or let go too soon
             return
         self._samples.append(wrench.copy())
@@ -140,7 +130,7 @@ class PushTest:
 
     def _wait_for_release(self, wrench: Vector) -> None:
         self._samples.append(wrench.copy())
-        if self._change(wrench) >= self._config.release_force:
+        if self._change(wrench) >= RELEASE_FORCE:
             self._samples = []
         elif len(self._samples) == self._rest_ticks:
             if len(self._pushes) < len(self._config.directions):
@@ -160,8 +150,8 @@ class PushTest:
         if self.phase is PushPhase.REST:
             return f'no rest {seconds}: the force never kept still'
         if self.phase is PushPhase.PUSH:
-            return (f'no push along {self.direction} of more than {self._config.detect_force:g} N '
-                    f'felt {seconds}')
+            return (f'no push along {self.direction} of more than {DETECT_FORCE:g} N felt '
+                    f'{seconds}')
         return f'the force did not return to that at rest {seconds} after the push'
 
     def _enter(self, phase: PushPhase) -> None:

@@ -15,11 +15,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from multicontact_control.arrays import Matrix, require_shape, Vector
-from multicontact_control.sensor.push_config import PushTestConfig
+from multicontact_control.sensor.push_config import MAX_ANGLE, PushTestConfig
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 ALIGNED = 0.95  # cosine from which an axis is called x, y or z
+MAX_REST_FORCE = 1.0  # N read with nothing touching the tool
+MOMENT_TOLERANCE = 0.3  # of a moment from that of the force, relative to it
+MIN_MOMENT = 0.5  # N m of a push, from which its torque channels are checked
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +112,7 @@ def judge_pushes(
     if not findings and lever_world is not None:
         findings += _moment_findings(deltas, lever_world, config)
     offset = float(np.linalg.norm(rest[:3]))
-    if offset > config.max_rest_force:
+    if offset > MAX_REST_FORCE:
         findings.append(f'{offset:.1f} N read with nothing touching the tool: tare or identify it')
     return PushTestResult(not findings, sign, rotation, scale, tuple(findings))
 
@@ -142,13 +145,13 @@ def _mounting_findings(
     vector = Rotation.from_matrix(rotation).as_rotvec()
     angle = float(np.linalg.norm(vector))
     axis, turn = _axis_name(vector / angle, axes) if angle > 0.0 else ('', 1)
-    half_turn = angle > np.pi - config.max_angle
+    half_turn = angle > np.pi - MAX_ANGLE
     if sign < 0 and half_turn and 'axis' not in axis:
         findings.append(f'sign of {axis} alone flipped')  # a reflection is -(half a turn)
     else:
         if sign < 0:
             findings.append('sign flipped')
-        if angle > config.max_angle:
+        if angle > MAX_ANGLE:
             degrees = 180 if half_turn else turn * round(float(np.degrees(angle)))
             findings.append(f'rotated by {degrees} deg about {axis}')
     if abs(scale - 1.0) > config.scale_tolerance:
@@ -171,7 +174,7 @@ def _push_findings(measured: Matrix, expected: Matrix, config: PushTestConfig) -
         cosine = float(force @ wanted) / (size * right) if size > 0.0 else -1.0
         angle = float(np.degrees(np.arccos(min(max(cosine, -1.0), 1.0))))
         # Not `angle > ...`: what is not a number must not pass.
-        if not cosine >= np.cos(config.max_angle):
+        if not cosine >= np.cos(MAX_ANGLE):
             findings.append(f'push along {name} read {angle:.0f} deg off')
         elif not abs(size / right - 1.0) <= config.scale_tolerance:
             findings.append(f'push along {name} read as {size:.3g} N instead of {right:g} N')
@@ -182,9 +185,9 @@ def _moment_findings(deltas: Matrix, lever_world: Vector, config: PushTestConfig
     """Compare moments with what the forces, proved right by now, make at the point pushed."""
     expected = np.cross(lever_world, deltas[:, :3])
     sizes = np.linalg.norm(expected, axis=1)
-    strong = sizes >= config.min_moment
+    strong = sizes >= MIN_MOMENT
     errors = np.linalg.norm(deltas[strong, 3:] - expected[strong], axis=1)
-    if np.all(errors <= config.moment_tolerance * sizes[strong]):
+    if np.all(errors <= MOMENT_TOLERANCE * sizes[strong]):
         return []
     worst = int(np.argmax(errors / sizes[strong]))
     name = [d for d, kept in zip(config.directions, strong) if kept][worst]

@@ -8,18 +8,17 @@ from multicontact_control.errors import CalibrationError
 from multicontact_control.sensor.weight import weight_reading
 import numpy as np
 
+MIN_SAMPLES = 25
+MAX_JOINT_SPEED = 0.02  # rad/s, mean meanwhile: what slows the tool down would be taken for bias
+
 
 class TareConfig(Config):
     """When readings are quiet enough for a tare."""
 
-    min_samples: int = parameter(25, 'Smallest number of readings.', ge=2)
     max_force_std: Real = parameter(
         0.5, 'Largest standard deviation of a force axis.', unit='N', gt=0.0)
     max_torque_std: Real = parameter(
         0.05, 'Largest standard deviation of a torque axis.', unit='N m', gt=0.0)
-    max_joint_speed: Real = parameter(
-        0.02, 'Largest mean speed of a joint meanwhile: what slows the tool down would be taken '
-        'for bias.', unit='rad/s', gt=0.0)
 
 
 def tare_bias(
@@ -60,10 +59,9 @@ def tare_bias(
     """
     config = config or TareConfig()
     require_shape('wrenches_sensor', wrenches_sensor, (len(wrenches_sensor), 6))
-    if len(wrenches_sensor) < config.min_samples:
+    if len(wrenches_sensor) < MIN_SAMPLES:
         raise CalibrationError(
-            f'tare: expected at least {config.min_samples} readings, found '
-            f'{len(wrenches_sensor)}')
+            f'tare: expected at least {MIN_SAMPLES} readings, found {len(wrenches_sensor)}')
     if not np.isfinite(wrenches_sensor).all():
         raise CalibrationError('tare: expected finite readings, found others')
     restless = np.std(wrenches_sensor, axis=0).reshape(2, 3).max(axis=1)

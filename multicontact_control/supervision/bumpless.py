@@ -13,14 +13,13 @@ from multicontact_control.control.reference.holdable import HeldSource
 from multicontact_control.dynamics.pose import Pose
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import CommandError
+from multicontact_control.supervision.fallback import SafeBehaviour
 from multicontact_control.supervision.inputs import (
     JointInput,
     TickInputs,
     VarianceInput,
     WrenchInput,
 )
-from multicontact_control.supervision.own_weight import OwnWeight
-from multicontact_control.supervision.safe_behaviour import SafeBehaviour
 from multicontact_control.supervision.status import no_answer, TickOutput
 from multicontact_control.supervision.transition import TorqueTransition
 import numpy as np
@@ -28,6 +27,47 @@ import numpy as np
 ControllerT = TypeVar('ControllerT', bound='BumplessController')
 
 LAW = None  # to the blends all is one law: only what is asked for goes over
+
+
+class OwnWeight:
+    """
+    The gravity torque that an arm adds itself: what acts is the command and this.
+
+    The control law, the reactions and the gate reckon with the torque that acts. It is taken off
+    a torque that leaves for the arm, and put on a measured effort that comes in. Before the joints
+    are known it is 0: an arm that carries itself needs nothing then.
+
+    Parameters
+    ----------
+    config
+        Whether `tool` is in it.
+    robot
+        The arm.
+
+    Attributes
+    ----------
+    torque
+        Where the arm was seen last, shape (n,) [N m].
+
+    """
+
+    def __init__(self, config: ControllerConfig, robot: RobotModel) -> None:
+        self._robot, self._tool = robot, config.tool
+        self._with_tool = config.robot.adds_tool_gravity
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget where the arm was."""
+        self.torque: Vector = np.zeros(self._robot.joint_count)
+
+    def update(self) -> Vector:
+        """Work it out where the robot's model was computed last; return its change, shape (n,)."""
+        torque = self._robot.terms.gravity.copy()
+        if not self._with_tool:
+            torque -= self._robot.load_torque(self._tool.mass, np.array(self._tool.com_sensor))
+        change: Vector = torque - self.torque
+        self.torque = torque
+        return change
 
 
 class BumplessController:
@@ -64,7 +104,7 @@ class BumplessController:
         self.controller = Controller(config, robot, reference)
         self._transition = TorqueTransition(config)
         self.own_weight = OwnWeight(config, robot) if config.robot.adds_gravity else None
-        self._safe = SafeBehaviour(config.safe_behaviour, robot, self.own_weight)
+        self._safe = SafeBehaviour(config.safe_behaviour, robot)
         self._safe_running = False
         self._idle = no_answer(robot.joint_count, len(config.columns))
         self._initial_variance = np.full(
@@ -191,7 +231,7 @@ class BumplessController:
             self.controller.reset()
             self._transition.begin(lambda: self._held(joints.effort, joints.q))
         torque = self._limited(
-            self._transition.apply(LAW, self._safe.torque(joints.q, joints.qd)))
+            self._transition.apply(LAW, self._safe.torque(joints.q, joints.qd, self._added)))
         self._transition.commanded(torque)
         return TickOutput(self._idle._replace(torque=torque), None)
 
@@ -204,8 +244,12 @@ class BumplessController:
         self._transition.allow_for(change)
         return change
 
+    @property
+    def _added(self) -> Vector | float:
+        return 0.0 if self.own_weight is None else self.own_weight.torque
+
     def _limited(self, torque: Vector) -> Vector:
-        added = 0.0 if self.own_weight is None else self.own_weight.torque
+        added = self._added
         limited: Vector = np.clip(torque, added - self._limit, added + self._limit)
         return limited
 

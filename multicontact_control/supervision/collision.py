@@ -13,6 +13,7 @@ from multicontact_control.dynamics.robot import RobotModel
 import numpy as np
 
 COLLISION = 'collision'
+LEAST_THRESHOLD = 1.0  # N m; the wrist sensor takes no less off the residual
 FORGOTTEN = 1.0  # s without torques, after which nothing is known of what touched the arm
 UNEVEN = 0.5  # share of a period that a sample may be early or late, to be the one after another
 
@@ -154,6 +155,6 @@ def collision_thresholds(config: ControllerConfig, robot: RobotModel) -> Vector:
     limit = np.array(config.torque_limit) if config.torque_limit else robot.torque_limit
     coulomb = np.array(config.friction.coulomb or 0.0)
     thresholds: Vector = np.maximum(
-        collision.limit_share * limit, collision.least_threshold) + (
+        collision.limit_share * limit, LEAST_THRESHOLD) + (
         collision.friction_share * coulomb)
     return thresholds

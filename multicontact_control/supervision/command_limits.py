@@ -65,18 +65,8 @@ def offset_shares(
     """
     Return the couples, relative to the normal forces, that centres of pressure ask for.
 
-    Parameters
-    ----------
-    halves
-        Of `half_lengths` [m].
-    centres
-        By the couple's name, from the middle of its contact [m].
-
-    Raises
-    ------
-    CommandError
-        If a name is not that of a couple.
-
+    `centres` are from the middle of a contact, by the couple's name [m]; a name that is not that
+    of a couple (`half_lengths`) is a CommandError.
     """
     for name in centres:
         if name not in halves:
@@ -121,15 +111,7 @@ def check_offsets(
 
 
 def check_position(position_world: Vector, limits: LimitsConfig) -> None:
-    """
-    Refuse a position outside the workspace box, if there is one.
-
-    Raises
-    ------
-    CommandError
-        Naming the axis.
-
-    """
+    """Refuse a position outside the workspace box, if any: CommandError names the axis."""
     for axis, x, lower, upper in zip(
             'xyz', position_world, limits.workspace_lower, limits.workspace_upper):
         if not lower <= x <= upper:
@@ -139,19 +121,7 @@ def check_position(position_world: Vector, limits: LimitsConfig) -> None:
 def outside_limits(
     config: ControllerConfig, q: Vector, position_world: Vector,
 ) -> tuple[str, ...]:
-    """
-    Return where an arm is beyond its limits, a line for each.
-
-    Parameters
-    ----------
-    config
-        Box and stops.
-    q
-        Joint positions, shape (n,) [rad].
-    position_world
-        Of the operational point, shape (3,) [m].
-
-    """
+    """Return where joints q [rad] and the operational point [m] are beyond limits, a line each."""
     limits = config.limits
     bounds = [
         (f'operational point: expected {axis} in', x, lower, upper, 'm', 'workspace')

@@ -1,5 +1,5 @@
 """
-The state of each contact: looked for, touched, held, lost, given up; and its passivity.
+The state of each contact: looked for, touched, held, lost, given up.
 
 One machine per contact decides which law drives the operational point along that contact's
 normal: the force law from touch to loss, the motion law before and after. In the motion law the
@@ -7,11 +7,12 @@ tip advances along the normal by a displacement that is ramped, bounded and brak
 
 free -> approaching -> impact -> holding -> lost -> approaching ..., given up once the tip has
 gone too far without a surface, until it is time for another search. Beyond the force ceiling, and
-where it leads out of the workspace: retracting, then given up until somebody commands otherwise.
+where it leads out of the workspace: retracting, then given up until it is commanded again.
 Touch and loss have thresholds apart and least times, so that a bounce or a spike changes nothing.
 
-Every contact is one record of `CONTACT_STATE`; what is set for all of them is the one record of
-`CONTACT_SETTINGS`.
+In every function `contact` is a record of `CONTACT_STATE`, changed, and `settings` one of
+`CONTACT_SETTINGS`; `alpha` is the measured force [N], `place` and `speed` are those of the tip
+along the normal, relative to the task without displacement [m, m/s].
 """
 
 from __future__ import annotations
@@ -29,8 +30,20 @@ import numpy as np
 
 # States in the order of `ContactState`; below LOST and above APPROACHING the force law acts.
 FREE, APPROACHING, IMPACT, HOLDING, LOST, RETRACTING, GIVEN_UP = range(7)
+RELEASE_SHARE = 0.3  # of the force held or asked for, below which a contact may be lost: a tool
+# that falls after its surface reads its own inertia
+ESCAPE_SPEED = 0.1  # m/s into the surface, beyond the task's, that only a lost contact reaches
+IMPACT_TIME = 0.05  # s in contact from touch to holding, at least
+LOSS_TIME = 0.004  # s below the release threshold until a contact is lost
+BOUNCE_TIME = 0.01  # s, the same between touch and holding
+REBOUND_TIME = 0.1  # s, the same of a contact that held and is thrown back
+LOST_TIME = 0.05  # s from loss to a new approach, at least
+BRAKING = 5.0  # m/s^2, of a tip that has lost its surface, or is pulled back
+RETRACT_SPEED = 0.05  # m/s
 LEVEL_TIME = 0.1  # s, over which the force a contact is held with is averaged
 TOUCH_SHARE = 0.5  # of the force before a loss, that counts as touch right after it
+GUARD_SHARE = 0.3  # of the force held; below it the measured force is fed forward, so that the
+# other contacts are not pressed with what a surface that has gone does not bear
 GUARD_TIME = 0.3  # s after holding has begun; before, a guard would prolong bounces
 STEP_TIME = 0.02  # s, in which a force step may be taken
 REBOUND_SPEED = 2e-3  # m/s, away from the surface, from which on it is thrown back
@@ -58,27 +71,17 @@ STATES = tuple(ContactState)
 
 def contact_settings(config: ContactStateConfig, period: float) -> Records:
     """Return what is set for all contacts as one record of `CONTACT_SETTINGS`; h in [s]."""
-    others = {'period': period, 'energy_keep': math.exp(-period / config.energy_memory),
-              'loss_time': max(config.loss_time, LOSS_PERIODS * period),
-              'bounce_time': max(config.bounce_time, BOUNCE_PERIODS * period)}
     settings = np.zeros(1, dtype=CONTACT_SETTINGS)
+    values = config.model_dump() | {
+        'period': period, 'loss_time': max(LOSS_TIME, LOSS_PERIODS * period),
+        'bounce_time': max(BOUNCE_TIME, BOUNCE_PERIODS * period)}
     for name in settings.dtype.names or ():
-        settings[name] = others[name] if name in others else getattr(config, name)
+        settings[name] = values[name]
     return settings
 
 
 def contact_states(stiffness: Sequence[float], couples: Sequence[bool] = ()) -> Records:
-    """
-    Return contacts that are free.
-
-    Parameters
-    ----------
-    stiffness
-        Of their surfaces, shape (r,) [N/m].
-    couples
-        Which of them are couples of others, shape (r,); none if not given.
-
-    """
+    """Return free contacts: stiffness of the surfaces [N/m], and which are couples, shape (r,)."""
     states = np.zeros(len(stiffness), dtype=CONTACT_STATE)
     states['stiffness'] = stiffness
     if couples:
@@ -88,20 +91,10 @@ def contact_states(stiffness: Sequence[float], couples: Sequence[bool] = ()) -> 
 
 
 def reset(states: Records, which: Mask | None = None) -> None:
-    """
-    Let contacts start anew, free; their energy is not forgotten.
-
-    Parameters
-    ----------
-    states
-        Records of `CONTACT_STATE`, changed, shape (r,).
-    which
-        Which of them, all if not given, shape (r,).
-
-    """
+    """Let contacts, all or those of a mask of shape (r,), start anew, free."""
     chosen = np.ones(states.shape, dtype=bool) if which is None else which
     for name in states.dtype.names or ():
-        if name not in ('stiffness', 'couple', 'energy', 'stored'):
+        if name not in ('stiffness', 'couple'):
             states[name][chosen] = math.nan if name == 'origin' else 0
 
 
@@ -112,10 +105,10 @@ def is_active(contact: Any) -> bool:
 
 
 @compiled
-def is_falling(contact: Any, settings: Any, alpha: float) -> bool:
-    """Return whether a contact that has long held is felt far less than it was [N]."""
+def is_falling(contact: Any, alpha: float) -> bool:
+    """Return whether a contact that has long held is felt far less than it was."""
     return contact.state == HOLDING and contact.in_state > GUARD_TIME and (
-        alpha < settings.guard_fraction * min(contact.level, contact.asked))
+        alpha < GUARD_SHARE * min(contact.level, contact.asked))
 
 
 @compiled
@@ -136,17 +129,7 @@ def leave_surface(contact: Any, place: float, speed: float) -> None:
 
 @compiled
 def retreat(contact: Any, settings: Any, place: float, speed: float) -> None:
-    """
-    Leave a surface for its force, or for where it leads, until somebody commands otherwise.
-
-    Parameters
-    ----------
-    contact, settings
-        Records of `CONTACT_STATE`, changed, and `CONTACT_SETTINGS`.
-    place, speed
-        Of the tip along the normal, relative to the task [m, m/s].
-
-    """
+    """Leave a surface for its force, or for where it leads, until it is commanded again."""
     contact.displacement = place
     contact.speed = speed
     contact.target = place - settings.retract_distance
@@ -167,7 +150,7 @@ def watch_search(contact: Any, settings: Any, alpha: float) -> None:
         contact.level = 0.0
         enter(contact, IMPACT)
     elif contact.state == LOST:
-        if contact.in_state >= settings.lost_time and (
+        if contact.in_state >= LOST_TIME and (
                 abs(contact.target - contact.displacement) < 2e-4 and abs(contact.speed) < 2e-3):
             contact.start = contact.displacement
             enter(contact, APPROACHING)
@@ -184,7 +167,7 @@ def watch_hold(
 ) -> None:
     """Notice a loss, or that a touch has lasted."""
     h = settings.period
-    threshold = max(settings.release_threshold, settings.release_fraction * min(
+    threshold = max(settings.release_threshold, RELEASE_SHARE * min(
         contact.level, contact.asked, contact.force_limit))
     if alpha >= threshold:
         contact.below = 0.0
@@ -195,7 +178,7 @@ def watch_hold(
                 speed - contact.surface_speed < -REBOUND_SPEED and contact.shaken <= 0.0):
             # Thrown back by a surface that is stiffer than its model: it returns by itself,
             # once; one that is thrown back again and again swings, and is better let go.
-            contact.below = min(0.0, settings.loss_time - settings.rebound_time)
+            contact.below = min(0.0, settings.loss_time - REBOUND_TIME)
             contact.shaken = REBOUNDS_APART
         contact.below += h
     contact.shaken = max(0.0, contact.shaken - h)
@@ -204,13 +187,13 @@ def watch_hold(
         patience = max(patience, settings.bounce_time)
     # A step of the force is a motion, too: into a surface that yields as its model.
     step = abs(min(contact.asked, contact.force_limit) - contact.level)
-    fastest = settings.escape_speed + step / (contact.stiffness * STEP_TIME)
+    fastest = ESCAPE_SPEED + step / (contact.stiffness * STEP_TIME)
     if contact.below > patience + 1e-9 or escape > fastest:
         contact.losses += 1
         leave_surface(contact, place, speed)
         enter(contact, LOST)
     elif contact.state == IMPACT and contact.below == 0.0 and (
-            contact.in_state >= settings.impact_time):
+            contact.in_state >= IMPACT_TIME):
         contact.searches = 0
         enter(contact, HOLDING)
 
@@ -236,10 +219,10 @@ def has_retracted(contact: Any) -> bool:
 @compiled
 def stays_away(contact: Any) -> bool:
     """
-    Return whether a contact that nobody asks for is led away from its surface all the same.
+    Return whether a contact that is not asked for is led away from its surface all the same.
 
-    It is, until it is there, from a force beyond the ceiling, and stays there if it was not asked
-    for before: what the motion leads into would be pressed again, and again.
+    It retracts from a force beyond the ceiling, and stays away if it was not asked for before:
+    the motion would press it again, and again.
     """
     uncalled = np.isnan(contact.origin)
     if contact.state == RETRACTING:
@@ -298,12 +281,12 @@ def move(contact: Any, settings: Any) -> None:
     else:
         limit = settings.approach_speed
         if contact.state == RETRACTING:
-            limit = settings.retract_speed
+            limit = RETRACT_SPEED
         wanted = min(max(
             POSITION_RATE * (contact.target - contact.displacement), -limit), limit)
-        change = settings.braking
+        change = BRAKING
     if abs(contact.speed) > settings.approach_speed:
-        change = max(change, settings.braking)
+        change = max(change, BRAKING)
     contact.acceleration = min(max((wanted - contact.speed) / h, -change), change)
     contact.speed += contact.acceleration * h
     contact.displacement += contact.speed * h
@@ -316,19 +299,8 @@ def advance_contact(
     """
     Take one tick into the state machine of a contact.
 
-    Parameters
-    ----------
-    contact, settings
-        Records of `CONTACT_STATE`, changed, and `CONTACT_SETTINGS`. `wanted` and `asked` say what
-        the task wants.
-    alpha
-        Measured force [N].
-    place, speed
-        Of the tip along the normal, relative to the task without displacement [m, m/s].
-    escape
-        Speed into the surface, less that of the surface, by which a contact is known to be lost
-        [m/s].
-
+    `wanted` and `asked` of the contact say what the task wants; `escape` is the speed into the
+    surface, less that of the surface, by which a contact is known to be lost [m/s].
     """
     contact.in_state += settings.period
     contact.again = contact.again and contact.state == GIVEN_UP
@@ -345,23 +317,11 @@ def follow_leader(couple: Any, leader: Any) -> None:
     """Let a couple of a contact be in the state of its normal force; both `CONTACT_STATE`."""
     couple.state = leader.state
     couple.in_state = leader.in_state
-    couple.level = leader.level
-    couple.held = leader.asked
 
 
 @compiled
 def let_go(contact: Any, place: float, speed: float) -> None:
-    """
-    Give a contact back to the motion law, from where the tip is.
-
-    Parameters
-    ----------
-    contact
-        Record of `CONTACT_STATE`, changed.
-    place, speed
-        Of the tip along the normal, relative to the task [m, m/s].
-
-    """
+    """Give a contact back to the motion law, from where the tip is."""
     if is_active(contact):
         contact.losses += 1
         leave_surface(contact, place, speed)
@@ -369,41 +329,3 @@ def let_go(contact: Any, place: float, speed: float) -> None:
     else:
         contact.displacement = place
         contact.speed = 0.0
-
-
-@compiled
-def watch_energy(contact: Any, settings: Any, alpha: float, speed: float) -> float:
-    """
-    Take one tick into the passivity observer of a contact.
-
-    The robot does the work W = sum alpha v h on a surface, of which alpha^2 / (2 k) is stored in
-    it. What remains is turned into heat there, and a controller that keeps on delivering it feeds
-    a bouncing or an oscillation. The remainder is forgotten with a time constant; above a limit,
-    in proportion to alpha^2 / (2 k) at the force asked for, the contact counts as active, and a
-    damping force b v is to be taken off. A touch turns the energy of the tip into heat: only a
-    contact that holds is watched.
-
-    Parameters
-    ----------
-    contact, settings
-        Records of `CONTACT_STATE`, changed, and `CONTACT_SETTINGS`.
-    alpha, speed
-        Measured force [N], and speed of the contact point INTO the surface [m/s].
-
-    Returns
-    -------
-    float
-        Force to take off the torque [N], 0 while the bound is kept.
-
-    """
-    pressed = alpha if contact.couple else max(alpha, 0.0)
-    stored = pressed * pressed / (2.0 * contact.stiffness)
-    work = alpha * speed * settings.period
-    contact.energy = settings.energy_keep * contact.energy + work - (stored - contact.stored)
-    contact.stored = stored
-    if contact.state != HOLDING:
-        contact.energy = 0.0
-    asked = contact.held if contact.couple else contact.asked
-    held = max(asked, settings.preload + settings.contact_threshold)
-    contact.energy_limit = settings.energy_share * held * held / (2.0 * contact.stiffness)
-    return 0.0 if contact.energy <= contact.energy_limit else settings.injected_damping * speed

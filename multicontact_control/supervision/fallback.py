@@ -1,18 +1,21 @@
-"""Torques of the reactions that replace the control law after a fault."""
+"""Torques that replace the control law: after a fault, and after a deactivation."""
 
 from __future__ import annotations
 
 import math
 
 from multicontact_control.arrays import Mask, Matrix, Vector
-from multicontact_control.config import ControllerConfig
+from multicontact_control.config import ControllerConfig, SafeBehaviourConfig
 from multicontact_control.control.arm_state import ArmState
 from multicontact_control.control.controller import Controller, ControlOutput
+from multicontact_control.dynamics.robot import RobotModel
 import numpy as np
 
 NONE, INFLATE, HOLD, FLOAT, DAMP = 'none', 'inflate', 'hold', 'float', 'damp'
 SEVERITY = (NONE, INFLATE, HOLD, FLOAT, DAMP)
 COAST_TIME = 0.1  # s, in which an arm that cannot be seen any more is brought to rest
+DAMPING_RATE = 5.0  # 1/s, of the reaction `damp`: damping of the joints over their inertia
+FADE_TIME = 0.5  # s, by which a contact's force fades while the wrench is not known
 DROP_TIME = 0.02  # s, in which the force on a surface that has gone is dropped
 DROPPED = 1e-3  # N m in every joint, below which that counts as done
 
@@ -40,7 +43,7 @@ class Reactions:
         self._config, self._period = config.watchdog, config.period
         self._robot, self._contacts = controller.robot, controller.contacts
         self._release_threshold = config.contact_state.release_threshold
-        self._pressing = Pressing(config.watchdog.hold_force_time, config.period)
+        self._pressing = Pressing(config.period)
         self.end()
 
     def begin(self, answered: ControlOutput) -> None:
@@ -87,7 +90,7 @@ class Reactions:
         if reaction == DAMP:
             self._begin_anew()  # it may be moved away
             damped: Vector = arm.bias_torque - (
-                self._config.damping_rate * arm.inertia * arm.velocity)
+                DAMPING_RATE * arm.inertia * arm.velocity)
             return damped
         felt = self._contacts['alpha_meas'] > self._release_threshold
         felt = felt[self._contacts['leader']]  # a couple is there as long as its contact is
@@ -117,15 +120,13 @@ class Pressing:
 
     Parameters
     ----------
-    fade_time
-        Time constant of that [s].
     period
         h [s].
 
     """
 
-    def __init__(self, fade_time: float, period: float) -> None:
-        self._keep_unknown = math.exp(-period / fade_time)
+    def __init__(self, period: float) -> None:
+        self._keep_unknown = math.exp(-period / FADE_TIME)
         self._keep_unfelt = math.exp(-period / DROP_TIME)
         self.end()
 
@@ -158,3 +159,58 @@ class Pressing:
             self._keep_unknown if felt is None else np.where(felt, 1.0, self._keep_unfelt))
         total: Vector = self._torques.sum(axis=1)
         return total
+
+
+class SafeBehaviour:
+    """
+    Gravity compensation with damping, zero torque, or the posture held; needs no wrench.
+
+    Parameters
+    ----------
+    config
+        Which, and how stiff.
+    robot
+        The arm.
+
+    """
+
+    def __init__(self, config: SafeBehaviourConfig, robot: RobotModel) -> None:
+        self.config, self._robot = config, robot
+        self.start()
+
+    def start(self) -> None:
+        """Take the posture of the next sample for the one to hold."""
+        self._held: Vector | None = None
+
+    def torque(self, q: Vector, qd: Vector, added: Vector | float = 0.0) -> Vector:
+        """
+        Return the joint torque for a sample.
+
+        Parameters
+        ----------
+        q, qd
+            Joint positions [rad] and velocities [rad/s], shape (n,).
+        added
+            To a command by the drives themselves, shape (n,) [N m].
+
+        Returns
+        -------
+        Vector
+            Shape (n,) [N m].
+
+        """
+        config = self.config
+        if config.kind != 'hold_position':
+            self._held = None  # the arm may be moved away before a posture is to be held
+        elif self._held is None:
+            self._held = np.array(q, dtype=float)
+        if config.kind == 'zero_torque':  # of what is commanded
+            return np.zeros_like(q) + added
+        state = self._robot.update(q, qd)
+        if self._held is None:
+            acceleration = -config.damping_rate * qd
+        else:
+            w = config.hold_frequency
+            acceleration = w * w * (self._held - q) - 2.0 * w * qd
+        torque: Vector = state.mass_matrix @ acceleration + state.coriolis + state.gravity
+        return torque

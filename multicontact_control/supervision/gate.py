@@ -27,7 +27,7 @@ BRAKING_SHARE = 0.7  # of the speed a joint may have, from where on that is look
 
 @compiled
 def all_finite(values: Vector) -> bool:
-    """Return whether all values are finite, shape (n,)."""
+    """Return whether all values are finite."""
     for i in range(values.shape[0]):
         if not np.isfinite(values[i]):
             return False
@@ -37,22 +37,9 @@ def all_finite(values: Vector) -> bool:
 @compiled
 def brake_joints(joints: Any, limits: Any, torque: Vector) -> bool:
     """
-    Bound a torque such that no joint passes a stop or its speed limit.
+    Bound a torque such that no joint passes a stop or its speed limit; return whether it was.
 
     A joint may have the speed v_max = sqrt(2 a d) at a distance d from its stop.
-
-    Parameters
-    ----------
-    joints, limits
-        Records of `JOINT` and `JOINT_LIMITS`, shape (n,).
-    torque
-        Changed if need be, shape (n,) [N m].
-
-    Returns
-    -------
-    bool
-        Whether it was.
-
     """
     n = torque.shape[0]
     fastest, slowest = np.empty(n), np.empty(n)
@@ -85,26 +72,10 @@ def gate_torque(
     gated: Vector,
 ) -> int:
     """
-    Let a torque through as far as the limits allow; see `TorqueGate.apply`.
+    Fill in `gated` as far as the limits allow; return the sum of the limits that were enforced.
 
-    Parameters
-    ----------
-    torque, fallback
-        What is wanted, and what to do if that is not finite, shape (n,) [N m].
-    joints, known
-        Records of `JOINT`, shape (n,), and whether they are known.
-    limits
-        Records of `JOINT_LIMITS`, shape (n,); `last` of them is overwritten.
-    started
-        Whether there was a last command.
-    gated
-        Filled: finite and within limits, whatever came in, shape (n,) [N m].
-
-    Returns
-    -------
-    int
-        Sum of the limits that were enforced.
-
+    See `TorqueGate.apply`. `joints` are records of `JOINT` and `limits` of `JOINT_LIMITS`, `last`
+    of which is overwritten; `started` says whether there was a last command.
     """
     enforced = 0
     n = gated.shape[0]
@@ -169,17 +140,7 @@ class TorqueGate:
         self.limits['added'] = 0.0
 
     def allow_for(self, added: Vector, change: Vector) -> None:
-        """
-        Let the limits be those of a command to which the drives add something.
-
-        Parameters
-        ----------
-        added
-            What they add now, shape (n,) [N m].
-        change
-            Since the last command, shape (n,) [N m].
-
-        """
+        """Take in what the drives add to a command, and its change since the last one [N m]."""
         self.limits['added'] = added
         self._last += change
 

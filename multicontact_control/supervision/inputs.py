@@ -14,9 +14,7 @@ class JointInput(NamedTuple):
     stamp
         When it was sampled [s].
     q, qd
-        Joint positions [rad] and velocities [rad/s].
-    names
-        Joint names in that order; None where the order is known.
+        Joint positions [rad] and velocities [rad/s], in the order of `robot.joint_names`.
     effort
         Measured joint torques over the period that ends here [N m]: to start from, and for what
         touches the arm; None where the robot measures none.
@@ -26,7 +24,6 @@ class JointInput(NamedTuple):
     stamp: float
     q: Any
     qd: Any
-    names: Any = None
     effort: Any = None
 
 

@@ -15,6 +15,8 @@ import numpy as np
 NOT_FINITE, PULL, SIDEWAYS, OUTSIDE = 1, 2, 4, 8
 CAUSES = (('motion_operational_speed', OPERATIONAL_SPEED), ('motion_joint_speed', JOINT_SPEED))
 TOO_FAST = tuple(tuple(cause for cause, bit in CAUSES if flags & bit) for flags in range(4))
+FRICTION_OFFSET = 5.0  # N of sideways force that is always accepted
+LOSS_ACCELERATION = 20.0  # m/s^2, of a tool that is braked after a contact is lost
 SPEED_EXCESS = 1.1  # times a speed limit, that the gate and the reference did not prevent
 BOX_EXCESS = 0.01  # m beyond the box, that the reference did not prevent
 
@@ -24,25 +26,11 @@ def check_plausibility(
     bounds: Any, control: Any, joints: Any, contacts: Any, states: Any,
 ) -> int:
     """
-    Find out what speaks against an answer of the control law.
+    Find out what speaks against the answer of the control law that is in the joints.
 
-    Parameters
-    ----------
-    bounds, control
-        Records of `PLAUSIBILITY` and `CONTROL`.
-    joints
-        Records of `JOINT` with the answer in them, shape (n,).
-    contacts, states
-        Records of `CONTACT` and `CONTACT_STATE`, shape (r,). A tool that is braked after its
-        surface has gone reads its own inertia, as a pull: for a lost contact there is an
-        allowance.
-
-    Returns
-    -------
-    int
-        Sum of NOT_FINITE, PULL (a surface that pulls), SIDEWAYS (more than friction can explain)
-        and OUTSIDE (the operational point is out of its box).
-
+    Returns the sum of NOT_FINITE, PULL (a surface that pulls), SIDEWAYS (more than friction can
+    explain) and OUTSIDE (the operational point is out of its box). A tool that is braked after
+    its surface has gone reads its own inertia, as a pull: a lost contact has an allowance.
     """
     frame, tool = control.frame, control.tool
     found = 0
@@ -75,7 +63,7 @@ def check_plausibility(
         sideways += force * force
         if frame.position[k] < bounds.box[0, k] or frame.position[k] > bounds.box[1, k]:
             found |= OUTSIDE
-    bound = bounds.friction_offset + bounds.friction_bound * pressed
+    bound = FRICTION_OFFSET + bounds.friction_bound * pressed
     if sideways > bound * bound:
         found |= SIDEWAYS
     return found
@@ -84,9 +72,9 @@ def check_plausibility(
 def plausibility_limits(config: ControllerConfig) -> Records:
     """Return what an answer must be like as one record of `PLAUSIBILITY`."""
     bounds = np.zeros(1, dtype=PLAUSIBILITY)
-    for name in ('pull_threshold', 'friction_bound', 'friction_offset'):
-        bounds[name] = getattr(config.watchdog, name)
-    bounds['inertia'] = config.tool.mass * config.watchdog.loss_acceleration
+    bounds['pull_threshold'] = config.watchdog.pull_threshold
+    bounds['friction_bound'] = config.watchdog.friction_bound
+    bounds['inertia'] = config.tool.mass * LOSS_ACCELERATION
     limits, everywhere = config.limits, np.full(3, np.inf)
     bounds['box'] = (
         np.array(limits.workspace_lower or -everywhere) - BOX_EXCESS,

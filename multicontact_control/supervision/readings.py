@@ -1,7 +1,10 @@
 """
 What makes an input valid, compiled: its time, its age, its numbers.
 
-Inputs are joints, wrench and R, in this order.
+Inputs are joints, wrench and R, in this order. In every function `memory` is a record of
+`READING_MEMORY`, changed, and `settings` one of `READING_SETTINGS`; `joints` are records of
+`JOINT_READING`, shape (n,), and `variances` of `VARIANCE_READING`, shape (r,), both changed. What
+checks something returns what is wrong with it: FINE, if nothing is.
 """
 
 from __future__ import annotations
@@ -16,10 +19,13 @@ import numpy as np
 JOINTS, WRENCH, VARIANCE = range(3)
 # What is wrong with a reading; ABSENT: none has come, FINE: nothing.
 ABSENT = -1
-FINE, INVALID, IMPLAUSIBLE, JUMP, FROZEN, SATURATED, STAMP, ORDER, NAMES, LATE = range(10)
+FINE, INVALID, IMPLAUSIBLE, JUMP, FROZEN, SATURATED, STAMP, ORDER, LATE = range(9)
 # What is wrong with the time of a tick.
 CLOCK_FINE, CLOCK_INVALID, CLOCK_BACKWARDS, CLOCK_RATE, CLOCK_FROZEN, CLOCK_STILL = range(6)
 LATEST = 1e12  # s, of a time that makes sense
+VARIANCE_GROWTH = 1.1  # per period, of an R that is not renewed
+VARIANCE_FLOOR = 0.1  # N^2; a smaller R makes the observer faster than the drives
+VARIANCE_CEILING = 1e3  # N^2, the largest R that is used
 INFLATED = 1e12  # times R, at most
 STILL = 1e-4  # rad/s; below it a joint reading may repeat itself
 FARTHEST, HARDEST = 1e3, 1e6  # rad and N or N m; beyond them no reading makes sense
@@ -35,18 +41,8 @@ def has_jumped(joints: Any, from_valid: bool, elapsed: float, settings: Any) -> 
     """
     Return whether a joint has moved as its speeds do not say.
 
-    Parameters
-    ----------
-    joints
-        Records of `JOINT_READING`, shape (n,).
-    from_valid
-        Whether the newest joint state is compared with the newest valid one, otherwise with the
-        one before.
-    elapsed
-        Since that one [s].
-    settings
-        Record of `READING_SETTINGS`.
-
+    The newest joint state is compared with the newest valid one, or with the one before; either
+    is `elapsed` old [s].
     """
     h = settings.period
     limit = settings.position_jump * max(1.0, elapsed / h / 5.0)
@@ -62,24 +58,7 @@ def has_jumped(joints: Any, from_valid: bool, elapsed: float, settings: Any) -> 
 
 @compiled
 def check_joints(joints: Any, elapsed: float, memory: Any, settings: Any) -> int:
-    """
-    Check a joint state, and keep it if nothing is wrong with it.
-
-    Parameters
-    ----------
-    joints
-        Records of `JOINT_READING`, changed, shape (n,).
-    elapsed
-        Since the newest valid one [s].
-    memory, settings
-        Records of `READING_MEMORY`, changed, and `READING_SETTINGS`.
-
-    Returns
-    -------
-    int
-        What is wrong with it.
-
-    """
+    """Check a joint state, `elapsed` after the newest valid one [s]; keep it if it is fine."""
     plausible, still = True, True
     same_q, same_qd = True, True
     for j in range(joints.shape[0]):
@@ -121,22 +100,7 @@ def check_joints(joints: Any, elapsed: float, memory: Any, settings: Any) -> int
 
 @compiled
 def check_wrench(wrench: Any, memory: Any, settings: Any) -> int:
-    """
-    Check a wrench, and keep it if nothing is wrong with it.
-
-    Parameters
-    ----------
-    wrench
-        Record of `WRENCH_READING`, changed.
-    memory, settings
-        As for `check_joints`.
-
-    Returns
-    -------
-    int
-        What is wrong with it.
-
-    """
+    """Check a wrench, a record of `WRENCH_READING`; keep it if it is fine."""
     same, saturated = memory.wrench_before, False
     for i in range(6):
         if not abs(wrench.new[i]) <= HARDEST:
@@ -156,49 +120,22 @@ def check_wrench(wrench: Any, memory: Any, settings: Any) -> int:
 
 
 @compiled
-def check_variances(variances: Any, settings: Any) -> int:
-    """
-    Check an R, and keep it within its limits if nothing is wrong with it.
-
-    Parameters
-    ----------
-    variances
-        Records of `VARIANCE_READING`, changed, shape (r,).
-    settings
-        Record of `READING_SETTINGS`.
-
-    Returns
-    -------
-    int
-        What is wrong with it.
-
-    """
+def check_variances(variances: Any) -> int:
+    """Check an R; keep it within its limits if it is fine."""
     for i in range(variances.shape[0]):
         if not 0.0 < variances[i].new < np.inf:
             return INVALID
     for i in range(variances.shape[0]):
-        variances[i].valid = min(
-            max(variances[i].new, settings.variance_floor), settings.variance_ceiling)
+        variances[i].valid = min(max(variances[i].new, VARIANCE_FLOOR), VARIANCE_CEILING)
     return FINE
 
 
 @compiled
 def check_clock(time: float, memory: Any, settings: Any) -> int:
     """
-    Check the time of a tick, and keep it, or one period more than the last if it is not finite.
+    Check the time of a tick [s]: CLOCK_STILL if it is that of the tick before.
 
-    Parameters
-    ----------
-    time
-        [s].
-    memory, settings
-        As for `check_joints`.
-
-    Returns
-    -------
-    int
-        What is wrong with it; CLOCK_STILL if it is that of the tick before.
-
+    It is kept, or one period more than the last if it is not finite.
     """
     before = memory.time
     if not abs(time) <= LATEST:
@@ -225,24 +162,7 @@ def check_clock(time: float, memory: Any, settings: Any) -> int:
 
 @compiled
 def check_arrival(which: int, arrival: Any, memory: Any, settings: Any) -> int:
-    """
-    Check the stamp of a reading.
-
-    Parameters
-    ----------
-    which
-        JOINTS, WRENCH or VARIANCE.
-    arrival
-        Record of `ARRIVAL`.
-    memory, settings
-        As for `check_joints`.
-
-    Returns
-    -------
-    int
-        What is wrong with it: FINE if its numbers are to be looked at, ABSENT if it is not new.
-
-    """
+    """Check the stamp of a reading: FINE if its numbers are to be looked at, ABSENT if not new."""
     stamp, before = arrival.stamp[which], memory.seen[which]
     if arrival.content[which] == ABSENT:
         return ABSENT
@@ -285,7 +205,7 @@ def check_contents(watch: Any, joints: Any, variances: Any) -> None:
         elif problem[WRENCH] == FROZEN:
             valid[WRENCH] = stamp[WRENCH] - h * memory.wrench_repeats
     if problem[VARIANCE] == FINE:
-        problem[VARIANCE] = check_variances(variances, settings)
+        problem[VARIANCE] = check_variances(variances)
         if problem[VARIANCE] == FINE:
             valid[VARIANCE] = stamp[VARIANCE]
             memory.inflation = 1.0
@@ -301,31 +221,18 @@ def check_ages(watch: Any, variances: Any) -> None:
             limit = min(limit, SATURATED_AGE * settings.period)
         verdict.stale[i] = age > limit or (np.isnan(age) and i != VARIANCE)
     if verdict.stale[VARIANCE]:
-        memory.inflation *= settings.variance_growth
+        memory.inflation *= VARIANCE_GROWTH
     for i in range(variances.shape[0]):
         variance = variances[i]
         variance.used = variance.valid
         if memory.inflation != 1.0:
-            variance.used = min(variance.valid * memory.inflation, settings.variance_ceiling)
+            variance.used = min(variance.valid * memory.inflation, VARIANCE_CEILING)
     memory.inflation = min(memory.inflation, INFLATED)
 
 
 @compiled
 def take_effort(came: Vector, effort: Vector) -> bool:
-    """
-    Keep torques if they say anything: a driver that measures none may say 0, or NaN.
-
-    Parameters
-    ----------
-    came, effort
-        What came with the joints, and what to fill, shape (n,) [N m].
-
-    Returns
-    -------
-    bool
-        Whether they do.
-
-    """
+    """Keep torques [N m] if they say anything: a driver that measures none may say 0, or NaN."""
     moved, total = False, 0.0
     for j in range(came.shape[0]):
         moved = moved or came[j] != 0.0

@@ -5,6 +5,9 @@ from __future__ import annotations
 from multicontact_control.config import WatchdogConfig
 
 RECOVERING, LATCHED = 'recovering', 'latched'
+RELAPSE_TIME = 5.0  # s after control has resumed, in which a reaction is a relapse
+RELAPSES = 3  # in a row, of what the arm does or meets, after which control waits for an operator
+LONGEST_RECOVERY = 2.0  # s that all must be well, at most
 GROWTH = 3.0  # of the time that all must be well, from relapse to relapse
 # What comes from what the arm does and meets, and not from readings that are missing.
 PHYSICAL = ('motion', 'law', 'internal', 'wrench_pull', 'wrench_sideways', 'wrench_saturated',
@@ -21,17 +24,16 @@ class Recovery:
     """
     Counts relapses, so that holding and resuming do not alternate for ever.
 
-    Control resumes once all inputs have been good for `recovery_time`. A reaction within
-    `relapse_time` after that (within 1 s if readings are missing) is a relapse, as is a law that
-    cannot resume: each makes the time three times as long, up to `longest_recovery`. After
-    `relapses` in a row of what the arm does or meets (a side wall, a collision, a speed, a posture
-    without a torque) it is latched: the posture is held until an operator says otherwise. Missing
-    readings are never latched.
+    Control resumes once all inputs have been good for `recovery_time`. A reaction within 5 s after
+    that (within 1 s if readings are missing) is a relapse, as is a law that cannot resume: each
+    makes the time three times as long, up to 2 s. After three in a row of what the arm does or
+    meets (a side wall, a collision, a speed, a posture without a torque) it is latched: the
+    posture is held until an operator says otherwise. Missing readings are never latched.
 
     Parameters
     ----------
     config
-        These times and counts.
+        `recovery_time`.
     period
         h [s].
 
@@ -63,20 +65,19 @@ class Recovery:
 
     def stopped(self, causes: tuple[str, ...], tick: int) -> None:
         """Take note that a reaction has begun at a tick of control's count."""
-        config, since = self._config, self._resumed_at
-        soon = config.relapse_time if is_physical(causes) else min(config.relapse_time, SOON)
+        since, soon = self._resumed_at, RELAPSE_TIME if is_physical(causes) else SOON
         if since is None or (tick - since) * self._period > soon:
-            self._relapses, self._wait = 0, config.recovery_time
+            self._relapses, self._wait = 0, self._config.recovery_time
         else:
             self.relapsed(causes)
 
     def relapsed(self, causes: tuple[str, ...]) -> None:
         """Take note that control has stopped too soon, or could not even resume."""
-        config = self._config
-        self._wait = min(GROWTH * self._wait, max(config.longest_recovery, config.recovery_time))
+        self._wait = min(
+            GROWTH * self._wait, max(LONGEST_RECOVERY, self._config.recovery_time))
         if is_physical(causes):
             self._relapses += 1
-            self.latched = 0 < config.relapses <= self._relapses
+            self.latched = self._relapses >= RELAPSES
 
     def missing(self, good_ticks: int) -> tuple[str, ...]:
         """Return what control still waits for after so many good ticks, if anything."""

@@ -95,9 +95,8 @@ class ContactReference:
         self.reset()
 
     def reset(self) -> None:
-        """Let all contacts start anew, free and with no energy."""
+        """Let all contacts start anew, free."""
         reset(self.contact_states)
-        self.contact_states['energy'] = self.contact_states['stored'] = 0.0
         self._wanted.forget()
 
     @property

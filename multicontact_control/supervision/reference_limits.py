@@ -1,7 +1,9 @@
 """
 From a task to a reference that may be followed, compiled; `ContactReference` says what it is for.
 
-Bounds, what the task wants and the contacts' settings are one record of `CONTACT_REFERENCE`.
+In every function `limits` is a record of `REFERENCE_LIMITS`, `wanted` (what the task asks for) and
+`task` (what may be followed) are records of `TASK`, `frame` is one of `FRAME`; `contacts` and
+`states` are records of `CONTACT` and `CONTACT_STATE`, shape (r,). Vectors are of shape (3,).
 """
 
 from __future__ import annotations
@@ -17,7 +19,6 @@ from multicontact_control.supervision.contacts import (
     follow_leader,
     is_active,
     is_falling,
-    watch_energy,
 )
 import numpy as np
 
@@ -27,22 +28,8 @@ PARALLEL = 1e-6  # length that is left of a normal that the others span already
 @compiled
 def follow_contacts(
     limits: Any, wanted: Any, frame: Any, contacts: Any, states: Any, settings: Any,
-    damping: Vector,
 ) -> None:
-    """
-    Advance the state machine and the passivity observer of every contact.
-
-    Parameters
-    ----------
-    limits, wanted, frame, settings
-        Records of `REFERENCE_LIMITS`, `TASK` (what the task asks for), `FRAME` and
-        `CONTACT_SETTINGS`.
-    contacts, states
-        Records of `CONTACT` and `CONTACT_STATE` (changed), shape (r,).
-    damping
-        Filled with the forces that passivity takes from the command, shape (r,) [N].
-
-    """
+    """Advance the state machine of every contact."""
     count = contacts.shape[0]
     twist = frame.twist
     moved = np.empty(count)
@@ -50,14 +37,11 @@ def follow_contacts(
         moved[i] = states[i].displacement
     lever = np.empty(3)
     for i in range(count):
-        alpha = contacts[i].alpha_meas
-        # That of the surface, as far as it is known: what is as fast does not leave it.
-        away = contacts[i].surface_speed + contacts[i].surface_speed_est
         if states[i].couple:
             follow_leader(states[i], states[contacts[i].leader])
-            damping[i] = watch_energy(
-                states[i], settings, alpha, dot(contacts[i].N, twist) - away)
             continue
+        # That of the surface, as far as it is known: what is as fast does not leave it.
+        away = contacts[i].surface_speed + contacts[i].surface_speed_est
         normal = contacts[i].normal
         place, speed = 0.0, 0.0
         for k in range(3):
@@ -74,27 +58,17 @@ def follow_contacts(
             normal[0] * (twist[0] + twist[4] * lever[2] - twist[5] * lever[1])
             + normal[1] * (twist[1] + twist[5] * lever[0] - twist[3] * lever[2])
             + normal[2] * (twist[2] + twist[3] * lever[1] - twist[4] * lever[0]))
-        damping[i] = watch_energy(states[i], settings, alpha, point_speed - away)
         # Turning about the tool moves the operational point, and a surface that is not where the
         # task has it moves the contact point: what escapes does both.
         states[i].surface_speed = away
         advance_contact(
-            states[i], settings, alpha, place - others, speed, min(speed, point_speed) - away)
+            states[i], settings, contacts[i].alpha_meas, place - others, speed,
+            min(speed, point_speed) - away)
 
 
 @compiled
 def rotate_by(vector: Vector, rotation: Matrix, turned: Matrix) -> None:
-    """
-    Fill in a rotation turned by a rotation vector (Rodrigues).
-
-    Parameters
-    ----------
-    vector
-        World axes, shape (3,) [rad].
-    rotation, turned
-        Before and after, shape (3, 3); not the same array.
-
-    """
+    """Fill in `turned`, a rotation turned by a rotation vector [rad] (Rodrigues), shape (3, 3)."""
     angle = np.sqrt(vector[0] * vector[0] + vector[1] * vector[1] + vector[2] * vector[2])
     if angle < 1e-12:
         copy_matrix(rotation, turned)
@@ -113,17 +87,7 @@ def rotate_by(vector: Vector, rotation: Matrix, turned: Matrix) -> None:
 
 @compiled
 def add_displacements(limits: Any, wanted: Any, contacts: Any, states: Any, task: Any) -> None:
-    """
-    Fill in the task with what a pause has left and the contacts' displacements and motions added.
-
-    Parameters
-    ----------
-    limits, wanted, contacts, states
-        As for `follow_contacts`.
-    task
-        Record of `TASK`, filled.
-
-    """
+    """Fill in the task: what is wanted, what a pause has left, and the contacts' displacements."""
     rotate_by(limits.turned, wanted.rotation, task.rotation)
     for k in range(3):
         shift, velocity, change = limits.offset[k], 0.0, 0.0
@@ -141,27 +105,16 @@ def add_displacements(limits: Any, wanted: Any, contacts: Any, states: Any, task
 
 @compiled
 def beyond(gap: Vector, way: Vector, reach: float) -> bool:
-    """Return whether a gap and a way, shape (3,) each, are longer together than the reach."""
+    """Return whether a gap and a way are longer together than the reach."""
     return dot(gap, gap) + 2.0 * dot(gap, way) + dot(way, way) > reach * reach
 
 
 @compiled
 def pressed_directions(contacts: Any, axes: Matrix) -> int:
     """
-    Fill in unit vectors that span the normals of the active contacts (Gram-Schmidt).
+    Span the normals of the active contacts by unit vectors (Gram-Schmidt).
 
-    Parameters
-    ----------
-    contacts
-        Records of `CONTACT`, shape (r,).
-    axes
-        Filled, one in each row, shape (3, 3).
-
-    Returns
-    -------
-    int
-        How many there are.
-
+    Fills in one of them in each row of `axes`, shape (3, 3), and returns how many there are.
     """
     count = 0
     for i in range(contacts.shape[0]):
@@ -181,7 +134,7 @@ def pressed_directions(contacts: Any, axes: Matrix) -> int:
 
 @compiled
 def take_off(vector: Vector, axis: Vector) -> None:
-    """Take off a vector what lies along a unit vector, shape (3,) each."""
+    """Take off a vector what lies along a unit vector."""
     along = dot(vector, axis)
     for k in range(3):
         vector[k] -= along * axis[k]
@@ -190,24 +143,11 @@ def take_off(vector: Vector, axis: Vector) -> None:
 @compiled
 def bound_task(limits: Any, frame: Any, contacts: Any, task: Any) -> bool:
     """
-    Bring a task within the box and within reach of the arm.
+    Bring a task within the box and within reach of the arm; return whether it was changed.
 
     The motion law makes the arm go at v_des + (k_p / k_v) (x_des - x), which is the limit's speed
     for an error of one reach. A twist with which it is more does not count. What lies along the
     normals of active contacts is left to these: the motion law does not go there.
-
-    Parameters
-    ----------
-    limits, frame, contacts
-        Records of `REFERENCE_LIMITS` and `FRAME`, and of `CONTACT`, shape (r,).
-    task
-        Record of `TASK`, changed if need be.
-
-    Returns
-    -------
-    bool
-        Whether anything was changed.
-
     """
     limited = False
     position = task.position
@@ -273,23 +213,20 @@ def limit_reference(reference: Any, control: Any, contacts: Any, states: Any) ->
     """
     limits, wanted, settings = reference.limits, reference.wanted, reference.settings
     frame, task = control.frame, control.task
-    damping = np.empty(contacts.shape[0])
-    follow_contacts(limits, wanted, frame, contacts, states, settings, damping)
+    follow_contacts(limits, wanted, frame, contacts, states, settings)
     for i in range(contacts.shape[0]):
         contact, state = contacts[i], states[i]
         contact.active = is_active(state)
         contact.alpha_des = 0.0
-        contact.damping = 0.0
         if state.couple:
             leader = contacts[contact.leader]  # which comes before
             contact.guarded = leader.guarded
             bound = contact.largest_offset * leader.alpha_des
             wanted_force = min(max(state.asked, -bound), bound)
         else:
-            contact.guarded = is_falling(state, settings, contact.alpha_meas)
+            contact.guarded = is_falling(state, contact.alpha_meas)
             wanted_force = min(state.asked, state.force_limit)
         if contact.active:
             contact.alpha_des = wanted_force
-            contact.damping = damping[i]
     add_displacements(limits, wanted, contacts, states, task)
     return bound_task(limits, frame, contacts, task)

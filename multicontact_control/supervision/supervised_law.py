@@ -1,8 +1,8 @@
 """
-The control law with what supervises it around it, in one compiled call.
+The control law and its supervision in one compiled call, from what the task wants to the gate.
 
-From what the task wants to the torque behind the gate: contact states and limits of the reference,
-the law, what speaks against its answer, and the gate, unless something is to be decided before it.
+Contact states and limits of the reference, the law, plausibility of its answer, and the gate,
+unless something is to be decided before it.
 """
 
 from __future__ import annotations
@@ -43,10 +43,9 @@ def supervised_law(
         One record of `SUPERVISION`.
     controls, joints, mass_matrix, jacobian, jacobian_rate, contacts, laws
         As for `control_law`.
-    states
-        Records of `CONTACT_STATE`, changed, shape (r,).
-    limits
-        Records of `JOINT_LIMITS`, shape (n,); `last` of them is the torque behind the gate.
+    states, limits
+        Records of `CONTACT_STATE`, changed, shape (r,), and `JOINT_LIMITS`, shape (n,); `last` of
+        these is the torque behind the gate.
 
     Returns
     -------
@@ -70,9 +69,7 @@ def supervised_law(
     settled = supervision.settled and not found & (NOT_FINITE | PULL | SIDEWAYS)
     for i in range(count):
         settled = settled and contacts[i].active == was_active[i]
-        if states[i].stiffness != contacts[i].stiffness:  # a better model does no work
-            states[i].stored *= states[i].stiffness / contacts[i].stiffness
-            states[i].stiffness = contacts[i].stiffness
+        states[i].stiffness = contacts[i].stiffness
     if not settled:
         return found
     torque, fallback, gated = np.empty(n), np.empty(n), np.empty(n)

@@ -72,8 +72,8 @@ SEEN_TIME = 0.05  # s, after which an arm that was not seen is held again
 LONGEST_SKIP = 0.1  # s; the task's time does not follow a clock that has been set
 WAITING = ((RECOVERING,), (LATCHED,))
 # What is 0 of a contact that no force law controls.
-OF_THE_LAW = ('active', 'alpha_des', 'alpha_fed', 'alpha_est', 'alpha_rate_est', 'damping',
-              'innovation', 'prior_variance', 'variance_used')
+OF_THE_LAW = ('active', 'alpha_des', 'alpha_fed', 'alpha_est', 'alpha_rate_est', 'innovation',
+              'prior_variance', 'variance_used')
 SATURATED = frozenset(ENFORCED[TORQUE | JOINT_STOP])
 FIXED = ('torque_limit', 'sensor', 'contact_state', 'limits', 'watchdog', 'collision')
 LIVE_OF_CONTACTS = (
@@ -280,7 +280,7 @@ class Supervisor(BumplessController):
             self._safe.start()  # it is held wherever it has gone meanwhile
             return self._react(valid.causes or ('joints_stale',), valid.rejected,
                                DAMP if arm is None else FLOAT)
-        torque = self._safe.torque(arm.q, arm.velocity)
+        torque = self._safe.torque(arm.q, arm.velocity, self._added)
         return self._finish(self._idle_output(torque), 'safe', valid.causes,
                             valid.rejected, NONE, ())
 

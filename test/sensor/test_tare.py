@@ -3,7 +3,7 @@
 from multicontact_control.config import ToolConfig
 from multicontact_control.control.wrench import contact_wrench
 from multicontact_control.dynamics.pose import Pose
-from multicontact_control.errors import CalibrationError, ShapeError
+from multicontact_control.errors import CalibrationError
 from multicontact_control.sensor.tare import tare_bias
 from multicontact_control.sensor.weight import weight_reading
 import numpy as np
@@ -20,19 +20,14 @@ POSES = Rotation.random(8, rng=np.random.default_rng(1)).as_matrix()
 def test_tare_in_any_pose_compensates_in_every_pose(pose):
     reading = weight_reading(pose, TOOL, GRAVITY) + BIAS
     noise = np.random.default_rng(0).standard_normal((50, 6)) * 1e-3
-    bias = tare_bias(reading + noise - noise.mean(axis=0), pose, TOOL, GRAVITY)
+    old = TOOL.model_copy(update={'bias_sensor': (9.0,) * 6})  # does not add up
+    bias = tare_bias(reading + noise - noise.mean(axis=0), pose, old, GRAVITY)
     np.testing.assert_allclose(bias, BIAS, atol=1e-12)
     tool = TOOL.model_copy(update={'bias_sensor': tuple(bias)})
     for other in POSES:
         wrench = contact_wrench(weight_reading(other, TOOL, GRAVITY) + BIAS,
                                 Pose(np.ones(3), other), np.zeros(3), tool, GRAVITY)
         np.testing.assert_allclose(wrench, 0.0, atol=1e-12)
-
-
-def test_tare_does_not_add_up_with_an_old_bias():
-    tool = TOOL.model_copy(update={'bias_sensor': (9.0,) * 6})
-    reading = np.tile(weight_reading(POSES[0], TOOL, GRAVITY) + BIAS, (30, 1))
-    np.testing.assert_allclose(tare_bias(reading, POSES[0], tool, GRAVITY), BIAS, atol=1e-12)
 
 
 @pytest.mark.parametrize(('wrenches', 'message'), [
@@ -43,8 +38,3 @@ def test_tare_does_not_add_up_with_an_old_bias():
 def test_tare_refuses_what_is_no_rest(wrenches, message):
     with pytest.raises(CalibrationError, match=message):
         tare_bias(wrenches, np.eye(3), TOOL, GRAVITY)
-
-
-def test_tare_refuses_readings_of_another_size():
-    with pytest.raises(ShapeError, match='wrenches_sensor'):
-        tare_bias(np.zeros((30, 3)), np.eye(3), TOOL, GRAVITY)

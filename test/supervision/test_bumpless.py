@@ -1,10 +1,8 @@
 """The controller without jumps: at its start, when it is retuned, and when it gives up."""
 
 from arms import controller_config, HOME
-from multicontact_control.config import SafeBehaviourConfig
 from multicontact_control.control.controller import Controller, Measurement
 from multicontact_control.control.reference import CommandedReference
-from multicontact_control.errors import ConfigError
 from multicontact_control.paths import config_dir
 from multicontact_control.sensor.weight import weight_reading
 from multicontact_control.supervision.bumpless import BumplessController
@@ -43,17 +41,17 @@ def gravity(controller):
     return controller.controller.robot.update(HOME, REST).gravity
 
 
-def test_first_command_is_the_measured_effort():
+@pytest.mark.parametrize('effort', [EFFORT, None, np.full(6, np.nan), np.zeros(6)])
+def test_first_command_is_the_measured_effort_or_gravity_compensation(effort):
     controller, _ = make()
-    output = controller.step(sample(controller, effort=EFFORT)).output
-    np.testing.assert_array_equal(output.torque, EFFORT)
-
-
-@pytest.mark.parametrize('effort', [None, np.full(6, np.nan), np.zeros(6)])
-def test_first_command_without_measured_effort_compensates_gravity(effort):
-    controller, _ = make()
-    output = controller.step(sample(controller, effort=effort)).output
-    np.testing.assert_array_equal(output.torque, gravity(controller))
+    for k in range(5):
+        output = controller.step(sample(controller, k, effort=effort)).output
+        if k == 0:
+            np.testing.assert_array_equal(
+                output.torque, EFFORT if effort is EFFORT else gravity(controller))
+    controller.reset()
+    output = controller.step(sample(controller, effort=-EFFORT)).output
+    np.testing.assert_array_equal(output.torque, -EFFORT)
 
 
 def test_torque_is_that_of_the_law_after_the_blend():
@@ -68,27 +66,17 @@ def test_torque_is_that_of_the_law_after_the_blend():
         assert equal == (k >= 10), k
 
 
-def test_reset_starts_from_the_measured_effort_again():
-    controller, _ = make()
-    for _ in range(2):
-        for k in range(5):
-            controller.step(sample(controller, k, effort=EFFORT))
-        controller.reset()
-    output = controller.step(sample(controller, effort=-EFFORT)).output
-    np.testing.assert_array_equal(output.torque, -EFFORT)
-
-
 def test_reconfigure_repeats_the_last_command_and_then_keeps_to_the_rate():
     controller, _ = make(transition={'torque_rate': 50.0, 'blend_time': 0.0})
     away = HOME + 0.01  # from the pose at the start, which is held
     controller.step(sample(controller))
-    for k in range(1, 2000):
+    for k in range(1, 300):
         before = controller.step(sample(controller, k, q=away)).output
     stiffer = controller_config(
         transition={'torque_rate': 50.0, 'blend_time': 0.0}, motion={'natural_frequency': 60.0})
     controller.reconfigure(stiffer)
     after = [controller.step(sample(controller, k, q=away)).output.torque
-             for k in range(2000, 9000)]
+             for k in range(300, 2300)]
     np.testing.assert_array_equal(after[0], before.torque)
     steps = np.abs(np.diff([before.torque, *after], axis=0))
     assert 0.0 < steps.max() <= 50.0 * controller.config.period * (1.0 + 1e-9)
@@ -116,40 +104,18 @@ def test_reconfigure_keeps_what_the_observers_know():
         rtol=1e-9, atol=1e-12)
 
 
-def test_reconfigure_to_a_state_of_another_size_starts_the_observers_anew():
-    controller, reference = make()
-    for k in range(50):
-        if k == 1:
-            reference.set_forces({'table': 5.0})
-        controller.step(sample(controller, k))
-    old = controller.controller.observers
-    controller.reconfigure(controller_config(force={'active_state_order': 0}))
-    new = controller.controller.observers
-    assert (new['states'] == old['states'] - 1).all()
-    assert not new['running'].any() and not new['x_est'].any()
-
-
-@pytest.mark.parametrize('changes', [
-    {'rate': 400.0}, {'contact_names': ['table']}, {'robot': {'gravity_world': [0, 0, -1.0]}}])
-def test_reconfigure_refuses_another_task_and_leaves_everything(changes):
-    controller, _ = make()
-    controller.step(sample(controller))
-    config = controller.config
-    with pytest.raises(ConfigError, match=f'^{next(iter(changes))}: expected .* while in use'):
-        controller.reconfigure(controller_config(**changes))
-    assert controller.config is config
-
-
 @pytest.mark.parametrize('kind', ['gravity_compensation', 'zero_torque', 'hold_position'])
 def test_safe_step_goes_from_the_last_command_to_the_declared_behaviour(kind):
     controller, _ = make(safe_behaviour={'kind': kind})
     last = controller.step(sample(controller, effort=EFFORT)).output.torque
-    torques = [controller.safe_step(sample(controller, k)).output.torque for k in range(1, 2500)]
+    torques = [controller.safe_step(sample(controller, k)).output.torque for k in range(1, 1200)]
     np.testing.assert_array_equal(torques[0], last)
     rate = controller.config.transition.torque_rate
     assert np.abs(np.diff(torques, axis=0)).max() <= rate * 0.002 * (1.0 + 1e-9)
     expected = 0.0 * EFFORT if kind == 'zero_torque' else gravity(controller)
     np.testing.assert_allclose(torques[-1], expected, atol=1e-9)
+    again = controller.step(sample(controller, 1200)).output.torque  # the law starts from there
+    np.testing.assert_array_equal(again, torques[-1])
 
 
 def test_safe_step_answers_a_push_as_declared():
@@ -166,69 +132,31 @@ def test_safe_step_answers_a_push_as_declared():
         assert controller.safe_step(sample(controller, 4, qd=moving)).output.torque[5] < -0.1
 
 
-def test_posture_is_held_as_it_is_when_holding_is_declared():
-    """Not as it was when the safe behaviour began: the arm was led away by hand since."""
-    controller, _ = make(transition={'blend_time': 0.0})
-    controller.safe_step(sample(controller, 0))
-    moved = HOME + np.array([0.0, 0.3, 0.0, 0.0, 0.0, 0.5])
-    controller.safe_step(sample(controller, 1, q=moved))
-    controller.reconfigure(controller.config.model_copy(
-        update={'safe_behaviour': SafeBehaviourConfig(kind='hold_position')}))
-    for k in range(2, 1000):
-        torque = controller.safe_step(sample(controller, k, q=moved)).output.torque
-    weight = controller.controller.robot.update(moved, REST).gravity
-    np.testing.assert_allclose(torque, weight, atol=1e-9)
-
-
-def test_step_after_safe_steps_starts_the_law_anew_from_their_torque():
-    controller, _ = make(safe_behaviour={'kind': 'zero_torque'})
-    controller.step(sample(controller, effort=EFFORT))
-    for k in range(1, 2500):
-        last = controller.safe_step(sample(controller, k)).output.torque
-    output = controller.step(sample(controller, 2500)).output
-    np.testing.assert_array_equal(output.torque, last)
-    assert not last.any()
+def of_table(**changes):
+    contacts = {name: x.model_dump() for name, x in controller_config().contacts.items()}
+    contacts['table'].update(changes)
+    return controller_config(contacts=contacts)
 
 
 def test_normal_that_was_found_is_kept_until_another_is_told():
-    def config(**changes):
-        table = controller_config().contacts['table'].model_dump()
-        return controller_config(contacts={
-            **{name: x.model_dump() for name, x in controller_config().contacts.items()},
-            'table': {**table, 'normal_turn_rate': 0.2, 'friction_std': 2.0, **changes}})
-
-    controller = BumplessController.from_config(
-        config(), CommandedReference(config().contact_names), config_dir())
-    contacts, found = controller.controller.contacts, [0.1, 0.0, -np.sqrt(0.99)]
+    turning, found = {'normal_turn_rate': 0.2, 'friction_std': 2.0}, [0.1, 0.0, -np.sqrt(0.99)]
+    other = [0.0, 0.6, -0.8]
+    controller, _ = make(contacts=of_table(**turning).model_dump()['contacts'])
     controller.step(sample(controller))
-    contacts['normal'][0] = found
-    controller.reconfigure(config(friction_coefficient=0.1))
-    np.testing.assert_array_equal(controller.controller.contacts['normal'][0], found)
-    controller.reconfigure(config(normal_world=[0.0, 0.6, -0.8]))
-    np.testing.assert_allclose(controller.controller.contacts['normal'][0], [0.0, 0.6, -0.8])
-    contacts['normal'][0] = found
-    controller.reconfigure(config(normal_world=[0.0, 0.6, -0.8], normal_turn_rate=0.0))
-    np.testing.assert_allclose(controller.controller.contacts['normal'][0], [0.0, 0.6, -0.8])
+    normals = controller.controller.contacts['normal']
+    for changes, normal in (
+            ({**turning, 'friction_coefficient': 0.1}, found),
+            ({**turning, 'normal_world': other}, other),
+            ({'friction_std': 2.0, 'normal_world': other}, other)):
+        normals[0] = found
+        controller.reconfigure(of_table(**changes))
+        np.testing.assert_allclose(controller.controller.contacts['normal'][0], normal)
 
 
 def test_speed_of_a_surface_that_was_found_is_bounded_by_another_limit():
-    table = controller_config().contacts['table'].model_dump()
-
-    def config(limit):
-        return controller_config(contacts={'table': {**table, 'surface_speed_limit': limit}})
-
-    controller, _ = make(contacts=config(0.1).model_dump()['contacts'])
+    controller, _ = make(contacts=of_table(surface_speed_limit=0.1).model_dump()['contacts'])
     found = controller.controller.contacts['surface_speed_est']
     found[0] = 0.05
     for limit, left in ((0.02, 0.02), (0.0, 0.0)):
-        controller.reconfigure(config(limit))
+        controller.reconfigure(of_table(surface_speed_limit=limit))
         assert found[0] == left
-
-
-def test_speed_of_a_surface_is_found_with_an_observer_only():
-    table = controller_config().contacts['table'].model_dump()
-    board = controller_config().contacts['board'].model_dump()
-    with pytest.raises(ConfigError, match='contacts.table.surface_speed_limit: expected 0 m/s '
-                       'unless force.law is aob, found 0.05 m/s with lqg'):
-        controller_config(force={'law': 'lqg'}, contacts={
-            'table': {**table, 'surface_speed_limit': 0.05}, 'board': board})

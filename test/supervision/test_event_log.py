@@ -6,8 +6,7 @@ import pytest
 
 
 def status(reaction='none', causes=(), limits=(), states=('holding', 'given up')):
-    return SupervisorStatus(
-        reaction, causes, (), limits, states, 0.0)
+    return SupervisorStatus(reaction, causes, (), limits, states, 0.0)
 
 
 def test_an_event_is_read_as_it_was_written():
@@ -36,16 +35,3 @@ def test_what_changes_more_than_twice_a_second_alternates():
     assert list(rates) == ['table']
     assert rates['table'] == pytest.approx(6.7, abs=0.3)
     assert log.alternating(30.0) == {}
-
-
-def test_a_clock_that_is_set_back_hides_and_makes_up_no_alternation():
-    """Changes an hour apart, each right after the clock began anew, are not of one time."""
-    log = EventLog(['table'])
-    for _ in range(20):
-        log.note(0.0, status('hold', states=('holding',)))
-        log.note(0.01, status(states=('holding',)))
-        log.note(3600.0, status(states=('holding',)))
-        assert log.alternating(3600.0) == {}
-    for k in range(20):
-        log.note(0.1 * (k % 10), status('hold' if k % 2 else 'none', states=('holding',)))
-    assert list(log.alternating(0.9)) == ['reaction']

@@ -44,9 +44,9 @@ def test_gate_lets_nothing_through_that_is_not_finite_and_within_limits(
 
 
 def test_gate_does_not_touch_what_is_within_limits():
-    gate = TorqueGate(CONFIG, 6)
     torque = np.array([10.0, 20.0, -5.0, 1.0, 0.5, -0.2])
-    gated, limits = gate.apply(torque, np.zeros(6), view_arm(HOME, 0.1 * np.ones(6)))
+    gated, limits = TorqueGate(CONFIG, 6).apply(
+        torque, np.zeros(6), view_arm(HOME, 0.1 * np.ones(6)))
     np.testing.assert_array_equal(gated, torque)
     assert limits == ()
 

@@ -1,7 +1,6 @@
 """An arm that adds gravity itself: whatever commands it, commands that much less."""
 
-from __future__ import annotations
-
+from contextlib import closing
 from xml.etree import ElementTree
 
 from arms import HOME
@@ -55,48 +54,22 @@ def test_simulated_arm_that_carries_itself_is_held_and_presses(with_tool, superv
     """No sag at the start, 10 N on both contacts, and limits that are less than its weight."""
     limit = [60.0, 25.0, 40.0, 24.2, 20.1, 21.3]
     assert (np.abs(gravity_of_the_arm(True)(HOME)) > limit).any()
-    loop = SelfCarryingLoop(resolve('quick', plant='rigid', controller={
-        'robot': {**ADDED, 'adds_tool_gravity': with_tool}, 'torque_limit': limit}),
-        with_tool=with_tool, supervised=supervised, commanded=True)
-    for _ in range(200):
-        loop.advance()
-        assert np.abs(loop.sample.q - HOME).max() < 1e-4
-        assert np.abs(loop.command).max() < 3.0
-    loop.control.set_forces({'table': 10.0, 'board': 10.0})
-    forces = []
-    for _ in range(1300 if supervised else 1):
-        loop.advance()
-        assert (np.abs(loop.command) <= limit).all()
-        joints = loop.control.controller.controller.arm.joints
-        np.testing.assert_array_equal(joints['added'], loop.control.controller.own_weight.torque)
-        np.testing.assert_array_equal(joints['torque_limit'], limit)
-        forces.append(loop.true_forces)
-    if supervised:
-        np.testing.assert_allclose(np.mean(forces[-100:], axis=0), 10.0, atol=0.3)
-        assert set(loop.control.reactions) == {'none'}
-    loop.close()
-
-
-def history(loop, ticks):
-    """Return what a loop was told over some ticks, with what may be missing of it."""
-    told = []
-    for k in range(ticks):
-        inputs = loop.inputs()
-        if 40 <= k < 70:
-            inputs = inputs._replace(wrench=None)  # hold
-        if 140 <= k < 160:
-            inputs = inputs._replace(joints=None)  # float
-        told.append(inputs)
-        loop.advance()
-    loop.close()
-    return told
-
-
-def with_effort(inputs, own):
-    """Return inputs of an arm that measures its effort without its own gravity."""
-    joints = inputs.joints
-    return inputs if joints is None else inputs._replace(
-        joints=joints._replace(effort=joints.effort - own(joints.q)))
+    with closing(SelfCarryingLoop(resolve('quick', plant='rigid', controller={
+            'robot': {**ADDED, 'adds_tool_gravity': with_tool}, 'torque_limit': limit}),
+            with_tool=with_tool, supervised=supervised, commanded=True)) as loop:
+        for _ in range(200):
+            loop.advance()
+            assert np.abs(loop.sample.q - HOME).max() < 1e-4
+            assert np.abs(loop.command).max() < 3.0
+        loop.control.set_forces({'table': 10.0, 'board': 10.0})
+        forces = []
+        for _ in range(1300 if supervised else 1):
+            loop.advance()
+            assert (np.abs(loop.command) <= limit).all()
+            forces.append(loop.true_forces)
+        if supervised:
+            np.testing.assert_allclose(np.mean(forces[-100:], axis=0), 10.0, atol=0.3)
+            assert set(loop.control.reactions) == {'none'}
 
 
 @pytest.mark.parametrize('kind', ['gravity_compensation', 'hold_position', 'zero_torque'])
@@ -105,18 +78,25 @@ def test_every_reaction_and_the_safe_behaviour_command_that_much_less(kind):
     own = gravity_of_the_arm(True)
     changes = {'safe_behaviour': {'kind': kind}, 'torque_limit': []}
     setup = resolve('quick', plant='rigid', controller=changes)
-    told = history(ClosedLoop(setup), 420)
-    plain = ClosedLoop(setup).control
+    plain, source = ClosedLoop(setup).control, ClosedLoop(setup)
     added = ClosedLoop(resolve(
         'quick', plant='rigid', controller={**changes, 'robot': ADDED})).control
     seen, reactions = HOME, set()
-    for k, inputs in enumerate(told):
+    for k in range(420):
+        inputs = source.inputs()
+        source.advance()
         if k == 200:
             plain.stop()
             added.stop()
-        if inputs.joints is not None:
-            seen = inputs.joints.q
-        command, less = plain.answer(inputs), added.answer(with_effort(inputs, own))
+        if 140 <= k < 160:  # float
+            inputs = of_added = inputs._replace(joints=None)
+        else:
+            joints, seen = inputs.joints, inputs.joints.q
+            of_added = inputs._replace(
+                joints=joints._replace(effort=joints.effort - own(joints.q)))
+        if 40 <= k < 70:  # hold
+            inputs, of_added = (each._replace(wrench=None) for each in (inputs, of_added))
+        command, less = plain.answer(inputs), added.answer(of_added)
         if kind == 'zero_torque' and k > 400:
             np.testing.assert_allclose(less, 0.0, atol=1e-9)
         elif k < 200 or kind != 'zero_torque':

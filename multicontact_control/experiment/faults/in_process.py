@@ -42,8 +42,6 @@ class Corruptor:
 
     def __init__(self, fault: Fault, random: Random, loop: ClosedLoop) -> None:
         self._fault, self._random = fault, random
-        # What a message would say, and a reading in process need not.
-        self._names = {'names': loop.setup.controller.robot.joint_names}
         self._first, self._history = loop.inputs(), list(loop.history)
         self._passed = 0
         self.choice: Vector = random.random(4)
@@ -61,8 +59,7 @@ class Corruptor:
             return inputs._replace(**{source: delivered})
         if isinstance(action, Edit):
             reading, first = getattr(inputs, source), getattr(self._first, source)
-            values = action.values(
-                reading._asdict() | self._names, first._asdict() | self._names, self.choice)
+            values = action.values(reading._asdict(), first._asdict(), self.choice)
             return inputs._replace(**{source: reading._replace(**values)})
         return inputs
 

@@ -167,14 +167,10 @@ def _numbers() -> list[Fault]:
 
 
 def _names() -> list[Fault]:
-    """Return the faults of the names in a message; in process a variance has none."""
-    return [
-        _edit('joints', 'names', 'wrong_names', _rename),
-        _edit('joints', 'names', 'missing_name', _shorten),
-        _edit('joints', 'names', 'doubled_name', _double, where=OVER_GRAPH),
-        _edit('variance', 'names', 'wrong_names', _rename, where=OVER_GRAPH),
-        _edit('variance', 'names', 'missing_name', _shorten, where=OVER_GRAPH),
-        _edit('variance', 'names', 'doubled_name', _double, where=OVER_GRAPH)]
+    """Return the faults of the names in a message; readings in process have none."""
+    changes = {'wrong_names': _rename, 'missing_name': _shorten, 'doubled_name': _double}
+    return [_edit(stream, 'names', kind, change, where=OVER_GRAPH)
+            for stream in ('joints', 'variance') for kind, change in changes.items()]
 
 
 def _frozen() -> list[Fault]:
