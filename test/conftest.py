@@ -1,5 +1,6 @@
 """What comes before the first test, and who runs which, with several workers (`pytest -n 3`)."""
 
+import os
 import signal
 
 from browser import chromium_browser
@@ -10,7 +11,7 @@ import pytest
 # One after the other: two graphs in real time would take each other's processor. What makes a
 # folder among the sources, and what looks whether there is a new one.
 TOGETHER = [
-    {'test/experiment/faults/test_in_graph.py', 'test/experiment/graph/test_external.py',
+    {'test/campaign/test_campaign.py', 'test/experiment/graph/test_external.py',
      'test/nodes/test_missing_samples.py', 'test/nodes/test_survival.py'},
     {'test/test_colcon.py', 'test/test_packaging.py'}]
 
@@ -33,7 +34,8 @@ def chromium():
 
 def pytest_sessionstart(session):
     """Compile what no test should wait for; of several workers that start at once, one does."""
-    ensure_compiled()
+    if os.environ.get('MULTICONTACT_COMPILE') != 'lazily':
+        ensure_compiled()
 
 
 def pytest_configure(config):
