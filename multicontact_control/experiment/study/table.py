@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-import csv
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -28,8 +27,7 @@ def write_table(content: Any, path: Path) -> Path:
     Parameters
     ----------
     content
-        A `pyarrow.Table` for ``.parquet``; rows, that is mappings with the same keys, for
-        ``.csv``; JSON values for ``.json`` and ``.yaml``.
+        A `pyarrow.Table` for ``.parquet``; JSON values for ``.json`` and ``.yaml``.
     path
         Its suffix says what is written.
 
@@ -37,10 +35,6 @@ def write_table(content: Any, path: Path) -> Path:
     with replacing(path) as partial:
         if path.suffix == '.parquet':
             pq.write_table(content, partial, compression='zstd')
-        elif path.suffix == '.csv':
-            lines = [list(content[0]) if content else [], *(row.values() for row in content)]
-            with partial.open('w', encoding='utf-8', newline='') as file:
-                csv.writer(file, lineterminator='\n').writerows(lines)
         elif path.suffix == '.yaml':
             partial.write_text(yaml.safe_dump(content, sort_keys=False), encoding='utf-8')
         else:
@@ -114,6 +108,11 @@ class Listing:
     lines: Sequence[Line]
     verdict: int = 1
     caption: str = ''
+
+
+def format_number(value: float | None, digits: int, scale: float = 1.0) -> str:
+    """Return a number times a scale for a cell, a dash for one that is not known."""
+    return '-' if value is None else f'{scale * value:.{digits}f}'
 
 
 def short_names(names: Sequence[str], separator: str = '.') -> list[str]:

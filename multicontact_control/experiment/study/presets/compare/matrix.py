@@ -49,11 +49,7 @@ class Entry:
 
 
 def rescaling(config: NoiseEstimatorConfig) -> float:
-    """
-    Return the factor on R of `window` that makes it agree with `lead_window` at rest.
-
-    The gain of the lead filter for the variance of white noise, 269 as configured.
-    """
+    """Return the lead filter's gain for the variance of white noise: R of `window` over it."""
     return lead_filter(
         config.zero_frequency, config.pole_frequency, config.rate).variance_factor()
 
@@ -96,12 +92,7 @@ def name_checks(
 
 
 def controller_values(plant: str) -> dict[str, Any]:
-    """
-    Return what the controller of a plant needs to differ from its files.
-
-    Without joint friction there is none to compensate: on such joints a compensation pushes the
-    arm along, which makes a limit cycle at rest of 1.5 N at the board.
-    """
+    """Return what is laid over the controller: no compensation of friction that is not there."""
     return {} if _plant(plant).joint_friction_scale > 0.0 else {
         'friction': {'coulomb': [], 'viscous': []}}
 

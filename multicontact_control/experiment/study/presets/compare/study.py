@@ -55,7 +55,6 @@ class ComparisonStudy(Study[RunJob, dict[str, Any]]):
     title = 'compare'
     name = 'comparison'
     measure = staticmethod(measure_run)
-    takes_long = True
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -107,9 +106,9 @@ class ComparisonStudy(Study[RunJob, dict[str, Any]]):
 
     def content(self, run: JobRun[RunJob]) -> dict[str, Any]:
         """Return the content of ``comparison.json``."""
-        rows = [row_of(entry, run.keys[entry.job], run.result(entry.job))
-                for entry in self.entries() if entry.job not in run.lost]
-        return {'schema': 2, 'scenario': matrix.SCENARIO, 'preset': self.preset, 'rows': rows,
+        rows = [row_of(entry, run.keys[entry.job], run.metrics(entry.job))
+                for entry in self.entries()]
+        return {'scenario': matrix.SCENARIO, 'preset': self.preset, 'rows': rows,
                 'claims': {plant: [{'damping_rate': rate, **claim.to_json()}
                                    for rate, claims in found.items() for claim in claims]
                            for plant, found in comparison_claims(rows).items()}}

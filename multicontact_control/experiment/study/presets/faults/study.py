@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from multicontact_control.errors import ConfigError
-from multicontact_control.experiment.faults.fault import GRAPH, PHASES, PROCESS, TWO
+from multicontact_control.experiment.faults.fault import PHASES, PROCESS, TWO
 from multicontact_control.experiment.faults.judge import FaultRow
 from multicontact_control.experiment.faults.vocabulary import faults_of, pairs_of_faults
 from multicontact_control.experiment.scenario import plants_of
 from multicontact_control.experiment.study.execute import JobRun
+from multicontact_control.experiment.study.measure import largest_known, middle_known
 from multicontact_control.experiment.study.page import Page, Section
 from multicontact_control.experiment.study.presets.faults.jobs import (
     FaultJob,
@@ -20,14 +21,13 @@ from multicontact_control.experiment.study.presets.faults.jobs import (
     run_fault_job,
 )
 from multicontact_control.experiment.study.study import Study
-from multicontact_control.experiment.study.table import Column, Line, Listing
+from multicontact_control.experiment.study.table import Column, format_number, Line, Listing
 from multicontact_control.wording import counted
 import numpy as np
 
 SEEDS = 14
 PAIRS, QUICK_PAIRS = 300, 12  # of faults at the same time
 FAULTS_PER_JOB = 12
-PLACES = {PROCESS: 'in process', GRAPH: 'over the graph'}
 COLUMNS = (
     Column('input', number=False), Column('kind', number=False), Column('n', 'n'),
     Column('reaction', number=False), Column('to safe [ms]', 'safe ms', spare=True),
@@ -54,8 +54,6 @@ class FaultStudy(Study[FaultJob, list[FaultRow]]):
         Seeds of the faults count from here.
     quick
         One fault of each kind instead of 14.
-    graph
-        Whether faults of a running graph come after these.
     plants
         Where they happen.
 
@@ -63,7 +61,6 @@ class FaultStudy(Study[FaultJob, list[FaultRow]]):
 
     seed: int = 0
     quick: bool = False
-    graph: bool = False
     plants: tuple[str, ...] = field(default_factory=plants_of)
 
     title = 'faults'
@@ -82,20 +79,11 @@ class FaultStudy(Study[FaultJob, list[FaultRow]]):
 
     def grid(self) -> Mapping[str, Sequence[Any]]:
         """Return kinds, seeds and situations."""
-        found: dict[str, Sequence[Any]] = {
+        return {
             'kinds': [f'{source} {kind}' for kind, source in faults_of(PROCESS)],
             'seeds': range(self.seed, self.seed + (self._situations if self.quick else SEEDS)),
-            'plants': self.plants, 'phases': PHASES}
-        found['pairs of faults at once'] = range(QUICK_PAIRS if self.quick else PAIRS)
-        if self.graph:
-            from multicontact_control.experiment.faults.in_graph import graph_tasks  # needs ROS
-
-            found['faults over the graph, run anew each time'] = [
-                f'{plant} {fault.input} {fault.kind} {seed}'
-                for plant, tasks in graph_tasks(
-                    self.plants, self.seed, quick=self.quick).items()
-                for fault, seed in tasks]
-        return found
+            'plants': self.plants, 'phases': PHASES,
+            'pairs of faults at once': range(QUICK_PAIRS if self.quick else PAIRS)}
 
     def jobs(self) -> list[FaultJob]:
         """
@@ -120,8 +108,7 @@ class FaultStudy(Study[FaultJob, list[FaultRow]]):
 
     def content(self, run: JobRun[FaultJob]) -> list[FaultRow]:
         """Return what became of every fault, by kind and seed."""
-        rows = [FaultRow(**row) for job in run.kept(self.jobs())
-                for row in run.result(job).metrics['rows']]
+        rows = [FaultRow(**row) for job in self.jobs() for row in run.metrics(job)['rows']]
         order = {fault: i for i, fault in enumerate(faults_of(PROCESS))}
         return sorted(rows, key=lambda row: (
             order.get((row.kind, row.input), len(order)), row.seed))
@@ -133,10 +120,10 @@ class FaultStudy(Study[FaultJob, list[FaultRow]]):
     def page(self, content: list[FaultRow], folder: Path) -> Page:
         """Return a line for each kind, and every fault that was not safe."""
         unsafe = [row for row in content if not row.safe]
-        kinds = {(row.where, row.input, row.kind) for row in content}
+        kinds = {(row.input, row.kind) for row in content}
         return Page(
-            'Faults of inputs, plant and graph', [Section('Faults by kind', _listing(content))],
-            warnings=[f'{what}: {row.where}, {row.plant}, {row.phase}, {row.input} {row.kind}, '
+            'Faults of inputs and plant', [Section('Faults by kind', _listing(content))],
+            warnings=[f'{what}: {row.plant}, {row.phase}, {row.input} {row.kind}, '
                       f'seed {row.seed}: {why}' for row in content
                       for what, why in (('not safe', row.problems), ('short', row.shortfalls))
                       if why],
@@ -157,24 +144,22 @@ def _distribution(rows: Sequence[FaultRow]) -> str:
 
 
 def _listing(rows: Sequence[FaultRow]) -> Listing:
-    """Return one line per kind, by where it happened."""
-    groups: dict[tuple[str, str, str], list[FaultRow]] = {}
+    """Return one line per kind."""
+    groups: dict[tuple[str, str], list[FaultRow]] = {}
     for row in rows:
-        source = '' if row.kind == TWO else row.input
-        groups.setdefault((row.where, source, row.kind), []).append(row)
+        groups.setdefault(('' if row.kind == TWO else row.input, row.kind), []).append(row)
     lines = []
-    for (where, source, kind), group in groups.items():
+    for (source, kind), group in groups.items():
         never = any(row.time_to_safe_s < 0.0 for row in group)
         unsafe = sum(not row.safe for row in group)
         short = sum(bool(row.shortfalls) for row in group)
         off = [1e3 * row.off_command_s for row in group if row.off_command_s >= 0.0]
         lines.append(Line([
-            source.removesuffix('_node'), kind, str(len(group)),
-            ', '.join(sorted({row.reaction for row in group})),
+            source, kind, str(len(group)), ', '.join(sorted({row.reaction for row in group})),
             'never' if never else f'{1e3 * max(row.time_to_safe_s for row in group):.0f}',
             f'{max(row.peak_force_n for row in group):.1f}',
             f'{max(row.peak_torque_fraction for row in group):.2f}',
-            f'{np.median(off):.0f}' if off else '-', f'{max(off):.0f}' if off else '-',
+            format_number(middle_known(off), 0), format_number(largest_known(off), 0),
             str(max(row.transitions for row in group)), f'{short}' if short else '-',
-            f'{unsafe} not' if unsafe else 'yes'], not unsafe, PLACES[where]))
+            f'{unsafe} not' if unsafe else 'yes'], not unsafe))
     return Listing(COLUMNS, lines, verdict=SAFE)

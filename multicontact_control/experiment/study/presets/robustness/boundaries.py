@@ -2,9 +2,8 @@
 How wrong the stiffness and the delay may be: simulated, and by the linear loop.
 
 The linear loop is that of `force.linear_loop`, with the mobility of this arm at its home. The
-plant of the paper's eq. 32 alone gives boundaries 30 to 40 % too low on the simulated arm, since
-it leaves out that the contact force moves the arm, that the surface damps, and that the sensor
-weighs the tool's inertia.
+plant of the paper's eq. 32 leaves out that the contact force moves the arm, that the surface
+damps, and that the sensor weighs the tool's inertia.
 """
 
 from __future__ import annotations

@@ -1,11 +1,9 @@
 from typing import get_args
 
 from multicontact_control.config import NoiseEstimatorConfig
-from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.study.presets.compare.matrix import (
     AOB,
     beside_the_matrix,
-    check_label,
     comparison_matrix,
     LABELS,
     MATCHED,
@@ -38,7 +36,6 @@ def test_matrix_runs_each_cell_with_what_its_label_says():
 
 
 def test_matched_observer_has_the_gain_of_the_papers_at_rest():
-    """Q over R is the same where R is the variance of the raw force, and that of the filter."""
     lead, matched = (comparison_matrix(('puma',), (label,), 1, plain=False)[0].job.setup()
                      for label in ('lead_window', MATCHED))
     assert matched.noise_estimator.estimator == 'innovation'
@@ -47,7 +44,6 @@ def test_matched_observer_has_the_gain_of_the_papers_at_rest():
 
 
 def test_matched_and_rescaled_estimators_are_those_of_the_preset(tmp_path):
-    """Another lead filter, another Q and another scale of R: the factor and the gain follow."""
     path = tmp_path / 'mine.yaml'
     path.write_text(
         'controller_node:\n  ros__parameters: {force: {process_noise: 0.01}}\n'
@@ -89,18 +85,3 @@ def test_causes_are_looked_for_only_with_flexible_drives():
     plant = smooth.job.setup().plant
     assert not plant.sensor.noise
     assert all(surface.roughness_std == 0.0 for surface in plant.surfaces.values())
-
-
-@pytest.mark.parametrize('changes, match', [
-    ({'estimators': ('kalman',)}, "^estimators: .*lead_window.*'kalman'$"),
-    ({'plants': ('ur5',)}, "^plant: .*'ur5'$"), ({'seeds': 0}, '^seeds: expected at least 1'),
-    ({'plants': ('ur5',), 'estimators': ('kalman',), 'seeds': -1},
-     "^plant: .*'ur5'\nestimators: .*'kalman'\nseeds: expected at least 1, found -1$")])
-def test_bad_study_says_all_that_is_expected(changes, match):
-    with pytest.raises(ConfigError, match=match):
-        ComparisonStudy(**changes).check()
-
-
-def test_unknown_label_is_refused():
-    with pytest.raises(ConfigError, match='lead_window'):
-        check_label('nothing')
