@@ -23,15 +23,7 @@ class Job(Hashable, Protocol):
     """One piece of work, described in full; it can be pickled."""
 
     def key(self) -> str:
-        """
-        Return the hash of all that decides the outcome, whatever files it was read from.
-
-        Raises
-        ------
-        ConfigError
-            If what is described is not acceptable.
-
-        """
+        """Return the hash of all that decides the outcome; ConfigError if it is not acceptable."""
         ...
 
     def describe(self) -> dict[str, Any]:
@@ -44,23 +36,11 @@ JobT = TypeVar('JobT', bound=Job)
 
 @dataclass(frozen=True)
 class JobResult:
-    """
-    What a job leaves.
+    """What a job leaves."""
 
-    Attributes
-    ----------
-    metrics
-        JSON values; the same whatever ran the job.
-    traces
-        Series by name, kept in single precision; may be empty.
-    wall_time
-        Of the run [s].
-
-    """
-
-    metrics: dict[str, Any]
-    traces: dict[str, Matrix]
-    wall_time: float
+    metrics: dict[str, Any]  # JSON values, the same whatever ran the job
+    traces: dict[str, Matrix]  # series by name, kept in single precision; may be empty
+    wall_time: float  # s
 
 
 @cache
@@ -97,24 +77,12 @@ def setup_content(setup: Setup) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True, order=True)
 class RunJob:
-    """
-    One run of a scenario; made by `job_of`.
-
-    Attributes
-    ----------
-    scenario, plant, seed
-        As for `resolve`.
-    overrides
-        Canonical JSON of the other arguments of `resolve`.
-    supervised
-        As for `run_in_process`.
-
-    """
+    """One run of a scenario; made by `job_of`."""
 
     scenario: str
     plant: str
     seed: int
-    overrides: str = '{}'
+    overrides: str = '{}'  # canonical JSON of the other arguments of `resolve`
     supervised: bool = False
 
     def setup(self) -> Setup:

@@ -29,23 +29,11 @@ ContentT = TypeVar('ContentT')
 
 
 class Study(ABC, Generic[JobT, ContentT]):
-    """
-    A grid of jobs, what is measured in each, and what is shown of all of them.
+    """A grid of jobs, what is measured in each, and what is shown of all of them."""
 
-    Attributes
-    ----------
-    title
-        Left of the progress bar.
-    name
-        Of its page and its figure.
-    unit
-        What its jobs are called.
-
-    """
-
-    title: ClassVar[str]
-    name: ClassVar[str]
-    unit: ClassVar[str] = 'runs'
+    title: ClassVar[str]  # left of the progress bar
+    name: ClassVar[str]  # of its page and its figure
+    unit: ClassVar[str] = 'runs'  # what its jobs are called
 
     def check(self) -> None:
         """Check the options; ConfigError with all that are not acceptable."""
@@ -56,15 +44,7 @@ class Study(ABC, Generic[JobT, ContentT]):
 
     @abstractmethod
     def jobs(self) -> list[JobT]:
-        """
-        Return every job; one may come twice.
-
-        Raises
-        ------
-        ConfigError
-            If what is to be run is not acceptable.
-
-        """
+        """Return every job; one may come twice. ConfigError if one is not acceptable."""
 
     def further(self, run: JobRun[JobT]) -> list[JobT]:
         """Return what else is to be run, now that the jobs have been."""
@@ -97,29 +77,21 @@ class Study(ABC, Generic[JobT, ContentT]):
         return f'{self.title}: {", ".join(sizes)}'
 
 
+def check_seeds(count: int) -> None:
+    """Check a number of seeds; ConfigError if there is none."""
+    if count < 1:
+        raise ConfigError('seeds', 'at least 1', count)
+
+
 @dataclass(frozen=True)
 class StudyOptions:
-    """
-    How a study is run.
+    """How a study is run."""
 
-    Attributes
-    ----------
-    out
-        Folder of the results; None for the study's own.
-    jobs
-        How many run at once on this machine, 0 for every core.
-    dask
-        Address of a Dask scheduler to use instead, empty for none.
-    dry_run, overwrite
-        Whether only to say what would be run; whether finished jobs are run again.
-
-    """
-
-    out: Path | None = None
-    jobs: int = 0
-    dask: str = ''
-    dry_run: bool = False
-    overwrite: bool = False
+    out: Path | None = None  # folder of the results; None for the study's own
+    jobs: int = 0  # at once on this machine, 0 for every core
+    dask: str = ''  # address of a Dask scheduler to use instead
+    dry_run: bool = False  # only say what would be run
+    overwrite: bool = False  # run finished jobs again
 
     def check(self) -> None:
         """Check what can be checked without doing anything; ConfigError if it is bad."""

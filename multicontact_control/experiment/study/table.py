@@ -44,70 +44,32 @@ def write_table(content: Any, path: Path) -> Path:
 
 @dataclass(frozen=True)
 class Column:
-    """
-    A column of what is shown.
+    """A column of what is shown."""
 
-    Attributes
-    ----------
-    head, short
-        On the page, and in the terminal; the same if there is no `short`.
-    number
-        Whether it is set to the right.
-    spare
-        Whether a narrow terminal does without it.
-
-    """
-
-    head: str
-    short: str | None = None
-    number: bool = True
-    spare: bool = False
+    head: str  # on the page
+    short: str | None = None  # in the terminal; the head if None
+    number: bool = True  # set to the right
+    spare: bool = False  # a narrow terminal does without it
 
 
 @dataclass(frozen=True)
 class Line:
-    """
-    A line of what is shown.
+    """A line of what is shown."""
 
-    Attributes
-    ----------
-    cells
-        Plain text.
-    good
-        Colours the cell that says so.
-    group
-        Stands above the first of the lines that have it in common.
-    html_attributes
-        Of its HTML element.
-
-    """
-
-    cells: Sequence[str]
-    good: bool | None = None
-    group: str = ''
+    cells: Sequence[str]  # plain text
+    good: bool | None = None  # colours the cell that says so
+    group: str = ''  # stands above the first of the lines that have it in common
     html_attributes: str = ''
 
 
 @dataclass(frozen=True)
 class Listing:
-    """
-    A table to be looked at.
-
-    Attributes
-    ----------
-    columns, lines
-        Of the table.
-    verdict
-        Place of the cell that says whether a line is good.
-    caption
-        Below it in the terminal.
-
-    """
+    """A table to be looked at."""
 
     columns: Sequence[Column]
     lines: Sequence[Line]
-    verdict: int = 1
-    caption: str = ''
+    verdict: int = 1  # place of the cell that says whether a line is good
+    caption: str = ''  # below it in the terminal
 
 
 def format_number(value: float | None, digits: int, scale: float = 1.0) -> str:

@@ -56,16 +56,13 @@ def test_key_is_that_of_the_values_and_not_of_how_they_were_given():
     assert given.key() != job_of('quick', 'rigid', 0, preset='paper').key()
 
 
-def test_key_changes_with_the_code(monkeypatch):
-    before = job_of('quick', 'rigid', 0).key()
-    monkeypatch.setattr(jobs_module, 'code_stamp', lambda: 'other code')
-    assert job_of('quick', 'rigid', 0).key() != before
-
-
-def test_code_stamp_follows_every_source_of_both_packages(tmp_path, monkeypatch):
+def test_key_changes_with_every_source_of_both_packages(tmp_path, monkeypatch):
+    stamps, before = [], job_of('quick', 'rigid', 0).key()
+    with monkeypatch.context() as patch:
+        patch.setattr(jobs_module, 'code_stamp', lambda: 'other code')
+        assert job_of('quick', 'rigid', 0).key() != before
     monkeypatch.setattr(jobs_module, '__file__', str(
         tmp_path / 'multicontact_control/experiment/study/jobs.py'))
-    stamps = []
     for name, text in (('multicontact_control/law.py', 'a'), ('multicontact_control/law.py', 'b'),
                        ('multicontact_control/a/new.py', ''), ('sim_bridge/plant.py', '')):
         path = tmp_path / name
@@ -166,17 +163,21 @@ def test_cluster_gives_the_same_results_and_ends_with_a_dead_worker(tmp_path, mo
             run_jobs([MortalJob(1)], tmp_path, run_mortal, client=client)
 
 
-@pytest.mark.parametrize('address', ['nonsense://x:1', 'localhost:notaport', ' '])
-def test_text_that_is_no_address_is_refused(address):
-    pytest.importorskip('distributed')
-    with pytest.raises(ConfigError, match='^dask: '), dask_client(address):
-        pass
-
-
-def test_address_that_does_not_answer_is_refused():
+def test_address_that_is_none_or_does_not_answer_is_refused():
     pytest.importorskip('distributed')
     with socket.socket() as unused:  # bound and not listening
         unused.bind(('127.0.0.1', 0))
-        address = f'tcp://127.0.0.1:{unused.getsockname()[1]}'
-        with pytest.raises(ConfigError, match=f'^dask: .*found {address}'), dask_client(address):
-            pass
+        for address in ('nonsense://x:1', 'localhost:notaport', ' ',
+                        f'tcp://127.0.0.1:{unused.getsockname()[1]}'):
+            with pytest.raises(ConfigError, match=f'^dask: .*{address}'), dask_client(address):
+                pass
+
+
+def test_run_that_ends_at_once_counts_as_unstable():
+    """Stretched out, where nothing damps what a singular posture asks for: no first torque."""
+    metrics = measure_run(job_of(
+        'disturbance', 'rigid', 0, duration=1.7, plant_overrides={'home': [0.0] * 6},
+        controller={'limits': {'singular_mobility': 0.0}})).metrics
+    assert metrics['summary']['stable'] is False and metrics['evidence']['stable'] is False
+    assert metrics['summary']['ended_early'].startswith('tick 0: ')
+    assert metrics['final_error_share'] is None

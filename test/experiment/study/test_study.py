@@ -60,14 +60,11 @@ def test_second_start_takes_what_is_kept_and_writes_the_same_files(tmp_path):
     assert {path: path.stat().st_mtime_ns for path in tmp_path.glob('cells/*')} == ages
 
 
-@pytest.mark.parametrize(('options', 'fields'), [
-    ({'jobs': -2}, ['jobs', 'plant']),
-    ({'jobs': 2, 'dask': 'tcp://127.0.0.1:1'}, ['jobs', 'plant', 'estimators'])])
-def test_all_bad_values_are_named_before_the_folder_is_made(tmp_path, options, fields):
-    study = ComparisonStudy(('ur5',), ('kalman',), 1 if 'dask' in options else 0)
+def test_all_bad_values_are_named_before_the_folder_is_made(tmp_path):
     with pytest.raises(ConfigError) as error:
-        run_study(study, StudyOptions(tmp_path / 'out', **options), Console(quiet=True))
-    assert [each.field for each in error.value.errors][:len(fields)] == fields
+        run_study(ComparisonStudy(('ur5',), ('kalman',)), StudyOptions(
+            tmp_path / 'out', jobs=2, dask='tcp://127.0.0.1:1'), Console(quiet=True))
+    assert [each.field for each in error.value.errors] == ['jobs', 'plant', 'estimators']
     assert not (tmp_path / 'out').exists()
 
 

@@ -17,7 +17,6 @@ from multicontact_control.experiment.study.table import (
     Line,
     Listing,
     LONGEST,
-    short_names,
     terminal_table,
     write_table,
 )
@@ -72,21 +71,13 @@ def test_html_table_colours_verdicts_escapes_and_cuts_long_tables():
     assert f'<td>{LONGEST - 1}</td>' in text and f'<td>{LONGEST}</td>' not in text
 
 
-def test_short_names_tell_columns_apart():
-    assert short_names(['plant', 'a.b.c', 'a.d.c', 'e.f']) == ['plant', 'b.c', 'd.c', 'f']
-    assert short_names(['runs/a/first', 'runs/b/first', 'runs/c'], '/') == [
-        'a/first', 'b/first', 'c']
-
-
 def test_page_has_findings_before_figure_and_tables(tmp_path):
-    listing = Listing([Column('x')], [Line(['cell <1>'])])
-    page = Page('A <study>', [Section('Plant <p>', listing, before='<i>b</i>', after='<u>a</u>')],
-                introduction=['Why & how', ''], warnings=['bad <w>'], findings=['good <f>'],
-                figure=Figure(), script='run()')
+    page = Page('A <study>', [Section('Plant <p>', LISTING)], introduction=['Why & how'],
+                warnings=['bad <w>'], findings=['good <f>'], figure=Figure())
     png, html = write_study_page(page, tmp_path / 'study')
     assert (png.name, html.name) == ('study.png', 'study.html')
     text = html.read_text()
     places = [text.index(part) for part in (
         '<h1>A &lt;study&gt;', 'Why &amp; how', 'bad &lt;w&gt;', 'good &lt;f&gt;', '<img',
-        'Plant &lt;p&gt;', '<i>b</i>', 'cell &lt;1&gt;', '<u>a</u>', '<script>run()</script>')]
+        'Plant &lt;p&gt;', '&lt;lead&gt;')]
     assert places == sorted(places)

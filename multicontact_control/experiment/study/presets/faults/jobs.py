@@ -26,23 +26,12 @@ FAULT_TIMEOUT = 60.0  # s
 
 @dataclass(frozen=True)
 class FaultJob:
-    """
-    Some faults in one situation.
-
-    Attributes
-    ----------
-    plant, phase
-        Where they happen.
-    first_seed
-        Of the plant.
-    faults
-        Kind, input and seed of each, and kind and input of another at the same time, if any.
-
-    """
+    """Some faults in one situation."""
 
     plant: str
     phase: str
-    first_seed: int
+    first_seed: int  # of the plant
+    # Kind, input and seed of each, and kind and input of another at the same time, if any.
     faults: tuple[tuple[Any, ...], ...]
 
     def setup(self) -> Setup:
@@ -61,15 +50,7 @@ class FaultJob:
 
 
 def run_fault_job(job: FaultJob) -> JobResult:
-    """
-    Run the faults of a job.
-
-    Returns
-    -------
-    JobResult
-        `metrics`: a row for each fault under `rows`.
-
-    """
+    """Run the faults of a job; `metrics` of the result has a row for each under `rows`."""
     start = time.perf_counter()
     known = faults_of(PROCESS)
     world = _world_at(job)

@@ -45,22 +45,10 @@ def situation(number: int, plants: Sequence[str]) -> tuple[str, str]:
 
 @dataclass(frozen=True)
 class FaultStudy(Study[FaultJob, list[FaultRow]]):
-    """
-    Kinds of faults and seeds, in the situations in turn.
+    """Kinds of faults and seeds, in the situations in turn."""
 
-    Attributes
-    ----------
-    seed
-        Seeds of the faults count from here.
-    quick
-        One fault of each kind instead of 14.
-    plants
-        Where they happen.
-
-    """
-
-    seed: int = 0
-    quick: bool = False
+    seed: int = 0  # from which those of the faults count
+    quick: bool = False  # one fault of each kind
     plants: tuple[str, ...] = field(default_factory=plants_of)
 
     title = 'faults'

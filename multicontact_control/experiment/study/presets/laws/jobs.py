@@ -29,31 +29,16 @@ MEAN_TIME = 0.012  # s, over which forces of a vanishing surface's neighbour are
 
 @dataclass(frozen=True)
 class LawJob:
-    """
-    A force law in one situation.
+    """A force law in one situation."""
 
-    Attributes
-    ----------
-    preset
-        Name or path of the parameters that make it.
-    plant, seed
-        As for `resolve`.
-    situation
-        One of the above.
-    value
-        True over modelled stiffness, delay of the actuator [periods], or joint friction over
-        that of the plant; 1 in the others.
-    settings
-        Canonical pairs of dotted names and values that are laid over the preset.
-
-    """
-
-    preset: str
+    preset: str  # name or path of the parameters that make it
     plant: str
     seed: int
-    situation: str
+    situation: str  # one of the above
+    # True over modelled stiffness, delay of the actuator [periods], or joint friction over that
+    # of the plant; 1 in the others.
     value: float = 1.0
-    settings: tuple[tuple[str, Any], ...] = ()
+    settings: tuple[tuple[str, Any], ...] = ()  # dotted names and values over the preset
 
     def setup(self) -> Setup:
         """Return everything the run needs, checked."""

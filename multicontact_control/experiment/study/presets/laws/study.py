@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from multicontact_control.errors import check_all, ConfigError
+from multicontact_control.errors import check_all
 from multicontact_control.experiment.scenario import (
     law_presets,
     plant_source,
@@ -29,7 +29,7 @@ from multicontact_control.experiment.study.presets.laws.jobs import (
     TASK,
     VANISHING,
 )
-from multicontact_control.experiment.study.study import Study
+from multicontact_control.experiment.study.study import check_seeds, Study
 from multicontact_control.experiment.study.table import Column, format_number, Line, Listing
 
 FIRST_SEED = 1  # laws are tuned on seed 0
@@ -86,24 +86,12 @@ COLUMNS = (
 
 @dataclass(frozen=True)
 class LawStudy(Study[LawJob, list[Mapping[str, Any]]]):
-    """
-    Presets that make force laws, plants, seeds and situations.
-
-    Attributes
-    ----------
-    plants, presets
-        Names or paths.
-    seeds
-        How many, from 1; None for 3, or 1 of the quick race.
-    quick
-        Whether there are fewer situations.
-
-    """
+    """Presets that make force laws, plants, seeds and situations."""
 
     plants: tuple[str, ...] = field(default_factory=plants_of)
     presets: tuple[str, ...] = field(default_factory=law_presets)
-    seeds: int | None = None
-    quick: bool = False
+    seeds: int | None = None  # how many, from 1; None for 3, or 1 of the quick race
+    quick: bool = False  # with fewer situations
 
     title = 'laws'
     name = 'laws'
@@ -116,35 +104,32 @@ class LawStudy(Study[LawJob, list[Mapping[str, Any]]]):
         return range(FIRST_SEED, FIRST_SEED + count)
 
     @property
-    def values(self) -> Mapping[str, Sequence[float]]:
-        """Return the values of stiffness, delay and friction."""
-        return QUICK_VALUES if self.quick else VALUES
+    def situations(self) -> list[tuple[str, float]]:
+        """Return every situation with its value."""
+        return [(TASK, 1.0), (VANISHING, 1.0), *(
+            (situation, value)
+            for situation, values in (QUICK_VALUES if self.quick else VALUES).items()
+            for value in values)]
 
     def check(self) -> None:
         """Check the options; ConfigError with all that are not acceptable."""
         check_all(*(partial(plant_source, name) for name in self.plants),
-                  *(partial(preset_values, name) for name in self.presets), self._check_seeds)
-
-    def _check_seeds(self) -> None:
-        if not self.seed_range:
-            raise ConfigError('seeds', 'at least 1', self.seeds)
+                  *(partial(preset_values, name) for name in self.presets),
+                  partial(check_seeds, len(self.seed_range)))
 
     def grid(self) -> Mapping[str, Sequence[Any]]:
         """Return laws, plants, seeds and situations."""
         return {'laws': self.presets, 'plants': self.plants, 'seeds': self.seed_range,
-                'situations': [TASK, VANISHING, *(
-                    f'{situation} {value:g}' for situation, values in self.values.items()
-                    for value in values)]}
+                'situations': [name if name in (TASK, VANISHING) else f'{name} {value:g}'
+                               for name, value in self.situations]}
 
     def jobs(self) -> list[LawJob]:
         """Return the runs; joint friction is varied where there is some."""
         rubbing = {plant for plant in self.plants
                    if resolve('quick', plant=plant).plant.joint_friction_scale > 0.0}
-        situations = [(TASK, 1.0), (VANISHING, 1.0), *(
-            (situation, value) for situation, values in self.values.items() for value in values)]
         return [LawJob(preset, plant, seed, situation, value)
                 for plant in self.plants for preset in self.presets for seed in self.seed_range
-                for situation, value in situations
+                for situation, value in self.situations
                 if situation != FRICTION or plant in rubbing]
 
     def content(self, run: JobRun[LawJob]) -> list[Mapping[str, Any]]:
@@ -166,7 +151,7 @@ class LawStudy(Study[LawJob, list[Mapping[str, Any]]]):
             introduction=[INTRODUCTION], findings=law_findings(content))
 
 def law_rows(jobs: Sequence[LawJob], metrics_of: Callable[[LawJob], Row]) -> list[Row]:
-    """Return one row for each law on each plant, the content of ``laws.json``."""
+    """Return one row for each law on each plant: medians over runs, of the worse contact."""
     rows: list[Row] = []
     for preset, plant in dict.fromkeys((job.preset, job.plant) for job in jobs):
         runs = [(job, metrics_of(job)) for job in jobs
@@ -175,11 +160,11 @@ def law_rows(jobs: Sequence[LawJob], metrics_of: Callable[[LawJob], Row]) -> lis
         rows.append({
             'law': preset, 'plant': plant,
             'stable': sum(bool(metrics['stable']) for metrics in task), 'runs': len(task),
-            **{name: _of_worse_contact(task, lambda contact, name=name: contact[name])
-               for name in ('rest_rms_n', 'moving_rms_n', 'push_peak_n', 'push_off_s')},
-            **{name: _of_worse_contact(task, lambda contact, name=name: largest(
-                step[name] for step in contact['steps']))
-               for name in ('rise_s', 'overshoot_percent')},
+            **{name: middle(largest(_figure(contact, name)
+                                    for contact in metrics['contacts'].values())
+                            for metrics in task)
+               for name in ('rest_rms_n', 'moving_rms_n', 'rise_s', 'overshoot_percent',
+                            'push_peak_n', 'push_off_s')},
             'activity_nm': middle(metrics['activity_nm'] for metrics in task),
             'neighbour_n': middle(metrics['neighbour_n'] for job, metrics in runs
                                   if job.situation == VANISHING),
@@ -188,12 +173,10 @@ def law_rows(jobs: Sequence[LawJob], metrics_of: Callable[[LawJob], Row]) -> lis
     return rows
 
 
-def _of_worse_contact(
-    runs: Sequence[Row], figure: Callable[[Row], float | None],
-) -> float | None:
-    """Return the median over runs of a figure of the worse contact."""
-    return middle(largest(figure(contact) for contact in metrics['contacts'].values())
-                  for metrics in runs)
+def _figure(contact: Row, name: str) -> float | None:
+    """Return a figure of a contact, the largest of its steps where it is one of theirs."""
+    values = [contact] if name in contact else contact['steps']
+    return largest(value[name] for value in values)
 
 
 def _survived(runs: Sequence[tuple[Any, Row]], situation: str) -> list[dict[str, Any]]:

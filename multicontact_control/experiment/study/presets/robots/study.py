@@ -15,7 +15,7 @@ from multicontact_control.experiment.study.execute import JobRun
 from multicontact_control.experiment.study.jobs import job_of, RunJob
 from multicontact_control.experiment.study.measure import largest_known, summarise_run
 from multicontact_control.experiment.study.page import Page, Section
-from multicontact_control.experiment.study.study import Study
+from multicontact_control.experiment.study.study import check_seeds, Study
 from multicontact_control.experiment.study.table import Column, format_number, Line, Listing
 from multicontact_control.wording import counted
 from sim_bridge.robots import find_robot, has_urdf, robot_names
@@ -51,19 +51,7 @@ def known_robots() -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class RobotStudy(Study[RunJob, list[dict[str, Any]]]):
-    """
-    Robots, engines, scenarios and seeds.
-
-    Attributes
-    ----------
-    robots, engines, scenarios
-        Names; all that are installed if not given.
-    plant
-        Which plant of each robot.
-    seeds
-        How many, from 0.
-
-    """
+    """Robots, engines, scenarios and seeds, the latter from 0, on one plant of each robot."""
 
     robots: tuple[str, ...] = field(default_factory=known_robots)
     engines: tuple[str, ...] = field(default_factory=known_engines)
@@ -80,15 +68,11 @@ class RobotStudy(Study[RunJob, list[dict[str, Any]]]):
         check_all(*(partial(plant_source, self.plant, name) for name in self.robots),
                   *(partial(self._check_engine, name) for name in self.engines),
                   *(partial(scenario_path, name) for name in self.scenarios),
-                  self._check_seeds)
+                  partial(check_seeds, self.seeds))
 
     def _check_engine(self, name: str) -> None:
         if name not in ENGINES:
             raise ConfigError('engines', f'some of {", ".join(ENGINES)}', f"'{name}'")
-
-    def _check_seeds(self) -> None:
-        if self.seeds < 1:
-            raise ConfigError('seeds', 'at least 1', self.seeds)
 
     def grid(self) -> Mapping[str, Sequence[Any]]:
         """Return robots, engines, scenarios and seeds."""
@@ -97,16 +81,13 @@ class RobotStudy(Study[RunJob, list[dict[str, Any]]]):
 
     def cells(self) -> list[tuple[str, str, str]]:
         """Return robot, engine and scenario of each cell; native contacts only with planes."""
+        planes = {(robot, scenario): all(
+            surface.shape == 'plane' and surface.velocity == 0.0 for surface in resolve(
+                scenario, robot=robot, plant=self.plant).plant.surfaces.values())
+            for robot in self.robots for scenario in self.scenarios}
         return [(robot, engine, scenario) for robot in self.robots
                 for scenario in self.scenarios for engine in self.engines
-                if not self._refused(robot, engine, scenario)]
-
-    def _refused(self, robot: str, engine: str, scenario: str) -> bool:
-        """Return whether an engine's own contacts cannot be those of a scenario."""
-        surfaces = resolve(
-            scenario, robot=robot, plant=self.plant).plant.surfaces.values()
-        return ENGINES[engine].get('contact') == 'native' and any(
-            surface.shape != 'plane' or surface.velocity != 0.0 for surface in surfaces)
+                if planes[robot, scenario] or ENGINES[engine].get('contact') != 'native']
 
     def job(self, cell: tuple[str, str, str], seed: int) -> RunJob:
         """Return the run of a cell."""

@@ -52,24 +52,12 @@ Point = tuple[str, str, float, int]
 
 @dataclass(frozen=True)
 class RobustnessStudy(Study[RunJob, dict[str, Any]]):
-    """
-    Plants, estimators, true stiffness over that of the model, and actuator delay.
-
-    Attributes
-    ----------
-    plants, estimators
-        A panel each: plants downwards, estimators across.
-    ratios
-        True stiffness over the model's.
-    delays
-        Of the actuator [periods].
-
-    """
+    """Plants, estimators, true stiffness over that of the model, and actuator delay."""
 
     plants: tuple[str, ...]
     estimators: tuple[str, ...]
     ratios: tuple[float, ...]
-    delays: tuple[int, ...] = DELAYS
+    delays: tuple[int, ...] = DELAYS  # periods
 
     title = 'map'
     name = 'robustness'
@@ -96,12 +84,10 @@ class RobustnessStudy(Study[RunJob, dict[str, Any]]):
 
     def content(self, run: JobRun[RunJob]) -> dict[str, Any]:
         """Return the content of ``robustness.json``."""
-        points = []
-        for (plant, label, ratio, delay), job in self.points().items():
-            stable, overshoot = verdict(run.metrics(job))
-            points.append({
-                'plant': plant, 'estimator': label, 'ratio': ratio, 'delay_ticks': delay,
-                'stable': stable, 'overshoot_percent': overshoot, 'key': run.keys[job]})
+        points = [{
+            'plant': plant, 'estimator': label, 'ratio': ratio, 'delay_ticks': delay,
+            **verdict(run.metrics(job)), 'key': run.keys[job]}
+            for (plant, label, ratio, delay), job in self.points().items()]
         content: dict[str, Any] = finite({
             'plants': self.plants, 'estimators': self.estimators,
             'ratios': self.ratios, 'delays': self.delays, 'points': points,
@@ -149,15 +135,14 @@ def stable_range(
 def _listing(content: dict[str, Any], plant: str) -> Listing:
     lines = []
     for label in content['estimators']:
-        found = [stable_range(content, plant, label, delay) for delay in content['delays']]
+        ranges = [stable_range(content, plant, label, delay) for delay in content['delays']]
         lines.append(Line([label, *(
-            'none' if span is None else f'{span[0]:g} - {span[1]:g}' for span in found)]))
-    for line in content['linear'][plant]:
-        lines.append(Line([line['label'], *(
-            f'up to {ARM_RATIOS[-1] if limit is None else limit:.2f}'
-            for limit in line['largest_ratio'])]))
-    delays = [Column(f'delay {delay}') for delay in content['delays']]
-    return Listing([Column('', number=False), *delays], lines)
+            'none' if span is None else f'{span[0]:g} - {span[1]:g}' for span in ranges)]))
+    lines += [Line([line['label'], *(
+        f'up to {ARM_RATIOS[-1] if limit is None else limit:.2f}'
+        for limit in line['largest_ratio'])]) for line in content['linear'][plant]]
+    return Listing([Column('', number=False), *(
+        Column(f'delay {delay}') for delay in content['delays'])], lines)
 
 
 def draw_map(content: dict[str, Any]) -> Figure:

@@ -51,20 +51,10 @@ def cost(row: Mapping[str, Any]) -> float:
 
 @dataclass(frozen=True)
 class TuneStudy(Study[LawJob, list[dict[str, Any]]]):
-    """
-    Every combination of a law's declared gains, on one seed.
+    """Every combination of a law's declared gains, on one seed."""
 
-    Attributes
-    ----------
-    law
-        As in config/tuning.yaml.
-    plants
-        On which it is tried; the worst counts.
-
-    """
-
-    law: str
-    plants: tuple[str, ...] = ('',)
+    law: str  # as in config/tuning.yaml
+    plants: tuple[str, ...] = ('',)  # the worst counts
 
     title = 'tune'
     name = 'tuning'
@@ -120,13 +110,12 @@ class TuneStudy(Study[LawJob, list[dict[str, Any]]]):
         combinations: dict[tuple[Any, ...], list[LawJob]] = {}
         for job in self.jobs():
             combinations.setdefault(job.settings, []).append(job)
-        found = [{'settings': dict(settings), 'cost': 0.0,
-                  **max(law_rows(jobs, run.metrics), key=cost)}
-                 for settings, jobs in combinations.items()]
-        found.sort(key=cost)
-        for row in found:
-            row['cost'] = finite(cost(row))
-        return found
+        found = []
+        for settings, jobs in combinations.items():
+            worst = max(law_rows(jobs, run.metrics), key=cost)
+            found.append({'settings': dict(settings), 'cost': cost(worst), **worst})
+        found.sort(key=lambda row: row['cost'])
+        return [{**row, 'cost': finite(row['cost'])} for row in found]
 
     def tables(
         self, content: list[dict[str, Any]], run: JobRun[LawJob],

@@ -1,6 +1,7 @@
-"""The race of force laws: its runs, what is measured, and what is ranked."""
+"""Force laws: their race, what is measured and ranked, and the tuning of their gains."""
 
-from multicontact_control.experiment.study.presets.laws import jobs
+from multicontact_control.config import read_yaml
+from multicontact_control.experiment.scenario import resolve
 from multicontact_control.experiment.study.presets.laws.jobs import (
     DELAY,
     FRICTION,
@@ -16,6 +17,11 @@ from multicontact_control.experiment.study.presets.laws.study import (
     law_rows,
     LawStudy,
 )
+from multicontact_control.experiment.study.presets.tune import study as tuning
+from multicontact_control.experiment.study.presets.tune.study import cost, SCALES, TuneStudy
+from multicontact_control.experiment.study.study import run_study, StudyOptions
+from multicontact_control.force.laws import LAWS
+from multicontact_control.paths import config_dir
 import pytest
 
 
@@ -59,11 +65,6 @@ def test_run_measures_task_and_vanishing_surface():
     assert 0.1 < gone['neighbour_n'] < 5.0
 
 
-def test_run_that_ends_before_its_surface_vanishes_has_no_neighbour(monkeypatch):
-    monkeypatch.setitem(jobs.DURATIONS, VANISHING, 0.2)
-    assert run_law_job(LawJob('best', 'rigid', 1, VANISHING)).metrics['neighbour_n'] is None
-
-
 def metrics(**changes):
     contact = {'rest_rms_n': 0.05, 'moving_rms_n': 0.6, 'push_peak_n': 0.5, 'push_off_s': 0.0,
                'steps': [{'rise_s': 0.03, 'overshoot_percent': 2.0}]}
@@ -104,3 +105,41 @@ def test_findings_rank_laws_by_their_figures():
     assert 'smooth torque' in quiet.split('not at')[0]
     assert 'smooth torque (5.00 N m)' in loud.split('not at')[1]
     assert '1 of 1' in failed
+
+
+def test_every_law_has_ranges_whose_ends_are_acceptable():
+    declared = read_yaml(config_dir() / 'tuning.yaml')
+    assert set(declared) == set(LAWS)
+    for law, ranges in declared.items():
+        tried = TuneStudy(law).jobs()
+        assert len(tried) == len(set(tried)) > 1
+        assert {job.seed for job in tried} == {0}
+        for end in (0, -1):
+            settings = tuple((name, values[end]) for name, values in ranges.items())
+            next(job for job in tried if job.settings == settings).setup()
+
+
+def test_cost_adds_figures_and_refuses_what_is_not_stable():
+    row = {'stable': 1, 'runs': 1, **SCALES}
+    assert cost(row) == pytest.approx(len(SCALES))
+    assert cost(row | {'stable': 0}) == float('inf')
+    assert cost(row | {'rise_s': None}) == float('inf')
+
+
+@pytest.mark.slow
+def test_best_combination_is_written_judged_on_other_seeds_and_not_run_again(
+        tmp_path, monkeypatch):
+    monkeypatch.setattr(tuning, 'read_ranges', lambda law: {
+        'controller.force.damping_rate': [40.0, 100.0]})
+    monkeypatch.setattr(tuning, 'JUDGED_ON', (1,))
+    content = run_study(TuneStudy('dob', ('rigid',)), StudyOptions(tmp_path, jobs=1))
+    assert content[0]['cost'] <= content[1]['cost']
+    assert content[0]['judged'][0]['stable'] == 1
+    setup = resolve('quick', preset=str(tmp_path / 'dob.yaml'))
+    assert setup.controller.force.law == 'dob'
+    assert setup.controller.force.damping_rate == content[0]['settings'][
+        'controller.force.damping_rate']
+    ages = {path: path.stat().st_mtime_ns for path in tmp_path.glob('cells/*')}
+    assert len(ages) == 3
+    assert run_study(TuneStudy('dob', ('rigid',)), StudyOptions(tmp_path, jobs=1)) == content
+    assert {path: path.stat().st_mtime_ns for path in tmp_path.glob('cells/*')} == ages

@@ -21,11 +21,3 @@ def test_figures_are_those_of_the_worst_contact_and_unknown_ones_stay_open(tmp_p
     assert page.sections[0].listing.lines[0].cells[6:] == ['-', '-', '-']
     failed = figures_of({'summary': None, 'error': 'tick 3: singular'})
     assert failed['stable'] is False and failed['why'] == 'tick 3: singular'
-
-
-def test_native_contacts_are_run_with_planes_at_rest_only():
-    cells = RobotStudy(('puma',), ('pybullet', 'mujoco-native'), (
-        'quick', 'curved', 'moving_surface')).cells()
-    assert [cell[1:] for cell in cells] == [
-        ('pybullet', 'quick'), ('mujoco-native', 'quick'), ('pybullet', 'curved'),
-        ('pybullet', 'moving_surface')]

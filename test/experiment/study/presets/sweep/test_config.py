@@ -94,14 +94,6 @@ def test_point_has_the_values_of_the_files_for_the_rest_and_is_run_once():
     assert plan.units['controller.force.damping_rate'] == '1/s'
 
 
-def test_study_without_parameters_is_its_seeds():
-    plan = plan_of(grid={}, fixed={'scenario.duration': 2.0})
-    assert [(run.job.seed, dict(run.values)) for run in plan.runs] == [(0, {}), (1, {})]
-    assert plan.runs[0].job.supervised
-    assert not plan_of(supervised=False).runs[0].job.supervised
-    assert plan.runs[0].job.setup().scenario.duration == 2.0
-
-
 @pytest.mark.parametrize(('changes', 'field'), [
     ({'scenario': 'papper'}, 'scenario'), ({'plants': ['x']}, 'plant'),
     ({'grid': {'controller.farce.x': [1]}}, 'grid.controller.farce.x'),
@@ -126,10 +118,8 @@ def fixture_setup():
 
 @pytest.mark.parametrize(('name', 'value', 'unit'), [
     ('controller.force.input_delay', 0.006, 's'),
-    ('noise_estimator.estimator', 'lead_window', ''),
-    ('plant.surfaces.board.stiffness', 6000.0, None), ('plant.surfaces.*.stiffness', 6000.0, None),
+    ('noise_estimator.estimator', 'lead_window', ''), ('plant.surfaces.*.stiffness', 6000.0, None),
     ('scenario.reference.approach.speed', 0.02, 'm/s'),
-    ('controller.contacts.*.normal_world', None, None),
     ('scenario.reference.force_steps', '[{"time":1.5,"forces":{"table":10.0,"board":10.0}}]',
      None)])
 def test_parameter_is_found_by_its_dotted_name(setup, name, value, unit):

@@ -6,7 +6,6 @@ from multicontact_control.experiment import closed_loop
 from multicontact_control.experiment.study.presets.sweep.config import plan_sweep, StudyConfig
 from multicontact_control.experiment.study.presets.sweep.study import (
     chosen_metrics,
-    draw_sweep,
     judged,
     metric_values,
     row_of,
@@ -69,16 +68,6 @@ def test_lines_are_medians_over_the_seeds(plan, table):
     assert listing.lines[3].cells == ['rigid', '6e+04', 'window', '2/3', '9.5']
     page = SweepStudy(plan).page(table, None)
     assert page.findings[0].startswith('12 runs: 11 stable, 1 not')
-
-
-def test_picture_has_a_line_for_each_value_of_the_second_parameter(plan, table):
-    axes = draw_sweep(plan, table, ['stable', WORST]).axes
-    share, rise = ({line.get_label(): line.get_ydata().tolist() for line in panel.lines}
-                   for panel in axes)
-    assert share == {'fixed': [1.0, 1.0], 'window': [1.0, pytest.approx(2.0 / 3.0)]}
-    assert rise == {'fixed': [2.0, 7.0], 'window': [4.0, 9.5]}
-    assert axes[1].get_xscale() == 'log'
-    assert axes[1].get_xlabel() == 'plant.surfaces.*.stiffness [N/m]'
 
 
 SUMMARY = {
