@@ -3,13 +3,12 @@
 from dataclasses import replace
 
 from multicontact_control.experiment.closed_loop import ClosedLoop
-from multicontact_control.experiment.faults.fault import PlantEdit, PROCESS, REST
+from multicontact_control.experiment.faults.fault import PROCESS, REST
 from multicontact_control.experiment.faults.in_process import RUN_TICKS, together
 from multicontact_control.experiment.faults.judge import judge, MET_FORCE, Observation
 from multicontact_control.experiment.faults.situation import with_obstacles
 from multicontact_control.experiment.faults.vocabulary import ELBOW_WALL, faults_of, SIDE_WALL
 from multicontact_control.experiment.study.presets.faults.jobs import in_fork
-from multicontact_control.supervision.collision import CollisionWatch
 import numpy as np
 import pytest
 
@@ -99,22 +98,13 @@ def test_obstacle_may_not_be_pressed_hard_and_is_to_be_noticed_at_the_elbow(
         assert (row.safe, row.peak_force_n) == (safe, force)
 
 
-def test_side_wall_that_is_pressed_hard_is_not_safe(world):
-    wall = replace(KINDS['side_wall', 'plant'], action=PlantEdit(
-        lambda plant, choice: plant.contacts.put_before_tip(SIDE_WALL, -0.03)))
-    row = in_fork(world, wall, 1, 'approach')
-    assert not row.safe and row.peak_force_n > MET_FORCE
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize('plant', ['rigid', 'puma'])
-def test_obstacle_at_the_elbow_is_noticed_and_not_pressed_hard(plant, monkeypatch):
+def test_obstacle_at_the_elbow_is_noticed_and_not_pressed_hard(plant):
     world = ClosedLoop(with_obstacles('quick', plant, 0))
     while world.tick < 4100:
         world.advance()
     row = in_fork(world, KINDS['elbow_obstacle', 'plant'], 1, 'sliding')
     assert (row.reaction, row.safe, row.problems) == ('hold', True, '')
     assert 10.0 < row.peak_force_n < 40.0
-    monkeypatch.setattr(CollisionWatch, 'cause', lambda self, found: '')
-    assert not in_fork(world, KINDS['elbow_obstacle', 'plant'], 1, 'sliding').safe
     world.close()

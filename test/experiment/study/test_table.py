@@ -1,6 +1,5 @@
 """Tables and pages of studies: in files, in the terminal and in HTML."""
 
-import io
 import json
 
 from matplotlib.figure import Figure
@@ -17,13 +16,11 @@ from multicontact_control.experiment.study.table import (
     Line,
     Listing,
     LONGEST,
-    terminal_table,
     write_table,
 )
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from rich.console import Console
 import yaml
 
 COLUMNS = (Column('estimator', number=False), Column('stable runs', 'stable'),
@@ -49,17 +46,6 @@ def test_table_is_read_back_as_it_was_written(tmp_path, name, content, read):
     path = write_table(content, tmp_path / name)
     assert read(path) == content
     assert list(tmp_path.iterdir()) == [path]
-
-
-def test_narrow_terminal_leaves_out_spare_columns():
-    shown = []
-    for width in (120, 60):
-        text = io.StringIO()
-        Console(file=text, width=width).print(terminal_table('Plant [x]', LISTING, width))
-        shown.append(text.getvalue())
-        assert shown[-1].count('AOB') == 1
-        assert 'Plant [x]' in shown[-1] and '[fixed]' in shown[-1]
-    assert '3.5' in shown[0] and '3.5' not in shown[1]
 
 
 def test_html_table_colours_verdicts_escapes_and_cuts_long_tables():
