@@ -37,8 +37,8 @@ def compare(
     --laws force laws are compared instead, with the supervisor.
 
     Writes comparison.json and comparison.html, or laws.json and laws.html. Ctrl-C keeps what is
-    finished; the same command goes on from there. Exit code 0, whatever the verdicts; 1: runs were
-    lost; 2: bad input; 130: interrupted.
+    finished; the same command goes on from there. Exit code 0, whatever the verdicts; 1: a worker
+    died; 2: bad input; 130: interrupted.
     """
     with resumable(), errors_in_one_line():
         # Only now: what is heavy is not loaded for the sake of an error.

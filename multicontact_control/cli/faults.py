@@ -21,7 +21,7 @@ def faults(
     Break inputs and plant in many ways, and check that the arm stays safe.
 
     Writes faults.json and faults.html. Ctrl-C keeps what is finished; the same command goes on
-    from there. Exit code 0: every fault was safe; 1: one was not, or was lost; 2: bad input;
+    from there. Exit code 0: every fault was safe; 1: one was not, or a worker died; 2: bad input;
     130: interrupted.
     """
     with resumable(), errors_in_one_line():
@@ -30,8 +30,8 @@ def faults(
         from multicontact_control.experiment.study.presets.faults.study import FaultStudy
         from multicontact_control.experiment.study.study import run_study, StudyOptions
 
-        rows = run_study(
-            FaultStudy(seed, quick, plants_of(robot, options.split_list(plants))),
-            StudyOptions(out, jobs, dask, dry_run, overwrite))
-    if rows is not None and not all(row.safe for row in rows):
+        names = plants_of(robot, options.split_list(plants))
+        rows = run_study(FaultStudy(seed, quick, plants=names),
+                         StudyOptions(out, jobs, dask, dry_run, overwrite))
+    if not all(row.safe for row in rows or ()):
         raise typer.Exit(EXIT_FAILED)

@@ -70,7 +70,7 @@ DomainId = Annotated[int | None, typer.Option(
 Namespace = Annotated[str | None, typer.Option(
     help='Namespace of the controller; of a recording, the only one in it if not given.')]
 
-# Of the studies: compare, map, sweep, faults.
+# Of the studies.
 StudyOut = Annotated[Path | None, typer.Option(
     help='Folder for the results; if not given runs/<command>, runs/sweep-<name> for a sweep, '
     'runs/tune-<law>, or runs/laws with `compare --laws`. What is finished there is not run '
@@ -81,8 +81,7 @@ Dask = Annotated[str, typer.Option(
     metavar='ADDRESS', help='Run on the workers of this Dask scheduler instead, e.g. '
     'tcp://host:8786. They need this package in the same version.')]
 DryRun = Annotated[bool, typer.Option(
-    '--dry-run', help='Only say what would be run, how much of it is finished, and how long the '
-    'rest will take.')]
+    '--dry-run', help='Only say what would be run, and how much of it is finished.')]
 RunAgain = Annotated[bool, typer.Option('--overwrite', help='Run everything again.')]
 Estimators = Annotated[str, typer.Option(
     autocompletion=some_of(completion.estimators),

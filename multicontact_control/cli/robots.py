@@ -32,7 +32,7 @@ def robots(
     Run every robot on every engine in every scenario, and table the true force errors.
 
     Writes robots.json and robots.html. Ctrl-C keeps what is finished; the same command goes on
-    from there. Exit code 0, whatever came out; 1: runs were lost; 2: bad input; 130: interrupted.
+    from there. Exit code 0, whatever came out; 1: a worker died; 2: bad input; 130: interrupted.
     """
     with resumable(), errors_in_one_line():
         # Only now: what is heavy is not loaded for the sake of an error.

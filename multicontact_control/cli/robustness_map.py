@@ -23,7 +23,7 @@ def robustness_map(
     True stiffness 0.1 to 20 times the model's, actuator delay 0 to 3 periods. Everything runs
     bare, the control law without its supervisor: its own limits are the point. Writes
     robustness.json, robustness.png and robustness.html. Ctrl-C keeps what is finished; the same
-    command goes on from there. Exit code 0, whatever came out; 1: runs were lost; 2: bad input;
+    command goes on from there. Exit code 0, whatever came out; 1: a worker died; 2: bad input;
     130: interrupted.
     """
     with resumable(), errors_in_one_line():

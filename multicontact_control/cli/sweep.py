@@ -45,11 +45,11 @@ def sweep(
     (columns to draw).
 
     Writes sweep.parquet (a row for each run, also for those that failed; units
-    in the fields), sweep.png, sweep.html and timings.csv. The table is the same
-    whatever number of workers made it. Ctrl-C keeps what is finished; the same
+    in the fields), sweep.png and sweep.html. The table is the same whatever
+    number of workers made it. Ctrl-C keeps what is finished; the same
     command goes on from there.
 
-    Exit code 0, whatever came out; 1: runs were lost; 2: bad input;
+    Exit code 0, whatever came out; 1: a worker died; 2: bad input;
     130: interrupted.
     """
     with resumable(), errors_in_one_line():

@@ -26,7 +26,7 @@ def tune(
 
     The best is judged on other seeds and written as a parameter file for --preset. Ctrl-C keeps
     what is finished; the same command goes on from there. Exit code 0, whatever comes out; 1:
-    runs were lost; 2: bad input; 130: interrupted.
+    a worker died; 2: bad input; 130: interrupted.
     """
     with resumable(), errors_in_one_line():
         # Only now: what is heavy is not loaded for the sake of an error.

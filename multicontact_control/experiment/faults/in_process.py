@@ -28,17 +28,7 @@ RUN_TICKS = 600
 
 
 class Corruptor:
-    """
-    Does to the inputs of ticks what a fault does to readings.
-
-    Parameters
-    ----------
-    fault, random
-        Which, and the source of its details.
-    loop
-        At the first tick of the fault.
-
-    """
+    """Does to the inputs of ticks what a fault does to readings, from this tick of a loop on."""
 
     def __init__(self, fault: Fault, random: Random, loop: ClosedLoop) -> None:
         self._fault, self._random = fault, random
@@ -52,7 +42,12 @@ class Corruptor:
         self._passed += 1
         self._history.append(inputs)
         if isinstance(action, ClockShift):
-            return self._shifted(inputs, action)
+            begin = self._first.time
+            shift = action.shift(inputs.time - begin, begin)
+            stamped = ('joints', 'wrench', 'variance') if action.stamps else ()
+            return inputs._replace(time=inputs.time + shift, **{
+                name: reading._replace(stamp=reading.stamp + shift) for name in stamped
+                if (reading := getattr(inputs, name)) is not None})
         if isinstance(action, Delivery):
             ages = (action.sampled or action.ages)(self._random, n)
             delivered: Any = getattr(self._history[-1 - ages[-1]], source) if ages else None
@@ -63,70 +58,28 @@ class Corruptor:
             return inputs._replace(**{source: reading._replace(**values)})
         return inputs
 
-    def _shifted(self, inputs: TickInputs, clock: ClockShift) -> TickInputs:
-        begin = self._first.time
-        shift = clock.shift(inputs.time - begin, begin)
-        changes: dict[str, Any] = {'time': inputs.time + shift}
-        if clock.stamps:
-            changes.update({
-                name: reading._replace(stamp=reading.stamp + shift)
-                for name in ('joints', 'wrench', 'variance')
-                if (reading := getattr(inputs, name)) is not None})
-        return inputs._replace(**changes)
-
-
-class Break:
-    """
-    Makes a part of a supervisor raise, until it is mended.
-
-    Parameters
-    ----------
-    loop
-        Whose supervisor.
-    part
-        The part, by the names that lead to it.
-
-    """
-
-    def __init__(self, loop: ClosedLoop, part: str) -> None:
-        *way, self._name = part.split('.')
-        self._owner: Any = reduce(getattr, way, loop.control.supervisor)
-
-        def fail(*_arguments: Any, **_named: Any) -> Any:
-            raise ArithmeticError(part)
-        setattr(self._owner, self._name, fail)
-
-    def mend(self) -> None:
-        """Let the part work again."""
-        delattr(self._owner, self._name)
-
 
 class Occurrence:
-    """
-    A fault in a closed loop, from its first tick on.
-
-    Parameters
-    ----------
-    fault, random, loop
-        As for `Corruptor`.
-
-    Attributes
-    ----------
-    lasts
-        For how many ticks.
-
-    """
+    """A fault in a closed loop from its first tick on; it `lasts` some ticks."""
 
     def __init__(self, fault: Fault, random: Random, loop: ClosedLoop) -> None:
-        self._fault, self._loop = fault, loop
+        self._action, self._loop = fault.action, loop
         self._corruptor = Corruptor(fault, random, loop)
         self.lasts = int(random.integers(*fault.ticks))
         self._tick = 0
-        self._broken: Break | None = None
-        if isinstance(fault.action, PlantEdit):
-            fault.action.begin(loop.plant, self._corruptor.choice)
-        if isinstance(fault.action, Breakdown):
-            self._broken = Break(loop, fault.action.part)
+        if isinstance(self._action, PlantEdit):
+            self._action.begin(loop.plant, self._corruptor.choice)
+        if isinstance(self._action, Breakdown):
+            part = self._action.part
+
+            def fail(*_arguments: Any, **_named: Any) -> Any:
+                raise ArithmeticError(part)
+            setattr(*self._broken(part), fail)
+
+    def _broken(self, part: str) -> tuple[Any, str]:
+        """Return the owner of a part of the supervisor, and the name the part has there."""
+        *way, name = part.split('.')
+        return reduce(getattr, way, self._loop.control.supervisor), name
 
     def corrupt(self, inputs: TickInputs) -> TickInputs:
         """Return what becomes of the inputs of a tick."""
@@ -137,11 +90,10 @@ class Occurrence:
         self._tick += 1
         if self._tick != self.lasts:
             return
-        action = self._fault.action
-        if isinstance(action, PlantEdit) and action.end is not None:
-            action.end(self._loop.plant, self._corruptor.choice)
-        if self._broken is not None:
-            self._broken.mend()
+        if isinstance(self._action, PlantEdit) and self._action.end is not None:
+            self._action.end(self._loop.plant, self._corruptor.choice)
+        if isinstance(self._action, Breakdown):
+            delattr(*self._broken(self._action.part))
 
 
 def advance_with(found: Sequence[Occurrence], loop: ClosedLoop) -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 import math
+from statistics import median
 import time
 from typing import Any, TYPE_CHECKING
 
@@ -40,7 +42,7 @@ def measure_run(job: RunJob) -> JobResult:
         `traces`: time and the forces of every contact, shapes (m,) and (m, r).
 
     """
-    # Only here: who gives out the work to others needs neither kernels nor simulator.
+    # Only here: what gives out the work to others needs neither kernels nor simulator.
     from multicontact_control.experiment.closed_loop import run_in_process
 
     setup = job.setup()
@@ -104,3 +106,30 @@ def final_error_share(data: RunData, setup: Setup) -> float:
     if not (desired > 0.0).all():
         return math.inf
     return float(np.max(np.abs(data.alpha_true[last] - desired) / desired))
+
+
+def largest(values: Iterable[float | None]) -> float | None:
+    """Return the largest value, None if one is not known or there is none."""
+    known = [math.inf if value is None else value for value in values]
+    return _known(max(known, default=math.inf))
+
+
+def largest_known(values: Iterable[float | None]) -> float | None:
+    """Return the largest of the values that are known, None if there is none."""
+    return max((value for value in values if value is not None), default=None)
+
+
+def middle(values: Iterable[float | None]) -> float | None:
+    """Return the median; what is not known counts as beyond all, None if it is the median."""
+    known = [math.inf if value is None else value for value in values]
+    return _known(median(known) if known else math.inf)
+
+
+def middle_known(values: Iterable[float | None]) -> float | None:
+    """Return the median of the values that are known, None if there is none."""
+    known = [value for value in values if value is not None]
+    return median(known) if known else None
+
+
+def _known(value: float) -> float | None:
+    return value if math.isfinite(value) else None

@@ -16,23 +16,9 @@ DPI = 130  # of the figure
 
 @dataclass(frozen=True)
 class Section:
-    """
-    A part of a page.
+    """A part of a page: a table, with HTML on either side, that the terminal may show, too."""
 
-    Attributes
-    ----------
-    heading
-        Plain text; the title of the table in the terminal.
-    listing
-        Its table.
-    in_terminal
-        Whether the terminal shows the table, too.
-    before, after
-        HTML on either side of the table.
-
-    """
-
-    heading: str
+    heading: str  # plain text; the title of the table in the terminal
     listing: Listing | None = None
     in_terminal: bool = True
     before: str = ''
@@ -46,43 +32,25 @@ class Section:
 
 @dataclass(frozen=True)
 class Page:
-    """
-    What is shown of a study.
-
-    Attributes
-    ----------
-    title
-        Plain text.
-    sections
-        With its tables.
-    introduction
-        Paragraphs of plain text.
-    warnings, findings
-        Sentences in plain text: what is not as it should be, and what came out.
-    figure
-        Stands before the sections, and in a PNG file of its own.
-    script
-        JavaScript that runs when all is there.
-
-    """
+    """What is shown of a study; titles, paragraphs and sentences are plain text."""
 
     title: str
     sections: Sequence[Section]
-    introduction: Sequence[str] = ()
-    warnings: Sequence[str] = ()
-    findings: Sequence[str] = ()
-    figure: Figure | None = None
-    script: str = ''
+    introduction: Sequence[str] = ()  # paragraphs
+    warnings: Sequence[str] = ()  # what is not as it should be
+    findings: Sequence[str] = ()  # what came out
+    figure: Figure | None = None  # before the sections, and in a PNG file of its own
+    script: str = ''  # JavaScript that runs when all is there
 
 
 def write_study_page(page: Page, path: Path) -> list[Path]:
     """Write a page, which stands alone, and its figure, to a path without suffix."""
     paths = []
     body = [f'<p>{escape(text)}</p>' for text in page.introduction if text]
-    said = [f'<li class=no>{escape(text)}</li>' for text in page.warnings]
-    said += [f'<li>{escape(text)}</li>' for text in page.findings]
-    if said:
-        body.append(f'<h2>What came out</h2><ul>{"".join(said)}</ul>')
+    items = [f'<li class=no>{escape(text)}</li>' for text in page.warnings]
+    items += [f'<li>{escape(text)}</li>' for text in page.findings]
+    if items:
+        body.append(f'<h2>What came out</h2><ul>{"".join(items)}</ul>')
     if page.figure is not None:
         png = path.with_suffix('.png')
         page.figure.savefig(png, dpi=DPI)

@@ -4,22 +4,20 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
-from textwrap import shorten
 from typing import Any, ClassVar, Generic, TypeVar
 
-from multicontact_control.errors import check_all, ConfigError, RunError
+from multicontact_control.errors import check_all, ConfigError
 from multicontact_control.experiment.study.cache import prepare_job_folder
-from multicontact_control.experiment.study.execute import estimate_time, JobRun, run_jobs
-from multicontact_control.experiment.study.executors import (
-    check_workers,
-    DaskExecutor,
-    Executor,
-    LocalExecutor,
+from multicontact_control.experiment.study.execute import (
+    count_finished,
+    dask_client,
+    JobRun,
+    run_jobs,
+    workers_at_once,
 )
-from multicontact_control.experiment.study.jobs import Job, JobResult, JobT
+from multicontact_control.experiment.study.jobs import JobResult, JobT
 from multicontact_control.experiment.study.page import Page, write_study_page
 from multicontact_control.experiment.study.table import terminal_table, write_table
 from multicontact_control.terminal import terminal
@@ -27,32 +25,15 @@ from multicontact_control.wording import counted
 from rich.console import Console
 from rich.markup import escape
 
-NAME_WIDTH = 160  # characters of what a lost job is called
-
 ContentT = TypeVar('ContentT')
 
 
 class Study(ABC, Generic[JobT, ContentT]):
-    """
-    A grid of jobs, what is measured in each, and what is shown of all of them.
+    """A grid of jobs, what is measured in each, and what is shown of all of them."""
 
-    Attributes
-    ----------
-    title
-        Left of the progress bar.
-    name
-        Of its page and its figure.
-    unit
-        What its jobs are called.
-    takes_long
-        Whether a few seconds spent on finding out how long it takes are worth it.
-
-    """
-
-    title: ClassVar[str]
-    name: ClassVar[str]
-    unit: ClassVar[str] = 'runs'
-    takes_long: ClassVar[bool] = False
+    title: ClassVar[str]  # left of the progress bar
+    name: ClassVar[str]  # of its page and its figure
+    unit: ClassVar[str] = 'runs'  # what its jobs are called
 
     def check(self) -> None:
         """Check the options; ConfigError with all that are not acceptable."""
@@ -63,15 +44,7 @@ class Study(ABC, Generic[JobT, ContentT]):
 
     @abstractmethod
     def jobs(self) -> list[JobT]:
-        """
-        Return every job; one may come twice.
-
-        Raises
-        ------
-        ConfigError
-            If what is to be run is not acceptable.
-
-        """
+        """Return every job; one may come twice. ConfigError if one is not acceptable."""
 
     def further(self, run: JobRun[JobT]) -> list[JobT]:
         """Return what else is to be run, now that the jobs have been."""
@@ -84,7 +57,7 @@ class Study(ABC, Generic[JobT, ContentT]):
 
     @abstractmethod
     def content(self, run: JobRun[JobT]) -> ContentT:
-        """Return what came out of the jobs that were not lost, the same whatever ran them."""
+        """Return what came out of the jobs, the same whatever ran them."""
 
     def tables(self, content: ContentT, run: JobRun[JobT]) -> Mapping[str, Any]:
         """Return what is written, as for `write_table`, by file name; one JSON file if alone."""
@@ -104,40 +77,29 @@ class Study(ABC, Generic[JobT, ContentT]):
         return f'{self.title}: {", ".join(sizes)}'
 
 
+def check_seeds(count: int) -> None:
+    """Check a number of seeds; ConfigError if there is none."""
+    if count < 1:
+        raise ConfigError('seeds', 'at least 1', count)
+
+
 @dataclass(frozen=True)
 class StudyOptions:
-    """
-    How a study is run.
+    """How a study is run."""
 
-    Attributes
-    ----------
-    out
-        Folder of the results; None for the study's own.
-    jobs
-        How many run at once on this machine, 0 for every core.
-    dask
-        Address of a Dask scheduler to use instead, empty for none.
-    dry_run, overwrite
-        Whether only to say what would be run; whether finished jobs are run again.
-
-    """
-
-    out: Path | None = None
-    jobs: int = 0
-    dask: str = ''
-    dry_run: bool = False
-    overwrite: bool = False
+    out: Path | None = None  # folder of the results; None for the study's own
+    jobs: int = 0  # at once on this machine, 0 for every core
+    dask: str = ''  # address of a Dask scheduler to use instead
+    dry_run: bool = False  # only say what would be run
+    overwrite: bool = False  # run finished jobs again
 
     def check(self) -> None:
         """Check what can be checked without doing anything; ConfigError if it is bad."""
-        check_workers(self.jobs)
+        if self.jobs < 0:
+            raise ConfigError('jobs', 'a whole number >= 0', self.jobs)
         if self.dask and self.jobs:
             raise ConfigError('jobs', 'nothing together with --dask, whose workers decide',
                               self.jobs)
-
-    def executor(self) -> AbstractContextManager[Executor]:
-        """Open what the jobs are run by."""
-        return DaskExecutor(self.dask) if self.dask else nullcontext(LocalExecutor(self.jobs))
 
 
 def run_study(
@@ -151,7 +113,7 @@ def run_study(
     ConfigError
         If study or options are not acceptable, before anything is run.
     RunError
-        If jobs were lost.
+        If a worker dies; what is finished is kept.
 
     """
     console = console or terminal()
@@ -169,44 +131,38 @@ def run_study_jobs(
     """Run the jobs of a study that have no result yet; None of a dry run. See `run_study`."""
     check_all(options.check, study.check)
     jobs, folder = study.jobs(), options.out or study.folder()
-    with options.executor() as executor:
+    with dask_client(options.dask) as client:
         if not options.dry_run:
             prepare_job_folder(folder, overwrite=options.overwrite,
                                results=[f'{study.name}.json', f'{study.name}.html'])
-        workers = max(executor.workers, 1)
-        estimate = estimate_time(jobs, folder, workers, anew=options.overwrite,
-                                 probe=options.dry_run or study.takes_long)
+        runs, finished = count_finished(jobs, folder)
         console.print(study.headline(), highlight=False, markup=False)
         if options.dry_run:
             for name, values in study.grid().items():
                 console.print(f'  {name}: {", ".join(map(str, values))}', highlight=False,
                               markup=False, soft_wrap=True)
-        console.print(estimate.sentence(workers, study.unit), highlight=False)
+        console.print(
+            f'{counted(runs, study.unit)}, {0 if options.overwrite else finished} of them '
+            f'finished before; {workers_at_once(options.jobs, client)} at once', highlight=False)
         if options.dry_run:
             return None
 
         def run_all(some: Sequence[JobT]) -> JobRun[JobT]:
-            return run_jobs(some, folder, study.measure, executor=executor, console=console,
-                            title=study.title)
+            return run_jobs(some, folder, study.measure, workers=options.jobs, client=client,
+                            console=console, title=study.title)
 
         run = run_all(jobs)
         further = study.further(run)
-        if not further:
-            return run
-        more = run_all(further)
-        return replace(run, keys={**run.keys, **more.keys}, lost={**run.lost, **more.lost})
+        return replace(run, keys={**run.keys, **run_all(further).keys}) if further else run
 
 
 def report_study(
     study: Study[JobT, ContentT], content: ContentT, run: JobRun[JobT], console: Console,
 ) -> None:
-    """Write the files of a study and show what came out; RunError if jobs were lost."""
-    folder = run.folder
-    paths = [write_table(table, folder / name)
+    """Write the files of a study and show what came out."""
+    paths = [write_table(table, run.folder / name)
              for name, table in study.tables(content, run).items()]
-    page = study.page(content, folder)
-    page = replace(page, warnings=[*page.warnings, *(
-        f'lost: {_name(job)}: {why}' for job, why in run.lost.items())])
+    page = study.page(content, run.folder)
     for section in page.sections:
         if section.listing is not None and section.in_terminal:
             console.print(terminal_table(section.heading, section.listing, console.width))
@@ -214,15 +170,6 @@ def report_study(
         console.print(f'[red]{escape(text)}[/red]', highlight=False)
     for text in page.findings:
         console.print(f'- {escape(text)}', highlight=False)
-    paths += write_study_page(page, folder / study.name)
+    paths += write_study_page(page, run.folder / study.name)
     for path in paths:
         console.print(f'results in {path}', highlight=False, soft_wrap=True)
-    if run.lost:
-        raise RunError(f'{len(run.lost)} of {len(run.keys)} jobs were lost; the same command '
-                       'tries them again')
-
-
-def _name(job: Job) -> str:
-    """Return what a job is, in so many words that they fit a line."""
-    known = (f'{name} {value}' for name, value in job.describe().items() if value)
-    return shorten(', '.join(known), NAME_WIDTH, placeholder=' ...')

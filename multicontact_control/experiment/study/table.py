@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-import csv
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -28,8 +27,7 @@ def write_table(content: Any, path: Path) -> Path:
     Parameters
     ----------
     content
-        A `pyarrow.Table` for ``.parquet``; rows, that is mappings with the same keys, for
-        ``.csv``; JSON values for ``.json`` and ``.yaml``.
+        A `pyarrow.Table` for ``.parquet``; JSON values for ``.json`` and ``.yaml``.
     path
         Its suffix says what is written.
 
@@ -37,10 +35,6 @@ def write_table(content: Any, path: Path) -> Path:
     with replacing(path) as partial:
         if path.suffix == '.parquet':
             pq.write_table(content, partial, compression='zstd')
-        elif path.suffix == '.csv':
-            lines = [list(content[0]) if content else [], *(row.values() for row in content)]
-            with partial.open('w', encoding='utf-8', newline='') as file:
-                csv.writer(file, lineterminator='\n').writerows(lines)
         elif path.suffix == '.yaml':
             partial.write_text(yaml.safe_dump(content, sort_keys=False), encoding='utf-8')
         else:
@@ -50,70 +44,37 @@ def write_table(content: Any, path: Path) -> Path:
 
 @dataclass(frozen=True)
 class Column:
-    """
-    A column of what is shown.
+    """A column of what is shown."""
 
-    Attributes
-    ----------
-    head, short
-        On the page, and in the terminal; the same if there is no `short`.
-    number
-        Whether it is set to the right.
-    spare
-        Whether a narrow terminal does without it.
-
-    """
-
-    head: str
-    short: str | None = None
-    number: bool = True
-    spare: bool = False
+    head: str  # on the page
+    short: str | None = None  # in the terminal; the head if None
+    number: bool = True  # set to the right
+    spare: bool = False  # a narrow terminal does without it
 
 
 @dataclass(frozen=True)
 class Line:
-    """
-    A line of what is shown.
+    """A line of what is shown."""
 
-    Attributes
-    ----------
-    cells
-        Plain text.
-    good
-        Colours the cell that says so.
-    group
-        Stands above the first of the lines that have it in common.
-    html_attributes
-        Of its HTML element.
-
-    """
-
-    cells: Sequence[str]
-    good: bool | None = None
-    group: str = ''
+    cells: Sequence[str]  # plain text
+    good: bool | None = None  # colours the cell that says so
+    group: str = ''  # stands above the first of the lines that have it in common
     html_attributes: str = ''
 
 
 @dataclass(frozen=True)
 class Listing:
-    """
-    A table to be looked at.
-
-    Attributes
-    ----------
-    columns, lines
-        Of the table.
-    verdict
-        Place of the cell that says whether a line is good.
-    caption
-        Below it in the terminal.
-
-    """
+    """A table to be looked at."""
 
     columns: Sequence[Column]
     lines: Sequence[Line]
-    verdict: int = 1
-    caption: str = ''
+    verdict: int = 1  # place of the cell that says whether a line is good
+    caption: str = ''  # below it in the terminal
+
+
+def format_number(value: float | None, digits: int, scale: float = 1.0) -> str:
+    """Return a number times a scale for a cell, a dash for one that is not known."""
+    return '-' if value is None else f'{scale * value:.{digits}f}'
 
 
 def short_names(names: Sequence[str], separator: str = '.') -> list[str]:

@@ -1,144 +1,183 @@
-from dataclasses import dataclass, field
-import json
+"""Jobs: their keys, their kept results, and what runs them."""
 
+import os
+import pickle
+import socket
+
+from mortal_jobs import MortalJob, run_mortal
 from multicontact_control.errors import ConfigError, RunError
-from multicontact_control.experiment.study.cache import JobCache
-from multicontact_control.experiment.study.execute import Estimate, estimate_time, run_jobs
-from multicontact_control.experiment.study.executors import LocalExecutor, LostJob
-from multicontact_control.experiment.study.jobs import job_of, JobResult
+from multicontact_control.experiment.study import jobs as jobs_module
+from multicontact_control.experiment.study.cache import JobCache, prepare_job_folder
+from multicontact_control.experiment.study.execute import dask_client, run_jobs, WORKER_DIED
+from multicontact_control.experiment.study.jobs import code_stamp, job_of, JobResult
 from multicontact_control.experiment.study.measure import measure_run
-from multicontact_control.files import finite
+from multicontact_control.experiment.study.presets.faults.jobs import FaultJob, run_fault_job
 import numpy as np
 import pytest
 
-
-def seed_task(job):
-    return JobResult({'seed': job.seed}, {'series': np.full((3, 2), float(job.seed))}, 0.5)
+SHORT = [job_of('step', 'rigid', seed, duration=1.6) for seed in range(3)]
 
 
-@dataclass
-class CountingExecutor:
-    """Runs jobs here, last one first, and remembers them."""
-
-    ran: list = field(default_factory=list)
-
-    def results(self, task, jobs, notify):
-        for job in reversed(jobs):
-            self.ran.append(job.seed)
-            yield job, task(job)
-
-
-def jobs(count=3):
+def seeds(count=3):
     return [job_of('quick', 'rigid', seed) for seed in range(count)]
 
 
-def test_jobs_run_once_and_again_only_what_is_not_whole(tmp_path):
-    first = CountingExecutor()
-    keys = run_jobs(jobs(), tmp_path, seed_task, executor=first).keys
-    assert sorted(first.ran) == [0, 1, 2]
-    store = JobCache(tmp_path)
-    traces = store.folder / f'{keys[jobs()[1]]}.npz'
-    traces.write_bytes(traces.read_bytes()[:-20])
-    record = store.folder / f'{keys[jobs()[2]]}.json'
-    record.write_text(record.read_text()[:40])
-    second = CountingExecutor()
-    run_jobs(jobs(4), tmp_path, seed_task, executor=second)
-    assert sorted(second.ran) == [1, 2, 3]
-    for job in jobs(4):
-        result = store.load(job.key())
-        assert result.metrics == {'seed': job.seed}
-        np.testing.assert_array_equal(result.traces['series'], float(job.seed))
+class Task:
+    """Note which jobs are run, and return their seeds."""
 
+    def __init__(self, fails_at=None):
+        self.ran, self.fails_at = [], fails_at
 
-def test_jobs_that_were_finished_before_an_error_are_kept(tmp_path):
-    class Failing(CountingExecutor):
-
-        def results(self, task, jobs, notify):
-            yield jobs[0], task(jobs[0])
+    def __call__(self, job):
+        if job.seed == self.fails_at:
             raise KeyboardInterrupt
+        self.ran.append(job.seed)
+        return JobResult({'seed': job.seed}, {'series': np.full((3, 2), float(job.seed))}, 0.5)
 
+
+def test_key_changes_with_all_that_changes_the_outcome():
+    variants = [
+        job_of('quick', 'rigid', 0), job_of('quick', 'rigid', 1), job_of('quick', 'puma', 0),
+        job_of('disturbance', 'rigid', 0), job_of('quick', 'rigid', 0, duration=5.0),
+        job_of('quick', 'rigid', 0, noise_estimator={'estimator': 'fixed'}),
+        job_of('quick', 'rigid', 0, controller={'force': {'damping_rate': 30.0}}),
+        job_of('quick', 'rigid', 0, plant_overrides={'actuator_delay_ticks': 2}),
+        job_of('quick', 'rigid', 0, scenario_overrides={'reference': {
+            'approach': {'speed': 0.03}}}),
+        job_of('quick', 'rigid', 0, supervised=True)]
+    assert len({job.key() for job in variants}) == len(variants)
+    assert variants[0].key() == pickle.loads(pickle.dumps(variants[0])).key()
+
+
+def test_key_is_that_of_the_values_and_not_of_how_they_were_given():
+    given = job_of('quick', 'rigid', 0, controller={'force': {'damping_rate': 100.0}})
+    assert given.key() == job_of('quick', 'rigid', 0).key()
+    assert given.key() == job_of('quick', 'rigid', 0, preset='best').key()
+    assert given.key() != job_of('quick', 'rigid', 0, preset='paper').key()
+
+
+def test_key_changes_with_every_source_of_both_packages(tmp_path, monkeypatch):
+    stamps, before = [], job_of('quick', 'rigid', 0).key()
+    with monkeypatch.context() as patch:
+        patch.setattr(jobs_module, 'code_stamp', lambda: 'other code')
+        assert job_of('quick', 'rigid', 0).key() != before
+    monkeypatch.setattr(jobs_module, '__file__', str(
+        tmp_path / 'multicontact_control/experiment/study/jobs.py'))
+    for name, text in (('multicontact_control/law.py', 'a'), ('multicontact_control/law.py', 'b'),
+                       ('multicontact_control/a/new.py', ''), ('sim_bridge/plant.py', '')):
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+        stamps += [code_stamp.__wrapped__(), code_stamp.__wrapped__()]
+    assert stamps[::2] == stamps[1::2]
+    assert len(set(stamps)) == 4
+
+
+def test_jobs_run_once_and_again_only_if_their_result_is_not_whole(tmp_path):
+    first, second = Task(), Task()
+    keys = run_jobs([*seeds(), seeds()[0]], tmp_path, first, workers=1).keys
+    assert first.ran == [0, 1, 2]
+    cells = JobCache(tmp_path).folder
+    traces, record = (cells / f'{keys[seeds()[1]]}.npz', cells / f'{keys[seeds()[2]]}.json')
+    traces.write_bytes(traces.read_bytes()[:-20])
+    record.write_text(record.read_text()[:40])
+    run = run_jobs(seeds(4), tmp_path, second, workers=1)
+    assert second.ran == [1, 2, 3]
+    for job in seeds(4):
+        result = run.result(job)
+        assert (result.metrics, result.wall_time) == ({'seed': job.seed}, 0.5)
+        np.testing.assert_array_equal(result.traces['series'], np.full((3, 2), job.seed))
+
+
+def test_results_before_an_interruption_are_kept(tmp_path):
     with pytest.raises(KeyboardInterrupt):
-        run_jobs(jobs(), tmp_path, seed_task, executor=Failing())
-    later = CountingExecutor()
-    run_jobs(jobs(), tmp_path, seed_task, executor=later)
-    assert len(later.ran) == 2
+        run_jobs(seeds(), tmp_path, Task(fails_at=2), workers=1)
+    later = Task()
+    run = run_jobs(seeds(), tmp_path, later, workers=1)
+    assert later.ran == [2]
+    (JobCache(tmp_path).folder / f'{run.keys[seeds()[0]]}.json').unlink()
+    with pytest.raises(RunError, match='expected a finished job'):
+        run.result(seeds()[0])
 
 
 def test_bad_job_is_refused_before_anything_runs(tmp_path):
-    executor = CountingExecutor()
+    task = Task()
     bad = job_of('quick', 'rigid', 0, controller={'force': {'damping_rate': -1.0}})
     with pytest.raises(ConfigError, match='damping_rate'):
-        run_jobs([*jobs(), bad], tmp_path, seed_task, executor=executor)
-    assert executor.ran == []
+        run_jobs([*seeds(), bad], tmp_path, task, workers=1)
+    assert task.ran == []
 
 
-def test_lost_job_is_named_and_run_again_the_next_time(tmp_path):
-    class Losing(CountingExecutor):
-
-        def results(self, task, jobs, notify):
-            for job in jobs:
-                yield job, LostJob('out of memory') if job.seed == 1 else task(job)
-
-    run = run_jobs(jobs(), tmp_path, seed_task, executor=Losing())
-    assert run.result(jobs()[2]).metrics == {'seed': 2}
-    assert run.lost == {jobs()[1]: 'out of memory'}
-    with pytest.raises(RunError, match='expected a finished job: out of memory'):
-        run.result(jobs()[1])
-    later = CountingExecutor()
-    assert run_jobs(jobs(), tmp_path, seed_task, executor=later).lost == {}
-    assert later.ran == [1]
+def test_folder_keeps_other_files_and_drops_results_on_request(tmp_path):
+    cache = JobCache(tmp_path)
+    cache.save('a', seeds()[0], JobResult({'x': None}, {}, 0.5))
+    prepare_job_folder(tmp_path, overwrite=False)
+    assert cache.load('a') == JobResult({'x': None}, {}, 0.5)
+    prepare_job_folder(tmp_path, overwrite=True)
+    assert cache.load('a') is None
+    other = tmp_path / 'other'
+    other.mkdir()
+    (other / 'notes.txt').write_text('mine')
+    with pytest.raises(ConfigError, match='^out: '):
+        prepare_job_folder(other, overwrite=True)
+    prepare_job_folder(other, overwrite=False, results=['notes.txt'])
+    assert (other / 'notes.txt').read_text() == 'mine'
 
 
 @pytest.mark.slow
-def test_jobs_have_the_same_results_with_any_number_of_workers(tmp_path):
-    short = [job_of('step', 'rigid', seed, duration=1.7) for seed in range(3)]
-    records = []
-    for jobs in (1, 2):
-        folder = tmp_path / str(jobs)
-        run_jobs(short, folder, measure_run, executor=LocalExecutor(jobs))
-        found = [json.loads(path.read_text()) for path in sorted(folder.glob('cells/*.json'))]
-        records.append([{**record, 'wall_s': 0.0} for record in found])
-    assert len(records[0]) == 3
-    assert records[0] == records[1]
+def test_processes_give_the_same_results_as_this_one(tmp_path):
+    here = run_jobs(SHORT, tmp_path / 'here', measure_run, workers=1)
+    there = run_jobs(SHORT, tmp_path / 'there', measure_run, workers=2)
+    for job in SHORT:
+        assert here.result(job).metrics == there.result(job).metrics
+        np.testing.assert_equal(here.result(job).traces, there.result(job).traces)
 
 
-def test_finite_leaves_no_number_that_json_has_not():
-    assert finite({'a': [float('nan'), 1.0], 'b': (float('inf'), 2)}) == {
-        'a': [None, 1.0], 'b': [None, 2]}
+def test_dead_worker_ends_the_run_and_keeps_what_is_finished(tmp_path):
+    jobs = [MortalJob(number) for number in range(4)]
+    with pytest.raises(RunError, match=f'^{WORKER_DIED}$'):
+        run_jobs([*jobs, MortalJob(9, deadly=True)], tmp_path, run_mortal, workers=2)
+    run = run_jobs([*jobs, MortalJob(9)], tmp_path, run_mortal, workers=2)
+    for job in jobs:
+        assert run.metrics(job)['process'] != os.getpid()
+        assert run.metrics(job)['threads'] == '1'
 
 
-CELLS = [job_of('step', 'rigid', seed, duration=duration)
-         for seed, duration in enumerate((2.0, 4.0, 10.0))]
+@pytest.mark.nightly
+def test_cluster_gives_the_same_results_and_ends_with_a_dead_worker(tmp_path, monkeypatch):
+    distributed = pytest.importorskip('distributed')
+    import dask
+
+    faults = [FaultJob('rigid', 'approach', 0, (('nan', 'wrench', seed),)) for seed in (1, 2)]
+    dask.config.set({'distributed.scheduler.allowed-failures': 0})
+    with distributed.LocalCluster(2, threads_per_worker=2, dashboard_address=None) as cluster, \
+            dask_client(cluster.scheduler_address) as client:
+        for jobs, task in ((SHORT, measure_run), (faults, run_fault_job)):
+            here = run_jobs(jobs, tmp_path / 'here', task, workers=1)
+            there = run_jobs(jobs, tmp_path / 'there', task, client=client)
+            assert [here.metrics(job) for job in jobs] == [there.metrics(job) for job in jobs]
+        with pytest.raises(RunError, match=f'^{WORKER_DIED}$'):
+            run_jobs([MortalJob(0, deadly=True)], tmp_path, run_mortal, client=client)
+        monkeypatch.setattr(MortalJob, 'key', lambda self: 'of other code')
+        with pytest.raises(RunError, match='other code'):
+            run_jobs([MortalJob(1)], tmp_path, run_mortal, client=client)
 
 
-def finish(folder, job, wall_time):
-    JobCache(folder).save(job.key(), job, JobResult({}, {}, wall_time))
+def test_address_that_is_none_or_does_not_answer_is_refused():
+    pytest.importorskip('distributed')
+    with socket.socket() as unused:  # bound and not listening
+        unused.bind(('127.0.0.1', 0))
+        for address in ('nonsense://x:1', 'localhost:notaport', ' ',
+                        f'tcp://127.0.0.1:{unused.getsockname()[1]}'):
+            with pytest.raises(ConfigError, match=f'^dask: .*{address}'), dask_client(address):
+                pass
 
 
-def test_estimate_follows_finished_runs_of_the_plant_and_the_simulated_time(tmp_path):
-    """4 s took 2 s of wall time: the other 12 s take 6 s on one worker, 3 s on two."""
-    finish(tmp_path, CELLS[1], 2.0)
-    one = estimate_time(CELLS, tmp_path, 1)
-    assert (one.runs, one.finished, one.todo) == (3, 1, 2)
-    assert one.seconds == pytest.approx(6.0)
-    two = estimate_time([*CELLS, CELLS[0]], tmp_path, 2, probe=False)
-    assert two.todo == 2
-    assert two.seconds - one.seconds / 2.0 == pytest.approx(3.0)  # to start the workers
-
-
-def test_estimate_without_a_probe_of_a_new_plant_says_nothing(tmp_path):
-    finish(tmp_path, CELLS[1], 2.0)
-    estimate = estimate_time([*CELLS, job_of('step', 'puma', 0)], tmp_path, 1, probe=False)
-    assert estimate.seconds is None
-    assert estimate.sentence(2) == '4 runs, 1 of them finished before; 2 at once'
-
-
-def test_probe_tells_the_time_of_a_new_plant(tmp_path):
-    assert estimate_time(CELLS[:1], tmp_path, 1).seconds > 0.0
-
-
-@pytest.mark.parametrize(('seconds', 'words'), [
-    (45.0, '45 s'), (600.0, '10.0 min'), (7200.0, '2.0 h')])
-def test_estimate_is_told_in_fitting_units(seconds, words):
-    assert Estimate(5, 1, seconds).sentence(2) == (
-        f'5 runs, 1 of them finished before; the other 4 will take about {words} with 2 at once')
+def test_run_that_ends_at_once_counts_as_unstable():
+    """Stretched out, where nothing damps what a singular posture asks for: no first torque."""
+    metrics = measure_run(job_of(
+        'disturbance', 'rigid', 0, duration=1.7, plant_overrides={'home': [0.0] * 6},
+        controller={'limits': {'singular_mobility': 0.0}})).metrics
+    assert metrics['summary']['stable'] is False and metrics['evidence']['stable'] is False
+    assert metrics['summary']['ended_early'].startswith('tick 0: ')
+    assert metrics['final_error_share'] is None

@@ -1,1 +1,1 @@
-"""The studies there are: each declares its grid, its measure, and what is shown of it."""
+"""What `multicontact` can study: one folder for each."""

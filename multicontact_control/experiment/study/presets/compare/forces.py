@@ -31,14 +31,10 @@ GOOD, BAD = '#18794e', '#c0262d'
 APART = 0.12  # points of one label, from seed to seed
 NOTE = """
 <p class=note>Errors are those of the true contact forces. Each line is the median over the seeds,
-of the worse contact. <b>rest</b> and <b>moving</b> leave out each push and 1 s after it.
-<b>recovery</b>: time until |true &minus; desired| is within 5 % of the command, or within three
-standard deviations of its own value in the second before the push, whichever is larger, and stays
-there for 0.1 s; from the end of the push of 0.1 s, from the start of the push of 1 s, which is to
-be controlled out while it lasts; <b>never</b> if not before the next event. Unstable: torque
-saturated or a contact lost for more than 0.1 s, a contact lost more than 5 times in 10 s, a force
-that oscillates for 2 s, or one beyond 5 times its command and half the force ceiling.
-Click a line for its forces; drag over them to zoom in, double click to see all again.</p>
+of the worse contact. <b>rest</b> and <b>moving</b> leave out the pushes; <b>never</b>: a push was
+not controlled out before the next event. docs/experiments.md says what counts as a recovery and
+as unstable. Click a line for its forces; drag over them to zoom in, double click to see all
+again.</p>
 """
 SCRIPT = """
 const RUNS = %s;

@@ -3,57 +3,44 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import partial
-from typing import Any, get_args
+from typing import Any, get_args, NamedTuple
 
 from multicontact_control.config import merge, NoiseEstimatorConfig, validate
 from multicontact_control.errors import ConfigError
-from multicontact_control.experiment.claims import MATCHED, MAYBECK
+from multicontact_control.experiment.claims import (
+    FIXED,
+    MATCHED,
+    MAYBECK,
+    PAPER_ESTIMATOR,
+    UNFILTERED,
+)
 from multicontact_control.experiment.scenario import plant_source, plants_of, Setup
 from multicontact_control.experiment.study.jobs import job_of, RunJob
 from multicontact_control.force.noise import lead_filter
 from sim_bridge.config import PlantConfig
 
 SCENARIO, PRESET = 'disturbance', 'paper'
-RESCALED = 'window rescaled'
+RESCALED = UNFILTERED
 ESTIMATORS: tuple[str, ...] = get_args(NoiseEstimatorConfig.model_fields['estimator'].annotation)
 LABELS = (*ESTIMATORS, RESCALED, MATCHED)
-QUICK_LABELS = ('lead_window', 'fixed', RESCALED, MATCHED)
+QUICK_LABELS = (PAPER_ESTIMATOR, FIXED, RESCALED, MATCHED)
 DAMPING_RATES = (20.0, 60.0, 100.0)  # 1/s, K_2 over which the claims are judged
 AOB, PLAIN = 'AOB', 'no active state'
 CAUSE, STIFFNESS = 'cause', 'stiffness'
 KINDS = (AOB, PLAIN, STIFFNESS, CAUSE)
 
 
-@dataclass(frozen=True)
-class Entry:
-    """
-    A job and its place in the matrix.
+class Entry(NamedTuple):
+    """A job and its place in the matrix."""
 
-    Attributes
-    ----------
-    label
-        Of the estimator, with what was changed besides.
-    kind
-        ``AOB`` or ``no active state``; ``cause`` and ``stiffness`` for the jobs beside the
-        matrix: why `fixed` blows up on flexible drives, and what a wrong stiffness does.
-    job
-        The run.
-
-    """
-
-    label: str
-    kind: str
+    label: str  # of the estimator, with what was changed besides
+    kind: str  # AOB, PLAIN; CAUSE and STIFFNESS for the jobs beside the matrix
     job: RunJob
 
 
 def rescaling(config: NoiseEstimatorConfig) -> float:
-    """
-    Return the factor on R of `window` that makes it agree with `lead_window` at rest.
-
-    The gain of the lead filter for the variance of white noise, 269 as configured.
-    """
+    """Return the lead filter's gain for the variance of white noise: R of `window` over it."""
     return lead_filter(
         config.zero_frequency, config.pole_frequency, config.rate).variance_factor()
 
@@ -96,12 +83,7 @@ def name_checks(
 
 
 def controller_values(plant: str) -> dict[str, Any]:
-    """
-    Return what the controller of a plant needs to differ from its files.
-
-    Without joint friction there is none to compensate: on such joints a compensation pushes the
-    arm along, which makes a limit cycle at rest of 1.5 N at the board.
-    """
+    """Return what is laid over the controller: no compensation of friction that is not there."""
     return {} if _plant(plant).joint_friction_scale > 0.0 else {
         'friction': {'coulomb': [], 'viscous': []}}
 
@@ -132,15 +114,13 @@ def comparison_matrix(
     entries = []
     for plant in plants or plants_of():
         base = job_of(SCENARIO, plant, 0, preset=preset).setup()
-        variants: list[Variant] = [
+        variants = [(label, kind, order) for label in labels for kind, order in orders.items()]
+        variants += [(label, AOB, {'force': {'damping_rate': rate}})
+                     for rate in damping_rates for label in labels if label in QUICK_LABELS]
+        entries += _entries(plant, [
             (label, kind, estimator_values(label, base),
-             merge(observer_values(label, base), order), {})
-            for label in labels for kind, order in orders.items()]
-        variants += [
-            (label, AOB, estimator_values(label, base),
-             merge(observer_values(label, base), {'force': {'damping_rate': rate}}), {})
-            for rate in damping_rates for label in labels if label in QUICK_LABELS]
-        entries += _entries(plant, variants, seeds, duration, preset)
+             merge(observer_values(label, base), values), {})
+            for label, kind, values in variants], seeds, duration, preset)
     return entries
 
 
@@ -156,8 +136,15 @@ def beside_the_matrix(
     entries = []
     for plant in plants or plants_of():
         config = _plant(plant)
-        entries += _entries(plant, _stiffness_variants(config, quick, damping_rates), 1,
-                            preset=preset)
+        controllers: list[dict[str, Any]] = [{}, *(
+            {'force': {'damping_rate': rate}} for rate in damping_rates)]
+        entries += _entries(plant, [
+            (f'{PAPER_ESTIMATOR}, true stiffness x {ratio:g}', STIFFNESS,
+             {'estimator': PAPER_ESTIMATOR}, controller,
+             {'surfaces': {name: {'stiffness': ratio * surface.stiffness}
+                           for name, surface in config.surfaces.items()}})
+            for controller in controllers
+            for ratio in ((0.5, 2.0) if quick else (0.2, 0.5, 2.0, 5.0))], 1, preset=preset)
         if config.drives == 'flexible':
             entries += _entries(plant, _cause_variants(config, quick), seeds, preset=preset)
     return entries
@@ -174,32 +161,17 @@ def _entries(
         for label, kind, estimator, controller, overrides in variants for seed in range(seeds)]
 
 
-def _stiffness_variants(
-    config: PlantConfig, quick: bool, damping_rates: Sequence[float],
-) -> list[Variant]:
-    controllers: list[dict[str, Any]] = [{}, *(
-        {'force': {'damping_rate': rate}} for rate in damping_rates)]
-    return [(f'lead_window, true stiffness x {ratio:g}', STIFFNESS, {'estimator': 'lead_window'},
-             controller, {'surfaces': {name: {'stiffness': ratio * surface.stiffness}
-                                       for name, surface in config.surfaces.items()}})
-            for controller in controllers
-            for ratio in ((0.5, 2.0) if quick else (0.2, 0.5, 2.0, 5.0))]
-
-
 def _cause_variants(config: PlantConfig, quick: bool) -> list[Variant]:
     smooth = {'sensor': {'noise': False, 'quantise': False}, 'surfaces': {
         name: {'roughness_std': 0.0} for name in config.contact_names}}
-    variants: list[Variant] = [
-        ('fixed, no roughness, no sensor noise', CAUSE, {'estimator': 'fixed'}, {}, smooth)]
-    for variance in (2.0,) if quick else (2.0, 10.0, 100.0):
-        variants.append((f'fixed at {variance:g} N²', CAUSE,
-                         {'estimator': 'fixed', 'fixed_variance': variance}, {}, {}))
-    if quick:
-        return variants
-    return [*variants,
-            ('fixed, no actuator delay', CAUSE, {'estimator': 'fixed'}, {},
-             {'actuator_delay_ticks': 0}),
-            ('fixed, K_2 = 30 1/s', CAUSE, {'estimator': 'fixed'},
-             {'force': {'damping_rate': 30.0}}, {}),
-            ('fixed, T_d = 2 ms', CAUSE, {'estimator': 'fixed'},
-             {'force': {'input_delay': 0.002}}, {})]
+    changes: list[tuple[str, dict[str, Any], dict[str, Any], dict[str, Any]]] = [
+        (', no roughness, no sensor noise', {}, {}, smooth),
+        *((f' at {variance:g} N²', {'fixed_variance': variance}, {}, {})
+          for variance in ((2.0,) if quick else (2.0, 10.0, 100.0)))]
+    if not quick:
+        changes += [
+            (', no actuator delay', {}, {}, {'actuator_delay_ticks': 0}),
+            (', K_2 = 30 1/s', {}, {'force': {'damping_rate': 30.0}}, {}),
+            (', T_d = 2 ms', {}, {'force': {'input_delay': 0.002}}, {})]
+    return [(f'{FIXED}{name}', CAUSE, {'estimator': FIXED, **estimator}, controller, plant)
+            for name, estimator, controller, plant in changes]

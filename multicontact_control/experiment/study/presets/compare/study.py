@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from multicontact_control.errors import check_all, ConfigError
+from multicontact_control.errors import check_all
 from multicontact_control.experiment.claims import judge_over_damping
 from multicontact_control.experiment.page import claims_over_damping, claims_table
 from multicontact_control.experiment.scenario import plants_of, preset_values
@@ -24,38 +24,23 @@ from multicontact_control.experiment.study.presets.compare.results import (
     findings,
     row_of,
 )
-from multicontact_control.experiment.study.study import Study
+from multicontact_control.experiment.study.study import check_seeds, Study
 
 
 @dataclass(frozen=True)
 class ComparisonStudy(Study[RunJob, dict[str, Any]]):
-    """
-    Plants, estimators and seeds, with and without the active state.
-
-    Attributes
-    ----------
-    plants, estimators
-        Names; no estimators for all, or those of the quick matrix.
-    seeds
-        How many; None for 3, or 1 of the quick matrix.
-    quick
-        Whether the matrix is reduced.
-    preset
-        Controller and estimator that everything else is varied of; with the paper's, the claims
-        are judged over K_2.
-
-    """
+    """Plants, estimators and seeds, with and without the active state."""
 
     plants: tuple[str, ...] = field(default_factory=plants_of)
-    estimators: tuple[str, ...] = ()
-    seeds: int | None = None
+    estimators: tuple[str, ...] = ()  # all, or those of the quick matrix, if empty
+    seeds: int | None = None  # how many; None for 3, or 1 of the quick matrix
     quick: bool = False
+    # Controller and estimator; with the paper's, the claims are judged over K_2.
     preset: str = matrix.PRESET
 
     title = 'compare'
     name = 'comparison'
     measure = staticmethod(measure_run)
-    takes_long = True
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -74,16 +59,13 @@ class ComparisonStudy(Study[RunJob, dict[str, Any]]):
 
     def check(self) -> None:
         """Check plants, estimators and seeds; ConfigError with all that are not acceptable."""
-        check_all(*matrix.name_checks(self.plants, self.labels), self._check_seeds,
-                  partial(preset_values, self.preset))
-
-    def _check_seeds(self) -> None:
-        if self.seed_count < 1:
-            raise ConfigError('seeds', 'at least 1', self.seeds)
+        check_all(*matrix.name_checks(self.plants, self.labels),
+                  partial(check_seeds, self.seed_count), partial(preset_values, self.preset))
 
     def grid(self) -> Mapping[str, Sequence[Any]]:
         """Return plants, estimators and seeds, and what runs beside their matrix."""
-        beside = dict.fromkeys(entry.label for entry in self._beside())
+        beside = dict.fromkeys(entry.label for entry in self.entries()
+                               if entry.kind in (matrix.STIFFNESS, matrix.CAUSE))
         return {'plants': self.plants, 'estimators': self.labels,
                 'observers': (matrix.AOB,) if self.quick else (matrix.AOB, matrix.PLAIN),
                 'seeds': range(self.seed_count),
@@ -94,10 +76,7 @@ class ComparisonStudy(Study[RunJob, dict[str, Any]]):
         """Return every run and its place in the matrix."""
         return matrix.comparison_matrix(
             self.plants, self.labels, self.seed_count, plain=not self.quick, preset=self.preset,
-            damping_rates=self.damping_rates[1:]) + self._beside()
-
-    def _beside(self) -> list[matrix.Entry]:
-        return matrix.beside_the_matrix(
+            damping_rates=self.damping_rates[1:]) + matrix.beside_the_matrix(
             self.plants, self.seed_count, quick=self.quick, preset=self.preset,
             damping_rates=self.damping_rates[1:])
 
@@ -107,9 +86,9 @@ class ComparisonStudy(Study[RunJob, dict[str, Any]]):
 
     def content(self, run: JobRun[RunJob]) -> dict[str, Any]:
         """Return the content of ``comparison.json``."""
-        rows = [row_of(entry, run.keys[entry.job], run.result(entry.job))
-                for entry in self.entries() if entry.job not in run.lost]
-        return {'schema': 2, 'scenario': matrix.SCENARIO, 'preset': self.preset, 'rows': rows,
+        rows = [row_of(entry, run.keys[entry.job], run.metrics(entry.job))
+                for entry in self.entries()]
+        return {'scenario': matrix.SCENARIO, 'preset': self.preset, 'rows': rows,
                 'claims': {plant: [{'damping_rate': rate, **claim.to_json()}
                                    for rate, claims in found.items() for claim in claims]
                            for plant, found in comparison_claims(rows).items()}}

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from functools import partial
-from multiprocessing.connection import Connection, Pipe
+from multiprocessing.connection import Pipe
 import os
 import signal
 import time
 import traceback
-from typing import Any, ClassVar, NoReturn
+from typing import Any
 
 from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.faults.fault import APPROACH, Fault, PROCESS, REST, SLIDING
-from multicontact_control.experiment.faults.in_process import run_fault, RUN_TICKS, together
+from multicontact_control.experiment.faults.in_process import run_fault, together
 from multicontact_control.experiment.faults.judge import FaultRow
 from multicontact_control.experiment.faults.situation import with_obstacles
 from multicontact_control.experiment.faults.vocabulary import faults_of
@@ -28,26 +26,13 @@ FAULT_TIMEOUT = 60.0  # s
 
 @dataclass(frozen=True)
 class FaultJob:
-    """
-    Some faults in one situation.
-
-    Attributes
-    ----------
-    plant, phase
-        Where they happen.
-    first_seed
-        Of the plant.
-    faults
-        Kind, input and seed of each, and kind and input of another at the same time, if any.
-
-    """
+    """Some faults in one situation."""
 
     plant: str
     phase: str
-    first_seed: int
+    first_seed: int  # of the plant
+    # Kind, input and seed of each, and kind and input of another at the same time, if any.
     faults: tuple[tuple[Any, ...], ...]
-
-    supervised: ClassVar[bool] = True
 
     def setup(self) -> Setup:
         """Return the scenario in which they happen."""
@@ -58,11 +43,6 @@ class FaultJob:
         return content_key('faults', {
             **self.describe(), **setup_content(self.setup()), 'time': PHASE_TIMES[self.phase]})
 
-    def simulated_time(self) -> float:
-        """Return the time that the faults take, with the way there [s]."""
-        faults = len(self.faults) * RUN_TICKS / self.setup().controller.rate
-        return PHASE_TIMES[self.phase] + faults
-
     def describe(self) -> dict[str, Any]:
         """Return the situation and the faults."""
         return {'plant': self.plant, 'phase': self.phase, 'first_seed': self.first_seed,
@@ -70,15 +50,7 @@ class FaultJob:
 
 
 def run_fault_job(job: FaultJob) -> JobResult:
-    """
-    Run the faults of a job.
-
-    Returns
-    -------
-    JobResult
-        `metrics`: a row for each fault under `rows`.
-
-    """
+    """Run the faults of a job; `metrics` of the result has a row for each under `rows`."""
     start = time.perf_counter()
     known = faults_of(PROCESS)
     world = _world_at(job)
@@ -88,7 +60,7 @@ def run_fault_job(job: FaultJob) -> JobResult:
 
 
 # The worlds of this process by plant: faults happen in copies of them, so that a later phase
-# goes on from an earlier one, and no fault costs the way there.
+# goes on from an earlier one.
 _WORLDS: dict[str, ClosedLoop] = {}
 
 
@@ -113,7 +85,12 @@ def in_fork(
     # By hand: a worker of Dask is not allowed to have children of `multiprocessing`.
     child = os.fork()
     if not child:
-        _end_with(partial(run_fault, world, fault, seed, phase, other), theirs)
+        try:
+            theirs.send(run_fault(world, fault, seed, phase, other))
+        except BaseException:
+            traceback.print_exc()
+        finally:
+            os._exit(0)  # at once: what this process would end is its parent's
     theirs.close()
     try:
         if ours.poll(FAULT_TIMEOUT):
@@ -123,20 +100,9 @@ def in_fork(
     except EOFError:
         problem = 'died'
     finally:
-        os.kill(child, signal.SIGKILL)  # it has said what it had to say
+        os.kill(child, signal.SIGKILL)
         os.waitpid(child, 0)
         ours.close()
     named = fault if other is None else together(fault, other)
     return FaultRow(named.kind, named.input, seed, problem, -1.0, -1.0, -1.0, False,
                     world.setup.plant_name, phase, problem)
-
-
-def _end_with(work: Callable[[], FaultRow], pipe: Connection) -> NoReturn:
-    """Send what the work returns, and end this process at once, whatever it raises."""
-    try:
-        pipe.send(work())
-        os._exit(0)
-    except BaseException:
-        traceback.print_exc()
-    finally:
-        os._exit(1)

@@ -13,6 +13,7 @@ from multicontact_control.experiment.faults.judge import FaultRow
 from multicontact_control.experiment.faults.vocabulary import faults_of, pairs_of_faults
 from multicontact_control.experiment.scenario import plants_of
 from multicontact_control.experiment.study.execute import JobRun
+from multicontact_control.experiment.study.measure import largest_known, middle_known
 from multicontact_control.experiment.study.page import Page, Section
 from multicontact_control.experiment.study.presets.faults.jobs import (
     FaultJob,
@@ -20,7 +21,7 @@ from multicontact_control.experiment.study.presets.faults.jobs import (
     run_fault_job,
 )
 from multicontact_control.experiment.study.study import Study
-from multicontact_control.experiment.study.table import Column, Line, Listing
+from multicontact_control.experiment.study.table import Column, format_number, Line, Listing
 from multicontact_control.wording import counted
 import numpy as np
 
@@ -44,22 +45,10 @@ def situation(number: int, plants: Sequence[str]) -> tuple[str, str]:
 
 @dataclass(frozen=True)
 class FaultStudy(Study[FaultJob, list[FaultRow]]):
-    """
-    Kinds of faults and seeds, in the situations in turn.
+    """Kinds of faults and seeds, in the situations in turn."""
 
-    Attributes
-    ----------
-    seed
-        Seeds of the faults count from here.
-    quick
-        One fault of each kind instead of 14.
-    plants
-        Where they happen.
-
-    """
-
-    seed: int = 0
-    quick: bool = False
+    seed: int = 0  # from which those of the faults count
+    quick: bool = False  # one fault of each kind
     plants: tuple[str, ...] = field(default_factory=plants_of)
 
     title = 'faults'
@@ -78,12 +67,11 @@ class FaultStudy(Study[FaultJob, list[FaultRow]]):
 
     def grid(self) -> Mapping[str, Sequence[Any]]:
         """Return kinds, seeds and situations."""
-        found: dict[str, Sequence[Any]] = {
+        return {
             'kinds': [f'{source} {kind}' for kind, source in faults_of(PROCESS)],
             'seeds': range(self.seed, self.seed + (self._situations if self.quick else SEEDS)),
-            'plants': self.plants, 'phases': PHASES}
-        found['pairs of faults at once'] = range(QUICK_PAIRS if self.quick else PAIRS)
-        return found
+            'plants': self.plants, 'phases': PHASES,
+            'pairs of faults at once': range(QUICK_PAIRS if self.quick else PAIRS)}
 
     def jobs(self) -> list[FaultJob]:
         """
@@ -108,8 +96,7 @@ class FaultStudy(Study[FaultJob, list[FaultRow]]):
 
     def content(self, run: JobRun[FaultJob]) -> list[FaultRow]:
         """Return what became of every fault, by kind and seed."""
-        rows = [FaultRow(**row) for job in run.kept(self.jobs())
-                for row in run.result(job).metrics['rows']]
+        rows = [FaultRow(**row) for job in self.jobs() for row in run.metrics(job)['rows']]
         order = {fault: i for i, fault in enumerate(faults_of(PROCESS))}
         return sorted(rows, key=lambda row: (
             order.get((row.kind, row.input), len(order)), row.seed))
@@ -148,8 +135,7 @@ def _listing(rows: Sequence[FaultRow]) -> Listing:
     """Return one line per kind."""
     groups: dict[tuple[str, str], list[FaultRow]] = {}
     for row in rows:
-        source = '' if row.kind == TWO else row.input
-        groups.setdefault((source, row.kind), []).append(row)
+        groups.setdefault(('' if row.kind == TWO else row.input, row.kind), []).append(row)
     lines = []
     for (source, kind), group in groups.items():
         never = any(row.time_to_safe_s < 0.0 for row in group)
@@ -157,12 +143,11 @@ def _listing(rows: Sequence[FaultRow]) -> Listing:
         short = sum(bool(row.shortfalls) for row in group)
         off = [1e3 * row.off_command_s for row in group if row.off_command_s >= 0.0]
         lines.append(Line([
-            source, kind, str(len(group)),
-            ', '.join(sorted({row.reaction for row in group})),
+            source, kind, str(len(group)), ', '.join(sorted({row.reaction for row in group})),
             'never' if never else f'{1e3 * max(row.time_to_safe_s for row in group):.0f}',
             f'{max(row.peak_force_n for row in group):.1f}',
             f'{max(row.peak_torque_fraction for row in group):.2f}',
-            f'{np.median(off):.0f}' if off else '-', f'{max(off):.0f}' if off else '-',
+            format_number(middle_known(off), 0), format_number(largest_known(off), 0),
             str(max(row.transitions for row in group)), f'{short}' if short else '-',
             f'{unsafe} not' if unsafe else 'yes'], not unsafe))
     return Listing(COLUMNS, lines, verdict=SAFE)

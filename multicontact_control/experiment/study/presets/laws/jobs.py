@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any, ClassVar, TYPE_CHECKING
+from typing import Any, TYPE_CHECKING
 
 from multicontact_control.experiment.metrics import (
     disturbance_summary,
@@ -12,10 +12,11 @@ from multicontact_control.experiment.metrics import (
     step_responses,
     windows,
 )
+from multicontact_control.experiment.overrides import ARGUMENTS, overrides_of
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.scenario import resolve, Setup
 from multicontact_control.experiment.study.jobs import content_key, JobResult, setup_content
-from multicontact_control.experiment.study.measure import long_enough
+from multicontact_control.experiment.study.measure import largest, largest_known, long_enough
 from multicontact_control.experiment.summary import summarise
 from multicontact_control.files import finite
 import numpy as np
@@ -32,38 +33,19 @@ MEAN_TIME = 0.012  # s, over which forces of a vanishing surface's neighbour are
 
 @dataclass(frozen=True)
 class LawJob:
-    """
-    A force law in one situation.
+    """A force law in one situation."""
 
-    Attributes
-    ----------
-    preset
-        Name or path of the parameters that make it.
-    plant, seed
-        As for `resolve`.
-    situation
-        One of the above.
-    value
-        True over modelled stiffness, delay of the actuator [periods], or joint friction over
-        that of the plant; 1 in the others.
-    settings
-        Canonical pairs of dotted names and values that are laid over the preset.
-
-    """
-
-    preset: str
+    preset: str  # name or path of the parameters that make it
     plant: str
     seed: int
-    situation: str
+    situation: str  # one of the above
+    # True over modelled stiffness, delay of the actuator [periods], or joint friction over that
+    # of the plant; 1 in the others.
     value: float = 1.0
-    settings: tuple[tuple[str, Any], ...] = ()
-
-    supervised: ClassVar[bool] = True
+    settings: tuple[tuple[str, Any], ...] = ()  # dotted names and values over the preset
 
     def setup(self) -> Setup:
         """Return everything the run needs, checked."""
-        from multicontact_control.experiment.overrides import ARGUMENTS, overrides_of
-
         scenario = 'disturbance' if self.situation == TASK else 'quick'
         options: dict[str, Any] = {
             'plant': self.plant, 'seed': self.seed, 'preset': self.preset,
@@ -92,10 +74,6 @@ class LawJob:
     def describe(self) -> dict[str, Any]:
         """Return what a reader of the result should know."""
         return {**asdict(self), 'settings': dict(self.settings)}
-
-    def simulated_time(self) -> float:
-        """Return the length of the run [s]."""
-        return DURATIONS[self.situation]
 
 
 def run_law_job(job: LawJob) -> JobResult:
@@ -144,20 +122,14 @@ def _contact_metrics(
     data: RunData, setup: Setup, contact: int, disturbances: Mapping[str, Any],
 ) -> dict[str, Any]:
     """Return errors at rest and moving, answers to steps, and those to pushes at rest."""
-    steps = [{'rise_s': step.rise_63, 'overshoot_percent': step.overshoot_percent}
-             for step in step_responses(data, setup, contact)]
     pushes = [push for push in disturbances['recoveries'] if not push['moving']]
     return {
         'rest_rms_n': disturbances['rest']['rms_n'],
-        'moving_rms_n': disturbances['moving']['rms_n'], 'steps': steps,
-        'push_peak_n': max((push['peak'] for push in pushes), default=None),
-        'push_off_s': _slowest([push['recovery'] for push in pushes])}
-
-
-def _slowest(times: Sequence[float | None]) -> float | None:
-    """Return the longest time, None if there is none or one never ended."""
-    known = [time for time in times if time is not None]
-    return max(known) if known and len(known) == len(times) else None
+        'moving_rms_n': disturbances['moving']['rms_n'],
+        'steps': [{'rise_s': step.rise_63, 'overshoot_percent': step.overshoot_percent}
+                  for step in step_responses(data, setup, contact)],
+        'push_peak_n': largest_known(push['peak'] for push in pushes),
+        'push_off_s': largest(push['recovery'] for push in pushes)}
 
 
 def _activity(data: RunData, setup: Setup) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from importlib.util import find_spec
@@ -13,10 +13,10 @@ from multicontact_control.errors import check_all, ConfigError
 from multicontact_control.experiment.scenario import plant_source, resolve, scenario_path
 from multicontact_control.experiment.study.execute import JobRun
 from multicontact_control.experiment.study.jobs import job_of, RunJob
-from multicontact_control.experiment.study.measure import summarise_run
+from multicontact_control.experiment.study.measure import largest_known, summarise_run
 from multicontact_control.experiment.study.page import Page, Section
-from multicontact_control.experiment.study.study import Study
-from multicontact_control.experiment.study.table import Column, Line, Listing
+from multicontact_control.experiment.study.study import check_seeds, Study
+from multicontact_control.experiment.study.table import Column, format_number, Line, Listing
 from multicontact_control.wording import counted
 from sim_bridge.robots import find_robot, has_urdf, robot_names
 
@@ -51,19 +51,7 @@ def known_robots() -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class RobotStudy(Study[RunJob, list[dict[str, Any]]]):
-    """
-    Robots, engines, scenarios and seeds.
-
-    Attributes
-    ----------
-    robots, engines, scenarios
-        Names; all that are installed if not given.
-    plant
-        Which plant of each robot.
-    seeds
-        How many, from 0.
-
-    """
+    """Robots, engines, scenarios and seeds, the latter from 0, on one plant of each robot."""
 
     robots: tuple[str, ...] = field(default_factory=known_robots)
     engines: tuple[str, ...] = field(default_factory=known_engines)
@@ -80,15 +68,11 @@ class RobotStudy(Study[RunJob, list[dict[str, Any]]]):
         check_all(*(partial(plant_source, self.plant, name) for name in self.robots),
                   *(partial(self._check_engine, name) for name in self.engines),
                   *(partial(scenario_path, name) for name in self.scenarios),
-                  self._check_seeds)
+                  partial(check_seeds, self.seeds))
 
     def _check_engine(self, name: str) -> None:
         if name not in ENGINES:
             raise ConfigError('engines', f'some of {", ".join(ENGINES)}', f"'{name}'")
-
-    def _check_seeds(self) -> None:
-        if self.seeds < 1:
-            raise ConfigError('seeds', 'at least 1', self.seeds)
 
     def grid(self) -> Mapping[str, Sequence[Any]]:
         """Return robots, engines, scenarios and seeds."""
@@ -97,16 +81,13 @@ class RobotStudy(Study[RunJob, list[dict[str, Any]]]):
 
     def cells(self) -> list[tuple[str, str, str]]:
         """Return robot, engine and scenario of each cell; native contacts only with planes."""
+        planes = {(robot, scenario): all(
+            surface.shape == 'plane' and surface.velocity == 0.0 for surface in resolve(
+                scenario, robot=robot, plant=self.plant).plant.surfaces.values())
+            for robot in self.robots for scenario in self.scenarios}
         return [(robot, engine, scenario) for robot in self.robots
                 for scenario in self.scenarios for engine in self.engines
-                if not self._refused(robot, engine, scenario)]
-
-    def _refused(self, robot: str, engine: str, scenario: str) -> bool:
-        """Return whether an engine's own contacts cannot be those of a scenario."""
-        surfaces = resolve(
-            scenario, robot=robot, plant=self.plant).plant.surfaces.values()
-        return ENGINES[engine].get('contact') == 'native' and any(
-            surface.shape != 'plane' or surface.velocity != 0.0 for surface in surfaces)
+                if planes[robot, scenario] or ENGINES[engine].get('contact') != 'native']
 
     def job(self, cell: tuple[str, str, str], seed: int) -> RunJob:
         """Return the run of a cell."""
@@ -120,14 +101,9 @@ class RobotStudy(Study[RunJob, list[dict[str, Any]]]):
 
     def content(self, run: JobRun[RunJob]) -> list[dict[str, Any]]:
         """Return a row for each run."""
-        rows = []
-        for cell in self.cells():
-            for seed in range(self.seeds):
-                job = self.job(cell, seed)
-                if job not in run.lost:
-                    rows.append({**dict(zip(('robot', 'engine', 'scenario'), cell)),
-                                 'seed': seed, **figures_of(run.result(job).metrics)})
-        return rows
+        return [{**dict(zip(('robot', 'engine', 'scenario'), cell)), 'seed': seed,
+                 **figures_of(run.metrics(self.job(cell, seed)))}
+                for cell in self.cells() for seed in range(self.seeds)]
 
     def page(self, content: list[dict[str, Any]], folder: Path) -> Page:
         """Return one table of everything."""
@@ -147,11 +123,10 @@ def figures_of(metrics: Mapping[str, Any]) -> dict[str, Any]:
     """Return what is shown of a run that `summarise_run` measured."""
     summary = metrics['summary']
     if summary is None:
-        return {'stable': False, 'why': metrics['error'], 'rest_rms_n': None,
-                'moving_rms_n': None, 'loss_percent': None, 'torque_percent': None,
-                'path_mm': None}
+        return {'stable': False, 'why': metrics['error'], **dict.fromkeys((
+            'rest_rms_n', 'moving_rms_n', 'loss_percent', 'torque_percent', 'path_mm'))}
     contacts = list(summary['contacts'].values())
-    lost = _largest(contact['moving']['contact_loss_fraction'] for contact in contacts)
+    lost = largest_known(contact['moving']['contact_loss_fraction'] for contact in contacts)
     return {
         'stable': summary['stable'], 'why': '; '.join(summary['instabilities']),
         'rest_rms_n': [contact['rest']['true_error_rms_n'] for contact in contacts],
@@ -159,10 +134,6 @@ def figures_of(metrics: Mapping[str, Any]) -> dict[str, Any]:
         'loss_percent': _scaled(lost, 100.0),
         'torque_percent': _scaled(summary['torque']['max_fraction_of_limit'], 100.0),
         'path_mm': _scaled(summary['motion']['moving_position_rms_m'], 1e3)}
-
-
-def _largest(values: Iterable[float | None]) -> float | None:
-    return max((value for value in values if value is not None), default=None)
 
 
 def _scaled(value: float | None, factor: float) -> float | None:
@@ -183,21 +154,14 @@ def _agreement(content: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def _listing(content: Sequence[Mapping[str, Any]]) -> Listing:
-    lines = []
-    for row in content:
-        if row['seed']:
-            continue
-        lines.append(Line([
-            row['robot'], row['engine'], row['scenario'], 'yes' if row['stable'] else 'NO',
-            _numbers(row['rest_rms_n']), _numbers(row['moving_rms_n']),
-            _number(row['loss_percent'], 1), _number(row['torque_percent'], 0),
-            _number(row['path_mm'], 2)], bool(row['stable'])))
+    lines = [Line([
+        row['robot'], row['engine'], row['scenario'], 'yes' if row['stable'] else 'NO',
+        _numbers(row['rest_rms_n']), _numbers(row['moving_rms_n']),
+        format_number(row['loss_percent'], 1), format_number(row['torque_percent'], 0),
+        format_number(row['path_mm'], 2)], bool(row['stable']))
+        for row in content if not row['seed']]
     return Listing(COLUMNS, lines, verdict=STABLE)
 
 
-def _number(value: float | None, digits: int) -> str:
-    return '-' if value is None else f'{value:.{digits}f}'
-
-
 def _numbers(values: Sequence[float | None] | None) -> str:
-    return ' / '.join(_number(value, 3) for value in values) if values else '-'
+    return ' / '.join(format_number(value, 3) for value in values) if values else '-'

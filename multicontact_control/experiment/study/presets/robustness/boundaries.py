@@ -2,9 +2,8 @@
 How wrong the stiffness and the delay may be: simulated, and by the linear loop.
 
 The linear loop is that of `force.linear_loop`, with the mobility of this arm at its home. The
-plant of the paper's eq. 32 alone gives boundaries 30 to 40 % too low on the simulated arm, since
-it leaves out that the contact force moves the arm, that the surface damps, and that the sensor
-weighs the tool's inertia.
+plant of the paper's eq. 32 leaves out that the contact force moves the arm, that the surface
+damps, and that the sensor weighs the tool's inertia.
 """
 
 from __future__ import annotations
@@ -21,6 +20,7 @@ from multicontact_control.dynamics.operational_space import task_inertia
 from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.experiment.study.jobs import job_of, RunJob
+from multicontact_control.experiment.study.measure import largest_known
 from multicontact_control.experiment.study.presets.compare.matrix import (
     controller_values,
     estimator_values,
@@ -64,15 +64,13 @@ def map_job(
         plant_overrides={'actuator_delay_ticks': delay_ticks, 'surfaces': surfaces})
 
 
-def verdict(metrics: dict[str, Any]) -> tuple[bool, float | None]:
-    """Return whether a job of the map is stable, and its largest overshoot [%]."""
-    share = metrics['final_error_share']
-    stable = bool(share is not None and share <= SETTLED
-                  and not metrics['summary']['ended_early'])
-    overshoots = [contact['step_overshoot_percent']
-                  for contact in metrics['summary']['contacts'].values()
-                  if contact['step_overshoot_percent'] is not None]
-    return stable, max(overshoots) if overshoots else None
+def verdict(metrics: dict[str, Any]) -> dict[str, Any]:
+    """Return whether a job of the map is `stable`, and its largest `overshoot_percent`."""
+    share, summary = metrics['final_error_share'], metrics['summary']
+    return {
+        'stable': share is not None and share <= SETTLED and not summary['ended_early'],
+        'overshoot_percent': largest_known(
+            contact['step_overshoot_percent'] for contact in summary['contacts'].values())}
 
 
 def ratios(count: int) -> list[float]:
@@ -86,23 +84,11 @@ def ratios(count: int) -> list[float]:
 
 @dataclass(frozen=True)
 class ArmLoop:
-    """
-    The linear force loops of a setup at its home.
+    """The linear force loops of a setup at its home."""
 
-    Attributes
-    ----------
-    setup
-        Where stiffness, damping, delay and controller come from.
-    observer
-        That of the first contact; the others have the same model.
-    mobility, tool_inertia
-        As in `LinearArmPlant`.
-
-    """
-
-    setup: Setup
-    observer: ObserverDesign
-    mobility: Matrix
+    setup: Setup  # where stiffness, damping, delay and controller come from
+    observer: ObserverDesign  # of the first contact; the others have the same model
+    mobility: Matrix  # as in `LinearArmPlant`
     tool_inertia: Matrix
 
     @property
@@ -111,22 +97,6 @@ class ArmLoop:
         controller = self.setup.controller
         return (self.setup.plant.actuator_delay_ticks * controller.period
                 + controller.sensor.filter_delay(controller.rate))
-
-    def _arm(self, ratio: float) -> LinearArmPlant:
-        """Return the arm on its surfaces; the real delay counts in whole periods."""
-        controller, names = self.setup.controller, self.setup.controller.contact_names
-        return LinearArmPlant(
-            self.mobility,
-            ratio * np.array([controller.contacts[name].stiffness for name in names]),
-            np.array([self.setup.plant.surfaces[name].damping for name in names]),
-            self.tool_inertia, round(self.delay * controller.rate) * controller.period)
-
-    def _paper(self, ratio: float) -> LinearArmPlant:
-        """Return the plant of eq. 32 with the real delay."""
-        controller, none = self.setup.controller, np.zeros((1, 1))
-        model = controller.contacts[controller.contact_names[0]].stiffness
-        return LinearArmPlant(none, np.array([ratio * model]), none[0], none, self.delay,
-                              controller.force.damping_rate)
 
     @property
     def fed_share(self) -> float:
@@ -144,13 +114,25 @@ class ArmLoop:
 
         With R held at `noise_variance` [N^2], on the arm, or on the plant of eq. 32 if `paper`.
         """
-        controller = self.setup.controller
+        controller, names = self.setup.controller, self.setup.controller.contact_names
         law = steady_law(self.observer, steady_gain(self.observer, noise_variance))
-        plant, damping_rate = (
-            (self._paper, 0.0) if paper else (self._arm, controller.force.damping_rate))
-        return lambda ratio: spectral_radius(
-            closed_loop(plant(ratio), law, damping_rate, controller.period,
-                        fed_share=0.0 if paper else self.fed_share))
+        stiffness = np.array([controller.contacts[name].stiffness for name in names])
+        damping = np.array([self.setup.plant.surfaces[name].damping for name in names])
+        none = np.zeros((1, 1))
+
+        def spectral_radius_at(ratio: float) -> float:
+            if paper:
+                plant = LinearArmPlant(none, ratio * stiffness[:1], none[0], none, self.delay,
+                                       controller.force.damping_rate)
+            else:  # where the real delay counts in whole periods
+                plant = LinearArmPlant(
+                    self.mobility, ratio * stiffness, damping, self.tool_inertia,
+                    round(self.delay * controller.rate) * controller.period)
+            return spectral_radius(closed_loop(
+                plant, law, 0.0 if paper else controller.force.damping_rate, controller.period,
+                fed_share=0.0 if paper else self.fed_share))
+
+        return spectral_radius_at
 
     def boundary(self, noise_variance: float) -> float:
         """Return the largest ratio up to which the loops are stable, 0 for none; infinity."""

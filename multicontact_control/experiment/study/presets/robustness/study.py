@@ -20,10 +20,12 @@ from multicontact_control.experiment.study.measure import measure_run
 from multicontact_control.experiment.study.page import Page, Section
 from multicontact_control.experiment.study.presets.compare.matrix import LABELS, name_checks
 from multicontact_control.experiment.study.presets.robustness.boundaries import (
+    ARM_RATIOS,
     DELAYS,
     linear_boundaries,
     map_job,
     ratios,
+    SETTLED,
     verdict,
 )
 from multicontact_control.experiment.study.study import Study
@@ -38,9 +40,10 @@ VARIANCES = (0.6, 100.0)  # N^2, of the linear boundaries: at rest and in motion
 EXPLANATION = (
     'Each square is one simulated force step at rest, with the true stiffness of both surfaces '
     'over that of the model along the bottom and the delay of the '
-    'actuator in periods of 2 ms upwards; the model keeps its T_d. Colour: the largest overshoot; '
-    'crosses: not settled within 10 % of the command at the end. Lines: the boundary of the '
-    'linear loop with R held, which knows neither loss of contact nor the flexible drives.')
+    'actuator in control periods upwards; the model keeps its T_d. Colour: the largest overshoot; '
+    f'crosses: not settled within {100.0 * SETTLED:g} % of the command at the end. Lines: the '
+    'boundary of the linear loop with R held, which knows neither loss of contact nor the '
+    'flexible drives.')
 COLOURS = ('#1f3b73', '#c26a00', '#777777')
 LARGEST_OVERSHOOT = 300.0  # %, of the colour scale
 
@@ -49,29 +52,16 @@ Point = tuple[str, str, float, int]
 
 @dataclass(frozen=True)
 class RobustnessStudy(Study[RunJob, dict[str, Any]]):
-    """
-    Plants, estimators, true stiffness over that of the model, and actuator delay.
-
-    Attributes
-    ----------
-    plants, estimators
-        A panel each: plants downwards, estimators across.
-    ratios
-        True stiffness over the model's.
-    delays
-        Of the actuator [periods].
-
-    """
+    """Plants, estimators, true stiffness over that of the model, and actuator delay."""
 
     plants: tuple[str, ...]
     estimators: tuple[str, ...]
     ratios: tuple[float, ...]
-    delays: tuple[int, ...] = DELAYS
+    delays: tuple[int, ...] = DELAYS  # periods
 
     title = 'map'
     name = 'robustness'
     measure = staticmethod(measure_run)
-    takes_long = True
 
     def check(self) -> None:
         """Check plants and estimators; ConfigError with all that are not acceptable."""
@@ -94,16 +84,12 @@ class RobustnessStudy(Study[RunJob, dict[str, Any]]):
 
     def content(self, run: JobRun[RunJob]) -> dict[str, Any]:
         """Return the content of ``robustness.json``."""
-        points = []
-        for (plant, label, ratio, delay), job in self.points().items():
-            if job in run.lost:
-                continue
-            stable, overshoot = verdict(run.result(job).metrics)
-            points.append({
-                'plant': plant, 'estimator': label, 'ratio': ratio, 'delay_ticks': delay,
-                'stable': stable, 'overshoot_percent': overshoot, 'key': run.keys[job]})
+        points = [{
+            'plant': plant, 'estimator': label, 'ratio': ratio, 'delay_ticks': delay,
+            **verdict(run.metrics(job)), 'key': run.keys[job]}
+            for (plant, label, ratio, delay), job in self.points().items()]
         content: dict[str, Any] = finite({
-            'schema': 1, 'plants': self.plants, 'estimators': self.estimators,
+            'plants': self.plants, 'estimators': self.estimators,
             'ratios': self.ratios, 'delays': self.delays, 'points': points,
             'linear': {plant: linear_boundaries(plant, self.delays, VARIANCES)
                        for plant in self.plants}})
@@ -149,15 +135,14 @@ def stable_range(
 def _listing(content: dict[str, Any], plant: str) -> Listing:
     lines = []
     for label in content['estimators']:
-        found = [stable_range(content, plant, label, delay) for delay in content['delays']]
+        ranges = [stable_range(content, plant, label, delay) for delay in content['delays']]
         lines.append(Line([label, *(
-            'none' if span is None else f'{span[0]:g} - {span[1]:g}' for span in found)]))
-    for line in content['linear'][plant]:
-        lines.append(Line([line['label'], *(
-            'up to ' + ('100' if limit is None else f'{limit:.2f}')
-            for limit in line['largest_ratio'])]))
-    delays = [Column(f'delay {delay}') for delay in content['delays']]
-    return Listing([Column('', number=False), *delays], lines)
+            'none' if span is None else f'{span[0]:g} - {span[1]:g}' for span in ranges)]))
+    lines += [Line([line['label'], *(
+        f'up to {ARM_RATIOS[-1] if limit is None else limit:.2f}'
+        for limit in line['largest_ratio'])]) for line in content['linear'][plant]]
+    return Listing([Column('', number=False), *(
+        Column(f'delay {delay}') for delay in content['delays'])], lines)
 
 
 def draw_map(content: dict[str, Any]) -> Figure:

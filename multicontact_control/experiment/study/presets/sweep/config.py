@@ -1,14 +1,18 @@
-"""What a study says: which parameters take which values, on which plants, with which seeds."""
+"""What a study's file says, and the runs that this makes, each checked before anything is run."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import Any, Literal
 
 from multicontact_control.config import Config, parameter, read_yaml, Real, validate
 from multicontact_control.errors import ConfigError
-from multicontact_control.experiment.scenario import plant_source, plants_of
+from multicontact_control.experiment.overrides import ARGUMENTS, overrides_of, unit_of, value_of
+from multicontact_control.experiment.scenario import plant_source, plants_of, resolve, Setup
+from multicontact_control.experiment.study.jobs import job_of, RunJob
 from multicontact_control.paths import named_file
 import numpy as np
 from pydantic import field_validator, model_validator
@@ -138,3 +142,90 @@ def read_study(
         plants = tuple(name for name in plants if known.plant_name(name)) or ('',)
     plants = plants_of(robot, [name or plant_source('', robot).plant for name in plants])
     return study.model_copy(update={'plants': plants})
+
+
+@dataclass(frozen=True)
+class SweepRun:
+    """One run of a study: its place from 0, the value of every swept parameter, and its job."""
+
+    number: int
+    values: Mapping[str, Any]
+    job: RunJob
+
+
+@dataclass(frozen=True)
+class SweepPlan:
+    """
+    The runs of a study.
+
+    Attributes
+    ----------
+    study
+        What they are made from.
+    runs
+        By plant, then by combination as in the file, then by seed.
+    units
+        Of every swept parameter.
+
+    """
+
+    study: StudyConfig
+    runs: tuple[SweepRun, ...]
+    units: Mapping[str, str]
+
+
+def plan_sweep(study: StudyConfig, source: str = '') -> SweepPlan:
+    """
+    Return the runs of a study.
+
+    Raises
+    ------
+    ConfigError
+        With the first parameter or value that is not acceptable, and the file name `source`.
+
+    """
+    combinations = [
+        ('grid', dict(zip(study.grid, values))) for values in product(*study.grid.values())
+    ] if study.grid or not study.points else []
+    points = [(f'points.{i}', dict(point)) for i, point in enumerate(study.points)]
+    combinations += points
+    names = list(dict.fromkeys(name for _, values in combinations for name in values))
+    runs: list[SweepRun] = []
+    units: dict[str, str] = {}
+    try:
+        for plant in study.plants:
+            base = resolve(study.scenario, plant=plant, seed=study.seeds[0],
+                           duration=study.duration, preset=study.preset)
+            overrides_of(study.fixed, base, 'fixed')
+            for field, values in [('grid', study.grid), *points]:
+                overrides_of(values, base, field)
+            units = units or {name: unit_of(name, base) for name in names}
+            seen: set[RunJob] = set()
+            for field, combination in combinations:
+                job, setup = _job(study, plant, base, field, combination)
+                if job in seen:  # a point of the grid, once more
+                    continue
+                seen.add(job)
+                swept = {name: value_of(name, setup) for name in names}
+                runs += [SweepRun(len(runs) + i, swept, replace(job, seed=seed))
+                         for i, seed in enumerate(study.seeds)]
+    except ConfigError as error:
+        raise error.with_source(source) from None
+    return SweepPlan(study, tuple(runs), units)
+
+
+def _job(
+    study: StudyConfig, plant: str, base: Setup, field: str, combination: Mapping[str, Any],
+) -> tuple[RunJob, Setup]:
+    """Return the job of a combination for the first seed, and what it resolves to."""
+    overrides = overrides_of({**study.fixed, **combination}, base, field)
+    job = job_of(
+        study.scenario, plant, study.seeds[0], duration=study.duration, preset=study.preset,
+        supervised=study.supervised,
+        **{ARGUMENTS[section]: values for section, values in overrides.items()})
+    try:
+        return job, job.setup()
+    except ConfigError as error:
+        where = ', '.join(f'{name} = {value}' for name, value in combination.items())
+        raise ConfigError(f'{field} ({where}): {error.field}' if where else error.field,
+                          error.expected, error.found) from None

@@ -10,31 +10,26 @@ from pathlib import Path
 from typing import Any
 
 from multicontact_control.config import merge, read_yaml
-from multicontact_control.errors import check_all, ConfigError, RunError
+from multicontact_control.errors import check_all, ConfigError
 from multicontact_control.experiment.law_report import write_preset
 from multicontact_control.experiment.overrides import overrides_of
 from multicontact_control.experiment.scenario import plant_source, preset_values
 from multicontact_control.experiment.study.execute import JobRun
 from multicontact_control.experiment.study.page import Page, Section
-from multicontact_control.experiment.study.presets.laws.jobs import (
-    LawJob,
-    run_law_job,
-    TASK,
-)
-from multicontact_control.experiment.study.presets.laws.results import law_rows
+from multicontact_control.experiment.study.presets.laws.jobs import LawJob, run_law_job, TASK
+from multicontact_control.experiment.study.presets.laws.study import law_rows
 from multicontact_control.experiment.study.study import Study
-from multicontact_control.experiment.study.table import Column, Line, Listing
+from multicontact_control.experiment.study.table import Column, format_number, Line, Listing
+from multicontact_control.files import finite
 from multicontact_control.paths import config_dir
 from multicontact_control.wording import counted
 
 TUNED_ON = 0  # seed
 JUDGED_ON = (1, 2, 3)
 SHOWN = 12  # combinations in the table
-# What each figure is divided by before they are added: about what the best laws reach.
+# What each figure is divided by before they are added.
 SCALES = {'rest_rms_n': 0.05, 'moving_rms_n': 0.65, 'rise_s': 0.04, 'overshoot_percent': 8.0,
           'push_peak_n': 0.6, 'activity_nm': 0.3}
-FIGURES = ('rest_rms_n', 'moving_rms_n', 'rise_s', 'overshoot_percent', 'push_peak_n',
-           'activity_nm')
 
 
 def read_ranges(law: str) -> dict[str, list[Any]]:
@@ -56,25 +51,14 @@ def cost(row: Mapping[str, Any]) -> float:
 
 @dataclass(frozen=True)
 class TuneStudy(Study[LawJob, list[dict[str, Any]]]):
-    """
-    Every combination of a law's declared gains, on one seed.
+    """Every combination of a law's declared gains, on one seed."""
 
-    Attributes
-    ----------
-    law
-        As in config/tuning.yaml.
-    plants
-        On which it is tried; the worst counts.
-
-    """
-
-    law: str
-    plants: tuple[str, ...] = ('',)
+    law: str  # as in config/tuning.yaml
+    plants: tuple[str, ...] = ('',)  # the worst counts
 
     title = 'tune'
     name = 'tuning'
     measure = staticmethod(run_law_job)
-    takes_long = True
 
     @property
     def preset(self) -> str:
@@ -101,11 +85,8 @@ class TuneStudy(Study[LawJob, list[dict[str, Any]]]):
             for plant in self.plants]
 
     def further(self, run: JobRun[LawJob]) -> list[LawJob]:
-        """Return the runs of the best combination on other seeds."""
-        return self._judging(self._combinations(run)[0])
-
-    def _judging(self, best: Mapping[str, Any]) -> list[LawJob]:
-        """Return the runs that the best combination is judged by, none if it is not stable."""
+        """Return the runs of the best combination on other seeds, none if it is not stable."""
+        best = self._combinations(run)[0]
         if best['cost'] is None:
             return []
         job = next(job for job in self.jobs() if dict(job.settings) == best['settings'])
@@ -119,31 +100,22 @@ class TuneStudy(Study[LawJob, list[dict[str, Any]]]):
         The figures of the first, if it is stable, on other seeds are `judged`.
         """
         found = self._combinations(run)
-        judging = self._judging(found[0])
+        judging = self.further(run)
         if judging:
-            found[0]['judged'] = [dict(row) for row in law_rows(
-                run.kept(judging), lambda job: run.result(job).metrics)]
+            found[0]['judged'] = [dict(row) for row in law_rows(judging, run.metrics)]
         return found
 
     def _combinations(self, run: JobRun[LawJob]) -> list[dict[str, Any]]:
-        """Return every combination without lost runs by its cost; RunError if there is none."""
+        """Return every combination by its cost on the worst plant, None if it has none."""
         combinations: dict[tuple[Any, ...], list[LawJob]] = {}
         for job in self.jobs():
             combinations.setdefault(job.settings, []).append(job)
         found = []
         for settings, jobs in combinations.items():
-            if any(job in run.lost for job in jobs):
-                continue  # the worst of its plants may be the one that is not known
-            rows = law_rows(jobs, lambda job: run.result(job).metrics)
-            worst = max(rows, key=cost)
+            worst = max(law_rows(jobs, run.metrics), key=cost)
             found.append({'settings': dict(settings), 'cost': cost(worst), **worst})
-        if not found:
-            raise RunError(f'{self.title}: expected a combination with results on every plant, '
-                           f'found {len(run.lost)} of {len(run.keys)} jobs lost')
         found.sort(key=lambda row: row['cost'])
-        for row in found:
-            row['cost'] = None if math.isinf(row['cost']) else row['cost']
-        return found
+        return [{**row, 'cost': finite(row['cost'])} for row in found]
 
     def tables(
         self, content: list[dict[str, Any]], run: JobRun[LawJob],
@@ -169,10 +141,10 @@ class TuneStudy(Study[LawJob, list[dict[str, Any]]]):
 def _listing(content: Sequence[Mapping[str, Any]]) -> Listing:
     names = list(content[0]['settings'])
     columns = [Column('cost'), *(Column(name, name.rpartition('.')[2]) for name in names),
-               *(Column(name) for name in FIGURES)]
-    lines = [Line([_no_cost(row) if row['cost'] is None else f'{row["cost"]:.2f}',
+               *(Column(name) for name in SCALES)]
+    lines = [Line([_no_cost(row) if row['cost'] is None else format_number(row['cost'], 2),
                    *(str(value) for value in row['settings'].values()),
-                   *('-' if row[name] is None else f'{row[name]:.3g}' for name in FIGURES)],
+                   *(_figure(row, name) for name in SCALES)],
                   row['cost'] is not None) for row in content[:SHOWN]]
     return Listing(columns, lines, verdict=0)
 
@@ -184,14 +156,15 @@ def _no_cost(row: Mapping[str, Any]) -> str:
     return 'without ' + ', '.join(name for name in SCALES if row[name] is None)
 
 
+def _figure(row: Mapping[str, Any], name: str) -> str:
+    return '-' if row[name] is None else f'{row[name]:.3g}'
+
+
 def _findings(content: Sequence[Mapping[str, Any]], law: str) -> list[str]:
     best = content[0]
     if best['cost'] is None:
         return [f'No combination of {law} is stable in the whole task and has every figure.']
-    said = [f'{law}.yaml holds the best of {counted(len(content), "combinations")}.']
-    for row in best.get('judged', ()):
-        said.append(f'On other seeds, plant {row["plant"]}: stable in {row["stable"]} of '
-                    f'{row["runs"]}, ' + ', '.join(
-                        f'{name} {"-" if row[name] is None else format(row[name], ".3g")}'
-                        for name in FIGURES) + '.')
-    return said
+    return [f'{law}.yaml holds the best of {counted(len(content), "combinations")}.', *(
+        f'On other seeds, plant {row["plant"]}: stable in {row["stable"]} of {row["runs"]}, '
+        + ', '.join(f'{name} {_figure(row, name)}' for name in SCALES) + '.'
+        for row in best.get('judged', ()))]

@@ -4,7 +4,6 @@ from multicontact_control.experiment.closed_loop import run_in_process
 from multicontact_control.experiment.judge import judge
 from multicontact_control.experiment.metrics import quiet_windows
 from multicontact_control.experiment.scenario import resolve
-from multicontact_control.experiment.study.jobs import job_of
 from multicontact_control.experiment.study.measure import final_error_share
 from multicontact_control.experiment.study.presets.compare.matrix import (
     comparison_matrix,
@@ -16,6 +15,10 @@ from multicontact_control.experiment.study.presets.robustness.boundaries import 
     ratios,
     SETTLED,
     verdict,
+)
+from multicontact_control.experiment.study.presets.robustness.study import (
+    robustness_study,
+    stable_range,
 )
 import pytest
 
@@ -29,6 +32,24 @@ def test_ratios_span_a_tenth_to_twenty_with_one_among_them(count):
     assert max(steps) < 1.2 * min(steps)
 
 
+def test_quick_map_is_a_part_of_the_whole():
+    whole, quick = robustness_study(), robustness_study(quick=True)
+    assert (len(quick.jobs()), len(whole.jobs())) == (2 * 8 * 4, 2 * 8 * 13 * 4)
+    assert set(quick.plants) < set(whole.plants)
+    assert set(quick.estimators) < set(whole.estimators)
+
+
+def test_stable_range_is_what_is_connected_with_the_model():
+    def points(*stable):
+        return {'points': [{'plant': 'rigid', 'estimator': 'fixed', 'delay_ticks': 1,
+                            'ratio': ratio, 'stable': here}
+                           for ratio, here in zip((0.1, 0.5, 1.0, 2.0, 5.0), stable)]}
+
+    for stable, found in (((1, 0, 1, 1, 0), (1.0, 2.0)), ((1, 1, 0, 1, 1), None),
+                          ((1, 1, 1, 1, 1), (0.1, 5.0))):
+        assert stable_range(points(*map(bool, stable)), 'rigid', 'fixed', 1) == found
+
+
 def test_map_job_changes_only_the_plant():
     setup = map_job(5.0, 2, 'fixed').setup()
     assert {surface.stiffness for surface in setup.plant.surfaces.values()} == {30000.0}
@@ -38,12 +59,9 @@ def test_map_job_changes_only_the_plant():
 
 
 def test_arm_loop_boundary_is_where_the_radius_is_one():
-    loop = arm_loop(map_job(1.0, 1, 'fixed').setup())
-    assert loop.radius(0.6)(loop.boundary(0.6)) == pytest.approx(1.0, abs=1e-5)
-
-
-def test_arm_loop_bears_more_with_less_delay_and_a_slower_observer():
     loops = [arm_loop(map_job(1.0, delay, 'fixed').setup()) for delay in (1, 3)]
+    assert loops[0].radius(0.6)(loops[0].boundary(0.6)) == pytest.approx(1.0, abs=1e-5)
+    # It bears more with less delay and a slower observer.
     assert loops[0].boundary(0.6) > loops[1].boundary(0.6)
     assert loops[0].boundary(100.0) > loops[0].boundary(0.6)
 
@@ -51,51 +69,51 @@ def test_arm_loop_bears_more_with_less_delay_and_a_slower_observer():
 LOW_PASS = {'sensor': {'filter_order': 2, 'filter_cutoff': 60.0}}
 
 
-def low_passed_cell(ratio, sensor):
-    """Return a run on surfaces of another stiffness, without noise and friction."""
+def setup_of(ratio, damping_rate=60.0, controller=None, **plant):
+    """Return a run on surfaces of another stiffness, without noise, friction and roughness."""
     surface = {'stiffness': 6000.0 * ratio, 'roughness_std': 0.0, 'friction': 0.0}
     return resolve(
         'step', plant='rigid', duration=3.5,
         noise_estimator={'estimator': 'fixed', 'fixed_variance': 0.6},
-        controller={**sensor, 'force': {'damping_rate': 60.0, 'input_delay': 0.002}},
+        controller={**(controller or {}), 'force': {
+            'damping_rate': damping_rate, 'input_delay': 0.002}},
         plant_overrides={
-            'actuator_delay_ticks': 1, 'joint_friction_scale': 0.0,
+            **plant, 'actuator_delay_ticks': 1, 'joint_friction_scale': 0.0,
             'sensor': {'noise': False, 'quantise': False},
             'surfaces': {'table': surface, 'board': surface}})
+
+
+def settles(setup):
+    result = run_in_process(setup)
+    return not result.ended_early and final_error_share(result.data, setup) <= SETTLED
 
 
 def test_observer_of_the_linear_loop_is_the_controllers():
     """Force, rate, the inputs under way and the active state; a low-pass adds to those inputs."""
     for sensor, under_way in (({}, 1), (LOW_PASS, 3)):
-        setup = low_passed_cell(1.0, sensor)
+        setup = setup_of(1.0, controller=sensor)
         assert math.ceil(setup.controller.loop_delay * 500.0 - 1e-9) == under_way
         assert arm_loop(setup).observer.feedback.shape == (2 + under_way + 1,)
 
 
 @pytest.mark.slow
 def test_linear_boundary_with_a_low_pass_is_the_simulated_one_within_a_quarter():
-    """It was almost half above it while only the controller knew of the low-pass."""
-    def stable(ratio):
-        cell = low_passed_cell(ratio, LOW_PASS)
-        result = run_in_process(cell)
-        return not result.ended_early and final_error_share(result.data, cell) <= 0.1
-
-    loop = arm_loop(low_passed_cell(1.0, LOW_PASS))
+    loop = arm_loop(setup_of(1.0, controller=LOW_PASS))
     linear = loop.boundary(0.6)
-    assert stable(0.75 * linear)
-    assert stable(loop.paper_boundary(0.6))
-    assert not stable(1.25 * linear)
-    assert linear < 0.8 * arm_loop(low_passed_cell(1.0, {})).boundary(0.6)
+    assert settles(setup_of(0.75 * linear, controller=LOW_PASS))
+    assert settles(setup_of(loop.paper_boundary(0.6), controller=LOW_PASS))
+    assert not settles(setup_of(1.25 * linear, controller=LOW_PASS))
+    assert linear < 0.8 * arm_loop(setup_of(1.0)).boundary(0.6)
 
 
 def test_verdict_of_a_run_that_did_not_settle_is_unstable():
     metrics = {'final_error_share': 0.05, 'summary': {'ended_early': None, 'contacts': {
         'table': {'step_overshoot_percent': 12.0}, 'board': {'step_overshoot_percent': None}}}}
-    assert verdict(metrics) == (True, 12.0)
-    assert verdict({**metrics, 'final_error_share': 0.2})[0] is False
-    assert verdict({**metrics, 'final_error_share': None})[0] is False
+    assert verdict(metrics) == {'stable': True, 'overshoot_percent': 12.0}
+    for share in (0.2, None):
+        assert not verdict({**metrics, 'final_error_share': share})['stable']
     metrics['summary']['ended_early'] = 'tick 100: singular'
-    assert verdict(metrics)[0] is False
+    assert not verdict(metrics)['stable']
 
 
 @pytest.mark.slow
@@ -103,26 +121,12 @@ def test_verdict_of_a_run_that_did_not_settle_is_unstable():
 def test_linear_boundary_is_the_simulated_one_within_a_tenth(damping_rate):
     """With R fixed, the model's T_d that of the actuator, no friction, roughness or noise."""
     def setup(ratio):
-        surface = {'stiffness': 6000.0 * ratio, 'roughness_std': 0.0, 'friction': 0.0}
-        return job_of(
-            'step', 'rigid', 0, duration=3.5,
-            noise_estimator={'estimator': 'fixed', 'fixed_variance': 0.6},
-            controller={**controller_values('rigid'), 'force': {
-                'damping_rate': damping_rate, 'input_delay': 1 / 500.0}},
-            plant_overrides={
-                'actuator_delay_ticks': 1, 'joint_friction_scale': 0.0, 'substep': 2.5e-4,
-                'sensor': {'noise': False, 'quantise': False},
-                'surfaces': {'table': surface, 'board': surface}}).setup()
-
-    def stable(ratio):
-        made = setup(ratio)
-        result = run_in_process(made)
-        return not result.ended_early and final_error_share(result.data, made) <= SETTLED
+        return setup_of(ratio, damping_rate, controller_values('rigid'), substep=2.5e-4)
 
     loop = arm_loop(setup(1.0))
     linear = loop.boundary(0.6)
-    assert stable(0.9 * linear)
-    assert not stable(1.1 * linear)
+    assert settles(setup(0.9 * linear))
+    assert not settles(setup(1.1 * linear))
     # What eq. 32 leaves out makes it more robust.
     assert loop.paper_boundary(0.6) < 0.9 * linear
 
