@@ -161,7 +161,7 @@ def run_real_time(
         reference_file=None if setup.commanded_by_topic else config / 'reference.yaml',
         namespace=options.namespace, extra_parameters={'controller_node': {
             'supervised': supervised, 'patience': SIMULATION_PATIENCE}},
-        parameter_files=setup.write(config), realtime=options.realtime, recording_batches=True,
+        parameter_files=setup.write(config), realtime=options.realtime,
         composed=composed)
     result, composed = _run_graph(spec, setup, options, console)
     if options.realtime:
@@ -244,7 +244,7 @@ def run_external(
         reference_file=None if setup.commanded_by_topic else config / 'reference.yaml',
         domain_id=shared_domain(options.domain_id), namespace=options.namespace,
         extra_parameters={CONTROLLER: {**dotted(external.node), 'supervised': supervised}},
-        parameter_files=setup.write(config), realtime=options.realtime, recording_batches=True,
+        parameter_files=setup.write(config), realtime=options.realtime,
         composed='control' if options.composed == 'control' else 'none')
     robot = Robot(setup.controller.robot.joint_names, setup.controller.wrench_input,
                   node.pair_tolerance * setup.controller.period, node.effort_output_topic,

@@ -46,9 +46,6 @@ class StartupConfig(Config):
     startup_timeout: Real = parameter(
         0.0, 'Longest wait for them; 0 for any time, since who started them watches them all.',
         unit='s', ge=0.0)
-    recording_batches: bool = parameter(
-        False, 'Whether the recorder gets what is sent at the control rate many messages at a '
-        'time, on _recording/NODE, instead of each from its topic.')
     timing_file: str = parameter('', 'JSON file to write counts and times to at the end.')
     fifo_priority: int = parameter(
         0, 'Real-time priority (SCHED_FIFO) of the node, 0 for normal scheduling.', ge=0, le=99)

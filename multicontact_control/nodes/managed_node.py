@@ -143,7 +143,6 @@ class ManagedNode(LifecycleNode):
                 ports.look()
         self.take_leave(spinner)
         spinner.drain()
-        self.streams.flush()
 
     def spin_once(self, spinner: Spinner) -> None:
         """Run what comes next, and what is due."""
@@ -175,7 +174,6 @@ class ManagedNode(LifecycleNode):
             self._poll_gate()
         else:
             self.look(spinner)
-        self.streams.poll()
         self.diagnostics.poll()
 
     @property

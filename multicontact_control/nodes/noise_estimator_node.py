@@ -59,8 +59,7 @@ class NoiseEstimatorNode(ManagedNode):
         self._innovation = innovation_reader(self._names)
         self.streams.advertise(
             {topics.NOISE_VARIANCE: messages.joint_state_message(
-                0, self._names, effort=np.zeros(len(self._names)))},
-            batched=self._node_config.recording_batches)
+                0, self._names, effort=np.zeros(len(self._names)))})
         self.streams.subscribe(topics.MEASURED_FORCES, self._on_measured, qos.INPUT)
         if estimator.uses_innovation:
             self.streams.subscribe(topics.INNOVATION, self._on_innovation, qos.INPUT)

@@ -108,7 +108,7 @@ def _run(
     result = run_graph(GraphSpec(
         out=folder, ticks=setup.ticks, rate=setup.controller.rate, lockstep=lockstep,
         reference_file=config / 'reference.yaml', parameter_files=setup.write(config),
-        composed=composed, recording_batches=True))
+        composed=composed))
     return dict(result.timing)
 
 

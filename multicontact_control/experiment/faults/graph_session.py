@@ -87,7 +87,7 @@ def fault_graph(setup: Setup, folder: Path, domain_id: int) -> GraphSpec:
         remappings={CONTROLLER: {x.name: outgoing(x.name) for x in INPUTS.values()}},
         extra_parameters={
             CONTROLLER: {**nobody, **PATIENT}, ESTIMATOR: nobody, SIM: nobody, RELAY: nobody,
-            RECORDER: nobody | {'topics': [topic.name for topic in RECORDED], 'tf_rate': 0.0}})
+            RECORDER: nobody | {'topics': [topic.name for topic in RECORDED]}})
 
 
 class FaultSession:

@@ -66,8 +66,6 @@ class GraphSpec:
         More nodes by name: the module that each is.
     composed
         Which nodes share a process, see `COMPOSED`.
-    recording_batches
-        Whether the recorder gets what is sent at the control rate in batches.
     external
         Whether the robot, or its simulator, is somebody else's: there is no plant among the nodes,
         and `ticks`, `seed` and `lockstep` have no meaning.
@@ -89,7 +87,6 @@ class GraphSpec:
     remappings: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     extra_nodes: Mapping[str, str] = field(default_factory=dict)
     composed: str = 'none'
-    recording_batches: bool = False
     realtime: bool = False
     external: bool = False
 
@@ -182,8 +179,7 @@ def _shared_parameters(path: Path, parameters: Mapping[str, Mapping[str, Any]]) 
 def node_parameters(name: str, spec: GraphSpec) -> dict[str, Any]:
     """Return the parameters that belong to the run, not to a file."""
     values: dict[str, Any] = {
-        'timing_file': str(timing_file(spec, name).resolve()), 'startup_peers': list(spec.peers),
-        'recording_batches': spec.recording_batches}
+        'timing_file': str(timing_file(spec, name).resolve()), 'startup_peers': list(spec.peers)}
     if name == RECORDER:
         values['folder'] = str(spec.bag.resolve())
         bare = spec.extra_parameters.get(CONTROLLER, {}).get('effort_output_topic')

@@ -110,7 +110,7 @@ def test_run_graph_in_lockstep_is_the_run_in_process_bit_for_bit(
         tmp_path, free_domain, plant, seed, estimator, supervised, composed, batches, preset):
     setup, spec = make_spec(
         tmp_path, plant=plant, seed=seed, estimator=estimator, preset=preset, lockstep=True,
-        composed=composed, recording_batches=batches,
+        composed=composed,
         extra_parameters={CONTROLLER: {'supervised': supervised}})
     result = run_graph(spec)
     assert result.interrupted is None
