@@ -24,7 +24,8 @@ from multicontact_control.config import Config, ControllerConfig, NoiseEstimator
 from multicontact_control.experiment.calibration import CalibrationConfig
 from multicontact_control.experiment.scenario import ScenarioConfig
 from multicontact_control.experiment.study.presets.sweep.config import StudyConfig
-from multicontact_control.nodes import qos, services, topics
+from multicontact_control.nodes import qos, topics
+from multicontact_control.nodes.command_interface import SERVICES
 from multicontact_control.nodes.controller_config import ControllerNodeConfig
 from multicontact_control.nodes.graph_node import StartupConfig
 from multicontact_control.nodes.managed_node import ManagedConfig
@@ -239,7 +240,7 @@ def graph() -> str:
         'a refusal. Controller and noise estimator also have those of every life-cycle node '
         '(`~/change_state`, `~/get_state`), and every node but the recorder those of parameters.',
         table(['service', 'type', 'what it does'], [
-            [f'`~/{x.name}`', x.type_name, _text(x.content)] for x in services.SERVICES]),
+            [f'`~/{x.name}`', x.type_name, _text(x.content)] for x in SERVICES]),
         '## Quality of service',
         'History is `KEEP_LAST` throughout. An end that cannot be served is logged with its '
         'node, topic and policy.',

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from arms import seven_joint_urdf
 from multicontact_control.nodes import messages, topics
-from multicontact_control.nodes.bag_writer import BagWriter
+from multicontact_control.nodes.bag import Bag
 import numpy as np
 from rclpy.serialization import serialize_message
 import yaml
@@ -56,7 +56,7 @@ def write_bag(
     unanswered=0.0,
 ):
     """Write a recording, whose first seconds are not answered; return its MCAP file."""
-    with BagWriter(folder, chunk_size=4096) as writer:
+    with Bag(folder) as writer:
         known = set()
         for topic, time, message in rows(seconds):
             name = f'{space}/{topic.name}'
@@ -66,7 +66,9 @@ def write_bag(
                 known.add(name)
                 writer.add_topic(name, topic.type_name, topic.profile)
             at = START + round(time * 1e9)
-            writer.write(name, serialize_message(change(message)), at, at)
+            writer.write(name, serialize_message(change(message)), at)
+            if topic is topics.POSE_DESIRED:
+                writer.flush()
     return next(folder.glob('*.mcap'))
 
 

@@ -41,14 +41,6 @@ class ControllerOutputs:
 
     The bare efforts, if asked for, are what ros2_control's `forward_command_controller` and
     `joint_group_effort_controller` subscribe to, in the order of the controller's joints.
-
-    Parameters
-    ----------
-    node, streams
-        The controller's node, and its topics at the control rate.
-    config, node_config
-        Names and rate; topic of the bare efforts, markers.
-
     """
 
     def __init__(
@@ -89,28 +81,11 @@ class ControllerOutputs:
             self._bare.publish(Float64MultiArray(data=command.torque))
 
     def show(self, stamp: int, tick: int, output: ControlOutput) -> None:
-        """
-        Publish forces, innovations, poses and, now and then, markers of a tick.
-
-        Parameters
-        ----------
-        stamp
-            Of its sample [ns].
-        tick
-            Its number.
-        output
-            What the controller made of it.
-
-        Raises
-        ------
-        MessageError
-            If a number is not finite.
-
-        """
-        streams = self._streams
+        """Publish forces, innovations, poses and markers of a tick with a stamp [ns]."""
         for topic, numbers in self._shown.items():
-            if streams.wants(topic):
-                streams.pass_on(topic, streams.message(topic, stamp, *numbers(output)))
+            if self._streams.wants(topic):
+                data = self._streams.message(topic, stamp, *numbers(output))
+                self._streams.pass_on(topic, data)
         if self._markers.due(tick):
             self._markers_publisher.publish(self._markers.message(
                 stamp, output.pose, (output.alpha_meas, output.alpha_est, output.alpha_des),
@@ -168,17 +143,7 @@ class ContactMarkers:
     That of the measured force ends at the contact's tip, or at the centre of pressure of an edge
     or plane; those of the estimated and the desired one stand beside it. All point into the
     surface. The measured one is orange where the force is controlled and grey where it is only
-    felt.
-
-    Parameters
-    ----------
-    config
-        Contacts and control rate.
-    rate
-        Messages per second [Hz]; 0 for none.
-    scale
-        Length per force [m/N].
-
+    felt. There are `rate` messages a second [Hz], with `scale` as length per force [m/N].
     """
 
     def __init__(self, config: ControllerConfig, *, rate: float, scale: float) -> None:

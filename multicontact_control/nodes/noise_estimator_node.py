@@ -84,18 +84,9 @@ class NoiseEstimatorNode(ManagedNode):
         """Answer what waits."""
         self._answer()
 
-    def deactivate(self) -> None:
-        """Do nothing more than not to answer."""
-
     def clean_up(self) -> None:
         """Free the estimator."""
         self._estimator = None
-
-    def check(self, configurations: Sequence[Any]) -> None:
-        """Take every valid configuration."""
-
-    def reconfigure(self, configurations: Sequence[Any]) -> None:
-        """Go on as before: no parameter is live."""
 
     def close(self) -> None:
         """Write the counts of this run, if asked to."""
@@ -113,7 +104,7 @@ class NoiseEstimatorNode(ManagedNode):
             if self.working:
                 self._answer()
                 if not self._waiting:
-                    self._watch.add_latency(self._fresh.elapsed(received))
+                    self._watch.add_latency(time.monotonic_ns() - received)
 
     def _on_innovation(self, data: bytes) -> None:
         if self.state != ACTIVE:
@@ -124,7 +115,7 @@ class NoiseEstimatorNode(ManagedNode):
             self._fresh.note(topics.INNOVATION.name)
             if self.working:
                 self._answer()
-                self._watch.add_latency(self._fresh.elapsed(received))
+                self._watch.add_latency(time.monotonic_ns() - received)
 
     def _answer(self) -> None:
         """Answer everything that waits and has all it needs, in order."""

@@ -223,16 +223,8 @@ def joint_state_reader(names: Sequence[str]) -> MessageReader[JointReading]:
         return JointReading(stamp, q, qd, effort)
 
     def arrange(message: Any) -> Arrangement | None:
-        if not names:
-            return None
-        places = messages.places_among(message.name, names)
-        efforts = message.effort
-        with_effort = len(efforts) == len(message.name)
-        if with_effort and not all(math.isfinite(efforts[place]) for place in places):
-            return None  # they are not measured in this message, but may be in the next
-        as_they_are = places == list(range(len(message.name)))
-        return (_runs(message, JOINT_FIELDS if with_effort else JOINT_FIELDS[:2]),
-                None if as_they_are else np.array(places))
+        with_effort = len(message.effort) == len(message.name)
+        return _arrangement(message, names, JOINT_FIELDS if with_effort else JOINT_FIELDS[:2])
 
     return MessageReader(
         JointState, lambda message: messages.read_joint_state(message, names), arrange, make)
@@ -242,7 +234,7 @@ def effort_reader(names: Sequence[str]) -> MessageReader[NamedReading]:
     """Return a reader of one effort per name; see `messages.read_effort`."""
     return MessageReader(
         JointState, lambda message: messages.read_effort(message, names),
-        lambda message: _named_runs(message, names, ('effort',)), NamedReading)
+        lambda message: _arrangement(message, names, ('effort',)), NamedReading)
 
 
 def innovation_reader(names: Sequence[str]) -> MessageReader[InnovationReading]:
@@ -252,7 +244,7 @@ def innovation_reader(names: Sequence[str]) -> MessageReader[InnovationReading]:
 
     return MessageReader(
         JointState, lambda message: messages.read_innovation(message, names),
-        lambda message: _named_runs(message, names, JOINT_FIELDS), make)
+        lambda message: _arrangement(message, names, JOINT_FIELDS), make)
 
 
 def wrench_reader(
@@ -279,16 +271,16 @@ def wrench_reader(
         WrenchStamped, by_class, lambda message: ((0,), None), WrenchReading)
 
 
-def _named_runs(
-    message: Any, names: Sequence[str], fields: Sequence[str],
-) -> Arrangement | None:
-    """Return which runs of numbers fields of a JointState are, None in another order."""
-    if not names or list(message.name) != list(names):
+def _arrangement(message: Any, names: Sequence[str], fields: Sequence[str]) -> Arrangement | None:
+    """
+    Return where fields of a JointState are among its runs of numbers, and names among its names.
+
+    None if a number that is wanted is not one in this message: it may be in the next.
+    """
+    places = messages.places_among(message.name, names)
+    values = [getattr(message, field)[place] for field in fields for place in places]
+    if not all(map(math.isfinite, values)) or not names:
         return None
-    return _runs(message, fields), None
-
-
-def _runs(message: Any, fields: Sequence[str]) -> Sequence[int]:
-    """Return which runs of numbers of a JointState its fields are."""
     filled = [field for field in JOINT_FIELDS if len(getattr(message, field))]
-    return [filled.index(field) for field in fields]
+    as_they_are = places == list(range(len(message.name)))
+    return [filled.index(field) for field in fields], None if as_they_are else np.array(places)

@@ -67,19 +67,7 @@ class Streams:
         self, topic: Topic, callback: Callable[[bytes], None], profile: QoSProfile, *,
         adapt: bool = False,
     ) -> None:
-        """
-        Call back with every message of a topic of the table.
-
-        Parameters
-        ----------
-        topic, callback
-            Which, and what to call.
-        profile
-            Quality of service to ask for.
-        adapt
-            Whether to be content with less where a publisher gives less; see `meet_publishers`.
-
-        """
+        """Call back with every message; `adapt` to publishers that give less than `profile`."""
         end: Subscription | LocalSubscription
         if topic.publisher in self._local.members:
             end = self._local.subscribe(self._node.resolve_topic_name(topic.name), callback)
@@ -120,15 +108,7 @@ class Streams:
                 self.subscriptions[topic] = self._create(topic, served)
 
     def advertise(self, patterns: dict[Topic, Any]) -> None:
-        """
-        Publish topics of the table.
-
-        Parameters
-        ----------
-        patterns
-            A message of each, like those to be sent but for stamp and numbers.
-
-        """
+        """Publish topics, with messages that are like these patterns but for stamp and numbers."""
         for topic, pattern in patterns.items():
             publisher = create_publisher(self._node, topic)
             self._outputs[topic] = _Output(
@@ -144,20 +124,10 @@ class Streams:
 
     def send(self, topic: Topic, stamp: int, *runs: Vector) -> None:
         """
-        Publish a message on a topic, if it is subscribed to.
+        Publish a message on an advertised topic, if it is subscribed to.
 
-        Parameters
-        ----------
-        topic
-            One of those that were advertised.
-        stamp, runs
-            Its stamp [ns], and its numbers in the order of the message's fields.
-
-        Raises
-        ------
-        MessageError
-            If a number is not finite.
-
+        Parameters are its stamp [ns], and its numbers in the order of the message's fields.
+        MessageError if one is not finite.
         """
         if self.wants(topic):
             self.pass_on(topic, self.message(topic, stamp, *runs))

@@ -163,11 +163,6 @@ TOPICS: tuple[Topic, ...] = (
     SURFACE_MARKERS, DIAGNOSTICS, CLOCK)
 
 
-def published_by(node_name: str) -> tuple[Topic, ...]:
-    """Return the topics that a node publishes."""
-    return tuple(topic for topic in TOPICS if topic.publisher == node_name)
-
-
 def message_class(type_name: str) -> Any:
     """
     Return the class of a message type, e.g. that of ``sensor_msgs/msg/JointState``.

@@ -14,7 +14,7 @@ from multicontact_control.experiment.weighing import (
     weigh_recording,
 )
 from multicontact_control.nodes import messages, topics
-from multicontact_control.nodes.bag_writer import BagWriter
+from multicontact_control.nodes.bag import Bag
 from multicontact_control.sensor.weight import weight_reading
 import numpy as np
 import pytest
@@ -36,7 +36,7 @@ def recorded(folder, file, poses=POSES, *, offset=700_000, touched=()):
     read = read_controller_files([file])
     robot = RobotModel(read.config().robot, read.urdf_dir)
     random, gravity = np.random.default_rng(0), np.array([0.0, 0.0, -9.81])
-    with BagWriter(folder, chunk_size=4096) as writer:
+    with Bag(folder) as writer:
         for topic in (topics.JOINT_STATES, topics.WRENCH):
             writer.add_topic(f'/{topic.name}', topic.type_name, topic.profile)
         for k in range(round(len(poses) * (REST + MOVE) * RATE)):
@@ -55,8 +55,7 @@ def recorded(folder, file, poses=POSES, *, offset=700_000, touched=()):
                         stamp, JOINTS, position=q, velocity=np.zeros(7)), 0),
                     (topics.WRENCH, messages.wrench_message(
                         stamp + offset, wrench, 'wrist'), offset)):
-                writer.write(f'/{topic.name}', serialize_message(message), stamp + late % 10 ** 9,
-                             stamp + late % 10 ** 9)
+                writer.write(f'/{topic.name}', serialize_message(message), stamp + late % 10 ** 9)
     return folder
 
 

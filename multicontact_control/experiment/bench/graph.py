@@ -27,7 +27,7 @@ from multicontact_control.experiment.scenario import resolve, Setup
 from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.nodes.graph_node import create_publisher
 from multicontact_control.nodes.loop_statistics import NANOSECONDS
-from multicontact_control.nodes.raw_messages import HEADER, STAMP, template_of
+from multicontact_control.nodes.raw_messages import HEADER, MessageTemplate, STAMP
 from multicontact_control.nodes.runtime import make_executor, start_ros
 import numpy as np
 import rclpy
@@ -119,7 +119,7 @@ class Echo(Node):
         super().__init__('echo')
         self._stamps: dict[str, int] = {}
         self._out = create_publisher(self, topics.EFFORT_COMMAND)
-        self._template = template_of(messages.joint_state_message(
+        self._template = MessageTemplate(messages.joint_state_message(
             0, NAMES, effort=np.zeros(len(NAMES))))
         for topic in (topics.WRENCH, topics.JOINT_STATES):
             self.create_subscription(
