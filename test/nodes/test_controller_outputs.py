@@ -7,8 +7,7 @@ from multicontact_control.nodes.controller_outputs import ContactMarkers
 from multicontact_control.paths import config_dir
 import numpy as np
 import pytest
-from rclpy.serialization import deserialize_message
-from visualization_msgs.msg import Marker, MarkerArray
+from visualization_msgs.msg import Marker
 
 STAMP = 1_795_000_000_000_000_000
 QUARTER_TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -29,8 +28,7 @@ def normals(config):
 
 
 def arrows_of(config, *sample):
-    data = ContactMarkers(config, rate=25.0, scale=0.01).message(*sample)
-    return deserialize_message(data, MarkerArray)
+    return ContactMarkers(config, rate=25.0, scale=0.01).message(*sample)
 
 
 def test_arrows_point_along_the_normals_that_are_found(config):
@@ -87,7 +85,6 @@ def test_contact_without_force_has_no_arrow(config):
 
 
 def test_arrows_of_a_sample_owe_nothing_to_those_before(config):
-    """They are written into the same bytes: stamps, colours, actions and places are all new."""
     at, same = Pose(np.zeros(3), np.eye(3)), ContactMarkers(config, rate=25.0, scale=0.01)
     samples = [
         (STAMP, at, [np.array([10.0, 4.0])] * 3, [True, False], normals(config)),
@@ -96,7 +93,7 @@ def test_arrows_of_a_sample_owe_nothing_to_those_before(config):
          -normals(config)),
         (0, at, [np.ones(2)] * 3, [False, False], normals(config))]
     for sample in samples:
-        found = deserialize_message(same.message(*sample), MarkerArray)
+        found = same.message(*sample)
         assert found == arrows_of(config, *sample)
         assert {(marker.header.stamp.sec, marker.header.stamp.nanosec)
                 for marker in found.markers} == {divmod(sample[0], 10 ** 9)}
@@ -104,7 +101,7 @@ def test_arrows_of_a_sample_owe_nothing_to_those_before(config):
 
 
 def test_number_that_is_not_finite_is_not_drawn(config):
-    with pytest.raises(MessageError, match='points: expected finite ones'):
+    with pytest.raises(MessageError):
         arrows_of(config, STAMP, Pose(np.zeros(3), np.eye(3)), [np.array([np.nan, 4.0])] * 3,
                   [True, True], normals(config))
 
