@@ -104,13 +104,12 @@ def test_parts_that_are_left_out_get_their_reaction_and_commands_go_on(middlewar
     try:
         report_with(arm, 'none')
         for parts, reaction, cause in (({'joints'}, 'hold', 'wrench_stale'),
-                                       ({'wrench'}, 'float', 'joints_stale'),
-                                       (set(), 'float', 'joints_stale')):
+                                       ({'wrench'}, 'float', 'joints_stale')):
             source.parts = parts
             level, _, values = report_with(arm, reaction, cause)['supervisor']
             assert level == 2 and int(values[f'ticks with {reaction}']) > 0
             arm.newest_command()
-            wait_for(arm.newest_command, f'commands while there is {parts or "nothing"}')
+            wait_for(arm.newest_command, f'commands while there is {parts}')
             source.parts = {'joints', 'wrench'}
             report_with(arm, 'none')
     finally:
@@ -147,7 +146,7 @@ def test_older_sample_is_refused_and_a_clock_that_was_set_back_is_not(middleware
     arm.connect()
     for _ in range(30):
         torque = arm.step()
-    for _ in range(5):
+    for _ in range(3):
         arm.send_parts((arm.k - 10) * PERIOD, {'joints', 'wrench'})
         middleware.pause(0.05)  # nothing is to overtake it
         before, torque = torque, arm.step()
