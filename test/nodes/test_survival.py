@@ -44,7 +44,7 @@ class Watch:
         return seen[max(seen)]
 
     def report(self, node, part, condition=lambda level, text, values: True):
-        """Wait for a part of a node's diagnostics that satisfies a condition; return its values."""
+        """Wait for a part of a node's diagnostics that is like that; return its values."""
         seen = []
 
         def told():
