@@ -16,8 +16,7 @@ from multicontact_control.nodes.link import (
     TransitionError,
 )
 import pytest
-from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.executors import MultiThreadedExecutor
+from rclpy.executors import SingleThreadedExecutor
 
 pytestmark = pytest.mark.ros
 
@@ -37,59 +36,34 @@ def test_guests_of_a_domain_are_one_participant_until_the_last_has_left(domain_i
             assert again.context.ok() and again.context is not first.context
 
 
-class Slow:
-    """
-    A node that takes longer for its transitions than an answer is waited for.
-
-    Meanwhile it tells that it is at it, or what was before, as one does whose queue has the
-    question for its state before the transition.
-    """
-
-    def __init__(self, domain_id, duration, tells):
-        self.requests, self.duration, self.tells = 0, duration, tells
-        self.state, self._lock = 'unconfigured', threading.Lock()
-        self._guest = GuestNode('slow', domain_id)
-        for service, name, callback in (
-                (GetState, 'get_state', self._get), (ChangeState, 'change_state', self._change)):
-            self._guest.node.create_service(
-                service, f'~/{name}', callback, callback_group=ReentrantCallbackGroup())
-        self._executor = MultiThreadedExecutor(4, context=self._guest.context)
-        self._executor.add_node(self._guest.node)
-        self._thread = threading.Thread(target=self._executor.spin)
-        self._thread.start()
-
-    def _get(self, _request, response):
-        response.current_state.label = self.state
-        return response
-
-    def _change(self, request, response):
-        self.requests += 1
-        with self._lock:
-            response.success = self.state == 'unconfigured' and (
-                request.transition.label == CONFIGURE)
-            if response.success:
-                self.state = 'configuring' if self.tells else self.state
-                time.sleep(self.duration)
-                self.state = 'inactive'
-        return response
-
-    def close(self):
-        self._executor.shutdown()
-        self._thread.join()
-        self._guest.close()
-
-
-@pytest.mark.parametrize('tells', [True, False])
-def test_transition_that_takes_long_is_not_refused_for_being_asked_for_twice(
-        domain_id, monkeypatch, tells):
+def test_transition_that_takes_long_is_waited_for(domain_id, monkeypatch):
+    """The node at work answers neither this request nor the question for its state meanwhile."""
     monkeypatch.setattr(link, 'FIRST_TIMEOUT', 0.2)
-    node = Slow(domain_id, 0.8, tells)
-    try:
-        with LifecycleDriver(domain_id) as driver:
+    states = ['unconfigured']
+
+    def change(request, response):
+        response.success = states[-1] == 'unconfigured' and request.transition.label == CONFIGURE
+        if response.success:
+            time.sleep(0.8)
+            states.append('inactive')
+        return response
+
+    def get(_request, response):
+        response.current_state.label = states[-1]
+        return response
+
+    with GuestNode('slow', domain_id) as slow, LifecycleDriver(domain_id) as driver:
+        slow.node.create_service(GetState, '~/get_state', get)
+        slow.node.create_service(ChangeState, '~/change_state', change)
+        executor = SingleThreadedExecutor(context=slow.context)
+        executor.add_node(slow.node)
+        thread = threading.Thread(target=executor.spin)
+        thread.start()
+        try:
             driver.change('slow', CONFIGURE)
-            assert node.state == 'inactive'
-            assert not tells or node.requests == 1
+            assert states == ['unconfigured', 'inactive']
             with pytest.raises(TransitionError):
                 driver.change('slow', ACTIVATE)
-    finally:
-        node.close()
+        finally:
+            executor.shutdown()
+            thread.join()

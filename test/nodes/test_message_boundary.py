@@ -76,11 +76,10 @@ PUBLISHED = [topic for topic in topics.TOPICS
 
 def sample(stamp, position, velocity, wrench):
     """Return both messages of a sample that fits together, whatever numbers it holds."""
-    force, torque = Vector3(), Vector3()
-    force.x, force.y, force.z, torque.x, torque.y, torque.z = wrench
     header = Header(stamp=stamp)
+    vectors = [Vector3(x=x, y=y, z=z) for x, y, z in (wrench[:3], wrench[3:])]
     return ((topics.WRENCH, WrenchStamped(header=header, wrench=Wrench(
-                force=force, torque=torque))),
+                force=vectors[0], torque=vectors[1]))),
             (topics.JOINT_STATES, JointState(
                 header=header, name=JOINTS, position=position, velocity=velocity)))
 
@@ -91,14 +90,11 @@ SAMPLE = st.builds(sample, STAMP, st.one_of(st.just(HOME.tolist()), SIX), SIX, S
 
 def numbers_in(value):
     """Return every number in a message."""
-    if isinstance(value, (bool, str, bytes)):
-        return []
+    if hasattr(value, 'get_fields_and_field_types'):
+        value = [getattr(value, field) for field in value.get_fields_and_field_types()]
     if isinstance(value, (int, float)):
         return [float(value)]
-    if hasattr(value, 'get_fields_and_field_types'):
-        return [x for field in value.get_fields_and_field_types()
-                for x in numbers_in(getattr(value, field))]
-    return [x for item in value for x in numbers_in(item)]
+    return [] if isinstance(value, (str, bytes)) else [x for y in value for x in numbers_in(y)]
 
 
 class Live:

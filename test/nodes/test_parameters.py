@@ -15,12 +15,7 @@ from multicontact_control.config import (
 )
 from multicontact_control.errors import ConfigError
 from multicontact_control.nodes.link import GuestNode
-from multicontact_control.nodes.parameters import (
-    load_parameters,
-    nested,
-    parameter_specs,
-    ParameterSet,
-)
+from multicontact_control.nodes.parameters import load_parameters, ParameterSet
 from multicontact_control.paths import config_dir
 import pytest
 from rclpy.node import Node
@@ -120,28 +115,13 @@ def test_load_parameters_refuses_a_contact_without_values(make_node):
         load_parameters(node, ControllerConfig)
 
 
-def test_parameter_specs_describe_every_value_of_the_controller():
-    overrides = {'contact_names': ['one'], 'contacts.one.stiffness': 1.0}
-    specs = {spec.name: spec for spec in parameter_specs(ControllerConfig, overrides)}
-    assert {'rate', 'force.time_constant', 'contacts.one.normal_world', 'robot.urdf'} <= set(specs)
-    assert all(spec.descriptor.description for spec in specs.values())
-
-
-def test_nested_refuses_a_value_that_is_also_a_section():
-    assert nested({'a.b.c': 1, 'a.d': 2}) == {'a': {'b': {'c': 1}, 'd': 2}}
-    with pytest.raises(ConfigError, match='a: expected a mapping, found 1'):
-        nested({'a': 1, 'a.b': 2})
-
-
-@pytest.mark.parametrize(('arguments', 'repair'), [
-    ((), ('size', 1.0)), (('size:=-1.0',), ('size', 1.0)), (('size:=tall',), ('size', 1.0)),
-    (('size:=1.0', 'gains.order:=7'), ('gains.order', 2))])
-def test_parameter_set_refuses_what_is_wrong_until_it_is_repaired(make_node, arguments, repair):
-    node = make_node(*arguments)
+def test_parameter_set_refuses_what_is_wrong_until_it_is_repaired(make_node):
+    node = make_node('gains.order:=7', 'size:=tall')
     parameters = ParameterSet(node, Whole)
-    with pytest.raises(ConfigError, match=repair[0]):
-        parameters.configurations()
-    assert change(node, *repair).successful
+    for name, value in (('size', 1.0), ('gains.order', 2)):
+        with pytest.raises(ConfigError, match=f'{name}: expected'):
+            parameters.configurations()
+        assert change(node, name, value).successful
     parameters.configurations()
 
 

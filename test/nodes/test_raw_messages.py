@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import struct
 
 from geometry_msgs.msg import Vector3, Wrench, WrenchStamped
 from hypothesis import given, settings
@@ -120,14 +119,6 @@ def test_joint_state_reader_passes_over_other_joints_in_place():
         reader.read(serialize_message(message))
 
 
-def test_joint_state_reader_takes_up_efforts_after_one_that_was_not_a_number():
-    reader = joint_state_reader(['a'])
-    for effort, seen in ((math.nan, None), (2.0, [2.0]), (math.nan, None), (3.0, [3.0])):
-        found = reader.read(serialize_message(messages.JointState(
-            name=['a'], position=[0.0], velocity=[0.0], effort=[effort])))
-        assert (found.effort if seen is None else found.effort.tolist()) == seen
-
-
 def test_wrench_reader_refuses_another_frame_and_reports_a_missing_one_once():
     told = []
     reader = wrench_reader('ft', lambda: told.append(1))
@@ -162,35 +153,6 @@ def test_padding_and_bytes_behind_the_message_do_not_matter():
     raw[2:4] = b'\0\3'
     np.testing.assert_array_equal(reader.read(bytes(raw) + b'\xff' * 9).q, np.arange(6.0))
     assert reader.slow == 1
-
-
-def big_endian(stamp, names, position, velocity):
-    """Return a JointState as a machine of the other byte order sends it."""
-    body = bytearray(struct.pack('>iI', *divmod(stamp, 10 ** 9)))
-
-    def align(size):
-        body.extend(bytes(-len(body) % size))
-
-    for text in ('', None, *names):
-        align(4)
-        body.extend(struct.pack('>I', len(names) if text is None else len(text) + 1))
-        body.extend(b'' if text is None else text.encode() + b'\0')
-    for numbers in (position, velocity, []):
-        align(4)
-        body.extend(struct.pack('>I', len(numbers)))
-        if numbers:
-            align(8)
-            body.extend(struct.pack(f'>{len(numbers)}d', *numbers))
-    return b'\0\0\0\0' + bytes(body)
-
-
-def test_joint_state_reader_reads_the_other_byte_order():
-    names = ['joint1', 'b']
-    raw, reader = big_endian(STAMP, names, [1.5, -2.0], [3.0, 4.25]), joint_state_reader(names)
-    for _ in range(2):
-        reading = reader.read(raw)
-        assert (reading.stamp, reading.q.tolist(), reading.qd.tolist()) == (
-            STAMP, [1.5, -2.0], [3.0, 4.25])
 
 
 @pytest.mark.parametrize('make', [joint_state_reader, effort_reader])

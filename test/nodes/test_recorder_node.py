@@ -8,12 +8,11 @@ import math
 import signal
 import time
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from multicontact_control.config import ControllerConfig, read_parameters, validate
 from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.bag import read_bag
 from multicontact_control.nodes import messages, qos, topics
-from multicontact_control.nodes.graph_node import ignore, ready_topic
+from multicontact_control.nodes.graph_node import ready_topic
 from multicontact_control.nodes.recorder_node import RecorderNode
 from multicontact_control.paths import config_dir
 import pytest
@@ -135,33 +134,6 @@ def test_recorder_counts_no_losses_where_two_publish(middleware, tmp_path):
     names = [x.name[0] for x in messages_of(tmp_path / 'bag', '/joint_states')]
     assert names.count('finger') > 25 and names.count('a') > 25
     assert json.loads(counts_file.read_text(encoding='utf-8'))['lost'] == 0
-
-
-def test_recorder_reports_only_topics_that_have_come_and_stay_away(
-        middleware, publishers, tmp_path):
-    reports = []
-    listener = middleware.node.create_subscription(
-        DiagnosticArray, topics.DIAGNOSTICS.name, ignore, topics.DIAGNOSTICS.profile)
-    process = start_recorder(middleware, tmp_path / 'bag', publishers)
-    some, sent = {topics.JOINT_STATES: publishers[topics.JOINT_STATES]}, itertools.count()
-
-    def inputs():
-        message = middleware.take(listener, DiagnosticArray)
-        if message is not None:
-            reports.extend(part for part in message.status if part.name.endswith(': inputs'))
-        return reports[-1] if reports else None
-
-    def comes():
-        publish(some, next(sent), 1)
-        report = inputs()
-        return report if report and report.values else None
-
-    report = wait_for(comes, 'a report while samples come', inputs)
-    assert report.level == DiagnosticStatus.OK
-    wait_for(lambda: (report := inputs()) and report.level == DiagnosticStatus.WARN,
-             'a warning once they do not', inputs)
-    assert 'joint_states' in reports[-1].message and 'ground_truth' not in reports[-1].message
-    stop(process)
 
 
 def test_recorder_that_is_killed_leaves_a_bag_that_is_read(middleware, publishers, tmp_path):

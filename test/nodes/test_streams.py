@@ -1,13 +1,11 @@
 """Topics at the control rate: made where they are subscribed to."""
 
-from multicontact_control.nodes import messages, qos, topics
-from multicontact_control.nodes.graph_node import ignore, take
+from multicontact_control.nodes import messages, topics
+from multicontact_control.nodes.graph_node import ignore
 from multicontact_control.nodes.streams import Streams
 import numpy as np
 import pytest
-from rclpy.serialization import deserialize_message
 from ros_graph import wait_for
-from sensor_msgs.msg import JointState
 
 pytestmark = pytest.mark.ros
 
@@ -31,30 +29,3 @@ def test_message_is_made_and_sent_while_it_is_subscribed_to(middleware):
     middleware.node.destroy_subscription(subscription)
     wait_for(lambda: not sender.wants(TOPIC), 'the end of the connection')
     sender.close()
-
-
-def test_best_effort_publishers_are_heard_beside_reliable_ones(middleware):
-    node, seen = middleware.node, []
-    first = node.create_publisher(JointState, TOPIC.name, qos.STREAM)
-    reader = Streams(node)
-    reader.subscribe(TOPIC, ignore, qos.NEWEST, adapt=True)
-    wait_for(first.get_subscription_count, 'connection')
-    second = node.create_publisher(JointState, TOPIC.name, qos.SENSOR)
-
-    def heard():
-        reader.meet_publishers()
-        for name, publisher in (('first', first), ('second', second)):
-            publisher.publish(messages.joint_state_message(0, [name], effort=[0.0]))
-        while (taken := take(reader.subscriptions[TOPIC])) is not None:
-            seen.extend(deserialize_message(taken[0], JointState).name)
-        return set(seen) if second.get_subscription_count() else None
-
-    wait_for(lambda: heard() == {'first', 'second'}, 'both', lambda: set(seen))
-    end = reader.subscriptions[TOPIC]
-    for _ in range(3):
-        reader.meet_publishers()
-        middleware.pause(0.11)
-    assert reader.subscriptions[TOPIC] is end
-    reader.close()
-    for publisher in (first, second):
-        node.destroy_publisher(publisher)
