@@ -38,6 +38,7 @@ install_requires = [
     'mcap>=1.2,<2',
     'mcap-ros2-support>=0.5.5,<0.7',
     'zstandard>=0.22,<1',
+    'rosbags>=0.11,<0.12',
     'setproctitle>=1.3,<2',
     'psutil>=5.9,<8',
 ]
@@ -78,7 +79,6 @@ extras_require = {
         'pytest>=8,<10',
         'pytest-xdist>=3.6,<4',
         'hypothesis>=6.100,<7',
-        'rosbags>=0.10,<0.12',
         # Where there is a Chromium for it to drive; the tests of the pages are skipped elsewhere.
         'playwright>=1.50,<2',
         'ruff>=0.17.5,<0.18',

@@ -24,12 +24,12 @@ from multicontact_control.config import Config, ControllerConfig, NoiseEstimator
 from multicontact_control.experiment.calibration import CalibrationConfig
 from multicontact_control.experiment.scenario import ScenarioConfig
 from multicontact_control.experiment.study.presets.sweep.config import StudyConfig
-from multicontact_control.nodes import qos, services, topics
+from multicontact_control.nodes import qos, topics
+from multicontact_control.nodes.command_interface import SERVICES
 from multicontact_control.nodes.controller_config import ControllerNodeConfig
 from multicontact_control.nodes.graph_node import StartupConfig
 from multicontact_control.nodes.managed_node import ManagedConfig
-from multicontact_control.nodes.recorder_node import RecorderConfig
-from multicontact_control.nodes.tf_recording import TF_TOPIC, TF_TYPE
+from multicontact_control.nodes.recorder_node import RecorderConfig, TF_TOPIC, TF_TYPE
 from pydantic.fields import FieldInfo
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sim_bridge.config import PlantConfig
@@ -212,8 +212,8 @@ def graph() -> str:
     """Return the page of topics, services and qualities of service."""
     names = _profile_names()
     contents = [[f'`{x.name}`', x.type_name, _text(x.content)] for x in topics.TOPICS]
-    contents.append([f'`{TF_TOPIC}`', TF_TYPE, 'Only in the bag, by the recorder: link poses, '
-                     'worked out from joint states and robot description (`tf_rate`).'])
+    contents.append([f'`{TF_TOPIC}`', TF_TYPE, 'Only in the bag, by the recorder, at 25 Hz: '
+                     'link poses, worked out from joint states and robot description.'])
     ends = [[f'`{x.name}`', x.publisher,
              ', '.join(name for name in x.subscribers if name != topics.RECORDER), x.rate,
              f'[{names[id(x.profile)]}](#quality-of-service)'] for x in topics.TOPICS]
@@ -234,15 +234,13 @@ def graph() -> str:
         'The controller also reads one of the two wrenches (`wrench_input`; none with `momentum`) '
         'and the commands, which it refuses while it follows a scenario; with '
         '`effort_output_topic` it publishes bare efforts, too (std_msgs/msg/Float64MultiArray). '
-        'Estimators that work on innovations read `contact_forces/innovation`. With '
-        '`recording_batches` the recorder gets the messages of a node on `_recording/NODE` '
-        '(std_msgs/msg/UInt8MultiArray) instead.',
+        'Estimators that work on innovations read `contact_forces/innovation`.',
         '## Services',
         f'Of `{topics.CONTROLLER}`; each answers with `success`, and with words or the reason of '
         'a refusal. Controller and noise estimator also have those of every life-cycle node '
         '(`~/change_state`, `~/get_state`), and every node but the recorder those of parameters.',
         table(['service', 'type', 'what it does'], [
-            [f'`~/{x.name}`', x.type_name, _text(x.content)] for x in services.SERVICES]),
+            [f'`~/{x.name}`', x.type_name, _text(x.content)] for x in SERVICES]),
         '## Quality of service',
         'History is `KEEP_LAST` throughout. An end that cannot be served is logged with its '
         'node, topic and policy.',

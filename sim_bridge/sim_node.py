@@ -128,7 +128,7 @@ class SimNode(Node):
         description = create_publisher(self, topics.ROBOT_DESCRIPTION)
         self._surfaces = SurfaceMarkers(plant_config, rate=config.rate)
         self._surface_publisher = create_publisher(self, topics.SURFACE_MARKERS)
-        self.streams.advertise(self._examples(), batched=config.recording_batches)
+        self.streams.advertise(self._examples())
         self._reader = effort_reader(self._plant.joint_names)
         self.streams.subscribe(topics.EFFORT_COMMAND, self._on_command, qos.INPUT)
         self._watch, self._fresh = LoopStatistics(config.rate), Freshness()
@@ -165,7 +165,7 @@ class SimNode(Node):
         """
         while not (spinner.stop or self._gate.poll()):
             spinner.spin_once(0.01)
-            self._poll()
+            self._diagnostics.poll()
         self._start_up(spinner)
         self._start = time.monotonic_ns()
         if self._config.lockstep:
@@ -173,12 +173,6 @@ class SimNode(Node):
         else:
             self._run_free(spinner)
         self._wall = time.monotonic_ns() - self._start
-        self.streams.flush()
-
-    def _poll(self) -> None:
-        """Do what is due now and then."""
-        self.streams.poll()
-        self._diagnostics.poll()
 
     def close(self) -> None:
         """Write the counts and times of this run, if asked to, and free the plant."""
@@ -208,7 +202,7 @@ class SimNode(Node):
             give_up = time.monotonic() + resend
             while self._answered < 0 and time.monotonic() < give_up and not spinner.stop:
                 spinner.spin_once(0.05)
-                self._poll()
+                self._diagnostics.poll()
         self._publish_truth()
 
     @property
@@ -240,7 +234,7 @@ class SimNode(Node):
             self._publish()
             self._spin_until_answered(spinner, deadline + wait)
             self._publish_truth()
-            self._poll()
+            self._diagnostics.poll()
         # The last sample deserves its answer, too.
         self._spin_until_answered(spinner, time.monotonic_ns() + NANOSECONDS // 10)
 
@@ -273,7 +267,7 @@ class SimNode(Node):
             self._tick += 1
             self._publish()
             self._publish_truth()
-            self._poll()
+            self._diagnostics.poll()
             if self._delay_ticks == 0:
                 self._wait_for_answer(spinner)
         self._wait_for_answer(spinner)

@@ -23,7 +23,7 @@ from multicontact_control.errors import MulticontactError
 from multicontact_control.experiment.results import load_run
 from multicontact_control.experiment.study.presets.sweep.config import study_path
 from multicontact_control.nodes import messages, topics
-from multicontact_control.nodes.bag_writer import BagWriter
+from multicontact_control.nodes.bag import Bag
 from packaging.requirements import Requirement
 import pytest
 from rclpy.serialization import serialize_message
@@ -285,12 +285,12 @@ NOT_FOLLOWED = {
 def write_bag(folder, run):
     """Write the measured forces of a run as the recorder does."""
     topic = topics.MEASURED_FORCES
-    with BagWriter(folder, chunk_size=65536) as writer:
+    with Bag(folder) as writer:
         writer.add_topic(f'/{topic.name}', topic.type_name, topic.profile)
         for time, forces in zip(run.data.time[::10], run.data.alpha_meas[::10]):
             stamp = round(time * 1e9)
             message = messages.joint_state_message(stamp, run.data.contact_names, effort=forces)
-            writer.write(f'/{topic.name}', serialize_message(message), stamp, stamp)
+            writer.write(f'/{topic.name}', serialize_message(message), stamp)
 
 
 @pytest.mark.slow

@@ -3,7 +3,8 @@
 import importlib.util
 
 from multicontact_control.config import ControllerConfig
-from multicontact_control.nodes import services, topics
+from multicontact_control.nodes import topics
+from multicontact_control.nodes.command_interface import SERVICES
 from multicontact_control.nodes.parameters import NAMES_OF_MAPPINGS, parameter_specs
 import pytest
 from ros_graph import ROOT
@@ -54,4 +55,4 @@ def test_names_are_those_that_a_node_declares(node):
 
 def test_what_the_graph_offers_says_what_is_in_it():
     assert all(topic.content for topic in topics.TOPICS)
-    assert all(service.content for service in services.SERVICES)
+    assert all(service.content for service in SERVICES)

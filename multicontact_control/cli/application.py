@@ -16,7 +16,6 @@ from multicontact_control.cli.faults import faults
 from multicontact_control.cli.identify import identify
 from multicontact_control.cli.new_robot import new_robot
 from multicontact_control.cli.push_test import push_test
-from multicontact_control.cli.record import record
 from multicontact_control.cli.report import report
 from multicontact_control.cli.robots import robots
 from multicontact_control.cli.robustness_map import robustness_map
@@ -79,7 +78,7 @@ _COMMANDS: dict[str, Callable[..., None]] = {
     'simulate': simulate, 'run': run, 'view': view, 'calibrate': calibrate,
     'push-test': push_test, 'new-robot': new_robot, 'compare': compare, 'design': design,
     'tune': tune, 'identify': identify, 'map': robustness_map, 'robots': robots, 'sweep': sweep,
-    'report': report, 'topics': topics, 'echo': echo, 'record': record, 'faults': faults,
+    'report': report, 'topics': topics, 'echo': echo, 'faults': faults,
     'compile': compile_kernels}
 for _name, _function in _COMMANDS.items():
     app.command(_name, cls=_Command)(_function)

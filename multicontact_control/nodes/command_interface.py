@@ -3,15 +3,58 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 from multicontact_control.control_loop import ControlLoop
 from multicontact_control.errors import MulticontactError
-from multicontact_control.nodes import messages, qos, services, topics
+from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.nodes.controller_config import ControllerNodeConfig
 from multicontact_control.nodes.graph_node import create_subscription, Refusals
 from rclpy.node import Node
 from rclpy.subscription import Subscription
+from std_srvs.srv import SetBool, Trigger
+
+
+@dataclass(frozen=True)
+class Service:
+    """
+    One service, which answers with `success`, and with words or the reason of a refusal.
+
+    Attributes
+    ----------
+    name
+        Relative to the controller's node.
+    kind
+        Service class.
+    content
+        What it does, for the reference (docs/reference).
+
+    """
+
+    name: str
+    kind: Any
+    content: str
+
+    @property
+    def type_name(self) -> str:
+        """Return the type as ROS tools write it, e.g. ``std_srvs/srv/Trigger``."""
+        package = self.kind.__module__.split('.', 1)[0]
+        return f'{package}/srv/{self.kind.__name__}'
+
+
+TARE = Service(
+    'tare', Trigger, 'Takes the present reading of the wrist sensor for its bias; refused while '
+    'a contact is under force control, or pressed by a reaction.')
+HOLD = Service('hold', SetBool, 'Holds the present pose and forces, or lets go of them.')
+RETRY = Service(
+    'retry', Trigger, 'Resumes control that waits for an operator (cause `latched`), and seeks '
+    'contacts that were given up.')
+PUSH_TEST = Service(
+    'push_test', Trigger, 'Begins the push test: log, diagnostics and `~/status` say where to '
+    'push the tool.')
+
+SERVICES: tuple[Service, ...] = (TARE, HOLD, RETRY, PUSH_TEST)
 
 
 class CommandInterface:
@@ -46,9 +89,8 @@ class CommandInterface:
                                     (topics.MOTION_COMMAND, self._on_motion))}
         self._services = [
             self._service(service, work) for service, work in (
-                (services.TARE, self._tare), (services.HOLD, self._hold),
-                (services.RETRY, lambda _: loop.retry()),
-                (services.PUSH_TEST, self._push_test))]
+                (TARE, self._tare), (HOLD, self._hold), (RETRY, lambda _: loop.retry()),
+                (PUSH_TEST, self._push_test))]
 
     def adopt(self, config: ControllerNodeConfig) -> None:
         """Tare and test as a configuration says."""
@@ -82,7 +124,7 @@ class CommandInterface:
     def _push_test(self, _request: Any) -> str:
         return self._loop.push_test(self._config.push_test, self._config.push_point_sensor)
 
-    def _service(self, service: services.Service, work: Callable[[Any], str]) -> Any:
+    def _service(self, service: Service, work: Callable[[Any], str]) -> Any:
         """Create a service that answers with the words of some work, or with why it is refused."""
         name = f'~/{service.name}'
 

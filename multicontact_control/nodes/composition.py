@@ -46,8 +46,6 @@ class Composition:
         self._main.run(spinner)
         if self._passengers:
             spinner.drain()
-        for node in self._passengers:
-            node.streams.flush()
 
     def longest_wait(self, timeout: float) -> float:
         """Return how long the process may wait if the main node would for a time [s]."""

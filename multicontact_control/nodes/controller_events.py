@@ -11,51 +11,12 @@ from multicontact_control.control_loop import ControlLoop
 from multicontact_control.nodes import topics
 from multicontact_control.nodes.graph_node import create_publisher
 from multicontact_control.supervision.fallback import INFLATE, NONE, SEVERITY
-from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.node import Node
 
 REPEAT_TIME = 5_000_000_000  # ns, in which a line is logged once
 LEAST_INTERVAL = 20_000_000  # ns, between two messages: a client may send at the control rate
 COMMANDS = (topics.FORCE_COMMAND.name, topics.MOTION_COMMAND.name, '~/')
 STATE, REFUSED = 'state', 'refused'
-
-
-class RareLog:
-    """
-    Logs what may happen at every tick, each kind of it once in 5 s.
-
-    Parameters
-    ----------
-    logger
-        Where to.
-
-    """
-
-    def __init__(self, logger: RcutilsLogger) -> None:
-        self._logger = logger
-        self._next: dict[str, int] = {}
-        self._untold: dict[str, int] = {}
-
-    def warn(self, kind: str, text: str) -> None:
-        """Log a warning, with how many of its kind were not."""
-        told = self._due(kind, text)
-        if told:
-            self._logger.warning(told)
-
-    def tell(self, kind: str, text: str) -> None:
-        """Log what is no reason to worry."""
-        told = self._due(kind, text)
-        if told:
-            self._logger.info(told)
-
-    def _due(self, kind: str, text: str) -> str:
-        now = time.monotonic_ns()
-        if now < self._next.get(kind, 0):
-            self._untold[kind] = self._untold.get(kind, 0) + 1
-            return ''
-        self._next[kind] = now + REPEAT_TIME
-        untold = self._untold.pop(kind, 0)
-        return f'{text} (and {untold} times since it was said last)' if untold else text
 
 
 class ControllerEvents:
@@ -85,7 +46,7 @@ class ControllerEvents:
 
     def __init__(self, node: Node, loop: ControlLoop, life_cycle: Callable[[], str]) -> None:
         self._node, self._loop, self._life_cycle = node, loop, life_cycle
-        self._log = RareLog(node.get_logger())
+        self._log_due: dict[str, int] = {}
         self.publisher = create_publisher(node, topics.STATUS)
         self._before: tuple[Any, ...] = ()
         self._reacting = False
@@ -115,7 +76,7 @@ class ControllerEvents:
                *loop.commanded_forces.values())
         if status is not None and status.rejected:
             for name in status.rejected:
-                self._log.warn(name, f'a reading is not used: {name}')
+                self._warn(name, f'a reading is not used: {name}')
         if now == self._before or time.monotonic_ns() < self._next[STATE]:
             return
         if status is not None and now[:2] != self._before[:2]:
@@ -126,9 +87,17 @@ class ControllerEvents:
     def _log_reaction(self, reaction: str, causes: tuple[str, ...]) -> None:
         reacting, self._reacting = self._reacting, reaction != NONE
         if self._reacting:
-            self._log.warn(f'{reaction} {causes}', self._reaction())
+            self._warn(f'{reaction} {causes}', self._reaction())
         elif reacting:
-            self._log.tell('control', 'control goes on: all is well again')
+            self._node.get_logger().info(
+                'control goes on', throttle_duration_sec=REPEAT_TIME * 1e-9)
+
+    def _warn(self, kind: str, text: str) -> None:
+        """Log what may happen at every tick, each kind of it once in `REPEAT_TIME`."""
+        now = time.monotonic_ns()
+        if now >= self._log_due.get(kind, 0):
+            self._log_due[kind] = now + REPEAT_TIME
+            self._node.get_logger().warning(text)
 
     def _reaction(self) -> str:
         """Say what the supervisor does instead of control, and why; empty if nothing."""

@@ -30,6 +30,7 @@ from multicontact_control.nodes.controller_status import (
 from multicontact_control.nodes.diagnostics import (
     input_status,
     message_status,
+    MissingInputs,
     STALE_PERIODS,
     Status,
 )
@@ -42,7 +43,6 @@ from multicontact_control.nodes.loop_statistics import (
     NANOSECONDS,
 )
 from multicontact_control.nodes.managed_node import ACTIVE, ManagedNode
-from multicontact_control.nodes.missing_inputs import MissingInputs
 from multicontact_control.nodes.raw_messages import (
     effort_reader,
     joint_state_reader,
@@ -63,16 +63,13 @@ class ControllerNode(ManagedNode):
     """
     Pairs samples, steps the controller, publishes what it answers.
 
-    Without lockstep the newest noise variance is used, however old: if the estimator has died,
-    its last word is held, by a supervisor inflated, and diagnostics say so. A sample that comes
-    again gets the same command again. After a deactivation samples are answered by the declared
-    safe behaviour; a process that is told to end while it controls answers so for `SAFE_TIME`.
+    Without lockstep the newest noise variance is used, however old. A sample that comes again
+    gets the same command again; bare, 25 times at most. After a deactivation samples are answered
+    by the declared safe behaviour, and by a process that is told to end for `SAFE_TIME`.
 
-    With a supervisor, commands go on when samples do not come: see `SampleTimeout` and
-    `SampleClock`. A single sample that is older than the last is refused then; two in a row
-    say that their clock has been set back, which the supervisor reacts to. Without one, and in
-    lockstep, an older sample starts everything anew. Without one, and not in lockstep, a
-    sample that has come again 25 times is answered no more.
+    With a supervisor, commands go on when samples do not come (`SampleTimeout`). One sample that
+    is older than the last is refused then; two in a row are a clock that was set back. Bare, and
+    in lockstep, an older sample starts everything anew.
     """
 
     def __init__(self, local: LocalDelivery | None = None) -> None:

@@ -15,13 +15,11 @@ from multicontact_control.errors import MessageError
 from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.nodes.controller_config import ControllerNodeConfig
 from multicontact_control.nodes.graph_node import create_publisher, full_topic_name
-from multicontact_control.nodes.raw_messages import find_places, HEADER
 from multicontact_control.nodes.streams import Streams
 import numpy as np
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.serialization import serialize_message
 from std_msgs.msg import ColorRGBA, Float64MultiArray
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -30,8 +28,10 @@ SHAFT_DIAMETER, HEAD_DIAMETER, HEAD_LENGTH = 0.008, 0.016, 0.02  # m
 SMALLEST_FORCE = 0.2  # N; below it the arrow would be noise
 LIFETIME = 0.5  # s; a viewer drops the arrows of a controller that is gone
 BESIDE = 0.022  # m, between the arrows of a contact
-CONTROLLED, FELT, ESTIMATED, DESIRED = (  # red, green, blue, opacity
-    (1.0, 0.45, 0.1, 1.0), (0.5, 0.5, 0.5, 1.0), (0.18, 0.45, 0.75, 1.0), (0.2, 0.58, 0.36, 1.0))
+CONTROLLED, FELT, ESTIMATED, DESIRED = (
+    ColorRGBA(r=red, g=green, b=blue, a=1.0) for red, green, blue in (
+        (1.0, 0.45, 0.1), (0.5, 0.5, 0.5), (0.18, 0.45, 0.75), (0.2, 0.58, 0.36)))
+COLOURS = {True: CONTROLLED, False: FELT}  # of the measured force, by whether it is controlled
 KINDS = (('', FELT), ('/estimated', ESTIMATED), ('/desired', DESIRED))
 
 
@@ -41,14 +41,6 @@ class ControllerOutputs:
 
     The bare efforts, if asked for, are what ros2_control's `forward_command_controller` and
     `joint_group_effort_controller` subscribe to, in the order of the controller's joints.
-
-    Parameters
-    ----------
-    node, streams
-        The controller's node, and its topics at the control rate.
-    config, node_config
-        Names and rate; topic of the bare efforts, markers, batches.
-
     """
 
     def __init__(
@@ -58,9 +50,7 @@ class ControllerOutputs:
         self._node, self._streams = node, streams
         self._shown = SHOWN if config.force.stiffness == 'adaptive' else {
             topic: numbers for topic, numbers in SHOWN.items() if topic not in OF_STIFFNESS}
-        streams.advertise(
-            examples(config.robot.joint_names, config.column_names),
-            batched=node_config.recording_batches)
+        streams.advertise(examples(config.robot.joint_names, config.column_names))
         self._markers_publisher = create_publisher(node, topics.CONTACT_MARKERS)
         bare = node_config.effort_output_topic
         self._bare = node.create_publisher(
@@ -91,28 +81,11 @@ class ControllerOutputs:
             self._bare.publish(Float64MultiArray(data=command.torque))
 
     def show(self, stamp: int, tick: int, output: ControlOutput) -> None:
-        """
-        Publish forces, innovations, poses and, now and then, markers of a tick.
-
-        Parameters
-        ----------
-        stamp
-            Of its sample [ns].
-        tick
-            Its number.
-        output
-            What the controller made of it.
-
-        Raises
-        ------
-        MessageError
-            If a number is not finite.
-
-        """
-        streams = self._streams
+        """Publish forces, innovations, poses and markers of a tick with a stamp [ns]."""
         for topic, numbers in self._shown.items():
-            if streams.wants(topic):
-                streams.pass_on(topic, streams.message(topic, stamp, *numbers(output)))
+            if self._streams.wants(topic):
+                data = self._streams.message(topic, stamp, *numbers(output))
+                self._streams.pass_on(topic, data)
         if self._markers.due(tick):
             self._markers_publisher.publish(self._markers.message(
                 stamp, output.pose, (output.alpha_meas, output.alpha_est, output.alpha_des),
@@ -170,17 +143,7 @@ class ContactMarkers:
     That of the measured force ends at the contact's tip, or at the centre of pressure of an edge
     or plane; those of the estimated and the desired one stand beside it. All point into the
     surface. The measured one is orange where the force is controlled and grey where it is only
-    felt.
-
-    Parameters
-    ----------
-    config
-        Contacts and control rate.
-    rate
-        Messages per second [Hz]; 0 for none.
-    scale
-        Length per force [m/N].
-
+    felt. There are `rate` messages a second [Hz], with `scale` as length per force [m/N].
     """
 
     def __init__(self, config: ControllerConfig, *, rate: float, scale: float) -> None:
@@ -190,24 +153,9 @@ class ContactMarkers:
         self._points_operational = np.array([contact.point_operational for contact in contacts])
         self._every = max(1, round(config.rate / rate)) if rate > 0.0 else 0
         self._scale = scale
-        arrows = [_arrow(f'{NAMESPACE}/{name}{kind}', number, colour)
-                  for kind, colour in KINDS for number, name in enumerate(self._names)]
-        # Making a message of six arrows out of objects takes a quarter of a period.
-        self._bytes = bytearray(serialize_message(MarkerArray(markers=arrows)))
-        fields = find_places(MarkerArray, bytes(self._bytes)).fields
-
-        def values(kind: str, field: str, width: int = 1) -> tuple[Any, Any]:
-            """Return the bytes as values of a kind, and where among them a field of each is."""
-            size = np.dtype(kind).itemsize
-            first = [(fields[f'markers/{k}/{field}'] - HEADER) // size for k in range(len(arrows))]
-            return (np.frombuffer(self._bytes, kind, (len(self._bytes) - HEADER) // size, HEADER),
-                    np.array(first)[:, None] + np.arange(width))
-
-        self._integers, self._stamps = values('<i4', 'header/stamp/sec', 2)
-        self._actions = values('<i4', 'action')[1]
-        self._colours, self._colour_places = values('<f4', 'color/r', 4)
-        self._numbers, self._points = values('<f8', 'points/0/x', 6)
-
+        self._arrows = [_arrow(f'{NAMESPACE}/{name}{kind}', number, colour)
+                        for kind, colour in KINDS for number, name in enumerate(self._names)]
+        self._message = MarkerArray(markers=self._arrows)
     def due(self, tick: int) -> bool:
         """Return whether the sample `tick` is one to show."""
         return self._every > 0 and tick % self._every == 0
@@ -215,9 +163,9 @@ class ContactMarkers:
     def message(
         self, stamp: int, pose: Pose, forces: Sequence[Vector], active: Any,
         normals_world: Matrix,
-    ) -> bytes:
+    ) -> MarkerArray:
         """
-        Return the arrows of one sample, as the bytes of a MarkerArray.
+        Return the arrows of one sample; the next call changes them.
 
         Parameters
         ----------
@@ -243,16 +191,20 @@ class ContactMarkers:
             forces[0], pose, normals)) @ pose.rotation_world.T
         alpha = np.array(forces)[:, self._leaders, None]
         tips = feet + np.arange(len(forces))[:, None, None] * BESIDE * _beside(normals)
-        points = np.concatenate((tips - self._scale * alpha * normals, tips), axis=-1)
-        if not np.isfinite(points).all():
-            raise MessageError('points', 'finite ones', points.tolist())
-        self._numbers[self._points] = points.reshape(-1, 6)
-        self._integers[self._stamps] = messages.split_stamp(stamp)
-        self._integers[self._actions] = np.where(
-            alpha.reshape(-1, 1) > SMALLEST_FORCE, Marker.ADD, Marker.DELETE)
-        self._colours[self._colour_places[:len(self._names)]] = np.where(
-            np.asarray(active)[self._leaders, None], CONTROLLED, FELT)
-        return bytes(self._bytes)
+        tails = tips - self._scale * alpha * normals
+        if not (np.isfinite(tips).all() and np.isfinite(tails).all()):
+            raise MessageError('points', 'finite ones', tails.tolist())
+        shown = (alpha > SMALLEST_FORCE).ravel().tolist()
+        time = messages.ns_to_stamp(stamp)
+        for arrow, tail, tip, is_shown in zip(
+                self._arrows, tails.reshape(-1, 3).tolist(), tips.reshape(-1, 3).tolist(), shown):
+            arrow.header.stamp = time
+            arrow.action = Marker.ADD if is_shown else Marker.DELETE
+            for point, values in zip(arrow.points, (tail, tip)):
+                point.x, point.y, point.z = values
+        for arrow, leader in zip(self._arrows, self._leaders):
+            arrow.color = COLOURS[bool(active[leader])]
+        return self._message
 
     def _centres(self, alpha: Vector, pose: Pose, normals: Matrix) -> Matrix:
         """Return the centres of pressure from those of the contacts, operational axes [m]."""
@@ -278,11 +230,9 @@ def _beside(normals_world: Matrix) -> Matrix:
     return np.asarray(along / np.linalg.norm(along, axis=1, keepdims=True))
 
 
-def _arrow(namespace: str, number: int, colour: tuple[float, ...]) -> Marker:
+def _arrow(namespace: str, number: int, colour: ColorRGBA) -> Marker:
     """Return an arrow of the controller, without time and place."""
-    red, green, blue, opacity = colour
-    marker = Marker(ns=namespace, id=number, type=Marker.ARROW,
-                    color=ColorRGBA(r=red, g=green, b=blue, a=opacity),
+    marker = Marker(ns=namespace, id=number, type=Marker.ARROW, color=colour,
                     points=[Point(), Point()], lifetime=Duration(seconds=LIFETIME).to_msg())
     marker.header.frame_id = topics.WORLD_FRAME
     marker.pose.orientation.w = 1.0

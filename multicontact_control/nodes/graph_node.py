@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 import time
 from typing import Any
@@ -15,8 +16,7 @@ from multicontact_control.nodes import qos
 from multicontact_control.nodes.runtime import loaded_kernels
 from multicontact_control.nodes.topics import Topic
 from multicontact_control.process import claim_processor, describe_claim
-from rclpy.clock import Clock, ClockType
-from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.exceptions import NameValidationException
 from rclpy.expand_topic_name import expand_topic_name
 from rclpy.impl.rcutils_logger import RcutilsLogger
@@ -24,7 +24,6 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
-from rclpy.timer import Timer
 from rclpy.validate_full_topic_name import validate_full_topic_name
 from std_msgs.msg import Empty
 
@@ -33,9 +32,6 @@ REPORT_PERIOD = 5.0
 NAMED = 3  # connections that a line names
 NAMELESS = '_NODE_NAME_UNKNOWN_'  # what ROS 2 says until the node of a topic's end is known, too
 UNNAMED = 'a node whose name is not known'
-NAME_DELAY = 0.5  # s, between two looks for a name
-NAME_LOOKS = 20
-STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 
 
 class StartupConfig(Config):
@@ -46,9 +42,6 @@ class StartupConfig(Config):
     startup_timeout: Real = parameter(
         0.0, 'Longest wait for them; 0 for any time, since who started them watches them all.',
         unit='s', ge=0.0)
-    recording_batches: bool = parameter(
-        False, 'Whether the recorder gets what is sent at the control rate many messages at a '
-        'time, on _recording/NODE, instead of each from its topic.')
     timing_file: str = parameter('', 'JSON file to write counts and times to at the end.')
     fifo_priority: int = parameter(
         0, 'Real-time priority (SCHED_FIFO) of the node, 0 for normal scheduling.', ge=0, le=99)
@@ -95,62 +88,18 @@ def full_topic_name(field: str, name: str, node: Node | None = None) -> str:
 
 
 def create_publisher(node: Node, topic: Topic) -> Publisher:
-    """Create the publisher of a topic of the table; readers it cannot serve are logged."""
-    return node.create_publisher(
-        topic.message, topic.name, topic.profile, event_callbacks=PublisherEventCallbacks(
-            incompatible_qos=_name_mismatches(
-                node, topic.name, topic.profile, publishing=True)))
+    """Create the publisher of a topic of the table."""
+    return node.create_publisher(topic.message, topic.name, topic.profile)
 
 
 def create_subscription(
     node: Node, topic: Topic, callback: Callable[[Any], None], profile: QoSProfile, *,
     raw: bool = False, strict: bool = True,
 ) -> Subscription:
-    """
-    Subscribe to a topic of the table.
-
-    Parameters
-    ----------
-    node, topic, callback, profile, raw
-        As for rclpy.
-    strict
-        Whether publishers that cannot serve it are logged.
-
-    """
+    """Subscribe to a topic of the table; `strict` logs publishers that cannot serve it."""
     return node.create_subscription(
         topic.message, topic.name, callback, profile, raw=raw,
-        event_callbacks=SubscriptionEventCallbacks(
-            incompatible_qos=_name_mismatches(
-                node, topic.name, profile, publishing=False)) if strict
-        else SubscriptionEventCallbacks(use_default_callbacks=False))
-
-
-def _name_mismatches(
-    node: Node, name: str, profile: QoSProfile, *, publishing: bool,
-) -> Callable[[Any], None]:
-    """Return a callback that logs whom an end of a topic cannot connect to, and why."""
-    timers: list[Timer] = []
-    looks = 0
-
-    def tell() -> None:
-        nonlocal looks
-        full = node.resolve_topic_name(name)
-        unlike = '; '.join(quality_mismatches(node, full, profile, publishing=publishing))
-        looks += 1
-        # The name of its node is known later than the end of a topic: seconds on a busy machine.
-        if UNNAMED in unlike and looks < NAME_LOOKS:
-            return
-        node.destroy_timer(timers.pop())
-        if unlike:  # otherwise it has gone
-            node.get_logger().error(f'{full}: {unlike}')
-
-    def wait(_event: object) -> None:
-        nonlocal looks
-        if not timers:
-            looks = 0
-            timers.append(node.create_timer(NAME_DELAY, tell, clock=STEADY))
-
-    return wait
+        event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=strict))
 
 
 def all_are_heard(node: Node, subscription: Subscription) -> bool:
@@ -160,12 +109,7 @@ def all_are_heard(node: Node, subscription: Subscription) -> bool:
 
 
 def served_profile(node: Node, full_name: str, profile: QoSProfile) -> QoSProfile:
-    """
-    Return with which quality of service every publisher of a topic that is known can be heard.
-
-    That is the one that is asked for, or best effort and volatile: a reader that asks for more
-    than a publisher gives gets nothing at all from it.
-    """
+    """Return a profile, or best effort where a publisher that is known gives no more than that."""
     return qos.profile(profile.depth, reliable=False) if quality_mismatches(
         node, full_name, profile, publishing=False) else profile
 
@@ -173,19 +117,7 @@ def served_profile(node: Node, full_name: str, profile: QoSProfile) -> QoSProfil
 def quality_mismatches(
     node: Node, full_name: str, profile: QoSProfile, *, publishing: bool,
 ) -> list[str]:
-    """
-    Return with whom an end of a topic cannot connect, and by which policy.
-
-    Parameters
-    ----------
-    node
-        Whose end it is.
-    full_name, profile
-        Of the topic, and of this end.
-    publishing
-        Whether it is the publisher's.
-
-    """
+    """Return with whom an end of a topic, the publisher's or not, cannot connect, and why."""
     others = (node.get_subscriptions_info_by_topic if publishing
               else node.get_publishers_info_by_topic)(full_name)
     found = []
@@ -236,7 +168,6 @@ class Refusals:
 
     def __init__(self, logger: RcutilsLogger) -> None:
         self._logger = logger
-        self._guards: dict[Topic, _Guard] = {}
         self.counts: Counter[str] = Counter()
         self.told: Callable[[str, Exception], None] = lambda source, error: None
 
@@ -249,33 +180,18 @@ class Refusals:
         if self.counts[cause] == 1:
             self._logger.error(f'{source}: refused: {error} (further ones are only counted)')
 
-    def guard(self, topic: Topic) -> _Guard:
+    @contextmanager
+    def guard(self, topic: Topic) -> Iterator[None]:
         """Refuse what raises a named error inside."""
-        if topic not in self._guards:
-            self._guards[topic] = _Guard(self, topic.name)
-        return self._guards[topic]
+        try:
+            yield
+        except MulticontactError as error:
+            self.refuse(topic.name, error)
 
     @property
     def total(self) -> int:
         """How many there were."""
         return sum(self.counts.values())
-
-
-class _Guard:
-    """What `Refusals.guard` returns, one per topic: it is entered with every message."""
-
-    def __init__(self, refusals: Refusals, source: str) -> None:
-        self._refusals, self._source = refusals, source
-
-    def __enter__(self) -> None:
-        """Begin to watch."""
-
-    def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> bool:
-        """Refuse what was raised, if it is named."""
-        if not isinstance(error, MulticontactError):
-            return False
-        self._refusals.refuse(self._source, error)
-        return True
 
 
 class StartupGate:
@@ -377,7 +293,7 @@ class StartupGate:
         names, count = set(), 0
         namespace = self._node.get_namespace()
         for info in self._node.get_subscriptions_info_by_topic(publisher.topic_name):
-            if _can_connect(publisher.qos_profile, info.qos_profile):
+            if not _unlike_policies(publisher.qos_profile, info.qos_profile):
                 count += 1
                 if info.node_namespace == namespace:
                     names.add(info.node_name)
@@ -390,17 +306,9 @@ def _first_few(missing: list[str]) -> str:
     return f'{"; ".join(missing[:NAMED])}{more}'
 
 
-def _can_connect(offered: QoSProfile, requested: QoSProfile) -> bool:
-    """
-    Return whether a publisher gives a reader at least what it requests.
-
-    rclpy's own check takes the endless deadline of a discovered reader for one that is set.
-    """
-    return not _unlike_policies(offered, requested)
-
-
 def _unlike_policies(offered: QoSProfile, requested: QoSProfile) -> list[tuple[str, str, str]]:
     """Return policies of which less is offered than requested, and what is."""
+    # rclpy's own check takes the endless deadline of a discovered reader for one that is set.
     found = []
     if offered.reliability == ReliabilityPolicy.BEST_EFFORT and (
             requested.reliability == ReliabilityPolicy.RELIABLE):

@@ -20,7 +20,6 @@ from multicontact_control.errors import RunError
 from multicontact_control.nodes import qos
 from multicontact_control.nodes.graph_node import (
     create_publisher,
-    ignore,
     quality_mismatches,
     take,
 )
@@ -212,15 +211,7 @@ class LifecycleDriver(GuestNode):
         raise NoAnswerError(f'{node_name} did not answer when asked to {transition}')
 
     def state(self, node_name: str, timeout: float = ANSWER_TIMEOUT) -> str:
-        """
-        Return the state of a node.
-
-        Raises
-        ------
-        NoAnswerError
-            If it does not answer within `timeout` [s].
-
-        """
+        """Return the state of a node; NoAnswerError without an answer within `timeout` [s]."""
         # One that is killed and started again seems to listen meanwhile, and never answers.
         answer = self.call(node_name, GetState, 'get_state', GetState.Request(), timeout,
                            ask_period=ASK_PERIOD)
@@ -337,16 +328,16 @@ class ControllerLink(LifecycleDriver):
         self._subscriptions: dict[Topic, Subscription] = {
             topic: self._listen(topic) for topic in topics}
 
-    def _listen(self, topic: Topic, *, raw: bool = False) -> Subscription:
+    def _listen(self, topic: Topic) -> Subscription:
         # The executor may be faster than `newest`.
         def keep(message: Any) -> None:
             self._newest[topic] = message
         return self.node.create_subscription(
-            topic.message, topic.name, ignore if raw else keep,
-            qos.LATCHED if topic.profile == qos.LATCHED else qos.GLANCE, raw=raw)
+            topic.message, topic.name, keep,
+            qos.LATCHED if topic.profile == qos.LATCHED else qos.GLANCE)
 
     def _keep_all(self, topic: Topic) -> Subscription:
-        # The executor, which runs while a service is called, may be faster than `queue`.
+        # The executor may be faster than `queue`.
         def keep(message: Any) -> None:
             self._queued[topic].append(message)
         return self.node.create_subscription(topic.message, topic.name, keep, qos.QUEUE)
@@ -356,28 +347,12 @@ class ControllerLink(LifecycleDriver):
         return create_publisher(self.node, topic)
 
     def publish(self, publisher: Publisher, message: Any) -> None:
-        """
-        Publish a command once the controller listens.
-
-        Raises
-        ------
-        RunError
-            If it does not.
-
-        """
+        """Publish a command once the controller listens; RunError if it does not."""
         self.wait_for_controller(publisher)
         publisher.publish(message)
 
     def wait_for_controller(self, publisher: Publisher) -> None:
-        """
-        Wait until the controller, and not a recorder alone, gets what is published.
-
-        Raises
-        ------
-        RunError
-            If it does not listen.
-
-        """
+        """Wait until the controller gets what is published; RunError if it does not listen."""
         give_up = time.monotonic() + self._patience
         while not self._reaches_controller(publisher):
             if time.monotonic() > give_up:
@@ -400,30 +375,14 @@ class ControllerLink(LifecycleDriver):
         return found
 
     def fresh(self, *topics: Topic) -> list[Any]:
-        """
-        Return a message of each topic that comes from now on.
-
-        Raises
-        ------
-        RunError
-            If none comes.
-
-        """
+        """Return a message of each topic that comes from now on; RunError if none comes."""
         for topic in topics:
             self.newest(topic)
             self._newest.pop(topic, None)
         return [self._wait_for(topic) for topic in topics]
 
     def fresh_sample(self, *topics: Topic) -> list[Any]:
-        """
-        Return a message of each topic that comes from now on, all with the same stamp.
-
-        Raises
-        ------
-        RunError
-            If none come.
-
-        """
+        """Return messages like `fresh`, all with the same stamp."""
         found, give_up = self.fresh(*topics), time.monotonic() + self._patience
         while any(message.header.stamp != found[0].header.stamp for message in found):
             if time.monotonic() > give_up:
@@ -468,15 +427,7 @@ class ControllerLink(LifecycleDriver):
         return message
 
     def require(self, node_name: str, service: Any, name: str, request: Any) -> Any:
-        """
-        Call a service that must answer.
-
-        Raises
-        ------
-        RunError
-            If it does not.
-
-        """
+        """Return the answer of a service of a node; RunError without one."""
         answer = self.call(node_name, service, name, request, self._patience)
         if answer is None:
             full = self.node.resolve_service_name(f'{node_name}/{name}')

@@ -138,11 +138,6 @@ class Freshness:
         self._last[name] = now
         return now
 
-    @staticmethod
-    def elapsed(since: int) -> int:
-        """Return the time since a monotonic time [ns]."""
-        return time.monotonic_ns() - since
-
     def ages(self) -> Mapping[str, float | None]:
         """Return the age of the newest of every input [s], None where there never was one."""
         now = time.monotonic_ns()

@@ -91,20 +91,17 @@ class ManagedNode(LifecycleNode):
         """Answer what has come meanwhile."""
 
     @abstractmethod
-    def deactivate(self) -> None:
-        """Stop the node's work."""
-
-    @abstractmethod
     def clean_up(self) -> None:
         """Free everything that `configure` made but the streams, or as much as there is of it."""
 
-    @abstractmethod
-    def check(self, configurations: Sequence[Any]) -> None:
-        """Raise `MulticontactError` if new configurations cannot be gone on with."""
+    def deactivate(self) -> None:
+        """Stop the node's work; by itself it gives no more answers."""
 
-    @abstractmethod
+    def check(self, configurations: Sequence[Any]) -> None:
+        """Raise `MulticontactError` if new configurations cannot be used."""
+
     def reconfigure(self, configurations: Sequence[Any]) -> None:
-        """Go on with them."""
+        """Go on with new configurations."""
 
     @abstractmethod
     def statuses(self) -> Sequence[Status]:
@@ -143,7 +140,6 @@ class ManagedNode(LifecycleNode):
                 ports.look()
         self.take_leave(spinner)
         spinner.drain()
-        self.streams.flush()
 
     def spin_once(self, spinner: Spinner) -> None:
         """Run what comes next, and what is due."""
@@ -175,7 +171,6 @@ class ManagedNode(LifecycleNode):
             self._poll_gate()
         else:
             self.look(spinner)
-        self.streams.poll()
         self.diagnostics.poll()
 
     @property

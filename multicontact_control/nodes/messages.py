@@ -84,21 +84,6 @@ def finite_array(values: ArrayLike, length: int, field: str) -> Vector:
     return numbers
 
 
-def _ordered(
-    message: JointState, names: Sequence[str], field: str, values: Any,
-) -> Vector:
-    """Return `values` of a message in the order of `names`."""
-    found = message.name
-    if len(found) != len(names):
-        raise MessageError('name', f'{list(names)}', list(found))
-    numbers = finite_array(values, len(names), field)
-    if all(a == b for a, b in zip(found, names)):
-        return numbers
-    if sorted(found) != sorted(names):
-        raise MessageError('name', f'{list(names)}', list(found))
-    return numbers[[found.index(name) for name in names]]
-
-
 def places_among(found: Sequence[str], names: Sequence[str]) -> list[int]:
     """
     Return where names are among others.
@@ -116,8 +101,9 @@ def places_among(found: Sequence[str], names: Sequence[str]) -> list[int]:
     return [others.index(name) for name in names]
 
 
-def _picked(message: JointState, places: Sequence[int], field: str, values: Any) -> Vector:
+def _picked(message: JointState, places: Sequence[int], field: str) -> Vector:
     """Return the numbers at some places of a field that has one per name."""
+    values = getattr(message, field)
     if len(values) != len(message.name):
         raise MessageError(field, counted(len(message.name), 'values'), f'{len(values)}')
     return finite_array([values[place] for place in places], len(places), field)
@@ -138,25 +124,26 @@ def read_joint_state(message: JointState, names: Sequence[str]) -> JointReading:
     places = places_among(message.name, names)
     effort = None
     with contextlib.suppress(MessageError):
-        effort = _picked(message, places, 'effort', message.effort)
+        effort = _picked(message, places, 'effort')
     return JointReading(
         stamp_to_ns(message.header.stamp),
-        _picked(message, places, 'position', message.position),
-        _picked(message, places, 'velocity', message.velocity), effort)
+        _picked(message, places, 'position'), _picked(message, places, 'velocity'), effort)
 
 
 def read_effort(message: JointState, names: Sequence[str]) -> NamedReading:
     """Read one effort per name: joint torques [N m], contact forces [N] or variances [N^2]."""
+    places = places_among(message.name, names)
     return NamedReading(
-        stamp_to_ns(message.header.stamp), _ordered(message, names, 'effort', message.effort))
+        stamp_to_ns(message.header.stamp), _picked(message, places, 'effort'))
 
 
 def read_innovation(message: JointState, names: Sequence[str]) -> InnovationReading:
     """Read innovations: effort r [N], velocity C P_1 C^T and position R used [N^2] per contact."""
+    places = places_among(message.name, names)
     return InnovationReading(stamp_to_ns(message.header.stamp), Innovation(
-        innovation=_ordered(message, names, 'effort', message.effort),
-        prior_variance=_ordered(message, names, 'velocity', message.velocity),
-        variance_used=_ordered(message, names, 'position', message.position)))
+        innovation=_picked(message, places, 'effort'),
+        prior_variance=_picked(message, places, 'velocity'),
+        variance_used=_picked(message, places, 'position')))
 
 
 def read_force_command(

@@ -59,8 +59,7 @@ class NoiseEstimatorNode(ManagedNode):
         self._innovation = innovation_reader(self._names)
         self.streams.advertise(
             {topics.NOISE_VARIANCE: messages.joint_state_message(
-                0, self._names, effort=np.zeros(len(self._names)))},
-            batched=self._node_config.recording_batches)
+                0, self._names, effort=np.zeros(len(self._names)))})
         self.streams.subscribe(topics.MEASURED_FORCES, self._on_measured, qos.INPUT)
         if estimator.uses_innovation:
             self.streams.subscribe(topics.INNOVATION, self._on_innovation, qos.INPUT)
@@ -85,18 +84,9 @@ class NoiseEstimatorNode(ManagedNode):
         """Answer what waits."""
         self._answer()
 
-    def deactivate(self) -> None:
-        """Do nothing more than not to answer."""
-
     def clean_up(self) -> None:
         """Free the estimator."""
         self._estimator = None
-
-    def check(self, configurations: Sequence[Any]) -> None:
-        """Take every valid configuration."""
-
-    def reconfigure(self, configurations: Sequence[Any]) -> None:
-        """Go on as before: no parameter is live."""
 
     def close(self) -> None:
         """Write the counts of this run, if asked to."""
@@ -114,7 +104,7 @@ class NoiseEstimatorNode(ManagedNode):
             if self.working:
                 self._answer()
                 if not self._waiting:
-                    self._watch.add_latency(self._fresh.elapsed(received))
+                    self._watch.add_latency(time.monotonic_ns() - received)
 
     def _on_innovation(self, data: bytes) -> None:
         if self.state != ACTIVE:
@@ -125,7 +115,7 @@ class NoiseEstimatorNode(ManagedNode):
             self._fresh.note(topics.INNOVATION.name)
             if self.working:
                 self._answer()
-                self._watch.add_latency(self._fresh.elapsed(received))
+                self._watch.add_latency(time.monotonic_ns() - received)
 
     def _answer(self) -> None:
         """Answer everything that waits and has all it needs, in order."""

@@ -47,21 +47,7 @@ _ARRAY_TYPES = {
 
 @dataclass(frozen=True)
 class ParameterSpec:
-    """
-    One ROS parameter.
-
-    Attributes
-    ----------
-    name
-        Dotted name.
-    type
-        ROS type.
-    default
-        Default value, None if there is none.
-    descriptor
-        What ROS tools show: description with unit, range, read-only flag.
-
-    """
+    """A ROS parameter: dotted name, type, default (None without), and what ROS tools show."""
 
     name: str
     type: Parameter.Type  # noqa: A003
@@ -109,12 +95,7 @@ def _mapping_specs(
 
 
 def _mapping_names(name: str, overrides: Mapping[str, Any]) -> list[str]:
-    """
-    Return the names that a mapping has values for, those in the list of names first.
-
-    A listed name without values is left to the model, which knows what to say about it; only
-    if there are no values at all, every listed name gets its defaults.
-    """
+    """Return the names that a mapping has values for, or else those in the list of names."""
     listed = [x for x in overrides.get(NAMES_OF_MAPPINGS) or () if isinstance(x, str)]
     start = f'{name}.'
     found = {key[len(start):].split('.')[0]: None for key in overrides if key.startswith(start)}
@@ -205,30 +186,16 @@ def nested(values: Mapping[str, Any]) -> dict[str, Any]:
     return result
 
 
-def parameter_overrides(node: Node) -> dict[str, Any]:
-    """
-    Return what the command line and its parameter files set, by dotted name.
-
-    The public ways to ask refuse an integer where a number is declared, turn an empty list into
-    an error, and don't tell of unknown names; hence the look inside. An empty list arrives as
-    None.
-    """
+def _parameter_overrides(node: Node) -> dict[str, Any]:
+    """Return what the command line and its parameter files set; None for an empty list."""
+    # The public ways refuse an integer for a number and an empty list, and hide unknown names.
     overrides: dict[str, Parameter] = getattr(node, '_parameter_overrides')  # noqa: B009
     return {
         name: parameter.value for name, parameter in overrides.items()
         if name.split('.')[0] not in SET_BY_ROS}
 
 
-def refuse_unknown_keys(values: Mapping[str, Any], models: Sequence[type[Config]]) -> None:
-    """
-    Check that every top-level key belongs to a model.
-
-    Raises
-    ------
-    ConfigError
-        Naming those that do not.
-
-    """
+def _refuse_unknown_keys(values: Mapping[str, Any], models: Sequence[type[Config]]) -> None:
     known = {key for model in models for key in model.model_fields}
     errors = [
         ConfigError(key, f'a known parameter ({", ".join(sorted(known))})', f"unknown '{key}'")
@@ -237,12 +204,8 @@ def refuse_unknown_keys(values: Mapping[str, Any], models: Sequence[type[Config]
         raise ConfigError.of(errors)
 
 
-def parameter_value(spec: ParameterSpec, overrides: Mapping[str, Any]) -> Any:
-    """
-    Return the given or default value of a parameter, None if there is neither.
-
-    Numbers are of the declared kind where nothing is lost by it.
-    """
+def _parameter_value(spec: ParameterSpec, overrides: Mapping[str, Any]) -> Any:
+    """Return the given or default value of a parameter, None if there is neither."""
     value = overrides.get(spec.name, spec.default)
     if value is None:
         # ROS has no type for an empty list in a parameter file.
@@ -278,7 +241,7 @@ class ParameterSet:
         self, node: Node, *models: type[Config], constraint: str = LOCKED,
     ) -> None:
         self._node, self._models, self._constraint = node, models, constraint
-        self._given = parameter_overrides(node)
+        self._given = _parameter_overrides(node)
         self._specs = {
             spec.name: spec for model in models for spec in parameter_specs(model, self._given)}
         self._live = {x.name for x in self._specs.values() if not x.descriptor.read_only}
@@ -339,7 +302,7 @@ class ParameterSet:
         values = {**self._undeclared, **self._values(self._specs), **(changes or {})}
         by_key = nested(values)
         _, *configurations = check_all(
-            partial(refuse_unknown_keys, by_key, self._models),
+            partial(_refuse_unknown_keys, by_key, self._models),
             *(partial(validate, model, {
                 key: value for key, value in by_key.items() if key in model.model_fields})
               for model in self._models))
@@ -380,7 +343,7 @@ class ParameterSet:
             descriptor.additional_constraints = '; '.join(
                 filter(None, (descriptor.additional_constraints, self._constraint)))
         self._node.declare_parameter(spec.name, spec.type, descriptor, ignore_override=True)
-        value = parameter_value(spec, self._given)
+        value = _parameter_value(spec, self._given)
         if value is None:
             return True
         try:

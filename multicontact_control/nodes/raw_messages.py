@@ -2,15 +2,14 @@
 Messages of the control rate as bytes: read in place, written into prepared ones.
 
 All messages of a stream have the same bytes but for their stamp and their numbers, as long as
-names and lengths stay. `find_places` says where these are. A `MessageReader` takes them from
-there, and goes by way of the message class, checked in full, when anything else differs; a
-`MessageTemplate` puts them there. Bytes are CDR (XCDR version 1) with its encapsulation header.
+names and lengths stay. A `MessageReader` takes these from where they stand, and goes by way of the
+message class, checked in full, when anything else differs; a `MessageTemplate` puts them there.
+Bytes are CDR (XCDR version 1) with its encapsulation header, and the messages begin with a time.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 import math
 import struct
 from typing import Any, Generic, TypeVar
@@ -21,7 +20,6 @@ from multicontact_control.errors import MessageError
 from multicontact_control.force.noise import Innovation
 from multicontact_control.nodes import messages
 from multicontact_control.nodes.loop_statistics import NANOSECONDS
-from multicontact_control.nodes.message_definitions import message_class
 from multicontact_control.nodes.messages import all_finite, InnovationReading, NamedReading
 from multicontact_control.sampling import JointReading, WrenchReading
 import numpy as np
@@ -30,130 +28,13 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 
 HEADER = 4  # bytes of the encapsulation: representation, options
-LITTLE_ENDIAN, BIG_ENDIAN = b'\0\1', b'\0\0'
 STAMP = struct.Struct('<iI')
-SIZES = {'boolean': 1, 'octet': 1, 'char': 1, 'uint8': 1, 'int8': 1, 'uint16': 2, 'int16': 2,
-         'uint32': 4, 'int32': 4, 'float': 4, 'uint64': 8, 'int64': 8, 'double': 8}
 JOINT_FIELDS = ('position', 'velocity', 'effort')
-STAMP_TYPE = 'builtin_interfaces/Time'
 
 Reading = TypeVar('Reading')
 Index = NDArray[np.int64]
 Arrangement = tuple[Sequence[int], Index | None]
-
-
-@dataclass
-class Places:
-    """
-    Where everything stands in the bytes of a message; what is nowhere is padding.
-
-    Attributes
-    ----------
-    end
-        Number of bytes.
-    stamp
-        Where the first time stands, -1 without one.
-    numbers
-        Where doubles stand: first byte and count of each run of them.
-    constants
-        First and last byte, exclusive, of everything else.
-    fields
-        First byte of the values of each field, by its path, e.g. `markers/0/color/r`.
-
-    """
-
-    end: int = HEADER
-    stamp: int = -1
-    numbers: list[tuple[int, int]] = field(default_factory=list)
-    constants: list[tuple[int, int]] = field(default_factory=list)
-    fields: dict[str, int] = field(default_factory=dict)
-
-    def add_numbers(self, start: int, count: int) -> None:
-        """Note some doubles, one run with those right before."""
-        if self.numbers and self.numbers[-1][0] + 8 * self.numbers[-1][1] == start:
-            start, before = self.numbers.pop()
-            count += before
-        self.numbers.append((start, count))
-
-
-class _Walk:
-    """One way through the bytes of a message, along the fields of its class."""
-
-    def __init__(self, data: bytes) -> None:
-        if data[:2] not in (LITTLE_ENDIAN, BIG_ENDIAN):
-            raise MessageError('encapsulation', 'CDR, 0 0 or 0 1', list(data[:2]))
-        self._data = data
-        self._order = '<I' if data[:2] == LITTLE_ENDIAN else '>I'
-        self.places = Places()
-
-    def message(self, class_: Any, path: str = '') -> None:
-        """Go along a message, which stands in another one at some path."""
-        for name, kind in class_.get_fields_and_field_types().items():
-            if kind.startswith('sequence<'):
-                self._values(kind[len('sequence<'):-1], self._length(), path + name, '/{}')
-            else:
-                self._values(kind, 1, path + name)
-
-    def _values(self, kind: str, count: int, path: str, place: str = '') -> None:
-        places = self.places
-        if kind == 'double':
-            if count:
-                places.fields[path] = self._pass(8, count)
-                places.add_numbers(places.fields[path], count)
-        elif kind == 'string':
-            for _ in range(count):
-                length = self._length()
-                self._constant(self._pass(1, length), length)
-        elif kind in SIZES:
-            places.fields[path] = self._pass(SIZES[kind], count)
-            self._constant(places.fields[path], SIZES[kind] * count)
-        elif kind == STAMP_TYPE and places.stamp < 0:
-            places.stamp = places.fields[f'{path}/sec'] = self._pass(4, 2)
-        elif '[' in kind:
-            raise TypeError(f'messages with fields of type {kind} are not read in place')
-        else:
-            part = message_class(kind.replace('/', '/msg/'))
-            for k in range(count):
-                self.message(part, f'{path}{place.format(k)}/')
-
-    def _constant(self, start: int, size: int) -> None:
-        self.places.constants.append((start, start + size))
-
-    def _length(self) -> int:
-        start = self._pass(4, 1)
-        self._constant(start, 4)
-        return int(struct.unpack_from(self._order, self._data, start)[0])
-
-    def _pass(self, size: int, count: int) -> int:
-        """Go past some values; return where they begin, aligned to the size of one."""
-        start = self.places.end + -(self.places.end - HEADER) % size
-        end = start + size * count
-        if end > len(self._data):
-            raise MessageError('data', f'at least {end} bytes', len(self._data))
-        self.places.end = end
-        return start
-
-
-def find_places(class_: Any, data: bytes) -> Places:
-    """
-    Find where stamp, numbers and the rest stand in a message.
-
-    Parameters
-    ----------
-    class_
-        Its class: of numbers, strings, sequences of them and messages of these.
-    data
-        CDR with its encapsulation header, of either byte order.
-
-    Raises
-    ------
-    MessageError
-        If the bytes are not CDR, or end too early for the lengths that stand in them.
-
-    """
-    walk = _Walk(data)
-    walk.message(class_)
-    return walk.places
+Places = list[tuple[int, int]]
 
 
 class MessageTemplate:
@@ -162,37 +43,31 @@ class MessageTemplate:
 
     Parameters
     ----------
-    class_
-        Its class, which begins with a time.
-    data
-        One such message, little endian.
-
-    Attributes
-    ----------
-    lengths
-        Lengths of the runs of numbers.
+    message
+        One such message: a time, then strings and doubles, and lists of both.
 
     """
 
-    def __init__(self, class_: Any, data: bytes) -> None:
-        places = find_places(class_, data)
-        self._size, self._stamp = places.end, places.stamp
-        self.lengths = tuple(count for _, count in places.numbers)
+    def __init__(self, message: Any) -> None:
+        constants: Places = [(0, 2)]
+        numbers: Places = []
+        self._size = _lay_out(message, HEADER, constants, numbers)
         # From the first number on all are at multiples of 8 bytes from each other, so that one
         # array covers them; what is between two runs is a length and means nothing as a number.
-        first = places.numbers[0][0] if places.numbers else places.end
-        self._first = first
-        self._runs = [slice((start - first) // 8, (start - first) // 8 + count)
-                      for start, count in places.numbers]
+        self._first = numbers[0][0] if numbers else self._size
+        self._runs = [slice((start - self._first) // 8, (start - self._first) // 8 + count)
+                      for start, count in numbers]
         self._covered = self._runs[-1].stop if self._runs else 0
-        self._constants = _constants(places)
-        self._expected = self._constants.unpack_from(data)
+        data, text, at = serialize_message(message), '<', 0
         self._bytes = bytearray(self._size)  # padding is 0
-        for start, end in ((0, 2), *places.constants):
+        for start, end in constants:
             self._bytes[start:end] = data[start:end]
-        self._all = np.frombuffer(
-            self._bytes, dtype='<f8', count=self._covered, offset=first) if (
-                self._covered) else np.zeros(0)
+            text += f'{start - at}x{end - start}s'
+            at = end
+        self._constants = struct.Struct(text)
+        self._expected = self._constants.unpack_from(self._bytes)
+        self._all = np.frombuffer(self._bytes, '<f8', self._covered, self._first) if (
+            self._covered) else np.zeros(0)
         self._views = [self._all[run] for run in self._runs]
 
     def read(self, data: bytes) -> tuple[int, list[Vector]] | None:
@@ -204,7 +79,7 @@ class MessageTemplate:
         """
         if len(data) < self._size or self._constants.unpack_from(data) != self._expected:
             return None
-        sec, nanosec = STAMP.unpack_from(data, self._stamp)
+        sec, nanosec = STAMP.unpack_from(data, HEADER)
         if nanosec >= NANOSECONDS:
             return None
         # A copy: bytes need not begin at a multiple of 8 in memory, which numba asks for.
@@ -231,17 +106,44 @@ class MessageTemplate:
             view[:] = values
         if not all_finite(self._all):
             raise MessageError('numbers', 'finite ones', [run.tolist() for run in runs])
-        STAMP.pack_into(self._bytes, self._stamp, sec, nanosec)
+        STAMP.pack_into(self._bytes, HEADER, sec, nanosec)
         return bytes(self._bytes)
 
 
-def _constants(places: Places) -> struct.Struct:
-    """Return what reads representation and constants of a message, and passes over the rest."""
-    text, at = '<2s', 2
-    for start, end in places.constants:
-        text += f'{start - at}x{end - start}s'
-        at = end
-    return struct.Struct(text)
+def _lay_out(message: Any, at: int, constants: Places, numbers: Places) -> int:
+    """
+    Find where a message stands in its bytes, from place `at` on; return where it ends.
+
+    Adds first and last byte, exclusive, of strings and lengths, and first byte and count of runs
+    of doubles; alignment counts from the end of the encapsulation.
+    """
+    for name, kind in message.get_fields_and_field_types().items():
+        values = getattr(message, name)
+        if kind.startswith('sequence<'):
+            kind = kind[len('sequence<'):-1]
+            start = at + -at % 4
+            at = start + 4
+            constants.append((start, at))
+        else:
+            values = [values]
+        if kind == 'double' and len(values):
+            start = at + (HEADER - at) % 8
+            at = start + 8 * len(values)
+            if numbers and numbers[-1][0] + 8 * numbers[-1][1] == start:
+                start, count = numbers.pop()
+                numbers.append((start, count + len(values)))
+            else:
+                numbers.append((start, len(values)))
+        for value in values if kind != 'double' else ():
+            if kind == 'string':
+                start = at + -at % 4
+                at = start + 4 + len(value.encode()) + 1
+                constants.append((start, at))
+            elif kind == 'builtin_interfaces/Time':
+                at += STAMP.size
+            else:
+                at = _lay_out(value, at, constants, numbers)
+    return at
 
 
 class MessageReader(Generic[Reading]):
@@ -303,15 +205,14 @@ class MessageReader(Generic[Reading]):
 
     def _read_by_class(self, data: bytes) -> Reading:
         self.slow += 1
-        find_places(self._class, data)  # lengths are believed only if there are so many bytes
         try:
             message = deserialize_message(data, self._class)
         except Exception as error:  # of whatever kind the middleware raises
             raise MessageError('data', f'a {self._class.__name__}', error) from None
         reading = self._by_class(message)
         arrangement = self._arrange(message)
-        if arrangement is not None and data[:2] == LITTLE_ENDIAN:
-            self._template = MessageTemplate(self._class, data)
+        if arrangement is not None:
+            self._template = MessageTemplate(message)
             self._runs, self._places = arrangement
         return reading
 
@@ -322,16 +223,8 @@ def joint_state_reader(names: Sequence[str]) -> MessageReader[JointReading]:
         return JointReading(stamp, q, qd, effort)
 
     def arrange(message: Any) -> Arrangement | None:
-        if not names:
-            return None
-        places = messages.places_among(message.name, names)
-        efforts = message.effort
-        with_effort = len(efforts) == len(message.name)
-        if with_effort and not all(math.isfinite(efforts[place]) for place in places):
-            return None  # they are not measured in this message, but may be in the next
-        as_they_are = places == list(range(len(message.name)))
-        return (_runs(message, JOINT_FIELDS if with_effort else JOINT_FIELDS[:2]),
-                None if as_they_are else np.array(places))
+        with_effort = len(message.effort) == len(message.name)
+        return _arrangement(message, names, JOINT_FIELDS if with_effort else JOINT_FIELDS[:2])
 
     return MessageReader(
         JointState, lambda message: messages.read_joint_state(message, names), arrange, make)
@@ -341,7 +234,7 @@ def effort_reader(names: Sequence[str]) -> MessageReader[NamedReading]:
     """Return a reader of one effort per name; see `messages.read_effort`."""
     return MessageReader(
         JointState, lambda message: messages.read_effort(message, names),
-        lambda message: _named_runs(message, names, ('effort',)), NamedReading)
+        lambda message: _arrangement(message, names, ('effort',)), NamedReading)
 
 
 def innovation_reader(names: Sequence[str]) -> MessageReader[InnovationReading]:
@@ -351,7 +244,7 @@ def innovation_reader(names: Sequence[str]) -> MessageReader[InnovationReading]:
 
     return MessageReader(
         JointState, lambda message: messages.read_innovation(message, names),
-        lambda message: _named_runs(message, names, JOINT_FIELDS), make)
+        lambda message: _arrangement(message, names, JOINT_FIELDS), make)
 
 
 def wrench_reader(
@@ -378,21 +271,16 @@ def wrench_reader(
         WrenchStamped, by_class, lambda message: ((0,), None), WrenchReading)
 
 
-def _named_runs(
-    message: Any, names: Sequence[str], fields: Sequence[str],
-) -> Arrangement | None:
-    """Return which runs of numbers fields of a JointState are, None in another order."""
-    if not names or list(message.name) != list(names):
+def _arrangement(message: Any, names: Sequence[str], fields: Sequence[str]) -> Arrangement | None:
+    """
+    Return where fields of a JointState are among its runs of numbers, and names among its names.
+
+    None if a number that is wanted is not one in this message: it may be in the next.
+    """
+    places = messages.places_among(message.name, names)
+    values = [getattr(message, field)[place] for field in fields for place in places]
+    if not all(map(math.isfinite, values)) or not names:
         return None
-    return _runs(message, fields), None
-
-
-def _runs(message: Any, fields: Sequence[str]) -> Sequence[int]:
-    """Return which runs of numbers of a JointState its fields are."""
     filled = [field for field in JOINT_FIELDS if len(getattr(message, field))]
-    return [filled.index(field) for field in fields]
-
-
-def template_of(message: Any) -> MessageTemplate:
-    """Return the template of the messages that are like this one but for stamp and numbers."""
-    return MessageTemplate(type(message), serialize_message(message))
+    as_they_are = places == list(range(len(message.name)))
+    return [filled.index(field) for field in fields], None if as_they_are else np.array(places)

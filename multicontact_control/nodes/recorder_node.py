@@ -1,45 +1,61 @@
 """
 The recorder as a ROS 2 node: every message of the graph into a bag, as it came, and /tf.
 
-See `raw_recording` for how it keeps out of the way of the nodes that control.
+The subscriptions are raw, and emptied fifty times a second without an executor: the middleware
+keeps what arrives meanwhile, with its time and its number in the publisher's stream. A recorder
+that is killed leaves a bag that `report` and `view` read up to half a second before the end.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from operator import itemgetter
 from pathlib import Path
 import sys
 import time
 
-from multicontact_control.config import parameter, Real
+from multicontact_control.config import parameter
+from multicontact_control.dynamics.link_transforms import LinkTransform, LinkTransforms
 from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.nodes import qos
-from multicontact_control.nodes.bag_writer import BagWriter, CHUNK_SIZE
+from multicontact_control.nodes.bag import Bag
 from multicontact_control.nodes.diagnostics import Diagnostics, input_status, Status
 from multicontact_control.nodes.graph_node import (
+    all_are_heard,
     full_topic_name,
+    ignore,
+    served_profile,
     StartupConfig,
     StartupGate,
+    take,
 )
-from multicontact_control.nodes.message_definitions import message_class
+from multicontact_control.nodes.loop_statistics import Freshness, NANOSECONDS
 from multicontact_control.nodes.parameters import load_parameters
-from multicontact_control.nodes.raw_recording import RawRecording
+from multicontact_control.nodes.raw_messages import HEADER, STAMP
 from multicontact_control.nodes.runtime import run_node, Spinner, yield_to_others
-from multicontact_control.nodes.tf_recording import TfRecording
 from multicontact_control.nodes.topics import (
-    batched_by,
-    batches_of,
     JOINT_STATES,
+    message_class,
     RECORDER,
     ROBOT_DESCRIPTION,
     Topic,
     TOPICS,
     USER,
+    WORLD_FRAME,
 )
+from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.serialization import deserialize_message
+from rclpy.subscription import Subscription
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
 
 STALE_AGE = 1.0  # s
-NICENESS = 10  # whoever controls goes first; two seconds of messages can wait
+NICENESS = 10  # the nodes that control go first; ten seconds of messages can wait
+POLL_PERIOD, FLUSH_PERIOD = 0.02, 0.5  # s
+QUIET_TIME, DRAIN_TIMEOUT = 0.2, 3.0  # s without a message that end a recording, at most this long
+TF_TOPIC, TF_TYPE, TF_PERIOD = '/tf', 'tf2_msgs/msg/TFMessage', NANOSECONDS // 25
 
 
 class RecorderConfig(StartupConfig):
@@ -50,138 +66,211 @@ class RecorderConfig(StartupConfig):
     extra_topics: tuple[str, ...] = parameter(
         (), 'Topics of others to record as well, each as `NAME TYPE`, e.g. '
         '`/effort_controller/commands std_msgs/msg/Float64MultiArray`.')
-    chunk_size: int = parameter(
-        CHUNK_SIZE, 'Bytes of messages that are compressed together.', unit='B', ge=1024)
-    poll_period: Real = parameter(
-        0.02, 'Time between two looks for messages.', unit='s', gt=0.0, le=1.0)
-    quiet_time: Real = parameter(
-        0.2, 'Time without a message after which a recorder that is to stop does.', unit='s',
-        ge=0.0)
-    tf_rate: Real = parameter(
-        50.0, 'Link poses per second for /tf, worked out from joint states and robot '
-        'description; 0 for none.', unit='Hz', ge=0.0)
-    drain_timeout: Real = parameter(
-        3.0, 'Longest wait for such a time.', unit='s', ge=0.0)
+
+
+@dataclass
+class Stream:
+    """
+    One topic being recorded.
+
+    Attributes
+    ----------
+    topic
+        Its entry in the table.
+    subscription
+        Where its bytes come from.
+    lost, before_start
+        Messages that were sent since the first one and have not come, and those sent before it.
+
+    """
+
+    topic: Topic
+    subscription: Subscription
+    last_number: int = 0
+    lost: int = 0
+    before_start: int = 0
+
+    def count(self, number: int) -> None:
+        """
+        Take note of a message's number in its stream; what is skipped was lost.
+
+        Each publisher counts by itself: with several at once losses are not known.
+        """
+        if self.last_number == 0:
+            self.before_start = number - 1
+        elif number > self.last_number + 1 and self.subscription.get_publisher_count() < 2:
+            self.lost += number - self.last_number - 1
+        self.last_number = number
 
 
 class RecorderNode(Node):
     """Writes raw messages to a bag until asked to stop, then what still comes, then closes it."""
 
     def __init__(self) -> None:
-        # Without an executor nobody would answer the parameter services.
+        # Parameter services need an executor, which this node has not.
         super().__init__(RECORDER, start_parameter_services=False)
-        self._cpu_at_start = time.process_time()
-        config: RecorderConfig
-        config, = load_parameters(self, RecorderConfig)
-        self._config = config
+        self._config: RecorderConfig
+        self._config, = load_parameters(self, RecorderConfig)
         chosen = self._chosen_topics()
-        self._writer = BagWriter(Path(config.folder), chunk_size=config.chunk_size)
-        try:
-            self._subscribe(config, chosen)
-        except Exception:
-            self._writer.discard()
-            raise
-
-    def _subscribe(self, config: RecorderConfig, chosen: list[Topic]) -> None:
-        self._recording = RawRecording(self, self._writer)
-        batching = [name for name in config.startup_peers if name != RECORDER] if (
-            config.recording_batches) else []
-        batched: set[Topic] = set().union(*map(batched_by, batching))
-        streams = {topic: self._recording.add(
-            topic.name, topic.message, topic.type_name, offered=topic.profile,
-            requested=None if topic in batched else _recording_profile(topic),
-            judged=topic.rate == 'control')
-            for topic in chosen}
-        if config.tf_rate > 0.0 and {JOINT_STATES, ROBOT_DESCRIPTION} <= set(chosen):
-            tf = TfRecording(self._writer, config.tf_rate, self.get_logger())
-            streams[JOINT_STATES].on_message = tf.on_joint_states
-            streams[ROBOT_DESCRIPTION].on_message = tf.on_description
-        self._reported = (time.monotonic(), 0)
+        self._bag = Bag(Path(self._config.folder))
+        self._streams: dict[str, Stream] = {}
+        for topic in chosen:
+            name = self.resolve_topic_name(topic.name)
+            self._bag.add_topic(name, topic.type_name, topic.profile)
+            latched = topic.profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+            self._streams[name] = Stream(topic, self._subscribe(
+                topic, qos.RECORDING_LATCHED if latched else qos.RECORDING))
+        self._transforms = _TransformWriter(self._bag, self.get_logger()) if (
+            {JOINT_STATES, ROBOT_DESCRIPTION} <= set(chosen)) else None
+        self._messages = self._reported_messages = 0
+        self._cpu_at_start, self._reported_at = time.process_time(), time.monotonic()
+        self._next_flush = 0.0
+        self._fresh = Freshness()
         self._diagnostics = Diagnostics(self, self._statuses)
-        ends = {topic: x.subscription for topic, x in streams.items()
-                if x.subscription is not None}
-        for topic in map(batches_of, batching):
-            ends[topic] = self._recording.add_batches(topic, qos.RECORDING)
-        self._gate = StartupGate(self, {}, ends, config)
+        self._gate = StartupGate(
+            self, {}, {x.topic: x.subscription for x in self._streams.values()}, self._config)
 
     def _chosen_topics(self) -> list[Topic]:
+        """Return the topics to record; ConfigError if one is not known, or is there twice."""
         names = [topic.name for topic in TOPICS]
         for name in self._config.topics:
             if name not in names:
                 raise ConfigError('topics', f'names among {", ".join(names)}', f"'{name}'")
         chosen = [x for x in TOPICS if not self._config.topics or x.name in self._config.topics]
-        return chosen + [
-            self._extra_topic(text) for text in self._config.extra_topics]
+        taken = {self.resolve_topic_name(name) for name in names}
+        for text in self._config.extra_topics:
+            name, _, type_name = text.strip().partition(' ')
+            full_topic_name('extra_topics', name, self)
+            full = self.resolve_topic_name(name)
+            if not type_name or full in taken:
+                raise ConfigError('extra_topics', 'NAME TYPE of other topics, each once',
+                                  f"'{text}'")
+            taken.add(full)
+            try:
+                message = message_class(type_name.strip())
+            except RunError as error:
+                raise ConfigError('extra_topics', 'types that are installed', error) from None
+            chosen.append(Topic(name, message, USER, (RECORDER,), qos.STREAM, 'event'))
+        return chosen
 
-    def _extra_topic(self, text: str) -> Topic:
-        """
-        Return a topic of others; nobody waits for it.
-
-        Raises
-        ------
-        ConfigError
-            If it is not a name of its own and an installed type.
-
-        """
-        name, _, type_name = text.strip().partition(' ')
-        full_topic_name('extra_topics', name, self)
-        if not type_name or self.resolve_topic_name(name) in [
-                self.resolve_topic_name(topic.name) for topic in TOPICS]:
-            raise ConfigError('extra_topics', 'NAME TYPE of topics beside those of the graph',
-                              f"'{text}'")
-        try:
-            message = message_class(type_name.strip())
-        except RunError as error:
-            raise ConfigError('extra_topics', 'types that are installed', str(error)) from None
-        return Topic(name, message, USER, (RECORDER,), qos.STREAM, 'event')
+    def _subscribe(self, topic: Topic, profile: QoSProfile) -> Subscription:
+        return self.create_subscription(topic.message, topic.name, ignore, profile, raw=True)
 
     def run(self, spinner: Spinner) -> None:
         """Record until asked to stop and nothing comes any more."""
-        config = self._config
         yield_to_others(NICENESS)
         self._cpu_at_start = time.process_time()
         while not spinner.stop:
             self._gate.poll()
-            self._recording.drain()
+            self._drain()
             self._diagnostics.poll()
-            time.sleep(config.poll_period)
-        self._recording.drain_until_quiet(
-            config.quiet_time, config.drain_timeout, config.poll_period)
+            time.sleep(POLL_PERIOD)
+        quiet_since = time.monotonic()
+        give_up = quiet_since + DRAIN_TIMEOUT
+        while (now := time.monotonic()) < min(give_up, quiet_since + QUIET_TIME):
+            if self._drain():
+                quiet_since = now
+            time.sleep(POLL_PERIOD)
+
+    def _drain(self) -> bool:
+        """Write what has arrived, in the order of publication; return whether anything has."""
+        arrived = []
+        for name, stream in self._streams.items():
+            while (taken := take(stream.subscription)) is not None:
+                data, info = taken
+                sent = info['source_timestamp'] or info['received_timestamp'] or time.time_ns()
+                arrived.append((sent, name, data))
+                if stream.topic.rate == 'control':
+                    stream.count(info['publication_sequence_number'])
+                    self._fresh.note(name)
+        arrived.sort(key=itemgetter(0))
+        for sent, name, data in arrived:
+            self._bag.write(name, data, sent)
+            if self._transforms is not None:
+                self._transforms.take(self._streams[name].topic, data, sent)
+        self._messages += len(arrived)
+        if time.monotonic() >= self._next_flush:
+            self._bag.flush()
+            self._next_flush = time.monotonic() + FLUSH_PERIOD
+        return bool(arrived)
+
+    def _meet_publishers(self) -> None:
+        """Ask for no more than is given where one of a topic's publishers gives less."""
+        for name, stream in self._streams.items():
+            end = stream.subscription
+            if all_are_heard(self, end):
+                continue
+            served = served_profile(self, name, end.qos_profile)
+            if served is not end.qos_profile:
+                self._drain()
+                self.destroy_subscription(end)
+                stream.subscription = self._subscribe(stream.topic, served)
+                self.get_logger().info(f'{name}: recorded best effort, as published')
 
     def close(self) -> None:
         """Close the bag, and write the counts of this run, if asked to."""
-        self._writer.close()
-        streams = self._recording.streams.values()
+        self._bag.close()
         self._config.write_counts({
-            'messages': self._writer.message_count, 'counts': self._writer.counts(),
-            'lost': sum(stream.lost for stream in streams),
-            'lost_by_topic': {x.name: x.lost for x in streams if x.lost},
-            'before_start': sum(stream.before_start for stream in streams),
-            'broken_batches': self._recording.broken,
+            'messages': self._messages, 'counts': self._bag.counts(),
+            'lost': sum(self._lost().values()), 'lost_by_topic': self._lost(),
+            'before_start': sum(x.before_start for x in self._streams.values()),
             'cpu_s': time.process_time() - self._cpu_at_start})
+
+    def _lost(self) -> dict[str, int]:
+        return {name: x.lost for name, x in self._streams.items() if x.lost}
 
     def _statuses(self) -> list[Status]:
         if self._gate.open:  # which looks at the ends that there are now
-            self._recording.meet_publishers()
-        now, count = time.monotonic(), self._writer.message_count
-        then, before = self._reported
-        self._reported = (now, count)
-        lost = {x.name: x.lost for x in self._recording.streams.values() if x.lost}
+            self._meet_publishers()
+        now, lost = time.monotonic(), self._lost()
+        rate = (self._messages - self._reported_messages) / max(1e-9, now - self._reported_at)
+        self._reported_at, self._reported_messages = now, self._messages
         return [
-            Status('loop', {
-                'rate_hz': round((count - before) / max(1e-9, now - then), 1),
-                'messages': count}),
+            Status('loop', {'rate_hz': round(rate, 1), 'messages': self._messages}),
             Status('messages', {
                 'dropped': sum(lost.values()),
                 **{f'dropped {name}': number for name, number in lost.items()}},
                 warning=f'messages lost on {", ".join(lost)}' if lost else ''),
             # Of what has come and does so no more: no graph has all that can be recorded.
-            input_status(self._recording.fresh, STALE_AGE, needed=count > 0)]
+            input_status(self._fresh, STALE_AGE, needed=self._messages > 0)]
 
 
-def _recording_profile(topic: Topic) -> QoSProfile:
-    latched = topic.profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
-    return qos.RECORDING_LATCHED if latched else qos.RECORDING
+class _TransformWriter:
+    """Adds the poses of the links to a bag, from its joint states and robot description."""
+
+    def __init__(self, bag: Bag, logger: RcutilsLogger) -> None:
+        self._bag, self._logger = bag, logger
+        self._links: LinkTransforms | None = None
+        self._last = -TF_PERIOD
+        bag.add_topic(TF_TOPIC, TF_TYPE, qos.STREAM)
+
+    def take(self, topic: Topic, data: bytes, sent: int) -> None:
+        """Take in a message; write the poses of a joint state 25 times a second."""
+        if topic is ROBOT_DESCRIPTION:
+            try:
+                self._links = LinkTransforms(
+                    deserialize_message(data, String).data, world_frame=WORLD_FRAME)
+            except ConfigError as error:
+                self._logger.error(f'no {TF_TOPIC}: {error}')
+        elif topic is JOINT_STATES and self._links is not None:
+            sec, nanosec = STAMP.unpack_from(data, HEADER)
+            stamp = sec * NANOSECONDS + nanosec
+            if not 0 <= stamp - self._last < TF_PERIOD:
+                self._last = stamp
+                joints = deserialize_message(data, JointState)
+                self._write(self._links.at(dict(zip(joints.name, joints.position))),
+                            sec, nanosec, sent)
+
+    def _write(self, poses: list[LinkTransform], sec: int, nanosec: int, sent: int) -> None:
+        types = self._bag.types.types
+        stamp = types['builtin_interfaces/msg/Time'](sec, nanosec)
+        make, transform, vector, quaternion = (types[f'geometry_msgs/msg/{name}'] for name in (
+            'TransformStamped', 'Transform', 'Vector3', 'Quaternion'))
+        message = types[TF_TYPE]([make(
+            types['std_msgs/msg/Header'](stamp, x.parent), x.child,
+            transform(vector(*x.translation), quaternion(*x.quaternion_xyzw))) for x in poses])
+        data = self._bag.types.serialize_cdr(message, TF_TYPE)
+        self._bag.write(TF_TOPIC, bytes(data), sent)
 
 
 def main() -> int:

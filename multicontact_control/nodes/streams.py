@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 import time
-from typing import Any
+from typing import Any, NamedTuple
 
 from multicontact_control.arrays import Vector
-from multicontact_control.nodes import topics
 from multicontact_control.nodes.graph_node import (
     all_are_heard,
     create_publisher,
@@ -16,43 +15,29 @@ from multicontact_control.nodes.graph_node import (
     served_profile,
 )
 from multicontact_control.nodes.local_delivery import LocalDelivery, LocalSubscription
-from multicontact_control.nodes.raw_messages import MessageTemplate, template_of
-from multicontact_control.nodes.recording_batch import RecordingBatch
+from multicontact_control.nodes.raw_messages import MessageTemplate
 from multicontact_control.nodes.topics import Topic
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 
-POLL_PERIOD = 20_000_000  # ns, between two batches for the recorder
 MEETING_PERIOD = 100_000_000  # ns, between two looks at publishers that are not heard
-POLLS_PER_LOOK = 5  # between two looks who listens
 
 
-@dataclass
-class _Output:
+class _Output(NamedTuple):
     """One topic that is published."""
 
     publisher: Publisher
     template: MessageTemplate
     name: str
-    number: int
-    heard: bool = False
-
-    def listen(self) -> bool:
-        """Return whether anybody is connected, or was when last looked at."""
-        if not self.heard:
-            self.heard = self.publisher.get_subscription_count() > 0
-        return self.heard
 
 
 class Streams:
     """
     What a node publishes and subscribes to at the control rate, as bytes.
 
-    A message is made only if somebody wants it: another node of this process, to whom it is
-    handed directly; whoever subscribes; or the recorder, if it takes batches. A reader that has
-    come is noticed with the next message, one that has gone within a tenth of a second.
+    A message is made only if it is subscribed to. Other nodes of this process get it directly.
 
     Parameters
     ----------
@@ -74,9 +59,7 @@ class Streams:
         self.publishers: dict[Topic, Publisher] = {}
         self.subscriptions: dict[Topic, Subscription | LocalSubscription] = {}
         self._outputs: dict[Topic, _Output] = {}
-        self._batch: RecordingBatch | None = None
-        self._batch_publisher: Publisher | None = None
-        self._polls = self._next_poll = self._next_meeting = 0
+        self._next_meeting = 0
         self._adaptive: dict[Topic, QoSProfile] = {}
         self._callbacks: dict[Topic, Callable[[bytes], None]] = {}
 
@@ -84,19 +67,7 @@ class Streams:
         self, topic: Topic, callback: Callable[[bytes], None], profile: QoSProfile, *,
         adapt: bool = False,
     ) -> None:
-        """
-        Call back with every message of a topic of the table.
-
-        Parameters
-        ----------
-        topic, callback
-            Which, and what to call.
-        profile
-            Quality of service to ask for.
-        adapt
-            Whether to be content with less where a publisher gives less; see `meet_publishers`.
-
-        """
+        """Call back with every message; `adapt` to publishers that give less than `profile`."""
         end: Subscription | LocalSubscription
         if topic.publisher in self._local.members:
             end = self._local.subscribe(self._node.resolve_topic_name(topic.name), callback)
@@ -136,51 +107,27 @@ class Streams:
                 self._adaptive[topic] = served
                 self.subscriptions[topic] = self._create(topic, served)
 
-    def advertise(self, patterns: dict[Topic, Any], *, batched: bool = False) -> None:
-        """
-        Publish topics of the table.
-
-        Parameters
-        ----------
-        patterns
-            A message of each, like those to be sent but for stamp and numbers.
-        batched
-            Whether the recorder gets them in batches.
-
-        """
-        known = {*self._local.members, *((topics.RECORDER,) if batched else ())}
-        for number, (topic, pattern) in enumerate(patterns.items()):
+    def advertise(self, patterns: dict[Topic, Any]) -> None:
+        """Publish topics, with messages that are like these patterns but for stamp and numbers."""
+        for topic, pattern in patterns.items():
             publisher = create_publisher(self._node, topic)
             self._outputs[topic] = _Output(
-                publisher, template_of(pattern), publisher.topic_name, number)
-            waited_for = tuple(name for name in topic.subscribers if name not in known)
+                publisher, MessageTemplate(pattern), publisher.topic_name)
+            waited_for = tuple(x for x in topic.subscribers if x not in self._local.members)
             self.publishers[replace(topic, subscribers=waited_for)] = publisher
-        if batched:
-            topic = topics.batches_of(self._node.get_name())
-            self._batch = RecordingBatch([output.name for output in self._outputs.values()])
-            self._batch_publisher = self.publishers[topic] = create_publisher(self._node, topic)
 
     def wants(self, topic: Topic) -> bool:
-        """Return whether anybody gets the messages of a topic."""
+        """Return whether a message of a topic would be received."""
         output = self._outputs[topic]
-        return self._batch is not None or self._local.readers(output.name) > 0 or output.listen()
+        return self._local.readers(output.name) > 0 or (
+            output.publisher.get_subscription_count() > 0)
 
     def send(self, topic: Topic, stamp: int, *runs: Vector) -> None:
         """
-        Publish a message on a topic, if anybody wants it.
+        Publish a message on an advertised topic, if it is subscribed to.
 
-        Parameters
-        ----------
-        topic
-            One of those that were advertised.
-        stamp, runs
-            Its stamp [ns], and its numbers in the order of the message's fields.
-
-        Raises
-        ------
-        MessageError
-            If a number is not finite.
-
+        Parameters are its stamp [ns], and its numbers in the order of the message's fields.
+        MessageError if one is not finite.
         """
         if self.wants(topic):
             self.pass_on(topic, self.message(topic, stamp, *runs))
@@ -193,33 +140,10 @@ class Streams:
         """Publish bytes on a topic."""
         output = self._outputs[topic]
         self._local.send(output.name, data)
-        if output.listen():
-            output.publisher.publish(data)
-        if self._batch is not None and self._batch.add(output.number, data):
-            self.flush()
-
-    def poll(self) -> None:
-        """Send what waits for the recorder, and look anew who listens, if it is time."""
-        now = time.monotonic_ns()
-        if now < self._next_poll:
-            return
-        self._next_poll = now + POLL_PERIOD
-        self.flush()
-        self._polls += 1
-        if self._polls % POLLS_PER_LOOK == 0:
-            for output in self._outputs.values():
-                output.heard = False
-
-    def flush(self) -> None:
-        """Send what waits for the recorder."""
-        if self._batch is not None and self._batch_publisher is not None:
-            batch = self._batch.take()
-            if batch:
-                self._batch_publisher.publish(batch)
+        output.publisher.publish(data)
 
     def close(self) -> None:
-        """Send what waits, and free the topics."""
-        self.flush()
+        """Free the topics."""
         for publisher in self.publishers.values():
             self._node.destroy_publisher(publisher)
         for subscription in self.subscriptions.values():
@@ -229,4 +153,3 @@ class Streams:
                 self._node.destroy_subscription(subscription)
         self.publishers, self.subscriptions, self._outputs = {}, {}, {}
         self._adaptive, self._callbacks = {}, {}
-        self._batch = self._batch_publisher = None

@@ -9,15 +9,17 @@ namespace moves the whole graph.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from importlib import import_module
 from typing import Any, Literal
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, WrenchStamped
+from multicontact_control.errors import RunError
 from multicontact_control.nodes import qos
 from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
-from std_msgs.msg import String, UInt8MultiArray
+from std_msgs.msg import String
 from trajectory_msgs.msg import MultiDOFJointTrajectoryPoint
 from visualization_msgs.msg import MarkerArray
 
@@ -161,17 +163,18 @@ TOPICS: tuple[Topic, ...] = (
     SURFACE_MARKERS, DIAGNOSTICS, CLOCK)
 
 
-def published_by(node_name: str) -> tuple[Topic, ...]:
-    """Return the topics that a node publishes."""
-    return tuple(topic for topic in TOPICS if topic.publisher == node_name)
+def message_class(type_name: str) -> Any:
+    """
+    Return the class of a message type, e.g. that of ``sensor_msgs/msg/JointState``.
 
+    Raises
+    ------
+    RunError
+        If it is not installed.
 
-def batches_of(node_name: str) -> Topic:
-    """Return the topic on which a node hands its messages to the recorder in batches."""
-    return Topic(f'_recording/{node_name}', UInt8MultiArray, node_name, (RECORDER,))
-
-
-def batched_by(node_name: str) -> set[Topic]:
-    """Return the topics whose messages may be in these."""
-    streams = {topic for topic in published_by(node_name) if topic.rate == 'control'}
-    return streams | {CLOCK} if node_name == SIM else streams
+    """
+    package, _, name = type_name.partition('/msg/')
+    try:
+        return getattr(import_module(f'{package}.msg'), name)
+    except (ImportError, AttributeError, ValueError):
+        raise RunError(f'{type_name}: this message type is not installed') from None

@@ -10,8 +10,8 @@ from typing import Any
 
 from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.nodes.graph_node import ignore, take
-from multicontact_control.nodes.message_definitions import message_class
 from multicontact_control.nodes.runtime import StopFlag
+from multicontact_control.nodes.topics import message_class
 from multicontact_control.tools.graph_inspector import (
     DISCOVERY_POLL,
     full_name,

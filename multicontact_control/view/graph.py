@@ -17,7 +17,7 @@ from multicontact_control.errors import CommandError, MulticontactError, RunErro
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.controller_outputs import NAMESPACE
-from multicontact_control.nodes.glance import GlancingLink
+from multicontact_control.nodes.link import ControllerLink
 from multicontact_control.sampling import MotionReading
 from multicontact_control.supervision.command_limits import CommandLimits, half_lengths
 from multicontact_control.view import source
@@ -83,7 +83,7 @@ class GraphSource:
 
     def __init__(self, setup: Setup, *, namespace: str = '', domain_id: int | None = None) -> None:
         config = self._config = setup.controller
-        self._link = GlancingLink(
+        self._link = ControllerLink(
             LISTENED, queued=(topics.STATUS, topics.DIAGNOSTICS), namespace=namespace,
             domain_id=domain_id, timeout=PATIENCE)
         try:

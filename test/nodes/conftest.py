@@ -1,6 +1,6 @@
 """Real middleware for the tests of the nodes, in a ROS domain of their own."""
 
-from multicontact_control.nodes.link import GuestNode
+from multicontact_control.nodes.link import GuestNode, LifecycleDriver
 import pytest
 from ros_graph import Middleware, own_domain
 
@@ -20,4 +20,10 @@ def middleware(domain_id, tmp_path, monkeypatch):
     monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     monkeypatch.setenv('ROS_LOG_DIR', str(tmp_path / 'ros'))
     with Middleware(domain_id) as handle:
+        yield handle
+
+
+@pytest.fixture
+def driver(domain_id, middleware):
+    with LifecycleDriver(domain_id) as handle:
         yield handle

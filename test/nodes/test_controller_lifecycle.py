@@ -1,26 +1,25 @@
-"""The life cycle of the controller, as a process."""
+"""The life cycle of controller and noise estimator, as processes."""
 
 from __future__ import annotations
 
-import re
-from types import SimpleNamespace
-
 from fake_arm import EFFORT, FakeArm
 from fake_arm import PARAMETERS as STILL
-from multicontact_control.nodes import controller_node
+from multicontact_control.nodes import messages, topics
+from multicontact_control.nodes.graph_node import ignore
 from multicontact_control.nodes.link import (
     ACTIVATE,
     CLEAN_UP,
     CONFIGURE,
     DEACTIVATE,
-    LifecycleDriver,
     SHUT_DOWN,
     TransitionError,
 )
 from multicontact_control.paths import config_dir
 import numpy as np
 import pytest
-from ros_graph import end_of, PATIENCE, set_parameter
+from ros_graph import end_of, PATIENCE, set_parameter, wait_for
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
 
 pytestmark = pytest.mark.ros
 
@@ -30,12 +29,6 @@ FILE = config_dir() / 'controller.yaml'
 RATE, BLEND = 100.0, 0.02  # transition.torque_rate [N m/s], transition.blend_time [s]
 PARAMETERS = (*STILL, f'transition.torque_rate:={RATE}', f'transition.blend_time:={BLEND}')
 LARGEST_STEP = RATE * 0.002 * (1.0 + 1e-9)
-
-
-@pytest.fixture
-def driver(domain_id, middleware):
-    with LifecycleDriver(domain_id) as handle:
-        yield handle
 
 
 @pytest.fixture
@@ -54,25 +47,25 @@ def settle(arm):
     return torque
 
 
-def test_every_transition_works_again_and_again(process, driver, arm):
+def test_controller_goes_through_every_transition_again_and_again(process, driver, arm):
     gravity = arm.state.gravity
+    for transition in (ACTIVATE, DEACTIVATE, CLEAN_UP):  # not possible yet
+        with pytest.raises(TransitionError):
+            driver.change(NAME, transition)
+    assert driver.state(NAME) == 'unconfigured'
     for _ in range(2):
         driver.change(NAME, CONFIGURE)
         arm.send()
         driver.change(NAME, ACTIVATE)
         arm.connect()
-        for _ in range(2):
-            driver.change(NAME, DEACTIVATE)
-            driver.change(NAME, ACTIVATE)
-            np.testing.assert_array_equal(arm.step(), EFFORT)  # nothing is remembered
-            second = arm.step()
-            assert 0.0 < np.abs(second - EFFORT).max() <= LARGEST_STEP
-            np.testing.assert_allclose(settle(arm), gravity, atol=1e-6)
-            driver.change(NAME, DEACTIVATE)
-            np.testing.assert_allclose(arm.step(), gravity, atol=1e-6)
-            driver.change(NAME, ACTIVATE)
-            arm.step()
         driver.change(NAME, DEACTIVATE)
+        driver.change(NAME, ACTIVATE)
+        np.testing.assert_array_equal(arm.step(), EFFORT)  # nothing is remembered
+        second = arm.step()
+        assert 0.0 < np.abs(second - EFFORT).max() <= LARGEST_STEP
+        np.testing.assert_allclose(settle(arm), gravity, atol=1e-6)
+        driver.change(NAME, DEACTIVATE)
+        np.testing.assert_allclose(arm.step(), gravity, atol=1e-6)
         driver.change(NAME, CLEAN_UP)
         stamp = arm.send()
         assert driver.state(NAME) == 'unconfigured'
@@ -81,17 +74,8 @@ def test_every_transition_works_again_and_again(process, driver, arm):
     assert process.wait(PATIENCE) == 0
 
 
-def test_a_transition_that_is_not_possible_is_refused_and_survived(process, driver):
-    for transition in (ACTIVATE, DEACTIVATE, CLEAN_UP):
-        with pytest.raises(TransitionError, match=f'{NAME} refused to {transition}'):
-            driver.change(NAME, transition)
-    assert driver.state(NAME) == 'unconfigured'
-    driver.change(NAME, CONFIGURE)
-    driver.change(NAME, SHUT_DOWN)
-    assert process.wait(PATIENCE) == 0
-
-
-def test_deactivation_goes_to_the_declared_behaviour_without_a_jump(process, driver, arm):
+def test_deactivation_and_end_go_to_the_declared_behaviour_without_a_jump(
+        process, middleware, driver, arm):
     for transition in (CONFIGURE, ACTIVATE):
         driver.change(NAME, transition)
     arm.connect()
@@ -102,27 +86,7 @@ def test_deactivation_goes_to_the_declared_behaviour_without_a_jump(process, dri
     np.testing.assert_array_equal(torques[1], last)
     assert np.abs(np.diff(torques, axis=0)).max() <= LARGEST_STEP
     assert np.abs(torques[-1]).max() < 0.5 * np.abs(last).max()
-
-
-def test_configure_refuses_a_topic_that_cannot_be(middleware, driver):
-    process = middleware.start(MODULE, "effort_output_topic:='bare efforts'", files=(FILE,))
-    with pytest.raises(TransitionError):
-        driver.change(NAME, CONFIGURE)
-    assert set_parameter(driver, NAME, 'effort_output_topic', '~/efforts').successful
-    driver.change(NAME, CONFIGURE)
-    process.kill()
-    errors = process.communicate()[1]
-    assert ("cannot configure: effort_output_topic: expected a name of a topic, found 'bare "
-            "efforts' (topic name must not contain") in errors
-    assert 'Traceback' not in errors
-
-
-def test_process_that_is_told_to_end_leaves_the_arm_in_the_declared_behaviour(
-        process, middleware, driver, arm):
-    for transition in (CONFIGURE, ACTIVATE):
-        driver.change(NAME, transition)
-    arm.connect()
-    assert set_parameter(driver, NAME, 'safe_behaviour.kind', 'zero_torque').successful
+    driver.change(NAME, ACTIVATE)
     torques = [settle(arm)]
     process.terminate()
     while process.poll() is None:
@@ -135,39 +99,23 @@ def test_process_that_is_told_to_end_leaves_the_arm_in_the_declared_behaviour(
     assert np.abs(torques[-1]).max() < np.abs(torques[0]).max() - 5 * LARGEST_STEP
 
 
-@pytest.mark.parametrize(('silent', 'expected'), [(0.0, 0.5), (0.2, 0.3), (0.6, 0.0)])
-def test_robot_that_stalls_is_waited_for_and_one_that_has_gone_is_not(
-        monkeypatch, silent, expected):
-    """The last sample came a while before the end, and then none; by a clock of its own."""
-    now = [10 ** 12]
-    monkeypatch.setattr(
-        controller_node, 'time', SimpleNamespace(monotonic_ns=lambda: now[0]))
-    start = now[0]
-
-    def spin_once(spinner):
-        now[0] += 10 ** 6
-
-    node = SimpleNamespace(
-        working=True, trigger_deactivate=lambda: None, spin_once=spin_once,
-        _last_taken=start - round(silent * 1e9))
-    controller_node.ControllerNode.take_leave(node, None)
-    assert (now[0] - start) * 1e-9 == pytest.approx(expected)
-
-
-def test_configure_refuses_what_is_wrong_in_one_line_until_it_is_repaired(middleware, driver):
-    process = middleware.start(MODULE, 'robot.urdf:=nowhere.urdf', 'rate:=-500.0', files=(FILE,))
-    with pytest.raises(TransitionError):
-        driver.change(NAME, CONFIGURE)
-    assert set_parameter(driver, NAME, 'rate', 500.0).successful
-    with pytest.raises(TransitionError):
-        driver.change(NAME, CONFIGURE)
-    assert driver.state(NAME) == 'unconfigured'
-    assert set_parameter(driver, NAME, 'robot.urdf', 'puma560.urdf').successful
+def test_configure_refuses_what_is_wrong_until_it_is_repaired(middleware, driver):
+    process = middleware.start(
+        MODULE, 'robot.urdf:=nowhere.urdf', 'rate:=-500.0', "effort_output_topic:='bare efforts'",
+        files=(FILE,))
+    for name, value in (('rate', 500.0), ('robot.urdf', 'puma560.urdf'),
+                        ('effort_output_topic', '~/efforts')):
+        with pytest.raises(TransitionError):
+            driver.change(NAME, CONFIGURE)
+        assert driver.state(NAME) == 'unconfigured'
+        assert set_parameter(driver, NAME, name, value).successful
     driver.change(NAME, CONFIGURE)
     assert driver.state(NAME) == 'inactive'
     process.kill()
-    reasons = re.findall('cannot configure: (.*)', process.communicate()[1])
-    assert [reason.split(':')[0] for reason in reasons] == ['rate', 'robot.urdf']
+    errors = process.communicate()[1]
+    for name in ('rate', 'robot.urdf', 'effort_output_topic'):
+        assert f'cannot configure: {name}: expected' in errors
+    assert 'Traceback' not in errors
 
 
 def test_autostart_begins_alone_or_ends_with_the_reason(middleware, arm):
@@ -180,3 +128,59 @@ def test_autostart_begins_alone_or_ends_with_the_reason(middleware, arm):
     assert bad.returncode == 2
     assert errors.splitlines()[-1].endswith(
         'force.time_constant: expected greater than 0, found -1.0')
+
+
+def test_force_control_waits_for_the_push_test_where_it_is_required(middleware, driver):
+    middleware.start(MODULE, *PARAMETERS, 'sensor.require_push_test:=true', files=(FILE,))
+    driver.change(NAME, CONFIGURE)
+    answer = driver.call(NAME, Trigger, 'push_test', Trigger.Request())
+    assert answer.success and answer.message
+    driver.change(NAME, ACTIVATE)
+    arm = FakeArm(middleware)
+    arm.connect()
+    wait_for(arm.force_command.get_subscription_count, 'connection')
+    arm.force_command.publish(messages.joint_state_message(0, ['table'], effort=[5.0]))
+    report = arm.diagnostics(lambda x: any(
+        'contact_forces/command' in key for key in x['messages'][2]))
+    assert report['sensor'][2]['force_control'] == 'disabled'
+    settle(arm)
+    assert arm.desired() == {'table': 0.0, 'board': 0.0}
+
+
+def test_estimator_forgets_its_window_and_is_silent_while_inactive(middleware, driver):
+    process = middleware.start('multicontact_control.nodes.noise_estimator_node',
+                               files=(config_dir() / 'noise_estimator.yaml',))
+    node, stamps = middleware.node, [0]
+    publisher = node.create_publisher(
+        JointState, topics.MEASURED_FORCES.name, topics.MEASURED_FORCES.profile)
+    variances = node.create_subscription(JointState, topics.NOISE_VARIANCE.name, ignore, 1000)
+
+    def answer(force, since=0):
+        """Send a sample; return the newest answer to one from then on, which may be late."""
+        stamps.append(stamps[-1] + 2_000_000)
+        publisher.publish(messages.joint_state_message(
+            stamps[-1], ['table', 'board'], effort=[force, force]))
+        middleware.pause(0.002)
+        found = middleware.take(variances, JointState)
+        late = found is not None and messages.stamp_to_ns(found.header.stamp) <= since
+        return None if late else found
+
+    def varies():
+        found = answer((-1.0) ** len(stamps))
+        return found is not None and found.effort[0] > 1.0
+
+    driver.change(topics.ESTIMATOR, CONFIGURE)
+    for _ in range(2):
+        driver.change(topics.ESTIMATOR, ACTIVATE)
+        since = stamps[-1]
+        first = wait_for(lambda since=since: answer(1.0, since), 'first variance')
+        assert list(first.effort) == [0.6, 0.6]  # the fixed one, until the window is full
+        wait_for(varies, 'variance of an alternating force')
+        driver.change(topics.ESTIMATOR, DEACTIVATE)
+        since = stamps[-1]
+        answer(1.0)
+        assert driver.state(topics.ESTIMATOR) == 'inactive'
+        assert answer(1.0, since) is None
+    driver.change(topics.ESTIMATOR, CLEAN_UP)
+    driver.change(topics.ESTIMATOR, SHUT_DOWN)
+    assert process.wait(PATIENCE) == 0

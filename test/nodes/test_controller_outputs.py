@@ -7,8 +7,7 @@ from multicontact_control.nodes.controller_outputs import ContactMarkers
 from multicontact_control.paths import config_dir
 import numpy as np
 import pytest
-from rclpy.serialization import deserialize_message
-from visualization_msgs.msg import Marker, MarkerArray
+from visualization_msgs.msg import Marker
 
 STAMP = 1_795_000_000_000_000_000
 QUARTER_TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -29,32 +28,22 @@ def normals(config):
 
 
 def arrows_of(config, *sample):
-    data = ContactMarkers(config, rate=25.0, scale=0.01).message(*sample)
-    return deserialize_message(data, MarkerArray)
-
-
-def test_arrows_point_along_the_normals_that_are_found(config):
-    found = np.array([[0.0, 0.6, -0.8], [0.6, 0.8, 0.0]])
-    markers = arrows_of(
-        config, STAMP, Pose(np.zeros(3), np.eye(3)), [np.array([10.0, 4.0])] * 3, [True, True],
-        found).markers
-    for marker, force, normal in zip(markers, (10.0, 4.0) * 3, [*found] * 3):
-        tail, tip = (as_array(point) for point in marker.points)
-        np.testing.assert_allclose(tip - tail, 0.01 * force * normal, atol=1e-12)
+    return ContactMarkers(config, rate=25.0, scale=0.01).message(*sample)
 
 
 def test_arrows_end_at_the_tips_and_are_as_long_as_their_force(config):
     pose = Pose(np.array([0.5, 0.1, 0.7]), QUARTER_TURN)
     alpha = np.array([10.0, 4.0])
+    found = np.array([[0.0, 0.6, -0.8], [0.6, 0.8, 0.0]])  # normals, not those of the file
     message = arrows_of(
-        config, STAMP, pose, (alpha, alpha + 1.0, alpha + 2.0), [True, False], normals(config))
+        config, STAMP, pose, (alpha, alpha + 1.0, alpha + 2.0), [True, False], found)
     assert len(message.markers) == 6
-    for marker, name, force in zip(message.markers, config.contact_names, alpha):
+    for marker, name, force, normal in zip(message.markers, config.contact_names, alpha, found):
         contact = config.contacts[name]
         tail, tip = (as_array(point) for point in marker.points)
         np.testing.assert_allclose(
             tip, pose.position_world + QUARTER_TURN @ contact.point_operational)
-        np.testing.assert_allclose(tip - tail, 0.01 * force * np.array(contact.normal_world))
+        np.testing.assert_allclose(tip - tail, 0.01 * force * normal)
         assert (marker.header.frame_id, marker.type) == ('world', Marker.ARROW)
         assert marker.action == Marker.ADD
     assert message.markers[0].color != message.markers[1].color
@@ -87,7 +76,6 @@ def test_contact_without_force_has_no_arrow(config):
 
 
 def test_arrows_of_a_sample_owe_nothing_to_those_before(config):
-    """They are written into the same bytes: stamps, colours, actions and places are all new."""
     at, same = Pose(np.zeros(3), np.eye(3)), ContactMarkers(config, rate=25.0, scale=0.01)
     samples = [
         (STAMP, at, [np.array([10.0, 4.0])] * 3, [True, False], normals(config)),
@@ -96,7 +84,7 @@ def test_arrows_of_a_sample_owe_nothing_to_those_before(config):
          -normals(config)),
         (0, at, [np.ones(2)] * 3, [False, False], normals(config))]
     for sample in samples:
-        found = deserialize_message(same.message(*sample), MarkerArray)
+        found = same.message(*sample)
         assert found == arrows_of(config, *sample)
         assert {(marker.header.stamp.sec, marker.header.stamp.nanosec)
                 for marker in found.markers} == {divmod(sample[0], 10 ** 9)}
@@ -104,7 +92,7 @@ def test_arrows_of_a_sample_owe_nothing_to_those_before(config):
 
 
 def test_number_that_is_not_finite_is_not_drawn(config):
-    with pytest.raises(MessageError, match='points: expected finite ones'):
+    with pytest.raises(MessageError):
         arrows_of(config, STAMP, Pose(np.zeros(3), np.eye(3)), [np.array([np.nan, 4.0])] * 3,
                   [True, True], normals(config))
 

@@ -1,7 +1,10 @@
-"""Rates, jitter and ages from times that are known."""
+"""Rates, jitter, ages and refusals from what is known."""
 
+from multicontact_control.errors import MessageError, RunError, ShapeError, SingularTaskError
+from multicontact_control.nodes.graph_node import Refusals
 from multicontact_control.nodes.loop_statistics import Freshness, LoopStatistics
 import pytest
+from rclpy.logging import get_logger
 
 MS = 1_000_000
 
@@ -33,3 +36,15 @@ def test_freshness_knows_what_never_came():
     ages = fresh.ages()
     assert ages['a'] >= 0.0
     assert ages['b'] is None
+
+
+@pytest.mark.parametrize('make', [
+    lambda k: ShapeError('q', (6,), (k,)),
+    lambda k: RunError(f'stamp: expected a number, found {k}'),
+    lambda k: SingularTaskError(f'J: expected a condition number below 1e8, found {k}'),
+    lambda k: MessageError('effort', 'finite numbers', [float(k)])])
+def test_refusals_count_a_cause_as_one_whatever_was_found(make):
+    refusals = Refusals(get_logger('test'))
+    for source, k in (('~/tare', 1), ('~/tare', 2), ('~/tare', 3), ('~/hold', 1)):
+        refusals.refuse(source, make(k))
+    assert sorted(refusals.counts.values()) == [1, 3] and refusals.total == 4

@@ -9,7 +9,7 @@ from multicontact_control.experiment.graph.domain import reserve_domain
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.composition import Composition
 from multicontact_control.nodes.local_delivery import LocalDelivery
-from multicontact_control.nodes.raw_messages import joint_state_reader, template_of
+from multicontact_control.nodes.raw_messages import joint_state_reader, MessageTemplate
 from multicontact_control.nodes.runtime import Spinner, StopFlag
 from multicontact_control.paths import config_dir
 import numpy as np
@@ -50,7 +50,7 @@ def simulate(before, stop):
     """Run the simulator; each sample is answered by the torque it has, after `before(k)`."""
     local = LocalDelivery([topics.SIM, topics.CONTROLLER])
     reader = joint_state_reader(JOINTS)
-    command = template_of(messages.joint_state_message(0, JOINTS, effort=np.zeros(6)))
+    command = MessageTemplate(messages.joint_state_message(0, JOINTS, effort=np.zeros(6)))
     answered = []
 
     def answer(data):

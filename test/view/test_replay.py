@@ -11,7 +11,7 @@ from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.files import write_json
 from multicontact_control.nodes import messages, qos
-from multicontact_control.nodes.bag_writer import BagWriter
+from multicontact_control.nodes.bag import Bag
 from multicontact_control.view import source
 from multicontact_control.view.replay import load_replay, ReplaySource
 import numpy as np
@@ -118,7 +118,9 @@ def write_samples(writer, setup, count=399, space=''):
     for k in range(1, count + 1):
         message = messages.joint_state_message(
             2_000_000 * k, names, position=[0.1] * 6, velocity=[0.0] * 6, effort=[0.0] * 6)
-        writer.write(topic, serialize_message(message), k, k)
+        writer.write(topic, serialize_message(message), k)
+        if k % 8 == 0:
+            writer.flush()
 
 
 def test_a_run_on_somebody_elses_robot_is_played_in_the_time_of_its_events(tmp_path):
@@ -146,14 +148,14 @@ def test_a_run_on_somebody_elses_robot_is_played_in_the_time_of_its_events(tmp_p
 def test_a_file_is_played_alone_and_a_namespace_chosen(tmp_path):
     setup = resolve('quick', plant='rigid')
     for name, count in (('a', 400), ('b', 200)):
-        with BagWriter(tmp_path / name) as writer:
+        with Bag(tmp_path / name) as writer:
             write_samples(writer, setup, count)
-        shutil.copy(tmp_path / name / f'{name}_0.mcap', tmp_path / f'{name}.mcap')
+        shutil.copy(tmp_path / name / f'{name}.mcap', tmp_path / f'{name}.mcap')
     for name, count in (('a', 400), ('b', 200)):
         scene = load_replay(tmp_path / f'{name}.mcap', setup).scene
         assert scene.title == f'recording {name}.mcap'
         assert scene.duration == pytest.approx((count - 1) * 0.002)
-    with BagWriter(tmp_path / 'two') as writer:
+    with Bag(tmp_path / 'two') as writer:
         write_samples(writer, setup, 300, '/left')
         write_samples(writer, setup, 100, '/right')
     with pytest.raises(RunError, match="found the namespaces 'left', 'right'; --namespace choos"):
@@ -166,13 +168,13 @@ def test_a_file_is_played_alone_and_a_namespace_chosen(tmp_path):
 def test_surfaces_are_where_the_simulator_said_that_they_were(tmp_path):
     setup = resolve('moving_surface', plant='rigid')
     markers = SurfaceMarkers(setup.plant, rate=500.0)
-    with BagWriter(tmp_path / 'bag') as writer:
+    with Bag(tmp_path / 'bag') as writer:
         write_samples(writer, setup)
         writer.add_topic(
             '/ground_truth/surfaces', 'visualization_msgs/msg/MarkerArray', qos.LATCHED)
         for k in (1, 101, 201):
             message = markers.message(2_000_000 * k, np.full((2, 3), 1e-3 * k))
-            writer.write('/ground_truth/surfaces', serialize_message(message), k, k)
+            writer.write('/ground_truth/surfaces', serialize_message(message), k)
     loaded = load_replay(tmp_path / 'bag', setup)
     for moment, place in ((0.0, 0.001), (0.19, 0.001), (0.21, 0.101), (0.7, 0.201)):
         loaded.command(source.SEEK, time=moment)
@@ -188,10 +190,10 @@ def test_what_cannot_be_read_is_bad_input_and_what_is_cut_off_is_said_so(recorde
     folder = tmp_path / 'run'
     shutil.copytree(recorded_run / 'config', folder / 'config')
     shutil.copy(recorded_run / 'summary.json', folder)
-    with BagWriter(folder / 'bag', chunk_size=1024) as writer:
+    with Bag(folder / 'bag') as writer:
         write_samples(writer, setup)
     assert load_replay(folder, setup).scene.title == 'recording run'
-    file = folder / 'bag' / 'bag_0.mcap'
+    file = folder / 'bag' / 'bag.mcap'
     whole = file.read_bytes()
     file.write_bytes(whole[:len(whole) // 2])
     assert load_replay(folder, setup).scene.title == 'recording run, the recording is cut off'

@@ -54,8 +54,6 @@ class GraphSpec:
         More parameters per node name, over those of its file.
     remappings
         Other names of topics per node name.
-    recording_batches
-        Whether the recorder gets what is sent at the control rate in batches.
     external
         Whether the robot, or its simulator, is somebody else's: there is no plant among the nodes,
         and `ticks`, `seed` and `speed` have no meaning.
@@ -76,7 +74,6 @@ class GraphSpec:
     namespace: str = ''
     extra_parameters: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     remappings: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
-    recording_batches: bool = False
     realtime: bool = False
     external: bool = False
 
@@ -132,8 +129,7 @@ def node_command(
 def node_parameters(name: str, spec: GraphSpec) -> dict[str, Any]:
     """Return the parameters that belong to the run, not to a file."""
     values: dict[str, Any] = {
-        'timing_file': str(timing_file(spec, name).resolve()), 'startup_peers': list(spec.peers),
-        'recording_batches': spec.recording_batches}
+        'timing_file': str(timing_file(spec, name).resolve()), 'startup_peers': list(spec.peers)}
     if name == RECORDER:
         values['folder'] = str(spec.bag.resolve())
         bare = spec.extra_parameters.get(CONTROLLER, {}).get('effort_output_topic')

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from multicontact_control.errors import ConfigError
-from multicontact_control.experiment.claims import (
+from multicontact_control.experiment.metrics import (
     Claim,
     FIXED,
     judge_claims,
