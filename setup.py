@@ -16,8 +16,6 @@ console_scripts = {
     'controller_node': 'multicontact_control.nodes.controller_node:main',
     'noise_estimator_node': 'multicontact_control.nodes.noise_estimator_node:main',
     'recorder_node': 'multicontact_control.nodes.recorder_node:main',
-    'composed_node': 'multicontact_control.nodes.composed_node:main',
-    'composed_sim_node': 'sim_bridge.composed_sim_node:main',
 }
 
 install_requires = [

@@ -37,7 +37,6 @@ from multicontact_control.nodes.graph_node import (
     StartupConfig,
     StartupGate,
 )
-from multicontact_control.nodes.local_delivery import LocalDelivery
 from multicontact_control.nodes.loop_statistics import (
     DurationLog,
     Freshness,
@@ -99,9 +98,9 @@ def stamp_of(tick: int, rate: float) -> int:
 class SimNode(Node):
     """Publishes what the plant's sensors read and applies the torques that come back."""
 
-    def __init__(self, local: LocalDelivery | None = None) -> None:
+    def __init__(self) -> None:
         super().__init__(topics.SIM)
-        self.streams = Streams(self, local)
+        self.streams = Streams(self)
         plant_config: PlantConfig
         config: SimNodeConfig
         plant_config, config = load_parameters(self, PlantConfig, SimNodeConfig)

@@ -13,7 +13,7 @@ from ros_graph import PATIENCE, ROOT
 
 NAME = 'multicontact_control'
 PROGRAMS = {
-    'composed_node', 'composed_sim_node', 'controller_node', 'multicontact',
+    'controller_node', 'multicontact',
     'noise_estimator_node', 'recorder_node', 'sim_node'}
 
 pytestmark = pytest.mark.colcon

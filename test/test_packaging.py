@@ -20,7 +20,7 @@ from source_imports import imports_of, is_ros, PACKAGES
 
 ROOT = Path(__file__).resolve().parents[1]
 NODES = {
-    'composed_node', 'composed_sim_node', 'controller_node', 'noise_estimator_node',
+    'controller_node', 'noise_estimator_node',
     'recorder_node', 'sim_node'}
 ALLOWED_AT_THE_TOP = {
     'package.xml', 'setup.py', 'setup.cfg', 'multicontact_control', 'sim_bridge', 'config', 'test',

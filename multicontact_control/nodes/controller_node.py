@@ -35,7 +35,6 @@ from multicontact_control.nodes.diagnostics import (
     Status,
 )
 from multicontact_control.nodes.graph_node import StartupGate
-from multicontact_control.nodes.local_delivery import LocalDelivery
 from multicontact_control.nodes.loop_statistics import (
     DurationLog,
     Freshness,
@@ -72,9 +71,9 @@ class ControllerNode(ManagedNode):
     in lockstep, an older sample starts everything anew.
     """
 
-    def __init__(self, local: LocalDelivery | None = None) -> None:
+    def __init__(self) -> None:
         super().__init__(
-            topics.CONTROLLER, ControllerConfig, ControllerNodeConfig, local=local)
+            topics.CONTROLLER, ControllerConfig, ControllerNodeConfig)
         self._loop: ControlLoop | None = None
         self._commands: CommandInterface | None = None
         self._outputs: ControllerOutputs | None = None

@@ -6,15 +6,13 @@ from abc import abstractmethod
 from collections.abc import Callable, Sequence
 import sys
 import traceback
-from typing import Any, ClassVar
-import weakref
+from typing import Any
 
 from lifecycle_msgs.srv import ChangeState
 from multicontact_control.config import Config, parameter
 from multicontact_control.errors import MulticontactError
 from multicontact_control.nodes.diagnostics import Diagnostics, Status
 from multicontact_control.nodes.graph_node import Refusals, StartupConfig, StartupGate
-from multicontact_control.nodes.local_delivery import LocalDelivery
 from multicontact_control.nodes.parameters import ParameterSet
 from multicontact_control.nodes.runtime import release_memory, settle_process, Spinner
 from multicontact_control.nodes.shared_memory import PortWatch
@@ -48,8 +46,6 @@ class ManagedNode(LifecycleNode):
         Name of the node.
     models
         Configuration classes; that of the node itself, a `ManagedConfig`, is the last.
-    local
-        What hands messages to the other nodes of this process, if there are any.
 
     Attributes
     ----------
@@ -60,15 +56,12 @@ class ManagedNode(LifecycleNode):
 
     """
 
-    _nodes: ClassVar[weakref.WeakSet[ManagedNode]] = weakref.WeakSet()  # of this process
-
     def __init__(
-        self, name: str, *models: type[Config], local: LocalDelivery | None = None,
+        self, name: str, *models: type[Config],
     ) -> None:
         super().__init__(name)
-        self.streams = Streams(self, local)
+        self.streams = Streams(self)
         self.state = UNCONFIGURED
-        self._nodes.add(self)
         self.refusals = Refusals(self.get_logger())
         self.parameter_set = ParameterSet(self, *models)
         self.parameter_set.refused = self.refusals.refuse
@@ -191,8 +184,7 @@ class ManagedNode(LifecycleNode):
         def work() -> None:
             self.configure(self.parameter_set.configurations())
             self.parameter_set.lock(self.check, self.reconfigure)
-            if not self._others_work():
-                settle_process()
+            settle_process()
         result = self._attempt('configure', work, INACTIVE)
         if result != SUCCESS:
             self._free()
@@ -227,17 +219,7 @@ class ManagedNode(LifecycleNode):
         self.gate = None
         self.clean_up()
         self.streams.close()
-        if not self._others_work():
-            release_memory()
-
-    def _others_work(self) -> bool:
-        """Return whether other nodes of this process are active: then nothing may take long."""
-        return any(node.state == ACTIVE for node in self._nodes if node is not self)
-
-    def destroy_node(self) -> None:
-        """See `rclpy.node`."""
-        self._nodes.discard(self)
-        super().destroy_node()
+        release_memory()
 
     def _attempt(
         self, what: str, work: Callable[[], None], goal: str,

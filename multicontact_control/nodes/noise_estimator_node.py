@@ -19,7 +19,6 @@ from multicontact_control.nodes.diagnostics import (
     Status,
 )
 from multicontact_control.nodes.graph_node import StartupGate
-from multicontact_control.nodes.local_delivery import LocalDelivery
 from multicontact_control.nodes.loop_statistics import Freshness, LoopStatistics
 from multicontact_control.nodes.managed_node import ACTIVE, ManagedConfig, ManagedNode
 from multicontact_control.nodes.messages import InnovationReading, NamedReading
@@ -38,8 +37,8 @@ class NoiseEstimatorNode(ManagedNode):
     the window anew. Inactive it is silent, and whoever needs R holds the last one.
     """
 
-    def __init__(self, local: LocalDelivery | None = None) -> None:
-        super().__init__(topics.ESTIMATOR, NoiseEstimatorConfig, ManagedConfig, local=local)
+    def __init__(self) -> None:
+        super().__init__(topics.ESTIMATOR, NoiseEstimatorConfig, ManagedConfig)
         self._estimator: NoiseEstimator | None = None
         self._measured, self._innovation = effort_reader(()), innovation_reader(())
         self._node_config = ManagedConfig()

@@ -19,7 +19,6 @@ from types import FrameType
 from typing import Any, Protocol
 
 from multicontact_control.errors import ConfigError, MulticontactError
-from multicontact_control.nodes.composition import Composition
 from multicontact_control.nodes.shared_memory import (
     OutOfReachError,
     remove_dead_ports,
@@ -38,7 +37,6 @@ from rclpy.signals import SignalHandlerOptions
 EXIT_OK, EXIT_ERROR, EXIT_CONFIG = 0, 1, 2
 SPIN_TIMEOUT = 0.1
 DRAIN_TIME = 0.1
-LOOK_PERIOD = 0.001
 ACKNOWLEDGE_TIMEOUT = 5.0
 
 
@@ -76,12 +74,12 @@ class StopFlag:
 
 class Spinner:
     """
-    Runs the callbacks of the nodes of a process.
+    Runs the callbacks of a node.
 
     Parameters
     ----------
     node
-        The node, or several.
+        The node.
     stop
         The flag that ends everything.
 
@@ -89,35 +87,22 @@ class Spinner:
 
     def __init__(self, node: Any, stop: StopFlag) -> None:
         self.stop = stop
-        self._nodes = node if isinstance(node, Composition) else Composition(node)
+        self._node = node
         self._executor: Executor | None = None
-        self._next_look = 0.0
 
     def spin_once(self, timeout: float = SPIN_TIMEOUT) -> None:
-        """
-        Wait for one callback for up to `timeout` [s] and run it.
-
-        What waits within the process goes first, and all of it; but the others are looked after
-        every millisecond all the same.
-        """
-        nodes = self._nodes
-        delivered = nodes.deliver()
-        if not delivered or time.monotonic() >= self._next_look:
-            executor = self._executor or self._make_executor()
-            try:
-                executor.spin_once(timeout_sec=0.0 if delivered else nodes.longest_wait(timeout))
-            except InvalidHandle as error:
-                if not _is_of_a_destroyed_end(error):
-                    raise
-            self._next_look = time.monotonic() + LOOK_PERIOD
-            nodes.deliver()
-        nodes.take_turns(self)
+        """Wait for one callback for up to `timeout` [s] and run it."""
+        executor = self._executor or self._make_executor()
+        try:
+            executor.spin_once(timeout_sec=timeout)
+        except InvalidHandle as error:
+            if not _is_of_a_destroyed_end(error):
+                raise
 
     def _make_executor(self) -> Executor:
         """Make it when it is first needed: it would empty the subscriptions that a node takes."""
         self._executor = make_executor()
-        for node in self._nodes.members:
-            self._executor.add_node(node)
+        self._executor.add_node(self._node)
         return self._executor
 
     def drain(self, duration: float = DRAIN_TIME) -> None:
@@ -231,12 +216,12 @@ def _one_line(error: BaseException) -> str:
 
 def run_node(make_node: Callable[[], Any], args: Sequence[str] | None = None) -> int:
     """
-    Run a node in this process, or several, until it has ended or is asked to stop.
+    Run a node in this process until it has ended or is asked to stop.
 
     Parameters
     ----------
     make_node
-        Returns a `RunnableNode`, or a `Composition` of nodes; may raise `ConfigError`.
+        Returns a `RunnableNode`; may raise `ConfigError`.
     args
         Command line, that of the process by default.
 
@@ -301,17 +286,18 @@ def _compilations_told(program: str) -> contextlib.AbstractContextManager[None]:
 
 
 def _run(node: Any, stop: StopFlag) -> int:
-    nodes = node if isinstance(node, Composition) else Composition(node)
-    spinner = Spinner(nodes, stop)
+    spinner = Spinner(node, stop)
     settle_process()
     try:
-        nodes.run(spinner)
+        node.run(spinner)
         if not stop.hurry:
-            for member in nodes.members:
-                wait_until_sent(member)
+            wait_until_sent(node)
     finally:
         spinner.close()
-        nodes.close()
+        try:
+            node.close()
+        finally:
+            node.destroy_node()
     return EXIT_OK
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 import time
 from typing import Any, NamedTuple
 
@@ -14,7 +13,6 @@ from multicontact_control.nodes.graph_node import (
     create_subscription,
     served_profile,
 )
-from multicontact_control.nodes.local_delivery import LocalDelivery, LocalSubscription
 from multicontact_control.nodes.raw_messages import MessageTemplate
 from multicontact_control.nodes.topics import Topic
 from rclpy.node import Node
@@ -30,34 +28,30 @@ class _Output(NamedTuple):
 
     publisher: Publisher
     template: MessageTemplate
-    name: str
 
 
 class Streams:
     """
     What a node publishes and subscribes to at the control rate, as bytes.
 
-    A message is made only if it is subscribed to. Other nodes of this process get it directly.
+    A message is made only if it is subscribed to.
 
     Parameters
     ----------
     node
         The node.
-    local
-        What hands messages to the other nodes of this process.
 
     Attributes
     ----------
     publishers, subscriptions
-        The ends of the topics; of those that are published, each topic names as subscribers only
-        the nodes that have to be waited for.
+        The ends of the topics.
 
     """
 
-    def __init__(self, node: Node, local: LocalDelivery | None = None) -> None:
-        self._node, self._local = node, local or LocalDelivery()
+    def __init__(self, node: Node) -> None:
+        self._node = node
         self.publishers: dict[Topic, Publisher] = {}
-        self.subscriptions: dict[Topic, Subscription | LocalSubscription] = {}
+        self.subscriptions: dict[Topic, Subscription] = {}
         self._outputs: dict[Topic, _Output] = {}
         self._next_meeting = 0
         self._adaptive: dict[Topic, QoSProfile] = {}
@@ -68,15 +62,10 @@ class Streams:
         adapt: bool = False,
     ) -> None:
         """Call back with every message; `adapt` to publishers that give less than `profile`."""
-        end: Subscription | LocalSubscription
-        if topic.publisher in self._local.members:
-            end = self._local.subscribe(self._node.resolve_topic_name(topic.name), callback)
-        else:
-            if adapt:
-                profile = self._adaptive[topic] = self._served(topic, profile)
-            self._callbacks[topic] = callback
-            end = self._create(topic, profile)
-        self.subscriptions[topic] = end
+        if adapt:
+            profile = self._adaptive[topic] = self._served(topic, profile)
+        self._callbacks[topic] = callback
+        self.subscriptions[topic] = self._create(topic, profile)
 
     def _create(self, topic: Topic, profile: QoSProfile) -> Subscription:
         return create_subscription(
@@ -111,16 +100,12 @@ class Streams:
         """Publish topics, with messages that are like these patterns but for stamp and numbers."""
         for topic, pattern in patterns.items():
             publisher = create_publisher(self._node, topic)
-            self._outputs[topic] = _Output(
-                publisher, MessageTemplate(pattern), publisher.topic_name)
-            waited_for = tuple(x for x in topic.subscribers if x not in self._local.members)
-            self.publishers[replace(topic, subscribers=waited_for)] = publisher
+            self._outputs[topic] = _Output(publisher, MessageTemplate(pattern))
+            self.publishers[topic] = publisher
 
     def wants(self, topic: Topic) -> bool:
         """Return whether a message of a topic would be received."""
-        output = self._outputs[topic]
-        return self._local.readers(output.name) > 0 or (
-            output.publisher.get_subscription_count() > 0)
+        return bool(self._outputs[topic].publisher.get_subscription_count() > 0)
 
     def send(self, topic: Topic, stamp: int, *runs: Vector) -> None:
         """
@@ -138,18 +123,13 @@ class Streams:
 
     def pass_on(self, topic: Topic, data: bytes) -> None:
         """Publish bytes on a topic."""
-        output = self._outputs[topic]
-        self._local.send(output.name, data)
-        output.publisher.publish(data)
+        self._outputs[topic].publisher.publish(data)
 
     def close(self) -> None:
         """Free the topics."""
         for publisher in self.publishers.values():
             self._node.destroy_publisher(publisher)
         for subscription in self.subscriptions.values():
-            if isinstance(subscription, LocalSubscription):
-                subscription.close()
-            else:
-                self._node.destroy_subscription(subscription)
+            self._node.destroy_subscription(subscription)
         self.publishers, self.subscriptions, self._outputs = {}, {}, {}
         self._adaptive, self._callbacks = {}, {}

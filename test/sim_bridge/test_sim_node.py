@@ -1,84 +1,74 @@
-"""The simulator's node in this process, with a controller that shares it."""
+"""The simulator's node in this process, with a controller in a thread."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 import json
+import threading
 import time
 
-from multicontact_control.experiment.graph.domain import reserve_domain
-from multicontact_control.nodes import messages, topics
-from multicontact_control.nodes.composition import Composition
-from multicontact_control.nodes.local_delivery import LocalDelivery
-from multicontact_control.nodes.raw_messages import joint_state_reader, MessageTemplate
+from multicontact_control.nodes import messages, qos, topics
+from multicontact_control.nodes.link import GuestNode
 from multicontact_control.nodes.runtime import Spinner, StopFlag
 from multicontact_control.paths import config_dir
-import numpy as np
 import pytest
 import rclpy
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
+from ros_graph import own_domain
 from sim_bridge.sim_node import SimNode
 
 pytestmark = pytest.mark.ros
 
-JOINTS = [f'joint{i}' for i in range(1, 7)]
-LATE = (5, 6, 12)
-TICKS = 20
+LATE, TICKS = (5, 6, 12), 20
 
 
-@pytest.fixture(autouse=True)
-def own_folder(tmp_path, monkeypatch):
+@pytest.fixture
+def controller(tmp_path, monkeypatch):
+    """Have ROS in this process, and answers to samples of the torque that acts; some late."""
     monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     monkeypatch.setenv('ROS_LOG_DIR', str(tmp_path / 'ros'))
+    with own_domain() as domain_id, GuestNode('controller_node', domain_id) as guest:
+        stamps = []
+        publisher = guest.node.create_publisher(
+            topics.EFFORT_COMMAND.message, topics.EFFORT_COMMAND.name, qos.STREAM)
+
+        def answer(sample):
+            if len(stamps) in LATE:
+                time.sleep(0.01)
+            stamp = messages.stamp_to_ns(sample.header.stamp)
+            stamps.append(stamp)
+            publisher.publish(messages.joint_state_message(
+                stamp, sample.name, effort=sample.effort))
+
+        guest.node.create_subscription(
+            topics.JOINT_STATES.message, topics.JOINT_STATES.name, answer, qos.INPUT)
+        executor = SingleThreadedExecutor(context=guest.context)
+        executor.add_node(guest.node)
+        thread = threading.Thread(target=executor.spin)
+        thread.start()
+        yield domain_id, stamps
+        executor.shutdown()
+        thread.join()
 
 
-@contextmanager
-def ros(*parameters) -> Iterator[None]:
-    """Have ROS in this process, with parameters of the simulator."""
-    arguments = [x for parameter in parameters for x in ('-p', parameter)]
-    with reserve_domain() as domain_id:
-        rclpy.init(args=[
-            '--ros-args', '--params-file', str(config_dir() / 'plant_rigid.yaml'), *arguments,
-            '--log-level', 'fatal'],
-            domain_id=domain_id, signal_handler_options=SignalHandlerOptions.NO)
-        try:
-            yield
-        finally:
-            rclpy.try_shutdown()
-
-
-def simulate(before, stop):
-    """Run the simulator; each sample is answered by the torque it has, after `before(k)`."""
-    local = LocalDelivery([topics.SIM, topics.CONTROLLER])
-    reader = joint_state_reader(JOINTS)
-    command = MessageTemplate(messages.joint_state_message(0, JOINTS, effort=np.zeros(6)))
-    answered = []
-
-    def answer(data):
-        reading = reader.read(data)
-        before(len(answered))
-        answered.append(reading.stamp)
-        local.send('/joint_effort_command', command.write(reading.stamp, reading.effort))
-
-    local.subscribe('/joint_states', answer)
-    nodes = Composition(SimNode(local), [], local)
-    spinner = Spinner(nodes, stop)
-    nodes.run(spinner)
-    spinner.close()
-    nodes.close()
-    return answered
-
-
-def test_answer_that_is_late_is_missed_even_if_the_simulator_waited_for_it(tmp_path):
+@pytest.mark.parametrize('lockstep', [True, False])
+def test_plant_waits_for_commands_in_lockstep_only(controller, tmp_path, lockstep):
+    domain_id, stamps = controller
     counts = tmp_path / 'counts.json'
-
-    def be_late(k):
-        if k in LATE:
-            time.sleep(0.01)
-
-    with ros(f'ticks:={TICKS}', f'timing_file:={counts}'):
-        answered = simulate(be_late, StopFlag())
-    told = json.loads(counts.read_text(encoding='utf-8'))
-    assert len(answered) == told['ticks'] == TICKS
-    assert told['deadline_misses'] >= len(LATE)
-    histogram = told['latency_histogram']
-    assert sum(histogram['counts']) == TICKS - 1
+    parameters = [f'ticks:={TICKS}', f'timing_file:={counts}', f'lockstep:={lockstep}'.lower()]
+    rclpy.init(args=['--ros-args', '--params-file', str(config_dir() / 'plant_rigid.yaml'),
+                     *(x for name in parameters for x in ('-p', name)), '--log-level', 'fatal'],
+               domain_id=domain_id, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        node = SimNode()
+        spinner = Spinner(node, StopFlag())
+        node.run(spinner)
+        spinner.close()
+        node.close()
+        node.destroy_node()
+    finally:
+        rclpy.try_shutdown()
+    timing = json.loads(counts.read_text(encoding='utf-8'))
+    assert timing['ticks'] == TICKS
+    assert (timing['deadline_misses'] == 0) == lockstep
+    if lockstep:
+        assert stamps == sorted(set(stamps)) and len(stamps) == TICKS
+        assert sum(timing['latency_histogram']['counts']) == TICKS - 1

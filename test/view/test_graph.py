@@ -34,7 +34,7 @@ pytestmark = pytest.mark.ros
 def shown(tmp_path_factory):
     """Return what joins a graph in lockstep that obeys commands."""
     with own_domain() as domain_id, obedient_graph(
-            tmp_path_factory.mktemp('graph'), domain_id, composed='all'):
+            tmp_path_factory.mktemp('graph'), domain_id):
         joined = join(domain_id)
         yield joined
         joined.close()

@@ -7,15 +7,15 @@ from pathlib import Path
 from typing import Any
 
 from multicontact_control.errors import ConfigError
-from multicontact_control.experiment.metrics import (
+from multicontact_control.experiment.claims import (
     Claim,
     FIXED,
     judge_claims,
     judge_over_damping,
-    LASTING,
     PAPER_ESTIMATOR,
     Row,
 )
+from multicontact_control.experiment.metrics import LASTING
 from multicontact_control.experiment.study.measure import (
     largest,
     largest_known,
