@@ -11,17 +11,17 @@ import time
 from typing import Any
 
 from multicontact_control.errors import RunError
-from multicontact_control.view.access import Access, is_loopback, PARAMETER
+from multicontact_control.view.access import guarding
 from multicontact_control.view.commander import Commander, Outcome
 from multicontact_control.view.controls import Controls
 from multicontact_control.view.curves import Curves
 from multicontact_control.view.events import EventReader
-from multicontact_control.view.installed import require_viser
 from multicontact_control.view.scene import newtons, SceneView, STATE_COLOURS
 from multicontact_control.view.source import RATE, Snapshot, Source
 import numpy as np
+import viser
 
-HOST, PORT = '127.0.0.1', 8080
+HOST = '127.0.0.1'
 TEXT_EVERY, CURVES_EVERY = 6, 4  # snapshots
 LISTED = 12  # events
 TOAST_TIME = 6.0  # s
@@ -38,15 +38,13 @@ class Page:
     ----------
     source
         What is shown and steered.
-    host, port
-        To listen on; the next port that is free.
-    token
-        That has to be known, empty for none on this machine and one that is made up elsewhere.
+    port
+        To listen on; the next one that is free.
 
     Attributes
     ----------
     url
-        Of the page, with its token.
+        Of the page.
     commander
         Who gives the commands.
     newest
@@ -56,20 +54,13 @@ class Page:
 
     """
 
-    def __init__(
-        self, source: Source, host: str = HOST, port: int = PORT, token: str = '',
-    ) -> None:
-        viser = require_viser()
+    def __init__(self, source: Source, port: int) -> None:
         self.source = source
-        access = Access(host, token)
-        with access.guarding(), redirect_stdout(io.StringIO()):
-            self.server: Any = viser.ViserServer(host=host, port=port, verbose=False)
-        self.server.request_share_url = _share_nothing  # a client could ask for a public tunnel
-        port = self.server.get_port()
-        shown = 'localhost' if host in ('0.0.0.0', '::') else f'[{host}]' if ':' in host else host
-        self.url = f'http://{shown}:{port}/' + (
-            f'?{PARAMETER}={access.token}' if access.token else '')
-        self.local = is_loopback(host)
+        with guarding(), redirect_stdout(io.StringIO()):
+            self.server: Any = viser.ViserServer(host=HOST, port=port, verbose=False)
+        # A client could ask for a public tunnel.
+        self.server.request_share_url = lambda *_arguments, **_options: None
+        self.url = f'http://{HOST}:{self.server.get_port()}/'
         self.ended = ''
         self._outcomes: deque[Outcome] = deque(maxlen=8)
         self._events: deque[tuple[float, str]] = deque(maxlen=LISTED)
@@ -174,7 +165,7 @@ class Page:
             self._tell('refused', outcome.text)
 
     def _tell(self, title: str, text: str) -> None:
-        """Say something to everybody, but not the same again and again."""
+        """Notify all browsers, but not of the same again and again."""
         now = time.monotonic()
         before, when = self._refused
         if text == before and now - when < AGAIN:
@@ -190,10 +181,6 @@ class Page:
         with redirect_stdout(io.StringIO()):
             self.server.stop()
         self.source.close()
-
-
-def _share_nothing(*_arguments: Any, **_options: Any) -> None:
-    """Open no tunnel: the page is for this machine, or for who has the token."""
 
 
 def _line(content: str) -> str:

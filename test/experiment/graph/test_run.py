@@ -347,6 +347,6 @@ def test_run_says_in_which_domain_it_is(tmp_path, free_domain):
     domain_id = summary['ros_domain_id']
     assert interrupted is None
     assert 0 <= domain_id <= 101
-    assert f'ROS_DOMAIN_ID={domain_id} multicontact topics' in text.getvalue()
+    assert f'ROS_DOMAIN_ID={domain_id} multicontact topic list' in text.getvalue()
     written = json.loads((tmp_path / 'summary.json').read_text(encoding='utf-8'))
     assert written['ros_domain_id'] == domain_id
