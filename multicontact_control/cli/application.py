@@ -64,6 +64,7 @@ class _Command(TyperCommand):
     def format_help(self, ctx: Any, formatter: Any) -> None:
         shown = copy(self)
         shown.params = [copy(parameter) for parameter in self.params]
+        each: Any
         for each in (shown, *shown.params):
             each.help = escape(getattr(each, 'help', None) or '')
         TyperCommand.format_help(shown, ctx, formatter)

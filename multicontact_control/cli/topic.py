@@ -138,7 +138,7 @@ def document(message: Any, field: str = '', longest: int | None = LONGEST) -> st
 def pick(message: Any, field: str) -> Any:
     """Return a field of a message by its dotted path; ConfigError if there is none."""
     for name in filter(None, field.split('.')):
-        known = getattr(message, FIELDS, dict)()
+        known: dict[str, str] = getattr(message, FIELDS, dict)()
         if name not in known:
             raise ConfigError(
                 '--field', f'one of {", ".join(known) or "no further fields"}', f"'{name}'")
