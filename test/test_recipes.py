@@ -1,4 +1,4 @@
-"""What is made as CONTRIBUTING's recipes say works: a contact, a robot, a noise estimator."""
+"""A contact, a robot and a noise estimator, made as CONTRIBUTING's recipes say, work."""
 
 from typing import Literal
 
@@ -19,7 +19,7 @@ from multicontact_control.paths import config_dir
 from multicontact_control.sampling import PairedSample
 from multicontact_control.supervision.command_limits import CommandLimits
 import numpy as np
-import pytest
+from runs import run_of
 import yaml
 
 # Files are laid over those of config/, as a user's own would be.
@@ -28,8 +28,7 @@ WALL = {'normal_world': [1.0, 0.0, 0.0], 'point_operational': [0.0, 0.0, 0.24],
 NAMES = ['table', 'board', 'wall']
 
 
-@pytest.mark.slow
-def test_new_robot_is_a_urdf_and_a_parameter_file(tmp_path):
+def test_robot_is_added_by_a_urdf_and_a_parameter_file(tmp_path):
     """Seven joints find a wall, touch it and press with 10 N, from a folder of their own."""
     urdf = seven_joint_urdf(tmp_path)
     content = yaml.safe_load((config_dir() / 'controller.yaml').read_text())
@@ -64,8 +63,7 @@ def test_new_robot_is_a_urdf_and_a_parameter_file(tmp_path):
     np.testing.assert_allclose(forces[-250:], 10.0, atol=0.5)
 
 
-@pytest.mark.slow
-def test_new_contact_takes_no_code():
+def test_contact_is_added_without_code():
     """A third surface, to the side of the first tip, pressed by 10 N like the others."""
     setup = resolve(
         'quick', plant='rigid', duration=6.0,
@@ -76,7 +74,7 @@ def test_new_contact_takes_no_code():
             'normal_world': [1.0, 0.0, 0.0], 'friction': 0.1}}},
         scenario_overrides={'reference': {'force_steps': [
             {'time': 2.5, 'forces': dict.fromkeys(NAMES, 10.0)}]}})
-    result = run_in_process(setup, supervised=True)
+    result = run_of(setup)
     assert not result.ended_early
     late = result.data.time > 5.0
     np.testing.assert_allclose(
@@ -93,12 +91,12 @@ class HalfInnovation(InnovationEstimator):
         return 0.5 * innovation.residual ** 2, innovation.valid
 
 
-def test_new_noise_estimator_is_one_class_and_its_name(monkeypatch):
+def test_noise_estimator_is_added_by_a_class_and_its_name(monkeypatch):
     class Config(NoiseEstimatorConfig):
         estimator: Literal['half']
 
     monkeypatch.setitem(ESTIMATORS, 'half', HalfInnovation)
-    setup = resolve('quick', plant='rigid', duration=3.0)
+    setup = resolve('quick', plant='rigid', duration=2.5)
     values = {**setup.noise_estimator.model_dump(), 'estimator': 'half'}
     object.__setattr__(setup, 'noise_estimator', Config.model_validate(values))
     data = run_in_process(setup, supervised=True).data
