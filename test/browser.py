@@ -66,27 +66,15 @@ def chromium_browser() -> Iterator[Any]:
 
 
 class Tab:
-    """
-    A page in the browser, and all that is wrong with it.
-
-    Attributes
-    ----------
-    page
-        As playwright has it.
-    problems
-        Errors of the page and on its console, and requests that failed.
-    requests
-        What it asked for, but for itself and what is in it.
-
-    """
+    """A page in the browser: its errors and failed requests, and what it asked for elsewhere."""
 
     def __init__(self, browser: Any, url: str, **options: Any) -> None:
         self.page = browser.new_page(**options)
         self.page.set_default_timeout(1e3 * PATIENCE)
         self.problems: list[str] = []
         self.requests: list[str] = []
-        self.page.on('console', lambda said: self.problems.append(said.text)
-                     if said.type == 'error' else None)
+        self.page.on('console', lambda line: self.problems.append(line.text)
+                     if line.type == 'error' else None)
         self.page.on('pageerror', lambda error: self.problems.append(str(error)))
         self.page.on('requestfailed', lambda request: self.problems.append(
             f'{request.url}: {request.failure}'))

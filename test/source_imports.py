@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 PACKAGES = ('multicontact_control', 'sim_bridge')
@@ -55,12 +54,3 @@ def is_ros(module: str) -> bool:
     top = module.split('.')[0]
     return top in ('rclpy', 'ament_index_python', 'rosidl_runtime_py', 'rosidl_parser') or (
         top.endswith(('_msgs', '_srvs', '_interfaces')))
-
-
-def find_cycle(graph: dict[str, set[str]]) -> list[str]:
-    """Return the modules along one import cycle, the first one again at the end, or nothing."""
-    try:
-        TopologicalSorter(graph).prepare()
-    except CycleError as error:
-        return error.args[1][::-1]
-    return []

@@ -1,11 +1,12 @@
-"""The rules of who may import whom, held against the sources and against trees that break them."""
+"""The rules of who may import whom, held against the sources."""
 
 from __future__ import annotations
 
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
-from source_imports import find_cycle, imports_of, is_ros, PACKAGES, STRANGER
+from source_imports import imports_of, is_ros, PACKAGES, STRANGER
 
 ROOT = Path(__file__).resolve().parents[1]
 # What is not listed (config, errors, arrays, paths, sampling, ...) lies at the bottom.
@@ -57,62 +58,23 @@ def broken_rule(module: str, target: str) -> str:
     return ''
 
 
-def violations(root: Path) -> list[str]:
-    graph = imports_of(root)
-    broken = [
-        f'{module} imports {target}: {rule}'
-        for module, targets in graph.items() for target in sorted(targets)
-        if (rule := broken_rule(module, target))]
-    cycle = find_cycle(graph)
-    return broken + ([f'import cycle: {" > ".join(cycle)}'] if cycle else [])
-
-
 def test_sources_keep_the_rules_of_the_architecture():
-    assert imports_of(ROOT), 'no sources found'
-    assert violations(ROOT) == []
+    graph = imports_of(ROOT)
+    assert len(graph) > 100
+    assert [f'{module} imports {target}: {rule}'
+            for module, targets in graph.items() for target in sorted(targets)
+            if (rule := broken_rule(module, target))] == []
+    TopologicalSorter(graph).prepare()  # CycleError names an import cycle
 
 
-GOOD = {
-    '__init__.py': "__version__ = '1'", 'errors.py': '', 'dynamics/__init__.py': '',
-    'config.py': 'from multicontact_control.errors import ConfigError',
-    'dynamics/robot.py': 'import numpy\nimport pinocchio',
-    'contact/geometry.py': 'from multicontact_control import config', 'force/noise.py': '',
-    'force/observer.py': 'from . import noise',
-    'control/controller.py': 'import multicontact_control.force.observer', 'control_loop.py': '',
-    'nodes/node.py': 'import rclpy\nfrom multicontact_control.control.controller import Law',
-    'nodes/qos.py': '', 'experiment/loop.py': 'from sim_bridge.plant import Plant',
-    'view/__init__.py': '', 'cli/__init__.py': '',
-    'cli/run.py': 'def run():\n    import multicontact_control.experiment.loop',
-    '../sim_bridge/plant.py':
-        'import pybullet\nimport pinocchio\nimport multicontact_control.config'}
-
-
-def write_tree(root: Path, files: dict[str, str]) -> None:
-    for name, text in files.items():
-        path = root / 'multicontact_control' / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding='utf-8')
-
-
-@pytest.mark.parametrize(('path', 'text', 'complaint'), [
-    ('errors.py', '', ''),  # nothing is wrong
-    ('config.py', 'import rclpy', 'the core knows neither'),
-    ('control_loop.py', 'from sensor_msgs.msg import JointState', 'the core knows neither'),
-    ('control/controller.py', 'def f():\n    import sim_bridge.plant', 'the core knows neither'),
-    ('nodes/node.py', 'import pinocchio as pin', 'pinocchio is wrapped'),
-    ('experiment/loop.py', 'from multicontact_control.supervision.supervisor import Supervisor',
-     'in control_loop.py'),
-    ('control/controller.py', 'from multicontact_control.force import noise', 'as a number'),
-    ('control/controller.py', 'from ..force.noise import f', 'as a number'),
-    ('dynamics/__init__.py', 'from ..contact.geometry import N', 'of each other'),
-    ('control_loop.py', 'from multicontact_control.nodes import qos', 'flow downwards'),
-    ('experiment/loop.py', 'from multicontact_control import view', 'imports flow downwards'),
-    ('cli/run.py', 'import viser', 'known to view/ alone'),
-    ('experiment/bench/tsid_tick.py', 'import multicontact_control.errors', 'this package is not'),
-    ('force/noise.py', 'from .observer import Observer', 'import cycle'),
-    ('../sim_bridge/plant.py', 'import multicontact_control.experiment.loop', 'import cycle')])
-def test_broken_rule_is_found(tmp_path, path, text, complaint):
-    write_tree(tmp_path, GOOD)
-    write_tree(tmp_path, {path: text})
-    found = violations(tmp_path)
-    assert any(complaint in each for each in found) if complaint else found == []
+@pytest.mark.parametrize(('module', 'target', 'complaint'), [
+    ('config', 'rclpy', 'the core knows neither'),
+    ('control.controller', 'sim_bridge.plant', 'the core knows neither'),
+    ('nodes.node', 'pinocchio', 'pinocchio is wrapped'),
+    ('experiment.loop', 'multicontact_control.supervision.supervisor', 'in control_loop.py'),
+    ('control.controller', 'multicontact_control.force.noise', 'as a number'),
+    ('dynamics', 'multicontact_control.contact.geometry', 'of each other'),
+    ('control_loop', 'multicontact_control.nodes.qos', 'imports flow downwards'),
+    ('cli.run', 'viser', 'known to view/ alone')])
+def test_broken_rule_is_found(module, target, complaint):
+    assert complaint in broken_rule(f'multicontact_control.{module}', target)

@@ -66,13 +66,6 @@ def test_links_and_files_of_a_document_are_there(document):
             assert any((folder / name).exists() for folder in FOLDERS), name
 
 
-def test_broken_links_are_found():
-    text = '[a](view.md) [b](gone.md) ![c](img/gone.png) [d](view.md#who-may-look) [e](#gone) ' \
-        '[f](view.md#gone) `[h](i)`'
-    assert broken_links(ROOT / 'docs/view.md', text) == [
-        'gone.md', 'img/gone.png', '#gone', 'view.md#gone']
-
-
 @pytest.mark.nightly
 def test_documents_become_html_without_a_warning(tmp_path):
     """As `make docs` makes it."""

@@ -1,10 +1,14 @@
 """The command line: exit codes, one line per error, help."""
 
+import os
 import re
+import subprocess
+import sys
 
 from multicontact_control import __version__
 from multicontact_control.cli.application import app
 import pytest
+from ros_graph import ROOT
 import typer
 
 
@@ -17,16 +21,12 @@ import typer
     (('view', 'x', '--seed', '1'), '--seed: expected nothing with a recording'),
     (('run', '--commanded', '--set', 'scenario.duration=20'),
      '--set scenario.duration: expected nothing with --commanded'),
-    (('run', '--seed', '-3'), 'seed: expected a whole number >= 0, found -3'),
     (('run', '--namespace', '1st'), 'namespace: expected names of letters, digits and _'),
     (('run', '--external'), '--controller: expected the parameter file of your controller'),
     (('run', '--external', '--plant', 'rigid'), '--plant: expected nothing with --external'),
     (('run', '--controller', 'x'), '--controller: expected nothing with a simulated plant'),
-    (('run', '--external', '--controller', 'x'), 'x: expected a readable file'),
     (('calibrate', '--from-bag', 'x'), '--controller: expected the parameter file'),
-    (('calibrate', '--external'), '--controller: expected the parameter file'),
     (('calibrate', '--tilt', '30'), '--tilt: expected nothing with a simulated plant'),
-    (('calibrate', '--external', '--robot', 'panda'), '--robot: expected nothing with --external'),
     (('calibrate', '--from-bag', 'x', '--external'), '--external: expected nothing with --from-b'),
     (('push-test', '--external', '--fault', 'sign'), '--fault: expected nothing with --external'),
     (('design', 'pi', '--stiffness', '9'), 'stiffness: expected two numbers')])
@@ -52,9 +52,12 @@ def test_help_has_units_of_all_commands(multicontact):
     assert shown > 5
 
 
-def test_process_ends_as_the_application_does(multicontact, process, tmp_path):
+def test_process_ends_as_the_application_does(multicontact, tmp_path):
     for arguments in (('--version',), ('simulate', '--plant', 'x')):
-        here, there = multicontact(*arguments), process(*arguments, cwd=tmp_path)
+        here = multicontact(*arguments)
+        there = subprocess.run(
+            [sys.executable, '-m', 'multicontact_control.cli', *arguments], cwd=tmp_path,
+            env={**os.environ, 'PYTHONPATH': str(ROOT)}, capture_output=True, text=True)
         assert (there.returncode, there.stdout, there.stderr) == (
             here.returncode, here.stdout, here.stderr)
     assert multicontact('--version').stdout.strip() == f'multicontact {__version__}'
