@@ -22,8 +22,8 @@ def test_pages_are_all_there_are():
 
 
 def test_every_parameter_topic_and_service_is_described():
-    models = {name: models for name, models in reference.NODES.items()} | {
-        name: (model,) for name, (_, model) in reference.FILES.items()}
+    files = {name: (model,) for name, (_, model) in reference.FILES.items()}
+    models = {**reference.NODES, **files}
     for name, each in models.items():
         entries = [entry for model in each for group in reference.groups(model)
                    for entry in group.entries]

@@ -34,8 +34,9 @@ def report(
 
     with errors_in_one_line():
         if all(map(is_whole_run, runs)):
-            options.refuse_options(options.given_options(context), ('controller', 'namespace'),
-                           'runs of this package, which know their own')
+            options.refuse_options(
+                options.given_options(context), ('controller', 'namespace'),
+                'runs of this package, which know their own')
         content = read_comparison(comparison) if comparison is not None else None
         loaded = [load(path, controller or (), namespace) for path in runs]
         paths = write_report(loaded, out or report_folder(runs[0]), content)

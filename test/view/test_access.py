@@ -1,7 +1,7 @@
 import pytest
 
 pytest.importorskip('websockets', reason='the extra [view] is not installed')
-from multicontact_control.view.access import refusal  # noqa: E402
+from multicontact_control.view.access import refusal  # noqa: E402, I100
 from websockets.datastructures import Headers  # noqa: E402
 from websockets.http11 import Request  # noqa: E402
 

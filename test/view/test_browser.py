@@ -41,12 +41,6 @@ def page():
     page.close()
 
 
-def press(element, key):
-    """Press a key on an element: a click waits for frames."""
-    element.focus()
-    element.press(key)
-
-
 def pixel(page, tab, point_world):
     """Return where a point is seen in the first browser's window [px]."""
     camera = next(iter(page.server.get_clients().values())).camera
@@ -73,10 +67,10 @@ def test_sliders_press_buttons_press_and_the_mouse_drags(page, chromium):
     wait_for(lambda: page.newest.commanded['table'] == 0.0, 'letting go')
     tab.keyboard.press('ArrowRight')
     tab.get_by_text('0 or 3 to 30 N, found 0.5 N').wait_for()
-    press(tab.get_by_role('button', name='Press with 10 N'), 'Enter')
+    tab.get_by_role('button', name='Press with 10 N').press('Enter')
     wait_for(lambda: page.newest.states == ('holding', 'holding'), 'both contacts')
-    press(tab.get_by_role('tab', name='Move'), 'Enter')
-    press(tab.get_by_label('drag').first, 'Space')
+    tab.get_by_role('tab', name='Move').press('Enter')
+    tab.get_by_label('drag').first.press('Space')
     wait_for(lambda: handle.visible, 'the handle')
     start = page.newest.position_des.copy()
     wait_for(lambda: np.abs(handle.position - start).max() < 1e-3, 'the handle at the arm')

@@ -20,16 +20,9 @@ import numpy as np
 import pytest
 
 pytest.importorskip('viser', reason='viser is not installed (extra [view])')
-from multicontact_control.view.page import Page  # noqa: E402
+from multicontact_control.view.page import Page  # noqa: E402, I100
 
 PORT = 8471
-WITHOUT = """
-import sys
-sys.modules['viser'] = None
-sys.argv = ['multicontact', 'view']
-from multicontact_control.cli.application import main
-main()
-"""
 
 
 class Silent:
@@ -128,8 +121,9 @@ def test_page_draws_a_recording_and_lists_what_happened_meanwhile(
 
 
 def test_view_without_viser_exits_with_two_and_one_line():
-    done = subprocess.run(
-        [sys.executable, '-c', WITHOUT], capture_output=True, text=True, check=False)
+    code = ("import sys; sys.modules['viser'] = None; from multicontact_control.cli import app; "
+            "app(['view'])")
+    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True)
     assert done.returncode == 2 and done.stderr.count('\n') == 1
     assert "pip install 'multicontact_control[view]'" in done.stderr
 
