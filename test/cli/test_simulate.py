@@ -2,7 +2,10 @@
 
 import json
 
+import pytest
 
+
+@pytest.mark.slow
 def test_simulate_leaves_a_run_folder(multicontact, tmp_path):
     """Series, summary, figures; it is not replaced unless it is asked for."""
     out = str(tmp_path / 'run')

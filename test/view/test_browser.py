@@ -16,8 +16,7 @@ pytest.importorskip('viser', reason='viser is not installed (extra [view])')
 pytestmark = [pytest.mark.slow, pytest.mark.nightly, pytest.mark.webgl]
 
 BOTH_PANELS = {'width': 1100, 'height': 480}  # px, and something of the scene between them
-# The processor draws all of it: twice a second is enough.
-SELDOM = """
+SELDOM = """  // the processor draws all of it: twice a second is enough
 const draw = window.requestAnimationFrame.bind(window);
 window.requestAnimationFrame = callback => setTimeout(() => draw(callback), 500);
 """

@@ -128,6 +128,7 @@ def test_view_without_viser_exits_with_two_and_one_line():
     assert "pip install 'multicontact_control[view]'" in done.stderr
 
 
+@pytest.mark.slow
 def test_view_serves_a_page_and_ends_with_all_it_started():
     process = subprocess.Popen(
         [sys.executable, '-m', 'multicontact_control.cli', 'view', '--port', str(PORT + 1),
