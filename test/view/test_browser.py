@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 
 from browser import Tab
 from multicontact_control.experiment.scenario import resolve
@@ -59,13 +60,6 @@ def test_sliders_press_buttons_press_and_the_mouse_drags(page, chromium):
     tab, handle = opened.page, page.server.scene.get_handle_by_name('/handle')
     tab.get_by_text('Press with 10 N').wait_for()
     wait_for(lambda: page.server.get_clients() and page.newest, 'a connection and samples')
-    tab.get_by_role('slider').first.focus()
-    tab.keyboard.press('End')  # one key each: a slow browser makes two of two
-    wait_for(lambda: page.newest.commanded['table'] == 30.0, 'the largest force')
-    tab.keyboard.press('Home')
-    wait_for(lambda: page.newest.commanded['table'] == 0.0, 'letting go')
-    tab.keyboard.press('ArrowRight')
-    tab.get_by_text('0 or 3 to 30 N, found 0.5 N').wait_for()
     tab.get_by_role('button', name='Press with 10 N').press('Enter')
     wait_for(lambda: page.newest.states == ('holding', 'holding'), 'both contacts')
     tab.get_by_role('tab', name='Move').press('Enter')
@@ -73,13 +67,14 @@ def test_sliders_press_buttons_press_and_the_mouse_drags(page, chromium):
     wait_for(lambda: handle.visible, 'the handle')
     start = page.newest.position_des.copy()
     wait_for(lambda: np.abs(handle.position - start).max() < 1e-3, 'the handle at the arm')
-    # By its arrow along the table and the board; the browser grasps what it has drawn.
+    tab.evaluate(FRAMES, 4)  # the browser grasps what it has drawn
+    # By its arrow along the table and the board.
     for far in np.linspace(0.12, 0.2, 9):
-        tab.evaluate(FRAMES, 2)
         tab.mouse.move(*pixel(page, tab, start + [far, 0.0, 0.0]))
         if far == 0.12:
             tab.evaluate(FRAMES, 2)
             tab.mouse.down()
+        time.sleep(0.2)
     wait_for(lambda: page.newest.position_des[0] > start[0] + 0.05, 'the way to where it is')
     tab.mouse.up()
     wait_for(lambda: page.newest.goal is None, 'the arrival')
@@ -87,5 +82,13 @@ def test_sliders_press_buttons_press_and_the_mouse_drags(page, chromium):
     assert 0.05 < moved[0] < 0.11 and np.abs(moved[1:]).max() < 1e-3
     assert page.newest.states == ('holding', 'holding')
     assert np.abs(page.newest.estimated - 10.0).max() < 1.0
+    tab.get_by_role('tab', name='Press').press('Enter')
+    tab.get_by_role('slider').first.focus()
+    tab.keyboard.press('End')  # one key each: a slow browser makes two of two
+    wait_for(lambda: page.newest.commanded['table'] == 30.0, 'the largest force')
+    tab.keyboard.press('Home')
+    wait_for(lambda: page.newest.commanded['table'] == 0.0, 'letting go')
+    tab.keyboard.press('ArrowRight')
+    tab.get_by_text('refused: force on table').wait_for()
     context.close()
     assert opened.problems == []
