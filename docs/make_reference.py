@@ -270,19 +270,17 @@ def _attribute_docs(module: Any) -> dict[str, str]:
 
 def commands() -> str:
     """Return the page of all commands and their options."""
-    known = typer.main.get_command(app).commands  # type: ignore[attr-defined]
-    bodies = {info.name or info.callback.__name__.replace('_', '-'): info.callback
-              for info in app.registered_commands if info.callback}
+    known = dict(_commands(app))
     parts = [
         '# Commands', MADE,
         'What `multicontact COMMAND --help` says, of all commands at once. Exit codes: 0 stable, '
         'or not judged, or done; 1 not stable, held by the supervisor, a node died, or what was '
         'asked for failed; 2 bad input; 128 + n ended by signal n.',
         table(['command', 'what it does'], [
-            [f'[`{name}`](#multicontact-{name})', _text(_first(command.help))]
+            [f'[`{name}`](#multicontact-{name.replace(" ", "-")})', _text(_first(command.help))]
             for name, command in known.items()])]
     for name, command in known.items():
-        kinds = typing.get_type_hints(bodies[name])
+        kinds = typing.get_type_hints(command.callback)
         arguments = [x for x in command.params if x.param_type_name == 'argument']
         options = [x for x in command.params if x.param_type_name == 'option']
         usage = ' '.join(['multicontact', name, *(['[OPTIONS]'] if options else ()),
@@ -297,6 +295,15 @@ def commands() -> str:
                 [_names(x), _value(x, kinds[x.name]), _default(x), _text(x.help)]
                 for x in options]))
     return _page(parts)
+
+
+def _commands(application: typer.Typer) -> Iterator[tuple[str, Any]]:
+    """Yield names and commands, those of groups behind the others; none that are hidden."""
+    for name, command in typer.main.get_command(application).commands.items():  # type: ignore
+        inner = getattr(command, 'commands', None)
+        if not command.hidden:
+            yield from (((f'{name} {key}', each) for key, each in inner.items()) if inner
+                        else [(name, command)])
 
 
 def _paragraph(text: str) -> str:

@@ -19,12 +19,7 @@ def module_paths(root: Path) -> dict[str, Path]:
 
 
 def imports_of(root: Path) -> dict[str, set[str]]:
-    """
-    Return the dotted names that each module imports, wherever in the module it does so.
-
-    A name imported from one of the two packages is the module it lives in; `from package import
-    module` counts as an import of that module.
-    """
+    """Return the modules that each module imports, wherever in the module it does so."""
     modules = module_paths(root)
     return {
         name: _imports(path, name, path.name == '__init__.py', set(modules))
@@ -57,24 +52,3 @@ def is_ros(module: str) -> bool:
     top = module.split('.')[0]
     return top in ('rclpy', 'ament_index_python', 'rosidl_runtime_py', 'rosidl_parser') or (
         top.endswith(('_msgs', '_srvs', '_interfaces')))
-
-
-def find_cycle(graph: dict[str, set[str]]) -> list[str]:
-    """Return the modules along one import cycle, the first one again at the end, or nothing."""
-    done: set[str] = set()
-
-    def visit(module: str, trail: list[str]) -> list[str]:
-        if module in trail:
-            return [*trail[trail.index(module):], module]
-        if module in done or module not in graph:
-            return []
-        for target in sorted(graph[module]):
-            if cycle := visit(target, [*trail, module]):
-                return cycle
-        done.add(module)
-        return []
-
-    for module in sorted(graph):
-        if cycle := visit(module, []):
-            return cycle
-    return []

@@ -1,17 +1,18 @@
-"""The rules of who may import whom, held against the sources and against trees that break them."""
+"""The rules of who may import whom, held against the sources."""
 
 from __future__ import annotations
 
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
-from source_imports import find_cycle, imports_of, is_ros
+from source_imports import imports_of, is_ros
 
 ROOT = Path(__file__).resolve().parents[1]
 # What is not listed (config, errors, arrays, paths, sampling, ...) lies at the bottom.
 LAYERS = {
     'dynamics': 1, 'contact': 1, 'force': 1, 'control': 2, 'sensor': 3, 'supervision': 3,
-    'control_loop': 4, 'nodes': 5, 'experiment': 6, 'tools': 6, 'client': 6, 'view': 7,
+    'control_loop': 4, 'nodes': 5, 'experiment': 6, 'client': 6, 'view': 7,
     'cli': 8, '__main__': 8}
 PINOCCHIO_HOME = 'multicontact_control.dynamics.robot'
 STEPPED = (
@@ -55,84 +56,23 @@ def broken_rule(module: str, target: str) -> str:
     return ''
 
 
-def violations(root: Path) -> list[str]:
-    graph = imports_of(root)
-    broken = [
-        f'{module} imports {target}: {rule}'
-        for module, targets in graph.items() for target in sorted(targets)
-        if (rule := broken_rule(module, target))]
-    cycle = find_cycle(graph)
-    return broken + ([f'import cycle: {" > ".join(cycle)}'] if cycle else [])
-
-
 def test_sources_keep_the_rules_of_the_architecture():
-    assert imports_of(ROOT), 'no sources found'
-    assert violations(ROOT) == []
+    graph = imports_of(ROOT)
+    assert len(graph) > 100
+    assert [f'{module} imports {target}: {rule}'
+            for module, targets in graph.items() for target in sorted(targets)
+            if (rule := broken_rule(module, target))] == []
+    TopologicalSorter(graph).prepare()  # CycleError names an import cycle
 
 
-GOOD = {
-    'multicontact_control/__init__.py': "__version__ = '1'",
-    'multicontact_control/errors.py': '',
-    'multicontact_control/config.py': 'from multicontact_control.errors import ConfigError',
-    'multicontact_control/dynamics/__init__.py': '',
-    'multicontact_control/dynamics/robot.py': 'import numpy\nimport pinocchio',
-    'multicontact_control/contact/geometry.py': 'from multicontact_control import config',
-    'multicontact_control/force/noise.py': '',
-    'multicontact_control/force/observer.py': 'from . import noise',
-    'multicontact_control/control/controller.py': 'import multicontact_control.force.observer',
-    'multicontact_control/control_loop.py': '',
-    'multicontact_control/nodes/controller_node.py':
-        'import rclpy\nfrom multicontact_control.control.controller import Controller',
-    'multicontact_control/experiment/loop.py': 'from sim_bridge.plant import Plant',
-    'multicontact_control/cli/__init__.py': '',
-    'multicontact_control/cli/run.py':
-        'def run():\n    import multicontact_control.experiment.loop',
-    'sim_bridge/plant.py': 'import pybullet\nimport pinocchio\nimport multicontact_control.config',
-}
-
-
-def write_tree(root: Path, files: dict[str, str]) -> None:
-    for name, text in files.items():
-        path = root / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding='utf-8')
-
-
-def test_checker_accepts_a_good_tree(tmp_path):
-    write_tree(tmp_path, GOOD)
-    assert violations(tmp_path) == []
-
-
-@pytest.mark.parametrize(('path', 'text', 'complaint'), [
-    ('config.py', 'import rclpy', 'the core knows neither'),
-    ('errors.py', 'import pybullet', 'the core knows neither'),
-    ('force/noise.py', 'from sensor_msgs.msg import JointState', 'the core knows neither'),
-    ('control/controller.py', 'def f():\n    import sim_bridge.plant', 'the core knows neither'),
-    ('control_loop.py', 'from rclpy.node import Node', 'the core knows neither'),
-    ('sampling.py', 'from sensor_msgs.msg import JointState', 'the core knows neither'),
-    ('control/controller.py', 'import pinocchio as pin', 'pinocchio is wrapped'),
-    ('nodes/controller_node.py', 'import pinocchio', 'pinocchio is wrapped'),
-    ('experiment/loop.py', 'from multicontact_control.supervision.supervisor import Supervisor',
-     'in control_loop.py'),
-    ('control/controller.py', 'from multicontact_control.force.noise import f', 'as a number'),
-    ('control/controller.py', 'from multicontact_control.force import noise', 'as a number'),
-    ('control/controller.py', 'import multicontact_control.force.noise.innovation', 'as a number'),
-    ('control/controller.py', 'from ..force import noise', 'as a number'),
-    ('contact/geometry.py', 'from multicontact_control.force import noise', 'of each other'),
-    ('dynamics/__init__.py', 'from ..contact.geometry import N', 'of each other'),
-    ('errors.py', 'import multicontact_control.force.noise', 'imports flow downwards'),
-    ('control/controller.py', 'from multicontact_control.nodes import qos', 'flow downwards'),
-    ('control_loop.py', 'from multicontact_control.nodes import qos', 'flow downwards'),
-    ('supervision/gate.py', 'from multicontact_control import control_loop', 'flow downwards'),
-    ('experiment/loop.py', 'from multicontact_control import cli', 'imports flow downwards'),
-    ('experiment/loop.py', 'from multicontact_control import view', 'imports flow downwards'),
-    ('cli/run.py', 'import viser', 'known to view/ alone'),
-    ('errors.py', 'from multicontact_control.config import Config', 'import cycle'),
-    ('force/noise.py', 'from .observer import Observer', 'import cycle'),
-    ('../sim_bridge/plant.py', 'import multicontact_control.experiment.loop', 'import cycle'),
-])
-def test_checker_finds_a_broken_rule(tmp_path, path, text, complaint):
-    write_tree(tmp_path, GOOD | {
-        'multicontact_control/nodes/qos.py': '', 'multicontact_control/view/__init__.py': ''})
-    write_tree(tmp_path / 'multicontact_control', {path: text})
-    assert any(complaint in violation for violation in violations(tmp_path))
+@pytest.mark.parametrize(('module', 'target', 'complaint'), [
+    ('config', 'rclpy', 'the core knows neither'),
+    ('control.controller', 'sim_bridge.plant', 'the core knows neither'),
+    ('nodes.node', 'pinocchio', 'pinocchio is wrapped'),
+    ('experiment.loop', 'multicontact_control.supervision.supervisor', 'in control_loop.py'),
+    ('control.controller', 'multicontact_control.force.noise', 'as a number'),
+    ('dynamics', 'multicontact_control.contact.geometry', 'of each other'),
+    ('control_loop', 'multicontact_control.nodes.qos', 'imports flow downwards'),
+    ('cli.run', 'viser', 'known to view/ alone')])
+def test_broken_rule_is_found(module, target, complaint):
+    assert complaint in broken_rule(f'multicontact_control.{module}', target)

@@ -7,16 +7,14 @@ from pathlib import Path
 import subprocess
 import sys
 
-from multicontact_control.experiment.graph.domain import reserve_domain
 import pytest
-from ros_graph import PATIENCE, ROOT
+from ros_graph import own_domain, PATIENCE, ROOT
 
 NAME = 'multicontact_control'
-PROGRAMS = {
-    'controller_node', 'multicontact',
-    'noise_estimator_node', 'recorder_node', 'sim_node'}
+NODES = {'controller_node', 'noise_estimator_node',
+         'recorder_node', 'sim_node'}
 
-pytestmark = pytest.mark.colcon
+pytestmark = [pytest.mark.colcon, pytest.mark.ros, pytest.mark.nightly]
 
 
 @pytest.fixture(scope='module')
@@ -43,55 +41,35 @@ def untracked():
     return {path.name for path in ROOT.iterdir() if not path.name.startswith('.')}
 
 
-@pytest.fixture(autouse=True)
-def own_domain(monkeypatch):
-    """Keep what is started here apart: a node that lingers would answer to its name."""
-    monkeypatch.delenv('ROS_DOMAIN_ID', raising=False)
-    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    with reserve_domain() as domain_id:
-        monkeypatch.setenv('ROS_DOMAIN_ID', str(domain_id))
-        yield
-
-
 def run_in(install, *command):
-    """Run a command where the workspace is sourced, away from the checkout, not for ever."""
-    environment = {key: value for key, value in os.environ.items() if key != 'PYTHONPATH'}
-    line = f'. "{install}/setup.sh" && exec "$@"'
-    return subprocess.run(
-        ['sh', '-c', line, 'sh', *map(str, command)], cwd=install, env=environment,
-        capture_output=True, text=True, timeout=PATIENCE, check=False)
+    """Run a command where the workspace is sourced, in a domain of its own."""
+    with own_domain() as domain_id:
+        environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain_id)}
+        environment.pop('PYTHONPATH', None)
+        return subprocess.run(
+            ['sh', '-c', f'. "{install}/setup.sh" && exec "$@"', 'sh', *map(str, command)],
+            cwd=install, env=environment, capture_output=True, text=True, timeout=PATIENCE,
+            check=False)
 
 
-def test_colcon_installs_the_nodes_where_ros2_run_looks(install):
+def test_colcon_installs_what_ros2_looks_for(install):
     folder = install / NAME / 'lib' / NAME
-    assert {path.name for path in folder.iterdir()} == PROGRAMS
+    assert {path.name for path in folder.iterdir()} == NODES | {'multicontact'}
     assert all(os.access(path, os.X_OK) for path in folder.iterdir())
-
-
-def test_colcon_installs_the_share_folder(install):
     share = install / NAME / 'share'
     assert (share / NAME / 'package.xml').is_file()
     assert (share / 'ament_index/resource_index/packages' / NAME).is_file()
     for source in filter(Path.is_file, (ROOT / 'config').rglob('*')):
-        copy = share / NAME / source.relative_to(ROOT)
-        assert copy.read_bytes() == source.read_bytes()
-
-
-def test_installed_package_finds_its_own_configuration(install):
+        assert (share / NAME / source.relative_to(ROOT)).read_bytes() == source.read_bytes()
     program = 'from multicontact_control.paths import config_dir; print(config_dir())'
     done = run_in(install, sys.executable, '-c', program)
-    assert Path(done.stdout.strip()) == install / NAME / 'share' / NAME / 'config', done.stderr
+    assert Path(done.stdout.strip()) == share / NAME / 'config', done.stderr
+    assert run_in(install, folder / 'multicontact', '--version').stdout.startswith('multicontact ')
 
 
-@pytest.mark.ros
-@pytest.mark.parametrize('name', sorted(PROGRAMS - {'multicontact'}))
+@pytest.mark.parametrize('name', sorted(NODES))
 def test_installed_node_starts_and_reads_its_parameters(install, name):
     done = run_in(install, install / NAME / 'lib' / NAME / name,
                   '--autostart', '--ros-args', '-p', 'no_such_parameter:=1')
     assert done.returncode == 2, done.stderr
     assert "found unknown 'no_such_parameter'" in done.stderr.splitlines()[-1]
-
-
-def test_installed_command_runs(install):
-    done = run_in(install, install / NAME / 'lib' / NAME / 'multicontact', '--version')
-    assert done.stdout.startswith('multicontact '), done.stderr

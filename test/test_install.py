@@ -11,7 +11,7 @@ import sys
 
 import pytest
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.ros, pytest.mark.nightly]
 
 ROOT = Path(__file__).resolve().parents[1]
 # Views of one contact, which the tests look through; a run advances all contacts at once.
@@ -52,25 +52,17 @@ def start(venv, folder, *arguments):
         env={**environment, 'HOME': str(folder), 'PYTHONDONTWRITEBYTECODE': '1'})
 
 
-@pytest.mark.ros
-def test_installed_commands_compile_every_kernel_once_and_then_run_from_any_folder(
-        installed, tmp_path):
-    pytest.importorskip('rclpy')
-    commands = [
-        start(installed, tmp_path, 'simulate', '--scenario', 'quick', '--duration', '3',
-              '--out', 'simulated'),
-        start(installed, tmp_path, 'run', '--scenario', 'quick', '--duration', '3', '--lockstep',
-              '--out', 'run')]
-    said = [command.communicate()[0] for command in commands]
-    assert [command.returncode for command in commands] == [0, 0], said
-    # Of two that began at once one compiled, before anything else, and the other waited.
-    assert sorted('compiling the numerical kernels, once' in text for text in said) == [
-        False, True]
-    assert any('another process compiles the numerical kernels' in text for text in said)
-    hashes = set()
-    for name in ('simulated', 'run'):
-        summary = json.loads((tmp_path / name / 'summary.json').read_text(encoding='utf-8'))
-        hashes.add(summary['trajectory_sha256'])
+def test_installed_commands_compile_once_and_run_from_any_folder(installed, tmp_path):
+    options = ('--scenario', 'quick', '--duration', '3', '--out')
+    commands = [start(installed, tmp_path, 'simulate', *options, 'simulated'),
+                start(installed, tmp_path, 'run', '--lockstep', *options, 'run')]
+    outputs = [command.communicate()[0] for command in commands]
+    assert [command.returncode for command in commands] == [0, 0], outputs
+    # Of two that begin at once one compiles, before anything else, and the other waits.
+    compiled = ['compiling the numerical kernels, once' in text for text in outputs]
+    assert sorted(compiled) == [False, True]
+    hashes = {json.loads((tmp_path / name / 'summary.json').read_text(encoding='utf-8'))[
+        'trajectory_sha256'] for name in ('simulated', 'run')}
     assert len(hashes) == 1
     for counts in tmp_path.glob('run/logs/*.json'):
         assert json.loads(counts.read_text(encoding='utf-8'))['kernels_compiled'] == 0

@@ -11,7 +11,6 @@ from multicontact_control.cli.calibrate import calibrate
 from multicontact_control.cli.compare import compare
 from multicontact_control.cli.compile_kernels import compile_kernels
 from multicontact_control.cli.design import design
-from multicontact_control.cli.echo import echo
 from multicontact_control.cli.faults import faults
 from multicontact_control.cli.identify import identify
 from multicontact_control.cli.new_robot import new_robot
@@ -22,7 +21,7 @@ from multicontact_control.cli.robustness_map import robustness_map
 from multicontact_control.cli.run import run
 from multicontact_control.cli.simulate import simulate
 from multicontact_control.cli.sweep import sweep
-from multicontact_control.cli.topics import topics
+from multicontact_control.cli.topic import echo, list_topics
 from multicontact_control.cli.tune import tune
 from multicontact_control.cli.view import view
 from multicontact_control.process import limit_threads
@@ -62,26 +61,25 @@ class _Command(TyperCommand):
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
         shown = copy(self)
-        shown.help = escape(self.help or '')
-        shown.params = [_escaped(parameter) for parameter in self.params]
+        shown.params = [copy(parameter) for parameter in self.params]
+        each: Any
+        for each in (shown, *shown.params):
+            each.help = escape(getattr(each, 'help', None) or '')
         TyperCommand.format_help(shown, ctx, formatter)
-
-
-def _escaped(parameter: Any) -> Any:
-    shown = copy(parameter)
-    if getattr(shown, 'help', None):
-        shown.help = escape(shown.help)
-    return shown
 
 
 _COMMANDS: dict[str, Callable[..., None]] = {
     'simulate': simulate, 'run': run, 'view': view, 'calibrate': calibrate,
     'push-test': push_test, 'new-robot': new_robot, 'compare': compare, 'design': design,
     'tune': tune, 'identify': identify, 'map': robustness_map, 'robots': robots, 'sweep': sweep,
-    'report': report, 'topics': topics, 'echo': echo, 'faults': faults,
-    'compile': compile_kernels}
+    'report': report, 'faults': faults}
 for _name, _function in _COMMANDS.items():
     app.command(_name, cls=_Command)(_function)
+app.command('compile', cls=_Command, hidden=True)(compile_kernels)
+_topic = typer.Typer(help='See what a running graph publishes.', no_args_is_help=True)
+_topic.command('list', cls=_Command)(list_topics)
+_topic.command('echo', cls=_Command)(echo)
+app.add_typer(_topic, name='topic')
 
 
 def main() -> None:

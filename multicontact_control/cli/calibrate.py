@@ -6,17 +6,8 @@ import math
 from pathlib import Path
 from typing import Annotated, TYPE_CHECKING
 
+from multicontact_control.cli import options
 from multicontact_control.cli.exits import errors_in_one_line, EXIT_FAILED, require_ros
-from multicontact_control.cli.options import (
-    ControllerFiles,
-    DomainId,
-    given_options,
-    Namespace,
-    Plant,
-    refuse_options,
-    Robot,
-    Seed,
-)
 from multicontact_control.errors import ConfigError
 from multicontact_control.terminal import terminal
 import typer
@@ -30,7 +21,8 @@ RUNNING = ('tilt', 'move_time', 'domain_id')  # what only a robot that runs is a
 
 
 def calibrate(
-    context: typer.Context, robot: Robot = '', plant: Plant = '', seed: Seed = 0,
+    context: typer.Context, robot: options.Robot = '', plant: options.Plant = '',
+    seed: options.Seed = 0,
     out: Annotated[Path, typer.Option(help='Folder for tool.yaml.')] = Path('.'),
     overwrite: Annotated[bool, typer.Option(
         '--overwrite', help='Replace a tool.yaml that is already there.')] = False,
@@ -41,12 +33,12 @@ def calibrate(
     external: Annotated[bool, typer.Option(
         '--external', help='Weigh the tool of your robot by the controller that runs on it, which '
         'tilts the tool to four sides; takes --controller.')] = False,
-    controller: ControllerFiles = None,
+    controller: options.ControllerFiles = None,
     tilt: Annotated[float, typer.Option(
         help='With --external: how far to tilt the tool [deg].', min=5.0, max=90.0)] = 25.0,
     move_time: Annotated[float, typer.Option(
         help='With --external: time from pose to pose [s].', min=0.1)] = 3.0,
-    domain_id: DomainId = None, namespace: Namespace = None,
+    domain_id: options.DomainId = None, namespace: options.Namespace = None,
 ) -> None:
     """
     Weigh the tool: mass, centre of mass and bias of the wrist sensor.
@@ -58,13 +50,14 @@ def calibrate(
     3 mm, force bias within 0.1 N, or found on a robot; 1: not; 2: bad input.
     """
     with errors_in_one_line():
-        given = given_options(context)
+        given = options.given_options(context)
         if from_bag is not None:
-            refuse_options(given, ('external', *SIMULATED, *RUNNING), '--from-bag')
+            options.refuse_options(given, ('external', *SIMULATED, *RUNNING), '--from-bag')
         elif external:
-            refuse_options(given, SIMULATED, '--external')
+            options.refuse_options(given, SIMULATED, '--external')
         else:
-            refuse_options(given, ('controller', 'namespace', *RUNNING), 'a simulated plant')
+            options.refuse_options(
+                given, ('controller', 'namespace', *RUNNING), 'a simulated plant')
         from multicontact_control.experiment import calibration
 
         target = out / calibration.TOOL_FILE

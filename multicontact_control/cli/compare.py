@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from multicontact_control.cli import completion, options
+from multicontact_control.cli import options
 from multicontact_control.cli.exits import errors_in_one_line, resumable
 from multicontact_control.errors import ConfigError
 import typer
@@ -26,7 +26,6 @@ def compare(
         'contact may meet: steps, pushes, sliding, a surface that vanishes, wrong stiffness, '
         'delay and friction.')] = False,
     preset: Annotated[str, typer.Option(
-        autocompletion=completion.some_of(completion.presets),
         help='Presets, with commas between: paper, best, adaptive, laws/pi and the like, or '
         'paths; with --laws all if not given, without it one, paper if not given.')] = '',
 ) -> None:

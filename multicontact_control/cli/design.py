@@ -5,24 +5,21 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-from multicontact_control.cli import completion
 from multicontact_control.cli.exits import errors_in_one_line
-from multicontact_control.cli.options import read_pair
+from multicontact_control.errors import ConfigError
 import typer
 
 
 def design(
     law: Annotated[str, typer.Argument(
-        metavar='LAW', autocompletion=completion.one_of(completion.laws),
-        help='aob, pi, dob, lqg, admittance, impedance or feedforward.')],
+        metavar='LAW', help='aob, pi, dob, lqg, admittance, impedance or feedforward.')],
     stiffness: Annotated[str, typer.Option(
         help='Softest and stiffest surface [N/m], with a comma between.')] = '1000,10000',
     input_delay: Annotated[float, typer.Option(
         help='T_d, from commanded to acting input [s].')] = 0.006,
     noise: Annotated[float, typer.Option(
-        help='R that aob and lqg are designed for [N^2]; the effect on u is that of white noise '
-        'of this variance. The R of the lead filter is larger than the variance of the force.'
-        )] = 0.6,
+        help='R that aob and lqg are designed for [N^2]. What it does to u is printed for white '
+        'noise of this variance.')] = 0.6,
     damping_rate: Annotated[float, typer.Option(help='K_2 [1/s].')] = 100.0,
     rate: Annotated[float, typer.Option(help='Control rate [Hz].')] = 500.0,
     out: Annotated[Path | None, typer.Option(
@@ -36,10 +33,12 @@ def design(
     model of the contact (P04 eq. 32). Exit code 0; 2: bad input, or no such gains.
     """
     with errors_in_one_line():
-        softest, stiffest = read_pair('stiffness', stiffness)
+        try:
+            softest, stiffest = map(float, stiffness.split(','))
+        except ValueError:
+            raise ConfigError(
+                'stiffness', 'two numbers with a comma between', f"'{stiffness}'") from None
         if not rate > 0.0:
-            from multicontact_control.errors import ConfigError
-
             raise ConfigError('rate', 'a positive number', rate)
         from multicontact_control.experiment.law_report import show_design, write_design
         from multicontact_control.force.laws.design import design_for_range

@@ -7,8 +7,6 @@ from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any, TYPE_CHECKING
 
-from multicontact_control.cli import completion
-from multicontact_control.cli.completion import one_of, some_of
 import typer
 
 if TYPE_CHECKING:
@@ -16,23 +14,18 @@ if TYPE_CHECKING:
     from multicontact_control.experiment.scenario import Setup
 
 Scenario = Annotated[str, typer.Option(
-    autocompletion=one_of(completion.scenarios),
     help='Scenario: a name from config/scenarios (paper, quick) or the path of a YAML file.')]
 Robot = Annotated[str, typer.Option(
-    autocompletion=one_of(completion.robots),
     help='Robot: a name from config/robots (puma, panda, iiwa, ur5, kinova) or the path of such a '
          'file; puma if not given.')]
 Plant = Annotated[str, typer.Option(
-    autocompletion=one_of(completion.plants),
     help='How the robot is simulated: `rigid` (ideal drives), `flexible` (drives with springs and '
          'friction; of the PUMA, also called `puma`), ROBOT/PLANT, or the path of a parameter '
          'file; the default of the robot if not given.')]
 Engine = Annotated[str, typer.Option(
-    autocompletion=one_of(completion.engines),
     help='What simulates it: pybullet, or mujoco (extra [mujoco]); as configured, pybullet, if '
          'not given.')]
 Plants = Annotated[str, typer.Option(
-    autocompletion=some_of(completion.plants),
     help='Plants, with commas between: names, ROBOT/PLANT, or paths; all of the robot if not '
          'given.')]
 Seed = Annotated[int, typer.Option(help='Seed of the sensor noise and the surface roughness.')]
@@ -41,17 +34,14 @@ Duration = Annotated[float | None, typer.Option(
 Out = Annotated[Path | None, typer.Option(
     help='Folder for the results; runs/<date>-<time>-<scenario> if not given.')]
 Estimator = Annotated[str | None, typer.Option(
-    '--noise-estimator', autocompletion=one_of(completion.estimators),
-    help='How R is estimated: lead_window (the paper), hf_window, window, '
+    '--noise-estimator', help='How R is estimated: lead_window (the paper), hf_window, window, '
     'fixed (0.6 N^2), innovation, sage_husa or variational_bayes; the configured one if not '
     'given.')]
 Preset = Annotated[str, typer.Option(
-    autocompletion=one_of(completion.presets),
     help='What is laid over the configuration first: `paper` (as published), `best` (the default '
          'of the nodes), `adaptive` (best, with the stiffness found on-line), or the path of a '
          'parameter file.')]
 Law = Annotated[str | None, typer.Option(
-    autocompletion=one_of(completion.laws),
     help='Force law of all contacts: aob (the paper), pi, dob, lqg, admittance, impedance or '
          'feedforward; the configured one if not given.')]
 Settings = Annotated[list[str] | None, typer.Option(
@@ -84,7 +74,6 @@ DryRun = Annotated[bool, typer.Option(
     '--dry-run', help='Only say what would be run, and how much of it is finished.')]
 RunAgain = Annotated[bool, typer.Option('--overwrite', help='Run everything again.')]
 Estimators = Annotated[str, typer.Option(
-    autocompletion=some_of(completion.estimators),
     help='Noise estimators, with commas between; `window rescaled` is `window` with the same R '
     'at rest as `lead_window`. All if not given.')]
 
@@ -111,31 +100,12 @@ def split_list(text: str) -> tuple[str, ...]:
     return tuple(part.strip() for part in text.split(',') if part.strip())
 
 
-def read_pair(name: str, text: str) -> tuple[float, float]:
-    """Return two numbers with a comma between; ConfigError if that is not what is there."""
-    from multicontact_control.errors import ConfigError
-
-    try:
-        first, second = (float(part) for part in split_list(text))
-    except ValueError:
-        raise ConfigError(name, 'two numbers with a comma between', f"'{text}'") from None
-    return first, second
-
-
 def prepare(
     scenario: str, plant: str, seed: int, duration: float | None, noise_estimator: str | None,
     out: Path | None, overwrite: bool, *, preset: str = '', law: str | None = None,
     settings: Sequence[str] | None = None, robot: str = '', engine: str = '',
 ) -> tuple[Setup, Path]:
-    """
-    Check everything a run needs, then make its folder.
-
-    Raises
-    ------
-    MulticontactError
-        With the first value that is not acceptable; there is no new folder then.
-
-    """
+    """Check all a run needs, then make its folder; MulticontactError for what is wrong."""
     from multicontact_control.experiment.results import prepare_folder
 
     setup = resolve_settings(scenario, {
@@ -152,15 +122,7 @@ def prepare_external(
     noise_estimator: str | None, out: Path | None, overwrite: bool, *, preset: str = '',
     law: str | None = None, settings: Sequence[str] | None = None,
 ) -> tuple[External, Path]:
-    """
-    Check everything a run on a robot of somebody else needs, then make its folder.
-
-    Raises
-    ------
-    MulticontactError
-        With the first value that is not acceptable; there is no new folder then.
-
-    """
+    """Do the same as `prepare` for a run with the user's own robot behind the topics."""
     from multicontact_control.experiment.external import resolve_external
     from multicontact_control.experiment.overrides import overridden
     from multicontact_control.experiment.results import prepare_folder

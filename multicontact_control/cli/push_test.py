@@ -4,30 +4,21 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from multicontact_control.cli import completion
+from multicontact_control.cli import options
 from multicontact_control.cli.exits import errors_in_one_line, EXIT_FAILED, require_ros
-from multicontact_control.cli.options import (
-    DomainId,
-    given_options,
-    Namespace,
-    Plant,
-    refuse_options,
-    Robot,
-    Seed,
-)
 import typer
 
 
 def push_test(
-    context: typer.Context, robot: Robot = '', plant: Plant = '', seed: Seed = 0,
+    context: typer.Context, robot: options.Robot = '', plant: options.Plant = '',
+    seed: options.Seed = 0,
     fault: Annotated[str, typer.Option(
-        autocompletion=completion.one_of(completion.sensor_faults),
         help='What is wrong with the sensor: none, sign (flipped), rotate (a quarter turn, about '
         'x, y, z for seeds 0, 1, 2, the other way for 3, 4, 5) or scale (half).')] = 'none',
     external: Annotated[bool, typer.Option(
         '--external', help='On your own robot: asks the controller that runs on it for its push '
         'test, and shows what to do.')] = False,
-    domain_id: DomainId = None, namespace: Namespace = None,
+    domain_id: options.DomainId = None, namespace: options.Namespace = None,
 ) -> None:
     """
     Prove sign, frame and scale of the wrist sensor by pushing the tool.
@@ -36,9 +27,9 @@ def push_test(
     balance. Exit code 0: passed; 1: refused, naming what is wrong; 2: bad input.
     """
     with errors_in_one_line():
-        given = given_options(context)
+        given = options.given_options(context)
         if external:
-            refuse_options(given, ('robot', 'plant', 'seed', 'fault'), '--external')
+            options.refuse_options(given, ('robot', 'plant', 'seed', 'fault'), '--external')
             require_ros()
             from multicontact_control.experiment.push_running import push_running
 
@@ -46,7 +37,7 @@ def push_test(
                                 on_instruction=typer.echo):
                 raise typer.Exit(EXIT_FAILED)
             return
-        refuse_options(given, ('domain_id', 'namespace'), 'a simulated plant')
+        options.refuse_options(given, ('domain_id', 'namespace'), 'a simulated plant')
         from multicontact_control.experiment import push_trial
 
         config = push_trial.PushTestConfig()

@@ -5,28 +5,22 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
+from multicontact_control.cli import options
 from multicontact_control.cli.exits import errors_in_one_line
-from multicontact_control.cli.options import (
-    ControllerFiles,
-    given_options,
-    Namespace,
-    refuse_options,
-)
 import typer
 
 
 def report(
     context: typer.Context,
     runs: Annotated[list[Path], typer.Argument(
-        metavar='RUN...', help='Folders of `run` or `simulate`, bag folders, or .mcap files of '
-        'anybody.')],
+        metavar='RUN...', help='Folders of `run` or `simulate`, bag folders, or .mcap files.')],
     comparison: Annotated[Path | None, typer.Option(
         help='Folder of `compare`, for the claims that compare estimators.')] = None,
     out: Annotated[Path | None, typer.Option(
         help='Folder for report.html and the figures; the first run, or beside the first '
         'recording, if not given.')] = None,
-    controller: ControllerFiles = None,
-    namespace: Namespace = None,
+    controller: options.ControllerFiles = None,
+    namespace: options.Namespace = None,
 ) -> None:
     """
     Judge recorded runs by the claims of the paper: report.html, and figures as PNG and PDF.
@@ -40,8 +34,9 @@ def report(
 
     with errors_in_one_line():
         if all(map(is_whole_run, runs)):
-            refuse_options(given_options(context), ('controller', 'namespace'),
-                           'runs of this package, which know their own')
+            options.refuse_options(
+                options.given_options(context), ('controller', 'namespace'),
+                'runs of this package, which know their own')
         content = read_comparison(comparison) if comparison is not None else None
         loaded = [load(path, controller or (), namespace) for path in runs]
         paths = write_report(loaded, out or report_folder(runs[0]), content)

@@ -4,25 +4,21 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from multicontact_control.cli import completion, options
+from multicontact_control.cli import options
 from multicontact_control.cli.exits import errors_in_one_line, resumable
 import typer
 
 
 def robots(
     robots: Annotated[str, typer.Option(
-        autocompletion=completion.some_of(completion.robots),
         help='Robots, with commas between: names from config/robots or paths; all whose URDF is '
         'installed if not given.')] = '',
     engines: Annotated[str, typer.Option(
-        autocompletion=completion.some_of(completion.native_engines),
         help='Engines, with commas between: pybullet, mujoco, mujoco-native (its own contacts); '
         'all that are installed if not given.')] = '',
     scenarios: Annotated[str, typer.Option(
-        autocompletion=completion.some_of(completion.scenarios),
         help='Scenarios, with commas between.')] = 'quick,moving_surface,curved,tilt',
     plant: Annotated[str, typer.Option(
-        autocompletion=completion.one_of(completion.plants),
         help='Which plant of each robot.')] = 'rigid',
     seeds: Annotated[int, typer.Option(help='Number of seeds, from 0.')] = 1,
     jobs: options.Jobs = 0, dask: options.Dask = '', out: options.StudyOut = None,

@@ -6,47 +6,31 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Annotated, Any, NoReturn
 
+from multicontact_control.cli import options
 from multicontact_control.cli.exits import (
     end_by_verdict,
     errors_in_one_line,
     EXIT_FAILED,
     EXIT_SIGNAL,
 )
-from multicontact_control.cli.options import (
-    Bare,
-    ControllerFiles,
-    Duration,
-    Engine,
-    Estimator,
-    given_options,
-    Law,
-    Out,
-    Overwrite,
-    Plant,
-    prepare,
-    prepare_external,
-    Preset,
-    refuse_options,
-    Robot,
-    Scenario,
-    Seed,
-    Settings,
-)
 from multicontact_control.experiment.graph.node_process import prepare_nodes
 import typer
 
 
 def run(
-    context: typer.Context, scenario: Scenario = 'paper', robot: Robot = '', plant: Plant = '',
-    seed: Seed = 0, duration: Duration = None, noise_estimator: Estimator = None,
-    out: Out = None, overwrite: Overwrite = False, bare: Bare = False, preset: Preset = 'best',
-    law: Law = None, settings: Settings = None, engine: Engine = '',
+    context: typer.Context,
+    scenario: options.Scenario = 'paper', robot: options.Robot = '', plant: options.Plant = '',
+    seed: options.Seed = 0, duration: options.Duration = None,
+    noise_estimator: options.Estimator = None, out: options.Out = None,
+    overwrite: options.Overwrite = False, bare: options.Bare = False,
+    preset: options.Preset = 'best', law: options.Law = None, settings: options.Settings = None,
+    engine: options.Engine = '',
     external: Annotated[bool, typer.Option(
         '--external', help='On your own robot or simulator, which is behind the topics: starts '
         'controller, noise estimator and recorder only, waits for the robot, and obeys the '
         'command topics, or a --scenario. Ends after --duration, or with Ctrl-C. Takes '
         '--controller; --noise-estimator may then be a parameter file, too.')] = False,
-    controller: ControllerFiles = None,
+    controller: options.ControllerFiles = None,
     robot_timeout: Annotated[float, typer.Option(
         help='With --external: time without a sample after which the robot counts as gone '
         '[s].')] = 5.0,
@@ -85,13 +69,13 @@ def run(
 
     with errors_in_one_line():
         namespace = check_namespace(namespace)
-        given = given_options(context)
+        given = options.given_options(context)
         # The nodes' modules are loaded by another process, while this one loads its own.
         prepare_nodes()
         if external:
-            refuse_options(given, ('robot', 'plant', 'seed', 'commanded', 'speed', 'free_running',
-                                   'engine'), '--external')
-            resolved, folder = prepare_external(
+            options.refuse_options(given, ('robot', 'plant', 'seed', 'commanded', 'speed',
+                                           'free_running', 'engine'), '--external')
+            resolved, folder = options.prepare_external(
                 controller or (), scenario if 'scenario' in given else None, duration,
                 noise_estimator, out, overwrite, preset=preset if 'preset' in given else '',
                 law=law, settings=settings)
@@ -101,10 +85,10 @@ def run(
                 domain_id=domain_id, namespace=namespace, realtime=realtime),
                 robot_timeout=robot_timeout, supervised=not bare)
             end(outcome, interrupted)
-        refuse_options(given, ('controller', 'robot_timeout'), 'a simulated plant')
+        options.refuse_options(given, ('controller', 'robot_timeout'), 'a simulated plant')
         if commanded:
             refuse_scenario(settings)
-        setup, folder = prepare(
+        setup, folder = options.prepare(
             scenario, plant, seed, duration, noise_estimator, out, overwrite, preset=preset,
             law=law, settings=settings, robot=robot, engine=engine)
         setup = replace(setup, commanded_by_topic=commanded)

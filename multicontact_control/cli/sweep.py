@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 from typing import Annotated
 
-from multicontact_control.cli import completion, options
+from multicontact_control.cli import options
 from multicontact_control.cli.exits import errors_in_one_line, resumable
 from multicontact_control.errors import check_all, ConfigError
 import typer
@@ -13,7 +13,7 @@ import typer
 
 def sweep(
     study: Annotated[str, typer.Argument(
-        metavar='STUDY', autocompletion=completion.one_of(completion.studies),
+        metavar='STUDY',
         help='A name from config/studies (stiffness, delay) or the path of a '
         'YAML file.')],
     seeds: Annotated[str, typer.Option(

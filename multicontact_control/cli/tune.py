@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from multicontact_control.cli import completion, options
+from multicontact_control.cli import options
 from multicontact_control.cli.exits import errors_in_one_line, resumable
 import typer
 
 
 def tune(
     law: Annotated[str, typer.Argument(
-        metavar='LAW', autocompletion=completion.one_of(completion.laws),
-        help='aob, pi, dob, lqg, admittance, impedance or feedforward.')],
+        metavar='LAW', help='aob, pi, dob, lqg, admittance, impedance or feedforward.')],
     robot: options.Robot = '',
     plants: Annotated[str, typer.Option(
-        autocompletion=completion.some_of(completion.plants),
         help="Plants, with commas between; the worst of them counts; the robot's default if not "
         'given.')] = '',
     jobs: options.Jobs = 0, dask: options.Dask = '', out: options.StudyOut = None,

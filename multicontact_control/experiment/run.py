@@ -288,7 +288,7 @@ def _run_graph(
             on_wait=lambda text: console.print(
                 text, highlight=False, markup=False, soft_wrap=True),
             on_domain=lambda number: console.print(
-                f'ROS domain {number}: ROS_DOMAIN_ID={number} multicontact topics',
+                f'ROS domain {number}: ROS_DOMAIN_ID={number} multicontact topic list',
                 highlight=False))
         if result.interrupted is None:
             show(setup.scenario.duration, {})

@@ -10,14 +10,10 @@ from multicontact_control.arrays import Vector
 from multicontact_control.force.noise import ESTIMATORS
 from multicontact_control.view import source
 from multicontact_control.view.commander import Commander
-from multicontact_control.view.motion import CIRCLE, SINE
 from multicontact_control.view.source import Scene, Snapshot, Source
 
 SETTLED = 0.8  # s without a command, after which elements show what is
 PRESS = 10.0  # N
-PATTERNS = {'sine along x': (SINE, 'x'), 'sine along y': (SINE, 'y'), 'sine along z': (SINE, 'z'),
-            'circle in xy': (CIRCLE, 'xy'), 'circle in xz': (CIRCLE, 'xz'),
-            'circle in yz': (CIRCLE, 'yz')}
 DIRECTIONS = {'-x': (-1.0, 0.0, 0.0), '+x': (1.0, 0.0, 0.0), '-y': (0.0, -1.0, 0.0),
               '+y': (0.0, 1.0, 0.0), '-z': (0.0, 0.0, -1.0), '+z': (0.0, 0.0, 1.0)}
 PUSH = 5.0  # N
@@ -131,8 +127,8 @@ class Controls:
 
         self._scene_view.add_handle(dragged)
         step = gui.add_slider('jog step [mm]', min=1, max=50, step=1, initial_value=10)
-        for axis in 'xyz':
-            group = gui.add_button_group(f'jog {axis}', (f'-{axis}', f'+{axis}'))
+        for name in 'xyz':
+            group = gui.add_button_group(f'jog {name}', (f'-{name}', f'+{name}'))
 
             def jog(event: Any) -> None:
                 self._give(None, source.JOG, offset=[
@@ -140,14 +136,13 @@ class Controls:
 
             group.on_click(jog)
         with gui.add_folder('Pattern'):
-            what = gui.add_dropdown('motion', tuple(PATTERNS))
+            axis = gui.add_dropdown('sine along', ('x', 'y', 'z'))
             amplitude = gui.add_slider('amplitude [mm]', min=5, max=150, step=5, initial_value=80)
             period = gui.add_slider('period [s]', min=2.0, max=16.0, step=0.5, initial_value=6.0)
             start = gui.add_button('Start', color='blue')
 
             def begin(_: Any) -> None:
-                kind, axes = PATTERNS[what.value]
-                self._give(start, source.PATTERN, kind=kind, axes=axes,
+                self._give(start, source.PATTERN, axis=axis.value,
                            amplitude=1e-3 * amplitude.value, period=float(period.value))
 
             start.on_click(begin)

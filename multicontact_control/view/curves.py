@@ -7,7 +7,6 @@ import threading
 from typing import Any, NamedTuple
 
 from multicontact_control.arrays import Matrix, Vector
-from multicontact_control.experiment.page import envelope
 from multicontact_control.view import source
 from multicontact_control.view.source import CurveLayout, RATE
 import numpy as np
@@ -59,13 +58,22 @@ class History:
         self._end += count
 
     def last(self, time: float) -> Matrix:
-        """Return the points of the last seconds, or the extremes of as many as are drawn."""
+        """Return the points of the last seconds [s], or their extremes where they are too many."""
         points = self._points[:self._end]
         if not len(points):
             return points
         points = points[points[:, 0] > points[-1, 0] - time]
-        clock, columns, _ = envelope(points[:, 0], list(points[:, 1:].T), DRAWN)
-        return np.stack([clock, *columns], axis=1)
+        return extremes(points, -(-2 * len(points) // DRAWN))
+
+
+def extremes(points: Matrix, size: int) -> Matrix:
+    """Return the smallest and the largest value of every `size` points, in each column."""
+    if size <= 2:
+        return points
+    whole = points[:len(points) // size * size].reshape(-1, size, points.shape[1])
+    found = np.stack([np.fmin.reduce(whole, axis=1), np.fmax.reduce(whole, axis=1)], axis=1)
+    found[:, :, 0] = whole[:, [0, size // 2], 0]
+    return np.concatenate([found.reshape(-1, points.shape[1]), points[len(whole) * size:]])
 
 
 class Chart(NamedTuple):

@@ -25,7 +25,7 @@ from multicontact_control.view.source import (
 )
 
 MESSAGE = 1 << 20  # bytes, at most
-KEPT = round(2.0 * RATE)  # snapshots; who looks less often misses some
+KEPT = round(2.0 * RATE)  # snapshots; a page that polls less often misses some
 ANSWER_TIMEOUT = 5.0  # s
 END_TIMEOUT = 2.0  # s
 LAST_WORDS = -2
@@ -50,8 +50,8 @@ class EmbeddedSource:
         # Only now: it is the child that needs all of it, and its names are the same here.
         from multicontact_control.view.simulation import REFUSALS, run_simulation
 
-        self._refusals = REFUSALS
-        self._scene = Scene(
+        self.refusals: Mapping[str, str] = REFUSALS
+        self.scene = Scene(
             f'simulation of {setup.plant_name}, in real time', setup.controller, setup.urdf_dir,
             surfaces_of(setup))
         self._snapshots: deque[Snapshot] = deque(maxlen=KEPT)
@@ -69,16 +69,6 @@ class EmbeddedSource:
         other.close()
         self._reader = threading.Thread(target=self._read, daemon=True, name='simulation reader')
         self._reader.start()
-
-    @property
-    def scene(self) -> Scene:
-        """Return what does not change."""
-        return self._scene
-
-    @property
-    def refusals(self) -> Mapping[str, str]:
-        """Return the commands that are never obeyed here, each with the reason."""
-        return self._refusals
 
     @property
     def pid(self) -> int:
@@ -124,7 +114,7 @@ class EmbeddedSource:
 
     def command(self, name: str, /, **values: Any) -> str:
         """Give a command, and return what comes of it; see `Source.command`."""
-        refuse_if_unknown(name, self._refusals)
+        refuse_if_unknown(name, self.refusals)
         with self._answered:
             self._numbers += 1
             number = self._numbers

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Mapping
 from concurrent import futures
+from functools import partial
 import queue
 import threading
 import time
@@ -21,7 +22,7 @@ from multicontact_control.nodes.link import ControllerLink
 from multicontact_control.sampling import MotionReading
 from multicontact_control.supervision.command_limits import CommandLimits, half_lengths
 from multicontact_control.view import source
-from multicontact_control.view.motion import Motion, Pattern
+from multicontact_control.view.motion import Motion
 from multicontact_control.view.source import (
     CurveLayout,
     felt_surfaces,
@@ -51,7 +52,7 @@ MOTION_RATE = 100.0  # Hz, of motion commands, and of looking for anything
 PATIENCE = 10.0  # s; until a process has found the others may take three
 SILENCE = 1.0  # s without a sample, after which it is said
 VERDICT_TIME = 3.0  # s, until a controller has said what becomes of forces: it does so each second
-AFTER_REFUSAL = 0.2  # s, until it has said that it was somebody else whom it refused
+AFTER_REFUSAL = 0.2  # s, until it has said whether it was another client whom it refused
 KEPT = round(2.0 * RATE)
 LISTENED = (
     topics.JOINT_STATES, topics.MEASURED_FORCES, topics.ESTIMATED_FORCES, topics.DESIRED_FORCES,
@@ -104,14 +105,18 @@ class GraphSource:
         self._layout = CurveLayout(len(config.columns), len(config.robot.joint_names))
         self._leaders = list(config.leaders)
         self._motion = Motion(config.limits, 1.0 / MOTION_RATE)
-        self._scene = Scene(
+        self.refusals: Mapping[str, str] = REFUSALS
+        self.scene = Scene(
             'graph, as it runs', config, setup.urdf_dir, felt_surfaces(config),
             largest_force=ceiling)
         self._commands: Mapping[str, Callable[..., str]] = {
-            source.FORCES: self._set_forces, source.GO_TO: self._go_to, source.JOG: self._jog,
-            source.PATTERN: self._pattern, source.STOP: self._stop, source.HOLD: self._hold,
-            source.RETRY: lambda: self._ask('retry'), source.TARE: lambda: self._ask('tare'),
-            source.PUSH_TEST: lambda: self._ask('push_test'), source.GAINS: self._set_gains}
+            source.FORCES: self._set_forces, source.STOP: self._motion.stop,
+            source.GO_TO: partial(self._move, self._motion.go_to),
+            source.JOG: partial(self._move, self._motion.jog),
+            source.PATTERN: partial(self._move, self._motion.start_pattern),
+            source.HOLD: self._hold, source.RETRY: partial(self._ask, 'retry'),
+            source.TARE: partial(self._ask, 'tare'),
+            source.PUSH_TEST: partial(self._ask, 'push_test'), source.GAINS: self._set_gains}
         self._refusal = ''  # of the newest forces
         self._status: ControllerStatus | None = None
         self._timing = Timing()
@@ -127,16 +132,6 @@ class GraphSource:
         self._over, self._why = threading.Event(), ''
         self._thread = threading.Thread(target=self._work, daemon=True, name='graph')
         self._thread.start()
-
-    @property
-    def scene(self) -> Scene:
-        """Return what does not change."""
-        return self._scene
-
-    @property
-    def refusals(self) -> Mapping[str, str]:
-        """Return the commands that are never obeyed here, each with the reason."""
-        return REFUSALS
 
     def poll(self) -> list[Snapshot]:
         """Return the snapshots since the last call; RunError if the graph cannot be heard."""
@@ -336,35 +331,15 @@ class GraphSource:
             reading.position_world, reading.quaternion_xyzw, reading.twist_world,
             reading.acceleration_world))
 
-    def _ready(self) -> None:
-        """Begin where the point should be, unless a motion is being made."""
+    def _move(self, motion: Callable[..., str], /, **values: Any) -> str:
+        """Begin a motion from where the point should be, or go on from the one being made."""
         if self._status is not None and self._status.held:
             raise CommandError('~/hold', 'released, to obey commands', 'held')
-        if self._motion.what:
-            return
-        wanted, = self._link.fresh(topics.POSE_DESIRED)
-        p, q = wanted.pose.position, wanted.pose.orientation
-        self._motion.start(np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w]))
-
-    def _go_to(self, position: list[float]) -> str:
-        self._ready()
-        self._motion.go_to(position)
-        return 'going there'
-
-    def _jog(self, offset: list[float]) -> str:
-        self._ready()
-        self._motion.jog(offset)
-        return 'going there'
-
-    def _pattern(self, kind: str, axes: str, amplitude: float, period: float) -> str:
-        self._ready()
-        pattern = Pattern(kind, axes, amplitude, period)
-        self._motion.start_pattern(pattern)
-        return pattern.name
-
-    def _stop(self) -> str:
-        self._motion.stop()
-        return 'coming to rest'
+        if not self._motion.what:
+            wanted, = self._link.fresh(topics.POSE_DESIRED)
+            p, q = wanted.pose.position, wanted.pose.orientation
+            self._motion.start(np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w]))
+        return motion(**values)
 
     def _hold(self, on: bool) -> str:
         if on and self._motion.what:

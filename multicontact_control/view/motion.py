@@ -1,4 +1,4 @@
-"""The motions that a page can ask for: to a point, and patterns around where the point is."""
+"""The motions that a page can ask for: to a point, and a sine around where the point is."""
 
 from __future__ import annotations
 
@@ -18,54 +18,47 @@ ACCELERATION = 0.5  # m/s^2
 APPROACH_RATE = 4.0  # 1/s, at which the rest of the way shrinks
 SPEED_RATE = 20.0  # 1/s, at which the speed becomes what it should be
 ARRIVED = 1e-5  # m, m/s
-BLEND_TIME = 1.5  # s, in which a pattern comes and goes
-LONGEST, SHORTEST = 60.0, 2.0  # s, of the period of a pattern
+BLEND_TIME = 1.5  # s, in which a sine comes and goes
+LONGEST, SHORTEST = 60.0, 2.0  # s, of the period of a sine
 AXES = {'x': (1.0, 0.0, 0.0), 'y': (0.0, 1.0, 0.0), 'z': (0.0, 0.0, 1.0)}
-SINE, CIRCLE = 'sine', 'circle'
 
 
-class Pattern:
+class Sine:
     """
-    A sine along one world axis or a circle in a plane of two, blended in and out.
+    A sine along a world axis, blended in and out.
 
     Parameters
     ----------
-    kind
-        `SINE` or `CIRCLE`.
-    axes
-        One of x, y, z, or two of them.
+    axis
+        One of x, y, z.
     amplitude
-        Or radius [m].
+        [m].
     period
         [s].
 
     Raises
     ------
     CommandError
-        If there is no such pattern.
+        If a value is out of its range.
 
     """
 
-    def __init__(self, kind: str, axes: str, amplitude: float, period: float) -> None:
-        if kind not in (SINE, CIRCLE):
-            raise CommandError('pattern', f'{SINE} or {CIRCLE}', f"'{kind}'")
-        if len(axes) != (1 if kind == SINE else 2) or len(set(axes)) != len(axes) or (
-                set(axes) - set(AXES)):
-            raise CommandError('axes', 'x, y or z, or two of them for a circle', f"'{axes}'")
+    def __init__(self, axis: str, amplitude: float, period: float) -> None:
+        if axis not in AXES:
+            raise CommandError('axis', 'x, y or z', f"'{axis}'")
         if not 0.0 < amplitude <= 0.3:
             raise CommandError('amplitude', 'above 0 to 0.3 m', f'{amplitude:g} m')
         if not SHORTEST <= period <= LONGEST:
             raise CommandError('period', f'{SHORTEST:g} to {LONGEST:g} s', f'{period:g} s')
-        self.name = f'{kind} along {axes}' if kind == SINE else f'{kind} in {axes}'
-        self._w, self._amplitude = 2.0 * math.pi / period, amplitude
-        self._axes = np.array([AXES[axis] for axis in axes])
+        self.name = f'sine along {axis}'
+        self._w, self._way = 2.0 * math.pi / period, amplitude * np.array(AXES[axis])
         self._time = 0.0
         self._fading: float | None = None
 
     @property
-    def corners(self) -> list[Vector]:
-        """Return points that enclose it, relative to its middle [m]."""
-        return [sign * self._amplitude * axis for axis in self._axes for sign in (-1.0, 1.0)]
+    def ends(self) -> tuple[Vector, Vector]:
+        """Return both ends, relative to its middle [m]."""
+        return -self._way, self._way
 
     def fade(self) -> None:
         """Come to the middle again, and end."""
@@ -86,14 +79,10 @@ class Pattern:
             rise, rate, change = quintic(self._fading, BLEND_TIME)
             f, df, ddf = 1.0 - rise, -rate, -change
             b, db, ddb = b * f, db * f + b * df, ddb * f + 2.0 * db * df + b * ddf
-        w, phase = self._w, self._w * self._time
-        sine, cosine, count = math.sin(phase), math.cos(phase), len(self._axes)
-        p = np.array([sine, -cosine][:count])
-        dp = w * np.array([cosine, sine][:count])
-        ddp = w * w * np.array([-sine, cosine][:count])
-        axes = self._amplitude * self._axes
-        return ((b * p) @ axes, (db * p + b * dp) @ axes,
-                (ddb * p + 2.0 * db * dp + b * ddp) @ axes)
+        w = self._w
+        p, dp = math.sin(w * self._time), w * math.cos(w * self._time)
+        return (b * p * self._way, (db * p + b * dp) * self._way,
+                (ddb * p + 2.0 * db * dp - b * w * w * p) * self._way)
 
 
 class Motion:
@@ -121,7 +110,7 @@ class Motion:
         self._place = np.array(position, dtype=float)
         self._goal, self._speed = self._place.copy(), np.zeros(3)
         self._sent = self._place.copy()
-        self._patterns: list[Pattern] = []
+        self._patterns: list[Sine] = []
         self._moving = False
 
     @property
@@ -136,50 +125,38 @@ class Motion:
         """Return where it leads, None where it does not."""
         return self._goal.copy() if self._moving else None
 
-    def go_to(self, position: Sequence[float]) -> None:
-        """
-        Go to a position [m].
-
-        Raises
-        ------
-        CommandError
-            If it is not in the workspace.
-
-        """
+    def go_to(self, position: Sequence[float]) -> str:
+        """Go to a position [m]; CommandError if it is not in the workspace."""
         goal = np.array(position, dtype=float)
         if goal.shape != (3,) or not np.isfinite(goal).all():
             raise CommandError('position', 'three finite numbers', list(position))
         for offset in self._reach():
             check_position(goal + offset, self._limits)
         self._goal, self._moving = goal, True
+        return f'going to {", ".join(f"{1e3 * x:.0f}" for x in goal)} mm'
 
-    def jog(self, offset: Sequence[float]) -> None:
+    def jog(self, offset: Sequence[float]) -> str:
         """Go so far [m] from the goal, or from here; CommandError if that is not allowed."""
-        self.go_to((self._goal + np.array(offset, dtype=float)).tolist())
+        return self.go_to((self._goal + np.array(offset, dtype=float)).tolist())
 
-    def start_pattern(self, pattern: Pattern) -> None:
-        """
-        Begin a pattern around the goal; another one ends.
-
-        Raises
-        ------
-        CommandError
-            If it would leave the workspace.
-
-        """
-        for corner in pattern.corners:
-            check_position(self._goal + corner, self._limits)
+    def start_pattern(self, axis: str, amplitude: float, period: float) -> str:
+        """Begin a `Sine` around the goal, and end another; CommandError as for that and `jog`."""
+        pattern = Sine(axis, amplitude, period)
+        for end in pattern.ends:
+            check_position(self._goal + end, self._limits)
         for other in self._patterns:
             other.fade()
         self._patterns.append(pattern)
         self._moving = True
+        return f'{pattern.name}, {1e3 * amplitude:g} mm, {period:g} s'
 
-    def stop(self) -> None:
-        """Come to rest: at the middle of a pattern, or where the point is on its way."""
+    def stop(self) -> str:
+        """Come to rest: at the middle of a sine, or where the point is on its way."""
         for pattern in self._patterns:
             pattern.fade()
         brake = self._speed / (2.0 * APPROACH_RATE)
         self._goal = self._place + brake
+        return 'coming to rest'
 
     def halt(self) -> MotionReading:
         """Be at rest from now on where the last answer of `advance` was; return what says so."""
@@ -224,8 +201,7 @@ class Motion:
 
     def _reach(self) -> list[Vector]:
         """Return how far patterns go from the goal."""
-        return [corner for pattern in self._patterns for corner in pattern.corners] or [
-            np.zeros(3)]
+        return [end for pattern in self._patterns for end in pattern.ends] or [np.zeros(3)]
 
 
 def _bounded(vector: Vector, largest: float) -> Vector:

@@ -11,17 +11,17 @@ import time
 from typing import Any
 
 from multicontact_control.errors import RunError
-from multicontact_control.view.access import Access, is_loopback, PARAMETER
+from multicontact_control.view.access import guarding
 from multicontact_control.view.commander import Commander, Outcome
 from multicontact_control.view.controls import Controls
 from multicontact_control.view.curves import Curves
 from multicontact_control.view.events import EventReader
-from multicontact_control.view.installed import require_viser
 from multicontact_control.view.scene import newtons, SceneView, STATE_COLOURS
 from multicontact_control.view.source import RATE, Snapshot, Source
 import numpy as np
+import viser
 
-HOST, PORT = '127.0.0.1', 8080
+HOST = '127.0.0.1'
 TEXT_EVERY, CURVES_EVERY = 6, 4  # snapshots
 LISTED = 12  # events
 TOAST_TIME = 6.0  # s
@@ -38,38 +38,32 @@ class Page:
     ----------
     source
         What is shown and steered.
-    host, port
-        To listen on; the next port that is free.
-    token
-        That has to be known, empty for none on this machine and one that is made up elsewhere.
+    port
+        To listen on; the next one that is free.
 
     Attributes
     ----------
     url
-        Of the page, with its token.
+        Of the page.
     commander
         Who gives the commands.
     newest
         Snapshot, None before the first.
     ended
         Why there is nothing more to see, empty as long as there is.
+    status, contacts, answer, events
+        Elements with the texts: of the loop, the table of contacts, what came of the last command,
+        and what happened.
 
     """
 
-    def __init__(
-        self, source: Source, host: str = HOST, port: int = PORT, token: str = '',
-    ) -> None:
-        viser = require_viser()
+    def __init__(self, source: Source, port: int) -> None:
         self.source = source
-        access = Access(host, token)
-        with access.guarding(), redirect_stdout(io.StringIO()):
-            self.server: Any = viser.ViserServer(host=host, port=port, verbose=False)
-        self.server.request_share_url = _share_nothing  # a client could ask for a public tunnel
-        port = self.server.get_port()
-        shown = 'localhost' if host in ('0.0.0.0', '::') else f'[{host}]' if ':' in host else host
-        self.url = f'http://{shown}:{port}/' + (
-            f'?{PARAMETER}={access.token}' if access.token else '')
-        self.local = is_loopback(host)
+        with guarding(), redirect_stdout(io.StringIO()):
+            server: Any = viser.ViserServer(host=HOST, port=port, verbose=False)
+        server.request_share_url = lambda *_, **__: None  # a client could ask for a public tunnel
+        self.server = server
+        self.url = f'http://{HOST}:{self.server.get_port()}/'
         self.ended = ''
         self._outcomes: deque[Outcome] = deque(maxlen=8)
         self._events: deque[tuple[float, str]] = deque(maxlen=LISTED)
@@ -90,12 +84,12 @@ class Page:
             control_width='medium')
         gui.set_panel_label('multicontact view')
         self.scene_view = SceneView(server, scene)
-        self._status = gui.add_html('')
-        self._contacts = gui.add_html('')
-        self._answer = gui.add_html('')
+        self.status = gui.add_html('')
+        self.contacts = gui.add_html('')
+        self.answer = gui.add_html('')
         self.controls = Controls(gui, self.source, self.commander, self.scene_view)
         with gui.add_folder('Events', expand_by_default=True):
-            self._list = gui.add_html('')
+            self.events = gui.add_html('')
         gui.main_panel.dock_right()
         gui.main_panel.set_width(CONTROLS_WIDTH)
         panel = gui.add_panel()
@@ -104,7 +98,7 @@ class Page:
                 gui, scene.config.column_names, scene.config.robot.joint_names)
         panel.dock_left()
         panel.set_width(CURVES_WIDTH)
-        self._status.content = _line(f'<b>{html.escape(scene.title)}</b>: waiting for samples')
+        self.status.content = _line(f'<b>{html.escape(scene.title)}</b>: waiting for samples')
 
     def run(self, stop: threading.Event) -> None:
         """Show what comes until it is to stop; what has ended stays to be seen."""
@@ -119,7 +113,7 @@ class Page:
             found = self.source.poll()
         except RunError as error:
             self.ended = str(error)
-            self._status.content = _line(
+            self.status.content = _line(
                 f'<b style="color:#c0392b">{html.escape(self.ended)}</b>')
             self._tell('ended', self.ended)
             return
@@ -143,7 +137,7 @@ class Page:
         """Forget what was said: time has gone back."""
         self._events.clear()
         self._reader = EventReader(self.source.scene.config.contact_names)
-        self._list.content, self._unlisted = '', False
+        self.events.content, self._unlisted = '', False
 
     def _show(self, snapshot: Snapshot) -> None:
         self._count += 1
@@ -151,8 +145,8 @@ class Page:
         with self.server.atomic():
             self.scene_view.show(snapshot, labels=texts)
             if texts:
-                self._status.content = status_html(self.source.scene.title, snapshot)
-                self._contacts.content = contacts_html(
+                self.status.content = status_html(self.source.scene.title, snapshot)
+                self.contacts.content = contacts_html(
                     self.source.scene.config.column_names, self.source.scene.config.leaders,
                     snapshot)
                 self.controls.show(snapshot)
@@ -161,20 +155,20 @@ class Page:
                     self.controls.show_gains(snapshot)
             if self._unlisted:
                 self._unlisted = False
-                self._list.content = events_html(list(self._events))
+                self.events.content = events_html(list(self._events))
             if self._count % CURVES_EVERY == 0:
                 self.curves.draw()
 
     def _show_outcome(self, outcome: Outcome) -> None:
         colour = '#34965c' if outcome.obeyed else '#c0392b'
         what = '' if outcome.obeyed else 'refused: '
-        self._answer.content = _line(
+        self.answer.content = _line(
             f'<span style="color:{colour}">{what}{html.escape(outcome.text)}</span>')
         if not outcome.obeyed:
             self._tell('refused', outcome.text)
 
     def _tell(self, title: str, text: str) -> None:
-        """Say something to everybody, but not the same again and again."""
+        """Notify all browsers, but not of the same again and again."""
         now = time.monotonic()
         before, when = self._refused
         if text == before and now - when < AGAIN:
@@ -190,10 +184,6 @@ class Page:
         with redirect_stdout(io.StringIO()):
             self.server.stop()
         self.source.close()
-
-
-def _share_nothing(*_arguments: Any, **_options: Any) -> None:
-    """Open no tunnel: the page is for this machine, or for who has the token."""
 
 
 def _line(content: str) -> str:

@@ -88,23 +88,14 @@ class ReplaySource:
         reader = EventReader(config.contact_names)
         told = [(moment, text) for moment, what in self._events if (text := reader.read(what))]
         self._end = (data.ticks - 1) / data.rate
-        self._scene = replace(
+        self.refusals: Mapping[str, str] = REFUSALS
+        self.scene = replace(
             scene, duration=self._end, marks=tuple(sorted([*marks, *told])))
         self._lock = threading.Lock()
         self._since, self._from = clock(), 0.0
         self._speed, self._playing = 1.0, True
         self._shown = -np.inf
         self._changed = True
-
-    @property
-    def scene(self) -> Scene:
-        """Return what does not change."""
-        return self._scene
-
-    @property
-    def refusals(self) -> Mapping[str, str]:
-        """Return the commands that are never obeyed here, each with the reason."""
-        return REFUSALS
 
     def _now(self) -> float:
         """Return the time in the recording [s], and stop at its end."""

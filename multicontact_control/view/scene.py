@@ -141,7 +141,7 @@ class SceneView:
             self._handle.visible = on
 
     def show(self, snapshot: Snapshot, *, labels: bool = True) -> None:
-        """Draw a snapshot; the labels only now and then, as nobody reads faster."""
+        """Draw a snapshot; the labels only now and then."""
         if np.isfinite(snapshot.q).all():
             for frame, pose in zip(
                     self._frames, self._robot.link_poses(snapshot.q, self._links)):
@@ -177,7 +177,7 @@ class SceneView:
             label.position = point - 0.02 * normal + 6.5 * BESIDE * _sideways(point, normal)
 
     def _show_surfaces(self, snapshot: Snapshot, points: Matrix) -> None:
-        """Draw the surfaces where they are, and those that nobody told of where they are felt."""
+        """Draw the surfaces where they are; those whose place is not known where they are felt."""
         for i, surface in enumerate(self._scene.surfaces):
             place, patch = snapshot.places_world.get(surface.name), self._patches.get(surface.name)
             if patch is None and place is None and snapshot.measured[self._leaders[i]] > TOUCH:

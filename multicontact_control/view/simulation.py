@@ -1,8 +1,8 @@
 """
 The simulation that a page starts: the closed loop in a process of its own, in real time.
 
-It never waits for the page: a snapshot that nobody takes is dropped. Commands are looked for
-between ticks, and answered in words.
+It never waits for the page: a snapshot that is not taken is dropped. Commands are read between
+ticks, and answered in words.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Mapping
 import contextlib
+from functools import partial
 import gc
 import math
 import os
@@ -34,7 +35,7 @@ from multicontact_control.process import settle_process
 from multicontact_control.sensor.push_config import PushTestConfig
 from multicontact_control.sensor.tare import TareConfig
 from multicontact_control.view import source
-from multicontact_control.view.motion import Motion, Pattern
+from multicontact_control.view.motion import Motion
 from multicontact_control.view.source import (
     CurveLayout,
     PLAYING,
@@ -88,8 +89,10 @@ class Simulation:
         self._surfaces = self._given_surfaces()
         self._push_config = PushTestConfig()
         self._commands: Mapping[str, Callable[..., str]] = {
-            source.FORCES: self._forces, source.GO_TO: self._go_to, source.JOG: self._jog,
-            source.PATTERN: self._pattern, source.STOP: self._stop, source.HOLD: self._hold,
+            source.FORCES: self._forces, source.STOP: lambda: self._motion.stop(),
+            source.GO_TO: partial(self._move, Motion.go_to),
+            source.JOG: partial(self._move, Motion.jog),
+            source.PATTERN: partial(self._move, Motion.start_pattern), source.HOLD: self._hold,
             source.RETRY: lambda: self.loop.control.retry(), source.TARE: self._tare,
             source.PUSH_TEST: self._push_test, source.HAND: self._hand,
             source.ESTIMATOR: self._use_estimator, source.GAINS: self._gains,
@@ -230,33 +233,13 @@ class Simulation:
         self.loop.control.set_forces({name: float(force) for name, force in forces.items()})
         return ', '.join(f'{name} {force:g} N' for name, force in forces.items())
 
-    def _go_to(self, position: list[float]) -> str:
-        self._ready()
-        self._motion.go_to(position)
-        return f'going to {_metres(position)}'
-
-    def _jog(self, offset: list[float]) -> str:
-        self._ready()
-        self._motion.jog(offset)
-        return f'going {_metres(offset)}'
-
-    def _pattern(self, kind: str, axes: str, amplitude: float, period: float) -> str:
-        self._ready()
-        pattern = Pattern(kind, axes, amplitude, period)
-        self._motion.start_pattern(pattern)
-        return f'{pattern.name}, {1e3 * amplitude:g} mm, {period:g} s'
-
-    def _ready(self) -> None:
-        """Raise `CommandError` with the loop's own words if no motion can be commanded now."""
-        pose = self.loop.control.commanded_pose
-        if pose is None:
+    def _move(self, motion: Callable[..., str], /, **values: Any) -> str:
+        """Begin a motion; `CommandError` with the loop's own words if it is not possible now."""
+        if self.loop.control.commanded_pose is None:
             raise CommandError('controller', 'active, with samples coming', 'not so')
         if not self._motion.what:
             self.loop.control.set_motion(self._motion.halt())
-
-    def _stop(self) -> str:
-        self._motion.stop()
-        return 'coming to rest'
+        return motion(self._motion, **values)
 
     def _hold(self, on: bool) -> str:
         if on:
@@ -358,10 +341,6 @@ class Simulation:
 REFUSALS = dict.fromkeys(PLAYING, 'a recording')
 
 
-def _metres(vector: Any) -> str:
-    return ', '.join(f'{1e3 * x:.0f}' for x in vector) + ' mm'
-
-
 def _newtons(vector: Any) -> str:
     named = [f'{x:+g} N along {axis}' for axis, x in zip('xyz', vector) if x]
     return ', '.join(named)
@@ -422,7 +401,7 @@ def _keep_pace(
         message = _receive(connection)
         if message is not None:
             if not message:
-                return  # nobody is there any more
+                return  # the page has gone
             number, (name, values) = pickle.loads(message)
             answers.append(pickle.dumps((number, _answer(simulation, name, values))))
             if name == source.RESET:

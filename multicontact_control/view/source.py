@@ -22,7 +22,7 @@ POINTS = 2  # of the curves, in each of them
 FORCES = 'forces'  # of contacts, by name [N]
 GO_TO = 'go_to'  # position: of the operational point [m]
 JOG = 'jog'  # offset: from where it is to go by now [m]
-PATTERN = 'pattern'  # kind, axes, amplitude [m], period [s]
+PATTERN = 'pattern'  # axis, amplitude [m], period [s]
 STOP = 'stop'
 HOLD = 'hold'  # on
 RETRY = 'retry'
@@ -222,15 +222,20 @@ class Snapshot:
 
 
 class Source(Protocol):
-    """Where snapshots come from and commands go to."""
+    """
+    Where snapshots come from and commands go to.
 
-    @property
-    def scene(self) -> Scene:
-        """Return what does not change."""
+    Attributes
+    ----------
+    scene
+        What does not change.
+    refusals
+        Commands that are never obeyed here, each with the reason.
 
-    @property
-    def refusals(self) -> Mapping[str, str]:
-        """Return the commands that are never obeyed here, each with the reason."""
+    """
+
+    scene: Scene
+    refusals: Mapping[str, str]
 
     def poll(self) -> list[Snapshot]:
         """
@@ -316,7 +321,7 @@ def no_points(layout: CurveLayout) -> Matrix:
 
 
 def felt_surfaces(config: ControllerConfig) -> tuple[Surface, ...]:
-    """Return a surface for each contact, of which nobody has told where it is."""
+    """Return a surface for each contact, of which the place is not known."""
     return tuple(Surface(name, config.contacts[name].normal_world, None)
                  for name in config.contact_names)
 

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from multicontact_control.experiment.closed_loop import run_in_process
 from multicontact_control.experiment.results import CONFIG_FOLDER, SUMMARY_FILE
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.files import write_json
 import pytest
+from runs import run_of
 
 
 @pytest.fixture(scope='session')
 def recorded_run(tmp_path_factory):
-    """Return the folder of a run of 3 s, with what a replay reads."""
+    """Return the folder of a run of 15 s, with what a replay reads."""
     folder = tmp_path_factory.mktemp('run')
-    setup = resolve('quick', plant='rigid', duration=3.0)
-    result = run_in_process(setup, supervised=True)
+    setup = resolve('quick', plant='rigid')
+    result = run_of(setup)
     setup.write(folder / CONFIG_FOLDER)
     result.data.save(folder)
     write_json(folder / SUMMARY_FILE, {

@@ -1,9 +1,10 @@
-"""ament's pep257, in its own configuration, as in every ROS 2 package."""
+"""ament's flake8 and pep257 in their own configuration, as in every ROS 2 package."""
 
-import logging
 from pathlib import Path
 
 import pytest
+
+pytestmark = [pytest.mark.nightly, pytest.mark.linter]
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCES = [str(ROOT / name)
@@ -11,11 +12,16 @@ SOURCES = [str(ROOT / name)
                         'setup.py')]
 
 
-@pytest.mark.linter
+@pytest.mark.flake8
+def test_flake8():
+    ament_flake8 = pytest.importorskip('ament_flake8.main', reason='ament_flake8 not installed')
+    code, errors = ament_flake8.main_with_errors(argv=SOURCES)
+    assert code == 0, f'{len(errors)} errors:\n' + '\n'.join(errors)
+
+
 @pytest.mark.pep257
-def test_pep257(capsys, caplog):
+def test_pep257(capsys):
     ament_pep257 = pytest.importorskip('ament_pep257.main', reason='ament_pep257 not installed')
-    caplog.set_level(logging.WARNING)  # or it names every file
     code = ament_pep257.main(argv=SOURCES)
     lines = [x for x in ''.join(capsys.readouterr()).splitlines() if not x.startswith('checking')]
     assert code == 0, '\n'.join(lines)

@@ -1,0 +1,115 @@
+"""`multicontact topic list` and `echo`, against what `ros2 topic` of ROS 2 Jazzy prints."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+
+from geometry_msgs.msg import PoseStamped
+from multicontact_control.cli.topic import document
+from multicontact_control.errors import ConfigError
+from multicontact_control.nodes import messages, qos
+from multicontact_control.nodes.link import GuestNode
+import pytest
+from ros_graph import end_of, own_domain, PATIENCE, ROOT
+from sensor_msgs.msg import JointState, PointCloud2
+from std_msgs.msg import Float64MultiArray, String
+import yaml
+
+JOINTS = """header:
+  stamp:
+    sec: 1
+    nanosec: 2
+  frame_id: ''
+name:
+- a
+position:
+- -2.5e-07
+velocity: []
+effort:
+- .nan
+---"""
+
+
+@pytest.mark.parametrize(('field', 'text'), [
+    ('', JOINTS), ('header.stamp', 'sec: 1\nnanosec: 2\n---'), ('header.stamp.sec', '1\n---'),
+    ('name', "['a']\n---"), ('position', "array('d', [-2.5e-07])\n---")])
+def test_document_is_what_ros2_prints(field, text):
+    message = JointState(name=['a'], position=[-2.5e-7], effort=[float('nan')])
+    message.header.stamp.sec, message.header.stamp.nanosec = 1, 2
+    assert document(message, field) == text
+
+
+def test_document_names_the_fields_there_are_and_cuts_what_is_long():
+    for field, known in (('efort', 'header, name, position, velocity, effort'),
+                         ('name.x', 'no further fields')):
+        with pytest.raises(ConfigError, match=f'--field: expected one of {known}, found '):
+            document(JointState(), field)
+    message = Float64MultiArray(data=[0.5] * 200)
+    for longest, shown in ((128, [0.5] * 128 + ['...']), (None, [0.5] * 200)):
+        assert yaml.safe_load(document(message, longest=longest)[:-3])['data'] == shown
+    for message in (PoseStamped(), PointCloud2(data=b'\x01\xff')):
+        assert list(yaml.safe_load(document(message)[:-3])) == list(
+            message.get_fields_and_field_types())
+
+
+@pytest.fixture(scope='module')
+def start():
+    """Return what starts the command beside a node that publishes numbered forces."""
+    with own_domain() as domain_id, GuestNode('guest', domain_id) as guest:
+        forces = guest.node.create_publisher(JointState, '/left/forces', qos.STREAM)
+        latched = guest.node.create_publisher(String, '/description', qos.LATCHED)
+        hidden = guest.node.create_publisher(String, '/_hidden/topic', qos.LATCHED)
+        for publisher in (latched, hidden):
+            publisher.publish(String(data='an arm'))
+        stop = threading.Event()
+
+        def talk():
+            number = 0
+            while not stop.wait(0.04):
+                number += 1
+                forces.publish(messages.joint_state_message(number, ['a'], effort=[number]))
+
+        talker = threading.Thread(target=talk)
+        talker.start()
+        environment = {**os.environ, 'PYTHONPATH': str(ROOT), 'ROS_DOMAIN_ID': str(domain_id)}
+        yield lambda *arguments: subprocess.Popen(
+            [sys.executable, '-m', 'multicontact_control.cli', 'topic', *arguments],
+            env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        stop.set()
+        talker.join()
+
+
+@pytest.mark.ros
+def test_list_has_names_and_types_but_nothing_hidden(start):
+    output, errors = end_of(start('list', '--wait', '5'))
+    assert errors == '' and 'hidden' not in output
+    assert {'/left/forces [sensor_msgs/msg/JointState]',
+            '/description [std_msgs/msg/String]'} <= set(output.splitlines())
+
+
+@pytest.mark.ros
+def test_echo_prints_every_message_until_interrupted(start):
+    process = start('echo', 'left/forces', '--timeout', str(PATIENCE))
+    lines = [process.stdout.readline() for _ in range(60)]
+    process.send_signal(signal.SIGINT)
+    rest, errors = end_of(process)
+    assert (process.returncode, errors) == (0, '')
+    numbers = [each['effort'][0] for each in yaml.safe_load_all(''.join(lines) + rest) if each]
+    assert numbers == [numbers[0] + k for k in range(len(numbers))]
+    output = end_of(start('echo', '/description', '--once', '--timeout', str(PATIENCE)))
+    assert output == ('data: an arm\n---\n', '')
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize(('arguments', 'code', 'message'), [
+    (('/nothing', '--timeout', '0.5'), 1, '/nothing: expected a publisher within 0.5 s'),
+    (('joint states',), 2, 'topic: expected a name of a topic'),
+    (('/left/forces', '--field', 'x', '--timeout', str(PATIENCE)), 2, '--field: expected one of')])
+def test_echo_answers_bad_input_in_one_line(start, arguments, code, message):
+    process = start('echo', *arguments)
+    _, errors = end_of(process)
+    assert process.returncode == code and message in errors and errors.count('\n') == 1
