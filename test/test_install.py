@@ -55,7 +55,7 @@ def start(venv, folder, *arguments):
 def test_installed_commands_compile_once_and_run_from_any_folder(installed, tmp_path):
     options = ('--scenario', 'quick', '--duration', '3', '--out')
     commands = [start(installed, tmp_path, 'simulate', *options, 'simulated'),
-                start(installed, tmp_path, 'run', '--lockstep', *options, 'run')]
+                start(installed, tmp_path, 'run', '--speed', '0', *options, 'run')]
     outputs = [command.communicate()[0] for command in commands]
     assert [command.returncode for command in commands] == [0, 0], outputs
     # Of two that begin at once one compiles, before anything else, and the other waits.

@@ -2,7 +2,8 @@
 
 import importlib.util
 
-from multicontact_control.nodes import services, topics
+from multicontact_control.nodes import topics
+from multicontact_control.nodes.command_interface import SERVICES
 import pytest
 from ros_graph import ROOT
 
@@ -29,4 +30,4 @@ def test_every_parameter_topic_and_service_is_described():
                    for entry in group.entries]
         assert all(entry.field.description for entry in entries), name
         assert len({entry.name for entry in entries}) == len(entries), name
-    assert all(each.content for each in (*topics.TOPICS, *services.SERVICES))
+    assert all(each.content for each in (*topics.TOPICS, *SERVICES))

@@ -11,7 +11,7 @@ import threading
 from multicontact_control.experiment.faults import vocabulary
 from multicontact_control.experiment.faults.fault import Delivery, Edit, GRAPH
 from multicontact_control.nodes import messages, qos, topics
-from multicontact_control.nodes.runtime import follow_parent, make_executor, start_ros
+from multicontact_control.nodes.runtime import make_executor, start_ros
 import numpy as np
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
@@ -82,7 +82,6 @@ class Stream:
 
 def main():
     """Pass messages on until the standard input is closed."""
-    follow_parent()
     start_ros([])
     node, executor, ended = Node('fault_relay'), make_executor(), threading.Event()
     executor.add_node(node)

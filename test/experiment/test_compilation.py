@@ -17,7 +17,7 @@ ROOT = Path(__file__).parents[2]
 COMMANDS = [
     ('simulate', '--scenario', 'quick', '--duration', '3', '--plant', 'rigid', '--bare',
      '--noise-estimator', 'sage_husa'),
-    pytest.param(('run', '--scenario', 'quick', '--duration', '3', '--lockstep'),
+    pytest.param(('run', '--scenario', 'quick', '--duration', '3', '--speed', '0'),
                  marks=pytest.mark.nightly)]
 
 

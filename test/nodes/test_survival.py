@@ -68,7 +68,7 @@ def start(middleware):
 
 def test_controller_holds_the_last_variance_of_an_estimator_that_died_and_can_be_restarted(
         middleware, start):
-    start(SIM)
+    start(SIM, 'lockstep:=false')
     controller = start(CONTROLLER, 'autostart:=true')
     estimator = start(ESTIMATOR, 'autostart:=true')
     commands, reports = (Watch(middleware, topic) for topic in (
@@ -101,7 +101,7 @@ def test_controller_holds_the_last_variance_of_an_estimator_that_died_and_can_be
 
 def test_drives_hold_their_position_without_commands(middleware, start):
     # Half a second, so that a busy machine is not taken for silence.
-    start(SIM, 'command_timeout:=0.5')
+    start(SIM, 'lockstep:=false', 'command_timeout:=0.5')
     samples, reports = (Watch(middleware, topic) for topic in (
         topics.JOINT_STATES, topics.DIAGNOSTICS))
     publisher = middleware.node.create_publisher(

@@ -9,6 +9,8 @@ its own command; a process is listed by that command, too.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+import contextlib
+import ctypes
 from importlib import import_module
 import multiprocessing
 from multiprocessing import forkserver
@@ -129,7 +131,16 @@ def _run(module: str, command: list[str], environment: dict[str, str], log: str)
     sys.argv = [name, *command[1 if command[0] != sys.executable else 3:]]
     setproctitle(' '.join(command))
     setthreadtitle(name)
+    _name_logs(name)
     sys.exit(import_module(module).main())
+
+
+def _name_logs(name: str) -> None:
+    """Let ROS call the file of its log by a name: what it reads has just been written over."""
+    libc = ctypes.CDLL(None)
+    libc.strdup.restype = ctypes.c_void_p
+    with contextlib.suppress(ValueError):  # not every C library has it
+        ctypes.c_void_p.in_dll(libc, 'program_invocation_name').value = libc.strdup(name.encode())
 
 
 def _follow_parent() -> None:
