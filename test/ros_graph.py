@@ -39,7 +39,7 @@ setup = resolve('quick', plant='rigid', seed=spec.get('seed', 0),
 config = folder / 'config'
 setup.write(config)
 run_graph(GraphSpec(
-    out=folder, rate=rate, speed=0.0, **spec,
+    out=folder, rate=rate, **{'speed': 0.0, **spec},
     reference_file=config / 'reference.yaml' if ticks else None,
     parameter_files={'controller_node': config / 'controller.yaml',
                      'sim_node': config / 'plant.yaml',

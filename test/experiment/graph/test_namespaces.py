@@ -58,7 +58,7 @@ def two_runs(tmp_path_factory):
             'commands': listener.subscribe(
                 JointState, f'/{side}/joint_effort_command', qos.RECORDING)} for side in SIDES}
         runs = [start_graph(
-            folders[side], domain_id, namespace=side, ticks=TICKS, seed=seed,
+            folders[side], domain_id, namespace=side, ticks=TICKS, seed=seed, speed=1.0,
             extra_parameters={'controller_node': {'effort_output_topic': EFFORTS}})
             for seed, side in enumerate(SIDES)]
 
