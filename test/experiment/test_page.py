@@ -78,6 +78,7 @@ def test_report_in_a_browser(chromium, tmp_path, monkeypatch):
         f'{contact["step_rise_63_s"]:.4g}' for contact in summary['contacts'].values()]
     whole = tab.evaluate(RANGES)
     over = tab.locator('.u-over').first
+    over.scroll_into_view_if_needed()
     box = over.bounding_box()
     tab.mouse.move(box['x'] + 0.25 * box['width'], box['y'] + 50)
     tab.mouse.down()

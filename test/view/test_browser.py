@@ -14,7 +14,7 @@ from ros_graph import wait_for
 from scipy.spatial.transform import Rotation
 
 pytest.importorskip('viser', reason='viser is not installed (extra [view])')
-pytestmark = [pytest.mark.slow, pytest.mark.nightly, pytest.mark.webgl]
+pytestmark = [pytest.mark.nightly, pytest.mark.browser]
 
 BOTH_PANELS = {'width': 1100, 'height': 480}  # px, and something of the scene between them
 SELDOM = """  // the processor draws all of it: twice a second is enough
