@@ -214,8 +214,8 @@ def test_motion_ends_where_the_samples_begin_anew(stand_in, domain_id):
 
     def accept(command):
         answers.publish(ControllerStatus(
-            ACCEPTED, 'ok', 'active', 'none', '', '', 0, '', False, '',
-            command=identifier_of(command)).message('stand-in', b'\0'))
+            ACCEPTED, identifier_of(command), 'ok', 'active', 'none', '', '', False, 0, '', {},
+        ).message('stand-in', b'\0'))
 
     create_subscription(stand_in, topics.MOTION_COMMAND, accept, topics.MOTION_COMMAND.profile)
     stand_in.create_timer(

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from multicontact_control.control_loop import ControlLoop
 from multicontact_control.errors import MulticontactError
@@ -18,21 +17,8 @@ from rclpy.subscription import Subscription
 from std_srvs.srv import SetBool, Trigger
 
 
-@dataclass(frozen=True)
-class Service:
-    """
-    One service, which answers with `success`, and with words or the reason of a refusal.
-
-    Attributes
-    ----------
-    name
-        Relative to the controller's node.
-    kind
-        Service class.
-    content
-        What it does, for the reference (docs/reference).
-
-    """
+class Service(NamedTuple):
+    """A service of the controller's node: its name in it, class, and content for the reference."""
 
     name: str
     kind: Any
@@ -41,8 +27,7 @@ class Service:
     @property
     def type_name(self) -> str:
         """Return the type as ROS tools write it, e.g. ``std_srvs/srv/Trigger``."""
-        package = self.kind.__module__.split('.', 1)[0]
-        return f'{package}/srv/{self.kind.__name__}'
+        return '/'.join([*self.kind.__module__.split('.')[:2], self.kind.__name__])
 
 
 TARE = Service(

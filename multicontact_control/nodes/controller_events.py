@@ -9,6 +9,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus
 from multicontact_control.control_loop import ControlLoop
 from multicontact_control.nodes import topics
+from multicontact_control.nodes.controller_status import reaction_text
 from multicontact_control.nodes.graph_node import create_publisher
 from multicontact_control.nodes.status_message import (
     ACCEPTED,
@@ -16,7 +17,7 @@ from multicontact_control.nodes.status_message import (
     REFUSED,
     STATE,
 )
-from multicontact_control.supervision.fallback import INFLATE, NONE, SEVERITY
+from multicontact_control.supervision.fallback import NONE
 from rclpy.node import Node
 
 REPEAT_TIME = 5_000_000_000  # ns, in which a line is logged once
@@ -57,7 +58,6 @@ class ControllerEvents:
         self._next_state = self._next_answer = 0
         self._answered: tuple[str, str, bool] | None = None
         self._refused = 0
-        self._last_refusal = ''
 
     def close(self) -> None:
         """Free the topic."""
@@ -65,15 +65,13 @@ class ControllerEvents:
 
     def answer(self, source: str, identifier: str = '', error: Exception | None = None) -> None:
         """Tell whether a command on a topic or of a service is accepted, or why it is refused."""
-        if error is not None:
-            self._refused += 1
-            self._last_refusal = f'{source}: {error}'
-        elif not identifier:
-            return
+        self._refused += error is not None
         answer, now = (source, identifier, error is None), time.monotonic_ns()
-        if answer != self._answered or now >= self._next_answer:
+        if (identifier or error is not None) and (
+                answer != self._answered or now >= self._next_answer):
             self._answered, self._next_answer = answer, now + ANSWER_INTERVAL
-            self._publish(ACCEPTED if error is None else REFUSED, identifier)
+            self._publish(ACCEPTED if error is None else REFUSED, identifier,
+                          '' if error is None else f'{source}: {error}')
 
     def look(self) -> None:
         """Tell what has changed with the newest tick, if anything has."""
@@ -89,17 +87,14 @@ class ControllerEvents:
         if now == self._before or time.monotonic_ns() < self._next_state:
             return
         if status is not None and now[:2] != self._before[:2]:
-            self._log_reaction(status.reaction, status.causes)
+            reacting, self._reacting = self._reacting, status.reaction != NONE
+            if self._reacting:
+                self._warn(f'{status.reaction} {status.causes}', reaction_text(loop))
+            elif reacting:
+                self._node.get_logger().info(
+                    'control goes on', throttle_duration_sec=REPEAT_TIME * 1e-9)
         self._before = now
         self.repeat()
-
-    def _log_reaction(self, reaction: str, causes: tuple[str, ...]) -> None:
-        reacting, self._reacting = self._reacting, reaction != NONE
-        if self._reacting:
-            self._warn(f'{reaction} {causes}', self._reaction())
-        elif reacting:
-            self._node.get_logger().info(
-                'control goes on', throttle_duration_sec=REPEAT_TIME * 1e-9)
 
     def _warn(self, kind: str, text: str) -> None:
         """Log what may happen at every tick, each kind of it once in `REPEAT_TIME`."""
@@ -108,38 +103,22 @@ class ControllerEvents:
             self._log_due[kind] = now + REPEAT_TIME
             self._node.get_logger().warning(text)
 
-    def _reaction(self) -> str:
-        """Say what the supervisor does instead of control, and why; empty if nothing."""
-        status, supervisor = self._loop.status, self._loop.supervisor
-        if status is None or status.reaction == NONE:
-            return ''
-        causes = ', '.join(status.causes)
-        if SEVERITY.index(status.reaction) <= SEVERITY.index(INFLATE):
-            return f'R is inflated: {causes}'
-        outside = supervisor.outside if supervisor is not None else ()
-        if outside:
-            return ('control does not start, the arm is held until it is inside its limits: '
-                    + '; '.join(outside))
-        return f'{status.reaction} instead of control: {causes}'
-
     def repeat(self) -> None:
         """Tell the state."""
         self._next_state = time.monotonic_ns() + STATE_INTERVAL
         self._publish(STATE)
 
-    def _publish(self, event: str, identifier: str = '') -> None:
-        loop, status, reaction = self._loop, self._loop.status, self._reaction()
-        refusal = self._last_refusal if event == REFUSED else ''
+    def _publish(self, event: str, identifier: str = '', refusal: str = '') -> None:
+        loop, status, reaction = self._loop, self._loop.status, reaction_text(self._loop)
         text = refusal or reaction or loop.push_gate.instruction or (
             'safe behaviour' if loop.safe else 'held' if loop.held else 'ok')
         states = zip(loop.config.contact_names, status.contact_states) if status else ()
         self.publisher.publish(ControllerStatus(
-            event=event, text=text, life_cycle=self._life_cycle(),
+            event=event, command=identifier, text=text, life_cycle=self._life_cycle(),
             reaction=status.reaction if status else NONE,
             causes=' '.join(status.causes) if status else '',
             contacts=', '.join(f'{name} {state}' for name, state in states),
-            refused=self._refused, last_refusal=self._last_refusal, held=loop.held,
-            push_test=loop.push_gate.instruction, forces=loop.commanded_forces,
-            command=identifier).message(
+            held=loop.held, refused=self._refused, push_test=loop.push_gate.instruction,
+            forces=loop.commanded_forces).message(
                 f'{self._node.get_name()}: status',
                 DiagnosticStatus.WARN if refusal or reaction else DiagnosticStatus.OK))

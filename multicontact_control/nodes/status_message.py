@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 import secrets
 from typing import Any
 
@@ -11,8 +11,7 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from sensor_msgs.msg import JointState
 
 STATE, ACCEPTED, REFUSED = 'state', 'accepted', 'refused'
-TEXTS = ('event', 'life_cycle', 'reaction', 'causes', 'contacts', 'last_refusal', 'push_test',
-         'command')
+TEXTS = ('event', 'command', 'life_cycle', 'reaction', 'causes', 'contacts', 'push_test')
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,6 +23,8 @@ class ControllerStatus:
     ----------
     event
         ``accepted`` or ``refused`` for a command, ``state`` otherwise.
+    command
+        Identifier of the command; empty if it has none.
     text
         Why the command is refused; else what the controller does, ``ok`` if that is what it is
         asked for.
@@ -33,31 +34,28 @@ class ControllerStatus:
         ``none``, or what it does instead of control, and why.
     contacts
         State of each contact in words.
-    refused, last_refusal
-        How many commands it has refused so far, and the last of them.
     held
         Whether it holds pose and forces on command.
+    refused
+        How many commands it has refused so far.
     push_test
         What the push test asks for; empty if it asks for nothing.
     forces
         What is obeyed by contact, and couple [N]; empty if it follows a scenario.
-    command
-        Identifier of the command; empty if it has none.
 
     """
 
     event: str
+    command: str
     text: str
     life_cycle: str
     reaction: str
     causes: str
     contacts: str
-    refused: int
-    last_refusal: str
     held: bool
+    refused: int
     push_test: str
-    forces: Mapping[str, float] = field(default_factory=dict)
-    command: str = ''
+    forces: Mapping[str, float]
 
     @classmethod
     def of(cls, message: DiagnosticStatus) -> ControllerStatus:
