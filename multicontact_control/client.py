@@ -12,19 +12,17 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 import math
-import re
 import time
-from typing import Any, NamedTuple
-import warnings
+from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from multicontact_control.arrays import Vector
 from multicontact_control.errors import RunError
 from multicontact_control.nodes import messages, topics
-from multicontact_control.nodes.link import ControllerLink
+from multicontact_control.nodes.link import CommandRefusedError, ControllerLink, DEACTIVATE
+from multicontact_control.nodes.status_message import ControllerStatus, new_identifier
 from multicontact_control.quintic import quintic
 import numpy as np
 from numpy.typing import ArrayLike
@@ -32,89 +30,17 @@ from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
+__all__ = [
+    'ArmState', 'CommandRefusedError', 'ControllerStatus', 'MultiContactClient', 'NotReachedError']
+
 OPTIONAL_WAIT = 1.0
 STATE_TOPICS = (
     topics.MEASURED_FORCES, topics.ESTIMATED_FORCES, topics.DESIRED_FORCES, topics.POSE,
     topics.POSE_DESIRED)
-SENT_KEPT = 32  # commands, for refusals that are late
-# A refusal of one force, or couple, as it was sent; others name none, or what contacts share.
-OF_ONE_FORCE = re.compile(r': (?:force on|couple) (\S+): expected (?!.*share).*, found (\S+) N$')
 
 
 class NotReachedError(RunError):
     """The contact forces did not come near their commands in time."""
-
-
-class CommandRefusedError(RunError):
-    """The controller does not obey a command, and says why."""
-
-
-class CommandRefusedWarning(UserWarning):
-    """The controller has refused a command that nobody has waited for."""
-
-
-@dataclass(frozen=True, slots=True)
-class ControllerStatus:
-    """
-    What the controller says of itself.
-
-    Attributes
-    ----------
-    event
-        Why it says it: ``refused`` a command, or told its ``state``.
-    text
-        What it does, ``ok`` if that is what it is asked for.
-    life_cycle
-        ``active`` or ``inactive``.
-    reaction, causes
-        ``none``, or what it does instead of control, and why.
-    contacts
-        State of each contact in words.
-    refused, last_refusal
-        How many commands it has refused so far, and the last of them.
-    held
-        Whether it holds pose and forces on command.
-    push_test
-        What the push test asks for; empty if it asks for nothing.
-    forces
-        What is obeyed by contact, and couple [N]; empty if it follows a scenario.
-
-    """
-
-    event: str
-    text: str
-    life_cycle: str
-    reaction: str
-    causes: str
-    contacts: str
-    refused: int
-    last_refusal: str
-    held: bool
-    push_test: str
-    forces: Mapping[str, float] = field(default_factory=dict)
-
-    @classmethod
-    def of(cls, message: DiagnosticStatus) -> ControllerStatus:
-        """Return what a message on ``~/status`` says."""
-        values = {x.key: x.value for x in message.values}
-        forces = [each.rsplit(' ', 1) for each in values.get('forces', '').split(', ') if each]
-        return cls(
-            values['event'], message.message, values['life_cycle'], values['reaction'],
-            values['causes'], values['contacts'], int(values['refused']),
-            values['last_refusal'], values['held'] == str(True), values['push_test'],
-            {name: float(force) for name, force in forces})
-
-    def refuses(self, topic: topics.Topic, before: ControllerStatus | None) -> bool:
-        """Return whether it says that a command on a topic was refused since `before`."""
-        # Of those that come close after each other only the count tells.
-        more = before is not None and self.refused > before.refused
-        return self.last_refusal.startswith(topic.name) and (self.event == 'refused' or more)
-
-    def obeys(self, forces: Mapping[str, float]) -> bool:
-        """Return whether it says that all these forces [N] are obeyed."""
-        return bool(self.forces) and all(
-            math.isclose(force, self.forces.get(name, math.nan), rel_tol=1e-6, abs_tol=1e-9)
-            for name, force in forces.items())
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,17 +74,6 @@ class ArmState:
     quaternion_desired: Vector
 
 
-class _Sent(NamedTuple):
-    """Forces that were sent, NaN for centres of pressure, and what was commanded before [N]."""
-
-    forces: dict[str, float]
-    before: dict[str, float]
-
-    def holds(self, name: str, force: str) -> bool:
-        """Return whether a refusal of a force, as it is written, is of this command."""
-        return name in self.forces and f'{self.forces[name]:g}' == force
-
-
 class MultiContactClient:
     """
     Commands a running controller and reads its state; to be used in a with statement.
@@ -182,14 +97,9 @@ class MultiContactClient:
         self, namespace: str = '', *, domain_id: int | None = None, timeout: float = 10.0,
     ) -> None:
         self._link = ControllerLink(
-            (*STATE_TOPICS, topics.NOISE_VARIANCE), queued=(topics.STATUS,),
-            namespace=namespace, domain_id=domain_id, timeout=timeout)
-        self._force_publisher = self._link.publisher(topics.FORCE_COMMAND)
-        self._motion_publisher = self._link.publisher(topics.MOTION_COMMAND)
+            (*STATE_TOPICS, topics.NOISE_VARIANCE), namespace=namespace, domain_id=domain_id,
+            timeout=timeout)
         self._commanded: dict[str, float] = {}
-        self._sent: deque[_Sent] = deque(maxlen=SENT_KEPT)
-        self._status: ControllerStatus | None = None
-        self._refusals: dict[topics.Topic, str] = {}
 
     def __enter__(self) -> MultiContactClient:
         """Return the client itself."""
@@ -218,7 +128,7 @@ class MultiContactClient:
         if self._link.has_lifecycle(topics.ESTIMATOR, OPTIONAL_WAIT):
             self._link.bring_up(topics.ESTIMATOR)
         if self._link.bring_up(topics.CONTROLLER):
-            self._forget()
+            self._commanded.clear()
 
     def deactivate(self) -> None:
         """
@@ -230,75 +140,14 @@ class MultiContactClient:
             If the controller has no lifecycle, does not answer or refuses.
 
         """
-        self._link.take_down(topics.CONTROLLER)
-        self._forget()
-
-    def _forget(self) -> None:
-        """Forget what was commanded, as the controller does."""
+        if self._link.state(topics.CONTROLLER) == 'active':
+            self._link.change(topics.CONTROLLER, DEACTIVATE)
         self._commanded.clear()
-        self._sent.clear()
-        self._refusals.pop(topics.FORCE_COMMAND, None)
 
     def status(self) -> ControllerStatus | None:
         """Return what the controller has said of itself last, None if nothing so far."""
-        for message in self._link.queue(topics.STATUS):
-            status, before = ControllerStatus.of(message), self._status
-            for topic in (topics.FORCE_COMMAND, topics.MOTION_COMMAND):
-                # Of motions, which go on coming, the next one tells.
-                if status.refuses(topic, before if topic is topics.FORCE_COMMAND else None) and (
-                        topic is topics.MOTION_COMMAND or self._may_be_mine(status, before)):
-                    self._refusals[topic] = f'{topics.CONTROLLER}: refused: {status.last_refusal}'
-            self._status = status
-        return self._status
-
-    def _may_be_mine(self, status: ControllerStatus, before: ControllerStatus | None) -> bool:
-        """Return whether the forces that were refused may be those of this client."""
-        if not self._sent:
-            return False
-        told = OF_ONE_FORCE.search(status.last_refusal)
-        several = before is not None and status.refused > before.refused + 1
-        if told and not several and not any(sent.holds(*told.groups()) for sent in self._sent):
-            return False
-        return not self._is_obeyed(status)
-
-    def _is_obeyed(self, status: ControllerStatus | None) -> bool:
-        """Return whether all that this client commanded is known to be obeyed."""
-        centred = any(math.isnan(force) for sent in list(self._sent)[-1:]
-                      for force in sent.forces.values())
-        return status is not None and not centred and status.obeys(self._commanded)
-
-    def _refusal(self, topic: topics.Topic) -> str:
-        """Return the newest refusal on a topic that nobody was told of, empty without any."""
-        status = self.status()
-        told = self._refusals.pop(topic, '')
-        if not told or topic is not topics.FORCE_COMMAND:
-            return told
-        if self._is_obeyed(status):
-            return ''  # somebody else's, before this client's came
-        self._undo(told, status)
-        return told
-
-    def _undo(self, refusal: str, status: ControllerStatus | None) -> None:
-        """Take back what was refused: the command with that force, or all that is not obeyed."""
-        told = OF_ONE_FORCE.search(refusal)
-        named = [sent for sent in self._sent if told and sent.holds(*told.groups())][-1:]
-        known = {} if status is None else status.forces
-        for sent in named or reversed(list(self._sent)[0 if known else -1:]):
-            for name, force in sent.forces.items():
-                if self._commanded.get(name, math.nan) != force and not math.isnan(force):
-                    continue  # another command has taken its place
-                if status is not None and status.obeys({name: force}):
-                    continue
-                if name in sent.before:
-                    self._commanded[name] = known.get(name, sent.before[name])
-                else:
-                    self._commanded.pop(name, None)
-
-    def _raise_refusal(self, topic: topics.Topic) -> None:
-        """Raise if the controller has refused a command on a topic."""
-        told = self._refusal(topic)
-        if told:
-            raise CommandRefusedError(told)
+        self._link.look()
+        return self._link.status
 
     def hold(self, on: bool = True) -> None:
         """
@@ -337,7 +186,7 @@ class MultiContactClient:
         self._ask('retry', Trigger, Trigger.Request())
 
     def _ask(self, what: str, service: Any, request: Any) -> None:
-        answer = self._link.require(topics.CONTROLLER, service, what, request)
+        answer = self._link.call(topics.CONTROLLER, service, what, request)
         if not answer.success:
             raise RunError(f'{topics.CONTROLLER}: {what} refused: {answer.message}')
 
@@ -347,8 +196,7 @@ class MultiContactClient:
         """
         Command contact forces; contacts that are not named keep theirs.
 
-        If the controller refuses them, `wait_until_reached` raises that; the next command warns
-        of it if that was not called.
+        Returns when the controller has accepted them; what it refuses changes nothing.
 
         Parameters
         ----------
@@ -362,35 +210,23 @@ class MultiContactClient:
         Raises
         ------
         CommandRefusedError
-            If the controller has no such contact.
+            If the controller refuses, with its reason; centres are commanded after the forces.
         RunError
-            If no controller runs or listens.
+            If no controller runs or answers.
         MessageError
             If a force is not finite.
 
         """
-        # A command from before the first sample would be forgotten by it.
-        desired, = self._link.fresh(topics.DESIRED_FORCES)
-        unknown = sorted({*forces, *(centres or {})} - set(desired.name))
-        if unknown:
-            raise CommandRefusedError(
-                f'{topics.FORCE_COMMAND.name}: expected contacts among {", ".join(desired.name)}, '
-                f'found {", ".join(unknown)}')
-        self._link.is_heard(topics.STATUS, OPTIONAL_WAIT)
-        told = self._refusal(topics.FORCE_COMMAND)
-        if told:
-            warnings.warn(told, CommandRefusedWarning, stacklevel=2)
-        self._sent.append(_Sent(
-            {**forces, **dict.fromkeys(centres or {}, math.nan)}, dict(self._commanded)))
+        self._link.fresh(topics.DESIRED_FORCES)  # before its first sample it refuses
         if forces:
-            self._link.publish(self._force_publisher, messages.joint_state_message(
+            self._link.command(topics.FORCE_COMMAND, messages.joint_state_message(
                 0, list(forces), effort=list(forces.values())))
+            self._commanded.update(forces)
         if centres:
-            self._link.publish(self._force_publisher, messages.joint_state_message(
+            self._link.command(topics.FORCE_COMMAND, messages.joint_state_message(
                 0, list(centres), position=list(centres.values())))
-        self._commanded.update(forces)
-        for name in centres or {}:
-            self._commanded.pop(name, None)
+            for name in centres:  # it follows the force of its contact
+                self._commanded.pop(name, None)
 
     def move(
         self, position_world: ArrayLike, duration: float, *,
@@ -426,19 +262,18 @@ class MultiContactClient:
             raise messages.MessageError('duration', 'above 0 s', f'{duration:g} s')
         goal = messages.finite_array(position_world, 3, 'position_world')
         # All that takes time comes first: the motion runs from the sample that it starts at.
-        self._link.is_heard(topics.STATUS, OPTIONAL_WAIT)
-        self._link.wait_for_controller(self._motion_publisher)
-        # Once it answers, the controller has refused what it will of the motions before.
-        self._link.state(topics.CONTROLLER)
-        self._refusal(topics.MOTION_COMMAND)
+        position, turn = _pose_of(*self._link.fresh(topics.POSE_DESIRED))
+        self._link.command(topics.MOTION_COMMAND, messages.motion_message(
+            position, turn.as_quat(), np.zeros(6), np.zeros(6)))
         start, = self._link.fresh(topics.POSE_DESIRED)
         position, turn = _pose_of(start)
         last = turn if quaternion_xyzw is None else Rotation.from_quat(
             messages.finite_array(quaternion_xyzw, 4, 'quaternion_xyzw'))
         rotation_vector = (last * turn.inv()).as_rotvec()
+        change = np.concatenate([goal - position, rotation_vector])
         first_stamp, elapsed = messages.stamp_to_ns(start.header.stamp), 0.0
+        identifier = new_identifier()
         while elapsed < duration:
-            self._raise_refusal(topics.MOTION_COMMAND)
             sample, = self._link.fresh(topics.POSE_DESIRED)
             before = elapsed
             elapsed = (messages.stamp_to_ns(sample.header.stamp) - first_stamp) * 1e-9
@@ -446,13 +281,15 @@ class MultiContactClient:
                 raise RunError(f'{topics.POSE_DESIRED.name}: expected stamps that go on, found '
                                f'one {before - elapsed:.3g} s before the last: samples begin anew')
             s, ds, dds = quintic(min(elapsed, duration), duration)
-            change = np.concatenate([goal - position, rotation_vector])
-            self._link.publish(self._motion_publisher, messages.motion_message(
+            point = messages.motion_message(
                 position + s * change[:3],
                 (Rotation.from_rotvec(s * rotation_vector) * turn).as_quat(),
-                ds * change, dds * change))
+                ds * change, dds * change)
+            self._link.accepted(identifier)  # what it refuses of the way ends the motion
+            if elapsed < duration:
+                self._link.send(topics.MOTION_COMMAND, point, identifier)
+        self._link.command(topics.MOTION_COMMAND, point)
         self._link.fresh(topics.POSE_DESIRED)
-        self._raise_refusal(topics.MOTION_COMMAND)
 
     def read(self) -> ArmState:
         """
@@ -481,7 +318,7 @@ class MultiContactClient:
         self, force_tolerance: float = 0.5, timeout: float = 20.0, *, settle_time: float = 0.2,
     ) -> ArmState:
         """
-        Wait until the measured forces are what this client commanded.
+        Wait until the measured forces are what this client commanded, as far as it was accepted.
 
         Parameters
         ----------
@@ -501,8 +338,6 @@ class MultiContactClient:
         ------
         NotReachedError
             Naming the contacts that are still off, and what the controller does instead.
-        CommandRefusedError
-            If it does not obey a command.
         RunError
             If samples stop coming.
 
@@ -512,7 +347,6 @@ class MultiContactClient:
         give_up = time.monotonic() + timeout
         while True:
             message, = self._link.fresh(topics.MEASURED_FORCES)
-            self._raise_refusal(topics.FORCE_COMMAND)
             now, forces = messages.stamp_to_ns(message.header.stamp) * 1e-9, _by_name(message)
             missing = set(self._commanded) - set(forces)
             if missing:

@@ -32,7 +32,7 @@ def push_running(
         state = link.state(topics.CONTROLLER, timeout)
         if state != 'active':
             raise RunError(f'{topics.CONTROLLER}: expected an active controller, found it {state}')
-        answer = link.require(topics.CONTROLLER, Trigger, 'push_test', Trigger.Request())
+        answer = link.call(topics.CONTROLLER, Trigger, 'push_test', Trigger.Request())
         if not answer.success:
             raise RunError(f'{topics.CONTROLLER}: push_test refused: {answer.message}')
         said = answer.message

@@ -3,34 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from multicontact_control.control_loop import ControlLoop
 from multicontact_control.errors import MulticontactError
 from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.nodes.controller_config import ControllerNodeConfig
+from multicontact_control.nodes.controller_events import ControllerEvents
 from multicontact_control.nodes.graph_node import create_subscription, Refusals
+from multicontact_control.nodes.status_message import identifier_of
 from rclpy.node import Node
 from rclpy.subscription import Subscription
 from std_srvs.srv import SetBool, Trigger
 
 
-@dataclass(frozen=True)
-class Service:
-    """
-    One service, which answers with `success`, and with words or the reason of a refusal.
-
-    Attributes
-    ----------
-    name
-        Relative to the controller's node.
-    kind
-        Service class.
-    content
-        What it does, for the reference (docs/reference).
-
-    """
+class Service(NamedTuple):
+    """A service of the controller's node: its name in it, class, and content for the reference."""
 
     name: str
     kind: Any
@@ -39,8 +27,7 @@ class Service:
     @property
     def type_name(self) -> str:
         """Return the type as ROS tools write it, e.g. ``std_srvs/srv/Trigger``."""
-        package = self.kind.__module__.split('.', 1)[0]
-        return f'{package}/srv/{self.kind.__name__}'
+        return '/'.join([*self.kind.__module__.split('.')[:2], self.kind.__name__])
 
 
 TARE = Service(
@@ -59,7 +46,7 @@ SERVICES: tuple[Service, ...] = (TARE, HOLD, RETRY, PUSH_TEST)
 
 class CommandInterface:
     """
-    Hands commands to a control loop, refuses what it refuses, and counts that.
+    Hands commands to a control loop, counts what it refuses, and answers.
 
     Parameters
     ----------
@@ -69,18 +56,20 @@ class CommandInterface:
         What is commanded.
     refusals
         Where refusals are counted.
+    events
+        Where commands are answered.
     set_bias
         Makes a bias of the wrist sensor the one in force; may raise `MulticontactError`.
 
     """
 
     def __init__(
-        self, node: Node, loop: ControlLoop, refusals: Refusals,
+        self, node: Node, loop: ControlLoop, refusals: Refusals, events: ControllerEvents,
         set_bias: Callable[[list[float]], None],
     ) -> None:
         self._node = node
         self._loop = loop
-        self._refusals = refusals
+        self._refusals, self._events = refusals, events
         self._set_bias = set_bias
         self._config = ControllerNodeConfig()
         self.subscriptions: dict[topics.Topic, Subscription] = {
@@ -104,13 +93,21 @@ class CommandInterface:
             self._node.destroy_service(service)
 
     def _on_forces(self, message: Any) -> None:
-        with self._refusals.guard(topics.FORCE_COMMAND):
-            self._loop.set_forces(
-                *messages.read_force_command(message, self._loop.config.column_names))
+        self._obey(topics.FORCE_COMMAND, message, lambda: self._loop.set_forces(
+            *messages.read_force_command(message, self._loop.config.column_names)))
 
     def _on_motion(self, message: Any) -> None:
-        with self._refusals.guard(topics.MOTION_COMMAND):
-            self._loop.set_motion(messages.read_motion(message))
+        self._obey(topics.MOTION_COMMAND, message,
+                   lambda: self._loop.set_motion(messages.read_motion(message)))
+
+    def _obey(self, topic: topics.Topic, message: Any, work: Callable[[], None]) -> None:
+        refusal = None
+        try:
+            work()
+        except MulticontactError as error:
+            self._refusals.refuse(topic.name, error)
+            refusal = error
+        self._events.answer(topic.name, identifier_of(message), refusal)
 
     def _tare(self, _request: Any) -> str:
         bias = self._loop.tare(self._config.tare)
@@ -133,6 +130,7 @@ class CommandInterface:
                 response.message, response.success = work(request), True
             except MulticontactError as error:
                 self._refusals.refuse(name, error)
+                self._events.answer(name, error=error)
                 response.message, response.success = str(error), False
             return response
         return self._node.create_service(service.kind, name, answer)

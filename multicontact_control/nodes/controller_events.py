@@ -6,26 +6,31 @@ from collections.abc import Callable
 import time
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticStatus
 from multicontact_control.control_loop import ControlLoop
 from multicontact_control.nodes import topics
+from multicontact_control.nodes.controller_status import reaction_text
 from multicontact_control.nodes.graph_node import create_publisher
-from multicontact_control.supervision.fallback import INFLATE, NONE, SEVERITY
+from multicontact_control.nodes.status_message import (
+    ACCEPTED,
+    ControllerStatus,
+    REFUSED,
+    STATE,
+)
+from multicontact_control.supervision.fallback import NONE
 from rclpy.node import Node
 
 REPEAT_TIME = 5_000_000_000  # ns, in which a line is logged once
-LEAST_INTERVAL = 20_000_000  # ns, between two messages: a client may send at the control rate
-COMMANDS = (topics.FORCE_COMMAND.name, topics.MOTION_COMMAND.name, '~/')
-STATE, REFUSED = 'state', 'refused'
+STATE_INTERVAL = 20_000_000  # ns, between two messages on a state that changes
+ANSWER_INTERVAL = 100_000_000  # ns, between two equal answers: motions come at the control rate
 
 
 class ControllerEvents:
     """
-    Tells what a controller does instead of what it is asked for.
+    Tells what becomes of commands, and what a controller does instead of what it is asked for.
 
-    Every command that is refused and every change of state is a message on ~/status: level, text,
-    and in its values what happened (`event`: ``refused`` or ``state``), the state, how many
-    commands were refused so far, the last of them, and the forces that are obeyed. The state is
+    Each answer to a command and each change of state is a `ControllerStatus` on ~/status. A
+    command with an identifier is answered; one without is told of if it is refused. The state is
     repeated once a second.
 
     Parameters
@@ -50,21 +55,23 @@ class ControllerEvents:
         self.publisher = create_publisher(node, topics.STATUS)
         self._before: tuple[Any, ...] = ()
         self._reacting = False
-        self._next = {STATE: 0, REFUSED: 0}
+        self._next_state = self._next_answer = 0
+        self._answered: tuple[str, str, bool] | None = None
         self._refused = 0
-        self._last_refusal = ''
 
     def close(self) -> None:
         """Free the topic."""
         self._node.destroy_publisher(self.publisher)
 
-    def refused(self, source: str, error: Exception) -> None:
-        """Tell of a command that is refused; of other refusals the log and the counts do."""
-        if not source.startswith(COMMANDS):
-            return
-        self._refused += 1
-        self._last_refusal = f'{source}: {error}'
-        self._publish(REFUSED, DiagnosticStatus.WARN, self._last_refusal)
+    def answer(self, source: str, identifier: str = '', error: Exception | None = None) -> None:
+        """Tell whether a command on a topic or of a service is accepted, or why it is refused."""
+        self._refused += error is not None
+        answer, now = (source, identifier, error is None), time.monotonic_ns()
+        if (identifier or error is not None) and (
+                answer != self._answered or now >= self._next_answer):
+            self._answered, self._next_answer = answer, now + ANSWER_INTERVAL
+            self._publish(ACCEPTED if error is None else REFUSED, identifier,
+                          '' if error is None else f'{source}: {error}')
 
     def look(self) -> None:
         """Tell what has changed with the newest tick, if anything has."""
@@ -77,20 +84,17 @@ class ControllerEvents:
         if status is not None and status.rejected:
             for name in status.rejected:
                 self._warn(name, f'a reading is not used: {name}')
-        if now == self._before or time.monotonic_ns() < self._next[STATE]:
+        if now == self._before or time.monotonic_ns() < self._next_state:
             return
         if status is not None and now[:2] != self._before[:2]:
-            self._log_reaction(status.reaction, status.causes)
+            reacting, self._reacting = self._reacting, status.reaction != NONE
+            if self._reacting:
+                self._warn(f'{status.reaction} {status.causes}', reaction_text(loop))
+            elif reacting:
+                self._node.get_logger().info(
+                    'control goes on', throttle_duration_sec=REPEAT_TIME * 1e-9)
         self._before = now
         self.repeat()
-
-    def _log_reaction(self, reaction: str, causes: tuple[str, ...]) -> None:
-        reacting, self._reacting = self._reacting, reaction != NONE
-        if self._reacting:
-            self._warn(f'{reaction} {causes}', self._reaction())
-        elif reacting:
-            self._node.get_logger().info(
-                'control goes on', throttle_duration_sec=REPEAT_TIME * 1e-9)
 
     def _warn(self, kind: str, text: str) -> None:
         """Log what may happen at every tick, each kind of it once in `REPEAT_TIME`."""
@@ -99,43 +103,22 @@ class ControllerEvents:
             self._log_due[kind] = now + REPEAT_TIME
             self._node.get_logger().warning(text)
 
-    def _reaction(self) -> str:
-        """Say what the supervisor does instead of control, and why; empty if nothing."""
-        status, supervisor = self._loop.status, self._loop.supervisor
-        if status is None or status.reaction == NONE:
-            return ''
-        causes = ', '.join(status.causes)
-        if SEVERITY.index(status.reaction) <= SEVERITY.index(INFLATE):
-            return f'R is inflated: {causes}'
-        outside = supervisor.outside if supervisor is not None else ()
-        if outside:
-            return ('control does not start, the arm is held until it is inside its limits: '
-                    + '; '.join(outside))
-        return f'{status.reaction} instead of control: {causes}'
-
     def repeat(self) -> None:
         """Tell the state."""
-        reaction, loop = self._reaction(), self._loop
-        text = reaction or loop.push_gate.instruction or (
-            'safe behaviour' if loop.safe else 'held' if loop.held else 'ok')
-        self._publish(STATE, DiagnosticStatus.WARN if reaction else DiagnosticStatus.OK, text)
+        self._next_state = time.monotonic_ns() + STATE_INTERVAL
+        self._publish(STATE)
 
-    def _publish(self, event: str, level: bytes, text: str) -> None:
-        now = time.monotonic_ns()
-        if event == REFUSED and now < self._next[REFUSED]:
-            return  # it is counted, and the state says so
-        self._next[event] = now + LEAST_INTERVAL
-        loop, status = self._loop, self._loop.status
+    def _publish(self, event: str, identifier: str = '', refusal: str = '') -> None:
+        loop, status, reaction = self._loop, self._loop.status, reaction_text(self._loop)
+        text = refusal or reaction or loop.push_gate.instruction or (
+            'safe behaviour' if loop.safe else 'held' if loop.held else 'ok')
         states = zip(loop.config.contact_names, status.contact_states) if status else ()
-        values = {
-            'event': event, 'life_cycle': self._life_cycle(),
-            'reaction': status.reaction if status else 'none',
-            'causes': ' '.join(status.causes) if status else '',
-            'contacts': ', '.join(f'{name} {state}' for name, state in states),
-            'held': str(loop.held), 'push_test': loop.push_gate.instruction,
-            'refused': str(self._refused), 'last_refusal': self._last_refusal,
-            'forces': ', '.join(
-                f'{name} {force:.9g}' for name, force in loop.commanded_forces.items())}
-        self.publisher.publish(DiagnosticStatus(
-            name=f'{self._node.get_name()}: status', level=level, message=text,
-            values=[KeyValue(key=key, value=value) for key, value in values.items()]))
+        self.publisher.publish(ControllerStatus(
+            event=event, command=identifier, text=text, life_cycle=self._life_cycle(),
+            reaction=status.reaction if status else NONE,
+            causes=' '.join(status.causes) if status else '',
+            contacts=', '.join(f'{name} {state}' for name, state in states),
+            held=loop.held, refused=self._refused, push_test=loop.push_gate.instruction,
+            forces=loop.commanded_forces).message(
+                f'{self._node.get_name()}: status',
+                DiagnosticStatus.WARN if refusal or reaction else DiagnosticStatus.OK))

@@ -140,9 +140,8 @@ class ControllerNode(ManagedNode):
         self._missing = MissingInputs(
             self, self._fresh, {topic: inputs[topic][1:] for topic in self._readers})
         self._events = ControllerEvents(self, loop, lambda: self.state)
-        self.refusals.told = self._events.refused
         self._commands = CommandInterface(
-            self, loop, self.refusals,
+            self, loop, self.refusals, self._events,
             lambda bias: self.parameter_set.assign('tool.bias_sensor', bias))
         self._commands.adopt(node_config)
         self._forget()
@@ -201,7 +200,6 @@ class ControllerNode(ManagedNode):
         for ends in (self._commands, self._outputs, self._events):
             if ends is not None:
                 ends.close()
-        self.refusals.told = lambda source, error: None
         self._loop = self._commands = self._outputs = self._report = self._events = None
         self._missing = None
         self._patience.stop()

@@ -32,40 +32,40 @@ class SupervisorReport:
         values |= {'causes': ' '.join(status.causes) or 'none',
                    'task_time_s': status.task_time, 'events': len(loop.events.events)}
         values |= loop.collisions
-        values |= _residuals(loop)
+        if loop.supervisor is not None:
+            values |= {f'{name} residual_nm': value for name, value in zip(
+                loop.config.robot.joint_names, loop.supervisor.collisions.residual.tolist())}
         values |= {f'ticks with {name}': n for name, n in counts[0].items() if name != NONE}
         values |= {f'rejected {name}': n for name, n in counts[1].items()}
         values |= {f'limited {name}': n for name, n in counts[2].items()}
-        values['fastest_change_hz'] = max(loop.events.alternating(loop.time).values(), default=0.0)
-        causes = ', '.join(status.causes)
+        rates = loop.events.alternating(loop.time)
+        values['fastest_change_hz'] = max(rates.values(), default=0.0)
         if SEVERITY.index(status.reaction) > SEVERITY.index(INFLATE):
-            outside = loop.supervisor.outside if loop.supervisor is not None else ()
-            return Status('supervisor', values, error=': '.join(filter(None, (
-                f'{status.reaction} instead of control: {causes}', '; '.join(outside)))))
+            return Status('supervisor', values, error=reaction_text(loop))
         return Status('supervisor', values, warning='; '.join(filter(None, [
-            f'R is inflated: {causes}' if status.reaction == INFLATE else '',
-            _told_rates(loop),
+            reaction_text(loop),
+            ', '.join(f'{name} changes {rate:.1f} times a second' for name, rate in rates.items()),
             _told('reacted', {k: n for k, n in since[0].items() if k not in (NONE, INFLATE)}),
             _told('rejected', since[1]), _told('limited', since[2])])))
 
 
-def _residuals(loop: ControlLoop) -> dict[str, Any]:
-    """Return what touches the arm before its wrist sensor does to each joint."""
-    if loop.supervisor is None:
-        return {}
-    return {f'{name} residual_nm': value for name, value in zip(
-        loop.config.robot.joint_names, loop.supervisor.collisions.residual.tolist())}
+def reaction_text(loop: ControlLoop) -> str:
+    """Return what the supervisor does instead of control, and why; empty if nothing."""
+    status, supervisor = loop.status, loop.supervisor
+    if status is None or status.reaction == NONE:
+        return ''
+    causes = ', '.join(status.causes)
+    if status.reaction == INFLATE:
+        return f'R is inflated: {causes}'
+    outside = '; '.join(supervisor.outside) if supervisor is not None else ''
+    return f'{status.reaction} instead of control: {causes}' + (
+        f', until the arm is inside its limits: {outside}' if outside else '')
 
 
 def _since(now: Counter[str], before: Counter[str]) -> dict[str, int]:
     """Return what has been counted since; all of it if the counting has begun anew."""
     return {name: n - before[name] if n >= before[name] else n
             for name, n in now.items() if n != before[name]}
-
-
-def _told_rates(loop: ControlLoop) -> str:
-    rates = loop.events.alternating(loop.time)
-    return ', '.join(f'{name} changes {rate:.1f} times a second' for name, rate in rates.items())
 
 
 def _told(what: str, counts: dict[str, int]) -> str:
@@ -91,7 +91,7 @@ def contact_status(loop: ControlLoop) -> Status:
     for contact, (i, name) in enumerate(zip(config.leaders, config.contact_names)):
         values[name] = status.contact_states[contact] if status else (
             'force' if output.active[i] else 'motion')
-        if loop.config.force.stiffness == 'adaptive':
+        if config.force.stiffness == 'adaptive':
             values |= _stiffness(name, output.contacts[i])
         if values[name] in TROUBLED:
             trouble.append(f'{name} is {values[name]}')

@@ -161,22 +161,18 @@ class Refusals:
     ----------
     counts
         By cause.
-    told
-        Called with source and error of everything that is refused.
 
     """
 
     def __init__(self, logger: RcutilsLogger) -> None:
         self._logger = logger
         self.counts: Counter[str] = Counter()
-        self.told: Callable[[str, Exception], None] = lambda source, error: None
 
     def refuse(self, source: str, error: Exception) -> None:
         """Take note of what came from a topic, service or parameter and cannot be used."""
         cause = getattr(error, 'cause', '') or str(error).split(', found ')[0]
         cause = f'{source}: {cause}'
         self.counts[cause] += 1
-        self.told(source, error)
         if self.counts[cause] == 1:
             self._logger.error(f'{source}: refused: {error} (further ones are only counted)')
 

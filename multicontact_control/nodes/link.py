@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Sequence
+from functools import partial
 import math
 import os
 import threading
@@ -17,35 +18,43 @@ from typing import Any, TypeVar
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from multicontact_control.errors import RunError
-from multicontact_control.nodes import qos
-from multicontact_control.nodes.graph_node import (
-    create_publisher,
-    quality_mismatches,
-    take,
-)
+from multicontact_control.nodes import qos, topics
+from multicontact_control.nodes.graph_node import create_publisher, take
 from multicontact_control.nodes.runtime import prepare_environment
-from multicontact_control.nodes.topics import CONTROLLER, Topic
+from multicontact_control.nodes.status_message import (
+    ControllerStatus,
+    identify,
+    new_identifier,
+    REFUSED,
+)
+from multicontact_control.nodes.topics import Topic
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 
 CONFIGURE, ACTIVATE = 'configure', 'activate'
 DEACTIVATE, CLEAN_UP, SHUT_DOWN = 'deactivate', 'cleanup', 'shutdown'
 GOALS = {CONFIGURE: 'inactive', ACTIVATE: 'active', DEACTIVATE: 'inactive',
          CLEAN_UP: 'unconfigured', SHUT_DOWN: 'finalized'}
-# s, for whoever has no time limit of their own: until a node is there, and has done its work.
-PATIENCE = 300.0
-ANSWER_TIMEOUT = 30.0
-FIRST_TIMEOUT = 5.0  # an answer may be lost: then the state tells
-ASK_PERIOD = 1.0
-POLL_PERIOD = 0.001
+PATIENCE = 300.0  # s, until a node is there, and has done its work
+ANSWER_TIMEOUT = 30.0  # s
+FIRST_TIMEOUT = 5.0  # s; an answer may be lost: then the state tells
+ASK_PERIOD = 1.0  # s
+RESEND_PERIOD = 0.2  # s, of a command that is not answered
+WAIT_PERIOD = 0.02  # s, for services
+POLL_PERIOD = 0.001  # s, for messages
 
 KeepWaiting = Callable[[str], None]
+T = TypeVar('T')
 GuestT = TypeVar('GuestT', bound='GuestNode')
 _lock = threading.Lock()
 _shared: dict[int | None, list[Node]] = {}
+
+
+class CommandRefusedError(RunError):
+    """The controller refuses a command, and says why."""
 
 
 class NoAnswerError(RunError):
@@ -54,10 +63,6 @@ class NoAnswerError(RunError):
 
 class TransitionError(RunError):
     """A node refused a transition; its log says why."""
-
-    def __init__(self, node_name: str, transition: str) -> None:
-        self.node_name = node_name
-        super().__init__(f'{node_name} refused to {transition}; its log says why')
 
 
 class GuestNode:
@@ -126,12 +131,10 @@ class LifecycleDriver(GuestNode):
     domain_id
         ROS domain of the nodes; that of the environment by default.
     keep_waiting
-        Called again and again while a node is waited for, with what is waited for; what it
+        Called every `WAIT_PERIOD` while a node is waited for, with what is waited for; what it
         raises ends the waiting.
     namespace
         Of the nodes.
-    poll_period
-        Between two calls of `keep_waiting` [s].
     patience
         Longest wait for a node to appear, and to do its work [s].
     name
@@ -141,12 +144,10 @@ class LifecycleDriver(GuestNode):
 
     def __init__(
         self, domain_id: int | None, keep_waiting: KeepWaiting = lambda what: None,
-        namespace: str = '', poll_period: float = 0.1, *, patience: float = PATIENCE,
-        name: str = 'lifecycle_driver',
+        namespace: str = '', *, patience: float = PATIENCE, name: str = 'lifecycle_driver',
     ) -> None:
         super().__init__(name, domain_id, namespace)
-        self._keep_waiting, self._poll_period = keep_waiting, poll_period
-        self._patience = patience
+        self._keep_waiting, self._patience = keep_waiting, patience
         self._executor = SingleThreadedExecutor(context=self.context)
         self._executor.add_node(self.node)
         self._clients: dict[tuple[str, str], Any] = {}
@@ -165,59 +166,37 @@ class LifecycleDriver(GuestNode):
             self.change(node_name, ACTIVATE)
         return inactive
 
-    def take_down(self, node_name: str) -> None:
-        """Deactivate a node if it is active."""
-        if self.state(node_name) == 'active':
-            self.change(node_name, DEACTIVATE)
-
     def change(self, node_name: str, transition: str) -> None:
-        """
-        Lead a node through a transition.
-
-        Raises
-        ------
-        TransitionError
-            If the node refuses.
-        NoAnswerError
-            If it does not answer.
-
-        """
+        """Lead a node through a transition; TransitionError if it refuses, or NoAnswerError."""
         request = ChangeState.Request(transition=Transition(label=transition))
-        asked: list[Any] = []  # an answer may only be late: all are waited for
-        lost, give_up = True, time.monotonic() + self._patience
-        while time.monotonic() < give_up:
-            if lost and not any(future.done() for future in asked):
-                asked.append(self._ready(node_name, ChangeState, 'change_state').call_async(
-                    request))
-            self._wait(lambda: all(future.done() for future in asked),
-                       min(FIRST_TIMEOUT, self._patience), f'{node_name} to {transition}')
-            answers = [future.result().success for future in asked if future.done()]
-            if any(answers):
+        first, give_up = True, time.monotonic() + self._patience
+        while (left := give_up - time.monotonic()) > 0.0:
+            asked = self._ready(node_name, ChangeState, 'change_state').call_async(request)
+            self._wait(asked.done, min(FIRST_TIMEOUT, left), f'{node_name} to {transition}')
+            # Request or answer may be lost: one that was killed seems to listen for a while, and
+            # a second request is refused where the first was obeyed. Then the state tells. A
+            # node at work answers when it has done it: first this request, then for its state.
+            if not (asked.done() and (first or asked.result().success)) and (
+                    self.state(node_name, left) == GOALS[transition]):
                 return
-            if len(asked) > 1 or not answers:
-                # The answer may be lost although the work is done (then a second request is
-                # refused), or yet to come: a node at work tells its state when it has done it,
-                # or that it is at work. Or the request: one that was killed seems to listen for
-                # a while.
-                found = self.call(
-                    node_name, GetState, 'get_state', GetState.Request(), doing=transition)
-                state = '' if found is None else found.current_state.label
-                if state == GOALS[transition]:
+            if asked.done():
+                if asked.result().success:
                     return
-                lost = bool(state) and not state.endswith('ing')
-                if not (answers and lost):
-                    continue
-            raise TransitionError(node_name, transition)
+                raise TransitionError(f'{node_name} refused to {transition}; its log says why')
+            first = False
         raise NoAnswerError(f'{node_name} did not answer when asked to {transition}')
 
     def state(self, node_name: str, timeout: float = ANSWER_TIMEOUT) -> str:
         """Return the state of a node; NoAnswerError without an answer within `timeout` [s]."""
-        # One that is killed and started again seems to listen meanwhile, and never answers.
-        answer = self.call(node_name, GetState, 'get_state', GetState.Request(), timeout,
-                           ask_period=ASK_PERIOD)
-        if answer is None:
-            raise NoAnswerError(f'{node_name} did not tell its state')
-        return str(answer.current_state.label)
+        give_up = time.monotonic() + min(timeout, self._patience)
+        while True:
+            # One that is killed and started again seems to listen meanwhile, and never answers.
+            try:
+                return str(self.call(node_name, GetState, 'get_state', GetState.Request(),
+                                     ASK_PERIOD).current_state.label)
+            except NoAnswerError:
+                if time.monotonic() > give_up:
+                    raise
 
     def has_lifecycle(self, node_name: str, wait: float) -> bool:
         """Return whether a node has a lifecycle, looking for it for up to `wait` [s]."""
@@ -226,47 +205,20 @@ class LifecycleDriver(GuestNode):
 
     def call(
         self, node_name: str, service: Any, name: str, request: Any,
-        timeout: float = ANSWER_TIMEOUT, doing: str = 'answer', ask_period: float = math.inf,
+        timeout: float = math.inf,
     ) -> Any:
         """
-        Call a service of a node.
+        Return the response of a service of a node.
 
-        Parameters
-        ----------
-        node_name
-            The node.
-        service, name, request
-            Type and name of its service, and what to ask.
-        timeout
-            Longest wait for the answer [s].
-        doing
-            What the node has to do until it answers.
-        ask_period
-            From one time that it is asked to the next; once by default [s].
-
-        Returns
-        -------
-        object
-            The response, None without one within `timeout` [s].
-
-        Raises
-        ------
-        NoAnswerError
-            If there is no such service.
-
+        Raises NoAnswerError without one within `timeout`, or the patience if that is shorter [s].
         """
-        client = self._ready(node_name, service, name)
-        asked: list[Any] = []  # an answer may only be late: all are waited for
-        give_up, answer = time.monotonic() + min(timeout, self._patience), None
-        while answer is None and (left := give_up - time.monotonic()) > 0.0:
-            asked.append(client.call_async(request))
-            self._wait(lambda: any(future.done() for future in asked), min(ask_period, left),
-                       f'{node_name} to {doing}')
-            answer = next((future.result() for future in asked if future.done()), None)
-        for future in asked:
-            if not future.done():
-                client.remove_pending_request(future)
-        return answer
+        client, timeout = self._ready(node_name, service, name), min(timeout, self._patience)
+        future = client.call_async(request)
+        if not self._wait(future.done, timeout, f'{node_name} to answer'):
+            client.remove_pending_request(future)
+            raise NoAnswerError(
+                f'{client.service_name}: expected an answer within {timeout:g} s, found none')
+        return future.result()
 
     def _ready(self, node_name: str, service: Any, name: str) -> Any:
         """Return the client of a service that is there; see `call`."""
@@ -290,7 +242,7 @@ class LifecycleDriver(GuestNode):
             if time.monotonic() > give_up:
                 return False
             self._keep_waiting(what)
-            self._executor.spin_once(timeout_sec=self._poll_period)
+            self._executor.spin_once(timeout_sec=WAIT_PERIOD)
         return True
 
 
@@ -302,7 +254,7 @@ class ControllerLink(LifecycleDriver):
 
     Parameters
     ----------
-    topics
+    newest
         What to listen to.
     queued
         What to listen to without losing anything.
@@ -310,126 +262,115 @@ class ControllerLink(LifecycleDriver):
         Where the controller is.
     timeout
         Longest wait for anything [s].
+    on_status
+        Called with each status of the controller that `look` takes.
+
+    Attributes
+    ----------
+    status
+        What the controller has said of itself last; None before.
 
     """
 
     def __init__(
-        self, topics: Sequence[Topic], *, queued: Sequence[Topic] = (), namespace: str,
+        self, newest: Sequence[Topic], *, queued: Sequence[Topic] = (), namespace: str,
         domain_id: int | None, timeout: float,
+        on_status: Callable[[ControllerStatus], None] = lambda status: None,
     ) -> None:
         super().__init__(domain_id, namespace=namespace, patience=timeout,
                          name=f'multicontact_client_{os.getpid()}')
-        self._queued: dict[Topic, deque[Any]] = {topic: deque() for topic in queued}
-        self._queues: dict[Topic, Subscription] = {
-            topic: self._keep_all(topic) for topic in queued}
-        self._newest: dict[Topic, Any] = {}
-        # How many readers a topic had when the controller was among them.
-        self._reached: dict[str, int] = {}
-        self._subscriptions: dict[Topic, Subscription] = {
-            topic: self._listen(topic) for topic in topics}
+        self._kept: dict[Topic, deque[Any]] = {}
+        self._subscriptions: dict[Topic, Subscription] = {}
+        for topic in newest:
+            self._listen(topic, qos.LATCHED if topic.profile == qos.LATCHED else qos.GLANCE, 1)
+        for topic in (*queued, topics.STATUS):
+            self._listen(topic, qos.QUEUE, None)
+        self._publishers = {
+            topic: create_publisher(self.node, topic)
+            for topic in (topics.FORCE_COMMAND, topics.MOTION_COMMAND)}
+        self._on_status = on_status
+        self.status: ControllerStatus | None = None
 
-    def _listen(self, topic: Topic) -> Subscription:
-        # The executor may be faster than `newest`.
-        def keep(message: Any) -> None:
-            self._newest[topic] = message
-        return self.node.create_subscription(
-            topic.message, topic.name, keep,
-            qos.LATCHED if topic.profile == qos.LATCHED else qos.GLANCE)
+    def _listen(self, topic: Topic, profile: QoSProfile, depth: int | None) -> None:
+        kept = self._kept[topic] = deque(maxlen=depth)
+        # The executor, which waits for services, may be faster than `_taken`.
+        self._subscriptions[topic] = self.node.create_subscription(
+            topic.message, topic.name, lambda message: kept.append(message), profile)
 
-    def _keep_all(self, topic: Topic) -> Subscription:
-        # The executor may be faster than `queue`.
-        def keep(message: Any) -> None:
-            self._queued[topic].append(message)
-        return self.node.create_subscription(topic.message, topic.name, keep, qos.QUEUE)
-
-    def publisher(self, topic: Topic) -> Publisher:
-        """Return a publisher of a command."""
-        return create_publisher(self.node, topic)
-
-    def publish(self, publisher: Publisher, message: Any) -> None:
-        """Publish a command once the controller listens; RunError if it does not."""
-        self.wait_for_controller(publisher)
-        publisher.publish(message)
-
-    def wait_for_controller(self, publisher: Publisher) -> None:
-        """Wait until the controller gets what is published; RunError if it does not listen."""
-        give_up = time.monotonic() + self._patience
-        while not self._reaches_controller(publisher):
-            if time.monotonic() > give_up:
-                raise RunError(
-                    f'{publisher.topic_name}: expected a controller that listens within '
-                    f'{self._patience:g} s, found none; is it configured?')
-            time.sleep(POLL_PERIOD)
-
-    def _reaches_controller(self, publisher: Publisher) -> bool:
-        """Return whether the controller is among the readers."""
-        name, count = publisher.topic_name, publisher.get_subscription_count()
-        if count and count == self._reached.get(name):  # looking it up takes longer
-            return True
-        readers = self.node.get_subscriptions_info_by_topic(name)
-        unlike = quality_mismatches(self.node, name, publisher.qos_profile, publishing=True)
-        found = count >= max(1, len(readers) - len(unlike)) and CONTROLLER in [
-            reader.node_name for reader in readers]
-        if found:
-            self._reached[name] = count
-        return found
-
-    def fresh(self, *topics: Topic) -> list[Any]:
-        """Return a message of each topic that comes from now on; RunError if none comes."""
-        for topic in topics:
-            self.newest(topic)
-            self._newest.pop(topic, None)
-        return [self._wait_for(topic) for topic in topics]
-
-    def fresh_sample(self, *topics: Topic) -> list[Any]:
-        """Return messages like `fresh`, all with the same stamp."""
-        found, give_up = self.fresh(*topics), time.monotonic() + self._patience
-        while any(message.header.stamp != found[0].header.stamp for message in found):
-            if time.monotonic() > give_up:
-                raise RunError(
-                    f'{", ".join(topic.name for topic in topics)}: expected messages of one '
-                    f'stamp within {self._patience:g} s, found none')
-            time.sleep(POLL_PERIOD)
-            found = [self.newest(topic) for topic in topics]
-        return found
-
-    def queue(self, topic: Topic) -> list[Any]:
-        """Return the messages of a topic that have come since this was called last."""
-        waiting = self._queued[topic]
-        while (taken := take(self._queues[topic])) is not None:
-            waiting.append(taken[0])
-        found = list(waiting)
-        waiting.clear()
-        return found
-
-    def is_heard(self, topic: Topic, timeout: float) -> bool:
-        """Return whether somebody publishes a topic, looking for up to a time [s]."""
-        give_up = time.monotonic() + timeout
-        while self._queues[topic].get_publisher_count() == 0:
-            if time.monotonic() > give_up:
-                return False
-            time.sleep(POLL_PERIOD)
-        return True
+    def _taken(self, topic: Topic) -> deque[Any]:
+        kept = self._kept[topic]
+        while (taken := take(self._subscriptions[topic])) is not None:
+            kept.append(taken[0])
+        return kept
 
     def newest(self, topic: Topic) -> Any | None:
         """Return the newest message of a topic, None if none has come so far."""
-        while (taken := take(self._subscriptions[topic])) is not None:
-            self._newest[topic] = taken[0]
-        return self._newest.get(topic)
+        kept = self._taken(topic)
+        return kept[-1] if kept else None
 
-    def _wait_for(self, topic: Topic) -> Any:
+    def queue(self, topic: Topic) -> list[Any]:
+        """Return the messages of a topic that have come since this was called last."""
+        kept = self._taken(topic)
+        found = list(kept)
+        kept.clear()
+        return found
+
+    def fresh(self, *wanted: Topic) -> list[Any]:
+        """Return a message of each topic that comes from now on; RunError if none comes."""
+        for topic in wanted:
+            self._taken(topic).clear()
+        return [self._awaited(partial(self.newest, topic), f'{topic.name}: expected a message')
+                for topic in wanted]
+
+    def fresh_sample(self, *wanted: Topic) -> list[Any]:
+        """Return messages like `fresh`, all with the same stamp."""
+        def of_one_stamp() -> list[Any] | None:
+            found: list[Any] = [self.newest(topic) for topic in wanted]
+            return found if all(
+                x.header.stamp == found[0].header.stamp for x in found) else None
+
+        self.fresh(*wanted)
+        names = ', '.join(topic.name for topic in wanted)
+        return self._awaited(of_one_stamp, f'{names}: expected messages of one stamp')
+
+    def _awaited(self, found: Callable[[], T | None], missing: str) -> T:
         give_up = time.monotonic() + self._patience
-        while (message := self.newest(topic)) is None:
+        while (value := found()) is None:
             if time.monotonic() > give_up:
-                raise RunError(f'{topic.name}: expected a message within {self._patience:g} s, '
-                               'found none; is the controller active?')
+                raise RunError(f'{missing} within {self._patience:g} s, found none; is the '
+                               'controller active?')
             time.sleep(POLL_PERIOD)
-        return message
+        return value
 
-    def require(self, node_name: str, service: Any, name: str, request: Any) -> Any:
-        """Return the answer of a service of a node; RunError without one."""
-        answer = self.call(node_name, service, name, request, self._patience)
-        if answer is None:
-            full = self.node.resolve_service_name(f'{node_name}/{name}')
-            raise RunError(f'{full}: expected an answer within {self._patience:g} s')
-        return answer
+    def look(self) -> list[ControllerStatus]:
+        """Return what the controller has said of itself and of commands since the last look."""
+        said = [ControllerStatus.of(message) for message in self.queue(topics.STATUS)]
+        for self.status in said:
+            self._on_status(self.status)
+        return said
+
+    def send(self, topic: Topic, command: Any, identifier: str) -> None:
+        """Publish a command once, without waiting for an answer."""
+        identify(command, identifier)
+        self._publishers[topic].publish(command)
+
+    def accepted(self, identifier: str) -> bool | None:
+        """Return True if a command was accepted since the last look; CommandRefusedError."""
+        answers = [status for status in self.look() if status.command == identifier]
+        for answer in answers:
+            if answer.event == REFUSED:
+                raise CommandRefusedError(answer.text)
+        return True if answers else None
+
+    def command(self, topic: Topic, command: Any) -> None:
+        """Publish a command until it is accepted; CommandRefusedError, RunError without answer."""
+        identifier, due = new_identifier(), 0.0
+
+        def accepted() -> bool | None:
+            nonlocal due
+            if time.monotonic() >= due:  # one that comes before the connection stands is lost
+                due = time.monotonic() + RESEND_PERIOD
+                self.send(topic, command, identifier)
+            return self.accepted(identifier)
+
+        self._awaited(accepted, f'{topic.name}: expected an answer')

@@ -126,15 +126,17 @@ NOISE_VARIANCE = Topic(
 FORCE_COMMAND = Topic(
     'contact_forces/command', JointState, USER, (RECORDER,), qos.COMMAND, 'event',
     'name, and effort = desired force per contact, or couple [N]; or position = centre of '
-    'pressure for each couple [m]. What is not named stays as it is; a force of 0 lets go.')
+    'pressure for each couple [m]. What is not named stays as it is; a force of 0 lets go. '
+    'header.frame_id = identifier that `~/status` answers with, empty for none.')
 MOTION_COMMAND = Topic(
     'motion/command', MultiDOFJointTrajectoryPoint, USER, (RECORDER,), qos.COMMAND, 'event',
     'One transform: pose of the operational point in world axes, with a quaternion of unit '
-    'length. Its twist and acceleration may be left empty: 0.')
+    'length. Its twist and acceleration may be left empty: 0. time_from_start.sec = a number as '
+    'identifier, 0 for none.')
 STATUS = Topic(
     f'{CONTROLLER}/status', DiagnosticStatus, CONTROLLER, (RECORDER,), qos.COMMAND, 'event',
-    '`~/status` of the controller: each command that it refuses, each change of its state and '
-    'of the forces that it obeys.')
+    '`~/status` of the controller: whether each command with an identifier is accepted, why one '
+    'is refused, each change of its state and of the forces that it obeys.')
 ROBOT_DESCRIPTION = Topic(
     'robot_description', String, SIM, (RECORDER,), qos.LATCHED, 'event',
     'The URDF, also for who comes late.')

@@ -12,13 +12,13 @@ import time
 from typing import Any
 
 from multicontact_control.arrays import Vector
-from multicontact_control.client import CommandRefusedError, ControllerStatus
 from multicontact_control.config import Vector3
 from multicontact_control.errors import CommandError, MulticontactError, RunError
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.controller_outputs import NAMESPACE
 from multicontact_control.nodes.link import ControllerLink
+from multicontact_control.nodes.status_message import ControllerStatus, new_identifier, REFUSED
 from multicontact_control.sampling import MotionReading
 from multicontact_control.supervision.command_limits import CommandLimits, half_lengths
 from multicontact_control.view import source
@@ -51,8 +51,6 @@ REFUSALS = dict.fromkeys(PLAYING, 'a recording') | dict.fromkeys(
 MOTION_RATE = 100.0  # Hz, of motion commands, and of looking for anything
 PATIENCE = 10.0  # s; until a process has found the others may take three
 SILENCE = 1.0  # s without a sample, after which it is said
-VERDICT_TIME = 3.0  # s, until a controller has said what becomes of forces: it does so each second
-AFTER_REFUSAL = 0.2  # s, until it has said whether it was another client whom it refused
 KEPT = round(2.0 * RATE)
 LISTENED = (
     topics.JOINT_STATES, topics.MEASURED_FORCES, topics.ESTIMATED_FORCES, topics.DESIRED_FORCES,
@@ -85,8 +83,8 @@ class GraphSource:
     def __init__(self, setup: Setup, *, namespace: str = '', domain_id: int | None = None) -> None:
         config = self._config = setup.controller
         self._link = ControllerLink(
-            LISTENED, queued=(topics.STATUS, topics.DIAGNOSTICS), namespace=namespace,
-            domain_id=domain_id, timeout=PATIENCE)
+            LISTENED, queued=(topics.DIAGNOSTICS,), namespace=namespace, domain_id=domain_id,
+            timeout=PATIENCE, on_status=self._note)
         try:
             message, = self._link.fresh(topics.MEASURED_FORCES)
             *gains, ceiling, joints = self._read((*GAINS, CEILING, JOINTS))
@@ -100,8 +98,6 @@ class GraphSource:
         except BaseException:
             self._link.close()
             raise
-        self._force = self._link.publisher(topics.FORCE_COMMAND)
-        self._motion_command = self._link.publisher(topics.MOTION_COMMAND)
         self._layout = CurveLayout(len(config.columns), len(config.robot.joint_names))
         self._leaders = list(config.leaders)
         self._motion = Motion(config.limits, 1.0 / MOTION_RATE)
@@ -117,8 +113,7 @@ class GraphSource:
             source.HOLD: self._hold, source.RETRY: partial(self._ask, 'retry'),
             source.TARE: partial(self._ask, 'tare'),
             source.PUSH_TEST: partial(self._ask, 'push_test'), source.GAINS: self._set_gains}
-        self._refusal = ''  # of the newest forces
-        self._status: ControllerStatus | None = None
+        self._motion_identifier = ''
         self._timing = Timing()
         self._events: list[tuple[float, str]] = []
         self._points: list[Any] = []
@@ -146,23 +141,9 @@ class GraphSource:
         done: futures.Future[str] = futures.Future()
         self._jobs.put((lambda: self._commands[name](**values), done))
         try:
-            told = done.result(2.0 * PATIENCE)
+            return done.result(2.0 * PATIENCE)
         except futures.TimeoutError:
             raise RunError(f'{name}: no answer within {2.0 * PATIENCE:g} s') from None
-        if name == source.FORCES:
-            self._await_verdict(values)
-        return told
-
-    def _await_verdict(self, forces: Mapping[str, float]) -> None:
-        """Wait until forces [N] are obeyed; RunError if they are not."""
-        give_up, refused = time.monotonic() + VERDICT_TIME, False
-        while self._status is None or not self._status.obeys(forces):
-            if self._refusal and not refused:
-                give_up, refused = time.monotonic() + AFTER_REFUSAL, True
-            if time.monotonic() > give_up:
-                raise CommandRefusedError(
-                    self._refusal or f'forces: no answer within {VERDICT_TIME:g} s')
-            time.sleep(1.0 / MOTION_RATE)
 
     def close(self) -> None:
         """Leave the graph, which goes on."""
@@ -228,21 +209,16 @@ class GraphSource:
                     self._timing = Timing(
                         _number(told.get('latency_us_p50')), _number(told.get('latency_us_p99')),
                         _count(told.get('deadline_misses_in_all', '0')))
-        for message in self._link.queue(topics.STATUS):
-            before, self._status = self._status, ControllerStatus.of(message)
-            self._note(self._status, before)
+        self._link.look()
 
-    def _note(self, status: ControllerStatus, before: ControllerStatus | None) -> None:
+    def _note(self, status: ControllerStatus) -> None:
         """Say what the controller refuses, and make no motion that it does not obey."""
-        if any(status.refuses(topic, before)
-               for topic in (topics.FORCE_COMMAND, topics.MOTION_COMMAND)):
-            if status.last_refusal.startswith(topics.FORCE_COMMAND.name):
-                self._refusal = status.last_refusal
-            self._events.append((1e-9 * self._stamp, f'refused {status.last_refusal}'))
+        refused = status.event == REFUSED
+        if refused:
+            self._events.append((1e-9 * self._stamp, f'refused {status.text}'))
         if not self._motion.what:
             return
-        # Of those that were refused before it began only the count tells, and late.
-        why = (status.last_refusal if status.refuses(topics.MOTION_COMMAND, None)
+        why = (status.text if refused and status.command == self._motion_identifier
                else 'held' if status.held
                else '' if status.life_cycle == 'active' else status.life_cycle)
         if why:
@@ -272,13 +248,13 @@ class GraphSource:
 
     def _obeyed(self, desired: Vector) -> dict[str, float]:
         """Return the forces that are obeyed: commanded ones, or those of a scenario [N]."""
-        told = {} if self._status is None else self._status.forces
+        told = {} if self._link.status is None else self._link.status.forces
         return dict(told) or {
             name: force for name, force in zip(self._config.column_names, desired.tolist())
             if np.isfinite(force)}
 
     def _show(self) -> None:
-        config, status = self._config, self._status
+        config, status = self._config, self._link.status
         pose, wanted = (self._link.newest(topic) for topic in (topics.POSE, topics.POSE_DESIRED))
         if pose is None or wanted is None:
             return
@@ -321,21 +297,21 @@ class GraphSource:
                                ', '.join(sorted(unknown)))
         self._limits.check_forces(
             forces, config.contact_state.smallest_force, half_lengths(config))
-        self._refusal = ''
-        self._link.publish(self._force, messages.joint_state_message(
+        self._link.command(topics.FORCE_COMMAND, messages.joint_state_message(
             0, list(forces), effort=list(forces.values())))
         return ', '.join(f'{name} {force:g} N' for name, force in forces.items())
 
     def _send(self, reading: MotionReading) -> None:
-        self._motion_command.publish(messages.motion_message(
+        self._link.send(topics.MOTION_COMMAND, messages.motion_message(
             reading.position_world, reading.quaternion_xyzw, reading.twist_world,
-            reading.acceleration_world))
+            reading.acceleration_world), self._motion_identifier)
 
     def _move(self, motion: Callable[..., str], /, **values: Any) -> str:
         """Begin a motion from where the point should be, or go on from the one being made."""
-        if self._status is not None and self._status.held:
+        if self._link.status is not None and self._link.status.held:
             raise CommandError('~/hold', 'released, to obey commands', 'held')
         if not self._motion.what:
+            self._motion_identifier = new_identifier()
             wanted, = self._link.fresh(topics.POSE_DESIRED)
             p, q = wanted.pose.position, wanted.pose.orientation
             self._motion.start(np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w]))
@@ -350,13 +326,13 @@ class GraphSource:
         return self._service(Trigger, name, Trigger.Request())
 
     def _service(self, kind: Any, name: str, request: Any) -> str:
-        answer = self._link.require(topics.CONTROLLER, kind, name, request)
+        answer = self._link.call(topics.CONTROLLER, kind, name, request)
         if not answer.success:
             raise RunError(str(answer.message))
         return str(answer.message) or name
 
     def _read(self, names: tuple[str, ...]) -> list[Any]:
-        answer = self._link.require(topics.CONTROLLER, GetParameters, 'get_parameters',
+        answer = self._link.call(topics.CONTROLLER, GetParameters, 'get_parameters',
                                     GetParameters.Request(names=list(names)))
         found = [parameter_value_to_python(value) for value in answer.values]
         if len(found) != len(names) or None in found:
@@ -372,7 +348,7 @@ class GraphSource:
             Parameter(name=name, value=ParameterValue(
                 type=ParameterType.PARAMETER_DOUBLE, double_value=float(value)))
             for name, value in zip(GAINS, values)])
-        answer = self._link.require(
+        answer = self._link.call(
             topics.CONTROLLER, SetParametersAtomically, 'set_parameters_atomically', request)
         if not answer.result.successful:
             raise RunError(str(answer.result.reason))

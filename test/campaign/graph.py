@@ -59,7 +59,7 @@ class Graph(link.GuestNode):
     def __init__(self, setup, folder, domain_id):
         super().__init__('fault_campaign', domain_id)
         self._driver = link.LifecycleDriver(
-            domain_id, lambda what: self.poll(), poll_period=4.0 * POLL_PERIOD)
+            domain_id, lambda what: self.poll())
         self.setup = setup
         self.spec = spec.GraphSpec(
             out=folder, ticks=0, rate=setup.controller.rate, seed=setup.seed, free_running=True,

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from builtin_interfaces.msg import Duration
 from fake_arm import FakeArm, PARAMETERS
 from geometry_msgs.msg import Transform
-from multicontact_control.nodes import messages
+from multicontact_control.nodes import messages, qos, topics
+from multicontact_control.nodes.graph_node import ignore, take
 from multicontact_control.nodes.link import LifecycleDriver
+from multicontact_control.nodes.status_message import ControllerStatus
 from multicontact_control.paths import config_dir
 import numpy as np
 import pytest
@@ -35,6 +38,9 @@ def graph(domain_id, tmp_path_factory):
             arm.connect()
             for publisher in (arm.force_command, arm.motion_command):
                 wait_for(publisher.get_subscription_count, 'commands connected')
+            arm.statuses = middleware.node.create_subscription(
+                topics.STATUS.message, topics.STATUS.name, ignore, qos.QUEUE)
+            wait_for(lambda: take(arm.statuses), 'a status')
             settle(arm)
             yield arm, driver
 
@@ -45,18 +51,19 @@ def settle(arm):
     return torque
 
 
-def send_forces(arm, names, efforts):
-    message = messages.joint_state_message(1, names)
+def send_forces(arm, names, efforts, identifier=''):
+    message = messages.joint_state_message(1, names, frame_id=identifier)
     message.effort = [float(x) for x in efforts]
     arm.force_command.publish(message)
 
 
-def send_position(arm, position):
+def send_position(arm, position, identifier=0):
     pose = Transform()
     pose.translation.x, pose.translation.y, pose.translation.z = (float(x) for x in position)
     x, y, z, w = arm.state.pose.quaternion_xyzw.tolist()
     pose.rotation.x, pose.rotation.y, pose.rotation.z, pose.rotation.w = x, y, z, w
-    arm.motion_command.publish(MultiDOFJointTrajectoryPoint(transforms=[pose]))
+    arm.motion_command.publish(MultiDOFJointTrajectoryPoint(
+        transforms=[pose], time_from_start=Duration(sec=identifier)))
 
 
 def command(arm, **forces):
@@ -131,6 +138,48 @@ def test_commands_are_refused_and_counted_by_cause(graph):
         assert [n for key, n in counts.items() if cause in key] == [3], cause
     np.testing.assert_allclose(settle(arm), before, atol=1e-6)
     assert arm.desired() == {'table': 0.0, 'board': 0.0}
+
+
+def answers(arm, last):
+    """Return command, event and text of each answer on ~/status up to that for a command."""
+    found = []
+
+    def heard():
+        while (taken := take(arm.statuses)) is not None:
+            status = ControllerStatus.of(taken[0])
+            if status.event != 'state':
+                found.append((status.command, status.event, status.text))
+        return found and found[-1][0] == last
+
+    wait_for(heard, f'an answer to {last}', lambda: found)
+    return found
+
+
+def test_commands_are_answered_by_identifier_and_without_one_if_refused(graph):
+    arm, _ = graph
+    position = arm.state.pose.position_world
+    while take(arm.statuses) is not None:
+        pass
+    send_forces(arm, ['table'], [0.0])
+    send_forces(arm, ['table'], [0.0], 'first, of "α" ')
+    send_forces(arm, ['table'], [99.0], 'second')
+    send_forces(arm, ['wall'], [1.0])
+    send_forces(arm, ['board'], [0.0], 'third')
+    found = answers(arm, 'third')
+    assert [x[:2] for x in found] == [
+        ('first, of "α" ', 'accepted'), ('second', 'refused'), ('', 'refused'),
+        ('third', 'accepted')]
+    assert 'force on table: expected 0 or 3 to 30 N' in found[1][2]
+    assert 'name: expected distinct names' in found[2][2]
+    for _ in range(20):  # equal answers follow each other at 10 Hz at most
+        send_position(arm, position, 7)
+    send_position(arm, position)
+    send_position(arm, position + 5.0, 7)
+    send_position(arm, position, 2**31 - 1)
+    found = answers(arm, str(2**31 - 1))
+    assert [x[:2] for x in found if x != found[0]] == [
+        ('7', 'refused'), (str(2**31 - 1), 'accepted')]
+    assert found[0][:2] == ('7', 'accepted') and len(found) < 10
 
 
 def test_a_commanded_motion_moves_the_torque(graph):

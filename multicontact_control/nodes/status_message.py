@@ -1,0 +1,97 @@
+"""What the controller says on ~/status, as a message and read again; identifiers of commands."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+import secrets
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from sensor_msgs.msg import JointState
+
+STATE, ACCEPTED, REFUSED = 'state', 'accepted', 'refused'
+TEXTS = ('event', 'command', 'life_cycle', 'reaction', 'causes', 'contacts', 'push_test')
+
+
+@dataclass(frozen=True, slots=True)
+class ControllerStatus:
+    """
+    What the controller says of itself, and of a command.
+
+    Attributes
+    ----------
+    event
+        ``accepted`` or ``refused`` for a command, ``state`` otherwise.
+    command
+        Identifier of the command; empty if it has none.
+    text
+        Why the command is refused; else what the controller does, ``ok`` if that is what it is
+        asked for.
+    life_cycle
+        ``active`` or ``inactive``.
+    reaction, causes
+        ``none``, or what it does instead of control, and why.
+    contacts
+        State of each contact in words.
+    held
+        Whether it holds pose and forces on command.
+    refused
+        How many commands it has refused so far.
+    push_test
+        What the push test asks for; empty if it asks for nothing.
+    forces
+        What is obeyed by contact, and couple [N]; empty if it follows a scenario.
+
+    """
+
+    event: str
+    command: str
+    text: str
+    life_cycle: str
+    reaction: str
+    causes: str
+    contacts: str
+    held: bool
+    refused: int
+    push_test: str
+    forces: Mapping[str, float]
+
+    @classmethod
+    def of(cls, message: DiagnosticStatus) -> ControllerStatus:
+        """Return what a message on ``~/status`` says."""
+        values = {x.key: x.value for x in message.values}
+        forces = [each.rsplit(' ', 1) for each in values['forces'].split(', ') if each]
+        return cls(text=message.message, refused=int(values['refused']),
+                   held=values['held'] == str(True),
+                   forces={name: float(force) for name, force in forces},
+                   **{name: values[name] for name in TEXTS})
+
+    def message(self, name: str, level: bytes) -> DiagnosticStatus:
+        """Return the message that says so."""
+        values = {each: getattr(self, each) for each in TEXTS} | {
+            'refused': str(self.refused), 'held': str(self.held), 'forces': ', '.join(
+                f'{contact} {force:.9g}' for contact, force in self.forces.items())}
+        return DiagnosticStatus(
+            name=name, level=level, message=self.text,
+            values=[KeyValue(key=key, value=value) for key, value in values.items()])
+
+
+def new_identifier() -> str:
+    """Return an identifier for a command that no other client uses."""
+    return str(1 + secrets.randbelow(2 ** 31 - 1))
+
+
+def identify(command: Any, identifier: str) -> None:
+    """Give a command on a topic an identifier; that of a motion is a number of 31 bits."""
+    if isinstance(command, JointState):
+        command.header.frame_id = identifier
+    else:
+        command.time_from_start.sec = int(identifier or 0)
+
+
+def identifier_of(command: Any) -> str:
+    """Return the identifier of a command on a topic, empty if it has none."""
+    if isinstance(command, JointState):
+        return str(command.header.frame_id)
+    return str(command.time_from_start.sec or '')
