@@ -57,6 +57,7 @@ LISTENED = (
     topics.INNOVATION, topics.NOISE_VARIANCE, topics.EFFORT_COMMAND, topics.POSE,
     topics.POSE_DESIRED, topics.SURFACE_MARKERS, topics.CONTACT_MARKERS)
 LOOP = f'{topics.CONTROLLER}: loop'
+SIMULATOR = f'{topics.SIM}: loop'
 CEILING = 'command.force_ceiling'
 JOINTS = 'robot.joint_names'
 GAINS = ('motion.natural_frequency', 'force.time_constant', 'force.damping_rate')
@@ -114,7 +115,7 @@ class GraphSource:
             source.TARE: partial(self._ask, 'tare'),
             source.PUSH_TEST: partial(self._ask, 'push_test'), source.GAINS: self._set_gains}
         self._motion_identifier = ''
-        self._timing = Timing()
+        self._timing, self._pace = Timing(), 1.0
         self._events: list[tuple[float, str]] = []
         self._points: list[Any] = []
         self._places: dict[str, Vector3] = {}
@@ -204,11 +205,13 @@ class GraphSource:
                 np.abs(self._values(topics.EFFORT_COMMAND, joints)) / limit]))
         for report in self._link.queue(topics.DIAGNOSTICS):
             for part in report.status:
-                if part.name.rpartition('/')[2] == LOOP:
-                    told = {each.key: each.value for each in part.values}
+                told = {each.key: each.value for each in part.values}
+                if part.name.rpartition('/')[2] == SIMULATOR:
+                    self._pace = _number(told.get('realtime_factor'))
+                elif part.name.rpartition('/')[2] == LOOP:
                     self._timing = Timing(
                         _number(told.get('latency_us_p50')), _number(told.get('latency_us_p99')),
-                        _count(told.get('deadline_misses_in_all', '0')))
+                        _count(told.get('deadline_misses_in_all', '0')), self._pace)
         self._link.look()
 
     def _note(self, status: ControllerStatus) -> None:
