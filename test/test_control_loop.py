@@ -367,20 +367,6 @@ def test_a_reading_passes_the_low_pass_once_however_often_it_is_the_newest():
     assert 0.5 < forces[0] == forces[1] < forces[2] < 5.0
 
 
-@pytest.mark.parametrize('wrench', [
-    np.zeros(5), None, 'nothing', np.full(6, np.nan), np.full((2, 3), 1.0)])
-def test_wrench_that_is_none_is_refused_and_does_not_stay_in_the_low_pass(wrench):
-    bench = Bench(sensor={'filter_order': 2, 'filter_cutoff': 50.0})
-    bench.step(60)
-    for _ in range(13):  # one more than the observers predict
-        bench.loop.answer(raw_inputs(bench, wrench))
-    assert bench.reaction == 'hold'
-    for _ in range(40):
-        bench.loop.answer(raw_inputs(bench, bench.wrench()))
-    assert bench.reaction == 'none'
-    assert abs(bench.loop.output.alpha_meas[0]) < 0.5
-
-
 def test_without_supervisor_a_sample_must_be_complete():
     bench = Bench(supervised=False)
     bench.step(2)
@@ -450,22 +436,3 @@ def test_stream_of_commands_does_not_seek_a_contact_again_that_was_left():
     bench.loop.set_forces({'table': 12.0})
     bench.step(5)
     assert bench.states['table'] == 'approaching'
-
-
-def test_push_test_that_is_passed_does_not_end_a_hold():
-    """By a hand that does what it is told."""
-    bench = Bench()
-    bench.step(120)
-    bench.loop.hold(True)
-    bench.loop.push_test(PushTestConfig(rest_time=0.1, settle_time=0.1, hold_time=0.1), ())
-    while bench.loop.push_gate.running:
-        world, told = np.zeros(3), bench.loop.push_gate.instruction.partition('world +')[2]
-        if told:
-            world['xyz'.index(told[0])] = -10.0
-        bench.push = np.concatenate([
-            world @ bench.state.sensor_pose.rotation_world, np.zeros(3)])
-        bench.step()
-        assert bench.reaction == 'none' and bench.k < 2000
-    assert bench.loop.push_gate.result.passed and bench.loop.held
-    bench.loop.hold(False)
-    make_contact(bench)

@@ -275,15 +275,6 @@ def test_design_says_what_it_cannot_do(values, field):
         design_for_range(given.pop('name'), input_delay=DELAY, **given)
 
 
-@pytest.mark.parametrize(('name', 'force'), [
-    ('pi', {'pi': {'filter_cutoff': 1e308}}), ('lqg', {'lqg': {'noise_variance': 1e300}}),
-    ('lqg', {'lqg': {'input_weight': 1e300}})])
-def test_laws_that_cannot_be_worked_out_are_refused_by_name(name, force):
-    config = config_of(name, **force)
-    with pytest.raises(ConfigError, match=f'force.{name}: expected .* designed for, found ..*'):
-        design_law(config, 'table', K)
-
-
 @pytest.mark.parametrize('states', [1, 4])
 def test_discretisation_is_scipys(states):
     random = np.random.default_rng(states)

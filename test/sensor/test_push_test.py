@@ -173,16 +173,6 @@ def test_push_test_ends_when_nothing_comes(hand, message):
     assert np.isnan(result.scale)
 
 
-def test_push_test_ends_when_the_hand_does_not_let_go():
-    held = []
-
-    def clinging(direction):
-        held.append(direction is not None)
-        return obedient('+x') if any(held) else np.zeros(3)
-
-    assert not run(PushTest(PushTestConfig(timeout=2.0), RATE), clinging)[0].passed
-
-
 def test_push_that_is_let_go_too_soon_is_asked_for_again():
     test = PushTest(PushTestConfig(), RATE)
     while test.direction is None:

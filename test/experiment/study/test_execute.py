@@ -2,7 +2,6 @@
 
 import os
 import pickle
-import socket
 
 from mortal_jobs import MortalJob, run_mortal
 from multicontact_control.errors import ConfigError, RunError
@@ -161,23 +160,3 @@ def test_cluster_gives_the_same_results_and_ends_with_a_dead_worker(tmp_path, mo
         monkeypatch.setattr(MortalJob, 'key', lambda self: 'of other code')
         with pytest.raises(RunError, match='other code'):
             run_jobs([MortalJob(1)], tmp_path, run_mortal, client=client)
-
-
-def test_address_that_is_none_or_does_not_answer_is_refused():
-    pytest.importorskip('distributed')
-    with socket.socket() as unused:  # bound and not listening
-        unused.bind(('127.0.0.1', 0))
-        for address in ('nonsense://x:1', 'localhost:notaport', ' ',
-                        f'tcp://127.0.0.1:{unused.getsockname()[1]}'):
-            with pytest.raises(ConfigError, match=f'^dask: .*{address}'), dask_client(address):
-                pass
-
-
-def test_run_that_ends_at_once_counts_as_unstable():
-    """Stretched out, where nothing damps what a singular posture asks for: no first torque."""
-    metrics = measure_run(job_of(
-        'disturbance', 'rigid', 0, duration=1.7, plant_overrides={'home': [0.0] * 6},
-        controller={'limits': {'singular_mobility': 0.0}})).metrics
-    assert metrics['summary']['stable'] is False and metrics['evidence']['stable'] is False
-    assert metrics['summary']['ended_early'].startswith('tick 0: ')
-    assert metrics['final_error_share'] is None
