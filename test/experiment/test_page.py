@@ -74,6 +74,7 @@ def test_report_in_a_browser(chromium, tmp_path, monkeypatch):
     assert len(inks) == 4 and all(0.01 < ink < 0.99 for ink in inks)
     whole = tab.evaluate(RANGES)
     over = tab.locator('.u-over').first
+    over.scroll_into_view_if_needed()
     box = over.bounding_box()
     tab.mouse.move(box['x'] + 0.25 * box['width'], box['y'] + 50)
     tab.mouse.down()
