@@ -151,14 +151,8 @@ def test_stamps_that_are_no_clock_are_refused(tmp_path):
         message.header = header(0)
         return message
 
-    def jumping(message):
-        if message.header.stamp.nanosec > 900_000_000:
-            message.header.stamp.sec = 7
-        return message
-
-    for change, expected in ((unstamped, 'at least 2 samples'), (jumping, 'stamps 8 ms apart')):
-        with pytest.raises(RunError, match=f'expected {expected}'):
-            load(write_bag(tmp_path / change.__name__, change=change, seconds=1.0))
+    with pytest.raises(RunError, match='expected at least 2 samples'):
+        load(write_bag(tmp_path / 'bag', change=unstamped, seconds=1.0))
 
 
 def test_path_without_a_recording_is_refused(tmp_path):

@@ -12,7 +12,6 @@ from multicontact_control.experiment.study.presets.laws.jobs import (
     VANISHING,
 )
 from multicontact_control.experiment.study.presets.laws.study import (
-    law_listing,
     law_rows,
     LawStudy,
 )
@@ -75,15 +74,6 @@ def test_rows_are_medians_of_the_worse_contact():
     assert (row['stable'], row['runs']) == (3, 3)
     row, = rows_of({('best', 1, TASK, 1.0): metrics(push_off_s=None)})
     assert row['push_off_s'] is None
-
-
-def test_table_tells_stable_from_calm():
-    lost = metrics() | {'stable': False}
-    rows = rows_of({
-        ('best', 1, TASK, 1.0): metrics(), ('best', 1, STIFFNESS, 2.0): metrics(),
-        ('best', 1, STIFFNESS, 5.0): lost, ('best', 1, STIFFNESS, 20.0): lost | {
-            'oscillates': True}})
-    assert law_listing(rows, 'puma').lines[0].cells[10] == '2 (5)'
 
 
 def test_every_law_has_ranges_whose_ends_are_acceptable():
