@@ -38,6 +38,20 @@ def plant_config(name, **changes):
     return validate(PlantConfig, merge(values, changes))
 
 
+def pressed_wrench(config, state, **forces):
+    """Return what the wrist sensor adds to its reading when contacts press [N], shape (6,)."""
+    sensor, pose = state.sensor_pose, state.pose
+    force, moment = np.zeros(3), np.zeros(3)
+    for name, alpha in forces.items():
+        contact = config.contacts[name]
+        point = pose.position_world + pose.rotation_world @ contact.point_operational
+        pressed = alpha * np.array(contact.normal_world)
+        force += pressed
+        moment += np.cross(point - sensor.position_world, pressed)
+    R = sensor.rotation_world
+    return np.concatenate([force @ R, moment @ R])
+
+
 def seven_joint_urdf(folder: Path) -> Path:
     """Write an arm of seven alternating joints with a wrist frame, and return its file."""
     parts = ['<robot name="seven"><link name="base"/>']

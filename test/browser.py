@@ -17,32 +17,12 @@ SWITCHES = ['--use-angle=swiftshader', '--enable-unsafe-swiftshader', '--no-sand
 # Of MULTICONTACT_BROWSER: without a browser tests fail instead of being skipped.
 REQUIRED = 'required'
 PATIENCE = 120.0  # s, for what a slow machine may make late
-# Of a canvas or picture: the share of its pixels that is not white, and the colours of which there
-# are at least 20 pixels, as in '#4c78a8', antialiased ones left out.
+# The share of a canvas that is drawn on.
 INK = """
-element => {
-  let context;
-  if (element.tagName == 'CANVAS') context = element.getContext('2d');
-  else {
-    const copy = document.createElement('canvas');
-    [copy.width, copy.height] = [element.naturalWidth, element.naturalHeight];
-    context = copy.getContext('2d');
-    context.fillStyle = '#fff';
-    context.fillRect(0, 0, copy.width, copy.height);
-    context.drawImage(element, 0, 0);
-  }
-  const {width, height} = context.canvas;
-  const pixels = context.getImageData(0, 0, width, height).data, counts = new Map();
-  let inked = 0;
-  for (let i = 0; i < pixels.length; i += 4) {
-    const [r, g, b, a] = pixels.subarray(i, i + 4);
-    if (a == 0 || r + g + b == 3 * 255) continue;
-    inked++;
-    const colour = (r << 16) | (g << 8) | b;
-    if (a == 255) counts.set(colour, (counts.get(colour) || 0) + 1);
-  }
-  return {share: inked / (width * height), colours: [...counts].filter(([, n]) => n >= 20).map(
-    ([colour]) => '#' + colour.toString(16).padStart(6, '0'))};
+canvas => {
+  const {width, height} = canvas;
+  const pixels = canvas.getContext('2d').getImageData(0, 0, width, height).data;
+  return pixels.filter((value, i) => i % 4 == 3 && value > 0).length / (width * height);
 }
 """
 
@@ -83,13 +63,6 @@ class Tab:
                      else None)
         self.page.goto(url)
 
-    def ink(self, selector: str) -> list[dict[str, Any]]:
-        """Return share and colours of every canvas or picture that a selector finds; see INK."""
+    def ink(self, selector: str) -> list[float]:
+        """Return the share of every canvas that a selector finds that is drawn on."""
         return [element.evaluate(INK) for element in self.page.query_selector_all(selector)]
-
-    def cells(self, number: int) -> list[list[str]]:
-        """Return the texts of a table of the page, row by row, its head first."""
-        found: list[list[str]] = self.page.evaluate(
-            'n => [...document.querySelectorAll("table:not(.u-legend)")[n].rows].map('
-            'row => [...row.cells].map(cell => cell.innerText))', number)
-        return found

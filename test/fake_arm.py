@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from arms import HOME
+from arms import controller_config, HOME, pressed_wrench
 from diagnostic_msgs.msg import DiagnosticArray
-from multicontact_control.config import ControllerConfig, read_parameters, validate
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.graph_node import take
@@ -28,8 +27,7 @@ class FakeArm:
     def __init__(self, middleware, profile=DEPTH):
         self._middleware = middleware
         node = middleware.node
-        self.config = validate(
-            ControllerConfig, read_parameters(config_dir() / 'controller.yaml'))
+        self.config = controller_config()
         robot = RobotModel(self.config.robot, config_dir())
         self.state = robot.update(HOME, np.zeros(6))
         self.weight = weight_reading(
@@ -51,16 +49,7 @@ class FakeArm:
 
     def press(self, **forces):
         """Let the sensor read these contact forces [N], and nothing else but the tool."""
-        sensor, pose = self.state.sensor_pose, self.state.pose
-        force, moment = np.zeros(3), np.zeros(3)
-        for name, alpha in forces.items():
-            contact = self.config.contacts[name]
-            point = pose.position_world + pose.rotation_world @ contact.point_operational
-            pressed = alpha * np.array(contact.normal_world)
-            force += pressed
-            moment += np.cross(point - sensor.position_world, pressed)
-        R = sensor.rotation_world
-        self.wrench = self.weight + np.concatenate([force @ R, moment @ R])
+        self.wrench = self.weight + pressed_wrench(self.config, self.state, **forces)
 
     def send(self):
         self.k += 1

@@ -124,29 +124,16 @@ def test_bad_input_is_refused_in_a_line(tmp_path, changes, options, message):
     assert '\n' not in str(caught.value)
 
 
-@pytest.mark.parametrize(('setting', 'duration', 'message'), [
-    ('scenario.duration=20', None, 'scenario.duration: expected --scenario that it is laid over, '
-     'or --duration for the length, found none'),
-    ('scenario.name=mine', 4.0, 'scenario.name: expected --scenario')])
-def test_nothing_of_a_scenario_can_be_set_without_one(file, tmp_path, setting, duration, message):
-    with pytest.raises(ConfigError, match=message):
-        prepare_external([file], None, duration, None, tmp_path / 'out', False,
-                         settings=[setting])
-    assert not (tmp_path / 'out').exists()
-
-
-def test_length_of_a_run_is_told_once(file, tmp_path):
+@pytest.mark.parametrize(('given', 'duration', 'setting', 'message'), [
+    (False, None, 'scenario.duration=20', 'scenario.duration: expected --scenario'),
+    (False, 4.0, 'scenario.name=mine', 'scenario.name: expected --scenario'),
+    (True, 4.0, 'scenario.duration=20', 'duration: expected nothing together with scenario'),
+    (False, None, 'plant.surfaces.*.stiffness=1', 'plant has no parts')])
+def test_setting_without_what_it_is_laid_over_is_refused(
+        file, tmp_path, given, duration, setting, message):
     scenario = tmp_path / 'mine.yaml'
     scenario.write_text(yaml.safe_dump(SCENARIO))
-    with pytest.raises(ConfigError, match='duration: expected nothing together with scenario'):
-        prepare_external([file], str(scenario), 4.0, None, tmp_path / 'out', False,
-                         settings=['scenario.duration=20'])
-
-
-def test_no_plant_can_be_set(file, tmp_path):
-    with pytest.raises(ConfigError, match='--set.plant.*expected a parameter; plant has no parts'):
-        prepare_external([file], None, None, None, tmp_path / 'out', False,
-                         settings=['plant.surfaces.*.stiffness=1'])
-    with pytest.raises(ConfigError, match='--controller: expected the parameter file'):
-        resolve_external([])
+    with pytest.raises(ConfigError, match=message):
+        prepare_external([file], str(scenario) if given else None, duration, None,
+                         tmp_path / 'out', False, settings=[setting])
     assert not (tmp_path / 'out').exists()

@@ -120,34 +120,6 @@ def test_recording_that_is_cut_off_is_read_up_to_there(bag, tmp_path):
     assert 'the recording is cut off' not in load(bag).summary['remarks']
 
 
-@pytest.mark.parametrize('seed', range(4))
-def test_damage_in_the_middle_is_read_around_or_refused_in_a_line(bag, tmp_path, seed):
-    path, random = tmp_path / 'x.mcap', np.random.default_rng(seed)
-    data = bytearray(bag.read_bytes())
-    place = int(random.integers(100, len(data) - 100))
-    data[place:place + 50] = random.bytes(50)
-    path.write_bytes(data)
-    try:
-        verdict_shown(load(path))
-    except RunError as error:
-        assert '\n' not in str(error)
-
-
-@pytest.mark.parametrize(('without', 'step', 'verdict'), [
-    ((), 0.0, 'stable'), ((), 60.0, 'not stable: wall: force of 7'),
-    ((TRUTH,), 60.0, 'not stable by the measured forces: wall: force of 7')])
-def test_run_is_judged_by_the_truth_if_it_is_there(tmp_path, without, step, verdict):
-    def pushed(message):
-        if getattr(message, 'name', None) == ['wall'] and (
-                9.9 < message.effort[0] < 12.0 and message.effort[0] != COMMAND):
-            message.effort = [message.effort[0] + step]
-        return message
-
-    run = load(write_bag(tmp_path / 'bag', without=without, change=pushed))
-    assert verdict_text(run.summary).startswith(verdict)
-    assert run.summary['truth'] == (not without)
-
-
 def test_parameter_file_that_does_not_fit_is_refused_or_remarked(bag, tmp_path):
     file = controller_file(tmp_path)
     assert load(bag, [file]).summary['torque']['max_fraction_of_limit'] == pytest.approx(0.03)
@@ -179,14 +151,8 @@ def test_stamps_that_are_no_clock_are_refused(tmp_path):
         message.header = header(0)
         return message
 
-    def jumping(message):
-        if message.header.stamp.nanosec > 900_000_000:
-            message.header.stamp.sec = 7
-        return message
-
-    for change, expected in ((unstamped, 'at least 2 samples'), (jumping, 'stamps 8 ms apart')):
-        with pytest.raises(RunError, match=f'expected {expected}'):
-            load(write_bag(tmp_path / change.__name__, change=change, seconds=1.0))
+    with pytest.raises(RunError, match='expected at least 2 samples'):
+        load(write_bag(tmp_path / 'bag', change=unstamped, seconds=1.0))
 
 
 def test_path_without_a_recording_is_refused(tmp_path):

@@ -12,7 +12,6 @@ from multicontact_control.experiment.judge import (
     REAL_TIME,
     STABLE,
     UNJUDGED,
-    verdict_text,
 )
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.supervision.event_log import read_event
@@ -196,22 +195,6 @@ def test_limit_cycle_is_named_with_and_without_supervisor(scenario, changes, rea
     assert verdict.name == NOT_STABLE and verdict.unstable_at is not None
     assert any(line.startswith(reason) for line in verdict.reasons)
     assert any('stepped in' in line for line in verdict.reasons) == supervised
-
-
-def test_run_within_bounds_thanks_to_the_last_gate_is_held():
-    verdict = verdict_of_run('quick', plant='rigid', duration=7.0, supervised=True,
-                             scenario_overrides=SOON,
-                             controller={'limits': {'torque_rate': [200.0] * 6}})
-    assert verdict.name == HELD and len(verdict.reasons) == 1
-
-
-def test_verdict_text_names_steps_that_overshoot_far():
-    overshoots = {'table': 273.2, 'wall': 4.0, 'board': 71.0, 'idle': None}
-    summary = {'verdict': STABLE, 'instabilities': [], 'contacts': {
-        name: {'step_overshoot_percent': percent} for name, percent in overshoots.items()}}
-    assert verdict_text(summary).endswith(': table 273 %, board 71 %')
-    assert verdict_text({**summary, 'verdict': NOT_STABLE, 'instabilities': ['a', 'b']}) == (
-        'not stable: a; b')
 
 
 def test_free_run_that_missed_one_percent_of_its_deadlines_is_not_judged(setup, data):

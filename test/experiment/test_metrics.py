@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-from multicontact_control.control.reference.scenario import sine_motion
 from multicontact_control.experiment.metrics import (
     contact_summary,
     disturbance_summary,
@@ -38,16 +37,6 @@ def test_windows_are_those_of_the_definition(setup, data):
     assert (rest[0], rest[-1]) == pytest.approx((5.0, 6.498))
     assert (moving[0], moving[-1]) == pytest.approx((8.5, 11.998))
     assert data.time[judged.loaded][0] == pytest.approx(2.5)
-
-
-@pytest.mark.parametrize('scenario', ['quick', 'paper'])
-def test_moving_window_holds_a_reversal(scenario):
-    """Friction turns there; the window begins at a reversal, which it does not hold."""
-    setup = resolve(scenario)
-    time = np.arange(setup.ticks) * setup.controller.period
-    moving = time[windows(setup.scenario.reference, time).moving][5:]
-    speeds = [sine_motion(setup.scenario.reference.motion, t)[1] for t in moving]
-    assert np.count_nonzero(np.diff(np.sign(speeds))) >= 1
 
 
 def test_losses_are_counted_under_load(setup, data):

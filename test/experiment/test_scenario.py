@@ -1,7 +1,7 @@
 """Scenarios, presets, and values laid over everything by name."""
 
 from multicontact_control.cli.options import prepare
-from multicontact_control.config import ControllerConfig, read_parameters, read_yaml, validate
+from multicontact_control.config import read_yaml
 from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.overrides import overridden
 from multicontact_control.experiment.scenario import preset_values, resolve
@@ -42,15 +42,6 @@ def test_resolve_names_what_is_wrong_in_a_scenario(tmp_path, changes, message):
         setup = resolve(_scenario(tmp_path, **changes))
         setup.plant.substeps(setup.controller.rate)
     assert '\n' not in str(caught.value)
-
-
-def test_written_configuration_is_what_the_nodes_read(tmp_path):
-    setup = resolve('quick')
-    setup.write(tmp_path / 'config')
-    again = validate(ControllerConfig, read_parameters(tmp_path / 'config' / 'controller.yaml'))
-    assert again == setup.controller
-    assert (tmp_path / 'config' / 'puma560.urdf').is_file()
-    assert resolve(str(tmp_path / 'config' / 'scenario.yaml')).scenario == setup.scenario
 
 
 @pytest.mark.parametrize('plant', ['rigid', 'puma'])

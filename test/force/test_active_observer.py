@@ -6,8 +6,10 @@ from multicontact_control.force.observer import (
     continue_at,
     design_observer,
     make_observers,
+    observe_and_command,
     rescale,
 )
+from multicontact_control.records import CONTACT
 import numpy as np
 import pytest
 
@@ -74,6 +76,24 @@ def test_continue_from_predicts_with_the_input_that_acts(loop):
         observer.update(7.0, 0.6)
     np.testing.assert_allclose(new.x_est, unchanged.x_est, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(new.P, unchanged.P, rtol=1e-12)
+
+
+def test_observer_without_a_new_wrench_predicts_only(loop):
+    """As with a measurement of infinite variance, every third time."""
+    options = {'order': 1, 'process_noise': 2e-3, 'initial_covariance': 5e-3}
+    observers = make_observers([design_observer(loop, **options)])
+    literal = equations.Observer(loop.plant.Phi, loop.plant.Gamma, loop.L, **options)
+    contact, random = np.zeros(1, dtype=CONTACT)[0], np.random.default_rng(6)
+    contact['alpha_meas'], contact['noise_variance'], contact['alpha_des'] = 4.0, 0.6, 10.0
+    literal.reset(4.0)
+    for k in range(30):
+        measured = k % 3 < 2
+        literal.update(contact['alpha_meas'], 0.6 if measured else np.inf)
+        u = observe_and_command(observers[0], contact, measured)
+        np.testing.assert_allclose(
+            observers['x_est'][0, :len(literal.x_est)], literal.x_est, rtol=1e-9, atol=1e-12)
+        assert u == pytest.approx(literal.command(10.0), rel=1e-8)
+        contact['alpha_meas'] = 8.0 + random.normal()
 
 
 @pytest.mark.parametrize('order', [0, 1, 3])

@@ -173,8 +173,8 @@ def test_constant_disturbance_is_compensated_or_not(name):
         assert forces[-1] > 100.0  # it has nothing to hold the contact with
 
 
-@pytest.mark.parametrize('before', INTEGRATING)
-@pytest.mark.parametrize('after', INTEGRATING)
+@pytest.mark.parametrize(('before', 'after'), [
+    *(('aob', after) for after in INTEGRATING), *((before, 'dob') for before in INTEGRATING[1:])])
 def test_law_that_takes_over_knows_force_and_disturbance(before, after):
     """At rest under a disturbance that by itself moves the force by more than half a newton."""
     laws, before_it, x = settled(before)
@@ -268,20 +268,11 @@ def test_every_law_is_wherever_its_recipe_says():
 
 @pytest.mark.parametrize(('values', 'field'), [
     ({'name': 'pid'}, 'law'), ({'softest': 0.0}, 'stiffness'), ({'stiffest': 1.0}, 'stiffness'),
-    ({'noise_variance': 0.0}, 'noise_variance'), ({'stiffest': 1e9}, 'stiffness')])
+    ({'noise_variance': 0.0}, 'noise_variance')])
 def test_design_says_what_it_cannot_do(values, field):
     given = {'name': 'dob', 'softest': 1000.0, 'stiffest': 5000.0, 'noise_variance': 0.6, **values}
     with pytest.raises(ConfigError, match=f'^{field}: '):
         design_for_range(given.pop('name'), input_delay=DELAY, **given)
-
-
-@pytest.mark.parametrize(('name', 'force'), [
-    ('pi', {'pi': {'filter_cutoff': 1e308}}), ('lqg', {'lqg': {'noise_variance': 1e300}}),
-    ('lqg', {'lqg': {'input_weight': 1e300}})])
-def test_laws_that_cannot_be_worked_out_are_refused_by_name(name, force):
-    config = config_of(name, **force)
-    with pytest.raises(ConfigError, match=f'force.{name}: expected .* designed for, found ..*'):
-        design_law(config, 'table', K)
 
 
 @pytest.mark.parametrize('states', [1, 4])
@@ -295,17 +286,6 @@ def test_discretisation_is_scipys(states):
         expected = cont2discrete((A, B, C, D), H, method='bilinear')
         for found, matrix in zip((law.A, law.B, law.C, law.D), expected):
             np.testing.assert_array_equal(found, matrix)
-
-
-@pytest.mark.parametrize(('force', 'field'), [
-    ({'law': 'pi', 'allocation': 'paper'}, 'force.allocation'),
-    ({'law': 'pi', 'stiffness': 'adaptive'}, 'force.stiffness'),
-    ({'active_state_order': 0, 'stiffness': 'adaptive'}, 'force.stiffness'),
-    ({'damping_rate': 0.0, 'stiffness': 'adaptive'}, 'force.damping_rate'),
-    ({'adaptive': {'lowest': 10.0, 'highest': 5.0}}, 'adaptive.highest')])
-def test_combinations_that_make_no_sense_are_refused(force, field):
-    with pytest.raises(ConfigError, match=field):
-        resolve('quick', controller={'force': force})
 
 
 @pytest.mark.parametrize('pause', [False, True], ids=['live change', 'pause'])

@@ -48,7 +48,8 @@ def test_read_joint_state_follows_names_not_places():
 
 
 @pytest.mark.parametrize(('field', 'value'), [
-    ('name', ['a', 'b']), ('name', ['a', 'b', 'd']), ('name', ['a', 'b', 'b']),
+    ('name', ['a', 'b']), ('name', ['a', 'b', 'd']), ('name', ['a', 'b', 'c', 'a']),
+
     ('position', [1.0, 2.0]), ('velocity', []), ('position', [1.0, NAN, 3.0]),
     ('velocity', [INF, -INF, 0.0])])
 def test_read_joint_state_refuses_by_field(field, value):

@@ -1,7 +1,7 @@
 """What the front end finds, its low-pass, and the delay that this adds to the loop's model."""
 
 from arms import controller_config
-from multicontact_control.config import SensorFrontEndConfig, validate
+from multicontact_control.config import SensorFrontEndConfig
 from multicontact_control.control.controller import Controller, Measurement
 from multicontact_control.control.reference import CommandedReference
 from multicontact_control.errors import ConfigError
@@ -125,12 +125,3 @@ def test_frozen_sensor_is_found_in_time_and_its_recovery(value):
     assert [take(almost)[0] for _ in range(5)] == [''] * 4 + ['frozen']
     take = monitor()[1]  # off by default
     assert not any(take([value] * 6)[0] for _ in range(20))
-
-
-@pytest.mark.parametrize(('values', 'message'), [
-    ({'full_scale': [1.0]}, 'sensor.full_scale: expected 6 values or none, found 1'),
-    ({'full_scale': [0.0] * 6}, 'sensor.full_scale: expected values above 0'),
-    ({'frozen_ticks': 1}, 'sensor.frozen_ticks: expected 0 or at least 2, found 1')])
-def test_monitor_configuration_is_checked(values, message):
-    with pytest.raises(ConfigError, match=message):
-        validate(SensorFrontEndConfig, values)

@@ -151,12 +151,3 @@ def test_normal_that_was_found_is_kept_until_another_is_told():
         normals[0] = found
         controller.reconfigure(of_table(**changes))
         np.testing.assert_allclose(controller.controller.contacts['normal'][0], normal)
-
-
-def test_speed_of_a_surface_that_was_found_is_bounded_by_another_limit():
-    controller, _ = make(contacts=of_table(surface_speed_limit=0.1).model_dump()['contacts'])
-    found = controller.controller.contacts['surface_speed_est']
-    found[0] = 0.05
-    for limit, left in ((0.02, 0.02), (0.0, 0.0)):
-        controller.reconfigure(of_table(surface_speed_limit=limit))
-        assert found[0] == left

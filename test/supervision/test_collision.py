@@ -119,15 +119,3 @@ def test_arm_without_a_wrist_sensor_says_so():
     for changes in ({'wrench_input': 'momentum'}, {'robot': {'sensor_frame': ''}}):
         with pytest.raises(ConfigError, match='robot.sensor_frame'):
             resolve('quick', controller=changes)
-
-
-def test_collision_is_forgotten_after_a_second_without_torques():
-    with standing('rigid') as loop:
-        loop.plant.contacts.put_before_tip(ELBOW_WALL, -DEPTH)
-        assert advance(loop, 100)[0][-1].reaction == 'hold'
-        loop.plant.contacts.shift(ELBOW_WALL, FAR)
-        # The wall goes, and the torques with it, while the observer still says so.
-        statuses, _ = advance(loop, 20, without_effort)
-        assert statuses[-1].causes[0].startswith('collision_')
-        statuses, _ = advance(loop, 1500, without_effort)
-        assert (statuses[-1].reaction, statuses[-1].causes) == ('none', ())

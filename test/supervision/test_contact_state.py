@@ -225,17 +225,6 @@ def test_force_beyond_the_ceiling_makes_it_retract_and_a_retry_reaches_the_surfa
     assert surface.state is HOLDING
 
 
-def test_retries_of_a_search_in_vain_do_not_lead_ever_farther():
-    """However soon they come: before the tip has come back."""
-    surface = Surface(depth=1.0, approach_distance=0.05)
-    surface.run(3.5)
-    for _ in range(1500):
-        surface.contact['again'] = True
-        surface.run(H)
-    assert surface.states.count(GIVEN_UP) > 2
-    assert surface.place < 0.06
-
-
 def test_force_after_a_loss_rises_at_its_rate():
     surface = holding()
     surface.run(0.3, alpha=0.0)

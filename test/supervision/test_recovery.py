@@ -6,7 +6,6 @@ from multicontact_control.config import WatchdogConfig
 from multicontact_control.errors import CommandError
 from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.scenario import resolve
-from multicontact_control.quintic import quintic
 from multicontact_control.sampling import MotionReading
 from multicontact_control.supervision.recovery import RECOVERING, Recovery
 import numpy as np
@@ -181,37 +180,6 @@ def test_contact_that_was_given_up_comes_back(way):
         assert abs(forces[-100:, 1].mean() - (12.0 if way == 'command' else 10.0)) < 0.5
         with pytest.raises(CommandError, match='expected contacts that were given up'):
             loop.control.retry()
-
-
-@on_both_plants
-def test_motions_that_cannot_be_followed_lead_nowhere_else(plant):
-    """A stream that ends at 10 m/s, on the way to 0.5 m off; later one that returns."""
-    along, places = np.array([1.0, 0.0, 0.0]), []
-    with pressing(plant, forces={'table': 8.0, 'board': 4.0}) as loop:
-        start = loop.control.output.pose
-
-        def note():
-            places.append((loop.control.output.pose.position_world - start.position_world)[0])
-
-        def flee(time):
-            s = time / 0.15
-            move(loop, start, 0.5 * s ** 3 * along, 10.0 * s ** 2 * along)
-            note()
-
-        def come_back(time):
-            s, ds, _ = quintic(time, 1.5)
-            move(loop, start, (1.0 - s) * way, -ds * way)
-            note()
-        advance(loop, 0.15, each=flee)
-        _, statuses = advance(loop, 1.0, each=lambda time: note())
-        way = loop.control.output.pose.position_world - start.position_world
-        advance(loop, 1.5, each=come_back)
-        advance(loop, 2.0, each=lambda time: note())
-    assert reactions_change(statuses) <= 2
-    places = np.array(places)
-    assert np.abs(places[50:] - places[:-50]).max() < 1.5 * 0.5 * 0.1  # of the speed limit
-    assert max(places) < 0.5 and min(places) > -0.03
-    assert abs(places[-1]) < 0.003
 
 
 @on_both_plants

@@ -149,20 +149,6 @@ def test_declared_reaction_comes_in_time_and_goes_without_a_jump(name):
     assert (np.abs(np.diff(torques[1:], axis=0)) / LIMIT).max() < 0.03
 
 
-def test_arm_that_has_moved_while_the_clock_was_set_back_is_seen_again():
-    """It has moved no faster than its speeds say; how old its last posture is, is not known."""
-    supervisor = make()
-    for k in range(50):
-        supervisor.step(good(k))
-    for k in range(50, 110):
-        moving = good(k, q=HOME + 0.25 * (k - 49) * H, qd=np.full(6, 0.25))
-        supervisor.step(moving._replace(time=k * H - 0.05))
-    away = HOME + 0.25 * 60 * H
-    found = [supervisor.step(good(k, q=away)).status for k in range(110, 210)]
-    assert (found[0].reaction, found[-1].reaction) == ('float', 'none')
-    assert 'joints_jump' not in found[-1].causes
-
-
 def test_single_bad_sample_is_bridged_and_the_same_tick_gets_the_same_answer():
     supervisor = make()
     for k in range(60):
@@ -232,20 +218,3 @@ def test_arm_that_is_not_seen_is_brought_to_rest_and_carried(changes):
     assert result.status.reaction == 'float'
     weight = supervisor.controller.robot.update(HOME + 4 * H * turning, np.zeros(6)).gravity
     np.testing.assert_allclose(result.output.torque, weight, atol=0.01)
-
-
-def test_answer_of_a_reaction_tells_what_is_seen_and_no_force():
-    """Where the arm and the measured forces are now, and not where they were before it."""
-    supervisor = make(CommandedReference(CONFIG.contact_names))
-    for k in range(50):
-        supervisor.step(good(k))
-    for k in range(50, 60):  # a wrench that contradicts the contacts: it is seen, and refused
-        moved = HOME + np.array([0.0, 0.0, 0.0, 0.0, 1e-3 * (k - 50), 0.0])
-        output, status = supervisor.step(good(k, q=moved, force=(0.0, 0.0, -3.0 * (k - 48))))
-    assert status.reaction == 'hold'
-    place = supervisor.controller.robot.update(moved, np.zeros(6)).pose
-    np.testing.assert_allclose(output.pose.position_world, place.position_world, atol=1e-12)
-    assert abs(output.alpha_meas[0]) > 25.0
-    for values in (output.alpha_est, output.alpha_rate_est, output.innovation,
-                   output.prior_variance, output.variance_used, output.alpha_des):
-        assert not values.any()

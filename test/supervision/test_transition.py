@@ -1,11 +1,9 @@
 """The blends of torques: continuous, of bounded rate, and gone in the end."""
 
-from arms import controller_config
 from multicontact_control.config import TransitionConfig
 from multicontact_control.supervision.transition import (
     ExponentialBlend,
     QuinticBlend,
-    TorqueTransition,
 )
 import numpy as np
 import pytest
@@ -57,20 +55,3 @@ def test_exponential_blend_is_continuous_and_decays_at_its_declared_rate():
     np.testing.assert_allclose(out[1], old)
     np.testing.assert_allclose(out[-1], new, atol=1e-4)
     assert (np.abs(np.diff(out, axis=0)) <= np.abs(old - new) * H / 0.01 + 1e-12).all()
-
-
-def test_reaction_right_after_a_change_has_no_jump():
-    """What the slow blend has left goes over within the fast one, whatever acted before it."""
-    transition = TorqueTransition(controller_config())
-    law, hold = np.full(6, 10.0), np.full(6, -10.0)
-    transition.commanded(transition.apply('law', law))
-    torque = transition.apply('hold', hold)  # a reaction begins
-    transition.commanded(torque)
-    transition.restart_from_last()  # and a parameter is changed at once
-    for _ in range(3):
-        before = torque
-        transition.drop_slow_blend(lambda: law)
-        torque = transition.apply('hold', hold)
-        assert np.abs(torque - before).max() < 0.6 * np.abs(before - hold).max() + 1e-9
-        transition.commanded(torque)
-    np.testing.assert_array_less(torque, 0.0)

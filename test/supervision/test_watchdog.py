@@ -1,8 +1,6 @@
 """What the watchdog refuses and why, how long it bridges, and what it hands over meanwhile."""
 
 from arms import controller_config, HOME
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from multicontact_control.supervision.inputs import (
     JointInput,
     TickInputs,
@@ -143,42 +141,3 @@ def test_tick_that_comes_again_is_repeated_once_and_then_a_frozen_clock():
     found = [watchdog.validate(inputs) for _ in range(3)]
     assert [valid.repeated for valid in found] == [False, True, False]
     assert found[2].causes == ('clock_frozen',)
-
-
-# But for old stamps, which may be those of the newest.
-KINDS = st.sampled_from(['good', *range(len(FAULTS) - len(SOURCES)), *SOURCES])
-
-
-@settings(max_examples=100, deadline=None)
-@given(kinds=st.lists(st.tuples(KINDS, st.integers(1, 15)), min_size=1, max_size=8))
-def test_what_is_handed_over_is_the_newest_that_was_not_refused(kinds):
-    """A source is a cause once its newest valid reading is older than its limit, never before."""
-    watchdog, random = warm()
-    ages = dict.fromkeys(SOURCES, 0)
-    wrench, k = None, 20
-    limits = {'joints': 1, 'wrench': 12, 'variance': 3}
-    for kind, ticks in kinds:
-        for _ in range(ticks):
-            inputs = good(k, random)
-            if kind in SOURCES:
-                given_inputs = inputs._replace(**{kind: None})
-            else:
-                source, change, _ = FAULTS[kind] if kind != 'good' else ('', None, '')
-                given_inputs = change(inputs, source) if change else inputs
-            valid = watchdog.validate(given_inputs)
-            for source in SOURCES:
-                missing = getattr(given_inputs, source) is None or any(
-                    name.startswith(source) for name in valid.rejected)
-                ages[source] = ages[source] + 1 if missing else 0
-            saturated = 'wrench_saturated' in valid.rejected
-            stale = {source for source in SOURCES if ages[source] > (
-                1 if saturated and source == 'wrench' else limits[source])}
-            assert {cause.split('_')[0] for cause in valid.causes} == stale
-            assert valid.measured == (ages['wrench'] == 0)
-            assert valid.blind == (ages['joints'] > 1)
-            if valid.measured:
-                wrench = inputs.wrench.wrench
-            if wrench is not None:
-                np.testing.assert_array_equal(valid.wrench, wrench)
-            assert np.isfinite(valid.q).all() and (0.1 <= valid.variance).all()
-            k += 1

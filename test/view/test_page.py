@@ -14,9 +14,7 @@ from urllib.request import Request, urlopen
 from multicontact_control.errors import CommandError, RunError
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.view import source
-from multicontact_control.view.replay import load_replay
 from multicontact_control.view.source import Scene, surfaces_of
-import numpy as np
 import pytest
 
 pytest.importorskip('viser', reason='viser is not installed (extra [view])')
@@ -95,29 +93,6 @@ def test_page_shows_answers_refusals_and_the_end(make_page):
     silent.why = 'the simulation has ended: <killed>'
     page.update()
     assert page.ended == silent.why and '&lt;killed&gt;' in page.status.content
-
-
-def test_page_draws_a_recording_and_lists_what_happened_meanwhile(
-        make_page, recorded_run, monkeypatch):
-    page = make_page(load_replay(recorded_run, resolve('paper')))
-
-    def seen_by(clients, command, condition, **values):
-        monkeypatch.setattr(page.server, 'get_clients', lambda: clients)
-        page.commander.give(None, command, **values)
-        settle(page, lambda: page.newest is not None and condition(page.newest))
-
-    seen_by({}, source.PLAY, lambda snapshot: not snapshot.playing, on=False)
-    seen_by({0: None}, source.SEEK, lambda snapshot: snapshot.time == 0.5, time=0.5)
-    assert 'approaching' in page.events.content
-    seen_by({}, source.SEEK, lambda snapshot: snapshot.time == 2.0, time=2.0)
-    assert 'holding' not in page.events.content, 'drawn for no browser'
-    seen_by({0: None}, source.PLAY, lambda snapshot: snapshot.time > 2.1, on=True)
-    assert 'holding' in page.events.content
-    arrow = page.server.scene.get_handle_by_name('/forces/measured').points
-    along = np.einsum('ij,ij->i', arrow[:, 1] - arrow[:, 0], page.newest.normals_world)
-    np.testing.assert_allclose(along, 0.012 * page.newest.measured, rtol=1e-4)
-    assert 'holding' in page.contacts.content
-    page.curves.draw()
 
 
 def test_view_without_viser_exits_with_two_and_one_line():

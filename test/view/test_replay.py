@@ -22,8 +22,7 @@ PERIOD = 2_000_000  # ns
 
 
 class Clock:
-    def __init__(self):
-        self.now = 100.0
+    now = 100.0
 
     def __call__(self):
         return self.now

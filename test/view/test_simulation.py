@@ -115,14 +115,3 @@ def test_tare_push_test_and_reset():
         simulation.obey(source.RESET, {})
         snapshot = advance(simulation, 0.04)
         assert snapshot.time < 0.1 and snapshot.states == ('free', 'free')
-
-
-def test_edge_is_pressed_with_a_couple_too():
-    with closing(Simulation(resolve('edge', plant='rigid'))) as simulation:
-        advance(simulation, 0.1)
-        simulation.obey(source.FORCES, {'edge': 10.0})
-        advance(simulation, 1.2)
-        simulation.obey(source.FORCES, {'edge/along': 3.0})
-        snapshot = advance(simulation, 1.0)
-        assert snapshot.states == ('holding',) and len(snapshot.normals_world) == 1
-        np.testing.assert_allclose(snapshot.measured, [10.0, 3.0], atol=1.0)

@@ -1,6 +1,5 @@
 """Faults in process: how they are answered and judged, and that the judge can say no."""
 
-from dataclasses import replace
 
 from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.faults.fault import PROCESS, REST
@@ -36,11 +35,6 @@ def test_fault_is_answered_as_declared(world, kind, reaction):
     assert 0.0 <= row.time_to_safe_s <= latest
 
 
-def test_same_seed_gives_the_same_row(world):
-    rows = [in_fork(world, KINDS['biased', 'wrench'], seed, 'approach') for seed in (5, 5, 6)]
-    assert rows[0] == rows[1] != rows[2]
-
-
 def test_fault_that_kills_its_process_is_not_safe(world, monkeypatch):
     monkeypatch.setattr(ClosedLoop, 'advance', lambda self, corrupt=None: 1 / 0)
     row = in_fork(world, KINDS['nan', 'wrench'], 1, 'approach', KINDS['nan_q', 'joints'])
@@ -63,28 +57,6 @@ def test_declared_reaction_that_does_not_come_is_not_safe(world, kind):
     assert judge(KINDS[kind], 1, world.setup, seen, where=PROCESS, phase=REST).safe
 
 
-def test_torque_is_judged_by_the_limits_that_there_are(world):
-    config = world.setup.controller
-    free = replace(world.setup, controller=config.model_copy(update={
-        'torque_limit': (), 'limits': config.limits.model_copy(update={'torque_rate': ()})}))
-    for setup, safe in ((free, True), (world.setup, False)):
-        seen = observed(setup, torque=1e3)
-        assert judge(KINDS['biased', 'wrench'], 1, setup, seen, where=PROCESS).safe is safe
-
-
-@pytest.mark.parametrize(('kinds', 'short'), [
-    ((('nan', 'wrench'), ('dropped', 'joints')), True),
-    ((('raises', '_gate.apply'), ('frozen', 'joints')), True),
-    ((('biased', 'wrench'), ('dropped', 'joints')), False)])
-def test_pair_is_to_be_back_if_both_faults_pass_whatever_their_order(world, kinds, short):
-    forces = np.zeros((RUN_TICKS, 2))
-    seen = observed(world.setup, forces=forces, wanted=forces + 10.0)
-    for one, other in (kinds, kinds[::-1]):
-        row = judge(together(KINDS[one], KINDS[other]), 1, world.setup, seen, where=PROCESS,
-                    phase=REST)
-        assert bool(row.shortfalls) is short
-
-
 @pytest.mark.parametrize(('wall', 'force', 'safe'), [
     (SIDE_WALL, MET_FORCE - 1.0, True), (SIDE_WALL, MET_FORCE + 1.0, False),
     (ELBOW_WALL, MET_FORCE - 1.0, False)])
@@ -96,15 +68,3 @@ def test_obstacle_may_not_be_pressed_hard_and_is_to_be_noticed_at_the_elbow(
     for fault in (obstacle, together(obstacle, other), together(other, obstacle)):
         row = judge(fault, 1, world.setup, observed(world.setup, met=met), where=PROCESS)
         assert (row.safe, row.peak_force_n) == (safe, force)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize('plant', ['rigid', 'puma'])
-def test_obstacle_at_the_elbow_is_noticed_and_not_pressed_hard(plant):
-    world = ClosedLoop(with_obstacles('quick', plant, 0))
-    while world.tick < 4100:
-        world.advance()
-    row = in_fork(world, KINDS['elbow_obstacle', 'plant'], 1, 'sliding')
-    assert (row.reaction, row.safe, row.problems) == ('hold', True, '')
-    assert 10.0 < row.peak_force_n < 40.0
-    world.close()

@@ -32,6 +32,7 @@ import yaml
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
+ARM = str(ROOT / 'test/external_arm.py')
 SECTION = '## Your own robot or simulator, step by step'
 # What a test has no time for, and what a busy machine may be late by.
 QUICK = ['--move-time', '0.5', '--tilt', '15']
@@ -76,20 +77,21 @@ class Shell:
     def multicontact(self, *arguments, log):
         return self.start('-m', 'multicontact_control.cli', *arguments, log=log)
 
-    def said(self, log):
+    def output(self, log):
         return (self.folder / log).read_text(encoding='utf-8')
 
-    def wait_until_said(self, process, log, text):
-        def said():
-            assert process.poll() is None or text in self.said(log), self.said(log)
-            return text in self.said(log)
-        wait_for(said, text, lambda: self.said(log))
+    def wait_for_line(self, process, log, text):
+        def printed():
+            assert process.poll() is None or text in self.output(log), self.output(log)
+            return text in self.output(log)
+        wait_for(printed, text, lambda: self.output(log))
 
-    def end(self, process, log, number=None):
+    def end(self, process, log, number=None, code=0):
+        """Wait for the end of a process with an exit code; return what it wrote."""
         if number is not None:
             process.send_signal(number)
-        process.wait(PATIENCE)
-        return process.returncode, self.said(log)
+        assert process.wait(PATIENCE) == code, self.output(log)
+        return self.output(log)
 
     def close(self):
         for process in self._running:
@@ -140,60 +142,46 @@ def test_documented_way_leads_from_a_urdf_to_ten_newtons(shell, tmp_path):
     first, calibrate, second, push, report, identify = commands
 
     running = shell.multicontact(*first, log='first')
-    shell.wait_until_said(running, 'first', 'waiting for /joint_states (sensor_msgs/msg/JointState'
-                          ') from the robot: nobody publishes it')
-    arm = shell.start(str(Path(__file__).parents[2] / 'external_arm.py'), str(urdf), log='arm')
-    shell.wait_until_said(running, 'first', 'found /joint_states from my_arm, /ft_sensor/wrench '
-                          'from my_arm')
-    weighing = shell.multicontact(*calibrate, *QUICK, log='weighing')
-    code, text = shell.end(weighing, 'weighing')
-    assert code == 0, text
+    shell.wait_for_line(running, 'first', 'waiting for /joint_states')
+    arm = shell.start(ARM, str(urdf), log='arm')
+    shell.wait_for_line(running, 'first', 'found /joint_states from my_arm, /ft_sensor/wrench '
+                        'from my_arm')
+    shell.end(shell.multicontact(*calibrate, *QUICK, log='weighing'), 'weighing')
     tool = yaml.safe_load((tmp_path / 'tool.yaml').read_text())['/**']['ros__parameters']['tool']
     assert tool['mass'] == pytest.approx(TOOL_MASS, abs=0.02)
     np.testing.assert_allclose(tool['com_sensor'], TOOL_COM, atol=3e-3)
     np.testing.assert_allclose(tool['bias_sensor'], BIAS, atol=0.1)
-    pushing = shell.multicontact(*push, log='pushing')
-    # Nobody pushes, after which no force is obeyed: not in the second run, as documented.
-    code, text = shell.end(pushing, 'pushing')
-    assert code == 1 and text.startswith('keep off the tool\n'), text
+    # With no push no force is obeyed afterwards: not in the second run, as documented.
+    text = shell.end(shell.multicontact(*push, log='pushing'), 'pushing', code=1)
     assert text.splitlines()[-1].startswith('push test failed'), text
     weighed = (tmp_path / 'runs/latest').resolve()
     running.send_signal(signal.SIGINT)
     wait_for_end_of(nodes_of(weighed), 'the end of the first nodes')
-    assert not nodes_of(weighed)
-
     judged = running  # of which there is no need to wait for the figures
     running = shell.multicontact(*second, log='second')
-    shell.wait_until_said(running, 'second', 'found /joint_states from my_arm')
-    code, text = shell.end(shell.start('-c', program, log='program'), 'program')
-    assert code == 0 and float(re.search(r"'wall': ([\d.]+)", text)[1]) == pytest.approx(
-        10.0, abs=1.0), text
-    code, text = shell.end(running, 'second', signal.SIGINT)
-    assert code == 0, text
+    shell.wait_for_line(running, 'second', 'found /joint_states from my_arm')
+    text = shell.end(shell.start('-c', program, log='program'), 'program')
+    assert float(re.search(r"'wall': ([\d.]+)", text)[1]) == pytest.approx(10.0, abs=1.0), text
+    text = shell.end(running, 'second', signal.SIGINT)
     assert arm.poll() is None
     arm.kill()
-    reporting = shell.multicontact(*report, log='report')
-    identifying = shell.multicontact(*identify, log='identify')
-    summary = json.loads((tmp_path / 'runs/latest/summary.json').read_text())
+    run = tmp_path / 'runs/latest'
+    summary = json.loads((run / 'summary.json').read_text())
     told = 'not judged: no ground truth; by the measured forces no limit was passed' in text
     # A machine on which the arm was held for late samples leaves perhaps too little to judge.
     busy = 'not judged: the machine could not keep real time' in text
     assert told or busy and summary['timing']['late_reactions'], text
     assert (summary['truth'], summary['mode'], summary['stable']) == (False, 'external', None)
-    assert summary['claims'] == [] and 'deadline_misses' not in summary['timing']
-    forces = load(tmp_path / 'runs/latest').data
-    assert np.nanmax(forces.alpha_meas) > 9.0 and np.nanmax(forces.command) == 10.0
-    recorded = read_graph(tmp_path / 'runs/latest/bag').by_topic
+    data = load(run).data
+    assert np.nanmax(data.alpha_meas) > 9.0 and np.nanmax(data.command) == 10.0
+    recorded = read_graph(run / 'bag').by_topic
     # The safe behaviour, after the controller was deactivated.
-    commands, forces = '/joint_effort_command', '/contact_forces/measured'
-    assert recorded[commands[1:]].stamps[-1] > recorded[forces[1:]].stamps[-1]
-    code, text = shell.end(reporting, 'report')
-    assert code == 0, text
-    assert 'no ground truth' in (tmp_path / 'runs/latest/report.html').read_text(encoding='utf-8')
-    code, text = shell.end(identifying, 'identify')
-    assert code == 0 and 'wall: ' in text, text
-    code, text = shell.end(judged, 'first')
-    assert code == 0 and 'not judged' in text, text
+    assert recorded['joint_effort_command'].stamps[-1] > (
+        recorded['contact_forces/measured'].stamps[-1])
+    shell.end(shell.multicontact(*report, log='report'), 'report')
+    assert 'no ground truth' in (run / 'report.html').read_text(encoding='utf-8')
+    assert 'wall: ' in shell.end(shell.multicontact(*identify, log='identify'), 'identify')
+    assert 'not judged' in shell.end(judged, 'first')
 
 
 class Listener(GuestNode):
@@ -218,7 +206,7 @@ def test_robot_that_presses_is_left_with_the_safe_behaviour(shell, tmp_path):
     urdf = write_controller(
         tmp_path, safe_behaviour={'kind': 'zero_torque'},
         tool={'mass': TOOL_MASS, 'com_sensor': TOOL_COM.tolist(), 'bias_sensor': BIAS.tolist()})
-    shell.start(str(Path(__file__).parents[2] / 'external_arm.py'), str(urdf), log='arm')
+    shell.start(ARM, str(urdf), log='arm')
     running = shell.multicontact(
         'run', '--external', '--controller', 'controller.yaml', '--out', 'run',
         log='log')
@@ -230,7 +218,6 @@ def test_robot_that_presses_is_left_with_the_safe_behaviour(shell, tmp_path):
         nodes = nodes_of(tmp_path / 'run')
         running.kill()
         wait_for_end_of(nodes, 'their end', listener.poll)
-        assert not nodes_of(tmp_path / 'run')
         answered, controlled = listener.stamps
         assert answered - controlled > 30_000_000
         # The 40 N m go over to none at 100 N m/s at most, in 375 answers: 12 % of them in the
@@ -241,10 +228,10 @@ def test_robot_that_presses_is_left_with_the_safe_behaviour(shell, tmp_path):
     running.wait(PATIENCE)
 
 
-def nodes_of(folder, log=''):
+def nodes_of(folder):
     """Return the processes whose command line names a log of a run."""
     return [entry for entry in Path('/proc').iterdir()
-            if f'{folder}/logs/{log}' in command_line(entry)]
+            if f'{folder}/logs/' in command_line(entry)]
 
 
 def command_line(entry):
@@ -261,20 +248,18 @@ def wait_for_end_of(nodes, what, meanwhile=lambda: True):
 
 def test_robot_that_is_gone_ends_the_run_and_is_named(shell, tmp_path):
     urdf = write_controller(tmp_path)
-    arm = shell.start(str(Path(__file__).parents[2] / 'external_arm.py'), str(urdf), 'left',
-                      log='arm')
+    arm = shell.start(ARM, str(urdf), 'left', log='arm')
     running = shell.multicontact(
         'run', '--external', '--controller', 'controller.yaml', '--namespace', 'left',
         '--robot-timeout', '3', '--out', 'run', log='left')
-    shell.wait_until_said(running, 'left', 'found /left/joint_states from my_arm')
+    shell.wait_for_line(running, 'left', 'found /left/joint_states from my_arm')
     with GuestNode('listener', shell.domain_id, 'left') as listener:
         commands = listener.node.create_subscription(
             topics.EFFORT_COMMAND.message, topics.EFFORT_COMMAND.name, ignore, qos.WATCH)
         for _ in range(500):
-            wait_for(lambda: take(commands), 'commands', lambda: shell.said('left'))
+            wait_for(lambda: take(commands), 'commands', lambda: shell.output('left'))
     arm.kill()
-    code, text = shell.end(running, 'left')
-    assert code == 1, text
+    text = shell.end(running, 'left', code=1)
     assert 'ended: my_arm has not published /left/' in text
     summary = json.loads((tmp_path / 'run/summary.json').read_text())
     assert summary['ended_early'].startswith('my_arm has not published')

@@ -6,6 +6,7 @@ from multicontact_control.config import check_namespace
 from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.graph.domain import reserve_domain
 from multicontact_control.nodes import qos
+from multicontact_control.nodes.graph_node import ignore, take
 from multicontact_control.nodes.link import GuestNode
 from multicontact_control.paths import config_dir
 import pytest
@@ -23,27 +24,21 @@ TICKS = 1000
 EFFORTS = 'effort_controller/commands'
 
 
-class Listener:
+class Listener(GuestNode):
     """A node that hears some topics of both graphs."""
 
     def __init__(self, domain_id):
-        self._guest = GuestNode('listener', domain_id)
-        self.node = self._guest.node
+        super().__init__('listener', domain_id)
 
     def subscribe(self, message, name, profile):
-        subscription = self.node.create_subscription(message, name, lambda _: None, profile)
+        subscription = self.node.create_subscription(message, name, ignore, profile)
         received = []
 
         def newest():
-            handle = subscription.handle
-            with handle:
-                while (taken := handle.take_message(message, False)) is not None:
-                    received.append(taken[0])
+            while (taken := take(subscription)) is not None:
+                received.append(taken[0])
             return received
         return newest
-
-    def close(self):
-        self._guest.close()
 
 
 @pytest.fixture(scope='module')
@@ -62,28 +57,21 @@ def two_runs(tmp_path_factory):
             extra_parameters={'controller_node': {'effort_output_topic': EFFORTS}})
             for seed, side in enumerate(SIDES)]
 
-        def wait_for_both(what, hears):
-            def heard_or_failed():
-                for run in runs:
-                    assert not run.poll(), end_of(run)[1]
-                return hears()
-            return wait_for(heard_or_failed, what)
+        late = {}
+
+        def described_late():
+            """Subscribe to each description long after it was sent, before its graph ends."""
+            for run in runs:
+                assert not run.poll(), end_of(run)[1]
+            for side in SIDES:
+                if side not in late and heard[side]['commands']():
+                    late[side] = listener.subscribe(
+                        String, f'/{side}/robot_description', qos.LATCHED)
+            return len(late) == len(SIDES) and all(newest() for newest in late.values())
 
         try:
-            late = {}
+            wait_for(described_late, 'both descriptions')
 
-            def subscribed_late():
-                for side in SIDES:
-                    if side not in late and heard[side]['commands']():
-                        # The description was said long before this subscription. One that waited
-                        # for the other graph, too, might come after the end of its own.
-                        late[side] = listener.subscribe(
-                            String, f'/{side}/robot_description', qos.LATCHED)
-                return len(late) == len(SIDES)
-
-            wait_for_both('both started', subscribed_late)
-            for side in SIDES:
-                wait_for_both(f'the description of {side}', late[side])
             for run in runs:
                 _, errors = end_of(run)
                 assert run.returncode == 0, errors
@@ -128,26 +116,17 @@ def test_late_subscriber_gets_the_description(two_runs):
 
 
 def test_bare_efforts_are_those_of_the_command(two_runs):
-    _, heard = two_runs
+    """On the topics and in the bag; of both the first ones may be missing."""
+    folders, heard = two_runs
     for side in SIDES:
-        efforts = [tuple(message.data) for message in heard[side]['efforts']]
-        commands = [tuple(message.effort) for message in heard[side]['commands']]
-        # Nobody waits for who listens: of either the first ones may be missing.
-        count = min(len(efforts), len(commands))
-        assert 0 < count <= TICKS
-        assert efforts[-count:] == commands[-count:]
-
-
-def test_bare_efforts_are_in_the_bag(two_runs):
-    folders, _ = two_runs
-    for side in SIDES:
-        efforts = [tuple(x.data) for x in read(
-            folders[side], f'/{side}/{EFFORTS}')]
-        commands = [tuple(x.effort) for x in read(
-            folders[side], f'/{side}/joint_effort_command')]
-        # Nobody waits for who listens to it: the first ones may be missing.
-        assert 0 < len(efforts) <= TICKS
-        assert efforts == commands[-len(efforts):]
+        for efforts, commands in (
+                (heard[side]['efforts'], heard[side]['commands']),
+                (read(folders[side], f'/{side}/{EFFORTS}'),
+                 read(folders[side], f'/{side}/joint_effort_command'))):
+            count = min(len(efforts), len(commands))
+            assert 0 < count <= TICKS
+            assert [tuple(message.data) for message in efforts[-count:]] == [
+                tuple(message.effort) for message in commands[-count:]]
 
 
 @pytest.mark.parametrize(('namespace', 'bare'), [

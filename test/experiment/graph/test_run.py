@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import os
 from pathlib import Path
 import signal
@@ -21,7 +20,6 @@ from multicontact_control.experiment.graph.spec import (
     RECORDER,
     SIM,
 )
-from multicontact_control.experiment.run import GraphOptions, run_real_time
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.nodes.topics import (
     CLOCK,
@@ -34,7 +32,6 @@ from multicontact_control.nodes.topics import (
 )
 import numpy as np
 import pytest
-from rich.console import Console
 from ros_graph import ROOT, wait_for
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import get_typestore, Stores
@@ -200,22 +197,6 @@ def test_run_that_is_interrupted_closes_the_bag(tmp_path):
     recorded = counts(result.bag)
     assert recorded['/joint_states'] >= recorded['/contact_forces/measured'] > 0
     assert node_processes(tmp_path) == {}
-
-
-class Impatient(io.StringIO):
-    """Interrupts as soon as the graph has a domain, which is before anything runs."""
-
-    def write(self, text):
-        if 'ROS_DOMAIN_ID' in text:
-            os.kill(os.getpid(), signal.SIGINT)
-        return super().write(text)
-
-
-def test_run_that_is_interrupted_before_the_first_sample_leaves_no_summary(tmp_path):
-    assert run_real_time(
-        resolve('quick', plant='rigid', seed=0), tmp_path, GraphOptions(speed=0.0),
-        console=Console(file=Impatient(), width=200)) == (None, signal.SIGINT)
-    assert not (tmp_path / 'summary.json').exists() and node_processes(tmp_path) == {}
 
 
 def test_nodes_end_when_the_process_that_started_them_is_killed(tmp_path):

@@ -27,13 +27,6 @@ DISPLAYS = {
     'RobotModel': 'std_msgs/msg/String', 'MarkerArray': 'visualization_msgs/msg/MarkerArray',
     'Wrench': 'geometry_msgs/msg/WrenchStamped', 'Pose': 'geometry_msgs/msg/PoseStamped',
     'Grid': None, 'TF': None}
-IN_RVIZ = {
-    'Tools': {'Interact', 'MoveCamera', 'Select', 'FocusCamera', 'Measure', 'SetInitialPose',
-              'SetGoal', 'PublishPoint'},
-    'Panels': {'Displays', 'Selection', 'Tool Properties', 'Views', 'Time'}}
-PANELS = {
-    '3D', 'DiagnosticStatusPanel', 'DiagnosticSummary', 'Image', 'Indicator', 'Gauge', 'Plot',
-    'RawMessages', 'RosOut', 'StateTransitions', 'Table', 'Tab', 'TopicGraph'}
 DRAWN = {  # by the 3D panel
     'std_msgs/msg/String', 'visualization_msgs/msg/MarkerArray', 'geometry_msgs/msg/PoseStamped'}
 STEP = re.compile(r'\.(?P<field>\w+)(?:\[(?P<index>:|\d+)\])?'
@@ -70,14 +63,6 @@ def frames(recorded):
             for name in (transform.header.frame_id, transform.child_frame_id)}
 
 
-def load_rviz():
-    return yaml.safe_load((config_dir() / 'multicontact.rviz').read_text(encoding='utf-8'))
-
-
-def load_layout():
-    return json.loads((config_dir() / 'foxglove_layout.json').read_text(encoding='utf-8'))
-
-
 def test_recording_is_the_same_to_rosbags_and_mcap_and_in_its_metadata(bag, recorded):
     """Every message decodes with what the file itself says of its type."""
     counts = {topic: len(messages) for topic, (_, messages) in recorded.items()}
@@ -104,14 +89,8 @@ def test_recording_is_the_same_to_rosbags_and_mcap_and_in_its_metadata(bag, reco
 
 
 def test_rviz_shows_what_is_recorded(recorded, frames):
-    rviz = load_rviz()
-    for part, known in IN_RVIZ.items():
-        for each in rviz[part] if part in rviz else rviz['Visualization Manager'][part]:
-            package, name = each['Class'].split('/')
-            assert name in known
-            assert package == ('rviz_common' if part == 'Panels' else 'rviz_default_plugins')
-    manager, shown = rviz['Visualization Manager'], set()
-    assert manager['Views']['Current']['Class'] == 'rviz_default_plugins/Orbit'
+    rviz, shown = yaml.safe_load((config_dir() / 'multicontact.rviz').read_text()), set()
+    manager = rviz['Visualization Manager']
     assert manager['Global Options']['Fixed Frame'] in frames
     for display in manager['Displays']:
         package, name = display['Class'].split('/')
@@ -130,24 +109,6 @@ def test_rviz_shows_what_is_recorded(recorded, frames):
                    for part in getattr(message, 'markers', [message]) if hasattr(part, 'header')]
         assert {header.frame_id for header in headers} <= frames
     assert shown >= {'/robot_description', '/ground_truth/surfaces', '/contact_markers'}
-
-
-def panels_in(node):
-    if isinstance(node, str):
-        return [node]
-    assert node['direction'] in ('row', 'column') and 0 < node['splitPercentage'] < 100
-    return panels_in(node['first']) + panels_in(node['second'])
-
-
-def test_foxglove_layout_has_the_form_of_one():
-    layout = load_layout()
-    assert set(layout) == {
-        'version', 'configById', 'globalVariables', 'userNodes', 'playbackConfig', 'layout'}
-    assert layout['version'] == 1 and layout['playbackConfig'] == {'speed': 1}
-    panels = panels_in(layout['layout'])
-    assert sorted(panels) == sorted(layout['configById'])
-    assert {panel.split('!')[0] for panel in panels} <= PANELS
-    assert all(panel.count('!') == 1 for panel in panels)
 
 
 def resolve_path(path, recorded):
@@ -170,7 +131,8 @@ def resolve_path(path, recorded):
 
 
 def test_foxglove_shows_what_is_recorded(recorded, frames):
-    configs, plotted = load_layout()['configById'], set()
+    layout = json.loads((config_dir() / 'foxglove_layout.json').read_text(encoding='utf-8'))
+    configs, plotted = layout['configById'], set()
     for panel, config in configs.items():
         kind = panel.split('!')[0]
         if kind == '3D':
@@ -192,10 +154,3 @@ def test_foxglove_shows_what_is_recorded(recorded, frames):
         'measured', 'estimated', 'desired', 'noise_variance')} | {'/controller_node/status'}
     variances = [path['value'] for path in configs['Plot!variance']['paths']]
     assert all(value.endswith('.@log10') for value in variances)
-
-
-def test_surfaces_are_recorded_once_and_for_whoever_comes_late(recorded):
-    connection, messages = recorded['/ground_truth/surfaces']
-    assert connection.ext.offered_qos_profiles[0].durability.name == 'TRANSIENT_LOCAL'
-    message, = messages
-    assert [marker.ns for marker in message.markers] == ['surfaces/table', 'surfaces/board']

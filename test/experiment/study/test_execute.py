@@ -2,14 +2,13 @@
 
 import os
 import pickle
-import socket
 
 from mortal_jobs import MortalJob, run_mortal
 from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.experiment.study import jobs as jobs_module
 from multicontact_control.experiment.study.cache import JobCache, prepare_job_folder
 from multicontact_control.experiment.study.execute import dask_client, run_jobs, WORKER_DIED
-from multicontact_control.experiment.study.jobs import code_stamp, job_of, JobResult
+from multicontact_control.experiment.study.jobs import job_of, JobResult
 from multicontact_control.experiment.study.measure import measure_run
 from multicontact_control.experiment.study.presets.faults.jobs import FaultJob, run_fault_job
 import numpy as np
@@ -56,21 +55,10 @@ def test_key_is_that_of_the_values_and_not_of_how_they_were_given():
     assert given.key() != job_of('quick', 'rigid', 0, preset='paper').key()
 
 
-def test_key_changes_with_every_source_of_both_packages(tmp_path, monkeypatch):
-    stamps, before = [], job_of('quick', 'rigid', 0).key()
-    with monkeypatch.context() as patch:
-        patch.setattr(jobs_module, 'code_stamp', lambda: 'other code')
-        assert job_of('quick', 'rigid', 0).key() != before
-    monkeypatch.setattr(jobs_module, '__file__', str(
-        tmp_path / 'multicontact_control/experiment/study/jobs.py'))
-    for name, text in (('multicontact_control/law.py', 'a'), ('multicontact_control/law.py', 'b'),
-                       ('multicontact_control/a/new.py', ''), ('sim_bridge/plant.py', '')):
-        path = tmp_path / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text)
-        stamps += [code_stamp.__wrapped__(), code_stamp.__wrapped__()]
-    assert stamps[::2] == stamps[1::2]
-    assert len(set(stamps)) == 4
+def test_key_changes_with_the_sources(monkeypatch):
+    before = job_of('quick', 'rigid', 0).key()
+    monkeypatch.setattr(jobs_module, 'code_stamp', lambda: 'other code')
+    assert job_of('quick', 'rigid', 0).key() != before
 
 
 def test_jobs_run_once_and_again_only_if_their_result_is_not_whole(tmp_path):
@@ -98,14 +86,6 @@ def test_results_before_an_interruption_are_kept(tmp_path):
     (JobCache(tmp_path).folder / f'{run.keys[seeds()[0]]}.json').unlink()
     with pytest.raises(RunError, match='expected a finished job'):
         run.result(seeds()[0])
-
-
-def test_bad_job_is_refused_before_anything_runs(tmp_path):
-    task = Task()
-    bad = job_of('quick', 'rigid', 0, controller={'force': {'damping_rate': -1.0}})
-    with pytest.raises(ConfigError, match='damping_rate'):
-        run_jobs([*seeds(), bad], tmp_path, task, workers=1)
-    assert task.ran == []
 
 
 def test_folder_keeps_other_files_and_drops_results_on_request(tmp_path):
@@ -161,23 +141,3 @@ def test_cluster_gives_the_same_results_and_ends_with_a_dead_worker(tmp_path, mo
         monkeypatch.setattr(MortalJob, 'key', lambda self: 'of other code')
         with pytest.raises(RunError, match='other code'):
             run_jobs([MortalJob(1)], tmp_path, run_mortal, client=client)
-
-
-def test_address_that_is_none_or_does_not_answer_is_refused():
-    pytest.importorskip('distributed')
-    with socket.socket() as unused:  # bound and not listening
-        unused.bind(('127.0.0.1', 0))
-        for address in ('nonsense://x:1', 'localhost:notaport', ' ',
-                        f'tcp://127.0.0.1:{unused.getsockname()[1]}'):
-            with pytest.raises(ConfigError, match=f'^dask: .*{address}'), dask_client(address):
-                pass
-
-
-def test_run_that_ends_at_once_counts_as_unstable():
-    """Stretched out, where nothing damps what a singular posture asks for: no first torque."""
-    metrics = measure_run(job_of(
-        'disturbance', 'rigid', 0, duration=1.7, plant_overrides={'home': [0.0] * 6},
-        controller={'limits': {'singular_mobility': 0.0}})).metrics
-    assert metrics['summary']['stable'] is False and metrics['evidence']['stable'] is False
-    assert metrics['summary']['ended_early'].startswith('tick 0: ')
-    assert metrics['final_error_share'] is None

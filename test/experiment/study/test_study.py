@@ -66,12 +66,3 @@ def test_all_bad_values_are_named_before_the_folder_is_made(tmp_path):
             tmp_path / 'out', jobs=2, dask='tcp://127.0.0.1:1'), Console(quiet=True))
     assert [each.field for each in error.value.errors] == ['jobs', 'plant', 'estimators']
     assert not (tmp_path / 'out').exists()
-
-
-@pytest.mark.parametrize('study', [
-    ComparisonStudy(seeds=0), LawStudy(seeds=0), LawStudy(presets=('wurst',)),
-    LawStudy(plants=('wurst',)), RobotStudy(seeds=0), RobotStudy(engines=('ode',)),
-    TuneStudy('pid'), FaultStudy(-1), RobustnessStudy(('ur5',), ('fixed',), (1.0,))])
-def test_bad_study_is_refused(study):
-    with pytest.raises(ConfigError):
-        study.check()

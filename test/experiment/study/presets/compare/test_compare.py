@@ -2,7 +2,6 @@
 
 from multicontact_control.experiment.study.presets.compare.matrix import (
     AOB,
-    beside_the_matrix,
     CAUSE,
     comparison_matrix,
     ESTIMATORS,
@@ -16,7 +15,6 @@ from multicontact_control.experiment.study.presets.compare.results import (
     comparison_listing,
     findings,
 )
-from multicontact_control.experiment.study.presets.compare.study import ComparisonStudy
 import pytest
 
 
@@ -50,33 +48,6 @@ def test_matched_and_rescaled_estimators_are_those_of_the_preset(tmp_path):
     assert 60.0 < gain < 80.0  # it goes about with the inverse square of the zero
     assert rescaled.noise_estimator.variance_scale == pytest.approx(2.0 * gain)
     assert matched.controller.force.process_noise == pytest.approx(0.01 / gain)
-
-
-def test_matrix_compensates_no_friction_where_there_is_none():
-    rigid, puma = (comparison_matrix((plant,), ('fixed',), 1)[0].job.setup()
-                   for plant in ('rigid', 'puma'))
-    assert rigid.controller.friction.coulomb == ()
-    assert puma.controller.friction.coulomb != ()
-
-
-def test_quick_matrix_covers_both_plants_and_the_estimators_that_decide():
-    entries = ComparisonStudy(quick=True).entries()
-    assert {(entry.job.plant, entry.label) for entry in entries if entry.kind == AOB} == {
-        (plant, label) for plant in ('rigid', 'puma')
-        for label in ('lead_window', 'fixed', RESCALED, MATCHED)}
-    rates = {entry.job.setup().controller.force.damping_rate for entry in entries}
-    assert rates >= {20.0, 60.0, 100.0}
-    rates = {entry.job.setup().controller.force.damping_rate for entry in ComparisonStudy(
-        ('rigid',), ('fixed',), 1, quick=True, preset='best').entries()}
-    assert rates == {100.0}
-
-
-def test_causes_are_looked_for_only_with_flexible_drives():
-    assert not [entry for entry in beside_the_matrix(('rigid',), 1) if entry.kind == 'cause']
-    smooth = next(entry for entry in beside_the_matrix(('puma',), 1) if 'noise' in entry.label)
-    plant = smooth.job.setup().plant
-    assert not plant.sensor.noise
-    assert all(surface.roughness_std == 0.0 for surface in plant.surfaces.values())
 
 
 def row(label, kind=AOB, *, seed=0, stable=True, push=0.25, plant='puma'):

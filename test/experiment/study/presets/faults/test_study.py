@@ -55,9 +55,8 @@ def test_row_does_not_depend_on_the_faults_before_it():
     assert [run_fault_job(piece).metrics for piece in (job, later)] == fresh[::-1]
 
 
-@pytest.mark.parametrize('plant', [
-    pytest.param('rigid', marks=pytest.mark.slow),
-    pytest.param('puma', marks=pytest.mark.nightly)])
+@pytest.mark.nightly
+@pytest.mark.parametrize('plant', ['rigid', 'puma'])
 def test_one_fault_of_every_kind_is_safe(tmp_path, plant):
     rows = run_study(FaultStudy(20, quick=True, plants=(plant,)), StudyOptions(tmp_path, jobs=1))
     assert len(rows) == len(KINDS) + QUICK_PAIRS

@@ -12,8 +12,6 @@ from multicontact_control.experiment.study.presets.laws.jobs import (
     VANISHING,
 )
 from multicontact_control.experiment.study.presets.laws.study import (
-    law_findings,
-    law_listing,
     law_rows,
     LawStudy,
 )
@@ -41,16 +39,6 @@ def test_situations_change_the_plant_and_nothing_else():
     assert rough.plant.joint_friction_scale == pytest.approx(
         4.0 * plain.plant.joint_friction_scale)
     assert plain.controller == stiff.controller == late.controller == rough.controller
-
-
-def test_settings_are_laid_over_the_preset():
-    job = LawJob('laws/dob', 'puma', 0, TASK, settings=(
-        ('controller.force.dob.bandwidth', 33.0), ('noise_estimator.slew_time', 0.02)))
-    setup = job.setup()
-    assert setup.controller.force.law == 'dob'
-    assert setup.controller.force.dob.bandwidth == 33.0
-    assert setup.noise_estimator.slew_time == 0.02
-    assert job.key() != LawJob('laws/dob', 'puma', 0, TASK).key()
 
 
 @pytest.mark.slow
@@ -86,25 +74,6 @@ def test_rows_are_medians_of_the_worse_contact():
     assert (row['stable'], row['runs']) == (3, 3)
     row, = rows_of({('best', 1, TASK, 1.0): metrics(push_off_s=None)})
     assert row['push_off_s'] is None
-
-
-def test_table_tells_stable_from_calm():
-    lost = metrics() | {'stable': False}
-    rows = rows_of({
-        ('best', 1, TASK, 1.0): metrics(), ('best', 1, STIFFNESS, 2.0): metrics(),
-        ('best', 1, STIFFNESS, 5.0): lost, ('best', 1, STIFFNESS, 20.0): lost | {
-            'oscillates': True}})
-    assert law_listing(rows, 'puma').lines[0].cells[10] == '2 (5)'
-
-
-def test_findings_rank_laws_by_their_figures():
-    quiet, loud, failed = law_findings(rows_of({
-        ('best', 1, TASK, 1.0): metrics(),
-        ('laws/pi', 1, TASK, 1.0): metrics() | {'activity_nm': 5.0},
-        ('laws/lqg', 1, TASK, 1.0): metrics() | {'stable': False}}))
-    assert 'smooth torque' in quiet.split('not at')[0]
-    assert 'smooth torque (5.00 N m)' in loud.split('not at')[1]
-    assert '1 of 1' in failed
 
 
 def test_every_law_has_ranges_whose_ends_are_acceptable():

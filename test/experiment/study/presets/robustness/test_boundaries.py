@@ -1,42 +1,20 @@
-import math
 
 from multicontact_control.experiment.closed_loop import run_in_process
-from multicontact_control.experiment.judge import judge
-from multicontact_control.experiment.metrics import quiet_windows
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.experiment.study.measure import final_error_share
 from multicontact_control.experiment.study.presets.compare.matrix import (
-    comparison_matrix,
     controller_values,
 )
 from multicontact_control.experiment.study.presets.robustness.boundaries import (
     arm_loop,
     map_job,
-    ratios,
     SETTLED,
     verdict,
 )
 from multicontact_control.experiment.study.presets.robustness.study import (
-    robustness_study,
     stable_range,
 )
 import pytest
-
-
-@pytest.mark.parametrize('count', [8, 13])
-def test_ratios_span_a_tenth_to_twenty_with_one_among_them(count):
-    grid = ratios(count)
-    assert (grid[0], grid[-1], len(grid)) == (0.1, 20.0, count)
-    assert 1.0 in grid and grid == sorted(grid)
-    steps = [math.log(high / low) for low, high in zip(grid, grid[1:])]
-    assert max(steps) < 1.2 * min(steps)
-
-
-def test_quick_map_is_a_part_of_the_whole():
-    whole, quick = robustness_study(), robustness_study(quick=True)
-    assert (len(quick.jobs()), len(whole.jobs())) == (2 * 8 * 4, 2 * 8 * 13 * 4)
-    assert set(quick.plants) < set(whole.plants)
-    assert set(quick.estimators) < set(whole.estimators)
 
 
 def test_stable_range_is_what_is_connected_with_the_model():
@@ -58,12 +36,12 @@ def test_map_job_changes_only_the_plant():
     assert setup.controller.force.input_delay == 0.006
 
 
-def test_arm_loop_boundary_is_where_the_radius_is_one():
-    loops = [arm_loop(map_job(1.0, delay, 'fixed').setup()) for delay in (1, 3)]
-    assert loops[0].radius(0.6)(loops[0].boundary(0.6)) == pytest.approx(1.0, abs=1e-5)
-    # It bears more with less delay and a slower observer.
-    assert loops[0].boundary(0.6) > loops[1].boundary(0.6)
-    assert loops[0].boundary(100.0) > loops[0].boundary(0.6)
+@pytest.mark.slow
+def test_arm_loop_boundary_is_where_the_radius_is_one_and_lower_with_more_delay():
+    quick, late = (arm_loop(map_job(1.0, delay, 'fixed').setup()) for delay in (1, 3))
+    boundary = quick.boundary(0.6)
+    assert quick.radius(0.6)(boundary) == pytest.approx(1.0, abs=1e-5)
+    assert boundary > late.boundary(0.6)
 
 
 LOW_PASS = {'sensor': {'filter_order': 2, 'filter_cutoff': 60.0}}
@@ -86,14 +64,6 @@ def setup_of(ratio, damping_rate=60.0, controller=None, **plant):
 def settles(setup):
     result = run_in_process(setup)
     return not result.ended_early and final_error_share(result.data, setup) <= SETTLED
-
-
-def test_observer_of_the_linear_loop_is_the_controllers():
-    """Force, rate, the inputs under way and the active state; a low-pass adds to those inputs."""
-    for sensor, under_way in (({}, 1), (LOW_PASS, 3)):
-        setup = setup_of(1.0, controller=sensor)
-        assert math.ceil(setup.controller.loop_delay * 500.0 - 1e-9) == under_way
-        assert arm_loop(setup).observer.feedback.shape == (2 + under_way + 1,)
 
 
 @pytest.mark.slow
@@ -129,21 +99,3 @@ def test_linear_boundary_is_the_simulated_one_within_a_tenth(damping_rate):
     assert not settles(setup(1.1 * linear))
     # What eq. 32 leaves out makes it more robust.
     assert loop.paper_boundary(0.6) < 0.9 * linear
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize('label', ['lead_window', 'fixed'])
-def test_estimator_in_motion_on_flexible_drives(label):
-    """The paper's on-line R holds both contacts; R fixed at 0.6 fails within 5 s of motion."""
-    job = comparison_matrix(('puma',), (label,), 1, plain=False, duration=13.0)[0].job
-    setup = job.setup()
-    data = run_in_process(setup).data
-    found = judge(data, setup).unstable_at
-    if label == 'fixed':
-        assert found is not None and 0.0 < found - 9.0 < 5.0
-        return
-    assert found is None and judge(data, setup).reasons == ()
-    moving = quiet_windows(data, setup)[1]
-    error = (data.alpha_true - setup.commanded(data.time))[moving]
-    assert (data.alpha_true[moving] > 0.0).all()
-    assert ((error ** 2).mean(axis=0) ** 0.5 < 3.0).all()
