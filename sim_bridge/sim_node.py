@@ -285,7 +285,7 @@ class SimNode(Node):
 
     @property
     def _realtime_factor(self) -> float:
-        """Simulated time over wall time of the run so far."""
+        """Return simulated time over wall time of the run so far."""
         wall = (time.monotonic_ns() - self._start) * 1e-9
         return self._tick / self._config.rate / wall if self._tick else 0.0
 

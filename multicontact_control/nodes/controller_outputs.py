@@ -156,6 +156,7 @@ class ContactMarkers:
         self._arrows = [_arrow(f'{NAMESPACE}/{name}{kind}', number, colour)
                         for kind, colour in KINDS for number, name in enumerate(self._names)]
         self._message = MarkerArray(markers=self._arrows)
+
     def due(self, tick: int) -> bool:
         """Return whether the sample `tick` is one to show."""
         return self._every > 0 and tick % self._every == 0

@@ -16,7 +16,7 @@ def _innovations(count, rng, contacts=1):
 
 
 def test_innovation_gives_the_observers_residual_and_posterior_variance():
-    """e = y - C x and C P C^T, from r, C P_1 C^T and R alone; 0 where there is none."""
+    """Test e = y - C x and C P C^T, from r, C P_1 C^T and R alone; 0 where there is none."""
     observer, rng = observer_of(), np.random.default_rng(17)
     for _ in range(20):
         force, variance = rng.standard_normal(), 10.0 ** rng.uniform(-3, 3)

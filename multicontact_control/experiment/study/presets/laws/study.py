@@ -150,6 +150,7 @@ class LawStudy(Study[LawJob, list[Mapping[str, Any]]]):
             [Section(f'Plant {plant}', law_listing(content, plant)) for plant in self.plants],
             introduction=[INTRODUCTION], findings=law_findings(content))
 
+
 def law_rows(jobs: Sequence[LawJob], metrics_of: Callable[[LawJob], Row]) -> list[Row]:
     """Return one row for each law on each plant: medians over runs, of the worse contact."""
     rows: list[Row] = []
