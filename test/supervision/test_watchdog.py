@@ -50,7 +50,8 @@ def warm(ticks=20):
 
 FAULTS = [
     ('joints', put(np.nan), 'joints_invalid'), ('joints', put(2e3), 'joints_implausible'),
-    ('joints', put(HOME[0] + 0.02), 'joints_jump'), ('wrench', put(np.inf), 'wrench_invalid'),
+    ('joints', put(HOME[0] + 0.02), 'joints_jump'), ('joints', put(HOME[0] - 0.02), 'joints_jump'),
+    ('wrench', put(np.inf), 'wrench_invalid'),
     ('wrench', put(2e6), 'wrench_invalid'), ('wrench', put(100.0), 'wrench_saturated'),
     ('variance', put(np.nan), 'variance_invalid'), ('variance', put(-1.0), 'variance_invalid'),
     ('joints', lambda x, s: changed(x, s, q=[0.0] * 5), 'joints_invalid'),
