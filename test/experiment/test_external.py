@@ -55,17 +55,6 @@ def test_later_files_preset_scenario_law_and_settings_are_laid_over(file, tmp_pa
     assert folder.is_dir()
 
 
-def test_one_file_may_be_of_both_nodes(file, tmp_path):
-    content = yaml.safe_load(file.read_text())
-    content['noise_estimator_node'] = {'ros__parameters': {'estimator': 'window', 'window': 20}}
-    file.write_text(yaml.safe_dump(content))
-    estimator = resolve_external([file]).setup.noise_estimator
-    assert (estimator.estimator, estimator.window) == ('window', 20)
-    own = laid_over(tmp_path, {'estimator': 'fixed'}, 'noise_estimator_node')
-    setup = resolve_external([file], estimator_file=own).setup
-    assert setup.noise_estimator.estimator == 'fixed'
-
-
 def test_what_a_file_says_for_every_node_lies_below_the_sections_of_both(file):
     content = yaml.safe_load(file.read_text())
     content['/**'] = {'ros__parameters': {

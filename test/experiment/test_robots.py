@@ -1,11 +1,8 @@
 """Robots in the loop: other arms, other rates, encoders with steps, a sensor mounted wrong."""
 
-from arms import HOME
 from multicontact_control.config import (
-    SensorFrontEndConfig,
     WatchdogConfig,
 )
-from multicontact_control.errors import CommandError
 from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.scenario import resolve
 import numpy as np
@@ -105,18 +102,3 @@ def test_encoder_with_steps_is_not_taken_for_a_frozen_one(samples, trips):
     loop.close()
     assert ('joints_frozen' in loop.control.rejected) == trips
     assert trips or set(loop.control.reactions) == {'none'}
-
-
-def test_with_a_flipped_sensor_nothing_moves_before_the_push_test_is_passed():
-    """As it is by default: every command is refused, and the arm stays where it is."""
-    loop = ClosedLoop(resolve('quick', plant='rigid', controller={
-        'sensor': {'require_push_test': SensorFrontEndConfig().require_push_test}}),
-        commanded=True)
-    for _ in range(300):
-        loop.advance(lambda inputs: inputs._replace(
-            wrench=inputs.wrench._replace(wrench=-inputs.wrench.wrench)))
-        with pytest.raises(CommandError, match='push_test'):
-            loop.control.set_forces({'table': 10.0, 'board': 10.0})
-    assert np.abs(loop.sample.q - HOME).max() < 1e-3
-    assert not loop.control.output.active.any()
-    loop.close()

@@ -256,7 +256,7 @@ def test_robot_that_is_gone_ends_the_run_and_is_named(shell, tmp_path):
     with GuestNode('listener', shell.domain_id, 'left') as listener:
         commands = listener.node.create_subscription(
             topics.EFFORT_COMMAND.message, topics.EFFORT_COMMAND.name, ignore, qos.WATCH)
-        for _ in range(500):
+        for _ in range(250):
             wait_for(lambda: take(commands), 'commands', lambda: shell.output('left'))
     arm.kill()
     text = shell.end(running, 'left', code=1)

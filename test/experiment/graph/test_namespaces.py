@@ -94,6 +94,7 @@ def read(folder, topic):
                 for x, _, data in reader.messages(connections)]
 
 
+@pytest.mark.nightly
 def test_each_graph_records_its_own_topics_only(two_runs):
     folders, _ = two_runs
     for side in SIDES:
@@ -107,6 +108,7 @@ def test_each_graph_records_its_own_topics_only(two_runs):
     assert positions[0] != positions[1]  # the seeds differ, and so do the graphs
 
 
+@pytest.mark.nightly
 def test_late_subscriber_gets_the_description(two_runs):
     folders, heard = two_runs
     expected = (config_dir() / 'puma560.urdf').read_text(encoding='utf-8')
@@ -115,6 +117,7 @@ def test_late_subscriber_gets_the_description(two_runs):
         assert [x.data for x in read(folders[side], f'/{side}/robot_description')] == [expected]
 
 
+@pytest.mark.nightly
 def test_bare_efforts_are_those_of_the_command(two_runs):
     """On the topics and in the bag; of both the first ones may be missing."""
     folders, heard = two_runs

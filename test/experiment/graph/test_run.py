@@ -61,10 +61,10 @@ def make_spec(folder, *, plant='rigid', ticks=TICKS, seed=0, estimator='lead_win
         reference_file=config / 'reference.yaml', **options)
 
 
-def read(bag, topic):
+def read(bag, name):
     """Return the messages of one topic of a bag."""
     with Reader(bag) as reader:
-        connections = [x for x in reader.connections if x.topic == f'/{topic.name.lstrip("/")}']
+        connections = [x for x in reader.connections if x.topic == f'/{name.lstrip("/")}']
         return [STORE.deserialize_cdr(data, connection.msgtype)
                 for connection, _, data in reader.messages(connections)]
 
@@ -114,16 +114,16 @@ def test_graph_is_the_run_in_process_bit_for_bit(
     run = run_of(setup, supervised=supervised)
     events = [(pytest.approx(time), what) for time, what in run.events]
     assert [tuple(event) for event in result.timing[CONTROLLER]['events']] == events
-    commands = read(result.bag, EFFORT_COMMAND)
+    commands = read(result.bag, EFFORT_COMMAND.name)
     torque = np.array([message.effort for message in commands])
-    variance = np.array([message.effort for message in read(result.bag, NOISE_VARIANCE)])
+    variance = np.array([message.effort for message in read(result.bag, NOISE_VARIANCE.name)])
     assert torque.tobytes() == run.data.torque.tobytes()
     assert variance.tobytes() == run.data.noise_variance.tobytes()
     for series, field in (('stiffness_est', 'position'), ('stiffness', 'effort')):
-        found = np.array([getattr(message, field) for message in read(result.bag, STIFFNESS)])
+        found = np.array([getattr(message, field) for message in read(result.bag, STIFFNESS.name)])
         if found.size:
             assert found.tobytes() == getattr(run.data, series).tobytes()
-    assert [message.clock for message in read(result.bag, CLOCK)] == [
+    assert [message.clock for message in read(result.bag, CLOCK.name)] == [
         message.header.stamp for message in commands]
     sim = result.timing[SIM]
     assert sim['ticks'] == TICKS and result.timing[RECORDER]['lost'] == 0
@@ -132,15 +132,19 @@ def test_graph_is_the_run_in_process_bit_for_bit(
 
 
 def test_free_run_records_every_sample_at_its_rate_and_counts_misses(tmp_path):
-    _, spec = make_spec(tmp_path, free_running=True)
+    _, spec = make_spec(tmp_path, free_running=True, extra_parameters={
+        CONTROLLER: {'effort_output_topic': 'bare/efforts'}})
     seen = []
     result = run_graph(spec, seen.append)
     assert result.timing[SIM]['ticks'] == TICKS
-    stamps = [message.header.stamp for message in read(result.bag, TOPICS[0])]
+    stamps = [message.header.stamp for message in read(result.bag, TOPICS[0].name)]
     steps = np.diff([stamp.sec * 10**9 + stamp.nanosec for stamp in stamps])
     np.testing.assert_array_equal(steps[steps > 0], 2_000_000)
     assert 0 <= result.timing[SIM]['deadline_misses'] <= TICKS
-    reporters = {status.name.split(':')[0] for message in read(result.bag, DIAGNOSTICS)
+    efforts = [tuple(message.data) for message in read(result.bag, 'bare/efforts')]
+    commands = [tuple(message.effort) for message in read(result.bag, EFFORT_COMMAND.name)]
+    assert efforts and set(efforts) <= set(commands)
+    reporters = {status.name.split(':')[0] for message in read(result.bag, DIAGNOSTICS.name)
                  for status in message.status}
     assert reporters == {CONTROLLER, ESTIMATOR, RECORDER, SIM}
     assert seen and set(seen[-1].forces) == {'table', 'board'}

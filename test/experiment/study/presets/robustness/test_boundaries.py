@@ -36,7 +36,6 @@ def test_map_job_changes_only_the_plant():
     assert setup.controller.force.input_delay == 0.006
 
 
-@pytest.mark.slow
 def test_arm_loop_boundary_is_where_the_radius_is_one_and_lower_with_more_delay():
     quick, late = (arm_loop(map_job(1.0, delay, 'fixed').setup()) for delay in (1, 3))
     boundary = quick.boundary(0.6)
