@@ -36,7 +36,6 @@ DRIVE = np.dtype([
     ('stiffness', np.float64),  # of the spring [N m/rad]
     ('damping', np.float64),  # of the spring [N m s/rad]
     ('friction', FRICTION),  # of the rotor
-    ('link_torque', np.float64),  # of the spring on the link [N m]
 ])
 
 
@@ -68,20 +67,22 @@ def joint_friction(arm: Arm, scale: float, speed: float) -> Records:
 
 
 @compiled
-def clip_torque(torque: Vector, limit: Vector) -> tuple[bool, bool]:
-    """Clip torques in place, shape (n,); return whether all are finite and whether any was cut."""
-    finite, clipped = True, False
+def clip_torque(torque: Vector, limit: Vector, clipped: Vector) -> tuple[bool, bool]:
+    """Clip torques, shape (n,); return whether all are finite and whether any was cut."""
+    finite, cut = True, False
     for joint in range(torque.shape[0]):
         asked = torque[joint]
-        torque[joint] = min(max(asked, -limit[joint]), limit[joint])
+        clipped[joint] = min(max(asked, -limit[joint]), limit[joint])
         finite = finite and np.isfinite(asked)
-        clipped = clipped or torque[joint] != asked
-    return finite, clipped
+        cut = cut or clipped[joint] != asked
+    return finite, cut
 
 
-class FlexibleDrives:
+def flexible_drives(
+    inertia: Vector, stiffness: Vector, damping: Vector, friction: Records,
+) -> Records:
     """
-    Rotors joined to the links by springs, with friction on the rotors.
+    Return rotors joined to the links by springs, with friction on the rotors.
 
     Parameters
     ----------
@@ -91,40 +92,23 @@ class FlexibleDrives:
         Of the springs, shape (n,) [N m/rad], [N m s/rad].
     friction
         Records of `FRICTION`, shape (n,).
-    step
-        Integration step [s].
 
-    Attributes
-    ----------
-    q, qd
-        Rotor angles and speeds over the gear, shape (n,) [rad], [rad/s].
+    Returns
+    -------
+    Records
+        Records of `DRIVE`, shape (n,).
 
     """
-
-    def __init__(
-        self, inertia: Vector, stiffness: Vector, damping: Vector, friction: Records, step: float,
-    ) -> None:
-        self._drives: Any = np.zeros(len(inertia), dtype=DRIVE)
-        self._drives['inertia'] = inertia
-        self._drives['stiffness'], self._drives['damping'] = stiffness, damping
-        self._drives['friction'], self._step = friction, step
-        self._link_torque: Vector = self._drives['link_torque']
-        self.q: Vector = self._drives['q']
-        self.qd: Vector = self._drives['qd']
-
-    def reset(self, q: Vector, torque: Vector) -> None:
-        """Rest with the links at `q` [rad] and the springs wound up by `torque` [N m]."""
-        self.q[:] = q + torque / self._drives['stiffness']
-        self.qd[:] = 0.0
-
-    def advance(self, torque: Vector, _load: Vector, q: Vector, qd: Vector) -> Vector:
-        """Advance the rotors by one step and return the torque on the links, shape (n,) [N m]."""
-        advance_drives(torque, q, qd, self._drives, self._step)
-        return self._link_torque
+    drives = np.zeros(len(inertia), dtype=DRIVE)
+    drives['inertia'], drives['friction'] = inertia, friction
+    drives['stiffness'], drives['damping'] = stiffness, damping
+    return drives
 
 
 @compiled
-def advance_drives(torque: Vector, q: Vector, qd: Vector, drives: Any, step: float) -> None:
+def advance_drives(
+    torque: Vector, q: Vector, qd: Vector, drives: Any, step: float, link_torque: Vector,
+) -> None:
     """
     Advance the rotors by one step and give what their springs do to the links.
 
@@ -138,15 +122,17 @@ def advance_drives(torque: Vector, q: Vector, qd: Vector, drives: Any, step: flo
     q, qd
         Link side of the joints at the start of the step, shape (n,) [rad], [rad/s].
     drives
-        Records of `DRIVE`, shape (n,): rotors and torques on the links are changed.
+        Records of `DRIVE`, shape (n,): the rotors are moved.
     step
         Length of the step [s].
+    link_torque
+        Filled with the springs' torques on the links, shape (n,) [N m].
 
     """
-    for joint in range(q.shape[0]):
+    for joint in range(drives.shape[0]):
         drive = drives[joint]
         twist = drive.stiffness * (drive.q - q[joint]) + drive.damping * (drive.qd - qd[joint])
-        drive.link_torque = twist
+        link_torque[joint] = twist
         free = drive.qd + step / drive.inertia * (torque[joint] - twist)
         drive.qd = implicit_speed(free, step, drive.inertia, drive.friction)
         drive.q += step * drive.qd
@@ -178,49 +164,35 @@ class RigidDrives:
         self._frictionless = not any(
             friction[name].any() for name in ('viscous', 'coulomb_positive', 'coulomb_negative'))
 
-    def reset(self, _q: Vector, _torque: Vector) -> None:
-        """Rest: nothing is remembered."""
-
-    def advance(self, torque: Vector, load: Vector, q: Vector, qd: Vector) -> Vector:
+    def advance(
+        self, torque: Vector, total: Vector, q: Vector, qd: Vector, link_torque: Vector,
+    ) -> None:
         """
-        Return what to apply to the links for one step.
+        Work out what to apply to the links for one step.
 
         Parameters
         ----------
         torque
             Motor torque, joint side, shape (n,) [N m].
-        load
-            What everything outside the arm does to the joints, gravity apart, shape (n,) [N m].
+        total
+            The same and what everything outside the arm does to the joints, gravity apart, shape
+            (n,) [N m].
         q, qd
             State at the start of the step, shape (n,) [rad], [rad/s].
-
-        Returns
-        -------
-        Vector
-            Torque on the links, shape (n,) [N m].
+        link_torque
+            Filled with the torque on the links, shape (n,) [N m].
 
         """
-        acceleration = pin.aba(self._model, self._data, q, qd, torque + load)
-        if self._frictionless:
-            return np.asarray(torque - self._armature * acceleration)
-        inertia = mass_matrix(self._model, self._data, q)
-        speed = qd.copy()
-        implicit_joint_speed(
-            qd + self._step * acceleration, self._step, inertia, self._friction, speed)
-        slowed = (speed - qd) / self._step
-        friction = inertia @ (acceleration - slowed)
-        return np.asarray(torque - friction - self._armature * slowed)
-
-
-class EngineDrives:
-    """Rotors that turn with the links, in an engine that knows of them: it gets the torque."""
-
-    def reset(self, _q: Vector, _torque: Vector) -> None:
-        """Rest: nothing is remembered."""
-
-    def advance(self, torque: Vector, _load: Vector, _q: Vector, _qd: Vector) -> Vector:
-        """Return the motor torque as it is, shape (n,) [N m]."""
-        return torque
+        acceleration = pin.aba(self._model, self._data, q, qd, total)
+        if not self._frictionless:
+            inertia = mass_matrix(self._model, self._data, q)
+            speed = qd.copy()
+            implicit_joint_speed(
+                qd + self._step * acceleration, self._step, inertia, self._friction, speed)
+            slowed = (speed - qd) / self._step
+            torque = torque - inertia @ (acceleration - slowed)
+            acceleration = slowed
+        np.subtract(torque, self._armature * acceleration, out=link_torque)
 
 
 @compiled

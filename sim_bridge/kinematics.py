@@ -37,7 +37,7 @@ def mass_matrix(model: pin.Model, data: pin.Data, q: Vector) -> Matrix:
 
 
 @compiled
-def forward_kinematics(q: Vector, links: Any, last_rotation: Matrix) -> None:
+def forward_kinematics(q: Vector, links: Any) -> None:
     """
     Place a chain of revolute joints, each about the z axis of its own frame.
 
@@ -47,8 +47,6 @@ def forward_kinematics(q: Vector, links: Any, last_rotation: Matrix) -> None:
         Joint angles, shape (n,) [rad].
     links
         Records of `LINK`, shape (n,): axis, axes and origin are filled in.
-    last_rotation
-        Filled with the last link's axes as columns, world axes, shape (3, 3).
 
     """
     rotation = np.eye(3)
@@ -73,7 +71,15 @@ def forward_kinematics(q: Vector, links: Any, last_rotation: Matrix) -> None:
             links[joint].axis[row] = turned[row, 2]
             links[joint].origin[row] = position[row]
         copy_matrix(rotation, links[joint].axes)
-    copy_matrix(rotation, last_rotation)
+
+
+@compiled
+def place_point(local: Vector, link: Any, point: Vector) -> None:
+    """Fill `point` with a point of a link given in its frame, world axes, shape (3,) [m]."""
+    for row in range(3):
+        point[row] = link.origin[row]
+        for column in range(3):
+            point[row] += link.axes[row, column] * local[column]
 
 
 @compiled

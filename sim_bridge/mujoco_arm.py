@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import mujoco
 from multicontact_control.arrays import Matrix, Vector
+from multicontact_control.config import Vector3
 from multicontact_control.errors import ConfigError
 import numpy as np
 import pinocchio as pin
@@ -46,9 +47,8 @@ class MujocoArm(EngineArm):
         self._model = mujoco.MjModel.from_xml_string(mjcf_text(arm, config, self._planes))
         self._set_inertias(arm)
         self._data = mujoco.MjData(self._model)
-        self._sensor = self._model.body(SENSOR_FRAME).id
-        self._tool = self._model.body(TOOL_LINK).id
-        self._links = [self._model.body(f'link{i + 1}').id for i in range(len(arm.links))]
+        self._bodies = [self._model.body(name).id for name in (
+            *(f'link{i + 1}' for i in range(len(arm.links))), TOOL_LINK)]
         if native:
             # Rotors that are not behind springs, which the engine then carries itself.
             self._model.dof_armature[:] = np.array(arm.armature) * (config.drives == 'rigid')
@@ -64,8 +64,9 @@ class MujocoArm(EngineArm):
         self._forces[:] = 0.0
         self._placed = False
 
-    def _push(self, link: int, force: list[float], point: list[float]) -> None:
-        data = self._data
+    def push(self, body: int, force: Vector3, point: Vector3) -> None:
+        """Apply a force at a point for one step; see `EngineArm`."""
+        data, link = self._data, self._bodies[body]
         if not self._placed:
             mujoco.mj_kinematics(self._model, data)  # where the link is now, not a step ago
             self._placed = True
@@ -115,7 +116,7 @@ class MujocoArm(EngineArm):
         contact for and d its impedance; solref is (-k d, -b d).
         """
         model = self._model
-        tool, last = self._tool, 0
+        tool, last = self._bodies[-1], 0
         for i, plane in enumerate(self._planes):
             inverse_mass = model.body_invweight0[tool, 0] + model.body_invweight0[last, 0]
             scale = inverse_mass * (1.0 - IMPEDANCE)
