@@ -6,7 +6,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from multicontact_control.arrays import Vector
-from multicontact_control.config import Vector3
 import pybullet as bullet
 from sim_bridge.arm import Arm, SENSOR_FRAME, TOOL_LINK, urdf_text
 from sim_bridge.engine_arm import EngineArm
@@ -16,22 +15,9 @@ MAX_JOINT_SPEED = 1e4
 
 class BulletArm(EngineArm):
     """
-    One arm alone in a PyBullet world; see `EngineArm`.
+    One arm alone in a PyBullet world, where `client` and `body` name both; see `EngineArm`.
 
-    Parameters
-    ----------
-    arm
-        The arm.
-    gravity_world
-        Gravity [m/s^2].
-    step
-        Integration step [s].
-
-    Attributes
-    ----------
-    client, body
-        PyBullet's names for the world and the arm.
-
+    With gravity [m/s^2] and an integration step [s].
     """
 
     def __init__(
@@ -52,10 +38,11 @@ class BulletArm(EngineArm):
         for joint, angle in zip(self._links, q.tolist(), strict=True):
             bullet.resetJointState(self.body, joint, angle, 0.0, physicsClientId=self.client)
 
-    def push(self, body: int, force: Vector3, point: Vector3) -> None:
-        """Apply a force at a point for one step; see `EngineArm`."""
-        bullet.applyExternalForce(
-            self.body, self._bodies[body], force, point, bullet.WORLD_FRAME, self.client)
+    def push(self, pushes: list[list[float]]) -> None:
+        """Apply forces at points for one step; see `EngineArm`."""
+        push, client, body, links = bullet.applyExternalForce, self.client, self.body, self._bodies
+        for fx, fy, fz, x, y, z, number in pushes:
+            push(body, links[int(number)], (fx, fy, fz), (x, y, z), bullet.WORLD_FRAME, client)
 
     def step(self, torque: Vector) -> tuple[float, ...]:
         """Advance by one step and return what the arm exerts on the tool; see `EngineArm`."""

@@ -124,8 +124,8 @@ class Contacts:
 
 @compiled
 def act_on_arm(
-    motion: Matrix, torques: Matrix, links: Any, drives: Any, surfaces: Any, profiles: Any,
-    hands: Any, pushes: Matrix, step: float,
+    motion: Matrix, torques: Matrix, limit: Vector, links: Any, drives: Any, surfaces: Any,
+    profiles: Any, hands: Any, pushes: Matrix, step: float,
 ) -> int:
     """
     Work out all that acts on the arm in one integration step, but for the engine's own work.
@@ -135,8 +135,10 @@ def act_on_arm(
     motion
         Joint angles and speeds, link side, at the start of the step, shape (2, n) [rad, rad/s].
     torques
-        Of the joints, shape (4, n) [N m]: of the motors, given; filled in are what surfaces and
-        hands do, the sum of both, and what the drives do to the links.
+        Of the joints, shape (4, n) [N m]: of the motors, clipped here; filled in are what surfaces
+        and hands do, the sum of both, and what the drives do to the links.
+    limit
+        Largest motor torques, shape (n,) [N m].
     links
         Records of `LINK`, shape (n,), changed.
     drives
@@ -154,12 +156,17 @@ def act_on_arm(
     Returns
     -------
     int
-        How many forces there are.
+        How many forces there are, or -1 for motor torques that are not finite.
 
     """
     q, qd = motion[0], motion[1]
     motor, load, both, link_side = torques[0], torques[1], torques[2], torques[3]
     last = q.shape[0] - 1
+    for joint in range(last + 1):
+        if not np.isfinite(motor[joint]):
+            return -1
+    for joint in range(last + 1):
+        motor[joint] = min(max(motor[joint], -limit[joint]), limit[joint])
     forward_kinematics(q, links)
     for joint in range(last + 1):
         load[joint] = 0.0

@@ -40,42 +40,13 @@ DRIVE = np.dtype([
 
 
 def joint_friction(arm: Arm, scale: float, speed: float) -> Records:
-    """
-    Return the joint-side friction of every joint.
-
-    Parameters
-    ----------
-    arm
-        The arm, with its friction.
-    scale
-        Factor on it.
-    speed
-        Speed scale of the smoothed Coulomb friction [rad/s].
-
-    Returns
-    -------
-    Records
-        Records of `FRICTION`, shape (n,).
-
-    """
+    """Return the friction of an arm times a scale, as records of `FRICTION`, shape (n,)."""
     joints = np.zeros(len(arm.links), dtype=FRICTION)
     for joint, link in zip(joints, arm.links):
         for name in ('viscous', 'coulomb_positive', 'coulomb_negative'):
             joint[name] = scale * getattr(link, name)
         joint['speed'] = speed
     return joints
-
-
-@compiled
-def clip_torque(torque: Vector, limit: Vector, clipped: Vector) -> tuple[bool, bool]:
-    """Clip torques, shape (n,); return whether all are finite and whether any was cut."""
-    finite, cut = True, False
-    for joint in range(torque.shape[0]):
-        asked = torque[joint]
-        clipped[joint] = min(max(asked, -limit[joint]), limit[joint])
-        finite = finite and np.isfinite(asked)
-        cut = cut or clipped[joint] != asked
-    return finite, cut
 
 
 def flexible_drives(
@@ -196,18 +167,12 @@ class RigidDrives:
 
 
 @compiled
-def friction_torque(speed: float, joint: Any) -> float:
-    """Return the friction f(v) = b v + F tanh(v / v_0) that a joint at `speed` overcomes [N m]."""
-    coulomb = joint.coulomb_positive if speed >= 0.0 else joint.coulomb_negative
-    return float(joint.viscous * speed + coulomb * np.tanh(speed / joint.speed))
-
-
-@compiled
-def friction_slope(speed: float, joint: Any) -> float:
-    """Return df/dv [N m s/rad]."""
+def friction_at(speed: float, joint: Any) -> tuple[float, float]:
+    """Return f(v) = b v + F tanh(v / v_0) of a joint [N m] and df/dv [N m s/rad] at a speed."""
     coulomb = joint.coulomb_positive if speed >= 0.0 else joint.coulomb_negative
     tangent = np.tanh(speed / joint.speed)
-    return float(joint.viscous + coulomb * (1.0 - tangent * tangent) / joint.speed)
+    return (joint.viscous * speed + coulomb * tangent,
+            joint.viscous + coulomb * (1.0 - tangent * tangent) / joint.speed)
 
 
 @compiled
@@ -215,39 +180,23 @@ def implicit_speed(free_speed: float, step: float, inertia: float, joint: Any) -
     """
     Solve v = free_speed - step / inertia * f(v) for the speed at the end of a step.
 
-    The solution lies between 0 and the speed without friction; Newton's method is kept inside
-    a bracket that only shrinks, since tanh is too sharp for it alone.
-
-    Parameters
-    ----------
-    free_speed
-        Speed at the end of the step without friction [rad/s].
-    step
-        Length of the step [s].
-    inertia
-        Inertia of the joint [kg m^2].
-    joint
-        Record of `FRICTION`.
-
-    Returns
-    -------
-    float
-        The speed [rad/s].
-
+    The solution [rad/s] lies between 0 and the speed without friction; Newton's method is kept
+    inside a bracket that only shrinks, since tanh is too sharp for it alone.
     """
     low, high = min(0.0, free_speed), max(0.0, free_speed)
     ratio = step / inertia
     speed = free_speed
     # Small speeds stick: start where tanh is straight if the whole of the friction stops it.
     if abs(free_speed) < ratio * max(joint.coulomb_positive, joint.coulomb_negative):
-        speed = free_speed / (1.0 + ratio * friction_slope(0.0, joint))
+        speed = free_speed / (1.0 + ratio * friction_at(0.0, joint)[1])
     for _ in range(NEWTON_STEPS):
-        residual = speed - free_speed + ratio * friction_torque(speed, joint)
+        friction, slope = friction_at(speed, joint)
+        residual = speed - free_speed + ratio * friction
         if residual > 0.0:
             high = speed
         else:
             low = speed
-        following = speed - residual / (1.0 + ratio * friction_slope(speed, joint))
+        following = speed - residual / (1.0 + ratio * slope)
         if not low <= following <= high:
             following = 0.5 * (low + high)
         if abs(following - speed) <= NEWTON_TOLERANCE * (1.0 + abs(speed)):
@@ -264,21 +213,8 @@ def implicit_joint_speed(
     Solve M (v - free_speed) + step f(v) = 0 for the speeds of joints that move each other.
 
     The left side is the gradient of a convex function, so Newton's method with step halving
-    converges to its only zero.
-
-    Parameters
-    ----------
-    free_speed
-        Speeds at the end of the step without friction, shape (n,) [rad/s].
-    step
-        Length of the step [s].
-    mass_matrix
-        Joint inertia with armature, shape (n, n) [kg m^2].
-    friction
-        Records of `FRICTION`, shape (n,).
-    speed
-        First guess; replaced by the solution, shape (n,) [rad/s].
-
+    converges to its only zero, which takes the place of the first guess `speed` [rad/s]. M is the
+    joint inertia with armature, shape (n, n) [kg m^2], `friction` records of `FRICTION`.
     """
     n = free_speed.shape[0]
     residual, change, trial = np.empty(n), np.empty(n), np.empty(n)
@@ -287,7 +223,7 @@ def implicit_joint_speed(
     for _ in range(NEWTON_STEPS):
         copy_matrix(mass_matrix, factor)
         for joint in range(n):
-            factor[joint, joint] += step * friction_slope(speed[joint], friction[joint])
+            factor[joint, joint] += step * friction_at(speed[joint], friction[joint])[1]
         cholesky(factor, factor, 0.0)  # positive definite, as M is and friction never pushes
         copy_vector(residual, change)
         solve_cholesky(factor, change)
@@ -321,4 +257,4 @@ def _friction_residual(
         residual[row] = 0.0
         for column in range(n):
             residual[row] += mass_matrix[row, column] * (speed[column] - free_speed[column])
-        residual[row] += step * friction_torque(speed[row], friction[row])
+        residual[row] += step * friction_at(speed[row], friction[row])[0]

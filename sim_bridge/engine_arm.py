@@ -5,7 +5,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 
 from multicontact_control.arrays import Matrix, Vector
-from multicontact_control.config import Vector3
 import numpy as np
 
 
@@ -42,16 +41,15 @@ class EngineArm(ABC):
         """Make the world anew, with the arm at rest at joint angles `q`."""
 
     @abstractmethod
-    def push(self, body: int, force: Vector3, point: Vector3) -> None:
+    def push(self, pushes: list[list[float]]) -> None:
         """
-        Apply a force at a point for one step.
+        Apply forces at points for one step.
 
         Parameters
         ----------
-        body
-            Number of a joint, for the link behind it, or n for the tool.
-        force, point
-            World axes, 3 numbers each [N], [m].
+        pushes
+            Of each x y z of force and of point, world axes [N], [m], and the number of a joint,
+            for the link behind it, or n for the tool.
 
         """
 

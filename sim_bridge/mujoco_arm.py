@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import mujoco
 from multicontact_control.arrays import Matrix, Vector
-from multicontact_control.config import Vector3
 from multicontact_control.errors import ConfigError
 import numpy as np
 import pinocchio as pin
@@ -54,7 +53,6 @@ class MujocoArm(EngineArm):
             self._model.dof_armature[:] = np.array(arm.armature) * (config.drives == 'rigid')
             mujoco.mj_setConst(self._model, self._data)
             self._set_springs()
-        self._placed = False
         self._forces = np.zeros(len(self._planes))
         self._touch = np.zeros(6)
 
@@ -62,17 +60,15 @@ class MujocoArm(EngineArm):
         mujoco.mj_resetData(self._model, self._data)
         self._data.qpos[:] = q
         self._forces[:] = 0.0
-        self._placed = False
 
-    def push(self, body: int, force: Vector3, point: Vector3) -> None:
-        """Apply a force at a point for one step; see `EngineArm`."""
-        data, link = self._data, self._bodies[body]
-        if not self._placed:
-            mujoco.mj_kinematics(self._model, data)  # where the link is now, not a step ago
-            self._placed = True
-        f, lever = np.array(force), np.array(point) - data.xipos[link]
-        data.xfrc_applied[link, :3] += f
-        data.xfrc_applied[link, 3:] += np.cross(lever, f)
+    def push(self, pushes: list[list[float]]) -> None:
+        """Apply forces at points for one step; see `EngineArm`."""
+        data = self._data
+        mujoco.mj_kinematics(self._model, data)  # where the links are now, not a step ago
+        for *values, number in pushes:
+            link, force, point = self._bodies[int(number)], np.array(values[:3]), values[3:]
+            data.xfrc_applied[link, :3] += force
+            data.xfrc_applied[link, 3:] += np.cross(point - data.xipos[link], force)
 
     def step(self, torque: Vector) -> tuple[float, ...]:
         """Advance by one step and return what the arm exerts on the tool; see `EngineArm`."""
@@ -80,7 +76,6 @@ class MujocoArm(EngineArm):
         data.qfrc_applied[:] = torque
         mujoco.mj_step(model, data)
         data.xfrc_applied[:] = 0.0
-        self._placed = False
         self.q[:], self.qd[:] = data.qpos, data.qvel
         self._read_contacts()
         wrench: tuple[float, ...] = tuple(data.sensordata.tolist())

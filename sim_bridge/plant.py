@@ -6,6 +6,7 @@ from functools import partial
 from typing import Any, NamedTuple
 
 from multicontact_control.arrays import require_shape, Vector
+from multicontact_control.compiled import bound
 from multicontact_control.config import ToolConfig, Vector3
 from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.sensor.weight import weight_reading
@@ -14,7 +15,7 @@ import pinocchio as pin
 from sim_bridge.arm import Arm, OPERATIONAL_FRAME, SENSOR_FRAME
 from sim_bridge.config import PlantConfig
 from sim_bridge.contacts import act_on_arm, Contacts
-from sim_bridge.drives import clip_torque, DRIVE, flexible_drives, joint_friction, RigidDrives
+from sim_bridge.drives import DRIVE, flexible_drives, joint_friction, RigidDrives
 from sim_bridge.engine_arm import EngineArm
 from sim_bridge.kinematics import chain_of
 from sim_bridge.pushes import HAND, Pushes, tool_push_point
@@ -95,7 +96,6 @@ class Plant:
         self._torques = np.zeros((4, len(self._home)))
         self._motor, self.load, self._sum, self._link_side = self._torques
         self._pushes = np.zeros((len(config.met) + len(self._hands), 7))
-        self._wrenches = np.zeros((self._substeps, 6))
         self._drives: Any = np.zeros(0, dtype=DRIVE)
         self._rigid: RigidDrives | None = None
         friction = joint_friction(
@@ -132,9 +132,10 @@ class Plant:
         self._tool_push = Pushes(self._hands[1], self._rate, config.tool_push_start,
                                  config.tool_push_duration, config.tool_push_force_world)
         contacts = self.contacts
-        self._act = partial(
-            act_on_arm, self.arm.motion, self._torques, chain_of(self._model), self._drives,
+        acting = (
+            self.arm.motion, self._torques, self._limit, chain_of(self._model), self._drives,
             contacts.surfaces, contacts.profiles, self._hands, self._pushes, config.substep)
+        self._act = partial(bound(act_on_arm, *acting), *acting)
         self._tick = 0
         self.arm.reset(self._home)
         if len(self._drives):  # springs wound up
@@ -167,17 +168,12 @@ class Plant:
 
         """
         require_shape('torque', torque, self._limit.shape)
-        finite, saturated = clip_torque(
-            np.asarray(torque, dtype=float), self._limit, self._motor)
-        if not finite:
-            raise RunError(f'joint torque at tick {self._tick}: expected finite numbers, '
-                           f'found {torque.tolist()}')
+        self._motor[:] = torque
         self._wrist_push.start_period(self._tick)
         self._tool_push.start_period(self._tick)
-        self._advance()
-        self._sensor.read(self._wrenches)
+        self._sensor.read(np.array(self._advance()).reshape(-1, 6))
         self._tick += 1
-        return self._sample(saturated)
+        return self._sample(self._motor.tolist() != torque.tolist())
 
     @property
     def model(self) -> pin.Model:
@@ -192,7 +188,7 @@ class Plant:
 
     def scale_torque_limit(self, factor: float) -> None:
         """Multiply what the drives can do, unknown to whoever commands them."""
-        self._limit = factor * self._limit
+        self._limit *= factor
 
     def push(self, force_world: Vector, duration: float, *, tool: bool = False) -> None:
         """
@@ -215,19 +211,23 @@ class Plant:
         """Give the simulator's memory back."""
         self.arm.close()
 
-    def _advance(self) -> None:
-        """Take the integration steps of a period and keep the true wrenches at the sensor."""
+    def _advance(self) -> list[float]:
+        """Take the integration steps of a period; return the true wrenches, one after another."""
         act, arm, rigid, link_side = self._act, self.arm, self._rigid, self._link_side
-        for step in range(self._substeps):
+        wrenches: list[float] = []
+        for _ in range(self._substeps):
             count = act()
+            if count < 0:
+                raise RunError(f'joint torque at tick {self._tick}: expected finite numbers, '
+                               f'found {self._motor.tolist()}')
             if rigid is not None:
                 rigid.advance(self._motor, self._sum, arm.q, arm.qd, link_side)
             if count:
-                for fx, fy, fz, x, y, z, body in self._pushes.tolist()[:count]:
-                    arm.push(int(body), (fx, fy, fz), (x, y, z))
-            self._wrenches[step] = arm.step(link_side)
+                arm.push(self._pushes.tolist()[:count])
+            wrenches += arm.step(link_side)
             if self._native:
                 self.contacts.pressed[:] = arm.native_forces()
+        return wrenches
 
     def _static_wrench(self) -> Vector:
         """Return what the sensor reads at rest at home: the weight it carries, held."""
@@ -241,7 +241,7 @@ class Plant:
         return Sample(
             self._q.copy(), self._qd.copy(), self._motor.copy(), self._sensor.reading.copy(),
             self._sensor.filtered.copy(), self.contacts.alpha, saturated,
-            self._hands['force'][1].copy())
+            self._tool_push.force_world.copy())
 
 
 def make_engine(config: PlantConfig, arm: Arm) -> EngineArm:

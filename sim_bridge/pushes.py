@@ -35,13 +35,18 @@ class Pushes:
     force_world
         x y z of each in turn, world axes [N].
 
+    Attributes
+    ----------
+    force_world
+        Their sum in the present control period, shape (3,) [N].
+
     """
 
     def __init__(
         self, hand: Any, rate: float, start: Sequence[float], duration: Sequence[float],
         force_world: Sequence[float],
     ) -> None:
-        self._force: Vector = hand['force']
+        self.force_world: Vector = hand['force']
         self._pushes = [
             (round(begin * rate), round((begin + length) * rate),
              np.array(force_world[3 * i:3 * i + 3]))
@@ -55,8 +60,8 @@ class Pushes:
     def start_period(self, tick: int) -> None:
         """Take the forces of the control period that begins with a tick."""
         if self._pushes:
-            self._force[:] = sum((force for first, end, force in self._pushes
-                                  if first <= tick < end), np.zeros(3))
+            self.force_world[:] = sum((force for first, end, force in self._pushes
+                                       if first <= tick < end), np.zeros(3))
 
 
 def tool_push_point(config: PlantConfig, model: pin.Model) -> tuple[Vector, Vector]:

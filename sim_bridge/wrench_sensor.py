@@ -150,21 +150,10 @@ def take_readings(
     wrenches: Matrix, noise: Matrix, axes: Any, stages: Matrix, memory: Matrix, first: bool,
 ) -> None:
     """
-    Take one reading after the other.
+    Take one reading after the other, the last one into `axes`, records of `AXIS`, shape (6,).
 
-    Parameters
-    ----------
-    wrenches, noise
-        True wrenches [N, N m] and white noise of deviation 1, shape (m, 6).
-    axes
-        Records of `AXIS`, shape (6,): the last reading is filled in.
-    stages
-        From `low_pass_stages`.
-    memory
-        Of the low-passes of each axis, updated, shape (6, stages, 2).
-    first
-        Whether these are the first readings.
-
+    Of true wrenches [N, N m] and white noise of deviation 1, shape (m, 6), with the memory of the
+    low-passes, shape (6, stages, 2), settled at the `first` of all readings.
     """
     for i in range(axes.shape[0]):
         axis = axes[i]
