@@ -15,22 +15,9 @@ MAX_JOINT_SPEED = 1e4
 
 class BulletArm(EngineArm):
     """
-    One arm alone in a PyBullet world; see `EngineArm`.
+    One arm alone in a PyBullet world, where `client` and `body` name both; see `EngineArm`.
 
-    Parameters
-    ----------
-    arm
-        The arm.
-    gravity_world
-        Gravity [m/s^2].
-    step
-        Integration step [s].
-
-    Attributes
-    ----------
-    client, body
-        PyBullet's names for the world and the arm.
-
+    With gravity [m/s^2] and an integration step [s].
     """
 
     def __init__(
@@ -40,6 +27,9 @@ class BulletArm(EngineArm):
         self._arm = arm
         self._gravity = gravity_world
         self._step = step
+        self._numbers = range(len(arm.links))
+        # Single numbers are put there sooner than into an array.
+        self._q, self._qd = memoryview(self.q), memoryview(self.qd)  # type: ignore[arg-type]
         self.client: int = bullet.connect(bullet.DIRECT)
 
     def _place(self, q: Vector) -> None:
@@ -48,22 +38,24 @@ class BulletArm(EngineArm):
         for joint, angle in zip(self._links, q.tolist(), strict=True):
             bullet.resetJointState(self.body, joint, angle, 0.0, physicsClientId=self.client)
 
-    def _push(self, link: int, force: list[float], point: list[float]) -> None:
-        bullet.applyExternalForce(
-            self.body, link, force, point, bullet.WORLD_FRAME, self.client)
+    def push(self, pushes: list[list[float]]) -> None:
+        """Apply forces at points for one step; see `EngineArm`."""
+        push, client, body, links = bullet.applyExternalForce, self.client, self.body, self._bodies
+        for fx, fy, fz, x, y, z, number in pushes:
+            push(body, links[int(number)], (fx, fy, fz), (x, y, z), bullet.WORLD_FRAME, client)
 
     def step(self, torque: Vector) -> tuple[float, ...]:
         """Advance by one step and return what the arm exerts on the tool; see `EngineArm`."""
-        client, body, unused, q, qd = self.client, self.body, self._unused, self.q, self.qd
+        client, body, unused, q, qd = self.client, self.body, self._unused, self._q, self._qd
         bullet.setJointMotorControlArray(  # keywords would take as long again
             body, self._links, bullet.TORQUE_CONTROL, unused, unused, torque.tolist(), unused,
             unused, client)
         bullet.stepSimulation(client)
-        *joints, sensor = bullet.getJointStates(body, self._read_joints, client)
-        for i, (angle, speed, _, _) in enumerate(joints):
-            q[i], qd[i] = angle, speed
+        states = bullet.getJointStates(body, self._read_joints, client)
+        for i in self._numbers:
+            q[i], qd[i], _, _ = states[i]
         # At the child's centre of mass, which in the sensor's face is its origin.
-        wrench: tuple[float, ...] = sensor[2]
+        wrench: tuple[float, ...] = states[-1][2]
         return wrench
 
     def close(self) -> None:
@@ -90,7 +82,7 @@ class BulletArm(EngineArm):
             indices[info[1].decode()] = joint
         self._links = [indices[name] for name in self._arm.joint_names]
         sensor = indices[f'{SENSOR_FRAME}_joint']
-        self._tool = indices[f'{TOOL_LINK}_joint']
+        self._bodies = [*self._links, indices[f'{TOOL_LINK}_joint']]
         self._read_joints = [*self._links, sensor]
         self._unused = [0.0] * len(self._links)
         self._remove_surprises(sensor)
@@ -100,7 +92,7 @@ class BulletArm(EngineArm):
         client = self.client
         bullet.changeDynamics(
             self.body, -1, linearDamping=0.0, angularDamping=0.0, physicsClientId=client)
-        joints = [*self._links, sensor, self._tool]
+        joints = [*self._links, sensor, self._bodies[-1]]
         for joint, body in zip(joints, self._arm.bodies, strict=True):
             # A call of its own: beside a damping, the value would go to the base unnoticed.
             bullet.changeDynamics(

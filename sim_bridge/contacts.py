@@ -1,4 +1,4 @@
-"""All contacts of the arm with what surrounds it."""
+"""What acts on the arm: surfaces it touches, hands that push it, and its drives."""
 
 from __future__ import annotations
 
@@ -9,15 +9,16 @@ from multicontact_control.compiled import compiled
 from multicontact_control.errors import ConfigError
 import numpy as np
 import pinocchio as pin
-from sim_bridge.arm import OPERATIONAL_FRAME
+from sim_bridge.arm import Arm, TOOL_LINK
 from sim_bridge.config import PlantConfig
+from sim_bridge.drives import advance_drives
 from sim_bridge.kinematics import (
     add_joint_torque,
-    chain_of,
     forward_kinematics,
+    place_point,
     point_velocity,
 )
-from sim_bridge.surface import build_surfaces, press
+from sim_bridge.surface import build_surfaces, move, press
 
 
 class Contacts:
@@ -28,62 +29,50 @@ class Contacts:
     ----------
     config
         The plant.
-    model
+    arm, model
         The arm, for its geometry.
     generators
         A source of roughness for each contact and each obstacle.
 
     Attributes
     ----------
+    surfaces, profiles
+        See `build_surfaces`.
     pressed
         Normal forces of robot on surface, those on obstacles last, shape (no,) [N].
-    forces_world, points_world
-        Forces of robot on surface or obstacle, friction included, and where, shape (no, 3) [N],
-        [m].
+    points_world
+        Where the tips are, shape (no, 3) [m].
     places_world
         A point of each mean surface now, shape (no, 3) [m].
-    carriers
-        Number of the joint that carries each of these points.
-    wrist_world
-        The operational point, shape (3,) [m].
-    load
-        What the surfaces, and pushes at the wrist and the tool, do to the joints, shape (n,)
-        [N m].
 
     """
 
     def __init__(
-        self, config: PlantConfig, model: pin.Model, generators: list[np.random.Generator],
+        self, config: PlantConfig, arm: Arm, model: pin.Model,
+        generators: list[np.random.Generator],
     ) -> None:
-        names = config.met
-        self._links = chain_of(model)
-        self._surfaces: Any
-        self._surfaces, self._heights, self._slopes = build_surfaces(
-            [config.surfaces[name] for name in names], generators)
-        self._surfaces['joint'], self._surfaces['tip'] = _carried_tips(model, config)
-        self.carriers: list[int] = self._surfaces['joint'].tolist()
+        met = [config.surfaces[name] for name in config.met]
+        self.surfaces: Any
+        self.surfaces, self.profiles = build_surfaces(met, generators)
+        for record, surface in zip(self.surfaces, met):
+            frame = model.frames[model.getFrameId(surface.tip_link)]
+            record['joint'] = record['body'] = frame.parentJoint - 1
+            record['tip'] = frame.placement.act(np.array(surface.tip_point))
+            # The wrist sensor feels what touches the tool, not what touches a link.
+            if surface.tip_link in (TOOL_LINK, *arm.tips):
+                record['body'] = model.nv
         self._native = config.contact == 'native'
         if self._native:
             for name in ('stiffness', 'damping', 'friction'):
-                self._surfaces[name] = 0.0  # only where the tips are is asked of them
-        self._moving = [(i, config.surfaces[name]) for i, name in enumerate(names)
-                        if config.surfaces[name].moves]
-        self._time = 0.0
-        self._given_way = np.zeros(len(names))  # m, along the normals
-        frame = model.frames[model.getFrameId(OPERATIONAL_FRAME)]
-        self._operational: Vector = np.array(frame.placement.translation)
-        self.pressed: Vector = self._surfaces['alpha']
+                self.surfaces[name] = 0.0  # only where the tips are is asked of them
+        self.pressed: Vector = self.surfaces['alpha']
+        self.points_world: Matrix = self.surfaces['point']
+        self.places_world: Matrix = self.surfaces['place']
         self._columns: Matrix | None = None
-        if config.column_names != names[:len(config.column_names)]:
-            self._columns = np.array([
-                [shares.get(name, 0.0) for name in names] for shares in config.columns.values()])
-        self._count = len(config.column_names)
-        self._touched = len(config.touched)
-        self.forces_world: Matrix = self._surfaces['force']
-        self.points_world: Matrix = self._surfaces['point']
-        self.places_world: Matrix = self._surfaces['place']
-        self.wrist_world: Vector = np.zeros(3)
-        self.load = np.zeros(model.nv)
+        if config.column_names != config.met[:len(config.column_names)]:
+            self._columns = np.array([[shares.get(name, 0.0) for name in config.met]
+                                      for shares in config.columns.values()])
+        self._count, self._touched = len(config.column_names), len(config.touched)
 
     @property
     def alpha(self) -> Vector:
@@ -97,31 +86,11 @@ class Contacts:
         """Return the normal forces on what is in the way and no contact, shape (no,) [N]."""
         return self.pressed[self._touched:].copy()
 
-    def move(self, step: float) -> None:
-        """Let the surfaces that move or give way do so for a step [s], before it is taken."""
-        if not self._moving:
-            return
-        self._time += step
-        for i, config in self._moving:
-            if config.mass > 0.0:  # a body on a spring, by semi-implicit Euler
-                speed = float(self._surfaces[i]['speed'])
-                force = (self.pressed[i] - config.mount_stiffness * self._given_way[i]
-                         - config.mount_damping * speed)
-                speed += step * float(force) / config.mass
-                self._given_way[i] += step * speed
-            else:
-                time = self._time - config.motion_start
-                speed = 0.0 if time <= 0.0 else config.velocity
-                if config.motion_period > 0.0:
-                    speed *= float(np.sin(2.0 * np.pi * time / config.motion_period))
-            self._surfaces[i]['speed'] = speed
-            self.shift(i, speed * step)
-
     def _changing(self, surface: int) -> Any:
         """Return a surface that is to be changed; ConfigError if it is the engine's own."""
         if self._native:
             raise ConfigError('contact', 'compliant, for surfaces that change', 'native')
-        return self._surfaces[surface]
+        return self.surfaces[surface]
 
     def shift(self, contact: int, distance: float) -> None:
         """Move a surface along its normal by `distance` [m], away from the robot if positive."""
@@ -152,91 +121,86 @@ class Contacts:
         """Give a surface another coefficient of friction."""
         self._changing(contact)['friction'] = friction
 
-    def update(self, q: Vector, qd: Vector, push_world: Vector) -> bool:
-        """
-        Work out the contacts for a state of the arm and a push at the wrist point.
-
-        Parameters
-        ----------
-        q, qd
-            Link side of the joints, shape (n,) [rad], [rad/s].
-        push_world
-            Force on the wrist, shape (3,) [N].
-
-        Returns
-        -------
-        bool
-            Whether any surface is pressed on.
-
-        """
-        return advance_contacts(q, qd, push_world, self._operational, self._links,
-                                self._surfaces, self._heights, self._slopes, self.load,
-                                self.wrist_world)
-
-
-def _carried_tips(model: pin.Model, config: PlantConfig) -> tuple[list[int], Matrix]:
-    """Return the joint that carries each tip, and the tip in its frame, shape (no, 3) [m]."""
-    surfaces = [config.surfaces[name] for name in config.met]
-    frames = [model.frames[model.getFrameId(surface.tip_link)] for surface in surfaces]
-    tips = [frame.placement.act(np.array(surface.tip_point))
-            for frame, surface in zip(frames, surfaces)]
-    return [frame.parentJoint - 1 for frame in frames], np.array(tips).reshape(-1, 3)
-
 
 @compiled
-def advance_contacts(
-    q: Vector, qd: Vector, push: Vector, push_point: Vector, links: Any, surfaces: Any,
-    heights: Matrix, slopes: Matrix, load: Vector, pushed_at: Vector,
-) -> bool:
+def act_on_arm(
+    motion: Matrix, torques: Matrix, limit: Vector, links: Any, drives: Any, surfaces: Any,
+    profiles: Any, hands: Any, pushes: Matrix, step: float,
+) -> int:
     """
-    Work out every contact for a state of the arm.
+    Work out all that acts on the arm in one integration step, but for the engine's own work.
 
     Parameters
     ----------
-    q, qd
-        Joint angles and speeds, link side, shape (n,) [rad], [rad/s].
-    push
-        Force on a point of the last link, world axes, shape (3,) [N].
-    push_point
-        That point in the last link's frame, shape (3,) [m].
-    links, surfaces
-        Records of `LINK`, shape (n,), and `SURFACE`, shape (nc,), changed.
-    heights, slopes
-        See `Surfaces`.
-    load
-        Filled with what surfaces and push do to the joints, shape (n,) [N m].
-    pushed_at
-        Filled with the point that is pushed, world axes, shape (3,) [m].
+    motion
+        Joint angles and speeds, link side, at the start of the step, shape (2, n) [rad, rad/s].
+    torques
+        Of the joints, shape (4, n) [N m]: of the motors, clipped here; filled in are what surfaces
+        and hands do, the sum of both, and what the drives do to the links.
+    limit
+        Largest motor torques, shape (n,) [N m].
+    links
+        Records of `LINK`, shape (n,), changed.
+    drives
+        Records of `DRIVE`, shape (n,), changed; none for motors that act on the links as they are.
+    surfaces, profiles
+        See `build_surfaces`; the records are changed.
+    hands
+        Records of `HAND`, shape (2,): first the one at the wrist, then the one at the tool.
+    pushes
+        Filled with the forces on the arm: force and point, world axes, and the number of the
+        joint whose link is pushed, or n for the tool, shape (m, 7) [N, m].
+    step
+        Length of the step [s].
 
     Returns
     -------
-    bool
-        Whether any surface is pressed on.
+    int
+        How many forces there are, or -1 for motor torques that are not finite.
 
     """
-    joints = q.shape[0]
-    last_rotation = np.empty((3, 3))
-    velocity = np.empty(3)
-    forward_kinematics(q, links, last_rotation)
-    for joint in range(joints):
+    q, qd = motion[0], motion[1]
+    motor, load, both, link_side = torques[0], torques[1], torques[2], torques[3]
+    last = q.shape[0] - 1
+    for joint in range(last + 1):
+        if not np.isfinite(motor[joint]):
+            return -1
+    for joint in range(last + 1):
+        motor[joint] = min(max(motor[joint], -limit[joint]), limit[joint])
+    forward_kinematics(q, links)
+    for joint in range(last + 1):
         load[joint] = 0.0
-    last = links[joints - 1]
-    for row in range(3):
-        pushed_at[row] = last.origin[row]
-        for column in range(3):
-            pushed_at[row] += last_rotation[row, column] * push_point[column]
-    add_joint_torque(pushed_at, push, 1.0, links, joints - 1, load)
-    pressed = False
+    velocity = np.empty(3)
+    count = 0
+    for i in range(hands.shape[0]):
+        hand = hands[i]
+        if hand.force[0] != 0.0 or hand.force[1] != 0.0 or hand.force[2] != 0.0:
+            place_point(hand.local, links[last], hand.point)
+            add_push(hand.point, hand.force, 1.0, last + i, pushes[count])
+            count += 1
+    add_joint_torque(hands[0].point, hands[0].force, 1.0, links, last, load)
     for i in range(surfaces.shape[0]):
         surface = surfaces[i]
-        carrier = links[surface.joint]
-        for row in range(3):
-            surface.point[row] = carrier.origin[row]
-            for column in range(3):
-                surface.point[row] += carrier.axes[row, column] * surface.tip[column]
+        if surface.velocity != 0.0 or surface.mass > 0.0:
+            move(surface, step)
+        place_point(surface.tip, links[surface.joint], surface.point)
         point_velocity(surface.point, qd, links, surface.joint, velocity)
-        press(surface, velocity, heights[i], slopes[i])
+        press(surface, velocity, profiles[i])
         if surface.alpha > 0.0:
-            pressed = True
             add_joint_torque(surface.point, surface.force, -1.0, links, surface.joint, load)
-    return pressed
+            add_push(surface.point, surface.force, -1.0, surface.body, pushes[count])
+            count += 1
+    add_joint_torque(hands[1].point, hands[1].force, 1.0, links, last, load)
+    for joint in range(last + 1):
+        both[joint] = motor[joint] + load[joint]
+        link_side[joint] = motor[joint]
+    advance_drives(motor, q, qd, drives, step, link_side)
+    return count
+
+
+@compiled
+def add_push(point: Vector, force: Vector, sign: float, body: int, push: Vector) -> None:
+    """Fill in a row of the pushes of `act_on_arm` for sign * force."""
+    for i in range(3):
+        push[i], push[3 + i] = sign * force[i], point[i]
+    push[6] = body

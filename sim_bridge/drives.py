@@ -36,29 +36,11 @@ DRIVE = np.dtype([
     ('stiffness', np.float64),  # of the spring [N m/rad]
     ('damping', np.float64),  # of the spring [N m s/rad]
     ('friction', FRICTION),  # of the rotor
-    ('link_torque', np.float64),  # of the spring on the link [N m]
 ])
 
 
 def joint_friction(arm: Arm, scale: float, speed: float) -> Records:
-    """
-    Return the joint-side friction of every joint.
-
-    Parameters
-    ----------
-    arm
-        The arm, with its friction.
-    scale
-        Factor on it.
-    speed
-        Speed scale of the smoothed Coulomb friction [rad/s].
-
-    Returns
-    -------
-    Records
-        Records of `FRICTION`, shape (n,).
-
-    """
+    """Return the friction of an arm times a scale, as records of `FRICTION`, shape (n,)."""
     joints = np.zeros(len(arm.links), dtype=FRICTION)
     for joint, link in zip(joints, arm.links):
         for name in ('viscous', 'coulomb_positive', 'coulomb_negative'):
@@ -67,21 +49,11 @@ def joint_friction(arm: Arm, scale: float, speed: float) -> Records:
     return joints
 
 
-@compiled
-def clip_torque(torque: Vector, limit: Vector) -> tuple[bool, bool]:
-    """Clip torques in place, shape (n,); return whether all are finite and whether any was cut."""
-    finite, clipped = True, False
-    for joint in range(torque.shape[0]):
-        asked = torque[joint]
-        torque[joint] = min(max(asked, -limit[joint]), limit[joint])
-        finite = finite and np.isfinite(asked)
-        clipped = clipped or torque[joint] != asked
-    return finite, clipped
-
-
-class FlexibleDrives:
+def flexible_drives(
+    inertia: Vector, stiffness: Vector, damping: Vector, friction: Records,
+) -> Records:
     """
-    Rotors joined to the links by springs, with friction on the rotors.
+    Return rotors joined to the links by springs, with friction on the rotors.
 
     Parameters
     ----------
@@ -91,40 +63,23 @@ class FlexibleDrives:
         Of the springs, shape (n,) [N m/rad], [N m s/rad].
     friction
         Records of `FRICTION`, shape (n,).
-    step
-        Integration step [s].
 
-    Attributes
-    ----------
-    q, qd
-        Rotor angles and speeds over the gear, shape (n,) [rad], [rad/s].
+    Returns
+    -------
+    Records
+        Records of `DRIVE`, shape (n,).
 
     """
-
-    def __init__(
-        self, inertia: Vector, stiffness: Vector, damping: Vector, friction: Records, step: float,
-    ) -> None:
-        self._drives: Any = np.zeros(len(inertia), dtype=DRIVE)
-        self._drives['inertia'] = inertia
-        self._drives['stiffness'], self._drives['damping'] = stiffness, damping
-        self._drives['friction'], self._step = friction, step
-        self._link_torque: Vector = self._drives['link_torque']
-        self.q: Vector = self._drives['q']
-        self.qd: Vector = self._drives['qd']
-
-    def reset(self, q: Vector, torque: Vector) -> None:
-        """Rest with the links at `q` [rad] and the springs wound up by `torque` [N m]."""
-        self.q[:] = q + torque / self._drives['stiffness']
-        self.qd[:] = 0.0
-
-    def advance(self, torque: Vector, _load: Vector, q: Vector, qd: Vector) -> Vector:
-        """Advance the rotors by one step and return the torque on the links, shape (n,) [N m]."""
-        advance_drives(torque, q, qd, self._drives, self._step)
-        return self._link_torque
+    drives = np.zeros(len(inertia), dtype=DRIVE)
+    drives['inertia'], drives['friction'] = inertia, friction
+    drives['stiffness'], drives['damping'] = stiffness, damping
+    return drives
 
 
 @compiled
-def advance_drives(torque: Vector, q: Vector, qd: Vector, drives: Any, step: float) -> None:
+def advance_drives(
+    torque: Vector, q: Vector, qd: Vector, drives: Any, step: float, link_torque: Vector,
+) -> None:
     """
     Advance the rotors by one step and give what their springs do to the links.
 
@@ -138,15 +93,17 @@ def advance_drives(torque: Vector, q: Vector, qd: Vector, drives: Any, step: flo
     q, qd
         Link side of the joints at the start of the step, shape (n,) [rad], [rad/s].
     drives
-        Records of `DRIVE`, shape (n,): rotors and torques on the links are changed.
+        Records of `DRIVE`, shape (n,): the rotors are moved.
     step
         Length of the step [s].
+    link_torque
+        Filled with the springs' torques on the links, shape (n,) [N m].
 
     """
-    for joint in range(q.shape[0]):
+    for joint in range(drives.shape[0]):
         drive = drives[joint]
         twist = drive.stiffness * (drive.q - q[joint]) + drive.damping * (drive.qd - qd[joint])
-        drive.link_torque = twist
+        link_torque[joint] = twist
         free = drive.qd + step / drive.inertia * (torque[joint] - twist)
         drive.qd = implicit_speed(free, step, drive.inertia, drive.friction)
         drive.q += step * drive.qd
@@ -178,64 +135,44 @@ class RigidDrives:
         self._frictionless = not any(
             friction[name].any() for name in ('viscous', 'coulomb_positive', 'coulomb_negative'))
 
-    def reset(self, _q: Vector, _torque: Vector) -> None:
-        """Rest: nothing is remembered."""
-
-    def advance(self, torque: Vector, load: Vector, q: Vector, qd: Vector) -> Vector:
+    def advance(
+        self, torque: Vector, total: Vector, q: Vector, qd: Vector, link_torque: Vector,
+    ) -> None:
         """
-        Return what to apply to the links for one step.
+        Work out what to apply to the links for one step.
 
         Parameters
         ----------
         torque
             Motor torque, joint side, shape (n,) [N m].
-        load
-            What everything outside the arm does to the joints, gravity apart, shape (n,) [N m].
+        total
+            The same and what everything outside the arm does to the joints, gravity apart, shape
+            (n,) [N m].
         q, qd
             State at the start of the step, shape (n,) [rad], [rad/s].
-
-        Returns
-        -------
-        Vector
-            Torque on the links, shape (n,) [N m].
+        link_torque
+            Filled with the torque on the links, shape (n,) [N m].
 
         """
-        acceleration = pin.aba(self._model, self._data, q, qd, torque + load)
-        if self._frictionless:
-            return np.asarray(torque - self._armature * acceleration)
-        inertia = mass_matrix(self._model, self._data, q)
-        speed = qd.copy()
-        implicit_joint_speed(
-            qd + self._step * acceleration, self._step, inertia, self._friction, speed)
-        slowed = (speed - qd) / self._step
-        friction = inertia @ (acceleration - slowed)
-        return np.asarray(torque - friction - self._armature * slowed)
-
-
-class EngineDrives:
-    """Rotors that turn with the links, in an engine that knows of them: it gets the torque."""
-
-    def reset(self, _q: Vector, _torque: Vector) -> None:
-        """Rest: nothing is remembered."""
-
-    def advance(self, torque: Vector, _load: Vector, _q: Vector, _qd: Vector) -> Vector:
-        """Return the motor torque as it is, shape (n,) [N m]."""
-        return torque
+        acceleration = pin.aba(self._model, self._data, q, qd, total)
+        if not self._frictionless:
+            inertia = mass_matrix(self._model, self._data, q)
+            speed = qd.copy()
+            implicit_joint_speed(
+                qd + self._step * acceleration, self._step, inertia, self._friction, speed)
+            slowed = (speed - qd) / self._step
+            torque = torque - inertia @ (acceleration - slowed)
+            acceleration = slowed
+        np.subtract(torque, self._armature * acceleration, out=link_torque)
 
 
 @compiled
-def friction_torque(speed: float, joint: Any) -> float:
-    """Return the friction f(v) = b v + F tanh(v / v_0) that a joint at `speed` overcomes [N m]."""
-    coulomb = joint.coulomb_positive if speed >= 0.0 else joint.coulomb_negative
-    return float(joint.viscous * speed + coulomb * np.tanh(speed / joint.speed))
-
-
-@compiled
-def friction_slope(speed: float, joint: Any) -> float:
-    """Return df/dv [N m s/rad]."""
+def friction_at(speed: float, joint: Any) -> tuple[float, float]:
+    """Return f(v) = b v + F tanh(v / v_0) of a joint [N m] and df/dv [N m s/rad] at a speed."""
     coulomb = joint.coulomb_positive if speed >= 0.0 else joint.coulomb_negative
     tangent = np.tanh(speed / joint.speed)
-    return float(joint.viscous + coulomb * (1.0 - tangent * tangent) / joint.speed)
+    return (joint.viscous * speed + coulomb * tangent,
+            joint.viscous + coulomb * (1.0 - tangent * tangent) / joint.speed)
 
 
 @compiled
@@ -243,39 +180,23 @@ def implicit_speed(free_speed: float, step: float, inertia: float, joint: Any) -
     """
     Solve v = free_speed - step / inertia * f(v) for the speed at the end of a step.
 
-    The solution lies between 0 and the speed without friction; Newton's method is kept inside
-    a bracket that only shrinks, since tanh is too sharp for it alone.
-
-    Parameters
-    ----------
-    free_speed
-        Speed at the end of the step without friction [rad/s].
-    step
-        Length of the step [s].
-    inertia
-        Inertia of the joint [kg m^2].
-    joint
-        Record of `FRICTION`.
-
-    Returns
-    -------
-    float
-        The speed [rad/s].
-
+    The solution [rad/s] lies between 0 and the speed without friction; Newton's method is kept
+    inside a bracket that only shrinks, since tanh is too sharp for it alone.
     """
     low, high = min(0.0, free_speed), max(0.0, free_speed)
     ratio = step / inertia
     speed = free_speed
     # Small speeds stick: start where tanh is straight if the whole of the friction stops it.
     if abs(free_speed) < ratio * max(joint.coulomb_positive, joint.coulomb_negative):
-        speed = free_speed / (1.0 + ratio * friction_slope(0.0, joint))
+        speed = free_speed / (1.0 + ratio * friction_at(0.0, joint)[1])
     for _ in range(NEWTON_STEPS):
-        residual = speed - free_speed + ratio * friction_torque(speed, joint)
+        friction, slope = friction_at(speed, joint)
+        residual = speed - free_speed + ratio * friction
         if residual > 0.0:
             high = speed
         else:
             low = speed
-        following = speed - residual / (1.0 + ratio * friction_slope(speed, joint))
+        following = speed - residual / (1.0 + ratio * slope)
         if not low <= following <= high:
             following = 0.5 * (low + high)
         if abs(following - speed) <= NEWTON_TOLERANCE * (1.0 + abs(speed)):
@@ -292,21 +213,8 @@ def implicit_joint_speed(
     Solve M (v - free_speed) + step f(v) = 0 for the speeds of joints that move each other.
 
     The left side is the gradient of a convex function, so Newton's method with step halving
-    converges to its only zero.
-
-    Parameters
-    ----------
-    free_speed
-        Speeds at the end of the step without friction, shape (n,) [rad/s].
-    step
-        Length of the step [s].
-    mass_matrix
-        Joint inertia with armature, shape (n, n) [kg m^2].
-    friction
-        Records of `FRICTION`, shape (n,).
-    speed
-        First guess; replaced by the solution, shape (n,) [rad/s].
-
+    converges to its only zero, which takes the place of the first guess `speed` [rad/s]. M is the
+    joint inertia with armature, shape (n, n) [kg m^2], `friction` records of `FRICTION`.
     """
     n = free_speed.shape[0]
     residual, change, trial = np.empty(n), np.empty(n), np.empty(n)
@@ -315,7 +223,7 @@ def implicit_joint_speed(
     for _ in range(NEWTON_STEPS):
         copy_matrix(mass_matrix, factor)
         for joint in range(n):
-            factor[joint, joint] += step * friction_slope(speed[joint], friction[joint])
+            factor[joint, joint] += step * friction_at(speed[joint], friction[joint])[1]
         cholesky(factor, factor, 0.0)  # positive definite, as M is and friction never pushes
         copy_vector(residual, change)
         solve_cholesky(factor, change)
@@ -349,4 +257,4 @@ def _friction_residual(
         residual[row] = 0.0
         for column in range(n):
             residual[row] += mass_matrix[row, column] * (speed[column] - free_speed[column])
-        residual[row] += step * friction_torque(speed[row], friction[row])
+        residual[row] += step * friction_at(speed[row], friction[row])[0]

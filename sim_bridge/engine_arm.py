@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from typing import Any
 
-from multicontact_control.arrays import Vector
+from multicontact_control.arrays import Matrix, Vector
 import numpy as np
 
 
@@ -21,18 +19,17 @@ class EngineArm(ABC):
 
     Attributes
     ----------
+    motion
+        Joint angles and speeds now, shape (2, n) [rad, rad/s].
     q, qd
-        Joint angles and speeds now, shape (n,) [rad], [rad/s].
+        Its rows.
 
     """
 
-    # The engine's names for the tool, and for the link behind each joint.
-    _tool: Any
-    _links: Sequence[Any]
-
     def __init__(self, joint_count: int) -> None:
-        self.q: Vector = np.zeros(joint_count)
-        self.qd: Vector = np.zeros(joint_count)
+        self.motion: Matrix = np.zeros((2, joint_count))
+        self.q: Vector = self.motion[0]
+        self.qd: Vector = self.motion[1]
 
     def reset(self, q: Vector) -> None:
         """Start afresh from rest at joint angles `q`; nothing of the past is left."""
@@ -43,17 +40,18 @@ class EngineArm(ABC):
     def _place(self, q: Vector) -> None:
         """Make the world anew, with the arm at rest at joint angles `q`."""
 
-    def push_tool(self, force: list[float], point: list[float]) -> None:
-        """Apply a force [N] at a point [m] of the tool for one step, world axes."""
-        self._push(self._tool, force, point)
-
-    def push_link(self, joint: int, force: list[float], point: list[float]) -> None:
-        """Apply a force [N] at a point [m] of the link behind a joint for one step, world axes."""
-        self._push(self._links[joint], force, point)
-
     @abstractmethod
-    def _push(self, link: Any, force: list[float], point: list[float]) -> None:
-        """Apply a force [N] at a point [m] of a link for one step, world axes."""
+    def push(self, pushes: list[list[float]]) -> None:
+        """
+        Apply forces at points for one step.
+
+        Parameters
+        ----------
+        pushes
+            Of each x y z of force and of point, world axes [N], [m], and the number of a joint,
+            for the link behind it, or n for the tool.
+
+        """
 
     @abstractmethod
     def step(self, torque: Vector) -> tuple[float, ...]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from multicontact_control.algebra import copy_matrix
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.records import Records
@@ -37,7 +36,7 @@ def mass_matrix(model: pin.Model, data: pin.Data, q: Vector) -> Matrix:
 
 
 @compiled
-def forward_kinematics(q: Vector, links: Any, last_rotation: Matrix) -> None:
+def forward_kinematics(q: Vector, links: Any) -> None:
     """
     Place a chain of revolute joints, each about the z axis of its own frame.
 
@@ -47,33 +46,37 @@ def forward_kinematics(q: Vector, links: Any, last_rotation: Matrix) -> None:
         Joint angles, shape (n,) [rad].
     links
         Records of `LINK`, shape (n,): axis, axes and origin are filled in.
-    last_rotation
-        Filled with the last link's axes as columns, world axes, shape (3, 3).
 
     """
-    rotation = np.eye(3)
-    position = np.zeros(3)
-    turned = np.empty((3, 3))
     for joint in range(q.shape[0]):
-        for row in range(3):
-            for column in range(3):
-                position[row] += rotation[row, column] * links[joint].offset[column]
-        for row in range(3):
-            for column in range(3):
-                total = 0.0
-                for inner in range(3):
-                    total += rotation[row, inner] * links[joint].rotation[inner, column]
-                turned[row, column] = total
+        link = links[joint]
         cosine, sine = np.cos(q[joint]), np.sin(q[joint])
         for row in range(3):
-            x, y = turned[row, 0], turned[row, 1]
-            rotation[row, 0] = cosine * x + sine * y
-            rotation[row, 1] = cosine * y - sine * x
-            rotation[row, 2] = turned[row, 2]
-            links[joint].axis[row] = turned[row, 2]
-            links[joint].origin[row] = position[row]
-        copy_matrix(rotation, links[joint].axes)
-    copy_matrix(rotation, last_rotation)
+            if joint == 0:
+                place = link.offset[row]
+                x, y, z = link.rotation[row, 0], link.rotation[row, 1], link.rotation[row, 2]
+            else:
+                before = links[joint - 1]
+                place, x, y, z = before.origin[row], 0.0, 0.0, 0.0
+                for inner in range(3):
+                    share = before.axes[row, inner]
+                    place += share * link.offset[inner]
+                    x += share * link.rotation[inner, 0]
+                    y += share * link.rotation[inner, 1]
+                    z += share * link.rotation[inner, 2]
+            link.origin[row], link.axis[row] = place, z
+            link.axes[row, 0] = cosine * x + sine * y
+            link.axes[row, 1] = cosine * y - sine * x
+            link.axes[row, 2] = z
+
+
+@compiled
+def place_point(local: Vector, link: Any, point: Vector) -> None:
+    """Fill `point` with a point of a link given in its frame, world axes, shape (3,) [m]."""
+    for row in range(3):
+        point[row] = link.origin[row]
+        for column in range(3):
+            point[row] += link.axes[row, column] * local[column]
 
 
 @compiled

@@ -46,15 +46,13 @@ class MujocoArm(EngineArm):
         self._model = mujoco.MjModel.from_xml_string(mjcf_text(arm, config, self._planes))
         self._set_inertias(arm)
         self._data = mujoco.MjData(self._model)
-        self._sensor = self._model.body(SENSOR_FRAME).id
-        self._tool = self._model.body(TOOL_LINK).id
-        self._links = [self._model.body(f'link{i + 1}').id for i in range(len(arm.links))]
+        self._bodies = [self._model.body(name).id for name in (
+            *(f'link{i + 1}' for i in range(len(arm.links))), TOOL_LINK)]
         if native:
             # Rotors that are not behind springs, which the engine then carries itself.
             self._model.dof_armature[:] = np.array(arm.armature) * (config.drives == 'rigid')
             mujoco.mj_setConst(self._model, self._data)
             self._set_springs()
-        self._placed = False
         self._forces = np.zeros(len(self._planes))
         self._touch = np.zeros(6)
 
@@ -62,16 +60,15 @@ class MujocoArm(EngineArm):
         mujoco.mj_resetData(self._model, self._data)
         self._data.qpos[:] = q
         self._forces[:] = 0.0
-        self._placed = False
 
-    def _push(self, link: int, force: list[float], point: list[float]) -> None:
+    def push(self, pushes: list[list[float]]) -> None:
+        """Apply forces at points for one step; see `EngineArm`."""
         data = self._data
-        if not self._placed:
-            mujoco.mj_kinematics(self._model, data)  # where the link is now, not a step ago
-            self._placed = True
-        f, lever = np.array(force), np.array(point) - data.xipos[link]
-        data.xfrc_applied[link, :3] += f
-        data.xfrc_applied[link, 3:] += np.cross(lever, f)
+        mujoco.mj_kinematics(self._model, data)  # where the links are now, not a step ago
+        for *values, number in pushes:
+            link, force, point = self._bodies[int(number)], np.array(values[:3]), values[3:]
+            data.xfrc_applied[link, :3] += force
+            data.xfrc_applied[link, 3:] += np.cross(point - data.xipos[link], force)
 
     def step(self, torque: Vector) -> tuple[float, ...]:
         """Advance by one step and return what the arm exerts on the tool; see `EngineArm`."""
@@ -79,7 +76,6 @@ class MujocoArm(EngineArm):
         data.qfrc_applied[:] = torque
         mujoco.mj_step(model, data)
         data.xfrc_applied[:] = 0.0
-        self._placed = False
         self.q[:], self.qd[:] = data.qpos, data.qvel
         self._read_contacts()
         wrench: tuple[float, ...] = tuple(data.sensordata.tolist())
@@ -115,7 +111,7 @@ class MujocoArm(EngineArm):
         contact for and d its impedance; solref is (-k d, -b d).
         """
         model = self._model
-        tool, last = self._tool, 0
+        tool, last = self._bodies[-1], 0
         for i, plane in enumerate(self._planes):
             inverse_mass = model.body_invweight0[tool, 0] + model.body_invweight0[last, 0]
             scale = inverse_mass * (1.0 - IMPEDANCE)

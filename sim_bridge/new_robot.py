@@ -17,7 +17,7 @@ from sim_bridge.arm import Arm, parse_urdf
 from sim_bridge.posture import condition, limits_of, reach
 from sim_bridge.robot_file import ToolData
 from sim_bridge.robots import find_robot, SCHEME, urdf_name
-from sim_bridge.urdf_arm import Mount, read_arm, read_urdf
+from sim_bridge.urdf_arm import ends_of, Mount, read_arm, read_urdf
 import yaml
 
 MARK = 'PLACEHOLDER'
@@ -136,9 +136,9 @@ def _joints(root: ElementTree.Element, sensor: str) -> tuple[list[str], dict[str
                           f"'{sensor}'")
     carried = {}
     for joint in root.findall('joint'):
-        parent, child = joint.find('parent'), joint.find('child')
-        if parent is not None and child is not None:
-            carried[child.get('link', '')] = (parent.get('link', ''), joint)
+        parent, child = ends_of(joint)
+        if child:
+            carried[child] = parent, joint
     chain: list[str] = []
     link = sensor
     while link in carried:

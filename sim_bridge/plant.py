@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from functools import partial
+from typing import Any, NamedTuple
 
 from multicontact_control.arrays import require_shape, Vector
+from multicontact_control.compiled import bound
 from multicontact_control.config import ToolConfig, Vector3
 from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.sensor.weight import weight_reading
 import numpy as np
 import pinocchio as pin
-from sim_bridge.arm import Arm, SENSOR_FRAME, TOOL_LINK
+from sim_bridge.arm import Arm, OPERATIONAL_FRAME, SENSOR_FRAME
 from sim_bridge.config import PlantConfig
-from sim_bridge.contacts import Contacts
-from sim_bridge.drives import (
-    clip_torque,
-    EngineDrives,
-    FlexibleDrives,
-    joint_friction,
-    RigidDrives,
-)
+from sim_bridge.contacts import act_on_arm, Contacts
+from sim_bridge.drives import DRIVE, flexible_drives, joint_friction, RigidDrives
 from sim_bridge.engine_arm import EngineArm
-from sim_bridge.pushes import Pushes, ToolPush
+from sim_bridge.kinematics import chain_of
+from sim_bridge.pushes import HAND, Pushes, tool_push_point
 from sim_bridge.robots import find_robot
 from sim_bridge.wrench_sensor import WrenchSensor
 
@@ -84,23 +81,34 @@ class Plant:
         self.joint_names = self.description.joint_names
         self._model = self.description.model()
         _require_fit(config, self._model)
-        # What touches the tool is felt by the wrist sensor, what touches a link is not.
-        self._sensed_tips = [
-            config.surfaces[name].tip_link in (TOOL_LINK, *self.description.tips)
-            for name in config.met]
-        self._model.gravity.linear = np.array(config.gravity_world)
         self._home = np.array(config.home)
         still = np.zeros(self._model.nv)
         self.initial_torque: Vector = pin.rnea(
             self._model, self._model.createData(), self._home, still, still).copy()
         self._model.armature = np.array(self.description.armature)
-        self._limit = np.array(config.torque_limit or self.description.torque_limit)
-        self._drives = self._build_drives()
-        self.arm = make_engine(config, self.description)
         self._native = config.contact == 'native'
-        self._sensed: EngineArm | FlexibleDrives = self.arm
-        if isinstance(self._drives, FlexibleDrives) and config.joint_sensing == 'motor':
-            self._sensed = self._drives
+        self._limit = np.array(config.torque_limit or self.description.torque_limit)
+        self.arm = make_engine(config, self.description)
+        self._hands: Any = np.zeros(2, dtype=HAND)
+        frame = self._model.frames[self._model.getFrameId(OPERATIONAL_FRAME)]
+        self._hands['local'][0] = frame.placement.translation
+        self._hands['local'][1], self._tool_push_point = tool_push_point(config, self._model)
+        self._torques = np.zeros((4, len(self._home)))
+        self._motor, self.load, self._sum, self._link_side = self._torques
+        self._pushes = np.zeros((len(config.met) + len(self._hands), 7))
+        self._drives: Any = np.zeros(0, dtype=DRIVE)
+        self._rigid: RigidDrives | None = None
+        friction = joint_friction(
+            self.description, config.joint_friction_scale, config.joint_friction_speed)
+        if config.drives == 'flexible':
+            self._drives = flexible_drives(
+                np.array(self._model.armature), np.array(config.drive_stiffness),
+                np.array(config.drive_damping), friction)
+        elif config.contact == 'compliant':  # otherwise the engine has the rotors
+            self._rigid = RigidDrives(self._model, friction, config.substep)
+        motor_side = config.drives == 'flexible' and config.joint_sensing == 'motor'
+        self._q, self._qd = (
+            self._drives['q'], self._drives['qd']) if motor_side else self.arm.motion
         self.reset()
 
     def reset(self) -> Sample:
@@ -117,15 +125,25 @@ class Plant:
         sources = np.random.SeedSequence(self._seed).spawn(1 + len(config.met))
         generators = [np.random.default_rng(source) for source in sources]
         self._sensor = WrenchSensor(config.sensor, config.substep, generators[0])
-        self.contacts = Contacts(config, self._model, generators[1:])
-        self._wrist_push = Pushes(
-            self._rate, config.push_start, config.push_duration, config.push_force_world)
-        self._tool_push = ToolPush(config, self._model, self._rate)
+        self.contacts = Contacts(config, self.description, self._model, generators[1:])
+        self._hands['force'] = 0.0
+        self._wrist_push = Pushes(self._hands[0], self._rate, config.push_start,
+                                  config.push_duration, config.push_force_world)
+        self._tool_push = Pushes(self._hands[1], self._rate, config.tool_push_start,
+                                 config.tool_push_duration, config.tool_push_force_world)
+        contacts = self.contacts
+        acting = (
+            self.arm.motion, self._torques, self._limit, chain_of(self._model), self._drives,
+            contacts.surfaces, contacts.profiles, self._hands, self._pushes, config.substep)
+        self._act = partial(bound(act_on_arm, *acting), *acting)
         self._tick = 0
-        self._drives.reset(self._home, self.initial_torque)
         self.arm.reset(self._home)
+        if len(self._drives):  # springs wound up
+            self._drives['q'] = self._home + self.initial_torque / self._drives['stiffness']
+            self._drives['qd'] = 0.0
         self._sensor.read(self._static_wrench()[np.newaxis])
-        return self._sample(self.initial_torque.copy(), False)
+        self._motor[:] = self.initial_torque
+        return self._sample(False)
 
     def step(self, torque: Vector) -> Sample:
         """
@@ -150,17 +168,12 @@ class Plant:
 
         """
         require_shape('torque', torque, self._limit.shape)
-        applied = np.array(torque, dtype=float)
-        finite, saturated = clip_torque(applied, self._limit)
-        if not finite:
-            raise RunError(f'joint torque at tick {self._tick}: expected finite numbers, '
-                           f'found {torque.tolist()}')
+        self._motor[:] = torque
         self._wrist_push.start_period(self._tick)
         self._tool_push.start_period(self._tick)
-        wrenches = [self._substep(applied) for _ in range(self._substeps)]
-        self._sensor.read(np.array(wrenches))
+        self._sensor.read(np.array(self._advance()).reshape(-1, 6))
         self._tick += 1
-        return self._sample(applied, saturated)
+        return self._sample(self._motor.tolist() != torque.tolist())
 
     @property
     def model(self) -> pin.Model:
@@ -170,12 +183,12 @@ class Plant:
     @property
     def tool_push_point(self) -> Vector3:
         """Return where the tool is pushed, in the sensor's frame [m]."""
-        x, y, z = self._tool_push.point_sensor.tolist()
+        x, y, z = self._tool_push_point.tolist()
         return x, y, z
 
     def scale_torque_limit(self, factor: float) -> None:
         """Multiply what the drives can do, unknown to whoever commands them."""
-        self._limit = factor * self._limit
+        self._limit *= factor
 
     def push(self, force_world: Vector, duration: float, *, tool: bool = False) -> None:
         """
@@ -198,41 +211,23 @@ class Plant:
         """Give the simulator's memory back."""
         self.arm.close()
 
-    def _build_drives(self) -> RigidDrives | FlexibleDrives | EngineDrives:
-        config = self.config
-        friction = joint_friction(
-            self.description, config.joint_friction_scale, config.joint_friction_speed)
-        if config.drives == 'rigid' and config.contact == 'native':
-            return EngineDrives()
-        if config.drives == 'rigid':
-            return RigidDrives(self._model, friction, config.substep)
-        return FlexibleDrives(
-            np.array(self._model.armature), np.array(config.drive_stiffness),
-            np.array(config.drive_damping), friction, config.substep)
-
-    def _substep(self, torque: Vector) -> tuple[float, ...]:
-        """Take one integration step and return the true wrench at the sensor."""
-        contacts, arm, wrist, tool = self.contacts, self.arm, self._wrist_push, self._tool_push
-        q, qd = arm.q, arm.qd
-        contacts.move(self.config.substep)
-        pressed = contacts.update(q, qd, wrist.force_world)
-        if tool.add_load(q, contacts.load):
-            arm.push_tool(tool.force_world.tolist(), tool.point_world.tolist())
-        link_torque = self._drives.advance(torque, contacts.load, q, qd)
-        if pressed:
-            for alpha, force, point, joint, sensed in zip(
-                    contacts.pressed.tolist(), (-contacts.forces_world).tolist(),
-                    contacts.points_world.tolist(), contacts.carriers, self._sensed_tips):
-                if alpha > 0.0 and sensed:
-                    arm.push_tool(force, point)
-                elif alpha > 0.0:
-                    arm.push_link(joint, force, point)
-        if wrist.acting:
-            arm.push_link(-1, wrist.force_world.tolist(), contacts.wrist_world.tolist())
-        wrench = arm.step(link_torque)
-        if self._native:
-            contacts.pressed[:] = arm.native_forces()
-        return wrench
+    def _advance(self) -> list[float]:
+        """Take the integration steps of a period; return the true wrenches, one after another."""
+        act, arm, rigid, link_side = self._act, self.arm, self._rigid, self._link_side
+        wrenches: list[float] = []
+        for _ in range(self._substeps):
+            count = act()
+            if count < 0:
+                raise RunError(f'joint torque at tick {self._tick}: expected finite numbers, '
+                               f'found {self._motor.tolist()}')
+            if rigid is not None:
+                rigid.advance(self._motor, self._sum, arm.q, arm.qd, link_side)
+            if count:
+                arm.push(self._pushes.tolist()[:count])
+            wrenches += arm.step(link_side)
+            if self._native:
+                self.contacts.pressed[:] = arm.native_forces()
+        return wrenches
 
     def _static_wrench(self) -> Vector:
         """Return what the sensor reads at rest at home: the weight it carries, held."""
@@ -242,12 +237,11 @@ class Plant:
         carried = ToolConfig(mass=arm.carried_mass, com_sensor=arm.carried_com)
         return weight_reading(rotation, carried, np.array(self.config.gravity_world))
 
-    def _sample(self, effort: Vector, saturated: bool) -> Sample:
+    def _sample(self, saturated: bool) -> Sample:
         return Sample(
-            q=self._sensed.q.copy(), qd=self._sensed.qd.copy(), effort=effort,
-            wrench=self._sensor.reading.copy(), wrench_filtered=self._sensor.filtered.copy(),
-            contact_force=self.contacts.alpha, saturated=saturated,
-            tool_push_world=self._tool_push.force_world)
+            self._q.copy(), self._qd.copy(), self._motor.copy(), self._sensor.reading.copy(),
+            self._sensor.filtered.copy(), self.contacts.alpha, saturated,
+            self._tool_push.force_world.copy())
 
 
 def make_engine(config: PlantConfig, arm: Arm) -> EngineArm:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 from multicontact_control.arrays import Vector
 from multicontact_control.errors import ConfigError
@@ -10,7 +11,13 @@ import numpy as np
 import pinocchio as pin
 from sim_bridge.arm import SENSOR_FRAME
 from sim_bridge.config import PlantConfig
-from sim_bridge.kinematics import add_joint_torque, chain_of, forward_kinematics
+
+# What pushes the last link or the tool at one point; world axes.
+HAND = np.dtype([
+    ('force', np.float64, 3),  # [N]
+    ('local', np.float64, 3),  # the point in the last joint's frame [m]
+    ('point', np.float64, 3),  # where it is, of use while it pushes [m]
+])
 
 
 class Pushes:
@@ -19,6 +26,8 @@ class Pushes:
 
     Parameters
     ----------
+    hand
+        Record of `HAND` that pushes: its force is set.
     rate
         Control rate [Hz].
     start, duration
@@ -30,21 +39,18 @@ class Pushes:
     ----------
     force_world
         Their sum in the present control period, shape (3,) [N].
-    acting
-        Whether there is any.
 
     """
 
     def __init__(
-        self, rate: float, start: Sequence[float], duration: Sequence[float],
+        self, hand: Any, rate: float, start: Sequence[float], duration: Sequence[float],
         force_world: Sequence[float],
     ) -> None:
+        self.force_world: Vector = hand['force']
         self._pushes = [
             (round(begin * rate), round((begin + length) * rate),
              np.array(force_world[3 * i:3 * i + 3]))
             for i, (begin, length) in enumerate(zip(start, duration, strict=True))]
-        self.force_world: Vector = np.zeros(3)
-        self.acting = False
 
     def add(self, first: int, ticks: int, force_world: Vector) -> None:
         """Push also with a force [N] over some control periods from a tick on."""
@@ -53,30 +59,14 @@ class Pushes:
 
     def start_period(self, tick: int) -> None:
         """Take the forces of the control period that begins with a tick."""
-        forces = [force for first, end, force in self._pushes if first <= tick < end]
-        self.force_world = sum(forces, np.zeros(3))
-        self.acting = bool(forces)
+        if self._pushes:
+            self.force_world[:] = sum((force for first, end, force in self._pushes
+                                       if first <= tick < end), np.zeros(3))
 
 
-class ToolPush(Pushes):
+def tool_push_point(config: PlantConfig, model: pin.Model) -> tuple[Vector, Vector]:
     """
-    Forces at one point of the tool, beyond the wrist sensor, which reads their opposite.
-
-    Parameters
-    ----------
-    config
-        The plant, with the pushes.
-    model
-        The arm, for its geometry.
-    rate
-        Control rate [Hz].
-
-    Attributes
-    ----------
-    point_world
-        Where they push, shape (3,) [m]; only up to date while something does.
-    point_sensor
-        The same in the frame of the wrist sensor.
+    Return where the tool is pushed: in the last joint's frame and in the sensor's [m].
 
     Raises
     ------
@@ -84,27 +74,10 @@ class ToolPush(Pushes):
         If the tool has no such link.
 
     """
-
-    def __init__(self, config: PlantConfig, model: pin.Model, rate: float) -> None:
-        super().__init__(rate, config.tool_push_start, config.tool_push_duration,
-                         config.tool_push_force_world)
-        name = config.tool_push_link
-        sensor = model.frames[model.getFrameId(SENSOR_FRAME)]
-        pushed = model.frames[model.getFrameId(name)] if model.existFrame(name) else None
-        if pushed is None or pushed.parentJoint != sensor.parentJoint:
-            raise ConfigError('tool_push_link', 'a link of the tool', f"'{name}'")
-        self._local: Vector = np.array(pushed.placement.translation)
-        self.point_sensor: Vector = sensor.placement.actInv(self._local)
-        self._links = chain_of(model)
-        self.point_world = np.zeros(3)
-
-    def add_load(self, q: Vector, load: Vector) -> bool:
-        """Add what acts to the load of the joints at `q`, shape (n,) [N m]; return whether any."""
-        if not self.acting:
-            return False
-        rotation = np.empty((3, 3))
-        forward_kinematics(q, self._links, rotation)
-        self.point_world = self._links['origin'][-1] + rotation @ self._local
-        add_joint_torque(
-            self.point_world, self.force_world, 1.0, self._links, len(load) - 1, load)
-        return True
+    name = config.tool_push_link
+    sensor = model.frames[model.getFrameId(SENSOR_FRAME)]
+    pushed = model.frames[model.getFrameId(name)] if model.existFrame(name) else None
+    if pushed is None or pushed.parentJoint != sensor.parentJoint:
+        raise ConfigError('tool_push_link', 'a link of the tool', f"'{name}'")
+    point: Vector = np.array(pushed.placement.translation)
+    return point, sensor.placement.actInv(point)

@@ -231,11 +231,11 @@ class SimNode(Node):
             if self._delay_ticks:
                 torque = self._delay.torque_for(self._tick)
             self._publish()
-            self._spin_until_answered(spinner, deadline + wait)
+            self._spin_until(spinner, deadline + wait, answered=True)
             self._publish_truth()
             self._diagnostics.poll()
         # The last sample deserves its answer, too.
-        self._spin_until_answered(spinner, time.monotonic_ns() + NANOSECONDS // 10)
+        self._spin_until(spinner, time.monotonic_ns() + NANOSECONDS // 10, answered=True)
 
     def _miss(self) -> None:
         """Count a deadline that was missed."""
@@ -295,19 +295,12 @@ class SimNode(Node):
         self._saturated += self._sample.saturated
         self._step_times.add(time.perf_counter_ns() - start)
 
-    def _spin_until(self, spinner: Spinner, deadline: int) -> None:
-        """Run callbacks until an absolute time [ns]."""
+    def _spin_until(self, spinner: Spinner, deadline: int, *, answered: bool = False) -> None:
+        """Run callbacks until an absolute time [ns], or until the sample is `answered`."""
         remaining = deadline - time.monotonic_ns()
-        if remaining <= 0:
+        if remaining <= 0 and not answered:
             spinner.spin_once(0.0)  # late, but what has arrived has arrived in time
-        while remaining > 0 and not spinner.stop:
-            spinner.spin_once(remaining * 1e-9)
-            remaining = deadline - time.monotonic_ns()
-
-    def _spin_until_answered(self, spinner: Spinner, deadline: int) -> None:
-        """Run callbacks until the present sample has been answered, or an absolute time [ns]."""
-        remaining = deadline - time.monotonic_ns()
-        while self._answered < self._tick and remaining > 0 and not spinner.stop:
+        while remaining > 0 and not (spinner.stop or answered and self._answered >= self._tick):
             spinner.spin_once(remaining * 1e-9)
             remaining = deadline - time.monotonic_ns()
 

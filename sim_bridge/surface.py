@@ -9,7 +9,7 @@ positive normal component.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
@@ -31,10 +31,19 @@ SURFACE = np.dtype([
     ('slip_speed', np.float64),  # [m/s]
     ('spacing', np.float64),  # of the points of the profile [m]
     ('joint', np.int64),  # number of the joint that carries the tip
+    ('body', np.int64),  # likewise of the link that is pushed, or n for the tool
     ('tip', np.float64, 3),  # the tip in that joint's frame [m]
     ('radius', np.float64),  # of a curved one, 0 for a plane, > 0 for the outside of a ball [m]
     ('ball', np.uint8),  # whether curved all around, as a ball, or along the track alone
-    ('speed', np.float64),  # at which it moves along its normal, away from the robot [m/s]
+    ('velocity', np.float64),  # largest, along its normal, away from the robot [m/s]
+    ('motion_start', np.float64),  # [s]
+    ('motion_period', np.float64),  # 0 for a constant velocity [s]
+    ('mass', np.float64),  # of what gives way on a spring, 0 for nothing [kg]
+    ('mount_stiffness', np.float64),  # of that spring [N/m]
+    ('mount_damping', np.float64),  # [N s/m]
+    ('time', np.float64),  # of a surface that moves [s]
+    ('given_way', np.float64),  # along the normal [m]
+    ('speed', np.float64),  # now, along its normal, away from the robot [m/s]
     ('facing', np.float64, 3),  # unit normal INTO the surface where the tip is
     ('point', np.float64, 3),  # where the tip is [m]
     ('alpha', np.float64),  # normal force of robot on surface [N]
@@ -42,17 +51,9 @@ SURFACE = np.dtype([
 ])
 
 
-class Surfaces(NamedTuple):
-    """Several surfaces; each height profile repeats after its last point."""
-
-    records: Records  # of `SURFACE`, shape (nc,)
-    heights: Matrix  # profiles, positive towards the robot, shape (nc, m) [m]
-    slopes: Matrix  # their derivatives along the track, shape (nc, m)
-
-
 def build_surfaces(
     configs: list[SurfaceConfig], generators: list[np.random.Generator],
-) -> Surfaces:
+) -> tuple[Records, Matrix]:
     """
     Lay out surfaces, each with a roughness of its own.
 
@@ -63,23 +64,29 @@ def build_surfaces(
     generators
         A source of randomness for each.
 
+    Returns
+    -------
+    tuple of Records and Matrix
+        Records of `SURFACE`, shape (nc,), and their height profiles, each with its derivative
+        along the track, which repeat after the last point: positive towards the robot, shape
+        (nc, 2, m) [m].
+
     """
-    heights = np.zeros((len(configs), PROFILE_POINTS))
-    slopes = np.zeros_like(heights)
+    profiles = np.zeros((len(configs), 2, PROFILE_POINTS))
     records = np.zeros(len(configs), dtype=SURFACE)
     for i, config in enumerate(configs):
         spacing = config.roughness_length / POINTS_PER_LENGTH
-        heights[i] = roughness_profile(config.roughness_std, generators[i])
-        slopes[i] = (np.roll(heights[i], -1) - np.roll(heights[i], 1)) / (2.0 * spacing)
+        heights = roughness_profile(config.roughness_std, generators[i])
+        profiles[i] = heights, (np.roll(heights, -1) - np.roll(heights, 1)) / (2.0 * spacing)
         record = records[i]
         record['place'], record['normal'] = config.point_world, config.normal_world
         record['track'] = track_direction(record['normal'])
-        for name in ('stiffness', 'damping', 'friction', 'slip_speed'):
+        for name in ('stiffness', 'damping', 'friction', 'slip_speed', 'velocity', 'motion_start',
+                     'motion_period', 'mass', 'mount_stiffness', 'mount_damping', 'radius'):
             record[name] = getattr(config, name)
         record['spacing'] = spacing
-        record['radius'], record['ball'] = config.radius, config.shape == 'sphere'
-        record['facing'] = record['normal']
-    return Surfaces(records, heights, slopes)
+        record['ball'], record['facing'] = config.shape == 'sphere', record['normal']
+    return records, profiles
 
 
 def roughness_profile(std: float, generator: np.random.Generator) -> Vector:
@@ -135,6 +142,25 @@ def profile_at(values: Vector, spacing: float, position: float) -> float:
 
 
 @compiled
+def move(surface: Any, step: float) -> None:
+    """Let a surface move, or give way to what presses on it, for a step [s]."""
+    if surface.mass > 0.0:  # a body on a spring, by semi-implicit Euler
+        force = (surface.alpha - surface.mount_stiffness * surface.given_way
+                 - surface.mount_damping * surface.speed)
+        surface.speed += step * force / surface.mass
+        surface.given_way += step * surface.speed
+    else:
+        surface.time += step
+        time = surface.time - surface.motion_start
+        surface.speed = 0.0 if time <= 0.0 else surface.velocity
+        if surface.motion_period > 0.0:
+            surface.speed *= np.sin(2.0 * np.pi * time / surface.motion_period)
+    distance = surface.speed * step
+    for i in range(3):
+        surface.place[i] += distance * surface.normal[i]
+
+
+@compiled
 def mean_depth(surface: Any) -> float:
     """
     Return how deep the tip is in the mean surface [m], and fill in which way that faces.
@@ -171,7 +197,7 @@ def mean_depth(surface: Any) -> float:
 
 
 @compiled
-def press(surface: Any, velocity: Vector, heights: Vector, slopes: Vector) -> None:
+def press(surface: Any, velocity: Vector, profile: Matrix) -> None:
     """
     Work out what a moving tip does to a surface.
 
@@ -184,8 +210,8 @@ def press(surface: Any, velocity: Vector, heights: Vector, slopes: Vector) -> No
         Record of `SURFACE` with the point filled in: force and alpha are.
     velocity
         Of the tip, world axes, shape (3,) [m/s].
-    heights, slopes
-        Rows of `Surfaces`.
+    profile
+        Its height profile and the derivative of that, shape (2, m) [m].
 
     """
     normal, track, force = surface.facing, surface.track, surface.force
@@ -202,8 +228,8 @@ def press(surface: Any, velocity: Vector, heights: Vector, slopes: Vector) -> No
     # A surface that moves goes along its own normal, not along that where the tip is.
     for i in range(3):
         rate -= surface.speed * surface.normal[i] * normal[i]
-    depth += profile_at(heights, surface.spacing, along)
-    rate += profile_at(slopes, surface.spacing, along) * along_rate
+    depth += profile_at(profile[0], surface.spacing, along)
+    rate += profile_at(profile[1], surface.spacing, along) * along_rate
     force[0], force[1], force[2] = 0.0, 0.0, 0.0
     surface.alpha = 0.0
     if depth <= 0.0:

@@ -16,19 +16,7 @@ RATE = 25.0  # Hz, of surfaces that move
 
 
 class SurfaceMarkers:
-    """
-    Turns surfaces into slabs, once if they stay where they are.
-
-    Tips of the same edge or plane meet one surface, and one slab is drawn of it.
-
-    Parameters
-    ----------
-    config
-        The plant.
-    rate
-        Samples per second [Hz].
-
-    """
+    """The surfaces of a plant as slabs, one for the tips of an edge or plane together."""
 
     def __init__(self, config: PlantConfig, *, rate: float) -> None:
         surfaces = [config.surfaces[name] for name in config.drawn.values()]
@@ -57,13 +45,7 @@ class SurfaceMarkers:
         """
         Return the slabs, in a message that the next call changes.
 
-        Parameters
-        ----------
-        stamp
-            Time of the sample [ns].
-        places
-            A point of each surface that may be met, shape (no, 3) [m].
-
+        At a time [ns], with a point of each surface that may be met, shape (no, 3) [m].
         """
         time = messages.ns_to_stamp(stamp)
         for marker, number in zip(self._message.markers, self._numbers):

@@ -63,15 +63,16 @@ def read_arm(
     model = load_model(bare, {name: locked[name] for name in locked if f'"{name}"' in bare})
     _check_chain(model, joint_names, mount.link)
     turns = [_turn(model, joint) for joint in range(1, model.njoints)]
-    limits = _effort_and_speed(model)
+    # 0 is what a URDF has for a speed or torque that is not known.
+    limits = zip(*(map(float, values) for values in (
+        model.lowerPositionLimit, model.upperPositionLimit, model.velocityLimit,
+        model.effortLimit)))
     links = []
     before = pin.SE3.Identity()
-    for number, turn in enumerate(turns):
+    for number, (turn, limit) in enumerate(zip(turns, limits)):
         placement = before.inverse() * model.jointPlacements[number + 1] * turn
         body = _body(turn.actInv(model.inertias[number + 1]), joint_names[number])
-        links.append(Link(
-            joint_names[number], Placement.of(placement), body,
-            *_range(model, number), *limits[number]))
+        links.append(Link(joint_names[number], Placement.of(placement), body, *limit))
         before = turn
     flange = turns[-1].inverse() * _frame(model, mount.link).placement
     sensor = flange * pin.SE3(pin.rpy.rpyToMatrix(*mount.rpy), np.zeros(3))
@@ -93,7 +94,7 @@ def read_urdf(path: Path) -> str:
         raise ConfigError('urdf', 'a readable URDF file', f'{path} ({error.strerror})') from None
 
 
-def _ends(joint: ElementTree.Element) -> tuple[str, str]:
+def ends_of(joint: ElementTree.Element) -> tuple[str, str]:
     """Return parent and child link of a joint; empty where it does not say."""
     found = (joint.find('parent'), joint.find('child'))
     parent, child = ('' if end is None else end.get('link', '') for end in found)
@@ -107,7 +108,7 @@ def _beyond(text: str, link: str) -> set[str]:
     if link not in known:
         raise ConfigError('mount_link', f'a link of the URDF among {", ".join(known)}',
                           f"'{link}'")
-    joints = [_ends(joint) for joint in root.findall('joint')]
+    joints = [ends_of(joint) for joint in root.findall('joint')]
     found, ahead = set(), [link]
     while ahead:
         parent = ahead.pop()
@@ -122,7 +123,7 @@ def _without(text: str, links: set[str]) -> str:
     root = parse_urdf(text)
     for element in list(root):
         if (element.tag == 'link' and element.get('name') in links) or (
-                element.tag == 'joint' and _ends(element)[1] in links):
+                element.tag == 'joint' and ends_of(element)[1] in links):
             root.remove(element)
         elif element.tag not in ('link', 'joint'):
             root.remove(element)  # names joints that may be gone
@@ -174,15 +175,6 @@ def _body(inertia: pin.Inertia, joint: str) -> Body:
     body = Body.of(inertia)
     x, y, z = (max(moment, SMALLEST_INERTIA) for moment in body.inertia)
     return replace(body, inertia=(x, y, z))
-
-
-def _range(model: pin.Model, number: int) -> tuple[float, float]:
-    return float(model.lowerPositionLimit[number]), float(model.upperPositionLimit[number])
-
-
-def _effort_and_speed(model: pin.Model) -> list[tuple[float, float]]:
-    """Return largest speed and torque of each joint; 0 is what a URDF has for not known."""
-    return list(zip(map(float, model.velocityLimit), map(float, model.effortLimit)))
 
 
 def _with_tool_of_urdf(

@@ -15,6 +15,7 @@ from sim_bridge.config import SensorConfig
 CASCADE_HIGHEST = 500.0
 CASCADE_RATIO = 4.0
 AXES = 6
+READINGS_DRAWN = 16  # times as many readings as are taken at once, whose noise is drawn
 
 # One axis: what is set for it, and its newest reading [N or N m].
 AXIS = np.dtype([
@@ -58,7 +59,7 @@ class WrenchSensor:
     def __init__(
         self, config: SensorConfig, period: float, generator: np.random.Generator,
     ) -> None:
-        self._generator = generator
+        self._generator, self._noise = generator, np.zeros((0, AXES))
         self._mounting = np.array(config.mounting).reshape(3, 3) if config.mounting else None
         self._axes: Any = np.zeros(AXES, dtype=AXIS)
         self._axes['bias'] = config.bias
@@ -88,7 +89,11 @@ class WrenchSensor:
         """
         if self._mounting is not None:
             wrenches = (wrenches.reshape(-1, 2, 3) @ self._mounting.T).reshape(-1, AXES)
-        noise = self._generator.standard_normal(wrenches.shape)
+        count = len(wrenches)
+        if len(self._noise) < count:  # many at once: the generator is then seldom called
+            self._noise = np.concatenate((
+                self._noise, self._generator.standard_normal((READINGS_DRAWN * count, AXES))))
+        noise, self._noise = self._noise[:count], self._noise[count:]
         take_readings(
             wrenches, noise, self._axes, self._stages, self._memory, not self._started)
         self._started = True
@@ -145,21 +150,10 @@ def take_readings(
     wrenches: Matrix, noise: Matrix, axes: Any, stages: Matrix, memory: Matrix, first: bool,
 ) -> None:
     """
-    Take one reading after the other.
+    Take one reading after the other, the last one into `axes`, records of `AXIS`, shape (6,).
 
-    Parameters
-    ----------
-    wrenches, noise
-        True wrenches [N, N m] and white noise of deviation 1, shape (m, 6).
-    axes
-        Records of `AXIS`, shape (6,): the last reading is filled in.
-    stages
-        From `low_pass_stages`.
-    memory
-        Of the low-passes of each axis, updated, shape (6, stages, 2).
-    first
-        Whether these are the first readings.
-
+    Of true wrenches [N, N m] and white noise of deviation 1, shape (m, 6), with the memory of the
+    low-passes, shape (6, stages, 2), settled at the `first` of all readings.
     """
     for i in range(axes.shape[0]):
         axis = axes[i]

@@ -171,9 +171,6 @@ def _exercises() -> Mapping[str, Callable[[], object]]:
         'rigid drives': lambda: run_in_process(setup('rigid')),
         'rigid drives with friction': lambda: run_in_process(
             setup('rigid', joint_friction_scale=0.25)),
-        'hand that pushes the tool': lambda: run_in_process(setup(
-            'rigid', tool_push_start=[0.0], tool_push_duration=[1.0],
-            tool_push_force_world=[1.0, 0.0, 0.0])),
         'calibration': calibration}
 
 

@@ -58,9 +58,8 @@ def test_steps_are_those_of_pinocchio_and_so_is_the_wrench(name, engine, rng):
             levers = [pin.getFrameJacobian(
                 model, data, frame, pin.LOCAL_WORLD_ALIGNED)[:3].copy() for frame in frames]
             if largest_push:
-                body.push_tool(force.tolist(), points[0].tolist())
-                body.push_link(-1, push.tolist(), points[1].tolist())
-                body.push_link(elbow - 1, force.tolist(), points[3].tolist())
+                body.push([[*force, *points[0], n], [*push, *points[1], n - 1],
+                           [*force, *points[3], elbow - 1]])
             wrench = np.array(body.step(torque))
             qdd = pin.aba(model, data, q, qd, torque + (
                 levers[0] + levers[3]).T @ force + levers[1].T @ push)

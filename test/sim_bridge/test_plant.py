@@ -5,6 +5,7 @@ import pinocchio as pin
 import pytest
 from scipy import signal
 from sim_bridge.plant import Plant
+from sim_bridge.surface import move
 
 IDEAL_SENSOR = {'noise': False, 'quantise': False, 'saturate': False}
 
@@ -88,7 +89,7 @@ def test_obstacle_on_a_link_is_not_felt_by_the_sensor():
     plant.contacts.put_before_tip(2, -5e-3)
     sample = plant.step(plant.initial_torque)
     np.testing.assert_allclose(plant.contacts.obstacles, 15.0, atol=1.0)
-    assert (plant.contacts.load[:3] != 0.0).any() and (plant.contacts.load[3:] == 0.0).all()
+    assert (plant.load[:3] != 0.0).any() and (plant.load[3:] == 0.0).all()
     assert np.abs(sample.wrench - still).max() < 3.0
     plant.close()
 
@@ -97,14 +98,11 @@ def test_body_on_a_spring_gives_way_as_newton_says(make_plant):
     mass, stiffness, damping, force = 5.0, 1000.0, 100.0, 12.0
     plant = make_plant('rigid', surfaces={
         'mass': mass, 'mount_stiffness': stiffness, 'mount_damping': damping})
-    contacts, step = plant.contacts, plant.config.substep
-    normal = np.array(plant.config.surfaces['board'].normal_world)
-    start = contacts.places_world[1] @ normal
-    contacts.pressed[1] = force
-    places = []
+    surface, step = plant.contacts.surfaces[1], plant.config.substep
+    start, surface['alpha'], places = surface['place'].copy(), force, []
     for _ in range(2000):
-        contacts.move(step)
-        places.append(contacts.places_world[1] @ normal - start)
+        move(surface, step)
+        places.append((surface['place'] - start) @ surface['normal'])
     _, expected = signal.step(([force], [mass, damping, stiffness]), T=step * np.arange(2001))
     np.testing.assert_allclose(places, expected[1:], atol=np.diff(expected).max())
 
@@ -114,10 +112,10 @@ def test_surface_moves_as_configured(make_plant, period):
     """By v (t - t_0), or by v T / 2 pi (1 - cos 2 pi (t - t_0) / T)."""
     plant = make_plant(surfaces={
         'velocity': 0.02, 'motion_start': 0.1, 'motion_period': period})
-    before = plant.contacts.places_world.copy()
+    surface, before = plant.contacts.surfaces[0], plant.contacts.places_world[0].copy()
     for _ in range(400):
-        plant.contacts.move(1e-3)
+        move(surface, 1e-3)
     way = 0.02 * 0.3 if not period else 0.02 * period / (2.0 * np.pi) * (
         1.0 - np.cos(2.0 * np.pi * 0.3 / period))
     np.testing.assert_allclose(
-        plant.contacts.places_world[0] - before[0], [0.0, 0.0, -way], atol=3e-5)
+        surface['place'] - before, [0.0, 0.0, -way], atol=3e-5)

@@ -14,9 +14,12 @@ import pytest
 from robots import OTHERS, robot_parameters, ROBOTS
 from sim_bridge.arm import arm_of_urdf, OPERATIONAL_FRAME, Placement
 from sim_bridge.config import PlantConfig
-from sim_bridge.contacts import Contacts
+from sim_bridge.contacts import act_on_arm, Contacts
+from sim_bridge.drives import DRIVE
+from sim_bridge.kinematics import chain_of
 from sim_bridge.new_robot import new_robot, write_controller
 from sim_bridge.posture import condition, frame_pose
+from sim_bridge.pushes import HAND
 from sim_bridge.robots import find_robot, urdf_path
 import yaml
 
@@ -115,11 +118,14 @@ def test_several_tips_meet_one_plane_each_with_its_own_friction(rng):
             for name in feet}}))
     model = robot.arm.model()
     data, home = model.createData(), np.array(config.home)
-    contacts = Contacts(config, model, [rng] * len(feet))
+    contacts = Contacts(config, robot.arm, model, [rng] * len(feet))
     for contact in range(4):
         contacts.shift(contact, -8e-3)  # 1 mm into the tips
     qd = rng.uniform(-0.01, 0.01, model.nv)
-    assert contacts.update(home, qd, np.zeros(3))
+    torques, pushes = np.zeros((4, model.nv)), np.zeros((6, 7))
+    assert act_on_arm(
+        np.array([home, qd]), torques, np.ones(model.nv), chain_of(model), np.zeros(0, DRIVE),
+        contacts.surfaces, contacts.profiles, np.zeros(2, HAND), pushes, 1e-3) == 4
     pin.computeJointJacobians(model, data, home)
     pin.updateFramePlacements(model, data)
     load = np.zeros(model.nv)
@@ -131,9 +137,9 @@ def test_several_tips_meet_one_plane_each_with_its_own_friction(rng):
         slide = np.array([speed[0], speed[1], 0.0])
         expected = alpha * np.array([0.0, 0.0, -1.0]) + 0.1 * alpha * slide / np.sqrt(
             slide @ slide + 0.01 ** 2)
-        np.testing.assert_allclose(contacts.forces_world[i], expected, atol=1e-4)
-        load -= jacobian.T @ contacts.forces_world[i]
-    np.testing.assert_allclose(contacts.load, load, atol=1e-9)
+        np.testing.assert_allclose(pushes[i, :3], -expected, atol=1e-4)
+        load += jacobian.T @ pushes[i, :3]
+    np.testing.assert_allclose(torques[1], load, atol=1e-9)
 
 
 @pytest.mark.parametrize(('changes', 'field'), [

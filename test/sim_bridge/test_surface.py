@@ -13,10 +13,10 @@ def surface(**changes):
 
 
 def touch(surfaces, depth, velocity=(0.0, 0.0, 0.0), along=0.0):
-    record = surfaces.records[0]
+    (record,), (profile,) = surfaces
     record['point'] = record['place'] + depth * NORMAL + along * record['track']
     record['force'] = np.nan
-    press(record, np.array(velocity, dtype=float), surfaces.heights[0], surfaces.slopes[0])
+    press(record, np.array(velocity, dtype=float), profile)
     return record['alpha'], record['force'].copy()
 
 
@@ -26,7 +26,7 @@ def test_contact_force_is_that_of_spring_and_damper():
     forces = [touch(surfaces, depth)[0] for depth in depths]
     np.testing.assert_allclose(np.polyfit(depths, forces, 1), [6000.0, 0.0], atol=1e-9)
     np.testing.assert_allclose(touch(surfaces, 1e-3)[1], 6.0 * NORMAL, atol=1e-12)
-    surfaces.records['speed'] = 0.02  # goes away; damped by the speed between it and the tip
+    surfaces[0]['speed'] = 0.02  # goes away; damped by the speed between it and the tip
     alpha, _ = touch(surfaces, 1e-3, 0.03 * NORMAL)
     assert alpha == pytest.approx(6000.0 * 1e-3 + 30.0 * 0.01)
 
@@ -66,28 +66,27 @@ def test_roughness_has_the_asked_deviation_and_correlation_length():
 
 def test_roughness_is_felt_as_depth_and_as_rate():
     surfaces = surface(roughness_std=4e-5)
-    spacing = surfaces.records['spacing'][0]
+    (record,), ((heights, slopes),) = surfaces
+    spacing = record['spacing']
     for point in (0, 17, -5):
-        height, slope = surfaces.heights[0, point], surfaces.slopes[0, point]
-        assert slope == pytest.approx((
-            surfaces.heights[0, point + 1] - surfaces.heights[0, point - 1]) / (2.0 * spacing))
+        height, slope = heights[point], slopes[point]
+        assert slope == pytest.approx((heights[point + 1] - heights[point - 1]) / (2.0 * spacing))
         alpha, _ = touch(surfaces, 1e-3, along=point * spacing)
         assert alpha == pytest.approx(6000.0 * (1e-3 + height), rel=1e-9)
-        moving, _ = touch(surfaces, 1e-3, 0.1 * surfaces.records['track'][0], point * spacing)
+        moving, _ = touch(surfaces, 1e-3, 0.1 * record['track'], point * spacing)
         assert moving - alpha == pytest.approx(30.0 * 0.1 * slope, rel=1e-6, abs=1e-9)
 
 
 @pytest.mark.parametrize('shape', ['cylinder', 'sphere'])
 @pytest.mark.parametrize('radius', [0.5, -0.5])
 def test_curved_surface_is_pressed_towards_its_centre_or_axis(shape, radius, rng):
-    surfaces = surface(shape=shape, radius=radius, friction=0.0, damping=0.0)
-    record = surfaces.records[0]
+    (record,), (profile,) = surface(shape=shape, radius=radius, friction=0.0, damping=0.0)
     place, track = record['place'].copy(), record['track'].copy()
     axis, centre = np.cross(NORMAL, track), place + radius * NORMAL
     for _ in range(20):
         record['point'] = place + rng.uniform(-0.1, 0.1) * track + rng.uniform(
             -0.1, 0.1) * axis + rng.uniform(-0.01, 0.05) * NORMAL
-        press(record, np.zeros(3), surfaces.heights[0], surfaces.slopes[0])
+        press(record, np.zeros(3), profile)
         way = centre - record['point']
         if shape == 'cylinder':
             way -= (way @ axis) * axis

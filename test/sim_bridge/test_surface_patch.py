@@ -20,7 +20,7 @@ def test_patch_is_a_closed_slab_on_the_mean_surface(normal, shape, radius):
     front = patch.vertices[:len(patch.vertices) // 2]
     config = SurfaceConfig(
         tip_link='tip', point_world=tuple(PLACE), normal_world=normal, shape=shape, radius=radius)
-    surface = build_surfaces([config], [np.random.default_rng(0)]).records
+    surface = build_surfaces([config], [np.random.default_rng(0)])[0]
     for vertex in front:
         surface['point'][0] = PLACE + vertex
         assert mean_depth(surface[0]) == pytest.approx(0.0, abs=1e-12)
