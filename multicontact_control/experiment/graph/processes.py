@@ -69,6 +69,7 @@ class NodeProcesses:
     def start(self, name: str, parameters: Mapping[str, Any] | None = None) -> None:
         """Start a node, again if it has ended, with parameters over those of the graph."""
         self._ends = [other for other in self._ends if other != name]
+        self._log_file(name).touch()  # it may be read before the node has opened it
         self._running[name] = NodeProcess(
             MODULES[name], node_command(name, self._spec, parameters),
             self._environment, self._log_file(name).resolve())

@@ -41,7 +41,7 @@ def bag(tmp_path_factory):
     config = folder / 'config'
     with reserve_domain() as domain_id:
         result = run_graph(GraphSpec(
-            out=folder, ticks=TICKS, rate=500.0, speed=0.0,
+            out=folder, ticks=TICKS, rate=500.0, speed=0.7,
             reference_file=config / 'reference.yaml', domain_id=domain_id,
             parameter_files=setup.write(config)))
     return result.bag
