@@ -55,8 +55,9 @@ def test_graph_source_joins_presses_moves_and_tunes(shown):
     shown.command(source.FORCES, table=8.0, board=6.0)
     snapshot = until(shown, lambda found: (np.abs(found.measured - (8.0, 6.0)) < 0.5).all() and
                      set(found.states) == {'holding'}, 'the forces')
-    assert len(snapshot.points) and np.isfinite(snapshot.points[-1]).all()
     start = snapshot.position_des
+    until(shown, lambda found: len(found.points) and np.isfinite(found.points[-1]).all(),
+          'points of the curves')
     shown.command(source.JOG, offset=[0.02, 0.0, 0.0])
     until(shown, lambda found: found.position_des[0] > start[0] + 0.0199, 'the jog')
     until(shown, lambda found: found.moving == '', 'rest')
