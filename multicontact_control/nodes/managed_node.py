@@ -15,7 +15,6 @@ from multicontact_control.nodes.diagnostics import Diagnostics, Status
 from multicontact_control.nodes.graph_node import Refusals, StartupConfig, StartupGate
 from multicontact_control.nodes.parameters import ParameterSet
 from multicontact_control.nodes.runtime import release_memory, settle_process, Spinner
-from multicontact_control.nodes.shared_memory import PortWatch
 from multicontact_control.nodes.streams import Streams
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
@@ -116,21 +115,10 @@ class ManagedNode(LifecycleNode):
         return self.state == ACTIVE and self.gate is not None and self.gate.open
 
     def run(self, spinner: Spinner) -> None:
-        """
-        Run callbacks until asked to stop or shut down.
-
-        Raises
-        ------
-        OutOfReachError
-            If nobody can find the process, who might configure the node.
-
-        """
+        """Run callbacks until asked to stop or shut down."""
         self.begin()
-        ports = PortWatch()
         while not (spinner.stop or self.state == FINALIZED):
             self.spin_once(spinner)
-            if self.state == UNCONFIGURED:
-                ports.look()
         self.take_leave(spinner)
         spinner.drain()
 

@@ -19,11 +19,6 @@ from types import FrameType
 from typing import Any, Protocol
 
 from multicontact_control.errors import ConfigError, MulticontactError
-from multicontact_control.nodes.shared_memory import (
-    OutOfReachError,
-    remove_dead_ports,
-    remove_half_made_ports,
-)
 from multicontact_control.paths import config_dir
 from multicontact_control.process import settle_process
 import rclpy
@@ -144,8 +139,6 @@ def prepare_environment() -> None:
     os.environ.setdefault('AMENT_PREFIX_PATH', sys.prefix)
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     os.environ.setdefault('FASTRTPS_DEFAULT_PROFILES_FILE', str(config_dir() / 'fastdds.xml'))
-    remove_half_made_ports()
-    remove_dead_ports()
 
 
 def make_executor() -> Executor:
@@ -239,11 +232,6 @@ def run_node(make_node: Callable[[], Any], args: Sequence[str] | None = None) ->
         start_ros(args)
         with _compilations_told(program):
             return _run(make_node(), stop)
-    except OutOfReachError as error:
-        print(f'{program}: {error}', file=sys.stderr, flush=True)
-        rclpy.try_shutdown()
-        # The locks stay open, so that the next start gets other ports.
-        os.execv(sys.executable, sys.orig_argv)
     except ConfigError as error:
         print(f'{program}: {_one_line(error)}', file=sys.stderr)
         return EXIT_CONFIG
