@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import json
 import math
@@ -9,7 +10,7 @@ import signal
 import time
 
 from multicontact_control.config import ControllerConfig, read_parameters, validate
-from multicontact_control.errors import ConfigError
+from multicontact_control.errors import ConfigError, MulticontactError
 from multicontact_control.experiment.bag import read_bag
 from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.nodes.graph_node import ready_topic
@@ -139,13 +140,18 @@ def test_recorder_counts_no_losses_where_two_publish(middleware, tmp_path):
 def test_recorder_that_is_killed_leaves_a_bag_that_is_read(middleware, publishers, tmp_path):
     folder = tmp_path / 'bag'
     process = start_recorder(middleware, folder, publishers)
+    controller = validate(ControllerConfig, read_parameters(config_dir() / 'controller.yaml'))
+
+    def flushed():
+        with contextlib.suppress(MulticontactError):  # as long as there is little to read
+            return read_bag(folder, controller).data.ticks >= COUNT
+
     publish(publishers, 0, COUNT)
-    time.sleep(0.6)
+    wait_for(flushed, 'what was recorded on disk')
     publish(publishers, COUNT, 1)
     process.kill()
     process.communicate()
     assert not (folder / 'metadata.yaml').exists()
-    controller = validate(ControllerConfig, read_parameters(config_dir() / 'controller.yaml'))
     content = read_bag(folder, controller)
     assert content.data.ticks >= COUNT
     assert content.data.effort[:COUNT, 0].tolist() == [*range(COUNT)]
