@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 import contextlib
+import gc
 import os
 import signal
 import sys
@@ -170,6 +171,9 @@ def run_node(make_node: Callable[[], Any], args: Sequence[str] | None = None) ->
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.SIG_IGN)
         sys.stderr.flush()
+        # A life cycle holds its node in a circle; only without it is shared memory given back.
+        gc.unfreeze()
+        gc.collect()
         rclpy.try_shutdown()
 
 

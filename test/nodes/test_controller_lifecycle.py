@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from fake_arm import EFFORT, FakeArm
 from fake_arm import PARAMETERS as STILL
 from multicontact_control.nodes import messages, topics
@@ -74,6 +76,7 @@ def test_process_obeys_possible_transitions_and_leaves_the_arm_safely(middleware
     arm = FakeArm(middleware)
     arm.connect()
     torques = [settle(arm)]
+    opened = [path.resolve() for path in Path(f'/proc/{process.pid}/fd').iterdir()]
     process.terminate()
     while process.poll() is None:
         arm.send()
@@ -83,6 +86,7 @@ def test_process_obeys_possible_transitions_and_leaves_the_arm_safely(middleware
             torques.append(np.array(command.effort))
     assert process.returncode == 0
     assert np.abs(torques[-1]).max() < np.abs(torques[0]).max() - 5 * LARGEST_STEP
+    assert not [path for path in opened if 'fastrtps' in path.name and path.exists()]
 
 
 def test_configure_refuses_what_is_wrong_until_it_is_repaired(host):
