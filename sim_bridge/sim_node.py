@@ -44,9 +44,8 @@ from multicontact_control.nodes.loop_statistics import (
     NANOSECONDS,
 )
 from multicontact_control.nodes.parameters import load_parameters
-from multicontact_control.nodes.raw_messages import effort_reader
 from multicontact_control.nodes.runtime import run_node, Spinner
-from multicontact_control.nodes.streams import Streams
+from multicontact_control.nodes.streams import effort_reader, Streams
 import numpy as np
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock

@@ -14,7 +14,7 @@ from multicontact_control.client import (
 )
 from multicontact_control.errors import RunError
 from multicontact_control.nodes import messages, topics
-from multicontact_control.nodes.graph_node import create_publisher, create_subscription
+from multicontact_control.nodes.graph_node import create_publisher
 from multicontact_control.nodes.link import CLEAN_UP, DEACTIVATE, GuestNode, LifecycleDriver
 from multicontact_control.nodes.status_message import ACCEPTED, identifier_of
 import numpy as np
@@ -220,7 +220,8 @@ def test_command_is_sent_until_it_is_answered_and_motion_ends_where_samples_begi
                 ACCEPTED, heard[-1], 'ok', 'active', 'none', '', '', False, 0, '', {},
             ).message('stand-in', b'\0'))
 
-    create_subscription(stand_in, topics.MOTION_COMMAND, accept, topics.MOTION_COMMAND.profile)
+    stand_in.create_subscription(topics.MOTION_COMMAND.message, topics.MOTION_COMMAND.name, accept,
+                                 topics.MOTION_COMMAND.profile)
     stand_in.create_timer(
         0.005, lambda: poses.publish(pose_at(10**9 + 2_000_000 * next(numbers))))
     with MultiContactClient('stand_in', domain_id=domain_id, timeout=PATIENCE) as client, (

@@ -41,7 +41,7 @@ CONTROLLER, ESTIMATOR = PRESET_NODES
 COMMANDS = 'commands'  # in the place of a scenario's name
 UNTIL_STOPPED = 1e6  # s, of a run that Ctrl-C ends
 WHOLE = 2e-4  # of a rate, by which a clock may be off one of whole Hz
-OF_THE_RUN = ('autostart', 'startup_peers', 'startup_timeout', 'timing_file', 'base_dir')
+OF_THE_RUN = ('autostart', 'startup_peers', 'timing_file', 'base_dir')
 NAMED_BY = ('contact_forces/measured', 'contact_forces/estimated', 'contact_forces/desired',
             'contact_forces/noise_variance', 'contact_forces/command',
             'ground_truth/contact_forces')

@@ -27,23 +27,9 @@ INFINITE = QosTime(9223372036, 854775807)
 
 class Bag:
     """
-    One recording.
+    One recording, in a folder to create; RunError if it exists, or cannot be written to.
 
-    Parameters
-    ----------
-    folder
-        Folder to create.
-
-    Attributes
-    ----------
-    types
-        The message types of ROS 2 Jazzy, and those of the topics.
-
-    Raises
-    ------
-    RunError
-        If the folder exists, or cannot be written to.
-
+    `types` are the message types of ROS 2 Jazzy, and those of the topics.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -58,33 +44,8 @@ class Bag:
         except OSError as error:
             raise RunError(f'{folder}: {error.strerror}') from None
 
-    def __enter__(self) -> Bag:
-        """Return the bag itself."""
-        return self
-
-    def __exit__(self, *_error: object) -> None:
-        """Close the bag, whatever happened."""
-        self.close()
-
     def add_topic(self, name: str, type_name: str, profile: QoSProfile) -> None:
-        """
-        Announce a topic.
-
-        Parameters
-        ----------
-        name
-            Full name, with its leading slash.
-        type_name
-            For example ``sensor_msgs/msg/JointState``.
-        profile
-            Quality of service it is published with.
-
-        Raises
-        ------
-        RunError
-            If the definition of the type is not known.
-
-        """
+        """Announce a topic; RunError if the definition of its type is not known."""
         if type_name not in self.types.fielddefs:
             self._learn_package(type_name)
         self._connections[name] = self._writer.add_connection(
@@ -107,19 +68,7 @@ class Bag:
         self.types.register(types)
 
     def write(self, topic: str, data: bytes, time: int) -> None:
-        """
-        Write one message.
-
-        Parameters
-        ----------
-        topic
-            A name given to `add_topic`.
-        data
-            The message as CDR, with its encapsulation header.
-        time
-            When it was published [ns since the epoch].
-
-        """
+        """Write a message as CDR with its encapsulation header; `time` in ns since the epoch."""
         self._writer.write(self._connections[topic], time, data)
 
     def flush(self) -> None:

@@ -10,7 +10,7 @@ from multicontact_control.errors import MulticontactError
 from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.nodes.controller_config import ControllerNodeConfig
 from multicontact_control.nodes.controller_events import ControllerEvents
-from multicontact_control.nodes.graph_node import create_subscription, Refusals
+from multicontact_control.nodes.graph_node import Refusals
 from multicontact_control.nodes.status_message import identifier_of
 from rclpy.node import Node
 from rclpy.subscription import Subscription
@@ -48,32 +48,19 @@ class CommandInterface:
     """
     Hands commands to a control loop, counts what it refuses, and answers.
 
-    Parameters
-    ----------
-    node
-        The controller's node.
-    loop
-        What is commanded.
-    refusals
-        Where refusals are counted.
-    events
-        Where commands are answered.
-    set_bias
-        Makes a bias of the wrist sensor the one in force; may raise `MulticontactError`.
-
+    `set_bias` makes a bias of the wrist sensor the one in force; it may raise
+    `MulticontactError`.
     """
 
     def __init__(
         self, node: Node, loop: ControlLoop, refusals: Refusals, events: ControllerEvents,
         set_bias: Callable[[list[float]], None],
     ) -> None:
-        self._node = node
-        self._loop = loop
+        self._node, self._loop, self._set_bias = node, loop, set_bias
         self._refusals, self._events = refusals, events
-        self._set_bias = set_bias
         self._config = ControllerNodeConfig()
         self.subscriptions: dict[topics.Topic, Subscription] = {
-            topic: create_subscription(node, topic, callback, qos.COMMAND)
+            topic: node.create_subscription(topic.message, topic.name, callback, qos.COMMAND)
             for topic, callback in ((topics.FORCE_COMMAND, self._on_forces),
                                     (topics.MOTION_COMMAND, self._on_motion))}
         self._services = [

@@ -71,8 +71,7 @@ class ControllerNodeConfig(ManagedConfig):
         """
         Return the folder that relative paths in the parameters start from.
 
-        That of `base_dir`; without it the folder of the last parameter file on the command line,
-        and without one that of the package's configuration.
+        Without `base_dir` that of the last parameter file, or else the package's configuration.
         """
         if self.base_dir:
             return Path(self.base_dir)
@@ -81,15 +80,7 @@ class ControllerNodeConfig(ManagedConfig):
         return Path(files[-1]).resolve().parent if files else config_dir()
 
     def scenario(self, config: ControllerConfig) -> ScenarioReference | None:
-        """
-        Return the scenario to follow, None to obey commands.
-
-        Raises
-        ------
-        ConfigError
-            If its file cannot be read or does not fit the controller.
-
-        """
+        """Return the scenario to follow, None to obey commands; ConfigError if it is a bad one."""
         if not self.reference_file:
             return None
         path = self.folder / self.reference_file

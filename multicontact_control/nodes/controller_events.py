@@ -11,12 +11,7 @@ from multicontact_control.control_loop import ControlLoop
 from multicontact_control.nodes import topics
 from multicontact_control.nodes.controller_status import reaction_text
 from multicontact_control.nodes.graph_node import create_publisher
-from multicontact_control.nodes.status_message import (
-    ACCEPTED,
-    ControllerStatus,
-    REFUSED,
-    STATE,
-)
+from multicontact_control.nodes.status_message import ACCEPTED, ControllerStatus, REFUSED, STATE
 from multicontact_control.supervision.fallback import NONE
 from rclpy.node import Node
 
@@ -35,17 +30,10 @@ class ControllerEvents:
 
     Parameters
     ----------
-    node
-        The controller's node.
-    loop
-        What it steps.
+    node, loop
+        The controller's node, and what it steps.
     life_cycle
         Returns the state of its life cycle.
-
-    Attributes
-    ----------
-    publisher
-        Of ~/status.
 
     """
 

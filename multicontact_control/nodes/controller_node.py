@@ -42,17 +42,16 @@ from multicontact_control.nodes.loop_statistics import (
     NANOSECONDS,
 )
 from multicontact_control.nodes.managed_node import ACTIVE, ManagedNode
-from multicontact_control.nodes.raw_messages import (
+from multicontact_control.nodes.runtime import run_node, Spinner
+from multicontact_control.nodes.streams import (
     effort_reader,
     joint_state_reader,
     MessageReader,
     wrench_reader,
 )
-from multicontact_control.nodes.runtime import run_node, Spinner
 from multicontact_control.sampling import PairedSample, SamplePairing, SampleTimeout
 import numpy as np
 
-# What is timed of a tick: a message into a reading (twice), the loop, the command, all the rest.
 # Samples from which on a rate is known, and the factor from which on it is a wrong one.
 FEWEST, WRONG_RATE = 10, 1.3
 NO_WRENCH = np.zeros(6)
@@ -63,82 +62,78 @@ class ControllerNode(ManagedNode):
     Pairs samples, steps the controller, publishes what it answers.
 
     Without lockstep the newest noise variance is used, however old. A sample that comes again
-    gets the same command again; bare, 25 times at most. After a deactivation samples are answered
-    by the declared safe behaviour, and by a process that is told to end for `SAFE_TIME`.
-
-    With a supervisor, commands go on when samples do not come (`SampleTimeout`). One sample that
-    is older than the last is refused then; two in a row are a clock that was set back. Bare, and
-    in lockstep, an older sample starts everything anew.
+    gets the same command again; bare, 25 times at most. With a supervisor, commands go on when
+    samples do not come (`SampleTimeout`); one sample that is older than the last is refused then,
+    two in a row are a clock that was set back. Bare, and in lockstep, an older sample starts
+    everything anew. After a deactivation samples are answered by the declared safe behaviour.
     """
 
     def __init__(self) -> None:
-        super().__init__(
-            topics.CONTROLLER, ControllerConfig, ControllerNodeConfig)
+        super().__init__(topics.CONTROLLER, ControllerConfig, ControllerNodeConfig)
         self._loop: ControlLoop | None = None
         self._commands: CommandInterface | None = None
         self._outputs: ControllerOutputs | None = None
+        self._events: ControllerEvents | None = None
         self._report: SupervisorReport | None = None
-        self._readers: dict[topics.Topic, MessageReader[Any]] = {}
+        self._missing: MissingInputs | None = None
         self._node_config = ControllerNodeConfig()
+        self._readers: dict[topics.Topic, MessageReader[Any]] = {}
         self._watch, self._fresh = LoopStatistics(), Freshness()
         self._pairing = SamplePairing()
-        self._events: ControllerEvents | None = None
-        self._missing: MissingInputs | None = None
-        self._last_taken = self._taken = 0
-        self._reported_at, self._again = (0, -1), 0
+        self._patience = SampleTimeout(0.0, 1.0)
+        # From the last message of a sample to its command sent; the loop's step and what is
+        # published of the tick by themselves.
+        self._ticks, self._steps, self._shows = DurationLog(), DurationLog(), DurationLog()
+        self._heard = self._received = 0  # messages of whatever use, and when the last came
+        self._taken = self._last_taken = 0  # samples, and when the last was complete
+        self._reported_at, self._again, self._restarts = (0, -1), 0, 0
         self._warned: set[str] = set()
-        self._ticks = DurationLog()
-        self._restarts = 0
         self._waiting: PairedSample | None = None
         self._older_stamp: int | None = None
-        self._patience = SampleTimeout(0.0, 1.0)
-        self._heard = self._received = 0
-        self._feels = True
-        self._instruction = ''
-        self._collisions = 0
         self._last_command: Command | None = None
+        self._instruction, self._collisions = '', 0
 
     def configure(self, configurations: Sequence[Any]) -> None:
         """Build the controller and its ends of the topics."""
         config: ControllerConfig
         config, self._node_config = configurations
-        node_config = self._node_config
+        node_config, lockstep = self._node_config, self._node_config.lockstep
         loop = ControlLoop(
             config, node_config.scenario(config), node_config.command, node_config.folder,
             supervised=node_config.supervised)
         warm_up(loop)
         self._loop, self._watch = loop, LoopStatistics(config.rate)
         self._report = SupervisorReport(loop)
-        self._set_patience(config)
+        waits = node_config.supervised and not lockstep
+        self._patience = SampleTimeout(
+            node_config.patience if waits else 0.0, config.period * NANOSECONDS)
         self._outputs = ControllerOutputs(self, self.streams, config, node_config)
         self._wrench = topics.WRENCHES.get(config.wrench_input, topics.WRENCH)
         self._feels = config.wrench_input != 'momentum'
-        self._readers = {
-            topics.NOISE_VARIANCE: effort_reader(config.column_names),
-            **({self._wrench: wrench_reader(config.robot.sensor_frame, self._warn_of_frame)}
-               if self._feels else {}),
-            topics.JOINT_STATES: joint_state_reader(config.robot.joint_names)}
-        lockstep = node_config.lockstep
-        profile = qos.INPUT if lockstep else qos.NEWEST
-        least = profile if lockstep else qos.SENSOR
-        inputs = {
+        joints, columns = config.robot.joint_names, config.column_names
+        frame = config.robot.sensor_frame
+        nameless = (f'{self._wrench.name}: header.frame_id is empty: it is taken for {frame} '
+                    '(robot.sensor_frame)')
+        inputs: dict[topics.Topic, tuple[MessageReader[Any], Callable[[bytes], None], str]] = {
             topics.NOISE_VARIANCE: (
-                self._on_noise_variance, profile,
-                f'an effort [N^2] for each of {", ".join(config.column_names)}; the last R is '
-                'held'),
+                effort_reader(columns), self._on_noise_variance,
+                f'an effort [N^2] for each of {", ".join(columns)}; the last R is held'),
             self._wrench: (
-                self._on_wrench, least, 'force [N] and torque [N m] in the axes of '
-                f'{config.robot.sensor_frame}, stamped'),
+                wrench_reader(frame, lambda: self._warn_once(nameless, 'frame')), self._on_wrench,
+                f'force [N] and torque [N m] in the axes of {frame}, stamped'),
             topics.JOINT_STATES: (
-                self._on_joint_states, least, 'position and velocity [rad, rad/s] of '
-                f'{", ".join(config.robot.joint_names)}, stamped')}
-        for topic in self._readers:
-            self.streams.subscribe(topic, inputs[topic][0], profile, adapt=(
-                topic is not topics.NOISE_VARIANCE and not lockstep))
+                joint_state_reader(joints), self._on_joint_states,
+                f'position and velocity [rad, rad/s] of {", ".join(joints)}, stamped')}
+        if not self._feels:
+            del inputs[self._wrench]
+        self._readers = {topic: reader for topic, (reader, _, _) in inputs.items()}
+        profile = qos.INPUT if lockstep else qos.SENSOR
+        for topic, (_, callback, _) in inputs.items():
+            self.streams.subscribe(topic, callback, profile)
+        self._missing = MissingInputs(
+            self, self._fresh, {topic: (profile, text) for topic, (_, _, text) in inputs.items()})
         self._pairing = SamplePairing(
             round(node_config.pair_tolerance * config.period * NANOSECONDS))
-        self._missing = MissingInputs(
-            self, self._fresh, {topic: inputs[topic][1:] for topic in self._readers})
         self._events = ControllerEvents(self, loop, lambda: self.state)
         self._commands = CommandInterface(
             self, loop, self.refusals, self._events,
@@ -146,38 +141,22 @@ class ControllerNode(ManagedNode):
         self._commands.adopt(node_config)
         self._forget()
 
-    def _warn_of_frame(self) -> None:
-        """Say that wrenches do not say what frame they are of."""
-        self._warn_once(
-            'frame', f'{self._wrench.name}: header.frame_id is empty: it is taken for '
-            f'{self._configured.config.robot.sensor_frame} (robot.sensor_frame)')
-
-    def _warn_once(self, cause: str, text: str) -> str:
+    def _warn_once(self, text: str, cause: str) -> str:
         """Log a warning, unless one of that cause has been; return it."""
         if cause not in self._warned:
             self._warned.add(cause)
             self.get_logger().warning(text)
         return text
 
-    def _set_patience(self, config: ControllerConfig) -> None:
-        waits = self._node_config.supervised and not self._node_config.lockstep
-        self._patience = SampleTimeout(
-            self._node_config.patience if waits else 0.0, config.period * NANOSECONDS)
-
     def activate(self) -> StartupGate:
         """Start with the next sample, as if there had been none."""
         self._configured.restart()
         self._forget()
-        commands = self._commands.subscriptions if self._commands else {}
-        outputs = self._outputs.publishers if self._outputs else {}
-        if self._events is not None:
-            outputs = {**outputs, topics.STATUS: self._events.publisher}
-        return StartupGate(
-            self, outputs, {**self.streams.subscriptions, **commands}, self._node_config)
-
-    def gate_opened(self) -> None:
-        """Answer the sample that waits."""
-        self._answer()
+        subscriptions, outputs = dict(self.streams.subscriptions), dict(self.streams.publishers)
+        if self._commands and self._outputs and self._events:
+            subscriptions |= self._commands.subscriptions
+            outputs = {**self._outputs.publishers, topics.STATUS: self._events.publisher}
+        return StartupGate(self, outputs, subscriptions, self._node_config)
 
     def deactivate(self) -> None:
         """Go over to the safe behaviour."""
@@ -191,7 +170,7 @@ class ControllerNode(ManagedNode):
             return
         self.trigger_deactivate()
         end = time.monotonic_ns() + SAFE_TIME * NANOSECONDS
-        # A robot that has been silent for as long is not there to take leave of.
+        # A robot that has been silent for as long is gone already.
         while time.monotonic_ns() < min(end, self._last_taken + SAFE_TIME * NANOSECONDS):
             self.spin_once(spinner)
 
@@ -203,7 +182,6 @@ class ControllerNode(ManagedNode):
         self._loop = self._commands = self._outputs = self._report = self._events = None
         self._missing = None
         self._patience.stop()
-        self._readers = {}
 
     def check(self, configurations: Sequence[Any]) -> None:
         """Raise if the controller cannot go on with new configurations."""
@@ -230,6 +208,7 @@ class ControllerNode(ManagedNode):
         events = self._loop.events.events if self._loop is not None else []
         self._node_config.write_counts({
             'steps': self._ticks.count, 'tick_us': self._ticks.percentiles(),
+            'step_us': self._steps.percentiles(), 'show_us': self._shows.percentiles(),
             'refused': dict(self.refusals.counts), 'unpaired': self._pairing.unpaired,
             'restarts': self._restarts, 'events': events})
 
@@ -243,45 +222,34 @@ class ControllerNode(ManagedNode):
             self._missing.restart()
 
     def _on_joint_states(self, data: bytes) -> None:
-        if self._loop is None:
-            return
-        self._hear()
         with self.refusals.guard(topics.JOINT_STATES):
             reading = self._read(topics.JOINT_STATES, data)
             self._take(self._pairing.add_joints(reading) if self._feels else PairedSample(
                 reading.stamp, reading.q, reading.qd, NO_WRENCH, reading.effort))
 
     def _on_wrench(self, data: bytes) -> None:
-        if self._loop is None:
-            return
-        self._hear()
         with self.refusals.guard(self._wrench):
             self._take(self._pairing.add_wrench(self._read(self._wrench, data)))
 
-    def _hear(self) -> None:
-        """Take note of a message, of whatever use it is."""
+    def _read(self, topic: topics.Topic, data: bytes) -> Any:
+        """Return the reading in a message; one that is refused does not count as come."""
         self._heard += 1
         self._received = time.monotonic_ns()
-
-    def _read(self, topic: topics.Topic, data: bytes) -> Any:
         reading = self._readers[topic].read(data)
-        self._fresh.note(topic.name)  # what is refused is none
+        self._fresh.note(topic.name)
         return reading
 
     def _on_noise_variance(self, data: bytes) -> None:
-        loop = self._loop
-        if loop is None:
-            return
         with self.refusals.guard(topics.NOISE_VARIANCE):
+            start = time.monotonic_ns()
             reading = self._readers[topics.NOISE_VARIANCE].read(data)
             if min(reading.values.tolist()) <= 0.0:
-                raise MessageError(
-                    'effort', 'variances above 0', reading.values.tolist())
+                raise MessageError('effort', 'variances above 0', reading.values.tolist())
             self._fresh.note(topics.NOISE_VARIANCE.name)
-            if reading.stamp > loop.last_stamp:
-                return  # left over from before a restart
-            loop.take_variance(reading.stamp, reading.values)
-            self._answer()
+            loop = self._configured
+            if reading.stamp <= loop.last_stamp:  # else left over from before a restart
+                loop.take_variance(reading.stamp, reading.values)
+                self._answer(start)
 
     def _take(self, sample: PairedSample | None) -> None:
         if sample is None:
@@ -291,40 +259,45 @@ class ControllerNode(ManagedNode):
         self._taken += 1
         again = self._waiting is not None and self._waiting.stamp == sample.stamp
         self._waiting = sample
-        self._answer()
-        loop = self._loop
-        if again and self._waiting is sample and loop is not None:
+        self._answer(self._received)
+        if again and self._waiting is sample:
             # Lockstep stands still: the estimator came after the forces it has to answer.
-            self._show(loop, loop.last_stamp)
+            self._show(self._configured)
 
-    def _answer(self) -> None:
+    def gate_opened(self) -> None:
+        """Answer the sample that waits."""
+        self._answer()
+
+    def _answer(self, start: int = 0) -> None:
         """Answer the sample that waits, unless something it needs is not there yet."""
-        sample, loop = self._waiting, self._loop
-        if sample is None or loop is None or not (self.working or loop.safe):
+        sample, loop = self._waiting, self._configured
+        if sample is None or not (self.working or loop.safe):
             return
+        lockstep = self._node_config.lockstep
         if sample.stamp == loop.last_stamp:
             self._waiting = None
             self._again += 1
-            if self._last_command is None or self._outputs is None:
-                return
-            # Bare, nobody else says that the arm has not been seen for long.
-            if (self._again <= STALE_PERIODS or loop.supervisor is not None
-                    or self._node_config.lockstep):
+            # Bare, nothing else tells that the arm has not been seen for long.
+            if self._last_command is not None and self._outputs is not None and (
+                    self._again <= STALE_PERIODS or loop.supervisor is not None or lockstep):
                 self._outputs.send(self._last_command)
             return
-        if sample.stamp < loop.last_stamp and not self._start_anew(loop, sample.stamp):
+        if sample.stamp < loop.last_stamp and not self._starts_anew(loop, sample.stamp):
             self._waiting = None
             return
-        if self._node_config.lockstep and not loop.safe and (
-                loop.variance_stamp != loop.last_stamp):
+        if lockstep and not loop.safe and loop.variance_stamp != loop.last_stamp:
             return
         self._waiting = self._older_stamp = None
         self._again = 0
         self._patience.start(self._received)
-        self._command(loop, lambda: loop.step(sample))
+        self._command(loop, lambda: loop.step(sample), start)
+        self._watch.add_latency(time.monotonic_ns() - self._received)
+        begin = time.monotonic_ns()
+        self._show(loop)
+        self._shows.add(time.monotonic_ns() - begin)
         self._guide(loop)
 
-    def _start_anew(self, loop: ControlLoop, stamp: int) -> bool:
+    def _starts_anew(self, loop: ControlLoop, stamp: int) -> bool:
         """Return whether to go on with a sample that is older than the last."""
         if loop.supervisor is None or self._node_config.lockstep:
             self.get_logger().warning('samples start anew: the controller starts anew')
@@ -332,7 +305,7 @@ class ControllerNode(ManagedNode):
             self._restarts += 1
             return True
         before, self._older_stamp = self._older_stamp, stamp
-        if before is not None and stamp >= before:  # the same again: somebody waits for an answer
+        if before is not None and stamp >= before:  # the same again waits for an answer
             return True
         self.refusals.refuse(topics.JOINT_STATES.name, MessageError(
             'stamp', 'one after that of the last sample', f'{stamp} ns'))
@@ -348,7 +321,6 @@ class ControllerNode(ManagedNode):
         loop, due, heard = self._loop, self._patience.due, -1
         if self._missing is not None and self.state == ACTIVE:
             self._missing.poll()
-        self.streams.meet_publishers()
         if loop is None or not due or time.monotonic_ns() < due:
             return
         while heard != self._heard and not spinner.stop:
@@ -357,53 +329,42 @@ class ControllerNode(ManagedNode):
         now = time.monotonic_ns()
         if not 0 < self._patience.due <= now or not (self.working or loop.safe):
             return
-        half = self._pairing.take_half(loop.last_stamp)
-        if half is not None:
-            self._patience.half_used(now)
-            self._command(loop, lambda: loop.step_half(half))
-            return
-        periods = self._patience.missed(now)
-        if periods:
-            self._command(loop, lambda: loop.step_without(periods), sampled=False)
-
-    def _command(
-        self, loop: ControlLoop, step: Callable[[], Vector], *, sampled: bool = True,
-    ) -> None:
         with self.refusals.guard(topics.JOINT_STATES):
-            start = time.perf_counter_ns()
-            self._last_command = None
-            try:
-                torque = step()
-            except (SingularTaskError, ContactGeometryError) as error:
-                self.get_logger().error(  # only bare: a supervisor would have answered
-                    f'{error}; going over to the safe behaviour, until activated anew')
-                torque = loop.stop()
-            stamp = loop.expected_stamp
-            if self._outputs is None:
-                return
-            command = self._outputs.command(stamp, torque)
-            answered = time.perf_counter_ns()
-            # The command first: everything else can wait, the robot cannot.
-            self._outputs.send(command)
-            self._last_command = command
-            if sampled:
-                self._watch.add_latency(time.monotonic_ns() - self._received)
-                self._show(loop, stamp)
-            self._ticks.add(answered - start)
+            half = self._pairing.take_half(loop.last_stamp)
+            if half is not None:
+                self._patience.half_used(now)
+                self._command(loop, lambda: loop.step_half(half), now)
+                self._show(loop)
+            elif periods := self._patience.missed(now):
+                self._command(loop, lambda: loop.step_without(periods), now)
+
+    def _command(self, loop: ControlLoop, step: Callable[[], Vector], start: int) -> None:
+        """Step and send the command: everything else can wait, the robot cannot."""
+        self._last_command = None
+        begin = time.monotonic_ns()
+        try:
+            torque = step()
+        except (SingularTaskError, ContactGeometryError) as error:
+            self.get_logger().error(  # only bare: a supervisor would have answered
+                f'{error}; going over to the safe behaviour, until activated anew')
+            torque = loop.stop()
+        self._steps.add(time.monotonic_ns() - begin)
+        if self._outputs is not None:
+            self._last_command = self._outputs.command(loop.expected_stamp, torque)
+            self._outputs.send(self._last_command)
+        self._ticks.add(time.monotonic_ns() - (start or begin))
         if self._events is not None:
             self._events.look()
 
-    def _show(self, loop: ControlLoop, stamp: int) -> None:
+    def _show(self, loop: ControlLoop) -> None:
         if self._outputs is not None and loop.output is not None:
-            self._outputs.show(stamp, loop.tick, loop.output)
+            self._outputs.show(loop.expected_stamp, loop.tick, loop.output)
 
     def _guide(self, loop: ControlLoop) -> None:
-        """Say what a push test waits for, whenever that changes, and what the arm meets."""
-        instruction = loop.push_gate.instruction
-        if instruction != self._instruction:
-            self._instruction = instruction
-            if instruction:
-                self.get_logger().info(f'push test: {instruction}')
+        """Log what a push test waits for, whenever that changes, and what the arm meets."""
+        before, self._instruction = self._instruction, loop.push_gate.instruction
+        if self._instruction not in ('', before):
+            self.get_logger().info(f'push test: {self._instruction}')
         collisions = loop.collisions.total()
         if collisions > self._collisions and loop.status is not None:
             self.get_logger().warning(
@@ -421,20 +382,16 @@ class ControllerNode(ManagedNode):
                   'restarts': self._restarts, 'safe_behaviour': loop.safe,
                   'supervised': loop.supervisor is not None}
         missed = timing['deadline_misses']
-        statuses = [
-            Status('loop', timing,
-                   warning='; '.join(filter(None, (
-                       f'{missed} samples without a command' if missed else '',
-                       self._without_pairs(loop), self._at_another_rate(loop))))),
-            input_status(self._fresh, STALE_PERIODS * loop.config.period,
-                         needed=self.state == ACTIVE,
-                         consequence=self._without_variance(loop)),
+        return [
+            Status('loop', timing, warning='; '.join(filter(None, (
+                f'{missed} samples without a command' if missed else '',
+                self._without_pairs(loop), self._at_another_rate(loop))))),
+            input_status(self._fresh, STALE_PERIODS * loop.config.period, needed=(
+                self.state == ACTIVE), consequence=self._without_variance(loop)),
             contact_status(loop), sensor_status(loop),
             message_status(self.refusals, unpaired=self._pairing.unpaired, slow=sum(
-                reader.slow for reader in self._readers.values()))]
-        if loop.supervisor is not None and self._report is not None:
-            statuses.append(self._report.status())
-        return statuses
+                reader.slow for reader in self._readers.values())),
+            *([self._report.status()] if loop.supervisor is not None and self._report else [])]
 
     def _at_another_rate(self, loop: ControlLoop) -> str:
         """Say at what rate samples have come since this was asked last, if it is a wrong one."""
@@ -444,13 +401,11 @@ class ControllerNode(ManagedNode):
             return ''
         if not elapsed:
             return self._warn_once(
-                'still', f'samples come, but their stamps stand still at {stamp * 1e-9:.9g} s: '
-                'expected a stamp of its own for each')
+                f'samples come, but their stamps stand still at {stamp * 1e-9:.9g} s: '
+                'expected a stamp of its own for each', 'still')
         rate, expected = count / elapsed, loop.config.rate
-        if expected / WRONG_RATE < rate < expected * WRONG_RATE:
-            return ''
-        return self._warn_once(
-            'rate', f'samples come at {rate:.4g} Hz: expected {expected:g} Hz (rate)')
+        return '' if expected / WRONG_RATE < rate < expected * WRONG_RATE else self._warn_once(
+            f'samples come at {rate:.4g} Hz: expected {expected:g} Hz (rate)', 'rate')
 
     def _without_pairs(self, loop: ControlLoop) -> str:
         """Return how far joint states and wrenches are apart if none of them is a pair."""
@@ -461,10 +416,10 @@ class ControllerNode(ManagedNode):
                 age is None or age > 1.0 for age in both):
             return ''
         return self._warn_once(
-            'apart', f'{topics.JOINT_STATES.name} and {self._wrench.name} come, but their stamps '
+            f'{topics.JOINT_STATES.name} and {self._wrench.name} come, but their stamps '
             f'are {abs(self._pairing.apart) * 1e-6:.6g} ms apart: expected at most '
             f'{self._node_config.pair_tolerance:g} periods of {1e3 * loop.config.period:g} ms '
-            '(pair_tolerance), of one clock')
+            '(pair_tolerance), of one clock', 'apart')
 
     def _without_variance(self, loop: ControlLoop) -> str:
         """Return what is done about an R that is not renewed, nothing if it is."""
@@ -476,7 +431,7 @@ class ControllerNode(ManagedNode):
 
 
 def warm_up(loop: ControlLoop) -> None:
-    """Take a step that nobody sees: the first one takes a hundred times as long."""
+    """Take a step that is not sent: the first one takes a hundred times as long."""
     joints = np.linspace(0.4, 1.0, len(loop.config.robot.joint_names))
     with contextlib.suppress(MulticontactError):
         loop.step(PairedSample(0, joints, 0.0 * joints, np.zeros(6)))

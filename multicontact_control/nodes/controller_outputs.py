@@ -11,11 +11,10 @@ from multicontact_control.config import ControllerConfig
 from multicontact_control.config.columns import ACROSS
 from multicontact_control.control.controller import ControlOutput
 from multicontact_control.dynamics.pose import Pose
-from multicontact_control.errors import MessageError
 from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.nodes.controller_config import ControllerNodeConfig
 from multicontact_control.nodes.graph_node import create_publisher, full_topic_name
-from multicontact_control.nodes.streams import Streams
+from multicontact_control.nodes.streams import JOINT_FIELDS, Streams
 import numpy as np
 from rclpy.duration import Duration
 from rclpy.node import Node
@@ -31,8 +30,14 @@ BESIDE = 0.022  # m, between the arrows of a contact
 CONTROLLED, FELT, ESTIMATED, DESIRED = (
     ColorRGBA(r=red, g=green, b=blue, a=1.0) for red, green, blue in (
         (1.0, 0.45, 0.1), (0.5, 0.5, 0.5), (0.18, 0.45, 0.75), (0.2, 0.58, 0.36)))
-COLOURS = {True: CONTROLLED, False: FELT}  # of the measured force, by whether it is controlled
 KINDS = (('', FELT), ('/estimated', ESTIMATED), ('/desired', DESIRED))
+
+
+class Command(NamedTuple):
+    """A command as it is sent, and its torques, shape (n,) [N m]."""
+
+    data: bytes
+    torque: Vector
 
 
 class ControllerOutputs:
@@ -48,8 +53,8 @@ class ControllerOutputs:
         node_config: ControllerNodeConfig,
     ) -> None:
         self._node, self._streams = node, streams
-        self._shown = SHOWN if config.force.stiffness == 'adaptive' else {
-            topic: numbers for topic, numbers in SHOWN.items() if topic not in OF_STIFFNESS}
+        self._shown = {topic: numbers for topic, (_, numbers) in SHOWN.items()
+                       if config.force.stiffness == 'adaptive' or topic not in OF_STIFFNESS}
         streams.advertise(examples(config.robot.joint_names, config.column_names))
         self._markers_publisher = create_publisher(node, topics.CONTACT_MARKERS)
         bare = node_config.effort_output_topic
@@ -83,36 +88,30 @@ class ControllerOutputs:
     def show(self, stamp: int, tick: int, output: ControlOutput) -> None:
         """Publish forces, innovations, poses and markers of a tick with a stamp [ns]."""
         for topic, numbers in self._shown.items():
-            if self._streams.wants(topic):
-                data = self._streams.message(topic, stamp, *numbers(output))
-                self._streams.pass_on(topic, data)
+            self._streams.send(topic, stamp, *numbers(output))
         if self._markers.due(tick):
             self._markers_publisher.publish(self._markers.message(
                 stamp, output.pose, (output.alpha_meas, output.alpha_est, output.alpha_des),
                 output.active, output.contacts['normal']))
 
 
-class Command(NamedTuple):
-    """A command as it is sent, and its torques, shape (n,) [N m]."""
-
-    data: bytes
-    torque: Vector
-
-
-# What is published of a tick: its numbers in the order of the message's fields.
-SHOWN: dict[topics.Topic, Callable[[ControlOutput], tuple[Vector, ...]]] = {
-    topics.MEASURED_FORCES: lambda output: (output.alpha_meas,),
-    topics.ESTIMATED_FORCES: lambda output: (output.alpha_rate_est, output.alpha_est),
-    topics.DESIRED_FORCES: lambda output: (output.alpha_des,),
-    topics.INNOVATION: lambda output: (
-        output.variance_used, output.prior_variance, output.innovation),
-    topics.STIFFNESS: lambda output: (
+# What is published of a tick: the fields of a message per contact, or none for a pose, and its
+# numbers in the order of the message's fields.
+Numbers = Callable[[ControlOutput], tuple[Vector, ...]]
+SHOWN: dict[topics.Topic, tuple[tuple[str, ...], Numbers]] = {
+    topics.MEASURED_FORCES: (('effort',), lambda output: (output.alpha_meas,)),
+    topics.ESTIMATED_FORCES: (
+        ('velocity', 'effort'), lambda output: (output.alpha_rate_est, output.alpha_est)),
+    topics.DESIRED_FORCES: (('effort',), lambda output: (output.alpha_des,)),
+    topics.INNOVATION: (JOINT_FIELDS, lambda output: (
+        output.variance_used, output.prior_variance, output.innovation)),
+    topics.STIFFNESS: (JOINT_FIELDS, lambda output: (
         output.contacts['stiffness_est'], output.contacts['stiffness_std'],
-        output.contacts['stiffness']),
-    topics.STABILITY_MARGIN: lambda output: (
-        output.contacts['ratio_bound'], output.contacts['margin']),
-    topics.POSE: lambda output: (_seven(output.pose),),
-    topics.POSE_DESIRED: lambda output: (_seven(output.pose_des),)}
+        output.contacts['stiffness'])),
+    topics.STABILITY_MARGIN: (('position', 'effort'), lambda output: (
+        output.contacts['ratio_bound'], output.contacts['margin'])),
+    topics.POSE: ((), lambda output: (_seven(output.pose),)),
+    topics.POSE_DESIRED: ((), lambda output: (_seven(output.pose_des),))}
 OF_STIFFNESS = (topics.STIFFNESS, topics.STABILITY_MARGIN)
 
 
@@ -123,17 +122,13 @@ def _seven(pose: Pose) -> Vector:
 
 def examples(joints: Sequence[str], contacts: Sequence[str]) -> dict[topics.Topic, Any]:
     """Return a message of each topic that the controller publishes at the control rate."""
-    build, n, r = messages.joint_state_message, np.zeros(len(joints)), np.zeros(len(contacts))
+    build: Any = messages.joint_state_message
+    zeros = np.zeros(len(contacts))
     pose = messages.pose_message(0, np.zeros(3), np.zeros(4), topics.WORLD_FRAME)
     return {
-        topics.EFFORT_COMMAND: build(0, joints, effort=n),
-        topics.MEASURED_FORCES: build(0, contacts, effort=r),
-        topics.ESTIMATED_FORCES: build(0, contacts, velocity=r, effort=r),
-        topics.DESIRED_FORCES: build(0, contacts, effort=r),
-        topics.INNOVATION: build(0, contacts, position=r, velocity=r, effort=r),
-        topics.STIFFNESS: build(0, contacts, position=r, velocity=r, effort=r),
-        topics.STABILITY_MARGIN: build(0, contacts, position=r, effort=r),
-        topics.POSE: pose, topics.POSE_DESIRED: pose}
+        topics.EFFORT_COMMAND: build(0, joints, effort=np.zeros(len(joints))),
+        **{topic: build(0, contacts, **dict.fromkeys(fields, zeros)) if fields else pose
+           for topic, (fields, _) in SHOWN.items()}}
 
 
 class ContactMarkers:
@@ -148,14 +143,13 @@ class ContactMarkers:
 
     def __init__(self, config: ControllerConfig, *, rate: float, scale: float) -> None:
         contacts = [config.contacts[name] for name in config.contact_names]
-        self._names, self._config = config.contact_names, config
+        self._names, self._columns = config.contact_names, config.columns
         self._leaders = np.array(config.leaders)
         self._points_operational = np.array([contact.point_operational for contact in contacts])
         self._every = max(1, round(config.rate / rate)) if rate > 0.0 else 0
         self._scale = scale
         self._arrows = [_arrow(f'{NAMESPACE}/{name}{kind}', number, colour)
                         for kind, colour in KINDS for number, name in enumerate(self._names)]
-        self._message = MarkerArray(markers=self._arrows)
 
     def due(self, tick: int) -> bool:
         """Return whether the sample `tick` is one to show."""
@@ -170,31 +164,26 @@ class ContactMarkers:
 
         Parameters
         ----------
-        stamp
-            Time of the sample [ns].
-        pose
-            Pose of the operational frame.
+        stamp, pose
+            Time of the sample [ns], and pose of the operational frame.
         forces
             Measured, estimated and desired, each of shape (r,) [N].
-        active
-            Which of them are controlled, shape (r,).
-        normals_world
-            Of their contacts, as they are taken for now, shape (r, 3).
-
-        Raises
-        ------
-        MessageError
-            If a number is not finite.
+        active, normals_world
+            Which of them are controlled, shape (r,), and their normals, shape (r, 3).
 
         """
         normals = normals_world[self._leaders]
         feet = pose.position_world + (self._points_operational + self._centres(
             forces[0], pose, normals)) @ pose.rotation_world.T
         alpha = np.array(forces)[:, self._leaders, None]
-        tips = feet + np.arange(len(forces))[:, None, None] * BESIDE * _beside(normals)
+        # Beside each other in the surface: up, or along world -y where it is about level.
+        level = np.abs(normals[:, 2:]) >= 0.8
+        axes = np.where(level, (0.0, -1.0, 0.0), (0.0, 0.0, 1.0))
+        along = axes - normals * np.sum(normals * axes, axis=1, keepdims=True)
+        beside = along / np.linalg.norm(along, axis=1, keepdims=True)
+        tips = feet + np.arange(len(forces))[:, None, None] * BESIDE * beside
         tails = tips - self._scale * alpha * normals
-        if not (np.isfinite(tips).all() and np.isfinite(tails).all()):
-            raise MessageError('points', 'finite ones', tails.tolist())
+        messages.finite(np.ravel((tips, tails)), 'points')
         shown = (alpha > SMALLEST_FORCE).ravel().tolist()
         time = messages.ns_to_stamp(stamp)
         for arrow, tail, tip, is_shown in zip(
@@ -204,13 +193,13 @@ class ContactMarkers:
             for point, values in zip(arrow.points, (tail, tip)):
                 point.x, point.y, point.z = values
         for arrow, leader in zip(self._arrows, self._leaders):
-            arrow.color = COLOURS[bool(active[leader])]
-        return self._message
+            arrow.color = CONTROLLED if active[leader] else FELT
+        return MarkerArray(markers=self._arrows)
 
     def _centres(self, alpha: Vector, pose: Pose, normals: Matrix) -> Matrix:
         """Return the centres of pressure from those of the contacts, operational axes [m]."""
         centres = np.zeros((len(self._names), 3))
-        for column, value in zip(self._config.columns, alpha.tolist()):
+        for column, value in zip(self._columns, alpha.tolist()):
             pressed = alpha[column.leader]
             if column.half_length == 0.0 or pressed <= SMALLEST_FORCE:
                 continue
@@ -218,17 +207,9 @@ class ContactMarkers:
             direction = np.array(column.direction_operational)
             if column.kind == ACROSS:
                 direction = np.cross(pose.rotation_world.T @ normals[contact], direction)
-            share = min(max(value / pressed, -1.0), 1.0)
-            centres[contact] += share * column.half_length * direction
+            centres[contact] += min(max(value / pressed, -1.0), 1.0) * (
+                column.half_length * direction)
         return centres
-
-
-def _beside(normals_world: Matrix) -> Matrix:
-    """Return directions in surfaces, (n, 3): up, or along world -y in those about level."""
-    level = np.abs(normals_world[:, 2:]) >= 0.8
-    axes = np.where(level, (0.0, -1.0, 0.0), (0.0, 0.0, 1.0))
-    along = axes - normals_world * np.sum(normals_world * axes, axis=1, keepdims=True)
-    return np.asarray(along / np.linalg.norm(along, axis=1, keepdims=True))
 
 
 def _arrow(namespace: str, number: int, colour: ColorRGBA) -> Marker:

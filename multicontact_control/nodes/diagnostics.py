@@ -25,19 +25,7 @@ OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.E
 
 @dataclass(frozen=True)
 class Status:
-    """
-    One aspect of a node.
-
-    Attributes
-    ----------
-    part
-        Which, e.g. ``loop``.
-    values
-        Numbers and texts by name; None is shown as ``none``.
-    warning, error
-        What is not as it should be, if anything.
-
-    """
+    """A part of a node, e.g. ``loop``: values by name, and what is not as it should be."""
 
     part: str
     values: Mapping[str, Any] = field(default_factory=dict)
@@ -47,10 +35,9 @@ class Status:
 
 class Diagnostics:
     """
-    Publishes the state of a node when it has time for it.
+    Publishes what `collect` returns of a node, once a second.
 
-    Not on a timer: it is the node's loop that knows when nobody waits for it, and a second is a
-    second whatever the node takes for its time. `collect` returns what there is to say.
+    Not on a timer: the node's loop knows when it has time, and a second is one of the wall clock.
     """
 
     def __init__(self, node: Node, collect: Callable[[], Sequence[Status]]) -> None:
@@ -65,23 +52,14 @@ class Diagnostics:
         if now >= self._next:
             # No burst after a pause.
             self._next = max(self._next + PERIOD, now + PERIOD // 2)
-            self.publish()
-
-    def publish(self) -> None:
-        """Publish now."""
-        message = DiagnosticArray()
-        message.header.stamp = self._node.get_clock().now().to_msg()
-        name = self._node.get_fully_qualified_name().lstrip('/')
-        message.status = [_message(name, status) for status in self._collect()]
-        self._publisher.publish(message)
-
-
-def _message(node_name: str, status: Status) -> DiagnosticStatus:
-    level = ERROR if status.error else WARN if status.warning else OK
-    return DiagnosticStatus(
-        name=f'{node_name}: {status.part}', level=level,
-        message=status.error or status.warning or 'ok',
-        values=[KeyValue(key=key, value=_text(value)) for key, value in status.values.items()])
+            name = self._node.get_fully_qualified_name().lstrip('/')
+            message = DiagnosticArray(status=[DiagnosticStatus(
+                name=f'{name}: {status.part}', level=ERROR if status.error else
+                WARN if status.warning else OK, message=status.error or status.warning or 'ok',
+                values=[KeyValue(key=key, value=_text(x)) for key, x in status.values.items()])
+                for status in self._collect()])
+            message.header.stamp = self._node.get_clock().now().to_msg()
+            self._publisher.publish(message)
 
 
 def _text(value: Any) -> str:
@@ -93,21 +71,7 @@ def _text(value: Any) -> str:
 def input_status(
     freshness: Freshness, max_age: float, *, needed: bool, consequence: str = '',
 ) -> Status:
-    """
-    Return how old the inputs of a node are.
-
-    Parameters
-    ----------
-    freshness
-        When they came.
-    max_age
-        Age from which one is stale [s].
-    needed
-        Whether that matters now.
-    consequence
-        What the node does about it.
-
-    """
+    """Return the ages of inputs; if `needed`, which are older than `max_age` [s], and so what."""
     ages = freshness.ages()
     stale = [f'{name} for {age:.3g} s' if age is not None else f'{name} ever'
              for name, age in ages.items() if age is None or age > max_age]
@@ -120,7 +84,7 @@ def input_status(
 def message_status(refusals: Refusals, **dropped: int) -> Status:
     """Return what was refused, by cause, and what was dropped."""
     return Status('messages', {
-        'refused': refusals.total, **dropped,
+        'refused': sum(refusals.counts.values()), **dropped,
         **{f'refused {cause}': count for cause, count in refusals.counts.items()}})
 
 
@@ -130,10 +94,8 @@ class MissingInputs:
 
     Parameters
     ----------
-    node
-        The node.
-    fresh
-        When each of them came last.
+    node, fresh
+        The node, and when each input came last.
     inputs
         Quality of service that each must have at least, and what is expected in it.
 
@@ -143,7 +105,7 @@ class MissingInputs:
         self, node: Node, fresh: Freshness, inputs: Mapping[Topic, tuple[QoSProfile, str]],
     ) -> None:
         self._node, self._fresh, self._inputs = node, fresh, inputs
-        self._told: dict[Topic, int] = {}
+        self._reminders: dict[Topic, int] = {}  # when those that are missing are due again
         self.restart()
 
     def restart(self) -> None:
@@ -162,34 +124,29 @@ class MissingInputs:
             age = ages.get(topic.name)
             missing = (now - self._since) / NANOSECONDS if age is None else age
             if missing < MISSING_AGE:
-                if self._told.pop(topic, 0):
-                    self._node.get_logger().info(f'{self._full(topic)} comes')
-            elif now >= self._told.get(topic, 0):
-                self._told[topic] = now + REMINDER_PERIOD
-                self._node.get_logger().warning(self.describe(topic, missing))
+                if self._reminders.pop(topic, 0):
+                    self._node.get_logger().info(
+                        f'{self._node.resolve_topic_name(topic.name)} comes')
+            elif now >= self._reminders.get(topic, 0):
+                self._reminders[topic] = now + REMINDER_PERIOD
+                self._node.get_logger().warning(self._describe(topic, missing))
 
-    def describe(self, topic: Topic, missing: float) -> str:
+    def _describe(self, topic: Topic, missing: float) -> str:
         """Return what is wrong with a topic that has not come for some time [s]."""
         profile, content = self._inputs[topic]
-        full = self._full(topic)
+        full = str(self._node.resolve_topic_name(topic.name))
         publishers = self._node.get_publishers_info_by_topic(full)
         types = {x.topic_type for x in publishers} - {topic.type_name}
-        unlike = quality_mismatches(self._node, full, profile, publishing=False)
+        found = '; '.join(quality_mismatches(self._node, full, profile))
         if not publishers:
             source = 'the driver of the robot' if topic.publisher == SIM else topic.publisher
             found = (f'it has no publisher: start {source}, or give its topic, -r '
                      f'{topic.name}:=/its/topic')
         elif types:
             found = f'it is published as {", ".join(sorted(types))}'
-        elif unlike:
-            found = '; '.join(unlike)
-        else:
-            found = (f"{counted(len(publishers), 'publishers')} connected, but nothing is sent "
-                     'that can be read')
+        found = found or (f"{counted(len(publishers), 'publishers')} connected, but nothing is "
+                          'sent that can be read')
         reliability = 'reliable' if profile.reliability == ReliabilityPolicy.RELIABLE else (
             'reliable or best effort')
         return (f'no message on {full} for {missing:.1f} s: expected {topic.type_name} '
                 f'({reliability}) with {content}; {found}')
-
-    def _full(self, topic: Topic) -> str:
-        return str(self._node.resolve_topic_name(topic.name))

@@ -80,11 +80,6 @@ class GuestNode:
     domain_id
         ROS domain; that of the environment by default.
 
-    Attributes
-    ----------
-    context, node
-        What rclpy calls so.
-
     """
 
     def __init__(self, name: str, domain_id: int | None = None, namespace: str = '') -> None:
@@ -128,17 +123,13 @@ class LifecycleDriver(GuestNode):
 
     Parameters
     ----------
-    domain_id
-        ROS domain of the nodes; that of the environment by default.
+    domain_id, namespace, name
+        Of the nodes, by default the domain of the environment, and name of the guest.
     keep_waiting
         Called every `WAIT_PERIOD` while a node is waited for, with what is waited for; what it
         raises ends the waiting.
-    namespace
-        Of the nodes.
     patience
         Longest wait for a node to appear, and to do its work [s].
-    name
-        Of the guest.
 
     """
 
@@ -254,21 +245,12 @@ class ControllerLink(LifecycleDriver):
 
     Parameters
     ----------
-    newest
-        What to listen to.
-    queued
-        What to listen to without losing anything.
-    namespace, domain_id
-        Where the controller is.
-    timeout
-        Longest wait for anything [s].
+    newest, queued
+        What to listen to, and what to without losing anything.
+    namespace, domain_id, timeout
+        Where the controller is, and longest wait for anything [s].
     on_status
-        Called with each status of the controller that `look` takes.
-
-    Attributes
-    ----------
-    status
-        What the controller has said of itself last; None before.
+        Called with each status of the controller that `look` takes; `status` is the last.
 
     """
 

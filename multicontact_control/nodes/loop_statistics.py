@@ -9,22 +9,14 @@ from multicontact_control.arrays import Vector
 import numpy as np
 
 NANOSECONDS = 1_000_000_000
-CAPACITY = 1 << 18
+CAPACITY = 1 << 18  # 8 minutes at 500 Hz
 REPORTED = 1 << 12  # turns that a report is made of, at most
 PERCENTILES = {'p50': 50.0, 'p99': 99.0, 'p999': 99.9, 'max': 100.0}
 EDGES = np.logspace(1.0, 5.0, 41)  # us, of a histogram: ten per decade, 10 us to 100 ms
 
 
 class DurationLog:
-    """
-    The newest durations.
-
-    Parameters
-    ----------
-    capacity
-        How many are kept: the default is 8 minutes at 500 Hz.
-
-    """
+    """The newest durations, `capacity` at most."""
 
     def __init__(self, capacity: int = CAPACITY) -> None:
         self._nanoseconds = np.zeros(capacity, dtype=np.int64)
@@ -35,10 +27,6 @@ class DurationLog:
         self._nanoseconds[self.count % self._nanoseconds.size] = nanoseconds
         self.count += 1
 
-    def clear(self) -> None:
-        """Forget all of them."""
-        self.count = 0
-
     @property
     def microseconds(self) -> Vector:
         """Return those that are kept [us]."""
@@ -48,7 +36,7 @@ class DurationLog:
     def percentiles(self) -> dict[str, float | None]:
         """Return median, tails and maximum [us]; None without any duration."""
         kept = self.microseconds
-        return {name: percentile(kept, share, 3) for name, share in PERCENTILES.items()}
+        return {name: _percentile(kept, share, 3) for name, share in PERCENTILES.items()}
 
     def histogram(self) -> dict[str, list[float] | list[int]]:
         """Return how many there are from one edge [us] to the next, first and last with all."""
@@ -57,8 +45,7 @@ class DurationLog:
                 'counts': np.histogram(kept, EDGES)[0].tolist()}
 
 
-def percentile(microseconds: Vector, share: float, digits: int) -> float | None:
-    """Return a percentile, rounded; None of nothing."""
+def _percentile(microseconds: Vector, share: float, digits: int) -> float | None:
     return round(float(np.percentile(microseconds, share)), digits) if (
         microseconds.size) else None
 
@@ -67,25 +54,18 @@ class LoopStatistics:
     """
     Rate, jitter and latency since the last report.
 
-    Parameters
-    ----------
-    rate
-        How often the loop should run [Hz], 0 if there is no such rate.
-
-    Attributes
-    ----------
-    missed
-        Deadlines missed since the last report; whoever knows of one adds it.
-
+    The loop should run at `rate` [Hz], 0 if there is none; the node counts deadlines as `missed`.
     """
 
     def __init__(self, rate: float = 0.0) -> None:
         self._period = 1e6 / rate if rate else 0.0
         self._last = 0
+        self._begin()
+
+    def _begin(self) -> None:
         self._intervals, self._latencies = DurationLog(REPORTED), DurationLog(REPORTED)
         self._report_start = time.monotonic_ns()
         self.missed = 0
-        self.missed_in_all = 0
 
     def add_period(self, now: int) -> None:
         """Take note of a turn of the loop at a monotonic time [ns]."""
@@ -103,22 +83,18 @@ class LoopStatistics:
 
         Jitter is the deviation of an interval from the period, or from the median interval.
         """
-        now = time.monotonic_ns()
-        elapsed = max(1, now - self._report_start)
-        self.missed_in_all += self.missed
+        elapsed = max(1, time.monotonic_ns() - self._report_start)
         intervals, latencies = self._intervals.microseconds, self._latencies.microseconds
         period = self._period or (np.median(intervals) if intervals.size else 0.0)
         jitter = np.abs(intervals - period)
         values: dict[str, float | int | None] = {
             'rate_hz': round(self._intervals.count * NANOSECONDS / elapsed, 2),
-            'jitter_us_p50': percentile(jitter, 50, 1), 'jitter_us_p99': percentile(jitter, 99, 1),
-            'deadline_misses': self.missed, 'deadline_misses_in_all': self.missed_in_all,
-            'latency_us_p50': percentile(latencies, 50, 1),
-            'latency_us_p99': percentile(latencies, 99, 1),
-            'latency_us_max': percentile(latencies, 100, 1)}
-        self._intervals.clear()
-        self._latencies.clear()
-        self._report_start, self.missed = now, 0
+            'deadline_misses': self.missed}
+        for name, found, shares in (('jitter', jitter, ('p50', 'p99')),
+                                    ('latency', latencies, ('p50', 'p99', 'max'))):
+            for share in shares:
+                values[f'{name}_us_{share}'] = _percentile(found, PERCENTILES[share], 1)
+        self._begin()
         return values
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
+import gc
 import sys
 import traceback
 from typing import Any
@@ -14,8 +15,9 @@ from multicontact_control.errors import MulticontactError
 from multicontact_control.nodes.diagnostics import Diagnostics, Status
 from multicontact_control.nodes.graph_node import Refusals, StartupConfig, StartupGate
 from multicontact_control.nodes.parameters import ParameterSet
-from multicontact_control.nodes.runtime import release_memory, settle_process, Spinner
+from multicontact_control.nodes.runtime import Spinner
 from multicontact_control.nodes.streams import Streams
+from multicontact_control.process import settle_process
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
 UNCONFIGURED, INACTIVE, ACTIVE, FINALIZED = 'unconfigured', 'inactive', 'active', 'finalized'
@@ -36,28 +38,22 @@ class ManagedNode(LifecycleNode):
     """
     What the managed nodes of the graph share: transitions, parameters, gate, diagnostics.
 
-    A transition that fails says why in one line and leaves the node where it was. Nothing of
-    rclpy depends on the state: whoever has callbacks looks at `state`.
+    A transition that fails says why in one line and leaves the node where it was. rclpy calls
+    callbacks in every state: they look at `state`.
 
     Parameters
     ----------
-    name
-        Name of the node.
-    models
-        Configuration classes; that of the node itself, a `ManagedConfig`, is the last.
+    name, models
+        Of the node; its configuration classes, of which the last is a `ManagedConfig`.
 
     Attributes
     ----------
     state
         Of the life cycle.
-    streams
-        The ends of the topics at the control rate.
 
     """
 
-    def __init__(
-        self, name: str, *models: type[Config],
-    ) -> None:
+    def __init__(self, name: str, *models: type[Config]) -> None:
         super().__init__(name)
         self.streams = Streams(self)
         self.state = UNCONFIGURED
@@ -111,64 +107,40 @@ class ManagedNode(LifecycleNode):
 
     @property
     def working(self) -> bool:
-        """Whether the node is active and everybody is there."""
+        """Whether the node is active and its peers are there."""
         return self.state == ACTIVE and self.gate is not None and self.gate.open
 
     def run(self, spinner: Spinner) -> None:
-        """Run callbacks until asked to stop or shut down."""
-        self.begin()
+        """Run callbacks until asked to stop or shut down; raise if an autostart fails."""
+        if self.parameter_set.value('autostart') is True or AUTOSTART in sys.argv:
+            for trigger in (self.trigger_configure, self.trigger_activate):
+                if trigger() != SUCCESS:
+                    raise self._failure or MulticontactError('the node cannot be started')
         while not (spinner.stop or self.state == FINALIZED):
             self.spin_once(spinner)
         self.take_leave(spinner)
         spinner.drain()
 
     def spin_once(self, spinner: Spinner) -> None:
-        """Run what comes next, and what is due."""
-        spinner.spin_once(self.longest_wait())
-        self.turn(spinner)
-
-    def begin(self) -> None:
-        """
-        Configure and activate, if that is to be done at once.
-
-        Raises
-        ------
-        MulticontactError
-            If it cannot be done.
-
-        """
-        if self.parameter_set.value('autostart') is True or AUTOSTART in sys.argv:
-            for trigger in (self.trigger_configure, self.trigger_activate):
-                if trigger() != SUCCESS:
-                    raise self._failure or MulticontactError('the node cannot be started')
-
-    def longest_wait(self) -> float:
-        """Return how long the process may wait for a callback at most [s]."""
-        return GATED_SPIN_TIMEOUT if self._gated else self.patience()
-
-    def turn(self, spinner: Spinner) -> None:
-        """Do what is due between two callbacks."""
-        if self._gated:
-            self._poll_gate()
-        else:
+        """Run what comes next, and what is due between two callbacks."""
+        spinner.spin_once(GATED_SPIN_TIMEOUT if self._gated else self.patience())
+        if not self._gated:
             self.look(spinner)
+        elif self.gate is not None and self.gate.poll():
+            self._gate_passed = True
+            self.gate_opened()
         self.diagnostics.poll()
 
     @property
     def _gated(self) -> bool:
         return self.state == ACTIVE and not self.working
 
-    def _poll_gate(self) -> None:
-        if self.gate is not None and self.gate.poll():
-            self._gate_passed = True
-            self.gate_opened()
-
     def _all_statuses(self) -> list[Status]:
         state = Status('life cycle', {'state': self.state})
         return [state, *self.statuses()] if self.state in (ACTIVE, INACTIVE) else [state]
 
     def on_configure(self, _state: LifecycleState) -> TransitionCallbackReturn:
-        """See `rclpy.lifecycle`."""
+        """Implement `LifecycleNode`."""
         def work() -> None:
             self.configure(self.parameter_set.configurations())
             self.parameter_set.lock(self.check, self.reconfigure)
@@ -179,7 +151,7 @@ class ManagedNode(LifecycleNode):
         return result
 
     def on_activate(self, _state: LifecycleState) -> TransitionCallbackReturn:
-        """See `rclpy.lifecycle`."""
+        """Implement `LifecycleNode`."""
         def work() -> None:
             self.gate = self.activate()
             # Peers are waited for once: later they may have gone, and that is no reason.
@@ -187,27 +159,26 @@ class ManagedNode(LifecycleNode):
         return self._attempt('activate', work, ACTIVE)
 
     def on_deactivate(self, _state: LifecycleState) -> TransitionCallbackReturn:
-        """See `rclpy.lifecycle`."""
+        """Implement `LifecycleNode`."""
         return self._attempt('deactivate', self.deactivate, INACTIVE)
 
     def on_cleanup(self, _state: LifecycleState) -> TransitionCallbackReturn:
-        """See `rclpy.lifecycle`."""
+        """Implement `LifecycleNode`."""
         return self._attempt('clean up', self._free, UNCONFIGURED)
 
     def on_shutdown(self, _state: LifecycleState) -> TransitionCallbackReturn:
-        """See `rclpy.lifecycle`."""
+        """Implement `LifecycleNode`."""
         return self._attempt('shut down', self._free, FINALIZED)
 
-    def on_error(self, _state: LifecycleState) -> TransitionCallbackReturn:
-        """See `rclpy.lifecycle`."""
-        return self._attempt('recover', self._free, UNCONFIGURED)
+    on_error = on_cleanup
 
     def _free(self) -> None:
         self.parameter_set.unlock()
         self.gate = None
         self.clean_up()
         self.streams.close()
-        release_memory()
+        gc.unfreeze()  # what `settle_process` froze
+        gc.collect()
 
     def _attempt(
         self, what: str, work: Callable[[], None], goal: str,
@@ -228,7 +199,7 @@ class ManagedNode(LifecycleNode):
         return SUCCESS
 
     def _survive_impossible_transitions(self) -> None:
-        """Answer a transition that is not possible now with no, instead of dying of it."""
+        """Answer a transition that is not possible now with no; rclpy would raise."""
         service = self._service_change_state
         change = service.callback
 
@@ -236,15 +207,13 @@ class ManagedNode(LifecycleNode):
             request: ChangeState.Request, response: ChangeState.Response,
         ) -> ChangeState.Response:
             wanted = request.transition
-            possible = [transition[:2] for transition in self._state_machine.available_transitions]
-            if not any(wanted.label == label if wanted.label else wanted.id == number
-                       for number, label in possible):
-                names = ', '.join(label for _, label in possible)
-                self.get_logger().error(
-                    f'change_state: expected one of {names} while {self.state}, found '
-                    f'{wanted.label or wanted.id}')
-                response.success = False
-                return response
-            return change(request, response)
+            possible = dict(x[:2] for x in self._state_machine.available_transitions)
+            if wanted.label in possible.values() if wanted.label else wanted.id in possible:
+                return change(request, response)
+            self.get_logger().error(
+                f'change_state: expected one of {", ".join(possible.values())} while '
+                f'{self.state}, found {wanted.label or wanted.id}')
+            response.success = False
+            return response
 
         service.callback = change_if_possible

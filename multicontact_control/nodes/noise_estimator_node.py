@@ -10,7 +10,7 @@ from typing import Any
 
 from multicontact_control.config import NoiseEstimatorConfig
 from multicontact_control.errors import ConfigError
-from multicontact_control.force.noise import Innovation, make_noise_estimator, NoiseEstimator
+from multicontact_control.force.noise import make_noise_estimator, NoiseEstimator
 from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.nodes.diagnostics import (
     input_status,
@@ -21,9 +21,14 @@ from multicontact_control.nodes.diagnostics import (
 from multicontact_control.nodes.graph_node import StartupGate
 from multicontact_control.nodes.loop_statistics import Freshness, LoopStatistics
 from multicontact_control.nodes.managed_node import ACTIVE, ManagedConfig, ManagedNode
-from multicontact_control.nodes.messages import InnovationReading, NamedReading
-from multicontact_control.nodes.raw_messages import effort_reader, innovation_reader
 from multicontact_control.nodes.runtime import run_node
+from multicontact_control.nodes.streams import (
+    effort_reader,
+    innovation_reader,
+    InnovationReading,
+    MessageReader,
+    NamedReading,
+)
 import numpy as np
 
 MAX_INNOVATIONS = 8
@@ -93,64 +98,47 @@ class NoiseEstimatorNode(ManagedNode):
             'samples': self._samples, 'refused': dict(self.refusals.counts)})
 
     def _on_measured(self, data: bytes) -> None:
-        if self.state != ACTIVE:
-            return
-        received = time.monotonic_ns()
-        self._watch.add_period(received)
-        with self.refusals.guard(topics.MEASURED_FORCES):
-            self._waiting.append(self._measured.read(data))
-            self._fresh.note(topics.MEASURED_FORCES.name)
-            if self.working:
-                self._answer()
-                if not self._waiting:
-                    self._watch.add_latency(time.monotonic_ns() - received)
+        self._watch.add_period(time.monotonic_ns())
+        self._receive(topics.MEASURED_FORCES, self._measured, self._waiting, data)
 
     def _on_innovation(self, data: bytes) -> None:
+        self._receive(topics.INNOVATION, self._innovation, self._innovations, data)
+
+    def _receive(
+        self, topic: topics.Topic, reader: MessageReader[Any], queue: deque[Any], data: bytes,
+    ) -> None:
+        """Take in a message; answer what can be answered with it."""
         if self.state != ACTIVE:
             return
-        received = time.monotonic_ns()
-        with self.refusals.guard(topics.INNOVATION):
-            self._innovations.append(self._innovation.read(data))
-            self._fresh.note(topics.INNOVATION.name)
+        received, answered = time.monotonic_ns(), self._samples
+        with self.refusals.guard(topic):
+            queue.append(reader.read(data))
+            self._fresh.note(topic.name)
             if self.working:
                 self._answer()
-                self._watch.add_latency(time.monotonic_ns() - received)
+        if self._samples != answered:
+            self._watch.add_latency(time.monotonic_ns() - received)
 
     def _answer(self) -> None:
         """Answer everything that waits and has all it needs, in order."""
         paired = topics.INNOVATION in self.streams.subscriptions
         while self._waiting:
-            innovation = None
-            if paired:
-                stamp = self._waiting[0].stamp
-                if not self._innovations or self._innovations[-1].stamp < stamp:
-                    return
-                innovation = self._innovation_of(stamp)
+            stamp = self._waiting[0].stamp
+            if paired and (not self._innovations or self._innovations[-1].stamp < stamp):
+                return
+            # None if it was lost, too.
+            innovation = next(
+                (x.innovation for x in self._innovations if x.stamp == stamp), None)
             sample = self._waiting.popleft()
-            with self.refusals.guard(topics.MEASURED_FORCES):
-                self._answer_one(sample, innovation)
-
-    def _innovation_of(self, stamp: int) -> Innovation | None:
-        """Return the innovation of a sample, None if it was lost."""
-        for reading in self._innovations:
-            if reading.stamp == stamp:
-                return reading.innovation
-        return None
-
-    def _answer_one(self, sample: NamedReading, innovation: Innovation | None) -> None:
-        if self._estimator is None:
-            return
-        if sample.stamp != self._last_stamp:
-            if sample.stamp < self._last_stamp:
-                self._estimator.reset()
-            self._last_stamp = sample.stamp
-            self._last_answer = b''
-            self._samples += 1
-            variance = self._estimator.update(sample.values, innovation)
-            self._last_answer = self.streams.message(
-                topics.NOISE_VARIANCE, sample.stamp, variance)
-        if self._last_answer:
-            self.streams.pass_on(topics.NOISE_VARIANCE, self._last_answer)
+            if stamp != self._last_stamp and self._estimator is not None:
+                if stamp < self._last_stamp:
+                    self._estimator.reset()
+                self._last_stamp, self._last_answer = stamp, b''
+                self._samples += 1
+                variance = self._estimator.update(sample.values, innovation)
+                self._last_answer = self.streams.message(topics.NOISE_VARIANCE, stamp, variance)
+            if self._last_answer:
+                self.streams.pass_on(topics.NOISE_VARIANCE, self._last_answer)
 
     def statuses(self) -> list[Status]:
         """Return what diagnostics report."""

@@ -1,23 +1,19 @@
 """
 ROS parameters from configuration models, and back.
 
-A model of `multicontact_control.config` says name, type, default, unit, description and range of
-every value. Here each becomes a ROS parameter: nested fields get dotted names, a mapping such as
-``contacts`` one set of parameters per name in ``contact_names``. A managed node keeps them in a
-`ParameterSet`, loaded when it configures and changed while it runs; the others load them once.
+Every value of a model of `multicontact_control.config` becomes a ROS parameter: nested fields get
+dotted names, a mapping such as ``contacts`` one set per name in ``contact_names``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-import copy
-from dataclasses import dataclass
 from functools import partial
 import sys
 import traceback
 from types import NoneType
 import typing
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from multicontact_control.config import Config, validate
 from multicontact_control.errors import check_all, ConfigError, MulticontactError
@@ -37,7 +33,7 @@ Check = Callable[[Sequence[Any]], None]
 NAMES_OF_MAPPINGS = 'contact_names'
 SET_BY_ROS = ('use_sim_time', 'start_type_description_service', 'qos_overrides')
 INTEGER_LIMIT = 2 ** 63 - 1
-LOCKED = 'can be changed only while the node is unconfigured'
+LOCKED = 'can be changed only before the node is configured'
 
 _SCALAR_TYPES = {bool: Type.BOOL, int: Type.INTEGER, float: Type.DOUBLE, str: Type.STRING}
 _ARRAY_TYPES = {
@@ -45,53 +41,31 @@ _ARRAY_TYPES = {
     str: Type.STRING_ARRAY}
 
 
-@dataclass(frozen=True)
-class ParameterSpec:
-    """A ROS parameter: dotted name, type, default (None without), and what ROS tools show."""
+class ParameterSpec(NamedTuple):
+    """A ROS parameter: name, type, default (None without), if live, and what ROS tools show."""
 
     name: str
     type: Parameter.Type  # noqa: A003
     default: Any
+    live: bool
     descriptor: ParameterDescriptor
 
 
 def parameter_specs(
     model: type[Config], overrides: Mapping[str, Any], prefix: str = '',
 ) -> Iterator[ParameterSpec]:
-    """
-    Yield the parameters of a model.
-
-    Parameters
-    ----------
-    model
-        Configuration class.
-    overrides
-        Values by dotted name; they say which names a mapping has.
-    prefix
-        Prefix of the dotted names, with its dot.
-
-    """
+    """Yield the parameters of a model; `overrides` by name say which entries a mapping has."""
     for key, field in model.model_fields.items():
-        name = prefix + key
-        annotation = _without_none(field.annotation)
-        if isinstance(annotation, type) and issubclass(annotation, Config):
-            yield from parameter_specs(annotation, overrides, f'{name}.')
-        elif typing.get_origin(annotation) is dict:
-            yield from _mapping_specs(annotation, field, overrides, name)
-        else:
-            yield _leaf_spec(name, annotation, field)
-
-
-def _mapping_specs(
-    annotation: Any, field: FieldInfo, overrides: Mapping[str, Any], name: str,
-) -> Iterator[ParameterSpec]:
-    """Yield the parameters of a mapping: those of each name, or one number per name."""
-    value_type = _without_annotated(typing.get_args(annotation)[1])
-    for entry in _mapping_names(name, overrides):
-        if isinstance(value_type, type) and issubclass(value_type, Config):
-            yield from parameter_specs(value_type, overrides, f'{name}.{entry}.')
-        else:
-            yield _leaf_spec(f'{name}.{entry}', value_type, field)
+        name, annotation = prefix + key, _bare(field.annotation)
+        entries = [(name, annotation)]
+        if typing.get_origin(annotation) is dict:
+            value_type = _bare(typing.get_args(annotation)[1])
+            entries = [(f'{name}.{x}', value_type) for x in _mapping_names(name, overrides)]
+        for entry, kind in entries:
+            if isinstance(kind, type) and issubclass(kind, Config):
+                yield from parameter_specs(kind, overrides, f'{entry}.')
+            else:
+                yield _leaf_spec(entry, kind, field)
 
 
 def _mapping_names(name: str, overrides: Mapping[str, Any]) -> list[str]:
@@ -107,7 +81,7 @@ def _leaf_spec(name: str, annotation: Any, field: FieldInfo) -> ParameterSpec:
     extra = field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
     unit = extra.get('unit')
     descriptor = ParameterDescriptor(
-        name=name, type=ros_type.value, read_only=not extra.get('live', False),
+        name=name, type=ros_type.value,
         description=(field.description or '') + (f' [{unit}]' if unit else ''),
         additional_constraints=f'one of {", ".join(choices)}' if choices else '')
     _add_range(descriptor, ros_type, field)
@@ -116,60 +90,45 @@ def _leaf_spec(name: str, annotation: Any, field: FieldInfo) -> ParameterSpec:
         default = default.get(name.rsplit('.', 1)[-1])
     if isinstance(default, (tuple, list)):
         default = list(default)
-    return ParameterSpec(name, ros_type, default, descriptor)
+    return ParameterSpec(name, ros_type, default, bool(extra.get('live')), descriptor)
 
 
-def _ros_type(name: str, annotation: Any) -> tuple[Parameter.Type, tuple[str, ...]]:
+def _ros_type(name: str, annotation: Any) -> tuple[Parameter.Type, Sequence[str]]:
     """Return the ROS type of an annotation, and the choices if there are only a few."""
-    annotation = _without_annotated(annotation)
-    origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
-    if origin is Literal:
-        return Type.STRING, tuple(str(choice) for choice in arguments)
-    if origin in (tuple, list) and arguments:
-        element = _without_annotated(arguments[0])
-        if typing.get_origin(element) is Literal:
-            return Type.STRING_ARRAY, tuple(str(c) for c in typing.get_args(element))
-        if element in _ARRAY_TYPES:
-            return _ARRAY_TYPES[element], ()
-    elif annotation in _SCALAR_TYPES:
-        return _SCALAR_TYPES[annotation], ()
-    raise ConfigError(name, 'a type that a ROS parameter can hold', annotation)
+    types, kind = _SCALAR_TYPES, annotation
+    if typing.get_origin(annotation) in (tuple, list) and typing.get_args(annotation):
+        types, kind = _ARRAY_TYPES, _bare(typing.get_args(annotation)[0])
+    if typing.get_origin(kind) is Literal:
+        return types[str], [str(choice) for choice in typing.get_args(kind)]
+    if kind not in types:
+        raise ConfigError(name, 'a type that a ROS parameter can hold', annotation)
+    return types[kind], ()
 
 
-def _without_annotated(annotation: Any) -> Any:
+def _bare(annotation: Any) -> Any:
+    """Return an annotation without what is beside its type: `Annotated`, or a None."""
     while typing.get_origin(annotation) is typing.Annotated:
         annotation = typing.get_args(annotation)[0]
-    return annotation
-
-
-def _without_none(annotation: Any) -> Any:
     arguments = typing.get_args(annotation)
     if NoneType in arguments:
-        return next(argument for argument in arguments if argument is not NoneType)
-    return _without_annotated(annotation)
+        return _bare(next(argument for argument in arguments if argument is not NoneType))
+    return annotation
 
 
 def _add_range(
     descriptor: ParameterDescriptor, ros_type: Parameter.Type, field: FieldInfo,
 ) -> None:
     """Add the range of a number; a ROS range is closed, the model is stricter where it is not."""
-    bounds: dict[str, Any] = {}
-    for constraint in field.metadata:
-        for attribute, end in (('ge', 'from'), ('gt', 'from'), ('le', 'to'), ('lt', 'to')):
-            value = getattr(constraint, attribute, None)
-            if value is not None:
-                bounds[end] = value
-    if not bounds:
-        return
-    if ros_type is Type.DOUBLE:
+    bounds = {name[0]: getattr(constraint, name) for constraint in field.metadata
+              for name in ('ge', 'gt', 'le', 'lt') if getattr(constraint, name, None) is not None}
+    if bounds and ros_type is Type.DOUBLE:
         limit = sys.float_info.max
         descriptor.floating_point_range = [FloatingPointRange(
-            from_value=float(bounds.get('from', -limit)),
-            to_value=float(bounds.get('to', limit)))]
-    elif ros_type is Type.INTEGER:
+            from_value=float(bounds.get('g', -limit)), to_value=float(bounds.get('l', limit)))]
+    elif bounds and ros_type is Type.INTEGER:
         descriptor.integer_range = [IntegerRange(
-            from_value=int(bounds.get('from', -INTEGER_LIMIT)),
-            to_value=int(bounds.get('to', INTEGER_LIMIT)), step=1)]
+            from_value=int(bounds.get('g', -INTEGER_LIMIT)),
+            to_value=int(bounds.get('l', INTEGER_LIMIT)), step=1)]
 
 
 def nested(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -195,28 +154,6 @@ def _parameter_overrides(node: Node) -> dict[str, Any]:
         if name.split('.')[0] not in SET_BY_ROS}
 
 
-def _refuse_unknown_keys(values: Mapping[str, Any], models: Sequence[type[Config]]) -> None:
-    known = {key for model in models for key in model.model_fields}
-    errors = [
-        ConfigError(key, f'a known parameter ({", ".join(sorted(known))})', f"unknown '{key}'")
-        for key in values if key not in known]
-    if errors:
-        raise ConfigError.of(errors)
-
-
-def _parameter_value(spec: ParameterSpec, overrides: Mapping[str, Any]) -> Any:
-    """Return the given or default value of a parameter, None if there is neither."""
-    value = overrides.get(spec.name, spec.default)
-    if value is None:
-        # ROS has no type for an empty list in a parameter file.
-        return [] if spec.type in _ARRAY_TYPES.values() else value
-    if spec.type is Type.DOUBLE and type(value) is int:
-        return float(value)
-    if spec.type is Type.DOUBLE_ARRAY:
-        return [float(x) if type(x) is int else x for x in value]
-    return list(value) if spec.type in _ARRAY_TYPES.values() else value
-
-
 class ParameterSet:
     """
     Declares the parameters of some models, and turns their values into configurations.
@@ -228,29 +165,31 @@ class ParameterSet:
 
     Parameters
     ----------
-    node
-        The node.
-    models
-        Configuration classes without common field names.
-    constraint
-        What is said of the parameters that are not live.
+    node, models
+        The node, and configuration classes without common field names.
+
+    Attributes
+    ----------
+    refused
+        Called with name and error of a change that is refused.
 
     """
 
-    def __init__(
-        self, node: Node, *models: type[Config], constraint: str = LOCKED,
-    ) -> None:
-        self._node, self._models, self._constraint = node, models, constraint
-        self._given = _parameter_overrides(node)
+    def __init__(self, node: Node, *models: type[Config]) -> None:
+        self._node, self._models = node, models
+        # What the command line and its parameter files set; None for an empty list. The public
+        # ways refuse an integer for a number and an empty list, and hide unknown names.
+        overrides: dict[str, Parameter] = getattr(node, '_parameter_overrides')  # noqa: B009
+        given = {name: parameter.value for name, parameter in overrides.items()
+                 if name.split('.')[0] not in SET_BY_ROS}
         self._specs = {
-            spec.name: spec for model in models for spec in parameter_specs(model, self._given)}
-        self._live = {x.name for x in self._specs.values() if not x.descriptor.read_only}
+            spec.name: spec for model in models for spec in parameter_specs(model, given)}
         self._undeclared = {
-            name: value for name, value in self._given.items()
-            if name not in self._specs or not self._declare(self._specs[name])}
+            name: value for name, value in given.items()
+            if name not in self._specs or not self._declare(self._specs[name], given)}
         for name, spec in self._specs.items():
-            if name not in self._given:
-                self._declare(spec)
+            if name not in given:
+                self._declare(spec, given)
         self._check: Check | None = None
         self._apply: Check | None = None
         self._pending: list[Any] | None = None
@@ -262,13 +201,8 @@ class ParameterSet:
         """
         Let only live parameters change from now on.
 
-        Parameters
-        ----------
-        check
-            Called with new configurations; raises `MulticontactError` if they cannot be used.
-        apply
-            Called with them once they are in force.
-
+        New configurations go to `check`, which raises `MulticontactError` if they cannot be
+        used, and to `apply` once they are in force.
         """
         self._check, self._apply = check, apply
 
@@ -276,22 +210,9 @@ class ParameterSet:
         """Let every parameter change, to be validated when it is used."""
         self._check = self._apply = None
 
-    def freeze(self) -> None:
-        """Make all but the live parameters read-only for good."""
-        for name in set(self._specs) - self._live:
-            # Not in place: the node has the descriptor itself, and would refuse to change it.
-            descriptor = copy.deepcopy(self._specs[name].descriptor)
-            descriptor.read_only = True
-            self._node.set_descriptor(name, descriptor)
-
     def configurations(self, changes: Mapping[str, Any] | None = None) -> list[Any]:
         """
-        Return one frozen configuration per model, of the present values.
-
-        Parameters
-        ----------
-        changes
-            Values by dotted name to use instead.
+        Return one frozen configuration per model, of the present values and of changes by name.
 
         Raises
         ------
@@ -299,13 +220,19 @@ class ParameterSet:
             Naming every parameter that is unknown, missing or not acceptable.
 
         """
-        values = {**self._undeclared, **self._values(self._specs), **(changes or {})}
-        by_key = nested(values)
-        _, *configurations = check_all(
-            partial(_refuse_unknown_keys, by_key, self._models),
-            *(partial(validate, model, {
-                key: value for key, value in by_key.items() if key in model.model_fields})
-              for model in self._models))
+        values = nested({**self._undeclared, **self._values(self._specs), **(changes or {})})
+        known = {key for model in self._models for key in model.model_fields}
+
+        def refuse_unknown() -> None:
+            errors = [ConfigError(key, f'a known parameter ({", ".join(sorted(known))})',
+                                  f"unknown '{key}'") for key in values if key not in known]
+            if errors:
+                raise ConfigError.of(errors)
+
+        _, *configurations = check_all(refuse_unknown, *(
+            partial(validate, model, {
+                key: value for key, value in values.items() if key in model.model_fields})
+            for model in self._models))
         return configurations
 
     def value(self, name: str) -> Any:
@@ -313,40 +240,34 @@ class ParameterSet:
         return self._values([name]).get(name)
 
     def assign(self, name: str, value: Any) -> None:
-        """
-        Change a parameter as its user could.
-
-        Raises
-        ------
-        ConfigError
-            If that is refused.
-
-        """
+        """Change a parameter as its user could; ConfigError if that is refused."""
         parameter = Parameter(name, self._specs[name].type, value)
         result = self._node.set_parameters([parameter])[0]
         if not result.successful:
             raise ConfigError(name, 'an acceptable value', f'{value} ({result.reason})')
 
     def _values(self, names: Iterable[str]) -> dict[str, Any]:
-        values = {}
-        for name in names:
-            value = self._node.get_parameter_or(name).value
-            if value is not None:
-                values[name] = _plain(value)
-        return values
+        values = ((name, self._node.get_parameter_or(name).value) for name in names)
+        return {name: _plain(value) for name, value in values if value is not None}
 
-    def _declare(self, spec: ParameterSpec) -> bool:
+    def _declare(self, spec: ParameterSpec, given: Mapping[str, Any]) -> bool:
         """Declare a parameter; return whether its given value could be set."""
         descriptor = spec.descriptor
-        descriptor.read_only = False  # `lock` decides that, and a descriptor cannot be unlocked
-        if spec.name not in self._live:
+        if not spec.live:
+            # Not read-only: `lock` decides that, and a descriptor cannot be unlocked.
             descriptor.additional_constraints = '; '.join(
-                filter(None, (descriptor.additional_constraints, self._constraint)))
+                filter(None, (descriptor.additional_constraints, LOCKED)))
         self._node.declare_parameter(spec.name, spec.type, descriptor, ignore_override=True)
-        value = _parameter_value(spec, self._given)
-        if value is None:
-            return True
+        value = given.get(spec.name, spec.default)
         try:
+            if spec.type in _ARRAY_TYPES.values():
+                # ROS has no type for an empty list in a parameter file.
+                value = [float(x) if spec.type is Type.DOUBLE_ARRAY and type(x) is int else x
+                         for x in value or ()]
+            elif value is None:
+                return True
+            elif spec.type is Type.DOUBLE and type(value) is int:
+                value = float(value)
             parameter = Parameter(spec.name, spec.type, value)
         except (ValueError, TypeError, AttributeError):
             return False  # not of that type
@@ -358,7 +279,9 @@ class ParameterSet:
         if self._check is None or not changes:
             return SetParametersResult(successful=True)
         try:
-            self._refuse_locked(changes)
+            for name, value in changes.items():
+                if not self._specs[name].live and value != self.value(name):
+                    raise ConfigError(name, f'{self.value(name)}: it {LOCKED}', value)
             configurations = self.configurations(changes)
             self._check(configurations)
         except Exception as error:
@@ -368,11 +291,6 @@ class ParameterSet:
             return SetParametersResult(successful=False, reason=str(error) or repr(error))
         self._pending = configurations
         return SetParametersResult(successful=True)
-
-    def _refuse_locked(self, changes: Mapping[str, Any]) -> None:
-        for name, value in changes.items():
-            if name not in self._live and value != self.value(name):
-                raise ConfigError(name, f'{self.value(name)}: it {LOCKED}', value)
 
     def _on_applied(self, parameters: Sequence[Parameter]) -> None:
         for parameter in parameters:
@@ -388,16 +306,8 @@ def _plain(value: Any) -> Any:
 
 
 def load_parameters(node: Node, *models: type[Config]) -> list[Any]:
-    """
-    Declare the parameters of some models on a node and return their configurations, for good.
-
-    Raises
-    ------
-    ConfigError
-        Naming every parameter that is unknown, missing or not acceptable.
-
-    """
-    parameters = ParameterSet(node, *models, constraint='')
+    """Declare the parameters of models, which stay as they are; return the configurations."""
+    parameters = ParameterSet(node, *models)
     configurations = parameters.configurations()
-    parameters.freeze()
+    parameters.lock(lambda configurations: None, lambda configurations: None)
     return configurations

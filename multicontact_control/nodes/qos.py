@@ -11,9 +11,7 @@ from __future__ import annotations
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 
-def profile(
-    depth: int, *, reliable: bool = True, latched: bool = False,
-) -> QoSProfile:
+def profile(depth: int, *, reliable: bool = True, latched: bool = False) -> QoSProfile:
     """Return a profile that keeps the newest messages."""
     return QoSProfile(
         depth=depth,
@@ -28,16 +26,11 @@ STREAM = profile(5000)
 INPUT = profile(10)
 """Readers at the control rate: 20 ms at 500 Hz; what is older than that is of no use to them."""
 
-NEWEST = profile(4)
-"""The controller's inputs in real time: one that was late by a few periods catches up, one that
-was late by more goes on with the newest samples. What it overtakes is counted; to work through it
-one by one would keep it late. Not in lockstep, where nobody is late."""
-
 SENSOR = profile(4, reliable=False)
-"""What joint states and wrenches must have at least in real time. They are subscribed to as
-NEWEST, and best effort where they are published so, as many drivers do: a reader that asks for
-reliability gets nothing from these. What is lost then is a missing sample like any other. In
-lockstep they are INPUT: there a loss would stop everything."""
+"""The controller's inputs in real time, which drivers publish best effort as often as reliable.
+A reader that was late by a few periods catches up, one that was late by more goes on with the
+newest samples; what it overtakes is counted. In lockstep, where a loss would stop everything and
+nothing is late, they are INPUT."""
 
 COMMAND = profile(10)
 """What a user sends now and then: no command may be lost, nor an old one be replayed."""
@@ -61,7 +54,7 @@ GLANCE = profile(1, reliable=False)
 """Progress displays: only the newest value counts, and the sender must not wait for it."""
 
 LATCHED = profile(1, latched=True)
-"""Descriptions: whoever comes late still gets the last one."""
+"""Descriptions: a reader that comes late still gets the last one."""
 
 WATCH = profile(100, reliable=False)
-"""Who watches a robot: hears every publisher, and enough of it for a rate."""
+"""Watching a robot: hears every publisher, and enough of it for a rate."""

@@ -8,31 +8,32 @@ that is killed leaves a bag that `report` and `view` read up to half a second be
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass
 from operator import itemgetter
+import os
 from pathlib import Path
 import sys
 import time
 
 from multicontact_control.config import parameter
-from multicontact_control.dynamics.link_transforms import LinkTransform, LinkTransforms
+from multicontact_control.dynamics.link_transforms import LinkTransforms
 from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.nodes import qos
 from multicontact_control.nodes.bag import Bag
 from multicontact_control.nodes.diagnostics import Diagnostics, input_status, Status
 from multicontact_control.nodes.graph_node import (
-    all_are_heard,
     full_topic_name,
     ignore,
-    served_profile,
+    quality_mismatches,
     StartupConfig,
     StartupGate,
     take,
 )
 from multicontact_control.nodes.loop_statistics import Freshness, NANOSECONDS
 from multicontact_control.nodes.parameters import load_parameters
-from multicontact_control.nodes.raw_messages import HEADER, STAMP
-from multicontact_control.nodes.runtime import run_node, Spinner, yield_to_others
+from multicontact_control.nodes.runtime import run_node, Spinner
+from multicontact_control.nodes.streams import HEADER, STAMP
 from multicontact_control.nodes.topics import (
     JOINT_STATES,
     message_class,
@@ -70,35 +71,16 @@ class RecorderConfig(StartupConfig):
 
 @dataclass
 class Stream:
-    """
-    One topic being recorded.
-
-    Attributes
-    ----------
-    topic
-        Its entry in the table.
-    subscription
-        Where its bytes come from.
-    lost, before_start
-        Messages that were sent since the first one and have not come, and those sent before it.
-
-    """
+    """One topic being recorded, and how many messages since the first one have not come."""
 
     topic: Topic
     subscription: Subscription
     last_number: int = 0
     lost: int = 0
-    before_start: int = 0
 
     def count(self, number: int) -> None:
-        """
-        Take note of a message's number in its stream; what is skipped was lost.
-
-        Each publisher counts by itself: with several at once losses are not known.
-        """
-        if self.last_number == 0:
-            self.before_start = number - 1
-        elif number > self.last_number + 1 and self.subscription.get_publisher_count() < 2:
+        """Take note of a message's number in its stream; of several publishers none is known."""
+        if 0 < self.last_number < number - 1 and self.subscription.get_publisher_count() < 2:
             self.lost += number - self.last_number - 1
         self.last_number = number
 
@@ -122,9 +104,7 @@ class RecorderNode(Node):
                 topic, qos.RECORDING_LATCHED if latched else qos.RECORDING))
         self._transforms = _TransformWriter(self._bag, self.get_logger()) if (
             {JOINT_STATES, ROBOT_DESCRIPTION} <= set(chosen)) else None
-        self._messages = self._reported_messages = 0
-        self._cpu_at_start, self._reported_at = time.process_time(), time.monotonic()
-        self._next_flush = 0.0
+        self._messages, self._next_flush = 0, 0.0
         self._fresh = Freshness()
         self._diagnostics = Diagnostics(self, self._statuses)
         self._gate = StartupGate(
@@ -158,8 +138,8 @@ class RecorderNode(Node):
 
     def run(self, spinner: Spinner) -> None:
         """Record until asked to stop and nothing comes any more."""
-        yield_to_others(NICENESS)
-        self._cpu_at_start = time.process_time()
+        with contextlib.suppress(OSError):
+            os.nice(NICENESS)  # of this thread; those that take in messages keep theirs
         while not spinner.stop:
             self._gate.poll()
             self._drain()
@@ -197,14 +177,13 @@ class RecorderNode(Node):
     def _meet_publishers(self) -> None:
         """Ask for no more than is given where one of a topic's publishers gives less."""
         for name, stream in self._streams.items():
-            end = stream.subscription
-            if all_are_heard(self, end):
-                continue
-            served = served_profile(self, name, end.qos_profile)
-            if served is not end.qos_profile:
+            end, asked = stream.subscription, stream.subscription.qos_profile
+            if self.count_publishers(name) > end.get_publisher_count() and (
+                    quality_mismatches(self, name, asked)):
                 self._drain()
                 self.destroy_subscription(end)
-                stream.subscription = self._subscribe(stream.topic, served)
+                stream.subscription = self._subscribe(
+                    stream.topic, qos.profile(asked.depth, reliable=False))
                 self.get_logger().info(f'{name}: recorded best effort, as published')
 
     def close(self) -> None:
@@ -212,9 +191,7 @@ class RecorderNode(Node):
         self._bag.close()
         self._config.write_counts({
             'messages': self._messages, 'counts': self._bag.counts(),
-            'lost': sum(self._lost().values()), 'lost_by_topic': self._lost(),
-            'before_start': sum(x.before_start for x in self._streams.values()),
-            'cpu_s': time.process_time() - self._cpu_at_start})
+            'lost': sum(self._lost().values()), 'lost_by_topic': self._lost()})
 
     def _lost(self) -> dict[str, int]:
         return {name: x.lost for name, x in self._streams.items() if x.lost}
@@ -222,11 +199,9 @@ class RecorderNode(Node):
     def _statuses(self) -> list[Status]:
         if self._gate.open:  # which looks at the ends that there are now
             self._meet_publishers()
-        now, lost = time.monotonic(), self._lost()
-        rate = (self._messages - self._reported_messages) / max(1e-9, now - self._reported_at)
-        self._reported_at, self._reported_messages = now, self._messages
+        lost = self._lost()
         return [
-            Status('loop', {'rate_hz': round(rate, 1), 'messages': self._messages}),
+            Status('loop', {'messages': self._messages}),
             Status('messages', {
                 'dropped': sum(lost.values()),
                 **{f'dropped {name}': number for name, number in lost.items()}},
@@ -252,25 +227,23 @@ class _TransformWriter:
                     deserialize_message(data, String).data, world_frame=WORLD_FRAME)
             except ConfigError as error:
                 self._logger.error(f'no {TF_TOPIC}: {error}')
-        elif topic is JOINT_STATES and self._links is not None:
-            sec, nanosec = STAMP.unpack_from(data, HEADER)
-            stamp = sec * NANOSECONDS + nanosec
-            if not 0 <= stamp - self._last < TF_PERIOD:
-                self._last = stamp
-                joints = deserialize_message(data, JointState)
-                self._write(self._links.at(dict(zip(joints.name, joints.position))),
-                            sec, nanosec, sent)
-
-    def _write(self, poses: list[LinkTransform], sec: int, nanosec: int, sent: int) -> None:
+        if topic is not JOINT_STATES or self._links is None:
+            return
+        sec, nanosec = STAMP.unpack_from(data, HEADER)
+        stamp = sec * NANOSECONDS + nanosec
+        if 0 <= stamp - self._last < TF_PERIOD:
+            return
+        self._last = stamp
+        joints = deserialize_message(data, JointState)
         types = self._bag.types.types
-        stamp = types['builtin_interfaces/msg/Time'](sec, nanosec)
+        at = types['builtin_interfaces/msg/Time'](sec, nanosec)
         make, transform, vector, quaternion = (types[f'geometry_msgs/msg/{name}'] for name in (
             'TransformStamped', 'Transform', 'Vector3', 'Quaternion'))
         message = types[TF_TYPE]([make(
-            types['std_msgs/msg/Header'](stamp, x.parent), x.child,
-            transform(vector(*x.translation), quaternion(*x.quaternion_xyzw))) for x in poses])
-        data = self._bag.types.serialize_cdr(message, TF_TYPE)
-        self._bag.write(TF_TOPIC, bytes(data), sent)
+            types['std_msgs/msg/Header'](at, x.parent), x.child,
+            transform(vector(*x.translation), quaternion(*x.quaternion_xyzw)))
+            for x in self._links.at(dict(zip(joints.name, joints.position)))])
+        self._bag.write(TF_TOPIC, bytes(self._bag.types.serialize_cdr(message, TF_TYPE)), sent)
 
 
 def main() -> int:

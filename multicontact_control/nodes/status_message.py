@@ -16,46 +16,19 @@ TEXTS = ('event', 'command', 'life_cycle', 'reaction', 'causes', 'contacts', 'pu
 
 @dataclass(frozen=True, slots=True)
 class ControllerStatus:
-    """
-    What the controller says of itself, and of a command.
+    """What the controller says of itself, and of a command."""
 
-    Attributes
-    ----------
-    event
-        ``accepted`` or ``refused`` for a command, ``state`` otherwise.
-    command
-        Identifier of the command; empty if it has none.
-    text
-        Why the command is refused; else what the controller does, ``ok`` if that is what it is
-        asked for.
-    life_cycle
-        ``active`` or ``inactive``.
-    reaction, causes
-        ``none``, or what it does instead of control, and why.
-    contacts
-        State of each contact in words.
-    held
-        Whether it holds pose and forces on command.
-    refused
-        How many commands it has refused so far.
-    push_test
-        What the push test asks for; empty if it asks for nothing.
-    forces
-        What is obeyed by contact, and couple [N]; empty if it follows a scenario.
-
-    """
-
-    event: str
-    command: str
-    text: str
-    life_cycle: str
-    reaction: str
+    event: str  # `accepted` or `refused` for a command, else `state`
+    command: str  # its identifier; empty if it has none
+    text: str  # why it is refused; else what the controller does, `ok` for what it is asked for
+    life_cycle: str  # `active` or `inactive`
+    reaction: str  # `none`, or what it does instead of control
     causes: str
-    contacts: str
-    held: bool
-    refused: int
-    push_test: str
-    forces: Mapping[str, float]
+    contacts: str  # the state of each in words
+    held: bool  # on command
+    refused: int  # commands so far
+    push_test: str  # what it asks for; empty for nothing
+    forces: Mapping[str, float]  # obeyed by contact and couple [N]; empty in a scenario
 
     @classmethod
     def of(cls, message: DiagnosticStatus) -> ControllerStatus:

@@ -1,9 +1,7 @@
 """
-Every topic of the graph, once.
+Every topic of the graph, once: what nodes publish, the recorder records, the gate waits for.
 
-The nodes make their publishers and subscriptions from this table, the recorder records what it
-lists, and the start-up gate waits for the connections it promises. All names are relative, so a
-namespace moves the whole graph.
+All names are relative, so that a namespace moves the whole graph.
 """
 
 from __future__ import annotations
@@ -32,8 +30,6 @@ EVERY_NODE = 'every node'
 LOCKSTEP_SIM = 'sim_node in lockstep'
 WORLD_FRAME = 'world'
 
-RateClass = Literal['control', 'event']
-
 
 @dataclass(frozen=True, eq=False)
 class Topic:
@@ -42,16 +38,11 @@ class Topic:
 
     Attributes
     ----------
-    name
-        Relative name.
-    message
-        Message class.
-    publisher
-        Name of the node that publishes it; `USER` for whoever wants to. Nobody waits for what
-        is not the name of a node.
-    subscribers
-        Names of the nodes that always subscribe to it. The controller subscribes to one of the
-        two wrenches, so neither lists it.
+    name, message
+        Relative name, and message class.
+    publisher, subscribers
+        Names of the nodes that publish it (`USER` for any, for which no node waits), and that
+        always subscribe to it. The controller subscribes to one of the two wrenches.
     profile
         Quality of service of the publisher.
     rate
@@ -66,7 +57,7 @@ class Topic:
     publisher: str
     subscribers: tuple[str, ...]
     profile: QoSProfile = field(default_factory=lambda: qos.STREAM)
-    rate: RateClass = 'control'
+    rate: Literal['control', 'event'] = 'control'
     content: str = ''
 
     @property
@@ -157,24 +148,11 @@ CLOCK = Topic(
     '/clock', Clock, LOCKSTEP_SIM, (RECORDER,), qos.STREAM, 'event',
     'Time of the newest sample.')
 
-TOPICS: tuple[Topic, ...] = (
-    JOINT_STATES, WRENCH, WRENCH_FILTERED, TRUE_FORCES, EFFORT_COMMAND, MEASURED_FORCES,
-    ESTIMATED_FORCES, DESIRED_FORCES, INNOVATION, STIFFNESS, STABILITY_MARGIN, POSE,
-    POSE_DESIRED, NOISE_VARIANCE,
-    FORCE_COMMAND, MOTION_COMMAND, STATUS, ROBOT_DESCRIPTION, CONTACT_MARKERS,
-    SURFACE_MARKERS, DIAGNOSTICS, CLOCK)
+TOPICS = tuple(topic for topic in globals().values() if isinstance(topic, Topic))
 
 
 def message_class(type_name: str) -> Any:
-    """
-    Return the class of a message type, e.g. that of ``sensor_msgs/msg/JointState``.
-
-    Raises
-    ------
-    RunError
-        If it is not installed.
-
-    """
+    """Return the class of a type, e.g. ``sensor_msgs/msg/JointState``; RunError if it is none."""
     package, _, name = type_name.partition('/msg/')
     try:
         return getattr(import_module(f'{package}.msg'), name)

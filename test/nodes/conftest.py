@@ -1,7 +1,14 @@
 """Real middleware for the tests of the nodes, in a ROS domain of their own."""
 
+from contextlib import contextmanager
+
+from multicontact_control.experiment.graph.domain import reserve_domain
+from multicontact_control.nodes import diagnostics, managed_node
 from multicontact_control.nodes.link import GuestNode, LifecycleDriver
+from multicontact_control.nodes.runtime import Spinner, StopFlag
 import pytest
+import rclpy
+from rclpy.signals import SignalHandlerOptions
 from ros_graph import Middleware, own_domain
 
 
@@ -14,16 +21,80 @@ def domain_id():
         keeper.close()
 
 
+@contextmanager
+def environment(domain_id, folder):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv('ROS_DOMAIN_ID', str(domain_id))
+        patch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+        patch.setenv('ROS_LOG_DIR', str(folder / 'ros'))
+        yield patch
+
+
 @pytest.fixture
-def middleware(domain_id, tmp_path, monkeypatch):
-    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain_id))
-    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    monkeypatch.setenv('ROS_LOG_DIR', str(tmp_path / 'ros'))
-    with Middleware(domain_id) as handle:
+def middleware(domain_id, tmp_path):
+    with environment(domain_id, tmp_path), Middleware(domain_id) as handle:
         yield handle
 
 
 @pytest.fixture
 def driver(domain_id, middleware):
     with LifecycleDriver(domain_id) as handle:
+        yield handle
+
+
+class Host(Middleware):
+    """A managed node in this process: its callbacks run whenever a test waits for something."""
+
+    def __init__(self, domain_id):
+        super().__init__(domain_id)
+        self.hosted, self.stop = None, StopFlag()
+
+    def make(self, make_node, *parameters, file):
+        """Make the node, unconfigured, in the place of the one before."""
+        self._free()
+        options = [part for text in parameters for part in ('-p', text)]
+        rclpy.init(args=['--ros-args', '--params-file', str(file), *options],
+                   signal_handler_options=SignalHandlerOptions.NO)
+        self.hosted = make_node()
+        self.spinner = Spinner(self.hosted, self.stop)
+        return self.hosted
+
+    def _free(self):
+        if self.hosted is not None:
+            self.spinner.close()
+            self.hosted.destroy_node()
+            rclpy.try_shutdown()
+            self.hosted = None
+
+    def __exit__(self, *error):
+        self._free()
+        super().__exit__(*error)
+
+    def pause(self, duration=0.002):
+        self.hosted.spin_once(self.spinner)
+
+    def take(self, subscription, message):
+        self.pause()
+        return super().take(subscription, message)
+
+
+@pytest.fixture(scope='module')
+def host_domain(tmp_path_factory):
+    """Reserve a domain for hosted nodes: what is left of them answers no other test."""
+    with reserve_domain() as number, environment(number, tmp_path_factory.mktemp('host')) as patch:
+        patch.setattr(managed_node, 'SPIN_TIMEOUT', 0.001)
+        patch.setattr(diagnostics, 'PERIOD', 200_000_000)
+        with GuestNode('keeper', number):
+            yield number
+
+
+@pytest.fixture(scope='module')
+def module_host(host_domain):
+    with Host(host_domain) as handle:
+        yield handle
+
+
+@pytest.fixture
+def host(host_domain):
+    with Host(host_domain) as handle:
         yield handle

@@ -1,28 +1,29 @@
-"""The life cycle of controller and noise estimator, as processes."""
+"""The life cycle of controller and noise estimator: in this process, and one as a process."""
 
 from __future__ import annotations
 
-import contextlib
+from pathlib import Path
 
 from fake_arm import EFFORT, FakeArm
 from fake_arm import PARAMETERS as STILL
 from multicontact_control.nodes import messages, topics
+from multicontact_control.nodes.controller_node import ControllerNode
 from multicontact_control.nodes.graph_node import ignore
 from multicontact_control.nodes.link import (
     ACTIVATE,
     CLEAN_UP,
     CONFIGURE,
     DEACTIVATE,
-    NoAnswerError,
-    SHUT_DOWN,
     TransitionError,
 )
+from multicontact_control.nodes.managed_node import FAILURE, FINALIZED, SUCCESS, UNCONFIGURED
+from multicontact_control.nodes.noise_estimator_node import NoiseEstimatorNode
 from multicontact_control.paths import config_dir
 import numpy as np
 import pytest
-from ros_graph import end_of, PATIENCE, set_parameter, wait_for
+from rclpy.parameter import Parameter
+from ros_graph import end_of, wait_for
 from sensor_msgs.msg import JointState
-from std_srvs.srv import Trigger
 
 pytestmark = pytest.mark.ros
 
@@ -34,63 +35,48 @@ PARAMETERS = (*STILL, f'transition.torque_rate:={RATE}', f'transition.blend_time
 LARGEST_STEP = RATE * 0.002 * (1.0 + 1e-9)
 
 
-@pytest.fixture
-def process(middleware):
-    return middleware.start(MODULE, *PARAMETERS, files=(FILE,))
-
-
-@pytest.fixture
-def arm(middleware):
-    return FakeArm(middleware)
-
-
 def settle(arm):
     for _ in range(60):
         torque = arm.step()
     return torque
 
 
-def test_controller_goes_through_every_transition_again_and_again(process, driver, arm):
+def test_controller_goes_through_every_transition_again_and_again(host):
+    controller, arm = host.make(ControllerNode, *PARAMETERS, file=FILE), FakeArm(host)
     gravity = arm.state.gravity
-    for transition in (ACTIVATE, DEACTIVATE, CLEAN_UP):  # not possible yet
-        with pytest.raises(TransitionError):
-            driver.change(NAME, transition)
-    assert driver.state(NAME) == 'unconfigured'
     for _ in range(2):
-        driver.change(NAME, CONFIGURE)
+        assert controller.trigger_configure() == SUCCESS
         arm.send()
-        driver.change(NAME, ACTIVATE)
+        assert controller.trigger_activate() == SUCCESS
         arm.connect()
-        driver.change(NAME, DEACTIVATE)
-        driver.change(NAME, ACTIVATE)
+        assert controller.trigger_deactivate() == controller.trigger_activate() == SUCCESS
         np.testing.assert_array_equal(arm.step(), EFFORT)  # nothing is remembered
         second = arm.step()
         assert 0.0 < np.abs(second - EFFORT).max() <= LARGEST_STEP
         np.testing.assert_allclose(settle(arm), gravity, atol=1e-6)
-        driver.change(NAME, DEACTIVATE)
+        assert controller.trigger_deactivate() == SUCCESS
         np.testing.assert_allclose(arm.step(), gravity, atol=1e-6)
-        driver.change(NAME, CLEAN_UP)
+        assert controller.trigger_cleanup() == SUCCESS
         stamp = arm.send()
-        assert driver.state(NAME) == 'unconfigured'
+        assert controller.state == UNCONFIGURED
         assert arm.answer(stamp) is None
-    driver.change(NAME, SHUT_DOWN)
-    assert process.wait(PATIENCE) == 0
+    assert controller.trigger_shutdown() == SUCCESS
+    assert controller.state == FINALIZED
 
 
-def test_deactivation_and_end_go_to_the_declared_behaviour_without_a_jump(
-        process, middleware, driver, arm):
+def test_process_obeys_possible_transitions_and_leaves_the_arm_safely(middleware, driver):
+    process = middleware.start(
+        MODULE, *PARAMETERS, 'safe_behaviour.kind:=zero_torque', files=(FILE,))
+    for transition in (ACTIVATE, DEACTIVATE, CLEAN_UP):  # not possible yet
+        with pytest.raises(TransitionError):
+            driver.change(NAME, transition)
+    assert driver.state(NAME) == 'unconfigured'
     for transition in (CONFIGURE, ACTIVATE):
         driver.change(NAME, transition)
+    arm = FakeArm(middleware)
     arm.connect()
-    assert set_parameter(driver, NAME, 'safe_behaviour.kind', 'zero_torque').successful
-    last = settle(arm)
-    driver.change(NAME, DEACTIVATE)
-    torques = [last] + [arm.step() for _ in range(300)]
-    np.testing.assert_array_equal(torques[1], last)
-    assert np.abs(np.diff(torques, axis=0)).max() <= LARGEST_STEP
-    assert np.abs(torques[-1]).max() < 0.5 * np.abs(last).max()
-    driver.change(NAME, ACTIVATE)
     torques = [settle(arm)]
+    opened = [path.resolve() for path in Path(f'/proc/{process.pid}/fd').iterdir()]
     process.terminate()
     while process.poll() is None:
         arm.send()
@@ -100,32 +86,25 @@ def test_deactivation_and_end_go_to_the_declared_behaviour_without_a_jump(
             torques.append(np.array(command.effort))
     assert process.returncode == 0
     assert np.abs(torques[-1]).max() < np.abs(torques[0]).max() - 5 * LARGEST_STEP
+    assert not [path for path in opened if 'fastrtps' in path.name and path.exists()]
 
 
-def test_configure_refuses_what_is_wrong_until_it_is_repaired(middleware, driver):
-    process = middleware.start(
-        MODULE, 'robot.urdf:=nowhere.urdf', 'rate:=-500.0', "effort_output_topic:='bare efforts'",
-        files=(FILE,))
+def test_configure_refuses_what_is_wrong_until_it_is_repaired(host):
+    node = host.make(ControllerNode, 'robot.urdf:=nowhere.urdf', 'rate:=-500.0',
+                     "effort_output_topic:='bare efforts'", file=FILE)
     for name, value in (('rate', 500.0), ('robot.urdf', 'puma560.urdf'),
                         ('effort_output_topic', '~/efforts')):
-        with pytest.raises(TransitionError):
-            driver.change(NAME, CONFIGURE)
-        assert driver.state(NAME) == 'unconfigured'
-        assert set_parameter(driver, NAME, name, value).successful
-    driver.change(NAME, CONFIGURE)
-    assert driver.state(NAME) == 'inactive'
-    process.kill()
-    errors = process.communicate()[1]
-    for name in ('rate', 'robot.urdf', 'effort_output_topic'):
-        assert f'cannot configure: {name}: expected' in errors
-    assert 'Traceback' not in errors
+        assert node.trigger_configure() == FAILURE
+        assert node.state == UNCONFIGURED
+        assert node.set_parameters([Parameter(name, value=value)])[0].successful
+    assert node.trigger_configure() == SUCCESS
 
 
-def test_autostart_begins_alone_or_ends_with_the_reason(middleware, arm):
+def test_autostart_begins_alone_or_ends_with_the_reason(middleware):
     bad = middleware.start(
         MODULE, 'force.time_constant:=-1.0', files=(FILE,), flags=('--autostart',))
     process = middleware.start(MODULE, 'autostart:=true', *PARAMETERS, files=(FILE,))
-    arm.connect()
+    FakeArm(middleware).connect()
     assert process.poll() is None
     _, errors = end_of(bad)
     assert bad.returncode == 2
@@ -133,43 +112,19 @@ def test_autostart_begins_alone_or_ends_with_the_reason(middleware, arm):
         'force.time_constant: expected greater than 0, found -1.0')
 
 
-def test_force_control_waits_for_the_push_test_where_it_is_required(middleware, driver):
-    middleware.start(MODULE, *PARAMETERS, 'sensor.require_push_test:=true', files=(FILE,))
-    driver.change(NAME, CONFIGURE)
-
-    def ask():  # ROS loses an answer to a client that its service does not know yet
-        with contextlib.suppress(NoAnswerError):
-            return driver.call(NAME, Trigger, 'push_test', Trigger.Request(), timeout=10.0)
-
-    answer = wait_for(ask, 'an answer')
-    assert answer.success and answer.message
-    driver.change(NAME, ACTIVATE)
-    arm = FakeArm(middleware)
-    arm.connect()
-    wait_for(arm.force_command.get_subscription_count, 'connection')
-    arm.force_command.publish(messages.joint_state_message(0, ['table'], effort=[5.0]))
-    report = arm.diagnostics(lambda x: any(
-        'contact_forces/command' in key for key in x['messages'][2]))
-    assert report['sensor'][2]['force_control'] == 'disabled'
-    settle(arm)
-    assert arm.desired() == {'table': 0.0, 'board': 0.0}
-
-
-def test_estimator_forgets_its_window_and_is_silent_while_inactive(middleware, driver):
-    process = middleware.start('multicontact_control.nodes.noise_estimator_node',
-                               files=(config_dir() / 'noise_estimator.yaml',))
-    node, stamps = middleware.node, [0]
-    publisher = node.create_publisher(
+def test_estimator_forgets_its_window_and_is_silent_while_inactive(host):
+    estimator = host.make(NoiseEstimatorNode, file=config_dir() / 'noise_estimator.yaml')
+    stamps = [0]
+    publisher = host.node.create_publisher(
         JointState, topics.MEASURED_FORCES.name, topics.MEASURED_FORCES.profile)
-    variances = node.create_subscription(JointState, topics.NOISE_VARIANCE.name, ignore, 1000)
+    variances = host.node.create_subscription(JointState, topics.NOISE_VARIANCE.name, ignore, 1000)
 
     def answer(force, since=0):
         """Send a sample; return the newest answer to one from then on, which may be late."""
         stamps.append(stamps[-1] + 2_000_000)
         publisher.publish(messages.joint_state_message(
             stamps[-1], ['table', 'board'], effort=[force, force]))
-        middleware.pause(0.002)
-        found = middleware.take(variances, JointState)
+        found = host.take(variances, JointState)
         late = found is not None and messages.stamp_to_ns(found.header.stamp) <= since
         return None if late else found
 
@@ -177,18 +132,14 @@ def test_estimator_forgets_its_window_and_is_silent_while_inactive(middleware, d
         found = answer((-1.0) ** len(stamps))
         return found is not None and found.effort[0] > 1.0
 
-    driver.change(topics.ESTIMATOR, CONFIGURE)
+    assert estimator.trigger_configure() == SUCCESS
     for _ in range(2):
-        driver.change(topics.ESTIMATOR, ACTIVATE)
+        assert estimator.trigger_activate() == SUCCESS
         since = stamps[-1]
         first = wait_for(lambda since=since: answer(1.0, since), 'first variance')
         assert list(first.effort) == [0.6, 0.6]  # the fixed one, until the window is full
         wait_for(varies, 'variance of an alternating force')
-        driver.change(topics.ESTIMATOR, DEACTIVATE)
+        assert estimator.trigger_deactivate() == SUCCESS
         since = stamps[-1]
-        answer(1.0)
-        assert driver.state(topics.ESTIMATOR) == 'inactive'
-        assert answer(1.0, since) is None
-    driver.change(topics.ESTIMATOR, CLEAN_UP)
-    driver.change(topics.ESTIMATOR, SHUT_DOWN)
-    assert process.wait(PATIENCE) == 0
+        assert [x for _ in range(20) if (x := answer(1.0, since)) is not None] == []
+    assert estimator.trigger_cleanup() == SUCCESS

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+
 from multicontact_control.config import (
     Config,
     ControllerConfig,
@@ -39,21 +41,16 @@ class Whole(Config):
 @pytest.fixture
 def make_node(domain_id, tmp_path, monkeypatch):
     monkeypatch.setenv('ROS_LOG_DIR', str(tmp_path / 'ros'))
-    guest = GuestNode('context', domain_id)
-    nodes = []
-
-    def make(*arguments, file=None):
-        files = ['--params-file', str(file)] if file else []
-        options = [part for argument in arguments for part in ('-p', argument)]
-        nodes.append(Node(
-            'parameter_test', context=guest.context, use_global_arguments=False,
-            start_parameter_services=False, cli_args=['--ros-args', *files, *options]))
-        return nodes[-1]
-
-    yield make
-    for node in nodes:
-        node.destroy_node()
-    guest.close()
+    with GuestNode('context', domain_id) as guest, contextlib.ExitStack() as nodes:
+        def make(*arguments, file=None):
+            files = ['--params-file', str(file)] if file else []
+            options = [part for argument in arguments for part in ('-p', argument)]
+            node = Node('parameter_test', context=guest.context, use_global_arguments=False,
+                        start_parameter_services=False,
+                        cli_args=['--ros-args', *files, *options])
+            nodes.callback(node.destroy_node)
+            return node
+        yield make
 
 
 def change(node, name, value):
@@ -107,12 +104,6 @@ def test_load_parameters_refuses_in_one_line(make_node, arguments, match):
     with pytest.raises(ConfigError, match=match) as caught:
         load_parameters(make_node(*arguments), Whole)
     assert '\n' not in str(caught.value)
-
-
-def test_load_parameters_refuses_a_contact_without_values(make_node):
-    node = make_node('contact_names:=["table", "bord"]', file=CONTROLLER_FILE)
-    with pytest.raises(ConfigError, match="contact_names: expected names among .*found 'bord'"):
-        load_parameters(node, ControllerConfig)
 
 
 def test_parameter_set_refuses_what_is_wrong_until_it_is_repaired(make_node):

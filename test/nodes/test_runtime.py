@@ -11,7 +11,6 @@ DESTROYED_END = """
 import rclpy
 import time
 from multicontact_control.nodes import qos
-from multicontact_control.nodes.graph_node import create_subscription
 from multicontact_control.nodes.runtime import Spinner, start_ros, StopFlag
 from multicontact_control.nodes.topics import FORCE_COMMAND
 from rclpy.exceptions import InvalidHandle
@@ -23,7 +22,8 @@ spinner = Spinner(node, StopFlag())
 driver = node.create_publisher(
     FORCE_COMMAND.message, FORCE_COMMAND.name, qos.profile(1, reliable=False))
 for _ in range(5):
-    ends = [create_subscription(node, FORCE_COMMAND, print, FORCE_COMMAND.profile)
+    ends = [node.create_subscription(
+        FORCE_COMMAND.message, FORCE_COMMAND.name, print, FORCE_COMMAND.profile)
             for _ in range(5)]
     spinner.spin_once(0.0)  # it is told of one, and has the others' events
     time.sleep(0.1)
@@ -51,6 +51,31 @@ def test_only_what_comes_for_an_end_that_is_gone_is_ignored(domain_id):
         env={**os.environ, 'ROS_DOMAIN_ID': str(domain_id)})
     # The middleware may have said something before, e.g. about shared memory.
     assert (script.returncode, script.stdout.splitlines()[-1:]) == (0, ['raised']), (
+        script.stdout + script.stderr)
+
+
+TRANSPORT = """
+from pathlib import Path
+import rclpy
+from multicontact_control.nodes.runtime import start_ros
+from std_msgs.msg import String
+
+start_ros(None)
+node = rclpy.create_node('node')
+node.create_subscription(String, 'heard', print, 1)
+print(*[line for line in Path('/proc/self/maps').read_text().splitlines() if '_port' in line])
+"""
+
+
+@pytest.mark.ros
+def test_process_is_reached_without_shared_memory(domain_id):
+    """A process that is killed leaves a port behind, and the next was out of reach for ever."""
+    environment = {name: value for name, value in os.environ.items()
+                   if name != 'FASTRTPS_DEFAULT_PROFILES_FILE'}
+    script = subprocess.run(
+        [sys.executable, '-c', TRANSPORT], capture_output=True, text=True,
+        env={**environment, 'ROS_DOMAIN_ID': str(domain_id)})
+    assert (script.returncode, script.stdout.splitlines()[-1:]) == (0, ['']), (
         script.stdout + script.stderr)
 
 

@@ -14,7 +14,6 @@ from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.nodes.graph_node import ignore, NAMELESS, take
 from multicontact_control.nodes.link import GuestNode
 import numpy as np
-from rclpy.qos import ReliabilityPolicy
 
 OURS = (topics.CONTROLLER, topics.ESTIMATOR, topics.RECORDER)
 HEARD = 100  # samples that are looked at for a rate, and for stamps that make pairs
@@ -109,7 +108,7 @@ class RobotWatch(GuestNode):
         lines = [text for topic, heard in self._heard.items()
                  if (text := self._missing_of(topic, heard))]
         if not lines:
-            lines = [self._half_told(), *map(self._incompatible, self._heard)]
+            lines = [self._half_told()]
         if not self._listeners():
             names = ' or '.join(self.node.resolve_topic_name(name) for name in self._efforts)
             lines.append(f'a subscriber of {names} (the robot is to apply these efforts)')
@@ -158,18 +157,6 @@ class RobotWatch(GuestNode):
         if not self._rate / RATE_BAND < rate < self._rate * RATE_BAND:
             return (f'joint_states at {self._rate:g} Hz, the rate of the controller; its stamps '
                     f'come at {rate:.4g} Hz')
-        return ''
-
-    def _incompatible(self, topic: topics.Topic) -> str:
-        """Return whose messages the controller cannot get before it asks for less; or empty."""
-        name = self.node.resolve_topic_name(topic.name)
-        strict = any(info.node_name == topics.CONTROLLER
-                     and info.qos_profile.reliability == ReliabilityPolicy.RELIABLE
-                     for info in self.node.get_subscriptions_info_by_topic(name))
-        for info in self.node.get_publishers_info_by_topic(name):
-            if strict and info.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT:
-                return (f'{name} as reliable from {info.node_name}, which publishes it best '
-                        f'effort; {topics.CONTROLLER} cannot get it so')
         return ''
 
     def silent(self, longest: float) -> str:

@@ -17,10 +17,10 @@ JOINTS = ('a', 'b')
 class Robot(GuestNode):
     """A robot's node, which publishes what it is told to."""
 
-    def __init__(self, domain_id, profile=qos.STREAM):
+    def __init__(self, domain_id):
         super().__init__('their_robot', domain_id)
         self._joints, self._wrench = (
-            self.node.create_publisher(topic.message, topic.name, profile)
+            self.node.create_publisher(topic.message, topic.name, qos.STREAM)
             for topic in (topics.JOINT_STATES, topics.WRENCH))
         self._k = 0
 
@@ -86,14 +86,3 @@ def test_robot_without_a_wrist_sensor_needs_none(domain_id):
         robot.listen()
         wait_until(watch, robot, lambda it: not it.missing())
         assert watch.found == '/joint_states from their_robot'
-
-
-def test_reliability_that_the_nodes_cannot_have_is_named(domain_id):
-    with watch_of(domain_id) as watch, closing(
-            Robot(domain_id, qos.profile(10, reliable=False))) as robot, closing(
-            GuestNode(topics.CONTROLLER, domain_id)) as ours:
-        ours.node.create_subscription(
-            topics.JOINT_STATES.message, topics.JOINT_STATES.name, lambda _: None, qos.NEWEST)
-        robot.listen()
-        wait_until(watch, robot, lambda it: it.missing().startswith(
-            '/joint_states as reliable from their_robot'))
