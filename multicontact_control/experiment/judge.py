@@ -134,8 +134,8 @@ def judge(
     Judge a run; `mode` and `timing` are those of ``summary.json``.
 
     Where real time was not kept (`kept_real_time`) the run is not judged: commands that come late
-    act as another delay; only numbers that are not finite count. What would be stable is not
-    judged either if too little of it is known (`_doubt`).
+    act as another delay; only an early end and numbers that are not finite count. What would be
+    stable is not judged either if too little of it is known (`_doubt`).
     `ended_early` is why it ended before its time; `INTERRUPTED` speaks neither for nor against it.
     """
     timely = kept_real_time(data, mode, timing or {})
@@ -185,7 +185,7 @@ def findings(data: RunData, setup: Setup, ended_early: str = '') -> list[Finding
     judged as forces are, while their contact is pressed.
     """
     interrupted = ended_early == INTERRUPTED
-    found = [Finding(ended_early, float(data.time[-1]))] if (
+    found = [Finding(ended_early, float(data.time[-1]), always=True)] if (
         ended_early and not interrupted) else []
     series = (data.q, data.qd, data.torque, data.alpha_true, data.alpha_meas)
     infinite = np.any([np.isinf(values).any(axis=1) for values in series], axis=0)

@@ -206,8 +206,9 @@ def test_free_run_that_missed_one_percent_of_its_deadlines_is_not_judged(setup, 
         verdict = judge(data, setup, mode=REAL_TIME, timing={'deadline_misses': misses})
         assert verdict.name == name
         assert any('contact lost' in reason for reason in verdict.reasons)
+    busy = {'mode': REAL_TIME, 'timing': {'deadline_misses': 6000}}
+    assert judge(data, setup, **busy, ended_early='the robot is silent').name == NOT_STABLE
     data.q[100, 0] = np.inf
-    assert judge(data, setup, mode=REAL_TIME,
-                 timing={'deadline_misses': 6000}).name == NOT_STABLE
+    assert judge(data, setup, **busy).name == NOT_STABLE
     data.torque[:61] = np.nan
     assert kept_real_time(data, REAL_TIME, {}) is False
