@@ -68,8 +68,9 @@ class ControllerNode(ManagedNode):
     everything anew. After a deactivation samples are answered by the declared safe behaviour.
     """
 
-    def __init__(self) -> None:
-        super().__init__(topics.CONTROLLER, ControllerConfig, ControllerNodeConfig)
+    def __init__(self, **options: Any) -> None:
+        super().__init__(
+            topics.CONTROLLER, ControllerConfig, ControllerNodeConfig, **options)
         self._loop: ControlLoop | None = None
         self._commands: CommandInterface | None = None
         self._outputs: ControllerOutputs | None = None

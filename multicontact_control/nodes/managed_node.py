@@ -45,6 +45,8 @@ class ManagedNode(LifecycleNode):
     ----------
     name, models
         Of the node; its configuration classes, of which the last is a `ManagedConfig`.
+    options
+        Of `rclpy.node.Node`: context, arguments, parameters.
 
     Attributes
     ----------
@@ -53,8 +55,8 @@ class ManagedNode(LifecycleNode):
 
     """
 
-    def __init__(self, name: str, *models: type[Config]) -> None:
-        super().__init__(name)
+    def __init__(self, name: str, *models: type[Config], **options: Any) -> None:
+        super().__init__(name, **options)
         self.streams = Streams(self)
         self.state = UNCONFIGURED
         self.refusals = Refusals(self.get_logger())

@@ -42,8 +42,8 @@ class NoiseEstimatorNode(ManagedNode):
     the window anew. Inactive it is silent, and whoever needs R holds the last one.
     """
 
-    def __init__(self) -> None:
-        super().__init__(topics.ESTIMATOR, NoiseEstimatorConfig, ManagedConfig)
+    def __init__(self, **options: Any) -> None:
+        super().__init__(topics.ESTIMATOR, NoiseEstimatorConfig, ManagedConfig, **options)
         self._estimator: NoiseEstimator | None = None
         self._measured, self._innovation = effort_reader(()), innovation_reader(())
         self._node_config = ManagedConfig()

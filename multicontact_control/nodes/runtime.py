@@ -17,6 +17,7 @@ from multicontact_control.errors import ConfigError, MulticontactError
 from multicontact_control.paths import config_dir
 from multicontact_control.process import settle_process
 import rclpy
+from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.event_handler import EventHandler
 from rclpy.exceptions import InvalidHandle
@@ -66,7 +67,7 @@ class Spinner:
     def spin_once(self, timeout: float = SPIN_TIMEOUT) -> None:
         """Wait for one callback for up to `timeout` [s] and run it."""
         if self._executor is None:  # made late: it empties the subscriptions that a node takes
-            self._executor = make_executor()
+            self._executor = make_executor(self._node.context)
             self._executor.add_node(self._node)
         try:
             self._executor.spin_once(timeout_sec=timeout)
@@ -103,7 +104,7 @@ def prepare_environment() -> None:
     os.environ.setdefault('FASTRTPS_DEFAULT_PROFILES_FILE', str(config_dir() / 'fastdds.xml'))
 
 
-def make_executor() -> Executor:
+def make_executor(context: Context | None = None) -> Executor:
     """
     Return the fastest executor there is.
 
@@ -113,8 +114,8 @@ def make_executor() -> Executor:
     try:
         from rclpy.experimental import EventsExecutor
     except ImportError:
-        return SingleThreadedExecutor()
-    return EventsExecutor()
+        return SingleThreadedExecutor(context=context)
+    return EventsExecutor(context=context)
 
 
 def start_ros(args: Sequence[str] | None) -> None:

@@ -7,8 +7,6 @@ from multicontact_control.nodes import diagnostics, managed_node
 from multicontact_control.nodes.link import GuestNode, LifecycleDriver
 from multicontact_control.nodes.runtime import Spinner, StopFlag
 import pytest
-import rclpy
-from rclpy.signals import SignalHandlerOptions
 from ros_graph import Middleware, own_domain
 
 
@@ -43,7 +41,12 @@ def driver(domain_id, middleware):
 
 
 class Host(Middleware):
-    """A managed node in this process: its callbacks run whenever a test waits for something."""
+    """
+    A managed node in this process: its callbacks run whenever a test waits for something.
+
+    It is in the context of the test's own node: participants of one process that come and go can
+    make Fast DDS 2.14 wait for itself.
+    """
 
     def __init__(self, domain_id):
         super().__init__(domain_id)
@@ -53,9 +56,8 @@ class Host(Middleware):
         """Make the node, unconfigured, in the place of the one before."""
         self._free()
         options = [part for text in parameters for part in ('-p', text)]
-        rclpy.init(args=['--ros-args', '--params-file', str(file), *options],
-                   signal_handler_options=SignalHandlerOptions.NO)
-        self.hosted = make_node()
+        self.hosted = make_node(context=self.node.context, cli_args=[
+            '--ros-args', '--params-file', str(file), *options])
         self.spinner = Spinner(self.hosted, self.stop)
         return self.hosted
 
@@ -63,7 +65,6 @@ class Host(Middleware):
         if self.hosted is not None:
             self.spinner.close()
             self.hosted.destroy_node()
-            rclpy.try_shutdown()
             self.hosted = None
 
     def __exit__(self, *error):
