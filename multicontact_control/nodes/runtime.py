@@ -208,7 +208,9 @@ def _run(node: Any, stop: StopFlag) -> None:
         for publisher in node.publishers if not stop.hurry else ():
             if publisher.topic_name not in ('/rosout', '/parameter_events'):
                 remaining = max(0.0, give_up - time.monotonic())
-                publisher.wait_for_all_acked(Duration(seconds=remaining))
+                if not publisher.wait_for_all_acked(Duration(seconds=remaining)):
+                    node.get_logger().warning(
+                        f'{publisher.topic_name}: a reader has not acknowledged all messages')
     finally:
         spinner.close()
         try:
