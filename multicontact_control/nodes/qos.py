@@ -1,9 +1,8 @@
 """
 The quality-of-service profiles of the graph, each with its reason.
 
-Loss in this graph never comes from the wire (all nodes share a machine or a short cable) but from
-overwriting: a queue that is too short for a reader that is late. Everything that is recorded is
-therefore reliable, and the depths say how long a reader may be late.
+All nodes share a machine: a message is lost where a queue is too short for a late reader. What is
+recorded is therefore reliable, and the depths say how late a reader may be.
 """
 
 from __future__ import annotations
@@ -27,10 +26,8 @@ INPUT = profile(10)
 """Readers at the control rate: 20 ms at 500 Hz; what is older than that is of no use to them."""
 
 SENSOR = profile(4, reliable=False)
-"""The controller's inputs in real time, which drivers publish best effort as often as reliable.
-A reader that was late by a few periods catches up, one that was late by more goes on with the
-newest samples; what it overtakes is counted. In lockstep, where a loss would stop everything and
-nothing is late, they are INPUT."""
+"""The controller's inputs in real time, which drivers often publish best effort: a reader that was
+late goes on with the newest. In lockstep, where a loss would stop everything, they are INPUT."""
 
 COMMAND = profile(10)
 """What a user sends now and then: no command may be lost, nor an old one be replayed."""
