@@ -336,7 +336,7 @@ class GraphSource:
 
     def _read(self, names: tuple[str, ...]) -> list[Any]:
         answer = self._link.call(topics.CONTROLLER, GetParameters, 'get_parameters',
-                                    GetParameters.Request(names=list(names)))
+                                 GetParameters.Request(names=list(names)))
         found = [parameter_value_to_python(value) for value in answer.values]
         if len(found) != len(names) or None in found:
             raise RunError(f'{topics.CONTROLLER}: expected the parameters {", ".join(names)}, '
