@@ -24,8 +24,13 @@ from multicontact_control.experiment.scenario import resolve
 from multicontact_control.files import write_json
 from multicontact_control.force.noise import make_noise_estimator
 from multicontact_control.process import settle_process
-from multicontact_control.sampling import PairedSample
 from multicontact_control.supervision.command_limits import CommandLimits
+from multicontact_control.supervision.inputs import (
+    JointInput,
+    TickInputs,
+    VarianceInput,
+    WrenchInput,
+)
 import numpy as np
 import pinocchio as pin
 import psutil
@@ -87,22 +92,27 @@ def bench_tick(count, *, supervised, estimated=True):
     setup = setup_of()
     config, data = setup.controller, run_in_process(setup, supervised=supervised).data
     series = data.q, data.qd, getattr(data, config.wrench_series), data.effort
-    samples = [PairedSample(round(k * config.period * 1e9), *(x[k].copy() for x in series))
-               for k in range(data.ticks)]
+    samples = [[x[k].copy() for x in series] for k in range(data.ticks)]
     loop = ControlLoop(config, setup.reference(), CommandLimits(), setup.urdf_dir,
                        supervised=supervised)
     estimator, compute = make_noise_estimator(setup.noise_estimator), bare_dynamics(setup)
+    variance = None
 
     def step(place):
-        loop.step(samples[place])
+        nonlocal variance
+        time, (q, qd, wrench, effort) = place * config.period, samples[place]
+        loop.step(TickInputs(
+            time, JointInput(time, q, qd, effort), WrenchInput(time, wrench), variance))
         if estimated and loop.output is not None:
-            loop.take_variance(samples[place].stamp, estimate_variance(estimator, loop.output))
+            variance = VarianceInput(time, estimate_variance(estimator, loop.output))
 
     def restart():
+        nonlocal variance
         loop.restart()
         estimator.reset()
+        variance = None
 
-    return race(step, lambda place: compute(samples[place].q, samples[place].qd), count,
+    return race(step, lambda place: compute(*samples[place][:2]), count,
                 len(samples), restart)
 
 

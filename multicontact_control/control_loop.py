@@ -21,13 +21,7 @@ from multicontact_control.control.reference import CommandedReference
 from multicontact_control.control.reference.holdable import HeldSource, HoldableReference
 from multicontact_control.dynamics.pose import Pose
 from multicontact_control.errors import CommandError, ConfigError
-from multicontact_control.sampling import (
-    JointReading,
-    MotionReading,
-    PairedSample,
-    SampleClock,
-    WrenchReading,
-)
+from multicontact_control.sampling import MotionReading
 from multicontact_control.sensor.front_end import KEPT, SensorFrontEnd
 from multicontact_control.sensor.push_config import PushTestConfig
 from multicontact_control.sensor.push_gate import PushGate
@@ -42,19 +36,13 @@ from multicontact_control.supervision.command_limits import (
     offset_shares,
 )
 from multicontact_control.supervision.event_log import EventLog
-from multicontact_control.supervision.inputs import (
-    JointInput,
-    TickInputs,
-    VarianceInput,
-    WrenchInput,
-)
+from multicontact_control.supervision.inputs import TickInputs, WrenchInput
 from multicontact_control.supervision.supervisor import Supervisor, SupervisorStatus
 from multicontact_control.supervision.validation import as_number, as_vector
 import numpy as np
 
 TARE_GAP = 0.1  # s, without a wrench, after which what was read before is of no use for a tare
 STREAM_TIME = 1.0  # s, between commands; more often they are a stream, which insists on nothing
-LONGEST_PAUSE = 10.0  # s; stamps that jump farther ahead are of a clock that was set
 
 
 class ControlLoop:
@@ -93,16 +81,8 @@ class ControlLoop:
         Whether samples are answered by the declared safe behaviour.
     push_gate
         What allows force control.
-    first_stamp, last_stamp
-        Of the first and the newest sample [ns], -1 before the first.
     sensor_fault
         What is wrong with the newest wrench, empty if nothing is.
-    variance, variance_stamp
-        R [N^2] and its stamp [ns], -1 before the first.
-    tick
-        Number of the newest sample.
-    skipped
-        Samples that never came, or were overtaken.
 
     """
 
@@ -130,8 +110,6 @@ class ControlLoop:
         self.push_gate = PushGate(
             required=config.sensor.require_push_test, robot=self.controller.controller.robot,
             gravity_world=np.array(config.robot.gravity_world), rate=config.rate)
-        self._rate, self._period = config.rate, config.period
-        self._clock = SampleClock(config.period)
         self.restart()
 
     @property
@@ -148,7 +126,6 @@ class ControlLoop:
         """Forget the past: the next sample is the first."""
         self.controller.reset()
         self._front_end.reset()
-        self._clock.reset()
         self.push_gate.restart()
         self._expect_pushes()
         self.output: ControlOutput | None = None
@@ -160,68 +137,14 @@ class ControlLoop:
         self.collisions: Counter[str] = Counter()
         self._touched = ''
         self.safe = False
-        self.first_stamp = self.last_stamp = self.variance_stamp = -1
-        self.skipped = 0
-        self.tick = 0
         self._inputs = TickInputs(0.0)
         self._filtered: WrenchInput | None = None
         self._postures: deque[Vector] = deque(maxlen=KEPT)
         self._read_at = math.nan
-        self.variance: Vector = np.full(
-            len(self.config.columns), self.config.initial_noise_variance)
-        self._variance: VarianceInput | None = None
         self.sensor_fault = ''
-        self._missed = 0
         self._commanded_at = -math.inf
 
-    def take_variance(self, stamp: int, variance: Vector) -> None:
-        """Use an R [N^2] from the next sample on; its stamp is that of a sample [ns]."""
-        self.variance_stamp, self.variance = stamp, variance
-        self._variance = VarianceInput(self._clock.time_of(stamp), variance)
-
-    def step(self, sample: PairedSample) -> Vector:
-        """
-        Answer a sample.
-
-        Returns
-        -------
-        Vector
-            The torque to command, shape (n,) [N m].
-
-        Raises
-        ------
-        MulticontactError
-            Without supervisor, if that is not possible in this posture; the sample counts as
-            seen.
-
-        """
-        time = self._begin_tick(sample.stamp)
-        # Without supervisor the law's time goes in whole periods, whatever the stamps do.
-        now = time if self.supervisor is not None else self.tick * self._period
-        new = self._take_wrench(time, sample.wrench_sensor)
-        return self._answer(TickInputs(
-            now, JointInput(time, sample.q, sample.qd, sample.effort), self._filtered,
-            self._variance, self.sensor_fault), new)
-
-    def step_half(self, reading: JointReading | WrenchReading) -> Vector:
-        """Answer a sample of which one half did not come; only with a supervisor."""
-        self._require_supervisor()
-        time = self._begin_tick(reading.stamp)
-        inputs = self._inputs._replace(time=time, variance=self._variance)
-        if isinstance(reading, JointReading):
-            inputs = inputs._replace(joints=JointInput(time, reading.q, reading.qd))
-        else:
-            inputs = inputs._replace(wrench=WrenchInput(time, reading.wrench_sensor))
-        return self.answer(inputs)
-
-    def step_without(self, periods: int) -> Vector:
-        """Command something although nothing came for some periods; only with a supervisor."""
-        self._require_supervisor()
-        self._missed += periods
-        return self.answer(self._inputs._replace(
-            time=self._clock.count_on(periods), variance=self._variance))
-
-    def answer(self, inputs: TickInputs) -> Vector:
+    def step(self, inputs: TickInputs) -> Vector:
         """
         Answer a tick.
 
@@ -260,22 +183,6 @@ class ControlLoop:
     def time(self) -> float:
         """Time of the newest tick [s]."""
         return self._inputs.time
-
-    @property
-    def expected_stamp(self) -> int:
-        """Stamp of the newest sample, or of the one that should have come by now [ns]."""
-        return self.last_stamp + round(self._missed * self._period * 1e9)
-
-    def _begin_tick(self, stamp: int) -> float:
-        if self.first_stamp < 0:
-            self.first_stamp = stamp
-        tick = round((stamp - self.first_stamp) * 1e-9 * self._rate)
-        missed = tick - self.tick - 1
-        if 0 < missed <= LONGEST_PAUSE * self._rate:
-            self.skipped += missed
-        self._missed = 0
-        self.tick, self.last_stamp = tick, stamp
-        return self._clock.take(stamp)
 
     def _take_wrench(self, stamp: Any, reading: Any) -> bool:
         """Let a reading that is new through the front end; return whether it is one."""
@@ -550,7 +457,7 @@ class ControlLoop:
             raise CommandError('samples', 'some, for a tare', 'none')
         postures = self._postures or (joints.q,)  # none without a reading, which is refused below
         way = float(np.abs(postures[-1] - postures[0]).max())
-        fastest = way / (max(len(postures) - 1, 1) * self._period)
+        fastest = way / (max(len(postures) - 1, 1) * self.config.period)
         if not fastest <= MAX_JOINT_SPEED:
             raise CommandError('joint speeds', f'at most {MAX_JOINT_SPEED:g} rad/s for a '
                                'tare', f'{fastest:.3g} rad/s')

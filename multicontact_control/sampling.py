@@ -1,22 +1,35 @@
 """
-From the readings that come to the samples that are answered, and what is missing of them.
+From readings with stamps to the ticks of the control loop: all policy on time is here.
 
-Stamps are in nanoseconds, of whatever clock stamps the samples.
+Stamps are in nanoseconds, of whatever clock stamps the samples. Waiting is measured by the
+monotonic clock of this machine [ns].
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum
+from typing import NamedTuple
 
 from multicontact_control.arrays import Vector
+from multicontact_control.supervision.inputs import (
+    JointInput,
+    TickInputs,
+    VarianceInput,
+    WrenchInput,
+)
+
+NANOSECONDS = 1_000_000_000
+LONGEST_PAUSE = 10.0  # s; stamps that jump farther ahead are of a clock that was set
+BARE_REPEATS = 25  # bare, nothing else tells that the arm has not been seen for long
 
 
 @dataclass(frozen=True, slots=True)
 class JointReading:
     """
-    Joint positions [rad] and velocities [rad/s] at a time, in the order that was asked for.
+    Joint positions [rad] and velocities [rad/s] at a time [ns], in the order of the robot's.
 
-    The effort [N m] is None if it was not asked for, or not all there.
+    The effort [N m] is None if it is not measured at every joint.
     """
 
     stamp: int
@@ -27,7 +40,7 @@ class JointReading:
 
 @dataclass(frozen=True, slots=True)
 class WrenchReading:
-    """What a wrist sensor reads [N, N m] at a time, in its own frame."""
+    """What a wrist sensor reads [N, N m] at a time [ns], in its own frame."""
 
     stamp: int
     wrench_sensor: Vector
@@ -43,188 +56,232 @@ class MotionReading:
     acceleration_world: Vector
 
 
-@dataclass(frozen=True, slots=True)
-class PairedSample:
-    """Joint state and wrist wrench at the stamp of the joints [ns]; the effort if it was read."""
+class Action(Enum):
+    """What to do now."""
 
-    stamp: int
-    q: Vector
-    qd: Vector
-    wrench_sensor: Vector
-    effort: Vector | None = None
+    WAIT = 'nothing'
+    STEP = 'step by a whole sample'
+    ANEW = 'forget the past, then step by a whole sample'
+    HALF = 'step by half a sample'
+    WITHOUT = 'step without a sample'
+    REPEAT = 'send the last command again'
+    SHOW = 'publish the last tick again, for the estimator that missed it'
+    REFUSE = 'refuse the sample: it is older than the last'
 
 
-class SamplePairing:
+class Decision(NamedTuple):
+    """What to do now, and by which inputs if it is a step."""
+
+    action: Action
+    inputs: TickInputs = TickInputs(0.0)
+
+
+class SampleTiming:
     """
-    Pairs readings of one time and hands out the newest pair once.
+    Pairs the readings of one time, and decides what each message, or its absence, leads to.
 
-    One message of a kind is kept: the two topics are filled together, so what waits is at most
-    the half of the newest sample, and halves that never met are counted. With a tolerance of half
-    a period two sensors that are read at one rate, but not at one time, always find each other.
+    ================================== =================== =================== ================
+    What has come                      supervised          bare                lockstep
+    ================================== =================== =================== ================
+    one half of a sample               WAIT                WAIT                WAIT
+    both, within `pair_tolerance`      STEP                STEP                STEP with R [1]_
+    the same stamp again, answered     REPEAT              REPEAT, 25 at most  REPEAT
+    the same stamp again, waiting      WAIT                WAIT                SHOW
+    one sample older than the last     REFUSE              ANEW                ANEW
+    a second, not older than the first STEP [2]_           ANEW                ANEW
+    no sample for `patience`           HALF if one waits   WAIT                WAIT
+    none one period later, or later    WITHOUT [3]_        WAIT                WAIT
+    ================================== =================== =================== ================
+
+    One reading of each kind is kept; one that is overtaken is counted. Nothing is missing before
+    the first sample. The time of a tick is its stamp less the first; the law's time goes in whole
+    periods where it runs bare.
+
+    .. [1] WAIT until the noise variance R of the sample before is there, but not in the safe
+       behaviour.
+    .. [2] The clock was set back; the watchdog answers that.
+    .. [3] Once for each period. Time is counted on in periods meanwhile and does not go back
+       when samples come again, later than that: their stamps are shifted from then on.
 
     Parameters
     ----------
-    tolerance
-        Largest difference between the stamps of a pair [ns]; 0 for equal ones alone.
+    rate
+        1 / h [Hz].
+    supervised, lockstep, feels
+        Whether a supervisor is around the law, whether R is waited for, and whether there is a
+        wrist sensor; without one joint states alone are whole samples.
+    patience
+        How long the next sample is waited for [periods]; 0 for ever.
+    pair_tolerance
+        Largest difference between the stamps of a pair [periods].
 
     Attributes
     ----------
-    unpaired
-        Readings that were overtaken before their other half came.
+    last_stamp
+        Of the newest sample [ns], -1 before the first.
+    tick
+        Number of the newest sample, from 0.
+    due
+        When `late` is to be asked, monotonic time [ns]; 0 for never.
+    variance
+        The newest R, shape (r,) [N^2], None before the first.
+    unpaired, skipped
+        Readings without their other half, and samples that never came or were overtaken.
     apart
-        By how much the stamps of the newest two differ if they are no pair [ns].
+        By how much the stamps of the newest two readings differ if they are no pair [ns].
 
     """
 
-    def __init__(self, tolerance: int = 0) -> None:
+    def __init__(
+        self, rate: float, *, supervised: bool = True, lockstep: bool = False, feels: bool = True,
+        patience: float = 0.0, pair_tolerance: float = 0.0,
+    ) -> None:
+        self._rate, self._period = rate, 1.0 / rate
+        self._supervised, self._lockstep, self._feels = supervised, lockstep, feels
+        self._period_ns = self._period * NANOSECONDS
+        self._patience_ns = patience * self._period_ns if supervised and not lockstep else 0.0
+        self._tolerance = round(pair_tolerance * self._period_ns)
         self._joints: JointReading | None = None
         self._wrench: WrenchReading | None = None
-        self._tolerance = tolerance
+        self._waiting: tuple[JointReading, WrenchReading | None] | None = None
+        self._came_again = False
         self.unpaired = self.apart = 0
+        self.restart()
 
-    def add_joints(self, reading: JointReading) -> PairedSample | None:
-        """Take in a joint state; return the pair if it completes one."""
+    def restart(self) -> None:
+        """Forget the past: the next sample is the first. In lockstep a sample that waits stays."""
+        self._forget()
+        if not self._lockstep:  # it may be old
+            self._waiting = None
+
+    def _forget(self) -> None:
+        self._first_stamp: int | None = None
+        self._older_stamp: int | None = None
+        self._variance_stamp = self.last_stamp = -1
+        self.variance: Vector | None = None
+        self._inputs = TickInputs(0.0)
+        self._time = self._shift = 0.0
+        self._counted_on = False
+        self._missed = self._repeats = self.tick = self.skipped = 0
+        self._since, self._late, self.due = 0.0, 0, 0
+
+    @property
+    def expected_stamp(self) -> int:
+        """Stamp of the newest sample, or of the one that should have come by now [ns]."""
+        return self.last_stamp + round(self._missed * self._period * 1e9)
+
+    def add_joints(self, reading: JointReading) -> None:
+        """Take in a joint state."""
         self.unpaired += self._joints is not None
         self._joints = reading
-        return self._pair()
+        self._pair()
 
-    def add_wrench(self, reading: WrenchReading) -> PairedSample | None:
-        """Take in a wrench; return the pair if it completes one."""
+    def add_wrench(self, reading: WrenchReading) -> None:
+        """Take in a wrench."""
         self.unpaired += self._wrench is not None
         self._wrench = reading
-        return self._pair()
+        self._pair()
 
-    def take_half(self, after: int) -> JointReading | WrenchReading | None:
-        """Return the newest half that waits, if it is newer than of the sample of a stamp [ns]."""
-        halves = [reading for reading in (self._joints, self._wrench) if reading is not None]
-        newest = max(halves, key=lambda reading: reading.stamp, default=None)
-        if newest is None or newest.stamp <= after + self._tolerance:
-            return None
-        self.unpaired += 1
-        if newest is self._joints:
-            self._joints = None
-        else:
-            self._wrench = None
-        return newest
+    def add_variance(self, stamp: int, variance: Vector) -> None:
+        """Use an R [N^2] from the next tick on; its stamp is that of a sample [ns]."""
+        if stamp <= self.last_stamp:  # else left over from before a restart
+            self._variance_stamp, self.variance = stamp, variance
+            self._inputs = self._inputs._replace(
+                variance=VarianceInput(self._time_of(stamp), variance))
 
-    def _pair(self) -> PairedSample | None:
+    def _pair(self) -> None:
         joints, wrench = self._joints, self._wrench
-        if joints is None or wrench is None:
-            return None
-        if joints.stamp != wrench.stamp and (
-                abs(wrench.stamp - joints.stamp) > self._tolerance):
-            self.apart = wrench.stamp - joints.stamp
-            return None
-        self.apart = 0
+        if joints is None or (wrench is None and self._feels):
+            return
+        self.apart = 0 if wrench is None else wrench.stamp - joints.stamp
+        if abs(self.apart) > self._tolerance:
+            return
+        self._came_again = self._waiting is not None and self._waiting[0].stamp == joints.stamp
+        self._waiting, self.apart = (joints, wrench), 0
         self._joints = self._wrench = None
-        return PairedSample(joints.stamp, joints.q, joints.qd, wrench.wrench_sensor, joints.effort)
 
+    def what_now(self, now: int, *, safe: bool = False) -> Decision:
+        """Decide after a message that came `now` [ns], in the safe behaviour if `safe`."""
+        if self._waiting is None:
+            return Decision(Action.WAIT)
+        joints, wrench = self._waiting
+        came_again, self._came_again = self._came_again, False
+        action = Action.STEP
+        if joints.stamp == self.last_stamp:
+            self._waiting = None
+            self._repeats += 1
+            return Decision(Action.REPEAT if self._supervised or self._lockstep or (
+                self._repeats <= BARE_REPEATS) else Action.WAIT)
+        if joints.stamp < self.last_stamp:
+            if self._lockstep or not self._supervised:
+                self._forget()
+                action = Action.ANEW
+            elif self._older_stamp is None or joints.stamp < self._older_stamp:
+                self._older_stamp, self._waiting = joints.stamp, None
+                return Decision(Action.REFUSE)
+        elif self._lockstep and not safe and self._variance_stamp != self.last_stamp:
+            return Decision(Action.SHOW if came_again else Action.WAIT)
+        self._waiting = self._older_stamp = None
+        self._repeats = 0
+        self._wait_from(now)
+        return Decision(action, self._begin(joints.stamp, joints, wrench))
 
-class SampleClock:
-    """
-    Turns stamps into the time of a supervisor, and goes on when no stamps come.
-
-    Only stamps are compared with stamps. What clock they are of does not matter: the simulator's
-    count from the wall clock at its start, in lockstep from one period, a robot's may count from
-    its boot, and may be off from this machine's by any amount or drift against it. Where samples
-    fail to come, their time is counted on in periods. If they come after all, later than that,
-    time does not go back: what their clock has lost is made up for from then on.
-
-    Parameters
-    ----------
-    period
-        h [s].
-
-    Attributes
-    ----------
-    now
-        Time of the newest tick since the first [s].
-
-    """
-
-    def __init__(self, period: float) -> None:
-        self._period = period
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget everything: the next stamp is the first."""
-        self._origin: int | None = None
-        self._shift = 0.0
-        self._counted_on = False
-        self.now = 0.0
-
-    def time_of(self, stamp: int) -> float:
-        """Return the time [s] of a stamp [ns]."""
-        if self._origin is None:
-            self._origin = stamp
-        return (stamp - self._origin) * 1e-9 + self._shift
-
-    def take(self, stamp: int) -> float:
-        """Begin the tick of a sample with this stamp [ns], and return its time [s]."""
-        time = self.time_of(stamp)
-        if self._counted_on and time <= self.now:
-            self._shift += self.now + self._period - time
-            time = self.now + self._period
-        self._counted_on = False
-        self.now = time
-        return time
-
-    def count_on(self, periods: int) -> float:
-        """Begin a tick without a sample, some periods after the last, and return its time [s]."""
+    def late(self, now: int) -> Decision:
+        """Decide if `due` has passed `now` [ns] and everything that has come is taken in."""
+        if not 0 < self.due <= now:
+            return Decision(Action.WAIT)
+        halves = [half for half in (self._joints, self._wrench) if half is not None
+                  and half.stamp > self.last_stamp + self._tolerance]
+        if halves:
+            newest = max(halves, key=lambda half: half.stamp)
+            self.unpaired += 1
+            self._wait_from(max(self._since + self._period_ns, now - self._period_ns))
+            if isinstance(newest, JointReading):
+                self._joints = None
+                return Decision(Action.HALF, self._begin(newest.stamp, newest, None))
+            self._wrench = None
+            return Decision(Action.HALF, self._begin(newest.stamp, None, newest))
+        periods_late = int((now - self._since - self._patience_ns) // self._period_ns)
+        passed = int((now - self._since) // self._period_ns) if periods_late else 0
+        ticks, self._late = passed - self._late, passed
+        self.due = int(self._since + self._patience_ns + (periods_late + 1) * self._period_ns)
+        if not ticks:  # what is only late is waited for one more period
+            return Decision(Action.WAIT)
+        self._missed += ticks
         self._counted_on = True
-        self.now += periods * self._period
-        return self.now
+        self._time += ticks * self._period
+        self._inputs = self._inputs._replace(time=self._time)
+        return Decision(Action.WITHOUT, self._inputs)
 
+    def _wait_from(self, since: float) -> None:
+        self._since, self._late = since, 0
+        self.due = int(since + self._patience_ns) if self._patience_ns else 0
 
-class SampleTimeout:
-    """
-    Says when a sample is late, and then when each of the following is.
+    def _time_of(self, stamp: int) -> float:
+        """Return the time [s] of a stamp [ns]."""
+        return (stamp - (self._first_stamp or 0)) * 1e-9 + self._shift
 
-    Parameters
-    ----------
-    periods
-        How long to wait from one sample to the next [periods]; 0 for ever.
-    period
-        h [ns].
-
-    Attributes
-    ----------
-    due
-        When it is over, monotonic time [ns]; 0 for never.
-
-    """
-
-    def __init__(self, periods: float, period: float) -> None:
-        self._wait, self._period = periods * period, period
-        self.stop()
-
-    def stop(self) -> None:
-        """Wait for ever, until a sample has come."""
-        self.due = 0
-        self._since = 0.0
-        self._counted = 0
-
-    def start(self, now: int) -> None:
-        """Wait for the next sample from one that has come now [ns]."""
-        if self._wait:
-            self._set(now)
-
-    def half_used(self, now: int) -> None:
-        """Wait for the next sample from one of which only a half came, and was waited for."""
-        self._set(max(self._since + self._period, now - self._period))
-
-    def _set(self, since: float) -> None:
-        self._since, self._counted = since, 0
-        self.due = int(since + self._wait)
-
-    def missed(self, now: int) -> int:
-        """
-        Return how many ticks are to be taken at once now that nothing has come.
-
-        None at first: what is only late is waited for one more period.
-        """
-        late = int((now - self._since - self._wait) // self._period)
-        passed = int((now - self._since) // self._period) if late else 0
-        ticks, self._counted = passed - self._counted, passed
-        self.due = int(self._since + self._wait + (late + 1) * self._period)
-        return ticks
+    def _begin(
+        self, stamp: int, joints: JointReading | None, wrench: WrenchReading | None,
+    ) -> TickInputs:
+        """Begin the tick of a sample: return the newest of each input, at the sample's time."""
+        if self._first_stamp is None:
+            self._first_stamp = stamp
+        tick = round((stamp - self._first_stamp) * 1e-9 * self._rate)
+        missed = tick - self.tick - 1
+        if 0 < missed <= LONGEST_PAUSE * self._rate:
+            self.skipped += missed
+        self.tick, self.last_stamp, self._missed = tick, stamp, 0
+        time = self._time_of(stamp)
+        if self._counted_on and time <= self._time:
+            self._shift += self._time + self._period - time
+            time = self._time + self._period
+        self._counted_on, self._time = False, time
+        inputs = self._inputs._replace(time=time if self._supervised else tick * self._period)
+        if joints is not None:
+            inputs = inputs._replace(
+                joints=JointInput(time, joints.q, joints.qd, joints.effort))
+        if wrench is not None:
+            inputs = inputs._replace(wrench=WrenchInput(time, wrench.wrench_sensor))
+        self._inputs = inputs
+        return inputs

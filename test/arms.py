@@ -12,8 +12,8 @@ from multicontact_control.config import (
 )
 from multicontact_control.control_loop import ControlLoop
 from multicontact_control.paths import config_dir
-from multicontact_control.sampling import PairedSample
 from multicontact_control.supervision.command_limits import CommandLimits
+from multicontact_control.supervision.inputs import JointInput, TickInputs, WrenchInput
 import numpy as np
 from sim_bridge.config import PlantConfig
 
@@ -99,8 +99,9 @@ def run_loop(arm, loop, seconds, first=0, each=None):
     """Take an arm and its loop through some time; return what `each` says at every tick."""
     config, found = loop.config, []
     for k in range(first, first + round(seconds * config.rate)):
-        torque = loop.step(PairedSample(
-            round(k * config.period * 1e9), arm.q, arm.v, arm.wrench_sensor()))
+        time = k * config.period
+        torque = loop.step(TickInputs(
+            time, JointInput(time, arm.q, arm.v), WrenchInput(time, arm.wrench_sensor())))
         arm.step(torque, config.period)
         if each is not None:
             found.append(each())

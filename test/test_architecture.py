@@ -10,10 +10,10 @@ import pytest
 from source_imports import imports_of, is_ros, module_paths
 
 ROOT = Path(__file__).resolve().parents[1]
-# What is not listed (config, errors, arrays, paths, sampling, ...) lies at the bottom.
+# What is not listed (config, errors, arrays, paths, ...) lies at the bottom.
 LAYERS = {
     'dynamics': 1, 'contact': 1, 'force': 1, 'control': 2, 'sensor': 3, 'supervision': 3,
-    'control_loop': 4, 'nodes': 5, 'experiment': 6, 'client': 6, 'view': 7,
+    'sampling': 4, 'control_loop': 4, 'nodes': 5, 'experiment': 6, 'client': 6, 'view': 7,
     'cli': 8, '__main__': 8}
 PINOCCHIO_HOME = 'multicontact_control.dynamics.robot'
 STEPPED = (

@@ -6,9 +6,10 @@ from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import CalibrationError, CommandError, ConfigError
 from multicontact_control.paths import config_dir
 from multicontact_control.sampling import (
+    Action,
     JointReading,
     MotionReading,
-    PairedSample,
+    SampleTiming,
     WrenchReading,
 )
 from multicontact_control.sensor.push_config import PushTestConfig
@@ -31,12 +32,15 @@ EFFORT = np.array([1.0, 29.0, 7.0, 0.5, 0.5, 0.1])
 
 
 class Bench:
-    """A loop, and an arm at home that feels what it is told to."""
+    """A loop with the timing before it, and an arm at home that feels what it is told to."""
 
     def __init__(self, *, supervised=True, **changes):
         self.config = still_config(**changes)
         self.loop = ControlLoop(
             self.config, None, CommandLimits(), config_dir(), supervised=supervised)
+        self.timing = SampleTiming(
+            self.config.rate, supervised=supervised, patience=1.5,
+            feels=self.config.wrench_input != 'momentum')
         self.state = RobotModel(self.config.robot, config_dir()).update(HOME, np.zeros(6))
         self.weight = weight_reading(
             self.state.sensor_pose.rotation_world, self.config.tool,
@@ -54,16 +58,37 @@ class Bench:
 
     def step(self, n=1, effort=EFFORT, wrench=None, q=HOME, qd=REST):
         for _ in range(n):
-            torque = self.loop.step(PairedSample(
-                self.stamp, q.copy(), qd, self.wrench() if wrench is None else wrench, effort))
-            self.loop.take_variance(self.stamp, np.full(2, 0.6))
+            self.timing.add_joints(JointReading(self.stamp, q.copy(), qd, effort))
+            self.timing.add_wrench(WrenchReading(
+                self.stamp, self.wrench() if wrench is None else wrench))
+            action, inputs = self.timing.what_now(self.stamp)
+            assert action is Action.STEP
+            torque = self.loop.step(inputs)
+            self.timing.add_variance(self.stamp, np.full(2, 0.6))
             self.k += 1
         return torque
 
-    def step_joints(self, n=1, q=HOME):
-        for _ in range(n):
-            self.loop.step_half(JointReading(self.stamp, q.copy(), REST))
-            self.k += 1
+    def step_half(self, q=HOME, *, joints=True):
+        if joints:
+            self.timing.add_joints(JointReading(self.stamp, q.copy(), REST))
+        else:
+            self.timing.add_wrench(WrenchReading(self.stamp, self.wrench()))
+        action, inputs = self.timing.late(self.timing.due)
+        assert action is Action.HALF
+        self.k += 1
+        return self.loop.step(inputs)
+
+    def step_without(self):
+        """Let time pass until there is a tick without a sample."""
+        action = Action.WAIT
+        while action is Action.WAIT:
+            action, inputs = self.timing.late(self.timing.due)
+        assert action is Action.WITHOUT
+        return self.loop.step(inputs)
+
+    def restart(self):
+        self.loop.restart()
+        self.timing.restart()
 
     def press(self, name, force):
         """Let the sensor feel a contact force, as if it acted at the sensor's origin."""
@@ -99,7 +124,7 @@ def test_commanded_force_is_sought_held_given_back_and_forgotten_at_a_restart():
     bench.push = np.zeros(6)
     make_contact(bench)
     bench.push = np.zeros(6)
-    bench.loop.restart()
+    bench.restart()
 
     np.testing.assert_array_equal(bench.step(effort=-EFFORT), -EFFORT)
     assert bench.states['table'] == 'free'
@@ -158,7 +183,7 @@ def test_motion_has_no_effect_along_a_contact_that_is_sought_or_held():
 
 
 @pytest.mark.parametrize(('half', 'reaction', 'bridged'), [
-    ('joints', 'hold', 12), ('wrench', 'float', 1), ('none', 'float', 1)])
+    ('joints', 'hold', 12), ('wrench', 'float', 1), ('none', 'float', 0)])
 def test_missing_half_is_bridged_and_reacted_to_and_recovery_has_no_jump(half, reaction, bridged):
     """Wrenches alone leave the arm unseen; joints alone let it be held."""
     bench = Bench()
@@ -166,12 +191,9 @@ def test_missing_half_is_bridged_and_reacted_to_and_recovery_has_no_jump(half, r
     torques, reactions = [bench.step()], []
     for _ in range(bridged + 29):
         if half == 'none':
-            torques.append(bench.loop.step_without(1))
+            torques.append(bench.step_without())
         else:
-            torques.append(bench.loop.step_half(
-                JointReading(bench.stamp, HOME.copy(), REST) if half == 'joints'
-                else WrenchReading(bench.stamp, bench.wrench())))
-            bench.k += 1
+            torques.append(bench.step_half(joints=half == 'joints'))
         reactions.append(bench.reaction)
     assert {*reactions[:bridged]} <= {'none', 'inflate'}
     assert reactions[bridged:] == [reaction] * 29
@@ -184,14 +206,17 @@ def test_missing_half_is_bridged_and_reacted_to_and_recovery_has_no_jump(half, r
 def test_gaps_and_jumps_of_the_clock_are_got_over():
     bench = Bench()
     bench.step(10)
-    for periods in (2, 1, 1, 1):  # as a simulator that stands still: its stamps go on
-        bench.loop.step_without(periods)
+    for _ in range(4):  # as a simulator that stands still: its stamps go on
+        bench.step_without()
     bench.step(60)
     assert bench.reaction == 'none'
     assert not any('clock' in what for _, what in bench.loop.events.events)
     bench = Bench()
     bench.step(50)
     bench.k -= 40
+    with pytest.raises(AssertionError, match='REFUSE'):  # one alone is only late
+        bench.step()
+    bench.k += 1
     bench.step()
     assert bench.loop.status.causes == ('clock_backwards',)
     assert bench.reaction == bench.config.watchdog.on_clock_fault
@@ -209,7 +234,7 @@ def test_task_time_follows_the_stamps_over_skipped_samples():
     for ahead, skipped in ((2500, 2504), (1_800_000, 2504)):
         bench.k += ahead
         bench.step(2)
-        assert bench.loop.skipped == skipped
+        assert bench.timing.skipped == skipped
 
 
 @pytest.mark.parametrize('changes', [
@@ -252,7 +277,7 @@ def test_tare_needs_readings_of_now_of_a_good_sensor_on_an_arm_at_rest():
         bench.step(q=HOME + 0.002 * k * speed, qd=speed)
     assert_refused('joint speeds: expected at most 0.02 rad/s')
     bench.step(100)
-    bench.step_joints(100)  # what was felt before may not be there any more
+    [bench.step_half() for _ in range(100)]  # what was felt before may not be there any more
     assert_refused('wrench: expected a new one')
     bench.step(10)
     assert_refused('expected at least 25 readings, found 10', CalibrationError)
@@ -298,14 +323,14 @@ def test_force_that_a_reaction_keeps_is_not_taken_for_bias():
 def test_reaction_that_presses_ends_in_a_hold_and_in_the_safe_behaviour():
     bench = Bench()
     make_contact(bench)
-    bench.step_joints(40)
+    [bench.step_half() for _ in range(40)]
     assert bench.reaction == 'hold' and bench.loop.supervisor.presses
     bench.loop.hold(True)
     bench.step(200)
     assert (bench.reaction, bench.loop.held) == ('none', True)
     assert bench.states == {'table': 'holding', 'board': 'free'}
     np.testing.assert_allclose(bench.loop.output.alpha_des, [6.0, 0.0])
-    bench.step_joints(40)
+    [bench.step_half() for _ in range(40)]
     assert bench.loop.supervisor.presses
     bench.loop.stop()
     bench.push = np.zeros(6)
@@ -341,11 +366,11 @@ def raw_inputs(bench, wrench, stamp=None):
 
 def test_a_reading_passes_the_low_pass_once_however_often_it_is_the_newest():
     bench = Bench(sensor={'filter_order': 1, 'filter_cutoff': 20.0})
-    bench.loop.answer(raw_inputs(bench, bench.weight))
+    bench.loop.step(raw_inputs(bench, bench.weight))
     bench.press('table', 10.0)
     forces = []
     for stamp in (None, 0.002, None):
-        bench.loop.answer(raw_inputs(bench, bench.weight + bench.push, stamp))
+        bench.loop.step(raw_inputs(bench, bench.weight + bench.push, stamp))
         forces.append(bench.loop.output.alpha_meas[0])
     assert 0.5 < forces[0] == forces[1] < forces[2] < 5.0
 
@@ -353,11 +378,8 @@ def test_a_reading_passes_the_low_pass_once_however_often_it_is_the_newest():
 def test_without_supervisor_a_sample_must_be_complete():
     bench = Bench(supervised=False)
     bench.step(2)
-    for step in (lambda: bench.loop.step_without(1),
-                 lambda: bench.loop.step_half(WrenchReading(bench.stamp, bench.wrench())),
-                 lambda: bench.loop.answer(TickInputs(0.004))):
-        with pytest.raises(CommandError, match='supervised: expected true'):
-            step()
+    with pytest.raises(CommandError, match='supervised: expected true'):
+        bench.loop.step(TickInputs(0.004))
 
 
 @pytest.mark.parametrize('supervised', [True, False])
@@ -387,12 +409,12 @@ def test_nothing_is_held_or_commanded_before_control_has_begun():
 def test_hold_while_a_reaction_lets_the_arm_be_moved_stays_where_it_is_now():
     bench = Bench(watchdog={'on_wrench_fault': 'damp'})
     bench.step(30)
-    bench.step_joints(40)
+    [bench.step_half() for _ in range(40)]
     assert bench.reaction == 'damp'
     q = HOME.copy()
     for _ in range(100):
         q[4] += 0.002
-        bench.step_joints(1, q)
+        bench.step_half(q)
     bench.loop.hold(True)
     bench.step(200, q=q)
     assert bench.reaction == 'none' and bench.loop.held

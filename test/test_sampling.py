@@ -1,19 +1,14 @@
-"""Pairing by stamp, the clock of the ticks, and when a sample is no longer waited for."""
+"""What each message, or its absence, leads to: the rows of the table of `SampleTiming`."""
 
 from hypothesis import given
 from hypothesis import strategies as st
-from multicontact_control.sampling import (
-    JointReading,
-    SampleClock,
-    SamplePairing,
-    SampleTimeout,
-    WrenchReading,
-)
+from multicontact_control.sampling import Action, JointReading, SampleTiming, WrenchReading
 import numpy as np
 import pytest
 
 H = 0.002
 PERIOD = 2_000_000
+WAIT, STEP, ANEW, HALF, WITHOUT, REPEAT, SHOW, REFUSE = Action
 
 
 def joints(stamp):
@@ -24,107 +19,182 @@ def wrench(stamp):
     return WrenchReading(stamp, np.full(6, float(stamp)))
 
 
+def timing_of(**options):
+    return SampleTiming(1.0 / H, **options)
+
+
+def sample(timing, stamp, now=0, **options):
+    """Take in a whole sample, and return what to do."""
+    timing.add_joints(joints(stamp))
+    timing.add_wrench(wrench(stamp))
+    return timing.what_now(now, **options)
+
+
 @pytest.mark.parametrize('joints_first', [True, False])
 def test_pairing_gives_each_pair_once_in_either_order_and_never_mixes_stamps(joints_first):
-    pairing = SamplePairing()
+    timing = timing_of()
     for stamp in (1, 2, 3):
-        halves = [(pairing.add_joints, joints(stamp)), (pairing.add_wrench, wrench(stamp))]
+        halves = [(timing.add_joints, joints(stamp)), (timing.add_wrench, wrench(stamp))]
         (first, half), (second, other) = halves if joints_first else halves[::-1]
-        assert first(half) is None
-        pair = second(other)
-        assert (pair.stamp, pair.q[0], pair.wrench_sensor[0]) == (stamp, stamp, stamp)
-    assert pairing.unpaired == 0
-    assert pairing.add_joints(joints(4)) is pairing.add_wrench(wrench(5)) is None
-    assert pairing.add_wrench(wrench(6)) is None
-    assert pairing.add_joints(joints(6)).stamp == 6
-    assert pairing.unpaired == 2
+        first(half)
+        assert timing.what_now(0).action is WAIT
+        second(other)
+        action, inputs = timing.what_now(0)
+        assert action is STEP and timing.what_now(0).action is WAIT
+        assert (inputs.joints.q[0], inputs.wrench.wrench[0]) == (stamp, stamp)
+    assert timing.unpaired == 0
+    for add, reading in ((timing.add_joints, joints(4)), (timing.add_wrench, wrench(5)),
+                         (timing.add_wrench, wrench(6))):
+        add(reading)
+        assert timing.what_now(0).action is WAIT
+    assert timing.apart == 2
+    timing.add_joints(joints(6))
+    assert timing.what_now(0).action is STEP and timing.last_stamp == 6
+    assert timing.unpaired == 2
 
 
 @pytest.mark.parametrize('offset', [50_000, -50_000, 600_000, -900_000, 1_000_000])
 def test_sensors_that_are_read_at_another_time_of_the_period_are_paired(offset):
     """Each pair once, at the stamp of the joints, and never with what is a period away."""
-    pairing = SamplePairing(tolerance=PERIOD // 2)
+    timing = timing_of(pair_tolerance=0.5)
     sent = sorted([(k * PERIOD, 0, joints(k * PERIOD)) for k in range(1, 8)] + [
         (k * PERIOD + offset, 1, wrench(k * PERIOD + offset)) for k in range(1, 8)],
         key=lambda each: each[:2])
-    pairs = [pair for _, kind, reading in sent if (pair := (
-        pairing.add_wrench if kind else pairing.add_joints)(reading)) is not None]
-    assert [pair.stamp for pair in pairs] == [k * PERIOD for k in range(1, 8)]
-    assert all(abs(pair.wrench_sensor[0] - pair.stamp) <= PERIOD // 2 for pair in pairs)
-    assert pairing.unpaired == 0
+    for _, kind, reading in sent:
+        (timing.add_wrench if kind else timing.add_joints)(reading)
+        action, inputs = timing.what_now(0)
+        if action is STEP:
+            assert abs(inputs.wrench.wrench[0] - timing.last_stamp) <= PERIOD // 2
+    assert (timing.tick, timing.last_stamp, timing.unpaired) == (6, 7 * PERIOD, 0)
 
 
 def test_late_half_of_a_sample_that_was_answered_is_none_of_the_next():
     """The joints alone were answered; their wrench, 50 us newer, is no news."""
-    pairing = SamplePairing(tolerance=PERIOD // 2)
-    pairing.add_joints(joints(PERIOD))
-    assert pairing.take_half(0).stamp == PERIOD
-    assert pairing.add_wrench(wrench(PERIOD + 50_000)) is None
-    assert pairing.take_half(PERIOD) is None
-    assert pairing.add_joints(joints(2 * PERIOD)) is None
-    assert pairing.add_wrench(wrench(2 * PERIOD + 50_000)).stamp == 2 * PERIOD
-    assert SamplePairing().take_half(0) is None
+    timing = timing_of(pair_tolerance=0.5, patience=1.5)
+    sample(timing, 0)
+    timing.add_joints(joints(PERIOD))
+    action, inputs = timing.late(timing.due)
+    assert (action, inputs.time, inputs.joints.stamp, inputs.wrench.stamp) == (HALF, H, H, 0.0)
+    timing.add_wrench(wrench(PERIOD + 50_000))
+    assert timing.what_now(0).action is WAIT and timing.late(timing.due).action is WAIT
+    timing.add_joints(joints(2 * PERIOD))
+    assert timing.what_now(0).action is WAIT
+    timing.add_wrench(wrench(2 * PERIOD + 50_000))
+    assert timing.what_now(0).action is STEP and timing.last_stamp == 2 * PERIOD
 
 
-@given(st.integers(-2 ** 31 * 10 ** 9, 2 ** 31 * 10 ** 9))
+@given(st.integers(0, 2 ** 31 * 10 ** 9))
 def test_where_a_clock_starts_does_not_matter(origin):
-    clock = SampleClock(H)
+    timing = timing_of()
     for k in range(5):
-        assert clock.take(origin + k * PERIOD) == pytest.approx(k * H, abs=1e-12)
+        assert sample(timing, origin + k * PERIOD).inputs.time == pytest.approx(k * H, abs=1e-12)
 
 
-def test_a_gap_is_counted_on_and_left_behind_when_samples_come_again():
+def test_time_is_counted_on_and_does_not_go_back_when_late_samples_come():
     """Samples that are late by three periods, as those of a simulator that has slipped."""
-    clock = SampleClock(H)
-    clock.take(0)
-    assert clock.count_on(2) == pytest.approx(2 * H)
-    assert clock.count_on(1) == pytest.approx(3 * H)
-    times = [clock.take(k * PERIOD) for k in (1, 2, 3)]
+    timing = timing_of(patience=1.5)
+    sample(timing, 0)
+    found = [timing.late(round(x * PERIOD)) for x in (1.4, 1.5, 2.5, 3.5)]
+    assert [x.action for x in found] == [WAIT, WAIT, WITHOUT, WITHOUT]
+    assert [x.inputs.time for x in found[2:]] == pytest.approx([2 * H, 3 * H])
+    assert timing.expected_stamp == 3 * PERIOD
+    times = [sample(timing, k * PERIOD, (3 + k) * PERIOD).inputs.time for k in (1, 2, 3)]
     assert times == pytest.approx([4 * H, 5 * H, 6 * H])
 
 
-def test_stamps_that_jump_are_no_reason_to_shift():
-    clock = SampleClock(H)
-    clock.take(0)
-    clock.count_on(2)
-    assert clock.take(7 * PERIOD) == pytest.approx(7 * H)
-    assert clock.take(-100 * PERIOD) == pytest.approx(-100 * H)  # set back, and seen to be
-
-
-def ticks_at(timeout, *periods):
-    return [timeout.missed(round(x * PERIOD)) for x in periods]
-
-
-def test_late_sample_gets_one_more_period_and_then_every_period_is_counted():
-    timeout = SampleTimeout(1.5, PERIOD)
-    assert timeout.due == 0
-    timeout.start(0)
-    assert timeout.due == 1.5 * PERIOD
-    assert ticks_at(timeout, 1.5) == [0]
-    assert timeout.due == 2.5 * PERIOD
-    assert ticks_at(timeout, 2.5, 3.5, 4.6) == [2, 1, 1]
-    assert timeout.due == 5.5 * PERIOD
+def test_stamps_that_jump_are_no_reason_to_shift_and_are_counted_unless_by_hours():
+    timing = timing_of(patience=1.5)
+    sample(timing, 0)
+    timing.late(round(2.5 * PERIOD))
+    assert sample(timing, 7 * PERIOD).inputs.time == pytest.approx(7 * H)
+    assert timing.skipped == 6
+    assert sample(timing, 1_800_000 * PERIOD).action is STEP and timing.skipped == 6
 
 
 def test_what_was_slept_through_is_counted_once():
-    timeout = SampleTimeout(1.5, PERIOD)
-    timeout.start(0)
-    assert ticks_at(timeout, 50.9, 51.5) == [50, 1]
+    timing = timing_of(patience=1.5)
+    sample(timing, 0)
+    times = [timing.late(round(x * PERIOD)).inputs.time for x in (50.9, 51.5)]
+    assert times == pytest.approx([50 * H, 51 * H])
 
 
 def test_halves_are_waited_for_on_the_grid_of_the_samples():
-    timeout = SampleTimeout(1.5, PERIOD)
-    timeout.start(0)
+    timing = timing_of(patience=1.5)
+    sample(timing, 0)
     for k in (1, 2, 3):
-        timeout.half_used(timeout.due)
-        assert timeout.due == (k + 1.5) * PERIOD
+        timing.add_wrench(wrench(k * PERIOD))
+        assert timing.late(timing.due).action is HALF
+        assert timing.due == (k + 1.5) * PERIOD
 
 
-def test_nothing_is_due_without_samples_or_without_end_of_timeout():
-    timeout = SampleTimeout(0.0, PERIOD)
-    timeout.start(0)
-    assert timeout.due == 0
-    timeout = SampleTimeout(1.5, PERIOD)
-    timeout.start(0)
-    timeout.stop()
-    assert timeout.due == 0
+@pytest.mark.parametrize('options', [
+    {'patience': 0.0}, {'patience': 1.5, 'supervised': False},
+    {'patience': 1.5, 'lockstep': True}])
+def test_a_sample_is_waited_for_without_end_where_none_is_to_be_missed(options):
+    timing = timing_of(**options)
+    assert timing.due == 0
+    assert sample(timing, 0).action is STEP
+    assert timing.due == 0 and timing.late(10 ** 12).action is WAIT
+
+
+def test_nothing_is_missing_before_the_first_sample_and_after_a_restart():
+    timing = timing_of(patience=1.5)
+    assert timing.due == 0
+    sample(timing, 0)
+    assert timing.due == 1.5 * PERIOD
+    timing.restart()
+    assert timing.due == 0
+
+
+@pytest.mark.parametrize(('options', 'repeats'), [
+    ({}, 60), ({'lockstep': True}, 60), ({'supervised': False}, 25)])
+def test_a_sample_that_comes_again_gets_its_command_again(options, repeats):
+    timing = timing_of(**options)
+    sample(timing, 0)
+    assert [sample(timing, 0).action for _ in range(60)] == [REPEAT] * repeats + [WAIT] * (
+        60 - repeats)
+
+
+def test_one_older_sample_is_refused_and_a_clock_that_was_set_back_is_not():
+    timing = timing_of()
+    for k in range(100, 103):
+        sample(timing, k * PERIOD)
+    assert [sample(timing, k * PERIOD).action for k in (90, 80, 103, 50)] == [
+        REFUSE, REFUSE, STEP, REFUSE]
+    action, inputs = sample(timing, 51 * PERIOD)
+    assert (action, inputs.time) == (STEP, pytest.approx(-49 * H))
+
+
+@pytest.mark.parametrize('options', [{'supervised': False}, {'lockstep': True}])
+def test_an_older_sample_starts_everything_anew_where_samples_may_begin_again(options):
+    timing = timing_of(**options)
+    sample(timing, 100 * PERIOD)
+    action, inputs = sample(timing, PERIOD)
+    assert (action, inputs.time, timing.tick) == (ANEW, 0.0, 0)
+
+
+def test_lockstep_waits_for_the_variance_of_the_sample_before_but_not_in_the_safe_behaviour():
+    timing = timing_of(lockstep=True)
+    assert sample(timing, 0).action is STEP
+    assert sample(timing, PERIOD).action is WAIT
+    assert sample(timing, PERIOD).action is SHOW  # the estimator has missed the last tick
+    timing.add_variance(PERIOD, np.ones(2))  # of no sample so far
+    assert timing.what_now(0).action is WAIT and timing.variance is None
+    timing.add_variance(0, np.ones(2))
+    action, inputs = timing.what_now(0)
+    assert (action, inputs.variance.stamp, inputs.time) == (STEP, 0.0, H)
+    assert sample(timing, 2 * PERIOD, safe=True).action is STEP
+
+
+def test_without_a_wrist_sensor_joint_states_are_whole_samples():
+    timing = timing_of(feels=False)
+    timing.add_joints(joints(5))
+    action, inputs = timing.what_now(0)
+    assert (action, inputs.wrench, inputs.joints.q[0]) == (STEP, None, 5.0)
+
+
+def test_bare_the_time_of_the_law_goes_in_whole_periods():
+    timing = timing_of(supervised=False)
+    inputs = [sample(timing, k * PERIOD + 1000 * (k % 2)).inputs for k in range(4)]
+    assert [x.time for x in inputs] == [k * H for k in range(4)]
+    assert inputs[1].joints.stamp == pytest.approx(H + 1e-6)

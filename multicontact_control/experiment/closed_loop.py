@@ -92,7 +92,7 @@ class ClosedLoop:
         self._delay = ActuatorDelay(setup.plant.actuator_delay_ticks, self.plant.initial_torque)
         self.tick = 0
         self.sample: Sample = self.plant.reset()
-        self.variance: Vector = self.control.variance
+        self.variance: Vector = np.full(len(config.columns), config.initial_noise_variance)
         self.command: Vector = self.plant.initial_torque
         self.history: deque[TickInputs] = deque(maxlen=HISTORY)
 
@@ -154,7 +154,7 @@ class ClosedLoop:
         """
         inputs = self.inputs()
         self.history.append(inputs)
-        self.command = self.control.answer(inputs if corrupt is None else corrupt(inputs))
+        self.command = self.control.step(inputs if corrupt is None else corrupt(inputs))
         output = self.control.output
         if output is None:
             raise RunError('closed loop: expected a controller at work, found its safe behaviour')

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from typing import Any
 
+from multicontact_control.arrays import Vector
 from multicontact_control.control_loop import ControlLoop
 from multicontact_control.nodes.diagnostics import Status
 from multicontact_control.supervision.contacts import ContactState
@@ -73,8 +74,8 @@ def _told(what: str, counts: dict[str, int]) -> str:
         f'{name} in {n} ticks' for name, n in counts.items()) if counts else ''
 
 
-def contact_status(loop: ControlLoop) -> Status:
-    """Return the states and forces of the contacts."""
+def contact_status(loop: ControlLoop, variance: Vector | None) -> Status:
+    """Return the states and forces of the contacts, and R [N^2]."""
     output, status = loop.output, loop.status
     values: dict[str, Any] = {'held': loop.held}
     if output is None:
@@ -87,7 +88,8 @@ def contact_status(loop: ControlLoop) -> Status:
         values[f'{name} measured_n'] = float(output.alpha_meas[i])
         values[f'{name} estimated_n'] = float(output.alpha_est[i])
         values[f'{name} desired_n'] = float(output.alpha_des[i])
-        values[f'{name} noise_variance_n2'] = float(loop.variance[i])
+        values[f'{name} noise_variance_n2'] = float(
+            config.initial_noise_variance if variance is None else variance[i])
     for contact, (i, name) in enumerate(zip(config.leaders, config.contact_names)):
         values[name] = status.contact_states[contact] if status else (
             'force' if output.active[i] else 'motion')

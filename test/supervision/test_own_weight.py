@@ -96,7 +96,7 @@ def test_every_reaction_and_the_safe_behaviour_command_that_much_less(kind):
                 joints=joints._replace(effort=joints.effort - own(joints.q)))
         if 40 <= k < 70:  # hold
             inputs, of_added = (each._replace(wrench=None) for each in (inputs, of_added))
-        command, less = plain.answer(inputs), added.answer(of_added)
+        command, less = plain.step(inputs), added.step(of_added)
         if kind == 'zero_torque' and k > 400:
             np.testing.assert_allclose(less, 0.0, atol=1e-9)
         elif k < 200 or kind != 'zero_torque':

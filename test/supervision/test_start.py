@@ -38,7 +38,7 @@ def test_control_starts_once_the_arm_is_inside():
     for k in range(400):
         joints = loop.inputs().joints._replace(
             q=HOME - 0.05 * min(k / 300, 1.0) * third, qd=-0.05 / 0.6 * (k < 300) * third)
-        loop.control.answer(loop.inputs()._replace(joints=joints))
+        loop.control.step(loop.inputs()._replace(joints=joints))
         assert loop.control.supervisor.outside or k > 100
         loop.tick += 1
     assert loop.status.reaction == 'none'
