@@ -6,7 +6,6 @@ from functools import partial
 from typing import Any, NamedTuple
 
 from multicontact_control.arrays import require_shape, Vector
-from multicontact_control.compiled import bound
 from multicontact_control.config import ToolConfig, Vector3
 from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.sensor.weight import weight_reading
@@ -135,7 +134,7 @@ class Plant:
         acting = (
             self.arm.motion, self._torques, self._limit, chain_of(self._model), self._drives,
             contacts.surfaces, contacts.profiles, self._hands, self._pushes, config.substep)
-        self._act = partial(bound(act_on_arm, *acting), *acting)
+        self._act = partial(act_on_arm, *acting)
         self._tick = 0
         self.arm.reset(self._home)
         if len(self._drives):  # springs wound up

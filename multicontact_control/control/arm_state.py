@@ -6,7 +6,7 @@ from typing import Any
 
 from multicontact_control.algebra import copy_matrix, copy_vector
 from multicontact_control.arrays import Matrix, require_shape, Vector
-from multicontact_control.compiled import bound, compiled
+from multicontact_control.compiled import compile_for, compiled
 from multicontact_control.control.momentum import observe_momentum, wrench_of_residual
 from multicontact_control.control.wrench import measure_contacts
 from multicontact_control.dynamics.pose import Pose
@@ -161,7 +161,7 @@ class ArmState:
         self.pose = Pose(frame['position'], frame['rotation'])
         self.twist_world: Vector = frame['twist']
         terms = robot.compute(self.q, self.velocity)
-        self._see_arm = bound(
+        compile_for(
             see_arm, self.motion, terms.mass_matrix, terms.bias_torque, terms.jacobian,
             terms.placements, self.joints, self._controls, self._contacts)
         self.look()
@@ -206,7 +206,7 @@ class ArmState:
     def look(self) -> bool:
         """Take in what the robot's model has computed; see `update`."""
         terms = self.robot.terms
-        self.found = self._see_arm(
+        self.found = see_arm(
             self.motion, terms.mass_matrix, terms.bias_torque, terms.jacobian,
             terms.placements, self.joints, self._controls, self._contacts)
         return self.found != NO_NUMBERS

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from multicontact_control.arrays import Mask, Matrix, require_shape, Vector
-from multicontact_control.compiled import bound
+from multicontact_control.compiled import compile_for
 from multicontact_control.config import ControllerConfig, ToolConfig
 from multicontact_control.config.columns import FORCE
 from multicontact_control.contact.geometry import (
@@ -119,7 +119,7 @@ class Controller:
         pose = self._pose()
         pose.quaternion_xyzw  # noqa: B018 - no step is to wait for it to be compiled
         self.laws: Any = self._design(config, pose.rotation_world)
-        self._control_law = bound(
+        compile_for(
             control_law, self.controls, self.arm.joints, robot.terms.mass_matrix,
             robot.terms.jacobian, robot.terms.jacobian_rate, self.contacts, self.laws)
         with contextlib.suppress(SingularTaskError, ContactGeometryError):
@@ -322,7 +322,7 @@ class Controller:
     def decide(self) -> None:
         """Work out the joint torque from what has been seen and asked for."""
         terms = self.robot.terms
-        status = self._control_law(
+        status = control_law(
             self.controls, self.arm.joints, terms.mass_matrix, terms.jacobian,
             terms.jacobian_rate, self.contacts, self.laws)
         if status != OK:

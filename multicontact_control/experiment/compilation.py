@@ -2,9 +2,8 @@
 Compiling is a step of its own: every kernel a command or node may need, before any of them runs.
 
 What is to be compiled is found by doing it once, in short: every estimator, both kinds of drives,
-with the supervisor and without. A file beside the cache says that all of it is there, for these
-sources, these libraries and this processor; a command that finds none compiles first, and says
-so.
+with the supervisor and without. A file in the cache says that all of it is there, for these
+sources, libraries and processor; a command that finds none compiles first, and says so.
 """
 
 from __future__ import annotations
@@ -17,12 +16,13 @@ from importlib.metadata import version
 import json
 import os
 from pathlib import Path
+import shutil
 import sys
 import time
 
 from llvmlite import binding as llvm
 from multicontact_control import compiled
-from multicontact_control.compiled import cache_folder, compilations_told, sources_stamp
+from multicontact_control.compiled import cache_folder, compilations_told
 from multicontact_control.terminal import moving_bar, terminal
 import numpy as np
 from rich.console import Console
@@ -32,6 +32,7 @@ NO_FOLDER = ('no folder can be written for what is compiled, so every process co
              '(half a minute each): set NUMBA_CACHE_DIR to one that can')
 LOCK_FILE = 'compiling.lock'
 TICKS = 3
+KEPT = 5  # folders, each for one state of the sources
 LOCK_POLL = 0.2  # s
 
 
@@ -68,34 +69,19 @@ def ensure_compiled(console: Console | None = None) -> int:
 
 
 def is_complete(folder: Path) -> bool:
-    """
-    Return whether everything has been compiled into a folder and is still there.
-
-    Sources that were changed and changed back have the same fingerprint again, but what is kept
-    may be of those between: numba keeps a kernel for one version of its sources only.
-    """
+    """Return whether everything has been compiled into a folder and is still there."""
     try:
-        stamps = json.loads(_complete_file(folder).read_text(encoding='utf-8'))
-        return all(
-            (folder / name).is_file() if stamp is None
-            else stamp.encode() in (folder / name).read_bytes()
-            for name, stamp in stamps.items())
-    except (AttributeError, OSError, ValueError):
+        names = json.loads(_complete_file(folder).read_text(encoding='utf-8'))
+        return all((folder / name).is_file() for name in names)
+    except (OSError, TypeError, ValueError):
         return False
 
 
-def fingerprint() -> str:
-    """Return a hash over all that compiled code depends on: sources, libraries, processor."""
-    core = Path(compiled.__file__).resolve().parent
-    parts = [
-        sources_stamp(core), sources_stamp(core.parent / 'sim_bridge'), version('numba'),
-        version('llvmlite'), sys.version, llvm.get_host_cpu_name(),
-        llvm.get_host_cpu_features().flatten()]
-    return hashlib.sha256('\0'.join(parts).encode()).hexdigest()[:16]
-
-
 def _complete_file(folder: Path) -> Path:
-    return folder / f'complete-{fingerprint()}.json'
+    """Return what says that a folder is complete, for these libraries and this processor."""
+    parts = [version('numba'), version('llvmlite'), sys.version, llvm.get_host_cpu_name(),
+             llvm.get_host_cpu_features().flatten()]
+    return folder / f'complete-{hashlib.sha256(repr(parts).encode()).hexdigest()[:16]}.json'
 
 
 def _compile_all(folder: Path, console: Console) -> int:
@@ -111,20 +97,21 @@ def _compile_all(folder: Path, console: Console) -> int:
             seen.add(name)
             progress.update(bar, completed=len(seen), kernel=name.rpartition('.')[2])
 
-        progress.update(bar, total=len(compiled.kernels()), description='compiling')
+        progress.update(bar, total=len(compiled.kernels), description='compiling')
         with compilations_told(tell):
             for title, exercise in exercises.items():
                 progress.update(bar, description=f'compiling: {title}')
                 exercise()
         progress.update(bar, total=len(seen), completed=len(seen), description='compiled',
                         kernel='')
-    stamps = compiled.stamps()
-    found = {path.relative_to(folder).as_posix(): stamps.get(path)
-             for path in sorted(folder.rglob('*.nb[ic]'))}
+    found = [path.relative_to(folder).as_posix() for path in sorted(folder.rglob('*.nb[ic]'))]
     complete = _complete_file(folder)
     unfinished = complete.with_suffix(f'.{os.getpid()}')
     unfinished.write_text(json.dumps(found), encoding='utf-8')
     unfinished.replace(complete)
+    alike = folder.parent.glob(f'{folder.name.rpartition("-")[0]}-*')
+    for outdated in sorted(alike, key=os.path.getmtime)[:-KEPT]:
+        shutil.rmtree(outdated, ignore_errors=True)
     return len(seen)
 
 

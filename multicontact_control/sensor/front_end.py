@@ -13,7 +13,7 @@ from typing import Any
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.butterworth import butterworth
-from multicontact_control.compiled import bound, compiled
+from multicontact_control.compiled import compile_for, compiled
 from multicontact_control.config import SensorFrontEndConfig
 from multicontact_control.errors import ConfigError
 from multicontact_control.records import FRONT_END
@@ -119,7 +119,7 @@ class SensorFrontEnd:
                 order, config.filter_cutoff, rate)
         self.raw: Vector = front['raw']
         self.filtered: Vector = front['filtered']
-        self._take_wrench = bound(take_wrench, self._front, self.raw, self._kept)
+        compile_for(take_wrench, self._front, self.raw, self._kept)
         self.reset()
 
     def reset(self) -> None:
@@ -154,4 +154,4 @@ class SensorFrontEnd:
             ``saturated`` if an axis is at full scale, empty if nothing is wrong.
 
         """
-        return FAULTS[self._take_wrench(self._front, raw, self._kept)]
+        return FAULTS[take_wrench(self._front, raw, self._kept)]

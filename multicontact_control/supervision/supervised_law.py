@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import Any
 
 from multicontact_control.arrays import Matrix
-from multicontact_control.compiled import bound, compiled
+from multicontact_control.compiled import compile_for, compiled
 from multicontact_control.control.controller import Controller
 from multicontact_control.control.law import control_law, limit_torque, OK
 from multicontact_control.records import Records
@@ -103,7 +103,7 @@ class SupervisedLaw:
         self._contacts, self._states = controller.contacts, states
         self._record, self._limits = record, gate.limits
         self._settled: Any = record['settled']
-        self._call = bound(supervised_law, *self._arguments())
+        compile_for(supervised_law, *self._arguments())
 
     def _arguments(self) -> tuple[Any, ...]:
         terms = self._terms
@@ -129,7 +129,7 @@ class SupervisedLaw:
 
         """
         self._settled[0] = settled
-        found = self._call(*self._arguments())
+        found = supervised_law(*self._arguments())
         if found < 0:
             self._controller.refuse(-found)
         return found

@@ -6,7 +6,7 @@ import math
 from typing import Any, NamedTuple
 
 from multicontact_control.arrays import Mask, Matrix, Vector
-from multicontact_control.compiled import bound
+from multicontact_control.compiled import compile_for
 from multicontact_control.config import ControllerConfig
 from multicontact_control.records import (
     JOINT_READING,
@@ -81,7 +81,7 @@ class ValidatedInputs(NamedTuple):
 def as_vector(values: Any, like: Vector) -> Vector | None:
     """Return values, whatever they are, as one array of numbers like another; None if not so."""
     if type(values) is np.ndarray and values.dtype is FLOAT and (
-            values.shape == like.shape and values.strides == like.strides):
+            values.shape == like.shape and values.flags.carray):  # numba compiles for each layout
         return values
     try:
         vector: Vector = np.array(values, dtype=float, order='C')
@@ -143,7 +143,7 @@ class Watchdog:
         self._valid_stamps: Vector = self._watch['memory']['valid'][0]
         q, qd = places[0]
         self._all_well = ValidatedInputs(q, qd, places[1], places[2], (), ())
-        self._check_inputs = bound(
+        compile_for(
             check_inputs, *self._arguments, 0.0, self._take_joints(None),
             _take(None, self._no_wrench), _take(None, self._no_variance))
         self.reset()
@@ -170,7 +170,7 @@ class Watchdog:
     def validate(self, inputs: TickInputs) -> ValidatedInputs:
         """Take in what is known at a tick and say what of it is valid."""
         time, joints, wrench, variance, _ = inputs
-        return self._all_well if self._check_inputs(
+        return self._all_well if check_inputs(
             *self._arguments, as_number(time), self._take_joints(joints),
             _take(wrench, self._no_wrench), _take(variance, self._no_variance),
         ) else self._report()

@@ -7,7 +7,7 @@ import math
 from typing import Any, Literal
 
 from multicontact_control.arrays import Matrix, Vector
-from multicontact_control.compiled import bound, compiled
+from multicontact_control.compiled import compile_for, compiled
 from multicontact_control.force.noise.estimator import Innovation, MAX_MAGNITUDE, NoiseEstimator
 from multicontact_control.records import FILTER_STATE, NOISE_WINDOW
 import numpy as np
@@ -153,7 +153,7 @@ class Window(NoiseEstimator):
             self._window[name] = getattr(config, f'variance_{name}')
         self._states = np.zeros(self._contacts, dtype=FILTER_STATE)
         self._samples: Matrix = np.zeros((config.window, self._contacts))
-        self._take_into_window = bound(
+        compile_for(
             take_into_window, self._alpha, self._window, self._states, self._samples,
             self._variance)
 
@@ -161,7 +161,7 @@ class Window(NoiseEstimator):
         return LeadFilter(pole=0.0, zero=0.0, gain=1.0)  # what comes in goes out
 
     def _take(self, innovation: Innovation | None) -> bool:
-        return bool(self._take_into_window(
+        return bool(take_into_window(
             self._alpha, self._window, self._states, self._samples, self._variance))
 
 
