@@ -1,9 +1,4 @@
-"""
-Butterworth low-passes as digital filters.
-
-`scipy.signal.butter` gives the same bits; to import it takes 0.7 s, half of the time in which a
-simulated plant is up.
-"""
+"""Butterworth low-passes, as `scipy.signal.butter` gives them, whose import takes 0.7 s."""
 
 from __future__ import annotations
 
@@ -15,15 +10,12 @@ def butterworth(order: int, cutoff: float, rate: float) -> tuple[Vector, Vector]
     """
     Return numerator and denominator of a low-pass, highest power of z first.
 
-    The analogue poles lie on a circle of the pre-warped cut-off; the bilinear transform takes
-    them to the unit disk, and puts all zeros at the Nyquist frequency.
-
     Parameters
     ----------
     order
         Number of poles.
     cutoff, rate
-        Frequency of -3 dB, below half the rate of the samples [Hz].
+        Frequency of -3 dB, and that of the samples, more than twice as high [Hz].
 
     """
     fs2 = 4.0  # twice the rate at which a Nyquist frequency is 1

@@ -1,4 +1,4 @@
-"""The errors this package raises: one root, each saying what was expected and what was found."""
+"""The errors this package raises: one root; a bad value is named by field, expected and found."""
 
 from __future__ import annotations
 
@@ -11,46 +11,42 @@ class MulticontactError(Exception):
     """Root of every error raised by this package."""
 
 
-class ConfigError(MulticontactError):
+class FieldError(MulticontactError):
     """
-    A value in a configuration is not acceptable, or several are: then there is a line for each.
+    A value is not acceptable.
 
-    Parameters
-    ----------
-    field
-        Dotted name of the field, e.g. ``contacts.table.normal_world``.
-    expected
-        What would have been accepted, with its unit.
-    found
-        What was there.
-    source
-        File the value came from, if any.
-
-    Attributes
-    ----------
-    errors
-        One error per value; this one alone if there is only one.
-
+    Named are its dotted field, e.g. ``contacts.table.normal_world``, what was expected, with its
+    unit, what was found, and the file it came from, if any. `cause`, without what was found, is
+    equal for equal reasons.
     """
 
     def __init__(self, field: str, expected: str, found: object, source: str = '') -> None:
-        self.field = field
-        self.expected = expected
-        self.found = found
-        self.source = source
-        self.cause = f'{field}: expected {expected}'  # whatever was found
-        where = f'{source}: ' if source else ''
-        super().__init__(f'{where}{field}: expected {expected}, found {found}')
-        self._all: tuple[ConfigError, ...] = ()
+        self.field, self.expected, self.found, self.source = field, expected, found, source
+        self.cause = f'{field}: expected {expected}'
+        super().__init__(f'{f"{source}: " if source else ""}{self.cause}, found {found}')
+
+
+class CommandError(FieldError):
+    """A command cannot be obeyed."""
+
+
+class MessageError(FieldError):
+    """A message cannot be used, or must not be sent."""
+
+
+class ConfigError(FieldError):
+    """One or several values in a configuration are not acceptable: a line for each."""
+
+    _all: tuple[ConfigError, ...] = ()
 
     @property
     def errors(self) -> tuple[ConfigError, ...]:
-        """Return the errors one by one."""
+        """Return the errors, one per value."""
         return self._all or (self,)
 
     @classmethod
     def of(cls, errors: Iterable[ConfigError]) -> ConfigError:
-        """Return one error of at least one; it goes by the name of the first."""
+        """Return one error of at least one, with the field of the first."""
         first, *others = [each for error in errors for each in error.errors]
         if not others:
             return first
@@ -61,7 +57,7 @@ class ConfigError(MulticontactError):
         return whole
 
     def with_source(self, source: str) -> ConfigError:
-        """Return the same of a file."""
+        """Return the same errors, of values from a file."""
         return ConfigError.of(
             ConfigError(x.field, x.expected, x.found, source) for x in self.errors)
 
@@ -74,11 +70,15 @@ class ShapeError(MulticontactError):
 
 
 class SingularTaskError(MulticontactError):
-    """The arm cannot accelerate its operational point in every direction here."""
+    """The arm cannot accelerate its operational point in every direction."""
 
 
 class ContactGeometryError(MulticontactError):
     """The contact normals do not span independent directions at the operational point."""
+
+
+class CalibrationError(MulticontactError):
+    """The readings do not determine the quantities to be identified."""
 
 
 class RunError(MulticontactError):
@@ -87,20 +87,7 @@ class RunError(MulticontactError):
 
 @contextmanager
 def importing_ros(*others: str) -> Iterator[None]:
-    """
-    Say what to do where ROS 2 cannot be loaded.
-
-    Parameters
-    ----------
-    others
-        Ways to do without.
-
-    Raises
-    ------
-    RunError
-        For an `ImportError`.
-
-    """
+    """Turn an `ImportError` into a `RunError` that names remedies, among them `others`."""
     try:
         yield
     except ImportError as error:
@@ -109,50 +96,27 @@ def importing_ros(*others: str) -> Iterator[None]:
                        f'{", ".join(ways)} or {last}') from None
 
 
-class CalibrationError(MulticontactError):
-    """The readings do not tell what was to be identified from them."""
-
-
-class RefusalError(MulticontactError):
-    """
-    What has come cannot be used.
-
-    Attributes
-    ----------
-    cause
-        The same for all that is refused for the same reason.
-
-    """
-
-    def __init__(self, field: str, expected: str, found: object) -> None:
-        self.cause = f'{field}: expected {expected}'
-        super().__init__(f'{self.cause}, found {found}')
-
-
-class CommandError(RefusalError):
-    """A command cannot be obeyed."""
-
-
-class MessageError(RefusalError):
-    """A message cannot be used, or must not be sent."""
-
-
 def check_all(*checks: Callable[[], object]) -> list[Any]:
     """
-    Call every check, whatever the others found, and return what they return.
+    Call every check and return their results.
 
     Raises
     ------
     ConfigError
-        With all that was not acceptable, a line for each.
+        With the errors of all checks, a line for each.
 
     """
-    found, errors = [], []
+    results, errors = [], []
     for check in checks:
         try:
-            found.append(check())
+            results.append(check())
         except ConfigError as error:
             errors.append(error)
     if errors:
         raise ConfigError.of(errors)
-    return found
+    return results
+
+
+def counted(number: int, what: str) -> str:
+    """Return a number with its noun; `what` is the plural, which ends in s."""
+    return f'{number} {what.removesuffix("s") if number == 1 else what}'

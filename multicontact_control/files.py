@@ -1,4 +1,4 @@
-"""Files that a reader finds whole, or as they were before."""
+"""Files that are replaced as a whole: a reader sees the old content or the new one."""
 
 from __future__ import annotations
 
@@ -7,46 +7,32 @@ from contextlib import contextmanager
 import json
 import math
 from pathlib import Path
-import re
 from typing import Any
 
 from multicontact_control.errors import ConfigError
 
 
-def file_name(text: str) -> str:
-    """Return text as part of a file's name, with what not every system has in one replaced."""
-    return re.sub(r'[^\w.-]', '_', text)
-
-
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """
-    Yield the path to write to; what is there at the end takes the place of `path`.
-
-    Parameters
-    ----------
-    path
-        The file that is to be there, or to be replaced, in one step.
-
-    """
+    """Yield a path to write to; at the end that file replaces `path`."""
     partial = path.with_suffix('.partial')
     yield partial
     partial.replace(path)
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write text in UTF-8; a reader sees the old file or the new one."""
+    """Replace a file by text in UTF-8."""
     with replacing(path) as partial:
         partial.write_text(text, encoding='utf-8')
 
 
 def json_text(content: Any) -> str:
-    """Return JSON values as a file has them; ValueError for a number that is not finite."""
+    """Return JSON values as text; ValueError for a number that is not finite."""
     return json.dumps(content, indent=2, allow_nan=False) + '\n'
 
 
 def write_json(path: Path, content: Any) -> None:
-    """Write JSON values as `json_text`; a reader sees the old file or the new one."""
+    """Replace a file by JSON values, see `json_text`."""
     write_text(path, json_text(content))
 
 
@@ -66,6 +52,4 @@ def finite(value: Any) -> Any:
         return {name: finite(entry) for name, entry in value.items()}
     if isinstance(value, (list, tuple)):
         return [finite(entry) for entry in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+    return None if isinstance(value, float) and not math.isfinite(value) else value

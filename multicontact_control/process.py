@@ -6,8 +6,10 @@ import contextlib
 import ctypes
 import gc
 import os
+from pathlib import Path
+import re
 
-# Every library that may do numpy's linear algebra looks at one of these when it is loaded.
+# Read by the libraries of numpy's linear algebra when they are loaded.
 THREAD_VARIABLES = (
     'OPENBLAS_NUM_THREADS', 'OMP_NUM_THREADS', 'MKL_NUM_THREADS', 'NUMBA_NUM_THREADS')
 PR_SET_TIMERSLACK = 29
@@ -16,10 +18,10 @@ MCL_CURRENT, MCL_FUTURE = 1, 2
 
 def limit_threads() -> None:
     """
-    Let linear algebra use one thread, unless the user has said otherwise.
+    Limit linear algebra to one thread, unless the environment says otherwise.
 
-    Matrices here are 6 x 6: other threads do nothing but wake up, a millisecond late. Of use
-    only before numpy is imported.
+    Call it before numpy is imported. Matrices here are 6 x 6: further threads only add the
+    millisecond that it takes to wake them.
     """
     for name in THREAD_VARIABLES:
         os.environ.setdefault(name, '1')
@@ -29,8 +31,8 @@ def settle_process() -> None:
     """
     Prepare this process for short, regular work; call it when everything is set up.
 
-    A full garbage collection takes several periods, and the default timer slack makes every
-    wait 50 us too long. The one here takes as long: not while another node of the process works.
+    A full garbage collection takes several control periods, and the default timer slack
+    prolongs every wait by 50 us.
     """
     gc.collect()
     gc.freeze()
@@ -43,27 +45,27 @@ def claim_processor(
     *, fifo_priority: int = 0, cpus: tuple[int, ...] = (), lock_memory: bool = False,
 ) -> list[str]:
     """
-    Run this process ahead of others, on some processors only, and keep it in memory.
+    Set priority and processors of this process, and keep it in memory.
 
     Parameters
     ----------
     fifo_priority
         Priority of SCHED_FIFO, 1 to 99; 0 leaves the scheduler as it is.
     cpus
-        Processors it may run on; empty for all.
+        Processors of all its threads; empty for all.
     lock_memory
-        Whether none of its memory may be paged out.
+        Whether its memory must not be paged out.
 
     Returns
     -------
     list of str
-        One line for everything that could not be done, with what would help.
+        One line for each request that failed, with a remedy.
 
     """
     problems = []
     if cpus:
         try:
-            for thread in _threads():
+            for thread in map(int, os.listdir('/proc/self/task')):
                 with contextlib.suppress(ProcessLookupError):  # it has ended
                     os.sched_setaffinity(thread, cpus)
         except (AttributeError, OSError, ValueError) as error:
@@ -71,12 +73,9 @@ def claim_processor(
     if fifo_priority:
         try:
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(fifo_priority))
-        except PermissionError:
-            problems.append(
-                f'SCHED_FIFO {fifo_priority} is not permitted: running at normal priority; '
-                'needs CAP_SYS_NICE or an rtprio limit (ulimit -r) of that size')
         except (AttributeError, OSError, ValueError) as error:
-            problems.append(f'SCHED_FIFO {fifo_priority} is not possible here: {error}')
+            problems.append(f'SCHED_FIFO {fifo_priority} is not possible here: {error}; needs '
+                            'CAP_SYS_NICE or an rtprio limit (ulimit -r) of that size')
     if lock_memory:
         try:
             libc = ctypes.CDLL(None, use_errno=True)
@@ -88,25 +87,13 @@ def claim_processor(
     return problems
 
 
-def _threads() -> list[int]:
-    """Return the threads of this process; those that follow are bound as who starts them is."""
-    try:
-        return [int(name) for name in os.listdir('/proc/self/task')]
-    except OSError:
-        return [0]  # this one
-
-
 def describe_claim() -> str:
-    """Return how this thread is scheduled and where, and whether its memory is locked."""
+    """Return scheduler and processors of this thread, and whether its memory is locked."""
     if not hasattr(os, 'sched_getscheduler'):
         return 'normal priority'
     fifo = os.sched_getscheduler(0) == os.SCHED_FIFO
     priority = f'SCHED_FIFO {os.sched_getparam(0).sched_priority}' if fifo else 'normal priority'
-    cpus = ','.join(str(cpu) for cpu in sorted(os.sched_getaffinity(0)))
-    return f'{priority}, processors {cpus}, memory {"" if _locked_memory() else "not "}locked'
-
-
-def _locked_memory() -> bool:
-    with contextlib.suppress(OSError), open('/proc/self/status', encoding='utf-8') as file:
-        return any(line.startswith('VmLck:') and int(line.split()[1]) > 0 for line in file)
-    return False
+    cpus = ','.join(map(str, sorted(os.sched_getaffinity(0))))
+    status = Path('/proc/self/status').read_text(encoding='utf-8')
+    locked = re.search(r'^VmLck:\s*[1-9]', status, re.MULTILINE)
+    return f'{priority}, processors {cpus}, memory {"" if locked else "not "}locked'

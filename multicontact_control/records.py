@@ -117,7 +117,6 @@ CONTACT = np.dtype([
     ('point', F, 3),  # contact point, or centre, in the operational frame [m]
     ('direction', F, 3),  # of an edge, or of a plane's first side, in the operational frame
     ('half_length', F),  # unit of a couple's lever, 0 for a force [m]
-    ('largest_offset', F),  # of the centre of pressure, of half lengths
     ('friction_std', F),  # of friction that is allowed for, 0 for couples [N]
     ('torsion_std', F),  # of its torque about the normal [N m]
     ('friction_coefficient', F),  # that is expected while sliding, 0 for couples
@@ -240,7 +239,6 @@ NOISE_WINDOW = np.dtype([
     ('dc_gain', F),  # of the filter
     ('largest', F),  # what magnitudes of samples must be below [N]
     ('scale', F),  # of the variances
-    ('floor', F), ('ceiling', F),  # of R [N^2]
     ('count', I),  # samples so far
 ], align=True)
 

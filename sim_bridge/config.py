@@ -6,9 +6,8 @@ import math
 from typing import Literal
 
 from multicontact_control.config import Config, parameter, Real, UnitVector3, Vector, Vector3
-from multicontact_control.config.columns import ACROSS, ALONG, SUFFIXES
-from multicontact_control.errors import ConfigError
-from multicontact_control.wording import counted
+from multicontact_control.config.contact import ACROSS, ALONG, SUFFIXES
+from multicontact_control.errors import ConfigError, counted
 from pydantic import model_validator
 
 MAX_ACTUATOR_DELAY = 5
@@ -18,9 +17,8 @@ class SurfaceConfig(Config):
     """One compliant, rough surface that one bar tip may touch."""
 
     tip_link: str = parameter(
-        ..., 'URDF link that meets this surface, at the tip of the tool or anywhere on the arm.')
-    tip_point: Vector3 = parameter(
-        (0.0, 0.0, 0.0), 'What of it does, in its own axes.', unit='m')
+        ..., 'URDF link whose origin meets this surface, at the tip of the tool or anywhere on '
+        'the arm.')
     contact: str = parameter(
         '', 'Contact that this tip is a part of, as an end of an edge or a corner of a plane; '
         'empty for a contact of its own, named as the surface.')

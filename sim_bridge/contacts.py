@@ -57,7 +57,7 @@ class Contacts:
         for record, surface in zip(self.surfaces, met):
             frame = model.frames[model.getFrameId(surface.tip_link)]
             record['joint'] = record['body'] = frame.parentJoint - 1
-            record['tip'] = frame.placement.act(np.array(surface.tip_point))
+            record['tip'] = frame.placement.translation
             # The wrist sensor feels what touches the tool, not what touches a link.
             if surface.tip_link in (TOOL_LINK, *arm.tips):
                 record['body'] = model.nv

@@ -1,4 +1,4 @@
-"""What the drives do by themselves when nobody commands them any more: hold their position."""
+"""What the drives do without commands: they hold their position."""
 
 from __future__ import annotations
 
@@ -7,22 +7,22 @@ import numpy as np
 import pinocchio as pin
 from sim_bridge.kinematics import mass_matrix
 
+FREQUENCY = 20.0  # w [rad/s]
+
 
 class PositionHold:
     """
-    A gravity-compensated joint servo: tau = M (w^2 (q_0 - q) - 2 w qd) + g.
+    A gravity-compensated, critically damped joint servo: M (w^2 (q_0 - q) - 2 w qd) + g.
 
     Parameters
     ----------
     model
         The arm, tool and rotors included.
-    frequency
-        w [rad/s]; the servo is critically damped.
 
     """
 
-    def __init__(self, model: pin.Model, frequency: float) -> None:
-        self._model, self._data, self._frequency = model, model.createData(), frequency
+    def __init__(self, model: pin.Model) -> None:
+        self._model, self._data = model, model.createData()
         self._posture: Vector | None = None
 
     @property
@@ -51,7 +51,7 @@ class PositionHold:
         """
         if self._posture is None:
             self._posture = q.copy()
-        w = self._frequency
+        w = FREQUENCY
         acceleration = w * w * (self._posture - q) - 2.0 * w * qd
         still = np.zeros_like(q)
         gravity = pin.rnea(self._model, self._data, q, still, still)

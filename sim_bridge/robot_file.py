@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from multicontact_control.config import Config, parameter, Real, UnitVector3, Vector, Vector3
-from multicontact_control.errors import ConfigError
-from multicontact_control.wording import counted
+from multicontact_control.errors import ConfigError, counted
 from pydantic import model_validator
 from sim_bridge.arm import Body, Placement
 

@@ -8,7 +8,7 @@ out when the command for the last one has come, and not before its time by the w
 Free-running, sample k is published at the absolute deadline k h of the monotonic clock. Then the
 node waits for the command that answers it, advances the plant by one period with the torque that
 was due at the deadline, and waits for the next deadline. A command that is not there one period
-after its sample is a deadline miss; the last torque is held, for `command_timeout` at most: then
+after its sample is a deadline miss; the last torque is held, for `COMMAND_TIMEOUT` at most: then
 the drives hold their position by themselves, until the next command. If the node itself is late by
 more than `MAX_LATE_PERIODS`, the deadlines are moved back; such a slip is counted.
 """
@@ -60,8 +60,10 @@ from std_msgs.msg import String
 MAX_LATE_PERIODS = 2
 CATCH_UP = NANOSECONDS // 10  # lag behind the wall clock that lockstep makes up for [ns]
 RESEND_PERIOD, RESEND_PERIOD_GATED = 1.0, 10.0
-RESENDS = 5  # times that a sample is sent in lockstep within answer_timeout
-WAIT_FRACTION = 0.5
+ANSWER_TIMEOUT = 3.0  # s, longest wait for a command in lockstep
+RESENDS = 5  # times that a sample is sent in lockstep within that
+WAIT_FRACTION = 0.5  # of a period: time for the command of a sample before the plant moves on
+COMMAND_TIMEOUT = 0.05  # s without a command, free-running; then the drives hold their position
 REMEMBERED = 1024  # samples whose time of publication is known
 
 
@@ -77,16 +79,6 @@ class SimNodeConfig(StartupConfig):
     speed: Real = parameter(
         1.0, 'Simulated time per wall time at most, in lockstep; 0 for as fast as it goes.',
         ge=0.0, le=100.0)
-    answer_timeout: Real = parameter(
-        3.0, 'Longest wait for a command in lockstep.', unit='s', gt=0.0)
-    command_timeout: Real = parameter(
-        0.05, 'Time without a command, in real time, after which the drives hold their position; '
-        '0 to hold the last torque for ever.', unit='s', ge=0.0)
-    hold_frequency: Real = parameter(
-        20.0, 'Natural frequency of the joints in that position.', unit='rad/s', gt=0.0, le=100.0)
-    wait_fraction: Real = parameter(
-        WAIT_FRACTION, 'Part of a period to wait for its command before the plant is advanced.',
-        ge=0.0, lt=1.0)
 
 
 def stamp_of(tick: int, rate: float) -> int:
@@ -114,7 +106,7 @@ class SimNode(Node):
         self._tick = 0
         self._answered = -1
         self._commanded = 0  # when the last command came
-        self._hold = PositionHold(self._plant.model, config.hold_frequency)
+        self._hold = PositionHold(self._plant.model)
         # Longest time to a command that is no miss [ns].
         self._period = np.inf if config.lockstep else NANOSECONDS / config.rate
         self._saturated = self._misses = self._slips = self._timeouts = self._on_time = 0
@@ -211,7 +203,7 @@ class SimNode(Node):
         period = self._period
         # Sample 0 was answered just now: the next one follows a period after it, or at once.
         anchor = max(int(self._published[0]), time.monotonic_ns() - int(period))
-        wait = int(self._config.wait_fraction * period)
+        wait = int(WAIT_FRACTION * period)
         slipped = 0
         torque = self._delay.torque_for(0)
         while not (spinner.stop or self._done):
@@ -243,8 +235,7 @@ class SimNode(Node):
 
     def _watched(self, torque: Vector) -> Vector:
         """Return the torque that acts: the commanded one, or what the drives do without."""
-        timeout = self._config.command_timeout * self._config.rate
-        if timeout == 0.0 or self._tick - self._commanded <= timeout:
+        if self._tick - self._commanded <= COMMAND_TIMEOUT * self._config.rate:
             self._hold.end()
             return torque
         self._timeouts += not self._hold.holding
@@ -304,7 +295,7 @@ class SimNode(Node):
             remaining = deadline - time.monotonic_ns()
 
     def _wait_for_answer(self, spinner: Spinner) -> None:
-        timeout = int(self._config.answer_timeout * NANOSECONDS)
+        timeout = int(ANSWER_TIMEOUT * NANOSECONDS)
         limit = time.monotonic_ns() + timeout
         resend = time.monotonic_ns() + timeout // RESENDS
         while self._answered < self._tick and not spinner.stop:
@@ -316,7 +307,7 @@ class SimNode(Node):
             if time.monotonic_ns() > limit and self._answered < self._tick:
                 raise RunError(
                     f'no {topics.EFFORT_COMMAND.name} for sample {self._tick} after '
-                    f'{self._config.answer_timeout:g} s: has the controller stopped?')
+                    f'{ANSWER_TIMEOUT:g} s: has the controller stopped?')
 
     def _publish(self) -> None:
         """Publish what the controller works with; the clock of the latency starts here."""

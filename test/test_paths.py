@@ -4,7 +4,7 @@ from pathlib import Path
 import sys
 
 from multicontact_control.errors import ConfigError
-from multicontact_control.paths import config_dir, find_config_dir
+from multicontact_control.paths import config_dir
 import pytest
 
 SHARE = Path('share', 'multicontact_control', 'config')
@@ -22,9 +22,9 @@ def test_config_dir_prefers_the_checkout(bare):
     for folder in ('checkout/config', Path('environment') / SHARE, 'site-packages/config'):
         (bare / folder).mkdir(parents=True)
     (bare / 'checkout/package.xml').touch()
-    assert find_config_dir(bare / 'checkout/multicontact_control') == bare / 'checkout/config'
+    assert config_dir(bare / 'checkout/multicontact_control') == bare / 'checkout/config'
     # A folder of that name beside an installed package is no checkout's.
-    assert find_config_dir(bare / 'site-packages/multicontact_control') == (
+    assert config_dir(bare / 'site-packages/multicontact_control') == (
         bare / 'environment' / SHARE)
     assert (config_dir() / 'scenarios').is_dir()
 
@@ -33,7 +33,7 @@ def test_config_dir_is_in_the_prefix_or_in_an_ament_prefix(bare, monkeypatch):
     package = bare / 'prefix/lib/python3.11/site-packages/multicontact_control'
     monkeypatch.setenv('AMENT_PREFIX_PATH', f'{bare}/nothing:{bare}/workspace')
     with pytest.raises(ConfigError, match=f'{bare}/environment/share.*{bare}/workspace/share'):
-        find_config_dir(package)
+        config_dir(package)
     for prefix in ('workspace', 'prefix'):
         (bare / prefix / SHARE).mkdir(parents=True)
-        assert find_config_dir(package) == bare / prefix / SHARE
+        assert config_dir(package) == bare / prefix / SHARE

@@ -3,7 +3,7 @@
 import io
 
 from multicontact_control.experiment.display import count_bar
-from multicontact_control.terminal import is_lively, terminal
+from multicontact_control.experiment.terminal import is_lively, terminal
 import pytest
 
 

@@ -9,7 +9,7 @@ from typing import Annotated, TYPE_CHECKING
 from multicontact_control.cli import options
 from multicontact_control.cli.exits import errors_in_one_line, EXIT_FAILED, require_ros
 from multicontact_control.errors import ConfigError
-from multicontact_control.terminal import terminal
+from multicontact_control.experiment.terminal import terminal
 import typer
 
 if TYPE_CHECKING:

@@ -65,7 +65,7 @@ def run(
     With --external 0 also without ground truth, where nothing is called stable, and 1 also if the
     robot is gone.
     """
-    from multicontact_control.config import check_namespace
+    from multicontact_control.experiment.graph.domain import check_namespace
 
     with errors_in_one_line():
         namespace = check_namespace(namespace)

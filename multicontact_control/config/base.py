@@ -1,10 +1,13 @@
-"""What every configuration is made of: checked types, declared parameters, one base class."""
+"""What every configuration is made of: declared parameters, their checks, and their files."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from copy import deepcopy
+from functools import lru_cache
 import math
-from typing import Annotated, Any, TypeVar
+from pathlib import Path
+from typing import Annotated, Any, get_args, TypeVar
 
 from multicontact_control.errors import ConfigError
 from pydantic import (
@@ -13,11 +16,14 @@ from pydantic import (
     ConfigDict,
     Field,
     model_validator,
+    ValidationError,
     ValidationInfo,
 )
+import yaml
 
 UNIT_NORM_TOLERANCE = 1e-3
 WRENCH_SIZE = 6
+EVERY_NODE = '**'  # in the place of a node's name
 
 
 def _finite(value: float) -> float:
@@ -47,25 +53,18 @@ def parameter(
     default: Any, description: str, *, unit: str = '', live: bool = False, **bounds: Any,
 ) -> Any:
     """
-    Declare one tunable value.
+    Declare one tunable value as a pydantic field.
 
     Parameters
     ----------
     default
-        Default value; ``...`` makes the value required.
-    description
-        One sentence; the unit is appended to it in the ROS parameter description.
-    unit
-        SI unit, empty for names and flags.
+        ``...`` makes the value required.
+    description, unit
+        One sentence, and the SI unit, empty for names and flags.
     live
         Whether the value may be changed while a node runs.
     bounds
         Pydantic bounds: ``gt``, ``ge``, ``lt``, ``le``, ``min_length``.
-
-    Returns
-    -------
-    Any
-        A pydantic field.
 
     """
     return Field(
@@ -73,21 +72,16 @@ def parameter(
 
 
 class Config(BaseModel):
-    """Base of every configuration: frozen, and strict about unknown keys."""
+    """Base of every configuration: frozen; unknown keys are errors."""
 
     model_config = ConfigDict(extra='forbid', frozen=True, validate_default=True)
 
 
 def cross_check(check: Callable[[ModelT], Iterable[ConfigError]]) -> Any:
     """
-    Make a method of a configuration one of its checks.
+    Make a method that yields a `ConfigError` per misfit one of the checks of its configuration.
 
-    Parameters
-    ----------
-    check
-        Yields a `ConfigError` for whatever does not fit together. `validate` asks every model for
-        all of them; otherwise, by its constructor, a model raises its own.
-
+    `validate` collects the errors of all models; a constructor raises those of its own.
     """
     def run(self: ModelT, info: ValidationInfo) -> ModelT:
         errors = list(check(self))
@@ -98,3 +92,121 @@ def cross_check(check: Callable[[ModelT], Iterable[ConfigError]]) -> Any:
         return self
 
     return model_validator(mode='after')(run)
+
+
+def validate(model: type[ModelT], values: Mapping[str, Any], source: str = '') -> ModelT:
+    """
+    Build a configuration from nested plain values, as a YAML file gives them.
+
+    Raises
+    ------
+    ConfigError
+        With a line for every field that is not acceptable, and the file name `source`. Checks
+        across fields run where each field has a value of its kind.
+
+    """
+    errors: list[ConfigError] = []
+    config = None
+    try:
+        config = model.model_validate(values, context=errors)
+    except ConfigError as error:
+        errors.append(error)
+    except ValidationError as error:
+        errors[:0] = [_field_error(detail, model) for detail in error.errors(include_url=False)]
+    if config is None or errors:
+        raise ConfigError.of(errors).with_source(source) from None
+    return config
+
+
+def _field_error(detail: Mapping[str, Any], model: type[Config]) -> ConfigError:
+    location, kind = detail['loc'], detail['type']
+    field = '.'.join(map(str, location)) or model.__name__
+    if kind == 'extra_forbidden':
+        return ConfigError(field, f'a known key ({_known_keys(model, location)})',
+                           f"unknown key '{location[-1]}'")
+    if kind == 'missing':
+        return ConfigError(field, 'a value', 'nothing')
+    expected = detail['msg'].removeprefix('Value error, ').removeprefix('Input should be ')
+    return ConfigError(field, expected.removeprefix('expected '), repr(detail['input']))
+
+
+def _known_keys(model: type[Config], location: Sequence[int | str]) -> str:
+    for part in location[:-1]:  # fields, and keys or places among several models
+        if part in model.model_fields:
+            model = _model_in(model.model_fields[str(part)].annotation) or model
+    return ', '.join(model.model_fields)
+
+
+def _model_in(kind: Any) -> type[Config] | None:
+    """Return the first configuration in a type, as that of the values of a mapping."""
+    if isinstance(kind, type) and issubclass(kind, Config):
+        return kind
+    return next(filter(None, map(_model_in, get_args(kind))), None)
+
+
+def read_yaml(path: Path) -> dict[str, Any]:
+    """Read a YAML mapping; ConfigError if the file cannot be read or holds anything else."""
+    try:
+        data = deepcopy(_parse(path.read_text(encoding='utf-8')))
+    except OSError as error:
+        raise ConfigError(str(path), 'a readable file', error.strerror or error) from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ConfigError(str(path), 'valid YAML', str(error).replace('\n', ' ')) from None
+    if not isinstance(data, dict):
+        raise ConfigError(str(path), 'a mapping of keys to values', type(data).__name__)
+    return data
+
+
+@lru_cache(maxsize=32)
+def _parse(text: str) -> Any:
+    return yaml.safe_load(text)  # a study resolves the same files for each of its runs
+
+
+def read_parameters(path: Path) -> dict[str, Any]:
+    """Read a ROS 2 parameter file with one section; ConfigError for any other file."""
+    data = read_yaml(path)
+    sections = [*map(_parameters_of, data.values())]
+    if len(sections) != 1 or sections[0] is None:
+        raise ConfigError(str(path), "one node key holding 'ros__parameters'", list(data))
+    return sections[0]
+
+
+def _parameters_of(section: Any) -> dict[str, Any] | None:
+    found = section.get('ros__parameters') if isinstance(section, dict) else None
+    return found if isinstance(found, dict) else None
+
+
+def read_node_parameters(path: Path, nodes: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """
+    Read a ROS 2 parameter file with at most one section for each of some nodes.
+
+    Sections name a node with or without a namespace; `EVERY_NODE` stands for all nodes. Returns
+    the parameters by node; ConfigError for any other section, or two of one node.
+    """
+    found: dict[str, dict[str, Any]] = {}
+    for key, section in read_yaml(path).items():
+        name, parameters = str(key).rpartition('/')[2], _parameters_of(section)
+        if name not in nodes or parameters is None:
+            names = ', '.join(x.replace(EVERY_NODE, f'/{EVERY_NODE}') for x in nodes)
+            raise ConfigError(
+                f'{path}: {key}', f"a section of {names} holding 'ros__parameters'", section)
+        if name in found:
+            raise ConfigError(f'{path}: {key}', f'one section of {name}', 'another')
+        found[name] = parameters
+    return found
+
+
+def merge(base: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
+    """Return `base` with the nested `overrides` laid over it."""
+    merged = dict(base)
+    for key, value in overrides.items():
+        both = isinstance(value, Mapping) and isinstance(merged.get(key), Mapping)
+        merged[key] = merge(merged[key], value) if both else value
+    return merged
+
+
+def write_parameters(path: Path, config: Config, node_name: str = '') -> None:
+    """Write a configuration as a ROS 2 parameter file, for a node of a name or every node."""
+    values, node = config.model_dump(mode='json'), f'/**/{node_name}'.rstrip('/')
+    text = yaml.safe_dump({node: {'ros__parameters': values}}, sort_keys=False)
+    path.write_text(text, encoding='utf-8')

@@ -6,22 +6,8 @@ from collections.abc import Iterator
 from typing import Literal
 
 from multicontact_control.config.base import Config, cross_check, parameter, Real, Vector
-from multicontact_control.config.columns import (
-    Column,
-    FORCE,
-    KINDS,
-    leaders,
-    SUFFIXES,
-)
+from multicontact_control.config.contact import Column, ContactConfig, FORCE, KINDS, SUFFIXES
 from multicontact_control.config.force import ForceConfig, LawName
-from multicontact_control.config.law import (
-    ContactConfig,
-    FrictionConfig,
-    MotionConfig,
-    PostureConfig,
-    SafeBehaviourConfig,
-    TransitionConfig,
-)
 from multicontact_control.config.robot import RobotConfig, SensorFrontEndConfig, ToolConfig
 from multicontact_control.config.supervision import (
     CollisionConfig,
@@ -29,13 +15,55 @@ from multicontact_control.config.supervision import (
     LimitsConfig,
     WatchdogConfig,
 )
-from multicontact_control.errors import ConfigError
-from multicontact_control.wording import counted
+from multicontact_control.errors import ConfigError, counted
 
 MAX_DELAY_PERIODS = 10
-# Of the momentum observer, per period: between two samples forces change, which only a mean evens
-# out.
+# Of the momentum observer, per period: forces change between samples, and only a mean evens out
+# what that does to its residual.
 FASTEST_MOMENTUM = 0.4
+SafeBehaviour = Literal['gravity_compensation', 'zero_torque', 'hold_position']
+
+
+class MotionConfig(Config):
+    """The PD motion law (P04 sec. 3.1, 5.2)."""
+
+    natural_frequency: Real = parameter(
+        30.0, 'Natural frequency of the motion loop.', unit='rad/s', live=True, gt=0.0, le=200.0)
+    damping_ratio: Real = parameter(
+        1.0, 'Damping ratio of the motion loop.', live=True, gt=0.0, le=5.0)
+
+
+class PostureConfig(Config):
+    """Motion of the joints that the operational point does not see, of an arm with more than 6."""
+
+    natural_frequency: Real = parameter(
+        5.0, 'Natural frequency, critically damped, by which joints go to the posture; 0 to damp '
+        'them only (nullspace_damping).', unit='rad/s', live=True, ge=0.0, le=50.0)
+    joints: Vector = parameter(
+        (), 'The posture; empty for the one the arm starts in.', unit='rad')
+
+
+class FrictionConfig(Config):
+    """Compensation of the joints' friction, which the paper's model does not have."""
+
+    coulomb: Vector = parameter(
+        (), 'Coulomb friction added per joint in the direction of its motion; empty for none.',
+        unit='N m')
+    viscous: Vector = parameter(
+        (), 'Viscous friction added per joint; empty for none.', unit='N m s/rad')
+    speed: Real = parameter(
+        0.02, 'Joint speed at which tanh(v / speed) lets most of the Coulomb friction in.',
+        unit='rad/s', live=True, gt=0.0)
+
+
+class TransitionConfig(Config):
+    """Torque from one law to another: at a start, a stop and a live change."""
+
+    blend_time: Real = parameter(
+        0.2, 'Shortest time for the difference between two laws to fade.', unit='s', live=True,
+        ge=0.0, le=10.0)
+    torque_rate: Real = parameter(
+        100.0, 'Largest rate at which it fades, in any joint.', unit='N m/s', live=True, gt=0.0)
 
 
 class ControllerConfig(Config):
@@ -50,7 +78,9 @@ class ControllerConfig(Config):
     force: ForceConfig = ForceConfig()
     friction: FrictionConfig = FrictionConfig()
     transition: TransitionConfig = TransitionConfig()
-    safe_behaviour: SafeBehaviourConfig = SafeBehaviourConfig()
+    safe_behaviour: SafeBehaviour = parameter(
+        'gravity_compensation', 'Command after a deactivation: gravity compensation with '
+        'damping, no torque at all, or the posture held.', live=True)
     contact_names: tuple[str, ...] = parameter(
         ..., 'Contacts in the order of every contact vector.', min_length=1)
     contacts: dict[str, ContactConfig]
@@ -60,7 +90,7 @@ class ControllerConfig(Config):
     collision: CollisionConfig = CollisionConfig()
     wrench_input: Literal['raw', 'filtered', 'momentum'] = parameter(
         'raw', 'Which wrench feeds the loop: ft_sensor/wrench, ft_sensor/wrench_filtered, or '
-        'what the joint torques say, for an arm without a wrist sensor.')
+        'that of the joint torques, for an arm without a wrist sensor.')
     initial_noise_variance: Real = parameter(
         0.6, 'R until an estimate arrives.', unit='N^2', gt=0.0)
     torque_limit: Vector = parameter(
@@ -71,43 +101,65 @@ class ControllerConfig(Config):
 
     @cross_check
     def _check_across_fields(self) -> Iterator[ConfigError]:
-        joints = len(self.robot.joint_names)
-        per_joint = {
-            'robot.armature': self.robot.armature, 'friction.coulomb': self.friction.coulomb,
-            'friction.viscous': self.friction.viscous, 'torque_limit': self.torque_limit,
-            'limits.joint_lower': self.limits.joint_lower,
-            'limits.joint_speed': self.limits.joint_speed,
-            'limits.torque_rate': self.limits.torque_rate,
-            'posture.joints': self.posture.joints,
-            'collision.threshold': self.collision.threshold}
-        for name, values in per_joint.items():
-            if values and len(values) != joints:
-                yield ConfigError(
-                    name, f'{counted(joints, "values")}, one per joint', f'{len(values)}')
-        for name, values in (('friction.coulomb', self.friction.coulomb),
-                             ('friction.viscous', self.friction.viscous)):
-            if min(values, default=0.0) < 0.0:
-                yield ConfigError(name, 'values of at least 0', min(values))
-        if min(self.torque_limit, default=1.0) <= 0.0:
-            yield ConfigError('torque_limit', 'values above 0 N m', min(self.torque_limit))
-        unknown = [name for name in self.contact_names if name not in self.contacts]
+        yield from self._check_joints()
+        known, names = self.contacts, self.contact_names
+        unknown = [name for name in names if name not in known]
         for name in unknown:
             yield ConfigError(
-                'contact_names', f'names among {", ".join(sorted(self.contacts))}', f"'{name}'")
-        if len(set(self.contact_names)) != len(self.contact_names):
-            yield ConfigError('contact_names', 'distinct names', list(self.contact_names))
-        if (self.wrench_input == 'momentum') != (not self.robot.sensor_frame):
+                'contact_names', f'names among {", ".join(sorted(known))}', f"'{name}'")
+        if len(set(names)) != len(names):
+            yield ConfigError('contact_names', 'distinct names', list(names))
+        momentum = self.wrench_input == 'momentum'
+        if momentum == bool(self.robot.sensor_frame):
             yield ConfigError('robot.sensor_frame', 'a link of the robot with a wrist sensor, and '
                               'empty with wrench_input momentum', f"'{self.robot.sensor_frame}'")
-        if self.wrench_input == 'momentum' and self.sensor.require_push_test:
-            yield ConfigError(
-                'sensor.require_push_test', 'false without a wrist sensor', True)
+        if momentum and self.sensor.require_push_test:
+            yield ConfigError('sensor.require_push_test', 'false without a wrist sensor', True)
         yield from self._check_delay()
         if not unknown:
             yield from self._check_laws()
-            yield from self._check_types()
+            yield from self._check_contacts()
 
-    def _check_types(self) -> Iterator[ConfigError]:
+    def _check_joints(self) -> Iterator[ConfigError]:
+        joints, limits = len(self.robot.joint_names), self.limits
+        positive = {'torque_limit': self.torque_limit, 'limits.joint_speed': limits.joint_speed,
+                    'limits.torque_rate': limits.torque_rate}
+        friction = {'friction.coulomb': self.friction.coulomb,
+                    'friction.viscous': self.friction.viscous}
+        for name, values in {
+                **positive, **friction, 'robot.armature': self.robot.armature,
+                'limits.joint_lower': limits.joint_lower, 'posture.joints': self.posture.joints,
+                'collision.threshold': self.collision.threshold}.items():
+            if values and len(values) != joints:
+                yield ConfigError(
+                    name, f'{counted(joints, "values")}, one per joint', f'{len(values)}')
+            if name in positive and min(values, default=1.0) <= 0.0:
+                yield ConfigError(name, 'values above 0', min(values))
+            if name in friction and min(values, default=0.0) < 0.0:
+                yield ConfigError(name, 'values of at least 0', min(values))
+
+    def _check_laws(self) -> Iterator[ConfigError]:
+        force = self.force
+        decoupled = force.allocation == 'decoupled'
+        others = {law for law in map(self.law_of, self.contact_names) if law != 'aob'}
+        if others and not decoupled:
+            yield ConfigError('force.allocation', f'decoupled with the law {min(others)}',
+                              force.allocation)
+        if force.stiffness == 'configured':
+            return
+        if others:
+            yield ConfigError('force.stiffness', f'configured with the law {min(others)}',
+                              force.stiffness)
+        if not decoupled or not force.active_state_order:
+            yield ConfigError(
+                'force.stiffness', 'configured without active state, or with the allocation of '
+                'the paper', force.stiffness)
+        if force.damping_rate <= 0.0:
+            yield ConfigError('force.damping_rate', 'above 0 with adaptive stiffness',
+                              force.damping_rate)
+
+    def _check_contacts(self) -> Iterator[ConfigError]:
+        decoupled = self.force.allocation == 'decoupled'
         for name in self.contact_names:
             contact = self.contacts[name]
             if contact.normal_turn_rate and not contact.friction_std:
@@ -115,20 +167,37 @@ class ControllerConfig(Config):
                     f'contacts.{name}.friction_std', 'above 0 N with normal_turn_rate', 0.0)
             for field in ('surface_speed', 'surface_speed_limit'):
                 speed = getattr(contact, field)
-                if speed and self.force.allocation != 'decoupled':  # of coordinates, not of points
+                if speed and not decoupled:  # the speed of coordinates, not of points
                     yield ConfigError(
                         f'contacts.{name}.{field}', '0 m/s unless force.allocation is decoupled',
                         f'{speed:g} m/s with {self.force.allocation}')
             if contact.surface_speed_limit and self.law_of(name) != 'aob':
-                # It is found from the rate of the force that the observer estimates.
+                # The estimate takes the rate of the force from the observer.
                 yield ConfigError(
                     f'contacts.{name}.surface_speed_limit', '0 m/s unless force.law is aob',
                     f'{contact.surface_speed_limit:g} m/s with {self.law_of(name)}')
         wide = [name for name in self.contact_names if self.contacts[name].type != 'point']
-        if wide and self.force.allocation != 'decoupled':
+        if wide and not decoupled:
             yield ConfigError(
                 'force.allocation', f'decoupled with the {self.contacts[wide[0]].type} {wide[0]}',
                 self.force.allocation)
+
+    def _check_delay(self) -> Iterator[ConfigError]:
+        sensor, nyquist = self.sensor, 0.5 * self.rate
+        if sensor.filter_order and sensor.filter_cutoff >= nyquist:
+            yield ConfigError(
+                'sensor.filter_cutoff', f'below the Nyquist frequency {nyquist:g} Hz',
+                f'{sensor.filter_cutoff:g} Hz')
+        elif self.loop_delay * self.rate > MAX_DELAY_PERIODS + 1e-9:
+            field, found = 'force.input_delay', f'{self.force.input_delay:g} s'
+            if self.wrench_input == 'momentum':
+                field += ' and 1 / collision.bandwidth'
+                found += f' + {1.0 / self.momentum_bandwidth:.4g} s'
+            if sensor.filter_order:
+                field += ' and the delay of sensor.filter_cutoff'
+                found += f' + {sensor.filter_delay(self.rate):.4g} s'
+            yield ConfigError(field, f'at most {MAX_DELAY_PERIODS} periods '
+                              f'({MAX_DELAY_PERIODS / self.rate:g} s)', found)
 
     @property
     def columns(self) -> tuple[Column, ...]:
@@ -151,60 +220,21 @@ class ControllerConfig(Config):
 
     @property
     def leader_of(self) -> tuple[int, ...]:
-        """Return for each column which one is the normal force of its contact."""
+        """Return for each column the index of the normal force of its contact."""
         return tuple(column.leader for column in self.columns)
 
     @property
     def leaders(self) -> tuple[int, ...]:
-        """Return which columns are the normal forces of the contacts, in their order."""
-        return leaders(self.columns)
+        """Return the indices of the normal forces, one per contact."""
+        return tuple(i for i, column in enumerate(self.columns) if column.kind == FORCE)
 
     def law_of(self, contact: str) -> LawName:
         """Return the name of a contact's force law."""
         return self.contacts[contact].law or self.force.law
 
-    def _check_laws(self) -> Iterator[ConfigError]:
-        force = self.force
-        others = {law for law in map(self.law_of, self.contact_names) if law != 'aob'}
-        if others and force.allocation != 'decoupled':
-            yield ConfigError('force.allocation', f'decoupled with the law {min(others)}',
-                              force.allocation)
-        if force.stiffness == 'configured':
-            return
-        if others:
-            yield ConfigError('force.stiffness', f'configured with the law {min(others)}',
-                              force.stiffness)
-        if force.allocation != 'decoupled' or not force.active_state_order:
-            yield ConfigError(
-                'force.stiffness', 'configured without active state, or with the allocation of '
-                'the paper', force.stiffness)
-        if force.damping_rate <= 0.0:
-            yield ConfigError('force.damping_rate', 'above 0 with adaptive stiffness',
-                              force.damping_rate)
-
-    def _check_delay(self) -> Iterator[ConfigError]:
-        sensor, nyquist = self.sensor, 0.5 * self.rate
-        if sensor.filter_order and sensor.filter_cutoff >= nyquist:
-            yield ConfigError(
-                'sensor.filter_cutoff', f'below the Nyquist frequency {nyquist:g} Hz',
-                f'{sensor.filter_cutoff:g} Hz')
-            return
-        if self.loop_delay * self.rate <= MAX_DELAY_PERIODS + 1e-9:
-            return
-        field, found = 'force.input_delay', f'{self.force.input_delay:g} s'
-        if self.wrench_input == 'momentum':
-            field += ' and 1 / collision.bandwidth'
-            found += f' + {1.0 / self.momentum_bandwidth:.4g} s'
-        if sensor.filter_order:
-            field += ' and the delay of sensor.filter_cutoff'
-            found += f' + {sensor.filter_delay(self.rate):.4g} s'
-        yield ConfigError(
-            field, f'at most {MAX_DELAY_PERIODS} periods ({MAX_DELAY_PERIODS / self.rate:g} s)',
-            found)
-
     @property
     def loop_delay(self) -> float:
-        """T_d of the force loop: force.input_delay and that of what measures the forces [s]."""
+        """T_d of the force loop: force.input_delay and that of the measurement of forces [s]."""
         observer = 1.0 / self.momentum_bandwidth if self.wrench_input == 'momentum' else 0.0
         return self.force.input_delay + self.sensor.filter_delay(self.rate) + observer
 
@@ -215,7 +245,7 @@ class ControllerConfig(Config):
 
     @property
     def wrench_series(self) -> str:
-        """Return what samples and recordings call the wrench that a sensor feeds the loop with."""
+        """Return the name of the wrench that feeds the loop, in samples and recordings."""
         return 'wrench' if self.wrench_input == 'raw' else 'wrench_filtered'
 
     @property

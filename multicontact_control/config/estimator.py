@@ -42,8 +42,6 @@ class NoiseEstimatorConfig(Config):
     fixed_variance: Real = parameter(
         0.6, 'R of the estimator `fixed`, and of the others until they know one.',
         unit='N^2', gt=0.0)
-    variance_floor: Real = parameter(1e-3, 'Smallest R ever given out.', unit='N^2', gt=0.0)
-    variance_ceiling: Real = parameter(1e6, 'Largest R ever given out.', unit='N^2', gt=0.0)
 
     @cross_check
     def _check_across_fields(self) -> Iterator[ConfigError]:
@@ -52,7 +50,3 @@ class NoiseEstimatorConfig(Config):
                 yield ConfigError(
                     name, f'below the Nyquist frequency {0.5 * self.rate:g} Hz',
                     f'{getattr(self, name):g} Hz')
-        if not self.variance_floor < self.variance_ceiling:
-            yield ConfigError(
-                'variance_floor', f'below variance_ceiling {self.variance_ceiling:g}',
-                f'{self.variance_floor:g}')

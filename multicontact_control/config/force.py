@@ -106,7 +106,6 @@ class ForceConfig(Config):
         0.006, 'T_d of eq. 32, from commanded to acting input.', unit='s', ge=0.0)
     process_noise: Real = parameter(
         1e-3, 'Q_k = process_noise I (P04 sec. 5.2).', live=True, gt=0.0)
-    initial_covariance: Real = parameter(1e-3, 'P_0 = initial_covariance I.', gt=0.0)
     active_state_order: int = parameter(
         1, 'Order of the active state p_k, 0 for plain pole placement without it.', ge=0, le=3)
     allocation: Literal['decoupled', 'paper'] = parameter(

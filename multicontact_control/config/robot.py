@@ -14,22 +14,20 @@ from multicontact_control.config.base import (
     Vector3,
     WRENCH_SIZE,
 )
-from multicontact_control.errors import ConfigError
-from multicontact_control.wording import counted
+from multicontact_control.errors import ConfigError, counted
 
 
 class RobotConfig(Config):
-    """Where the robot's model comes from and what its joints and frames are called."""
+    """The robot's model, and the names of its joints and frames."""
 
     urdf: str = parameter(
         ..., 'URDF of the arm with its tool: a path, or a path relative to the parameter file.')
     joint_names: tuple[str, ...] = parameter(
         ..., 'Joints in the order of every joint vector.', min_length=1)
     locked_joints: tuple[str, ...] = parameter(
-        (), 'Joints of the URDF that are no part of the arm and stay where they are, e.g. the '
-        'fingers of a gripper.')
+        (), 'Joints of the URDF that do not move, e.g. the fingers of a gripper.')
     locked_positions: Vector = parameter(
-        (), 'Where each of them is; empty for 0.', unit='rad or m')
+        (), 'Position of each of them; empty for 0.', unit='rad or m')
     armature: Vector = parameter(
         (), 'Rotor inertia seen at each joint; empty for none.', unit='kg m^2')
     operational_frame: str = parameter(
@@ -39,21 +37,20 @@ class RobotConfig(Config):
         'joint that carries operational_frame; empty for an arm without one.')
     gravity_world: Vector3 = parameter((0.0, 0.0, -9.81), 'Gravity.', unit='m/s^2')
     adds_gravity: bool = parameter(
-        False, "Whether the arm's drives add the torque that holds it against gravity "
-        'themselves: then commands and measured efforts are without it.')
+        False, 'Whether the drives add the torque that holds the arm against gravity: commands '
+        'and measured efforts are then without it.')
     adds_tool_gravity: bool = parameter(
-        True, "Whether that is with the weight of `tool`, i.e. the arm's own controller has been "
-        'told of what hangs on the sensor.')
+        True, "Whether that torque carries `tool`, too, as the arm's own controller knows of it.")
 
     @cross_check
     def _check_locked(self) -> Iterator[ConfigError]:
         both = sorted(set(self.locked_joints) & set(self.joint_names))
         if both:
             yield ConfigError('robot.locked_joints', 'none of robot.joint_names', both)
-        if self.locked_positions and len(self.locked_positions) != len(self.locked_joints):
-            yield ConfigError(
-                'robot.locked_positions', counted(len(self.locked_joints), 'values')
-                + ', one per locked joint, or none', len(self.locked_positions))
+        count, found = len(self.locked_joints), len(self.locked_positions)
+        if found not in (0, count):
+            yield ConfigError('robot.locked_positions', counted(count, 'values')
+                              + ', one per locked joint, or none', found)
 
     @property
     def locked(self) -> dict[str, float]:
@@ -63,13 +60,13 @@ class RobotConfig(Config):
 
 
 class ToolConfig(Config):
-    """What hangs on the sensor and is weighed by it, for subtraction from its readings."""
+    """The load of the wrist sensor, whose weight is subtracted from the readings."""
 
     mass: Real = parameter(0.0, 'Mass beyond the sensor.', unit='kg', ge=0.0)
     com_sensor: Vector3 = parameter(
-        (0.0, 0.0, 0.0), 'Centre of mass of that, in the sensor frame.', unit='m')
+        (0.0, 0.0, 0.0), 'Its centre, in the sensor frame.', unit='m')
     bias_sensor: Vector = parameter(
-        (0.0,) * 6, 'Reading of the sensor under no load, force first, subtracted from every one.',
+        (0.0,) * 6, 'Reading without load, force first, subtracted from every reading.',
         unit='N, N m', live=True)
 
     @cross_check

@@ -74,16 +74,11 @@ class LimitsConfig(Config):
 
     joint_lower: Vector = parameter((), 'Lower stop of each joint.', unit='rad')
     joint_upper: Vector = parameter((), 'Upper stop of each joint.', unit='rad')
-    joint_margin: Real = parameter(
-        0.02, 'How far before its stop a joint is to stand still.', unit='rad', ge=0.0, le=1.0)
     joint_speed: Vector = parameter((), 'Largest speed of each joint.', unit='rad/s')
-    joint_braking: Real = parameter(
-        5.0, 'Deceleration counted on before a stop.', unit='rad/s^2', gt=0.0, le=500.0)
     torque_rate: Vector = parameter((), 'Largest rate of each torque.', unit='N m/s')
     least_task_share: Real = parameter(
-        0.5, 'At a torque limit all that the task asks for beyond weight, friction and held '
-        'forces is scaled down, so that its direction stays, but not below this share: what then '
-        'exceeds is cut joint by joint.', ge=0.0, le=1.0)
+        0.5, 'Smallest share to which a torque limit scales the torque of the task beyond weight, '
+        'friction and held forces; the rest is cut joint by joint.', ge=0.0, le=1.0)
     operational_speed: Real = parameter(
         0.5, 'Largest speed of the operational point.', unit='m/s', gt=0.0, le=10.0)
     operational_turn: Real = parameter(
@@ -104,15 +99,6 @@ class LimitsConfig(Config):
                     f'limits.{kind}_lower', f'one value below each of {kind}_upper', list(lower))
         if len(self.workspace_lower) not in (0, 3):
             yield ConfigError('limits.workspace_lower', '3 values', len(self.workspace_lower))
-        narrow = [upper - lower for lower, upper in zip(self.joint_lower, self.joint_upper)
-                  if not upper - lower > 2.0 * self.joint_margin]
-        if narrow and all(width > 0.0 for width in narrow):
-            yield ConfigError(
-                'limits.joint_margin', f'below half of the narrowest joint range '
-                f'{min(narrow):g} rad', f'{self.joint_margin:g} rad')
-        for name in ('joint_speed', 'torque_rate'):
-            if min(getattr(self, name), default=1.0) <= 0.0:
-                yield ConfigError(f'limits.{name}', 'values above 0', min(getattr(self, name)))
 
 
 class CollisionConfig(Config):

@@ -8,7 +8,7 @@ from typing import Any
 from multicontact_control.algebra import cross, dot, multiply
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
-from multicontact_control.config.columns import ALONG, FORCE
+from multicontact_control.config.contact import ALONG, FORCE
 from multicontact_control.errors import ConfigError
 from multicontact_control.records import Records
 import numpy as np

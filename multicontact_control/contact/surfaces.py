@@ -12,7 +12,7 @@ from typing import Any
 from multicontact_control.algebra import cross, dot, multiply
 from multicontact_control.arrays import Vector
 from multicontact_control.compiled import compiled
-from multicontact_control.config.columns import FORCE
+from multicontact_control.config.contact import FORCE
 import numpy as np
 
 SLIDING_SPEED = 0.03  # m/s, from which on sliding has a direction; above that of approaches

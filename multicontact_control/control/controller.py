@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 from multicontact_control.arrays import Mask, Matrix, require_shape, Vector
 from multicontact_control.compiled import compile_for
 from multicontact_control.config import ControllerConfig, ToolConfig
-from multicontact_control.config.columns import FORCE
+from multicontact_control.config.contact import FORCE
 from multicontact_control.contact.geometry import (
     check_columns,
     friction_coupling,
@@ -408,7 +408,6 @@ def place_columns(config: ControllerConfig, columns: Records) -> None:
         record['point'] = contact.point_operational
         record['direction'] = contact.direction_operational
         record['half_length'] = column.half_length
-        record['largest_offset'] = contact.largest_offset
         record['stiffness'] = column.stiffness
         if is_force:
             record['surface_speed'] = contact.surface_speed

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from multicontact_control.arrays import Matrix
 from multicontact_control.config import ControllerConfig
-from multicontact_control.config.columns import is_couple_name
+from multicontact_control.config.contact import is_couple_name
 from multicontact_control.errors import RunError
 from multicontact_control.experiment.bag_messages import (
     BagColumns,

@@ -23,7 +23,7 @@ import time
 from llvmlite import binding as llvm
 from multicontact_control import compiled
 from multicontact_control.compiled import cache_folder, compilations_told
-from multicontact_control.terminal import moving_bar, terminal
+from multicontact_control.experiment.terminal import moving_bar, terminal
 import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn

@@ -19,7 +19,7 @@ from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.control.controller import Controller
 from multicontact_control.control.reference import CommandedReference
-from multicontact_control.errors import ConfigError, RunError
+from multicontact_control.errors import ConfigError, counted, RunError
 from multicontact_control.experiment.bag import read_bag
 from multicontact_control.experiment.external import read_controller_files
 from multicontact_control.experiment.recording import RunData
@@ -32,7 +32,6 @@ from multicontact_control.force.stiffness import (
 )
 from multicontact_control.force.stiffness_fit import adopt_band, CORRELATION
 from multicontact_control.records import STIFFNESS
-from multicontact_control.wording import counted
 import numpy as np
 
 QUIET_SPEED = 1e-3  # m/s, below which the contact point counts as being at rest

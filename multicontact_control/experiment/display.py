@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Protocol
 
+from multicontact_control.errors import counted
 from multicontact_control.experiment.judge import (
     EXTERNAL_RUN,
     HELD,
@@ -25,8 +26,7 @@ from multicontact_control.experiment.results import (
     REPORT_FILE,
     SUMMARY_FILE,
 )
-from multicontact_control.terminal import CountBar, moving_bar
-from multicontact_control.wording import counted
+from multicontact_control.experiment.terminal import CountBar, moving_bar
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import (

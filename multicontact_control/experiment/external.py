@@ -17,8 +17,8 @@ from multicontact_control.config import (
     RobotConfig,
     validate,
 )
-from multicontact_control.config.columns import contact_types
-from multicontact_control.config.files import EVERY_NODE
+from multicontact_control.config.base import EVERY_NODE
+from multicontact_control.config.contact import contact_types
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.experiment.bag import sample_topic

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+import re
 from textwrap import shorten
 from typing import Any, NamedTuple
 
@@ -37,7 +38,6 @@ from multicontact_control.experiment.page import (
 )
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.scenario import Setup
-from multicontact_control.files import file_name
 import numpy as np
 
 matplotlib.use('Agg')
@@ -86,7 +86,7 @@ def _force(data: RunData, i: int, truth: bool) -> RunFigure:
     limits = _force_limits([(data, i)])
     label = 'force [N]' if truth else f'force [N], {NO_TRUTH}'
     return RunFigure(
-        file_name(f'fig{3 + i if i < 2 else f"3_{i + 1}"}_force_{name}'),
+        re.sub(r'[^\w.-]', '_', f'fig{3 + i if i < 2 else f"3_{i + 1}"}_force_{name}'),
         f'Contact force {name}',
         (Panel(label, (measured, commanded), limits),
          Panel(label, (estimated, commanded, true), limits)),

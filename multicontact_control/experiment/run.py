@@ -34,8 +34,8 @@ from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.results import CONFIG_FOLDER, FIGURE_FOLDER, SUMMARY_FILE
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.experiment.summary import summarise
+from multicontact_control.experiment.terminal import terminal
 from multicontact_control.files import finite, write_json
-from multicontact_control.terminal import terminal
 from rich.console import Console
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from multicontact_control.algebra import dot
 from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.config import ControllerConfig, FedForward, ForceConfig
-from multicontact_control.config.columns import FORCE
+from multicontact_control.config.contact import FORCE
 from multicontact_control.errors import ConfigError
 from multicontact_control.force.laws import design_aob, LAWS, LinearLaw, LoopModel, steady_law
 from multicontact_control.force.linear_law import start_linear, step_linear

@@ -18,7 +18,7 @@ from multicontact_control.algebra import dot, multiply
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.config import AdaptiveStiffnessConfig, ForceConfig
-from multicontact_control.config.columns import FORCE
+from multicontact_control.config.contact import FORCE
 from multicontact_control.force.observer import command, observe, start
 from multicontact_control.force.plant_model import DelayedPlant
 from multicontact_control.force.stiffness_fit import adopt_band, begin_fit, take_sample

@@ -152,7 +152,7 @@ class ControllerNode(ManagedNode):
     def deactivate(self) -> None:
         """Go over to the safe behaviour."""
         self._configured.safe, self._last_command = True, None
-        kind = self._configured.config.safe_behaviour.kind.replace('_', ' ')
+        kind = self._configured.config.safe_behaviour.replace('_', ' ')
         self.get_logger().info(f'deactivated: commanding {kind} from the next sample on')
 
     def take_leave(self, spinner: Spinner) -> None:

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from geometry_msgs.msg import Point
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import ControllerConfig
-from multicontact_control.config.columns import ACROSS
+from multicontact_control.config.contact import ACROSS
 from multicontact_control.control.controller import ControlOutput
 from multicontact_control.dynamics.pose import Pose
 from multicontact_control.nodes import messages, qos, topics

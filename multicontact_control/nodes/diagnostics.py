@@ -8,11 +8,11 @@ import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from multicontact_control.errors import counted
 from multicontact_control.nodes import topics
 from multicontact_control.nodes.graph_node import create_publisher, quality_mismatches, Refusals
 from multicontact_control.nodes.loop_statistics import Freshness, NANOSECONDS
 from multicontact_control.nodes.topics import SIM, Topic
-from multicontact_control.wording import counted
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 

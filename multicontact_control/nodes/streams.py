@@ -13,14 +13,13 @@ from typing import Any, Generic, NamedTuple, TypeVar
 
 from geometry_msgs.msg import WrenchStamped
 from multicontact_control.arrays import Vector
-from multicontact_control.errors import MessageError
+from multicontact_control.errors import counted, MessageError
 from multicontact_control.force.noise import Innovation
 from multicontact_control.nodes.graph_node import create_publisher
 from multicontact_control.nodes.loop_statistics import NANOSECONDS
 from multicontact_control.nodes.messages import all_finite, finite, split_stamp, stamp_to_ns
 from multicontact_control.nodes.topics import Topic
 from multicontact_control.sampling import JointReading, WrenchReading
-from multicontact_control.wording import counted
 import numpy as np
 from rclpy.node import Node
 from rclpy.publisher import Publisher

@@ -130,7 +130,7 @@ class BumplessController:
         """Set what follows from the values that may change while the arm is controlled."""
         self.config = config
         self._transition.adopt(config)
-        self._safe.config = config.safe_behaviour
+        self._safe.kind = config.safe_behaviour
         self._limit = np.broadcast_to(
             config.torque_limit or np.inf, (self.controller.robot.joint_count,))
 

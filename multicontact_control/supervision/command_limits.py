@@ -6,6 +6,7 @@ from collections.abc import Collection, Mapping
 
 from multicontact_control.arrays import Vector
 from multicontact_control.config import Config, ControllerConfig, LimitsConfig, parameter, Real
+from multicontact_control.config.contact import LARGEST_OFFSET
 from multicontact_control.errors import CommandError
 
 START_EXCESS = 1e-3  # m or rad beyond a limit, from where control may start all the same
@@ -102,11 +103,10 @@ def check_offsets(
         if column.half_length == 0.0 or pressed == 0.0:
             continue
         share = shares.get(column.name, forces.get(column.name, 0.0) / pressed)
-        largest = config.contacts[column.contact].largest_offset
-        if not abs(share) <= largest + 1e-9:
+        if not abs(share) <= LARGEST_OFFSET + 1e-9:
             raise CommandError(
                 f'centre of pressure of {column.name}',
-                f'at most {largest * column.half_length:.3g} m from the middle',
+                f'at most {LARGEST_OFFSET * column.half_length:.3g} m from the middle',
                 f'{share * column.half_length:.3g} m')
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from multicontact_control.arrays import Mask, Matrix, Vector
-from multicontact_control.config import ControllerConfig, SafeBehaviourConfig
+from multicontact_control.config import ControllerConfig
 from multicontact_control.control.arm_state import ArmState
 from multicontact_control.control.controller import Controller, ControlOutput
 from multicontact_control.dynamics.robot import RobotModel
@@ -14,7 +14,8 @@ import numpy as np
 NONE, INFLATE, HOLD, FLOAT, DAMP = 'none', 'inflate', 'hold', 'float', 'damp'
 SEVERITY = (NONE, INFLATE, HOLD, FLOAT, DAMP)
 COAST_TIME = 0.1  # s, in which an arm that cannot be seen any more is brought to rest
-DAMPING_RATE = 5.0  # 1/s, of the reaction `damp`: damping of the joints over their inertia
+DAMPING_RATE = 5.0  # 1/s, of `damp` and gravity compensation: joint damping over inertia
+HOLD_FREQUENCY = 10.0  # rad/s, of the critically damped joints after a deactivation
 FADE_TIME = 0.5  # s, by which a contact's force fades while the wrench is not known
 DROP_TIME = 0.02  # s, in which the force on a surface that has gone is dropped
 DROPPED = 1e-3  # N m in every joint, below which that counts as done
@@ -167,15 +168,15 @@ class SafeBehaviour:
 
     Parameters
     ----------
-    config
-        Which, and how stiff.
+    kind
+        `safe_behaviour` of the configuration.
     robot
         The arm.
 
     """
 
-    def __init__(self, config: SafeBehaviourConfig, robot: RobotModel) -> None:
-        self.config, self._robot = config, robot
+    def __init__(self, kind: str, robot: RobotModel) -> None:
+        self.kind, self._robot = kind, robot
         self.start()
 
     def start(self) -> None:
@@ -199,18 +200,17 @@ class SafeBehaviour:
             Shape (n,) [N m].
 
         """
-        config = self.config
-        if config.kind != 'hold_position':
+        if self.kind != 'hold_position':
             self._held = None  # the arm may be moved away before a posture is to be held
         elif self._held is None:
             self._held = np.array(q, dtype=float)
-        if config.kind == 'zero_torque':  # of what is commanded
+        if self.kind == 'zero_torque':  # of what is commanded
             return np.zeros_like(q) + added
         state = self._robot.update(q, qd)
         if self._held is None:
-            acceleration = -config.damping_rate * qd
+            acceleration = -DAMPING_RATE * qd
         else:
-            w = config.hold_frequency
+            w = HOLD_FREQUENCY
             acceleration = w * w * (self._held - q) - 2.0 * w * qd
         torque: Vector = state.mass_matrix @ acceleration + state.coriolis + state.gravity
         return torque

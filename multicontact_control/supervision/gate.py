@@ -22,6 +22,8 @@ NAMES = (('not_finite', NOT_FINITE), ('joint', JOINT_STOP), ('torque', TORQUE),
          ('torque_rate', TORQUE_RATE))
 ENFORCED = tuple(tuple(name for name, bit in NAMES if flags & bit) for flags in range(16))
 SPEED_GAIN = 50.0  # 1/s, how fast a joint is brought back to the speed it may have
+JOINT_MARGIN = 0.02  # rad before its stop, where a joint is to stand still
+JOINT_BRAKING = 5.0  # rad/s^2 counted on before a stop
 BRAKING_SHARE = 0.7  # of the speed a joint may have, from where on that is looked after
 
 
@@ -195,8 +197,8 @@ def joint_limits(config: ControllerConfig, joints: int) -> Records:
     limits, records = config.limits, np.zeros(joints, dtype=JOINT_LIMITS)
     records['torque'] = config.torque_limit or np.inf
     records['step'] = np.array(limits.torque_rate or np.inf) * config.period
-    records['lower'] = np.array(limits.joint_lower or -np.inf) + limits.joint_margin
-    records['upper'] = np.array(limits.joint_upper or np.inf) - limits.joint_margin
+    records['lower'] = np.array(limits.joint_lower or -np.inf) + JOINT_MARGIN
+    records['upper'] = np.array(limits.joint_upper or np.inf) - JOINT_MARGIN
     records['speed'] = limits.joint_speed or np.inf
-    records['braking'] = limits.joint_braking
+    records['braking'] = JOINT_BRAKING
     return records

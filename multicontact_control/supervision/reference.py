@@ -6,7 +6,7 @@ from typing import Any
 
 from multicontact_control.arrays import Codes, Mask, Matrix, Vector
 from multicontact_control.config import ControllerConfig
-from multicontact_control.config.columns import FORCE
+from multicontact_control.config.contact import FORCE
 from multicontact_control.control.controller import Controller, place_columns
 from multicontact_control.control.reference import Reference, TaskArrays, TaskSource
 from multicontact_control.dynamics.pose import Pose

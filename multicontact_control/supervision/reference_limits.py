@@ -13,6 +13,7 @@ from typing import Any
 from multicontact_control.algebra import copy_matrix, copy_vector, cross, dot, multiply
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
+from multicontact_control.config.contact import LARGEST_OFFSET
 from multicontact_control.dynamics.rotations import rotation_vector
 from multicontact_control.supervision.contacts import (
     advance_contact,
@@ -221,7 +222,7 @@ def limit_reference(reference: Any, control: Any, contacts: Any, states: Any) ->
         if state.couple:
             leader = contacts[contact.leader]  # which comes before
             contact.guarded = leader.guarded
-            bound = contact.largest_offset * leader.alpha_des
+            bound = LARGEST_OFFSET * leader.alpha_des
             wanted_force = min(max(state.asked, -bound), bound)
         else:
             contact.guarded = is_falling(state, contact.alpha_meas)

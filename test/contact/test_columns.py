@@ -1,6 +1,6 @@
 """Edges and planes: their columns of N, and what is measured along them."""
 
-from multicontact_control.config.columns import ACROSS, ALONG, contact_types, FORCE
+from multicontact_control.config.contact import ACROSS, ALONG, contact_types, FORCE
 from multicontact_control.contact.geometry import check_columns, friction_coupling, normal_space
 from multicontact_control.control.wrench import measure_contacts
 from multicontact_control.errors import ConfigError

@@ -135,7 +135,7 @@ class ReferenceController:
             observers.append(Observer(
                 loop.plant.Phi, loop.plant.Gamma, loop.L, order=force.active_state_order,
                 process_noise=force.process_noise,
-                initial_covariance=force.initial_covariance))
+                initial_covariance=1e-3))
         return observers
 
     def _follow_active_set(self, active, alpha_meas):

@@ -5,6 +5,7 @@ from multicontact_control.experiment.judge import judge, NOT_STABLE
 from multicontact_control.experiment.metrics import contact_summary
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.scenario import resolve
+from multicontact_control.force.noise.estimator import VARIANCE_CEILING, VARIANCE_FLOOR
 import numpy as np
 import pytest
 from runs import canonical, run_of
@@ -64,8 +65,8 @@ def test_estimators_get_the_innovations_of_the_loop(name):
         assert start > 100
         np.testing.assert_array_equal(data.noise_variance[:start, i], 0.6)
         assert len(np.unique(data.noise_variance[start + 50:, i])) > 20
-    assert (data.noise_variance >= setup.noise_estimator.variance_floor).all()
-    assert (data.noise_variance <= setup.noise_estimator.variance_ceiling).all()
+    assert (data.noise_variance >= VARIANCE_FLOOR).all()
+    assert (data.noise_variance <= VARIANCE_CEILING).all()
 
 
 def test_run_that_gets_out_of_hand_is_judged_not_stable():

@@ -63,7 +63,7 @@ def test_load_parameters_reads_what_a_file_says(make_node, tmp_path):
     assert config == validate(ControllerConfig, read_parameters(CONTROLLER_FILE))
     name = 'contacts.board.stiffness'
     assert node.get_parameter(name).value == config.contacts['board'].stiffness
-    config = NoiseEstimatorConfig(contact_names=('left', 'right'), window=7, variance_floor=1e-7)
+    config = NoiseEstimatorConfig(contact_names=('left', 'right'), window=7, fixed_variance=1e-7)
     write_parameters(tmp_path / 'written.yaml', config)
     assert load_parameters(
         make_node(file=tmp_path / 'written.yaml'), NoiseEstimatorConfig) == [config]

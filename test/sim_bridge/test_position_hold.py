@@ -5,12 +5,10 @@ import pinocchio as pin
 import pytest
 from sim_bridge.position_hold import PositionHold
 
-FREQUENCY = 20.0
-
 
 def after_a_push(plant, left_to):
     """Push the arm off, then leave it for a second; return how far and how fast it then is."""
-    hold = PositionHold(plant.model, FREQUENCY)
+    hold = PositionHold(plant.model)
     torque = plant.initial_torque + np.array([3.0, -3.0, 2.0, 0.0, 0.0, 0.0])
     for _ in range(50):
         sample = plant.step(torque)
@@ -32,7 +30,7 @@ def test_hold_stops_a_moving_arm_where_the_last_torque_does_not(make_plant, pres
 
 def test_hold_begins_anew_after_it_has_ended(make_plant):
     plant = make_plant('rigid')
-    hold = PositionHold(plant.model, FREQUENCY)
+    hold = PositionHold(plant.model)
     home, still = plant.reset().q, np.zeros(6)
     np.testing.assert_allclose(hold.torque(home, still), plant.initial_torque, atol=1e-9)
     off = home + [0.0, 0.0, 0.0, 0.0, 0.0, 0.01]

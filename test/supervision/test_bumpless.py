@@ -106,7 +106,7 @@ def test_reconfigure_keeps_what_the_observers_know():
 
 @pytest.mark.parametrize('kind', ['gravity_compensation', 'zero_torque', 'hold_position'])
 def test_safe_step_goes_from_the_last_command_to_the_declared_behaviour(kind):
-    controller, _ = make(safe_behaviour={'kind': kind})
+    controller, _ = make(safe_behaviour=kind)
     last = controller.step(sample(controller, effort=EFFORT)).output.torque
     torques = [controller.safe_step(sample(controller, k)).output.torque for k in range(1, 1200)]
     np.testing.assert_array_equal(torques[0], last)
@@ -121,7 +121,7 @@ def test_safe_step_goes_from_the_last_command_to_the_declared_behaviour(kind):
 def test_safe_step_answers_a_push_as_declared():
     """A joint that is pushed away is braked, and pulled back only if the posture is held."""
     for kind, pulls in (('gravity_compensation', False), ('hold_position', True)):
-        controller, _ = make(safe_behaviour={'kind': kind}, transition={'blend_time': 0.0})
+        controller, _ = make(safe_behaviour=kind, transition={'blend_time': 0.0})
         for k in range(3):
             controller.safe_step(sample(controller, k))
         moved = HOME + np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.05])

@@ -76,7 +76,7 @@ def test_simulated_arm_that_carries_itself_is_held_and_presses(with_tool, superv
 def test_every_reaction_and_the_safe_behaviour_command_that_much_less(kind):
     """Two loops are told the same; the one of an arm that adds gravity commands less by it."""
     own = gravity_of_the_arm(True)
-    changes = {'safe_behaviour': {'kind': kind}, 'torque_limit': []}
+    changes = {'safe_behaviour': kind, 'torque_limit': []}
     setup = resolve('quick', plant='rigid', controller=changes)
     plain, source = ClosedLoop(setup).control, ClosedLoop(setup)
     added = ClosedLoop(resolve(

@@ -1,4 +1,4 @@
-"""Choosing a ROS domain that no other graph on this machine uses."""
+"""Domain and namespace of a graph."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import contextlib
 import fcntl
 import os
 from pathlib import Path
+import re
 import socket
 import tempfile
 
@@ -105,3 +106,12 @@ def _locked(domain_id: int) -> Iterator[bool]:
             yield False
         else:
             yield True
+
+
+def check_namespace(namespace: str) -> str:
+    """Return a namespace without the slashes around it; ConfigError if ROS does not accept it."""
+    bare = namespace.strip('/')
+    if bare and not re.fullmatch(r'[A-Za-z_]\w*(/[A-Za-z_]\w*)*', bare, re.ASCII):
+        raise ConfigError(
+            'namespace', 'names of letters, digits and _, joined by /', f"'{namespace}'")
+    return bare

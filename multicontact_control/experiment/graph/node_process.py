@@ -21,7 +21,7 @@ import subprocess
 import sys
 import threading
 
-from multicontact_control.process import THREAD_VARIABLES
+from multicontact_control.process import limit_threads
 
 PRELOAD = 'multicontact_control.experiment.graph.preload'
 # The command line that a node is listed by fits in the room of its server's environment.
@@ -31,8 +31,7 @@ CONTEXT = multiprocessing.get_context('forkserver')
 
 def prepare_nodes() -> None:
     """Begin to load what every node needs, in another process; of use before anything heavy."""
-    for variable in THREAD_VARIABLES:
-        os.environ.setdefault(variable, '1')
+    limit_threads()
     root = Path(__file__).resolve().parents[3]
     if (root / 'package.xml').is_file():
         # A checkout that is run without being installed.

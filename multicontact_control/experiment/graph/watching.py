@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 import contextlib
+import os
 import signal
+import stat
 import threading
 import time
 from types import FrameType
@@ -19,7 +21,6 @@ from multicontact_control.nodes.link import (
     LifecycleDriver,
     TransitionError,
 )
-from multicontact_control.terminal import leave_terminal
 
 WATCH_PERIOD = 0.05
 PROGRESS_PERIOD = 0.2
@@ -164,6 +165,15 @@ def watch(
     return end
 
 
+def _leave_terminal() -> None:
+    """Print to files only from here on: a terminal that has hung up refuses output."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for number in (1, 2):
+        if not stat.S_ISREG(os.fstat(number).st_mode):
+            os.dup2(nowhere, number)
+    os.close(nowhere)
+
+
 @contextlib.contextmanager
 def collected_signals() -> Iterator[list[int]]:
     """Collect signals that ask for an end in a list instead of dying of them."""
@@ -172,7 +182,7 @@ def collected_signals() -> Iterator[list[int]]:
     def note(number: int, _frame: FrameType | None) -> None:
         received.append(number)
         if number == signal.SIGHUP:
-            leave_terminal()
+            _leave_terminal()
 
     if threading.current_thread() is not threading.main_thread():
         yield received

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar
 
-from multicontact_control.errors import check_all, ConfigError
+from multicontact_control.errors import check_all, ConfigError, counted
 from multicontact_control.experiment.study.cache import prepare_job_folder
 from multicontact_control.experiment.study.execute import (
     count_finished,
@@ -20,8 +20,7 @@ from multicontact_control.experiment.study.execute import (
 from multicontact_control.experiment.study.jobs import JobResult, JobT
 from multicontact_control.experiment.study.page import Page, write_study_page
 from multicontact_control.experiment.study.table import terminal_table, write_table
-from multicontact_control.terminal import terminal
-from multicontact_control.wording import counted
+from multicontact_control.experiment.terminal import terminal
 from rich.console import Console
 from rich.markup import escape
 

@@ -24,8 +24,7 @@ def design_aob(model: LoopModel, config: ForceConfig) -> ObserverDesign:
     loop = place_poles(model.plant, model.period, time_constant=config.time_constant,
                        second_pole_ratio=config.second_pole_ratio)
     return design_observer(
-        loop, order=config.active_state_order, process_noise=config.process_noise,
-        initial_covariance=config.initial_covariance)
+        loop, order=config.active_state_order, process_noise=config.process_noise)
 
 
 def steady_law(observer: ObserverDesign, gain: Vector) -> LinearLaw:

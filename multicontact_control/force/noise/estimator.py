@@ -10,6 +10,7 @@ from multicontact_control.arrays import Mask, require_shape, Vector
 from multicontact_control.config import NoiseEstimatorConfig
 import numpy as np
 
+VARIANCE_FLOOR, VARIANCE_CEILING = 1e-3, 1e6  # N^2, of every R
 MAX_MAGNITUDE = 1e100  # sums of squares of samples below it stay finite
 
 
@@ -18,9 +19,7 @@ class Innovation:
     """
     The innovations of one tick, one per contact.
 
-    A contact that is not force controlled, or whose observer has just been started, has no
-    innovation. It is marked by a `variance_used` of 0, which no observer ever uses; its other
-    entries mean nothing and are 0.
+    All entries are 0 of a contact without one: not force controlled, or its observer just started.
 
     Attributes
     ----------
@@ -66,7 +65,7 @@ class NoiseEstimator(ABC):
     Samples in, variances out, one per contact.
 
     Until an estimate of a contact is known, its R is the configured `fixed_variance`. Every R
-    lies between `variance_floor` and `variance_ceiling`, and changes by a factor e in `slew_time`
+    lies between `VARIANCE_FLOOR` and `VARIANCE_CEILING`, and changes by a factor e in `slew_time`
     at most.
 
     Parameters
@@ -96,10 +95,8 @@ class NoiseEstimator(ABC):
 
     def reset(self) -> None:
         """Forget all samples."""
-        self._variance: Vector = np.clip(
-            np.full(self._contacts, self.config.fixed_variance), self.config.variance_floor,
-            self.config.variance_ceiling)
-        self._given = self._variance.copy()
+        self._variance: Vector = np.full(self._contacts, self.config.fixed_variance)
+        self._given: Vector = np.clip(self._variance, VARIANCE_FLOOR, VARIANCE_CEILING)
         self._forget()
 
     def update(self, alpha: Vector, innovation: Innovation | None = None) -> Vector:
@@ -132,10 +129,11 @@ class NoiseEstimator(ABC):
         self._alpha[:] = alpha  # whatever its layout: numba would compile anew for another one
         if not self._take(innovation):
             self.dropped += 1
+        bounded: Vector = np.clip(self._variance, VARIANCE_FLOOR, VARIANCE_CEILING)
         if self._largest_step == math.inf:
-            return self._variance.copy()
+            return bounded
         self._given = np.clip(
-            self._variance, self._given / self._largest_step, self._given * self._largest_step)
+            bounded, self._given / self._largest_step, self._given * self._largest_step)
         return self._given.copy()
 
     @abstractmethod

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 
 from multicontact_control.arrays import Mask, Matrix, require_shape, Vector
+from multicontact_control.force.noise import estimator as base
 from multicontact_control.force.noise.estimator import Innovation, NoiseEstimator, usable
 import numpy as np
 
@@ -28,9 +29,7 @@ class InnovationEstimator(NoiseEstimator):
         if not all(usable(values) for values in parts.values()):
             return False
         estimate, known = self._estimate_from(innovation)
-        self._variance[:] = np.where(known, np.clip(
-            self.config.variance_scale * estimate, self.config.variance_floor,
-            self.config.variance_ceiling), self._variance)
+        self._variance[:] = np.where(known, self.config.variance_scale * estimate, self._variance)
         return True
 
     @abstractmethod
@@ -42,8 +41,7 @@ class InnovationWindow(InnovationEstimator):
     """
     Maybeck's maximum likelihood estimate (P04 ref. 6), R = (1/N) sum [r r^T - C P_1 C^T].
 
-    Noise can drive that below zero, whence the floor. A contact's R is known once it has had N
-    innovations.
+    Known after N innovations of a contact; noise can drive it below zero, whence the floor.
     """
 
     def _forget(self) -> None:
@@ -80,7 +78,7 @@ class SageHusa(InnovationEstimator):
         term = innovation.residual ** 2 + innovation.posterior_variance
         # Without the bound one wild sample would be remembered for thousands of ticks.
         mean = np.minimum((1.0 - weight) * self._mean + weight * term,
-                          self.config.variance_ceiling / self.config.variance_scale)
+                          base.VARIANCE_CEILING / self.config.variance_scale)
         self._mean = np.where(valid, mean, self._mean)
         return self._mean, valid
 
@@ -111,7 +109,7 @@ class VariationalBayes(InnovationEstimator):
             scale = prior + 0.5 * (share.residual ** 2 + share.posterior_variance)
         # Without the bound one wild sample would be remembered for thousands of ticks.
         scale = np.minimum(
-            scale, shape * self.config.variance_ceiling / self.config.variance_scale)
+            scale, shape * base.VARIANCE_CEILING / self.config.variance_scale)
         self._shape = shape
         self._scale = np.where(valid, scale, self._scale)
         return self._scale / self._shape, valid

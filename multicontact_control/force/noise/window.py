@@ -137,7 +137,7 @@ def take_into_window(
         estimate = np.empty(contacts)
         windowed_variance(samples, length, estimate)
         for i in range(contacts):
-            variance[i] = min(max(window.scale * estimate[i], window.floor), window.ceiling)
+            variance[i] = window.scale * estimate[i]
     return True
 
 
@@ -149,8 +149,7 @@ class Window(NoiseEstimator):
         self._window = np.zeros(1, dtype=NOISE_WINDOW)
         for name in ('pole', 'zero', 'gain', 'dc_gain'):
             self._window[name] = getattr(design, name)
-        for name in ('scale', 'floor', 'ceiling'):
-            self._window[name] = getattr(config, f'variance_{name}')
+        self._window['scale'] = config.variance_scale
         self._states = np.zeros(self._contacts, dtype=FILTER_STATE)
         self._samples: Matrix = np.zeros((config.window, self._contacts))
         compile_for(

@@ -204,7 +204,7 @@ class Listener(GuestNode):
 
 def test_robot_that_presses_is_left_with_the_safe_behaviour(shell, tmp_path):
     urdf = write_controller(
-        tmp_path, safe_behaviour={'kind': 'zero_torque'},
+        tmp_path, safe_behaviour='zero_torque',
         tool={'mass': TOOL_MASS, 'com_sensor': TOOL_COM.tolist(), 'bias_sensor': BIAS.tolist()})
     shell.start(ARM, str(urdf), log='arm')
     running = shell.multicontact(

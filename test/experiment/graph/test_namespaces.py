@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from multicontact_control.config import check_namespace
 from multicontact_control.errors import ConfigError
-from multicontact_control.experiment.graph.domain import reserve_domain
+from multicontact_control.experiment.graph.domain import check_namespace, reserve_domain
 from multicontact_control.nodes import qos
 from multicontact_control.nodes.graph_node import ignore, take
 from multicontact_control.nodes.link import GuestNode

@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 from multicontact_control.config import NoiseEstimatorConfig, validate
 from multicontact_control.errors import ConfigError
 from multicontact_control.force.noise import ESTIMATORS, Innovation, make_noise_estimator
+from multicontact_control.force.noise.estimator import VARIANCE_CEILING, VARIANCE_FLOOR
 import numpy as np
 import pytest
 
@@ -43,20 +44,20 @@ def test_estimators_drop_and_count_samples_that_are_not_finite(name, place):
     st.sampled_from([0.0, 1e-120, 1e-3, 1.0, 1e3, 1e40]), min_size=1, max_size=5),
     seed=st.integers(0, 1000))
 def test_estimators_keep_within_floor_and_ceiling(name, sizes, seed):
-    estimator = estimator_of(name, contacts=2, variance_floor=FLOOR, variance_ceiling=CEILING)
+    estimator = estimator_of(name, contacts=2)
     rng = np.random.default_rng(seed)
     for size in [*sizes, 0.0]:
         for _ in range(600 if size == 0.0 else 60):
             R = estimator.update(*_sample(rng, size=size))
-            assert (R >= FLOOR).all() and (R <= CEILING).all()
+            assert (R >= VARIANCE_FLOOR).all() and (R <= VARIANCE_CEILING).all()
     assert estimator.dropped == 0
     if name != 'fixed':
-        np.testing.assert_array_equal(R, FLOOR)
+        np.testing.assert_array_equal(R, VARIANCE_FLOOR)
 
 
 @pytest.mark.parametrize('name', NAMES)
 def test_estimators_scale_what_they_estimate(name):
-    plain, scaled = (estimator_of(name, variance_floor=1e-9, variance_scale=scale)
+    plain, scaled = (estimator_of(name, variance_scale=scale)
                      for scale in (1.0, 3.0))
     rng = np.random.default_rng(25)
     for _ in range(3000):

@@ -29,7 +29,7 @@ def test_lead_filter_has_the_papers_gains(normalisation, at_dc, at_nyquist, fact
     ('window', None), ('lead_window', 'dc'), ('hf_window', 'hf')])
 def test_window_is_the_variance_of_what_scipy_filters(name, normalisation):
     """From its steady state at the first sample, over 50 samples, known once there are 50."""
-    estimator = estimator_of(name, contacts=2, variance_floor=1e-9)
+    estimator = estimator_of(name, contacts=2)
     forces = np.linspace(0.0, 30.0, 120)[:, None] + np.random.default_rng(15).standard_normal(
         (120, 2))
     filtered = forces

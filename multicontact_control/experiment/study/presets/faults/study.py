@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from multicontact_control.errors import ConfigError
+from multicontact_control.errors import ConfigError, counted
 from multicontact_control.experiment.faults.fault import PHASES, PROCESS, TWO
 from multicontact_control.experiment.faults.judge import FaultRow
 from multicontact_control.experiment.faults.vocabulary import faults_of, pairs_of_faults
@@ -22,7 +22,6 @@ from multicontact_control.experiment.study.presets.faults.jobs import (
 )
 from multicontact_control.experiment.study.study import Study
 from multicontact_control.experiment.study.table import Column, format_number, Line, Listing
-from multicontact_control.wording import counted
 import numpy as np
 
 SEEDS = 14

@@ -9,7 +9,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from multicontact_control.errors import check_all, ConfigError
+from multicontact_control.errors import check_all, ConfigError, counted
 from multicontact_control.experiment.scenario import plant_source, resolve, scenario_path
 from multicontact_control.experiment.study.execute import JobRun
 from multicontact_control.experiment.study.jobs import job_of, RunJob
@@ -17,7 +17,6 @@ from multicontact_control.experiment.study.measure import largest_known, summari
 from multicontact_control.experiment.study.page import Page, Section
 from multicontact_control.experiment.study.study import check_seeds, Study
 from multicontact_control.experiment.study.table import Column, format_number, Line, Listing
-from multicontact_control.wording import counted
 from sim_bridge.robots import find_robot, has_urdf, robot_names
 
 # What simulates, and what is laid over the plant for it.

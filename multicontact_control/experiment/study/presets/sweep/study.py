@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from multicontact_control import __version__
 from multicontact_control.arrays import Vector
+from multicontact_control.errors import counted
 from multicontact_control.experiment.judge import HELD
 from multicontact_control.experiment.overrides import EVERY
 from multicontact_control.experiment.page import COLOURS
@@ -27,7 +28,6 @@ from multicontact_control.experiment.study.presets.sweep.config import (
 )
 from multicontact_control.experiment.study.study import Study
 from multicontact_control.experiment.study.table import Column, Line, Listing, short_names
-from multicontact_control.wording import counted
 import numpy as np
 import pyarrow as pa
 

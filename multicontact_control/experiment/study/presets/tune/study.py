@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from multicontact_control.config import merge, read_yaml
-from multicontact_control.errors import check_all, ConfigError
+from multicontact_control.errors import check_all, ConfigError, counted
 from multicontact_control.experiment.law_report import write_preset
 from multicontact_control.experiment.overrides import overrides_of
 from multicontact_control.experiment.scenario import plant_source, preset_values
@@ -22,7 +22,6 @@ from multicontact_control.experiment.study.study import Study
 from multicontact_control.experiment.study.table import Column, format_number, Line, Listing
 from multicontact_control.files import finite
 from multicontact_control.paths import config_dir
-from multicontact_control.wording import counted
 
 TUNED_ON = 0  # seed
 JUDGED_ON = (1, 2, 3)

@@ -1,0 +1,100 @@
+"""Contacts, and their columns of N: a force each, and the couples of an edge or a plane."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Literal, NamedTuple
+
+from multicontact_control.config.base import Config, parameter, Real, UnitVector3, Vector3
+from multicontact_control.config.force import LawName
+
+ContactType = Literal['point', 'edge', 'plane']
+
+# Kinds of columns: a force along the normal, a couple by which it moves along the contact's
+# direction, and one by which it moves across it.
+FORCE, ALONG, ACROSS = range(3)
+KINDS: dict[str, tuple[int, ...]] = {
+    'point': (FORCE,), 'edge': (FORCE, ALONG), 'plane': (FORCE, ALONG, ACROSS)}
+SUFFIXES = {FORCE: '', ALONG: '/along', ACROSS: '/across'}
+LARGEST_OFFSET = 0.8  # of the commanded centre of pressure from the centre [half lengths]
+
+
+class ContactConfig(Config):
+    """
+    One contact: a point, an edge or a plane face of the tool on a surface.
+
+    An edge is pressed with a force and a couple about the axis across it, a plane with a force
+    and two couples. Couples are counted in newtons: two forces at the ends of the contact,
+    half_length from its centre, that differ by 1 N are a couple of 1 N. The centre of pressure
+    is alpha_couple / alpha half lengths from the centre, and within the contact up to 1.
+    """
+
+    type: ContactType = parameter(  # noqa: A003 - that is what it is called
+        'point', 'What touches: a point, an edge or a plane face of the tool.')
+    normal_world: UnitVector3 = parameter(
+        ..., 'Unit surface normal INTO the surface, in world axes.', live=True)
+    point_operational: Vector3 = parameter(
+        ..., 'Contact point, or the centre of an edge or plane, in the operational frame.',
+        unit='m')
+    direction_operational: UnitVector3 = parameter(
+        (1.0, 0.0, 0.0), 'Direction of an edge, or of a first side of a plane, in the '
+        'operational frame.')
+    half_length: Real = parameter(
+        0.05, 'Half the length of an edge, or of a plane along its direction.', unit='m', gt=0.0)
+    half_width: Real = parameter(
+        0.05, 'Half the width of a plane across its direction.', unit='m', gt=0.0)
+    stiffness: Real = parameter(
+        6000.0, 'Modelled stiffness k_env at the contact.', unit='N/m', gt=0.0)
+    couple_stiffness: Real = parameter(
+        0.0, 'The same for couples, torque per angle and half length squared; 0 for a third of '
+        'stiffness, as of a contact that is equally stiff everywhere.', unit='N/m', ge=0.0)
+    friction_std: Real = parameter(
+        0.0, 'Standard deviation of the friction that is allowed for when contact forces are '
+        'found from the wrench; 0 for none.', unit='N', ge=0.0)
+    friction_coefficient: Real = parameter(
+        0.0, 'Expected Coulomb friction along the sliding velocity; friction_std is then the '
+        'standard deviation of the rest.', live=True, ge=0.0, le=2.0)
+    normal_turn_rate: Real = parameter(
+        0.0, 'Largest rate at which the normal turns to the one that the force on a sliding '
+        'contact indicates; 0 to keep normal_world. A slip at the touch turns it as fast: no '
+        'more than is needed. Needs friction_std.', unit='rad/s', live=True, ge=0.0, le=10.0)
+    normal_range: Real = parameter(
+        0.6, 'Largest angle between the normal and normal_world.', unit='rad', live=True, gt=0.0,
+        le=1.5)
+    surface_speed: Real = parameter(
+        0.0, 'Speed of the surface along its normal, away from the robot if positive; K_2 damps '
+        'the motion relative to it.', unit='m/s', live=True, ge=-0.5, le=0.5)
+    surface_speed_limit: Real = parameter(
+        0.0, 'Largest estimated speed of the surface beyond that; 0 for no estimate.',
+        unit='m/s', live=True, ge=0.0, le=0.5)
+    law: Literal[LawName, ''] = parameter('', 'Force law of this contact, empty for force.law.')
+
+    @property
+    def stiffness_of_couples(self) -> float:
+        """Return the stiffness along the couples' coordinates [N/m], by default k / 3."""
+        return self.couple_stiffness or 1.0 / 3.0 * self.stiffness
+
+
+class Column(NamedTuple):
+    """One controlled coordinate of a contact."""
+
+    name: str
+    contact: str  # name
+    kind: int  # FORCE, ALONG or ACROSS
+    leader: int  # index of the column with the normal force of its contact
+    stiffness: float  # modelled, along this coordinate [N/m]
+    half_length: float  # unit of a couple's lever, 0 for a force [m]
+    direction_operational: Vector3  # of an edge, or of the first side of a plane
+
+
+def is_couple_name(name: str) -> bool:
+    """Return whether a name is that of a couple of a contact."""
+    return name.endswith((SUFFIXES[ALONG], SUFFIXES[ACROSS]))
+
+
+def contact_types(names: Iterable[str]) -> dict[str, ContactType]:
+    """Return the types of contacts by name, from the names of forces and couples."""
+    known = list(names)
+    return {name: 'plane' if name + SUFFIXES[ACROSS] in known else
+            'edge' if name + SUFFIXES[ALONG] in known else 'point'
+            for name in known if not is_couple_name(name)}
