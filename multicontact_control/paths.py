@@ -41,22 +41,9 @@ def config_dir(package_dir: Path = PACKAGE_DIR) -> Path:
 
 def named_file(kind: str, folder: str, name: str) -> Path:
     """
-    Return a YAML file of the configuration by its name without suffix, or any file by its path.
+    Return a YAML file in a folder of ``config/`` by its name, or any file by its path.
 
-    Parameters
-    ----------
-    kind
-        Content of the file, for the error.
-    folder
-        Folder in ``config/``.
-    name
-        Name or path.
-
-    Raises
-    ------
-    ConfigError
-        If there is no such file.
-
+    ConfigError of a `kind` of file, with the known names, if there is neither.
     """
     there = config_dir() / folder
     for path in (there / f'{name}.yaml', Path(name)):

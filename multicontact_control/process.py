@@ -45,22 +45,10 @@ def claim_processor(
     *, fifo_priority: int = 0, cpus: tuple[int, ...] = (), lock_memory: bool = False,
 ) -> list[str]:
     """
-    Set priority and processors of this process, and keep it in memory.
+    Request SCHED_FIFO, processors for all threads, and memory that is not paged out.
 
-    Parameters
-    ----------
-    fifo_priority
-        Priority of SCHED_FIFO, 1 to 99; 0 leaves the scheduler as it is.
-    cpus
-        Processors of all its threads; empty for all.
-    lock_memory
-        Whether its memory must not be paged out.
-
-    Returns
-    -------
-    list of str
-        One line for each request that failed, with a remedy.
-
+    A priority is 1 to 99, or 0 to keep the scheduler. Returns one line for each request that
+    failed, with a remedy.
     """
     problems = []
     if cpus:

@@ -118,7 +118,6 @@ class ControllerConfig(Config):
         yield from self._check_delay()
         if not unknown:
             yield from self._check_laws()
-            yield from self._check_contacts()
 
     def _check_joints(self) -> Iterator[ConfigError]:
         joints, limits = len(self.robot.joint_names), self.limits
@@ -139,48 +138,35 @@ class ControllerConfig(Config):
                 yield ConfigError(name, 'values of at least 0', min(values))
 
     def _check_laws(self) -> Iterator[ConfigError]:
-        force = self.force
-        decoupled = force.allocation == 'decoupled'
-        others = {law for law in map(self.law_of, self.contact_names) if law != 'aob'}
-        if others and not decoupled:
-            yield ConfigError('force.allocation', f'decoupled with the law {min(others)}',
-                              force.allocation)
-        if force.stiffness == 'configured':
-            return
-        if others:
-            yield ConfigError('force.stiffness', f'configured with the law {min(others)}',
-                              force.stiffness)
-        if not decoupled or not force.active_state_order:
-            yield ConfigError(
-                'force.stiffness', 'configured without active state, or with the allocation of '
-                'the paper', force.stiffness)
-        if force.damping_rate <= 0.0:
-            yield ConfigError('force.damping_rate', 'above 0 with adaptive stiffness',
-                              force.damping_rate)
-
-    def _check_contacts(self) -> Iterator[ConfigError]:
-        decoupled = self.force.allocation == 'decoupled'
-        for name in self.contact_names:
-            contact = self.contacts[name]
+        force, contacts = self.force, {name: self.contacts[name] for name in self.contact_names}
+        others = sorted({self.law_of(name) for name in contacts} - {'aob'})
+        adaptive = force.stiffness == 'adaptive'
+        # What needs contacts that do not move each other, as N alpha* (eq. 30) lets them.
+        decoupled = [f'the law {law}' for law in others] + ['adaptive stiffness'] * adaptive
+        for name, contact in contacts.items():
+            decoupled += [f'the {contact.type} {name}'] * (contact.type != 'point')
+            decoupled += [f'contacts.{name}.{field}' for field in (
+                'surface_speed', 'surface_speed_limit') if getattr(contact, field)]
             if contact.normal_turn_rate and not contact.friction_std:
                 yield ConfigError(
                     f'contacts.{name}.friction_std', 'above 0 N with normal_turn_rate', 0.0)
-            for field in ('surface_speed', 'surface_speed_limit'):
-                speed = getattr(contact, field)
-                if speed and not decoupled:  # the speed of coordinates, not of points
-                    yield ConfigError(
-                        f'contacts.{name}.{field}', '0 m/s unless force.allocation is decoupled',
-                        f'{speed:g} m/s with {self.force.allocation}')
             if contact.surface_speed_limit and self.law_of(name) != 'aob':
                 # The estimate takes the rate of the force from the observer.
                 yield ConfigError(
                     f'contacts.{name}.surface_speed_limit', '0 m/s unless force.law is aob',
                     f'{contact.surface_speed_limit:g} m/s with {self.law_of(name)}')
-        wide = [name for name in self.contact_names if self.contacts[name].type != 'point']
-        if wide and not decoupled:
+        if decoupled and force.allocation != 'decoupled':
             yield ConfigError(
-                'force.allocation', f'decoupled with the {self.contacts[wide[0]].type} {wide[0]}',
-                self.force.allocation)
+                'force.allocation', f'decoupled with {", ".join(decoupled)}', force.allocation)
+        if adaptive and others:
+            yield ConfigError(
+                'force.stiffness', f'configured with the law {others[0]}', force.stiffness)
+        if adaptive and not force.active_state_order:
+            yield ConfigError(
+                'force.stiffness', 'configured without active state', force.stiffness)
+        if adaptive and force.damping_rate <= 0.0:
+            yield ConfigError(
+                'force.damping_rate', 'above 0 with adaptive stiffness', force.damping_rate)
 
     def _check_delay(self) -> Iterator[ConfigError]:
         sensor, nyquist = self.sensor, 0.5 * self.rate
@@ -189,15 +175,25 @@ class ControllerConfig(Config):
                 'sensor.filter_cutoff', f'below the Nyquist frequency {nyquist:g} Hz',
                 f'{sensor.filter_cutoff:g} Hz')
         elif self.loop_delay * self.rate > MAX_DELAY_PERIODS + 1e-9:
-            field, found = 'force.input_delay', f'{self.force.input_delay:g} s'
-            if self.wrench_input == 'momentum':
-                field += ' and 1 / collision.bandwidth'
-                found += f' + {1.0 / self.momentum_bandwidth:.4g} s'
-            if sensor.filter_order:
-                field += ' and the delay of sensor.filter_cutoff'
-                found += f' + {sensor.filter_delay(self.rate):.4g} s'
-            yield ConfigError(field, f'at most {MAX_DELAY_PERIODS} periods '
-                              f'({MAX_DELAY_PERIODS / self.rate:g} s)', found)
+            delays = {name: delay for name, delay in self._delays.items() if delay}
+            yield ConfigError(
+                ' and '.join(delays),
+                f'at most {MAX_DELAY_PERIODS} periods ({MAX_DELAY_PERIODS / self.rate:g} s)',
+                ' + '.join(f'{delay:.4g} s' for delay in delays.values()))
+
+    @property
+    def _delays(self) -> dict[str, float]:
+        """Return the delays in the force loop [s], by their origin."""
+        momentum = self.wrench_input == 'momentum'
+        return {'force.input_delay': self.force.input_delay,
+                'the delay of sensor.filter_cutoff': self.sensor.filter_delay(self.rate),
+                '1 / collision.bandwidth': 1.0 / self.momentum_bandwidth if momentum else 0.0}
+
+    @property
+    def loop_delay(self) -> float:
+        """T_d of the force loop: force.input_delay and that of the measurement of forces [s]."""
+        commanded, filtered, observed = self._delays.values()
+        return commanded + filtered + observed
 
     @property
     def columns(self) -> tuple[Column, ...]:
@@ -231,12 +227,6 @@ class ControllerConfig(Config):
     def law_of(self, contact: str) -> LawName:
         """Return the name of a contact's force law."""
         return self.contacts[contact].law or self.force.law
-
-    @property
-    def loop_delay(self) -> float:
-        """T_d of the force loop: force.input_delay and that of the measurement of forces [s]."""
-        observer = 1.0 / self.momentum_bandwidth if self.wrench_input == 'momentum' else 0.0
-        return self.force.input_delay + self.sensor.filter_delay(self.rate) + observer
 
     @property
     def momentum_bandwidth(self) -> float:
