@@ -8,26 +8,24 @@ this.
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Mapping
 import math
 from pathlib import Path
-from typing import Any
 
 from multicontact_control.arrays import Vector
-from multicontact_control.config import ControllerConfig, SensorFrontEndConfig
+from multicontact_control.config import ControllerConfig
 from multicontact_control.control.controller import ControlOutput
 from multicontact_control.control.reference import CommandedReference
 from multicontact_control.control.reference.holdable import HeldSource, HoldableReference
 from multicontact_control.dynamics.pose import Pose
 from multicontact_control.errors import CommandError, ConfigError
 from multicontact_control.sampling import MotionReading
-from multicontact_control.sensor.front_end import KEPT, SensorFrontEnd
 from multicontact_control.sensor.push_config import PushTestConfig
 from multicontact_control.sensor.push_gate import PushGate
 from multicontact_control.sensor.tare import MAX_JOINT_SPEED, tare_bias, TareConfig
 from multicontact_control.supervision.bumpless import BumplessController, not_supervised
-from multicontact_control.supervision.collision import COLLISION
+from multicontact_control.supervision.checks import COLLISION
 from multicontact_control.supervision.command_limits import (
     check_offsets,
     check_position,
@@ -36,12 +34,10 @@ from multicontact_control.supervision.command_limits import (
     offset_shares,
 )
 from multicontact_control.supervision.event_log import EventLog
-from multicontact_control.supervision.inputs import TickInputs, WrenchInput
+from multicontact_control.supervision.inputs import TickInputs
 from multicontact_control.supervision.supervisor import Supervisor, SupervisorStatus
-from multicontact_control.supervision.validation import as_number, as_vector
 import numpy as np
 
-TARE_GAP = 0.1  # s, without a wrench, after which what was read before is of no use for a tare
 STREAM_TIME = 1.0  # s, between commands; more often they are a stream, which insists on nothing
 
 
@@ -81,8 +77,6 @@ class ControlLoop:
         Whether samples are answered by the declared safe behaviour.
     push_gate
         What allows force control.
-    sensor_fault
-        What is wrong with the newest wrench, empty if nothing is.
 
     """
 
@@ -106,7 +100,6 @@ class ControlLoop:
                 config, self._reference, base_dir)
         else:
             self.controller = BumplessController.from_config(config, self._reference, base_dir)
-        self._front_end = SensorFrontEnd(monitored_sensor(config), config.rate)
         self.push_gate = PushGate(
             required=config.sensor.require_push_test, robot=self.controller.controller.robot,
             gravity_world=np.array(config.robot.gravity_world), rate=config.rate)
@@ -125,7 +118,6 @@ class ControlLoop:
     def restart(self) -> None:
         """Forget the past: the next sample is the first."""
         self.controller.reset()
-        self._front_end.reset()
         self.push_gate.restart()
         self._expect_pushes()
         self.output: ControlOutput | None = None
@@ -138,10 +130,6 @@ class ControlLoop:
         self._touched = ''
         self.safe = False
         self._inputs = TickInputs(0.0)
-        self._filtered: WrenchInput | None = None
-        self._postures: deque[Vector] = deque(maxlen=KEPT)
-        self._read_at = math.nan
-        self.sensor_fault = ''
         self._commanded_at = -math.inf
 
     def step(self, inputs: TickInputs) -> Vector:
@@ -151,9 +139,7 @@ class ControlLoop:
         Parameters
         ----------
         inputs
-            The newest readings, however old, as the sensors gave them: the wrench has not
-            passed the front end. It does so once: a wrench with the stamp of the one before is
-            the one before.
+            The newest readings, however old, as the sensors gave them.
 
         Returns
         -------
@@ -166,67 +152,32 @@ class ControlLoop:
             Without supervisor, if something is missing or there is no torque for this posture.
 
         """
-        wrench = inputs.wrench
-        if not self._feels:
-            wrench = None if inputs.joints is None else WrenchInput(inputs.joints.stamp, None)
-        new = wrench is not None and self._take_wrench(*wrench)
-        return self._answer(TickInputs(
-            inputs.time, inputs.joints, None if wrench is None else self._filtered,
-            inputs.variance, self.sensor_fault), new)
+        self._inputs = inputs
+        controller = self.controller
+        output, status = controller.safe_step(inputs) if self.safe else controller.step(inputs)
+        if controller.own_weight is not None:  # the arm adds that itself
+            output = output._replace(torque=output.torque - controller.own_weight.torque)
+        self.output, self.status = None if self.safe else output, status
+        if status is not None:
+            self._note(inputs.time, status)
+        if self.push_gate.running and not self.safe and controller.inputs.fresh:
+            self._push(inputs)
+        return output.torque
 
     def stop(self) -> Vector:
         """Answer the newest sample by the safe behaviour, as all that follow until a restart."""
         self.safe = True
-        return self._answer(self._inputs, False)
+        return self.step(self._inputs)
+
+    @property
+    def sensor_fault(self) -> str:
+        """What is wrong with the newest wrench, ``frozen`` or ``saturated``; empty for nothing."""
+        return self.controller.inputs.sensor_fault
 
     @property
     def time(self) -> float:
         """Time of the newest tick [s]."""
         return self._inputs.time
-
-    def _take_wrench(self, stamp: Any, reading: Any) -> bool:
-        """Let a reading that is new through the front end; return whether it is one."""
-        if self._filtered is not None and stamp == self._filtered.stamp:
-            return False
-        if not self._feels:  # the momentum observer's word, which `see_arm` renews
-            if self.supervisor is not None and not self.supervisor.collisions.knows:
-                return False  # without torques it says for ever what it said last
-            self._filtered = WrenchInput(
-                stamp, self.controller.controller.controls['wrench'][0].copy())
-            return False
-        front = self._front_end
-        raw = as_vector(reading, front.raw)
-        if raw is None:
-            self._filtered = WrenchInput(stamp, reading)  # for the watchdog to refuse
-            return False
-        time = as_number(stamp)
-        if not time - self._read_at <= TARE_GAP:
-            front.forget()  # the arm may have come elsewhere meanwhile
-            self._postures.clear()
-        self._read_at = time
-        self.sensor_fault = front.take(raw)
-        self._filtered = WrenchInput(stamp, front.filtered)
-        return True
-
-    def _answer(self, seen: TickInputs, new: bool) -> Vector:
-        """
-        Answer a tick whose wrench, `new` or not, has passed the front end.
-
-        Every way of a sample into a torque is through here.
-        """
-        self._inputs = seen
-        if new and seen.joints is not None:
-            self._postures.append(seen.joints.q.copy())
-        controller = self.controller
-        output, status = controller.safe_step(seen) if self.safe else controller.step(seen)
-        if controller.own_weight is not None:  # the arm adds that itself
-            output = output._replace(torque=output.torque - controller.own_weight.torque)
-        self.output, self.status = None if self.safe else output, status
-        if status is not None:
-            self._note(seen.time, status)
-        if new and self.push_gate.running and not self.safe:
-            self._push(seen)
-        return output.torque
 
     def _require_supervisor(self) -> None:
         if self.supervisor is None:
@@ -252,7 +203,7 @@ class ControlLoop:
         if joints is None or wrench is None or joints.stamp != wrench.stamp:
             return
         if self.push_gate.update(
-                joints.q, joints.qd, self._front_end.raw, self.config.tool):
+                joints.q, joints.qd, self.controller.inputs.raw, self.config.tool):
             if self.push_gate.open:
                 self._reference.unlock()
                 if not self.held:
@@ -436,8 +387,7 @@ class ControlLoop:
         ------
         CommandError
             If the arm presses on something or moves: what presses, or slows the tool down, would
-            be taken for bias. If there is no wrist sensor, something is wrong with it, or it has
-            not been heard for 0.1 s.
+            be taken for bias. If there is no wrist sensor, or something is wrong with it.
         CalibrationError
             If there are too few readings, or they are restless.
 
@@ -448,15 +398,11 @@ class ControlLoop:
         if self.sensor_fault or refused:
             raise CommandError('wrench', 'nothing wrong with it, for a tare',
                                self.sensor_fault or refused[0])
-        age = as_number(self.time) - self._read_at
-        if age > TARE_GAP:
-            raise CommandError('wrench', 'a new one, for a tare', f'one of {age:.3g} s ago')
         joints = self._inputs.joints
-        readings = self._front_end.kept
         if joints is None:
             raise CommandError('samples', 'some, for a tare', 'none')
-        postures = self._postures or (joints.q,)  # none without a reading, which is refused below
-        way = float(np.abs(postures[-1] - postures[0]).max())
+        readings, postures = self.controller.inputs.kept
+        way = float(np.abs(postures[-1:] - postures[:1]).max(initial=0.0))
         fastest = way / (max(len(postures) - 1, 1) * self.config.period)
         if not fastest <= MAX_JOINT_SPEED:
             raise CommandError('joint speeds', f'at most {MAX_JOINT_SPEED:g} rad/s for a '
@@ -465,18 +411,3 @@ class ControlLoop:
         pose = self.controller.controller.robot.update(joints.q, joints.qd).sensor_pose
         return tare_bias(readings, pose.rotation_world, model.tool,
                          np.array(model.robot.gravity_world), config)
-
-
-def monitored_sensor(config: ControllerConfig) -> SensorFrontEndConfig:
-    """
-    Return what the front end looks at.
-
-    Behind a low-pass the watchdog finds a sensor that is frozen or saturated too late: then what
-    it has for that counts before, unless the sensor has limits of its own.
-    """
-    sensor, watch = config.sensor, config.watchdog
-    if not sensor.filter_order:
-        return sensor
-    return sensor.model_copy(update={
-        'frozen_ticks': sensor.frozen_ticks or (watch.frozen_samples and watch.frozen_samples + 1),
-        'full_scale': sensor.full_scale or watch.wrench_full_scale})

@@ -293,7 +293,6 @@ CONTACT_REFERENCE = np.dtype([
 
 # What an answer of the law must be like; one.
 PLAUSIBILITY = np.dtype([
-    ('pull_threshold', F),  # largest accepted pull of a surface [N]
     ('inertia', F),  # what a lost contact may read more: the tool's inertia [N]
     ('friction_bound', F),  # force across the normals, per force along them
     ('box', F, (2, 3)),  # where the operational point may be [m]
@@ -317,76 +316,54 @@ JOINT_LIMITS = np.dtype([
     ('last', F),  # what was commanded last and what was added [N m]
 ])
 
-# What watches the wrist sensor and filters what it reads; one.
-FRONT_END = np.dtype([
-    ('raw', F, 6), ('last', F, 6),  # what it reads, and the reading before [N, N m]
-    ('filtered', F, 6),  # what goes on [N, N m]
+# One joint of the input stage: the newest reading, the one before, the newest valid one.
+JOINT_INPUT = np.dtype([(name, F) for name in (  # [rad, rad/s, N m]
+    'q', 'qd', 'effort', 'last_q', 'last_qd', 'valid_q', 'valid_qd', 'speed_limit')])
+
+# R of one contact: the newest, and the newest valid one within its bounds [N^2].
+VARIANCE_INPUT = np.dtype([('new', F), ('valid', F)])
+
+# What the input stage is set to; one. Three values are those of joints, wrench and R.
+INPUT_SETTINGS = np.dtype([
+    ('period', F),  # [s]
+    ('shortest', F), ('longest', F),  # periods that are in order [s]
+    ('max_age', F, 3),  # [s]
+    ('recovery_ticks', I),  # for which joints are refused after a jump
+    ('frozen_joint_ticks', I), ('frozen_ticks', I),  # equal readings that are frozen, 0 for never
     ('full_scale', F, 6),  # from where on an axis is saturated [N, N m]
-    ('frozen_ticks', I),  # equal readings in a row from which on it is frozen, 0 for never
-    ('equal', I),  # readings in a row that are equal, the newest counted
     ('order', I),  # of the low-pass, 0 for none
     ('b', F, 3), ('a', F, 3),  # its coefficients, highest power of z first
-    ('memory', F, (2, 6)),  # its state, of no use
-    ('begun', B),  # until a first reading has come
-    ('count', I),  # readings that are kept for a tare, or have been
 ], align=True)
 
-# What comes in at a tick: of joints, wrench and R, in this order, stamp and readability; one.
-ARRIVAL = np.dtype([
-    ('time', F),  # now, NaN if it is no number [s]
-    ('stamp', F, 3),  # NaN if it is no number [s]
-    ('content', I, 3),  # what is wrong with it before its numbers are; see `supervision.readings`
+# What the input stage remembers; one.
+INPUT_STATE = np.dtype([
+    ('time', F),  # of the newest tick, NaN before the first [s]
+    ('seen', F, 3),  # newest stamp, NaN for none [s]
+    ('valid', F, 3),  # stamp of the newest valid reading, NaN for none [s]
+    ('odd_periods', I),  # in a row that are too long or too short
+    ('same_times', I),  # ticks in a row with the time of the one before
+    ('blind_ticks', I),  # in a row without valid joints
+    ('distrust', I),  # joint states to be refused after a jump
+    ('equal_joints', I), ('equal_wrenches', I),  # readings in a row, the newest counted
+    ('fault', I), ('faults', I),  # of the newest wrench; frozen or saturated ones in a row
+    ('raw', F, 6), ('last', F, 6),  # the newest wrench and the one before [N, N m]
+    ('filtered', F, 6), ('wrench', F, 6),  # behind the low-pass, and the newest valid one [N, N m]
+    ('memory', F, (2, 6)),  # of the low-pass, NaN before its first wrench [N, N m]
+    ('kept', I),  # wrenches kept for a tare since the last gap
+    ('inflation', F),  # of R, 1 while it is renewed
 ], align=True)
 
-# What is wrong with the inputs of a tick, as `supervision.readings` counts it; one.
-VERDICT = np.dtype([
-    ('clock', I),  # with the time
-    ('problem', I, 3),  # with each reading
-    ('stale', np.uint8, 3),  # whether the last valid one is too old
+# What the input stage finds at a tick; one.
+INPUT_VERDICT = np.dtype([
+    ('clock', I),  # what is wrong with the time
+    ('problem', I, 3),  # what is wrong with each reading
+    ('stale', np.uint8, 3),  # whether the newest valid one is too old
     ('repeated', B),  # whether this is the tick before once more
     ('blind', B),  # whether joints were valid neither in this tick nor in the one before
+    ('joints', B), ('wrench', B),  # whether any was ever valid
+    ('fresh', B),  # whether a wrench came
     ('acted', B),  # whether torques that came with the joints say anything
 ], align=True)
 
-# Readings of one joint: the newest, the one before, the newest that is valid.
-JOINT_READING = np.dtype([(name, F) for name in (
-    'q', 'qd', 'last_q', 'last_qd', 'valid_q', 'valid_qd', 'speed_limit')])  # [rad, rad/s]
-
-# Readings of the wrist sensor: as for a joint, and from where on each axis is saturated; one.
-WRENCH_READING = np.dtype([  # [N, N m]
-    (name, F, 6) for name in ('new', 'last', 'valid', 'full_scale')])
-
-# R of one contact: the newest, the newest that is valid, within its limits, and the one to use,
-# inflated where it is not renewed [N^2].
-VARIANCE_READING = np.dtype([(name, F) for name in ('new', 'valid', 'used')])
-
-# What is remembered of inputs; one.
-READING_MEMORY = np.dtype([
-    ('time', F),  # of the tick before, NaN if there was none [s]
-    ('seen', F, 3),  # newest stamp of each reading, NaN if there was none [s]
-    ('valid', F, 3),  # stamp of the newest valid one, NaN likewise [s]
-    ('odd_periods', I),  # periods in a row that are too long or too short
-    ('same_times', I),  # ticks in a row with the time of the one before
-    ('blind_ticks', I),  # ticks in a row without valid joints
-    ('joint_repeats', I),  # joint states that repeated the one before
-    ('wrench_repeats', I),  # wrenches that repeated the one before
-    ('distrust', I),  # samples for which joints are refused after a jump
-    ('inflation', F),  # of R, 1 while it is renewed
-    ('joints_before', B),  # whether there was a joint state before
-    ('wrench_before', B),
-    ('joints_known', B),  # whether one was ever valid
-    ('wrench_known', B),
-], align=True)
-
-# Fields of `WatchdogConfig` of the same name, and what follows from them; one.
-READING_SETTINGS = np.dtype([
-    ('period', F),
-    ('shortest', F), ('longest', F),  # periods that are not odd [s]
-    ('max_age', F, 3),  # of each reading [s]
-    ('position_jump', F), ('frozen_samples', I), ('frozen_joint_samples', I),
-    ('recovery_samples', I)])  # `recovery_time`
-
-# All of these that are one; fewer arguments make a call shorter.
-WATCH = np.dtype([
-    ('arrival', ARRIVAL), ('wrench', WRENCH_READING), ('verdict', VERDICT),
-    ('memory', READING_MEMORY), ('settings', READING_SETTINGS)], align=True)
+INPUT_STAGE = np.dtype([
+    ('settings', INPUT_SETTINGS), ('state', INPUT_STATE), ('verdict', INPUT_VERDICT)], align=True)

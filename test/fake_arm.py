@@ -17,7 +17,7 @@ from sensor_msgs.msg import JointState
 PERIOD = 2_000_000
 UNFELT = f'collision.threshold:={[1e9] * 6}'  # its torques mean nothing
 # An arm that is late because a test is, and whose readings have no noise.
-PARAMETERS = ('patience:=0.0', 'watchdog.frozen_samples:=0', 'sensor.frozen_ticks:=0',
+PARAMETERS = ('patience:=0.0', 'sensor.frozen_ticks:=0',
               UNFELT)
 EFFORT = np.array([1.0, 29.0, 7.0, 0.5, 0.5, 0.1])  # not quite what gravity wants
 DEPTH = QoSProfile(depth=1000)

@@ -92,7 +92,8 @@ class SensorFrontEndConfig(Config):
     torque_noise_std: Real = parameter(
         0.004, 'The same of a torque axis.', unit='N m', gt=0.0)
     frozen_ticks: int = parameter(
-        0, 'Identical readings in a row that mean a frozen sensor; 0 to not look for one.', ge=0)
+        3, 'Identical readings in a row that mean a frozen sensor; 0 for a sensor that repeats '
+        'itself: its steps are above its noise, or it is slower than the controller.', ge=0)
     require_push_test: bool = parameter(
         True, 'Whether force control stays disabled until a push test has proved sign, frame '
         'and scale of the sensor; false where there is nobody to push, as in a simulation.')

@@ -11,7 +11,6 @@ from multicontact_control.config.base import (
     parameter,
     Real,
     Vector,
-    WRENCH_SIZE,
 )
 from multicontact_control.errors import ConfigError
 
@@ -153,43 +152,15 @@ class WatchdogConfig(Config):
         'float', 'Reaction to a joint state that is missing, stale or invalid.')
     on_wrench_fault: Reaction = parameter(
         'hold', 'Reaction to a wrench that is missing, stale or invalid.')
-    on_clock_fault: Reaction = parameter(
-        'hold', 'Reaction to time that runs backwards or at a wrong rate.')
-    on_motion_fault: Reaction = parameter(
-        'hold', 'Reaction to a speed beyond its limit.')
-    on_law_fault: Reaction = parameter(
-        'hold', 'Reaction to a control law that raises or gives no finite torque.')
     rate_band: Real = parameter(
         2.5, 'Twice in a row a period beyond 1 / rate_band to rate_band times the right one is '
         'a fault.', gt=1.0, le=100.0)
-    frozen_samples: int = parameter(
-        2, 'Repetitions, bit by bit, that make a wrench frozen; 0 for a sensor without noise.',
-        ge=0, le=1000)
-    frozen_joint_samples: int = parameter(
-        0, 'The same of a joint state while a joint moves; 0 not to look: an encoder whose step '
-        'is not far below what a joint moves in a period repeats itself.', ge=0, le=1000)
-    wrench_full_scale: Vector = parameter(
-        (), 'Reading of each axis at which the sensor saturates; empty if unknown.',
-        unit='N, N m')
-    pull_threshold: Real = parameter(
-        4.0, 'Measured pull of a surface beyond which the wrench is refused.', unit='N', gt=0.0)
+    frozen_joint_ticks: int = parameter(
+        0, 'Identical joint states in a row, while a joint moves, that mean frozen joints; 0 for '
+        'an encoder that repeats itself: its step is not far below what a joint moves in a '
+        'period.', ge=0, le=1000)
     friction_bound: Real = parameter(
         0.8, 'Largest accepted ratio of sideways to normal forces, beyond 5 N.', gt=0.0, le=10.0)
-    position_jump: Real = parameter(
-        0.01, 'Largest accepted difference between a joint angle and the one its speeds lead '
-        'to.', unit='rad', gt=0.0)
-    hold_frequency: Real = parameter(
-        10.0, 'Natural frequency of the joints while the posture is held.', unit='rad/s',
-        gt=0.0, le=100.0)
     recovery_time: Real = parameter(
         0.05, 'How long all inputs must be good before control resumes; after each relapse three '
         'times as long.', unit='s', ge=0.0, le=60.0)
-
-    @cross_check
-    def _check_lengths(self) -> Iterator[ConfigError]:
-        if len(self.wrench_full_scale) not in (0, WRENCH_SIZE):
-            yield ConfigError(
-                'watchdog.wrench_full_scale', '6 values', len(self.wrench_full_scale))
-        if min(self.wrench_full_scale, default=1.0) <= 0.0:
-            yield ConfigError(
-                'watchdog.wrench_full_scale', 'values above 0', min(self.wrench_full_scale))

@@ -15,6 +15,7 @@ from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import CommandError
 from multicontact_control.supervision.fallback import SafeBehaviour
 from multicontact_control.supervision.inputs import (
+    Inputs,
     JointInput,
     TickInputs,
     VarianceInput,
@@ -93,6 +94,8 @@ class BumplessController:
         The configuration in force.
     controller
         The control law.
+    inputs
+        What comes in.
     own_weight
         What the drives add to a command, None if nothing; it is in every torque here.
 
@@ -102,6 +105,7 @@ class BumplessController:
         self, config: ControllerConfig, robot: RobotModel, reference: ReferenceSource,
     ) -> None:
         self.controller = Controller(config, robot, reference)
+        self.inputs = Inputs(config, self.controller.measured)
         self._transition = TorqueTransition(config)
         self.own_weight = OwnWeight(config, robot) if config.robot.adds_gravity else None
         self._safe = SafeBehaviour(config.safe_behaviour, robot)
@@ -140,6 +144,7 @@ class BumplessController:
             self.own_weight.reset()
             self.controller.arm.joints['added'] = 0.0
         self.controller.reset()
+        self.inputs.reset()
         self._transition.reset()
         self._safe_running = False
 
@@ -198,9 +203,10 @@ class BumplessController:
             If a reading is missing, or the control law has no torque for this posture.
 
         """
-        joints, wrench, variance = require_complete(inputs)
+        joints, _, variance = require_complete(inputs)
         law = self.controller
-        law.see(joints.q, joints.qd, wrench.wrench)
+        self.inputs.validate(inputs)
+        law.see(joints.q, joints.qd, self.inputs.filtered)
         self._carry()
         output = law.answer(
             inputs.time, self._initial_variance if variance is None else variance.variance)
@@ -222,6 +228,7 @@ class BumplessController:
         then.
         """
         joints, _, _ = require_complete(inputs)
+        self.inputs.validate(inputs)
         if self.own_weight is not None:
             self.controller.arm.update(joints.q, joints.qd)
             self._carry()

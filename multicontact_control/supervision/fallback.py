@@ -15,7 +15,7 @@ NONE, INFLATE, HOLD, FLOAT, DAMP = 'none', 'inflate', 'hold', 'float', 'damp'
 SEVERITY = (NONE, INFLATE, HOLD, FLOAT, DAMP)
 COAST_TIME = 0.1  # s, in which an arm that cannot be seen any more is brought to rest
 DAMPING_RATE = 5.0  # 1/s, of `damp` and gravity compensation: joint damping over inertia
-HOLD_FREQUENCY = 10.0  # rad/s, of the critically damped joints after a deactivation
+HOLD_FREQUENCY = 10.0  # rad/s, of the critically damped joints that are held
 FADE_TIME = 0.5  # s, by which a contact's force fades while the wrench is not known
 DROP_TIME = 0.02  # s, in which the force on a surface that has gone is dropped
 DROPPED = 1e-3  # N m in every joint, below which that counts as done
@@ -34,14 +34,14 @@ class Reactions:
     Parameters
     ----------
     config
-        Frequencies, rates, thresholds.
+        Period, release threshold.
     controller
         The law whose place they take, for its arm and its contacts.
 
     """
 
     def __init__(self, config: ControllerConfig, controller: Controller) -> None:
-        self._config, self._period = config.watchdog, config.period
+        self._period = config.period
         self._robot, self._contacts = controller.robot, controller.contacts
         self._release_threshold = config.contact_state.release_threshold
         self._pressing = Pressing(config.period)
@@ -105,7 +105,7 @@ class Reactions:
             return floating
         if self._posture is None:
             self._posture = arm.q.copy()
-        w = self._config.hold_frequency
+        w = HOLD_FREQUENCY
         held: Vector = arm.bias_torque + arm.inertia * (
             w * w * (self._posture - arm.q) - 2.0 * w * arm.velocity) + pressing
         return held

@@ -14,13 +14,13 @@ from multicontact_control.compiled import compile_for, compiled
 from multicontact_control.control.controller import Controller
 from multicontact_control.control.law import control_law, limit_torque, OK
 from multicontact_control.records import Records
-from multicontact_control.supervision.gate import gate_torque, TORQUE, TorqueGate
-from multicontact_control.supervision.plausibility import (
+from multicontact_control.supervision.checks import (
     check_plausibility,
     NOT_FINITE,
     PULL,
     SIDEWAYS,
 )
+from multicontact_control.supervision.gate import gate_torque, TORQUE, TorqueGate
 from multicontact_control.supervision.reference_limits import limit_reference
 import numpy as np
 

@@ -22,7 +22,17 @@ from multicontact_control.errors import ConfigError
 from multicontact_control.force.force_law import continue_laws_at
 from multicontact_control.records import SUPERVISION
 from multicontact_control.supervision.bumpless import BumplessController
-from multicontact_control.supervision.collision import COLLISION, CollisionWatch
+from multicontact_control.supervision.checks import (
+    CollisionWatch,
+    limit_speeds,
+    NOT_FINITE,
+    OUTSIDE,
+    plausibility_limits,
+    PULL,
+    reactions_of,
+    SIDEWAYS,
+    TOO_FAST,
+)
 from multicontact_control.supervision.command_limits import outside_limits
 from multicontact_control.supervision.fallback import (
     DAMP,
@@ -34,16 +44,7 @@ from multicontact_control.supervision.fallback import (
     SEVERITY,
 )
 from multicontact_control.supervision.gate import ENFORCED, JOINT_STOP, TORQUE, TorqueGate
-from multicontact_control.supervision.inputs import TickInputs
-from multicontact_control.supervision.plausibility import (
-    limit_speeds,
-    NOT_FINITE,
-    OUTSIDE,
-    plausibility_limits,
-    PULL,
-    SIDEWAYS,
-    TOO_FAST,
-)
+from multicontact_control.supervision.inputs import Seen, TickInputs
 from multicontact_control.supervision.recovery import LATCHED, RECOVERING, Recovery
 from multicontact_control.supervision.reference import ContactReference
 from multicontact_control.supervision.status import (
@@ -56,12 +57,6 @@ from multicontact_control.supervision.supervised_law import (
     PASSED,
     REFERENCE,
     SupervisedLaw,
-)
-from multicontact_control.supervision.validation import (
-    as_vector,
-    finite_number,
-    ValidatedInputs,
-    Watchdog,
 )
 import numpy as np
 
@@ -114,7 +109,6 @@ class Supervisor(BumplessController):
         self._record: Any = np.zeros(1, dtype=SUPERVISION)
         self.reference = ContactReference(config, task, self._record['reference'])
         super().__init__(config, robot, self.reference)
-        self._watchdog = Watchdog(config, self.controller.measured)
         self._gate = TorqueGate(config, robot.joint_count)
         self._reactions = Reactions(config, self.controller)
         self._recovery = Recovery(config.watchdog, config.period)
@@ -162,7 +156,6 @@ class Supervisor(BumplessController):
         super().reset()
         self.outside: tuple[str, ...] = ()
         self._restart_law()
-        self._watchdog.reset()
         self.collisions.reset()
         self._gate.reset()
         self._reactions.end()
@@ -174,11 +167,10 @@ class Supervisor(BumplessController):
         self._status: SupervisorStatus | None = None
         self._last_law: object = None
         self._effort: Vector | None = None
-        self._time: float | None = None
 
     def _restart_law(self) -> None:
         self.controller.reset()
-        self._task_ticks = self._good_ticks = self._contradictions = self._sensor_faults = 0
+        self._task_ticks = self._good_ticks = self._contradictions = 0
         self._paused = self._running = False
         self._waiting_reaction = HOLD
         self._recovery.reset()
@@ -235,7 +227,7 @@ class Supervisor(BumplessController):
         return self._survive(self._safe_step, inputs)
 
     def _survive(
-        self, answer: Callable[[ValidatedInputs], TickOutput], inputs: TickInputs,
+        self, answer: Callable[[Seen], TickOutput], inputs: TickInputs,
     ) -> TickOutput:
         try:
             valid = self._validate(inputs)
@@ -246,28 +238,18 @@ class Supervisor(BumplessController):
         except Exception as error:  # whatever it is, it must not stop the callback
             return self._last_resort(f'internal_{type(error).__name__}')
 
-    def _validate(self, inputs: TickInputs) -> ValidatedInputs:
-        """Return the valid inputs; take note of the time, and of the effort to start from."""
-        now, before = finite_number(inputs.time), self._time
-        skipped = 0.0 if now is None or before is None else now - before - self._period
+    def _validate(self, inputs: TickInputs) -> Seen:
+        """Return what is valid; take note of the time, and of the effort to start from."""
+        before = self.inputs.now
+        valid = self.inputs.validate(inputs)
+        skipped = self.inputs.now - before - self._period
         if self._running and not self._paused and 0.5 * self._period < skipped <= LONGEST_SKIP:
             self._task_ticks += round(skipped / self._period)
-        self._time = now
         if not self._transition.begun and inputs.joints is not None:
-            effort = as_vector(inputs.joints.effort, np.zeros(self._robot.joint_count))
-            self._effort = None if effort is None else effort.copy()
-        if not inputs.sensor_fault:
-            self._sensor_faults = 0
-            return self._watchdog.validate(inputs)
-        self._sensor_faults += 1
-        valid = self._watchdog.validate(inputs._replace(wrench=None))
-        fault = f'wrench_{inputs.sensor_fault}'
-        causes = tuple(cause for cause in valid.causes if cause != 'wrench_stale')
-        if self._sensor_faults >= CONTRADICTIONS:  # what is known to be wrong is no gap
-            causes += (fault,)
-        return valid._replace(rejected=(*valid.rejected, fault), causes=causes)
+            self._effort = self.inputs.effort.copy() if self.inputs.acted else None
+        return valid
 
-    def _safe_step(self, valid: ValidatedInputs) -> TickOutput:
+    def _safe_step(self, valid: Seen) -> TickOutput:
         arm = self._arm
         if not self._safe_running:
             self._restart_law()
@@ -296,7 +278,7 @@ class Supervisor(BumplessController):
             contacts[name] = 0
         return output._replace(torque=torque, contacts=contacts)
 
-    def _step(self, valid: ValidatedInputs) -> TickOutput:
+    def _step(self, valid: Seen) -> TickOutput:
         causes = valid.causes + self._too_fast + self._touched
         if not self._running:
             causes += self._start_refused()
@@ -322,14 +304,15 @@ class Supervisor(BumplessController):
             self.outside = outside_limits(self.config, arm.q, arm.pose.position_world)
         return ('start_outside',) if self.outside else ()
 
-    def _update_state(self, valid: ValidatedInputs) -> None:
+    def _update_state(self, valid: Seen) -> None:
         """Work out where the arm is."""
         arm, self._wrench_known, self._blind = (
             self.controller.arm, valid.measured, valid.blind)
-        self.collisions.take(
-            self._watchdog.acted, None if self.own_weight is None else self.own_weight.torque)
-        self.collisions.look(self._watchdog.joint_stamp, valid.measured)
-        if valid.q is not None and arm.refresh():
+        self.collisions.look(
+            self.inputs.joint_stamp, acted=self.inputs.acted, measured=valid.measured,
+            added=None if self.own_weight is None else self.own_weight.torque)
+        self.inputs.estimate_known = self.collisions.knows
+        if valid.joints and arm.refresh():
             self._arm = arm
             self._too_fast = TOO_FAST[arm.found & (OPERATIONAL_SPEED | JOINT_SPEED)]
             if arm.found & AMBIGUOUS:  # what the contacts bear is of some time before
@@ -347,20 +330,15 @@ class Supervisor(BumplessController):
         return change
 
     def _reaction_to(self, causes: tuple[str, ...]) -> str:
-        watch = self.config.watchdog
-        reactions = {
-            'joints': watch.on_joint_fault, 'wrench': watch.on_wrench_fault, 'variance': INFLATE,
-            'clock': watch.on_clock_fault, 'motion': watch.on_motion_fault,
-            'law': watch.on_law_fault, 'start': HOLD,
-            COLLISION: self.config.collision.reaction}
+        reactions = reactions_of(self.config)
         found = [reactions[cause.split('_')[0]] for cause in causes]
         return max(found, key=SEVERITY.index, default=NONE)
 
     def _control(
-        self, valid: ValidatedInputs, causes: tuple[str, ...], reaction: str,
+        self, valid: Seen, causes: tuple[str, ...], reaction: str,
     ) -> TickOutput:
         """Step the control law."""
-        if self._arm is None or valid.wrench is None:
+        if self._arm is None or not valid.wrench:
             return self._react(('joints_stale',), valid.rejected, DAMP)
         resumed = self._paused and self._running
         if self._paused and not self._running:
@@ -374,9 +352,9 @@ class Supervisor(BumplessController):
         except Exception as error:  # whatever it is, the arm needs an answer
             cause = f'law_{type(error).__name__}' if self.controller.arm.finite else (
                 'law_not_finite')
-            return self._refuse(cause, valid, self.config.watchdog.on_law_fault)
+            return self._refuse(cause, valid, HOLD)
         if found & NOT_FINITE:
-            return self._refuse('law_not_finite', valid, self.config.watchdog.on_law_fault)
+            return self._refuse('law_not_finite', valid, HOLD)
         cause = '' if self.expects_pushes else self._contradiction(found)
         if cause:
             return self._refuse(cause, valid, self.config.watchdog.on_wrench_fault)
@@ -426,7 +404,7 @@ class Supervisor(BumplessController):
         cause = 'wrench_pull' if found & PULL else 'wrench_sideways'
         return cause if self._contradictions >= CONTRADICTIONS or self._paused else ''
 
-    def _refuse(self, cause: str, valid: ValidatedInputs, reaction: str) -> TickOutput:
+    def _refuse(self, cause: str, valid: Seen, reaction: str) -> TickOutput:
         """Answer without the control law because of what it says."""
         if self._paused:
             self._recovery.relapsed((cause,))

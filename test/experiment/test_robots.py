@@ -66,7 +66,7 @@ def test_a_robot_of_another_rate_presses_without_any_reaction(rate, force):
     """Ages, gaps and bounces are counted in periods: a single sample says nothing of a surface."""
     loop = ClosedLoop(resolve('quick', plant='rigid', noise_estimator={'rate': rate}, controller={
         'rate': rate, 'force': force,
-        'watchdog': {'frozen_joint_samples': 0}}), commanded=True)
+        'watchdog': {'frozen_joint_ticks': 0}}), commanded=True)
     forces = []
     free = loop.sample.wrench
     loop.advance()
@@ -85,7 +85,7 @@ def test_a_robot_of_another_rate_presses_without_any_reaction(rate, force):
 
 
 @pytest.mark.parametrize(('samples', 'trips'), [
-    (WatchdogConfig().frozen_joint_samples, False), (2, True)])
+    (WatchdogConfig().frozen_joint_ticks, False), (3, True)])
 def test_encoder_with_steps_is_not_taken_for_a_frozen_one(samples, trips):
     """A joint that moves by less than a step in a period repeats itself."""
     step = 2.0 * np.pi / 2 ** 16
@@ -96,7 +96,7 @@ def test_encoder_with_steps_is_not_taken_for_a_frozen_one(samples, trips):
             q=step * np.round(joints.q / step), qd=1e-3 * np.round(1e3 * joints.qd)))
 
     loop = ClosedLoop(resolve('quick', plant='rigid', controller={
-        'watchdog': {'frozen_joint_samples': samples}}))
+        'watchdog': {'frozen_joint_ticks': samples}}))
     for _ in range(700):
         loop.advance(rounded)
     loop.close()

@@ -32,8 +32,7 @@ def test_outside_its_limits_an_arm_is_held_where_it_is(changes, place):
 def test_control_starts_once_the_arm_is_inside():
     """Told another posture, as if it had been moved there by hand."""
     loop = ClosedLoop(resolve('quick', plant='rigid', controller={
-        **STOP, 'sensor': {'frozen_ticks': 0},
-        'watchdog': {'frozen_samples': 0, 'frozen_joint_samples': 0}}))
+        **STOP, 'sensor': {'frozen_ticks': 0}, 'watchdog': {'frozen_joint_ticks': 0}}))
     third = np.eye(6)[2]
     for k in range(400):
         joints = loop.inputs().joints._replace(

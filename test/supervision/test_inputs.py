@@ -1,0 +1,270 @@
+"""What the input stage refuses and why, how long it bridges, its low-pass and its readings."""
+
+from arms import controller_config, HOME
+from multicontact_control.config import SensorFrontEndConfig
+from multicontact_control.control.controller import Controller, Measurement
+from multicontact_control.control.reference import CommandedReference
+from multicontact_control.errors import ConfigError
+from multicontact_control.paths import config_dir
+from multicontact_control.supervision.inputs import (
+    Inputs,
+    JointInput,
+    TickInputs,
+    VarianceInput,
+    WrenchInput,
+)
+import numpy as np
+import pytest
+from scipy.signal import butter, group_delay, lfilter
+
+CONFIG = controller_config()
+H = CONFIG.period
+CONTACTS = len(CONFIG.contact_names)
+RATE = CONFIG.rate
+FULL_SCALE = (100.0, 100.0, 200.0, 5.0, 5.0, 5.0)
+SOURCES = ('joints', 'wrench', 'variance')
+
+
+def good(k, random):
+    """Return the inputs of an arm that moves slowly, with the sensors' noise."""
+    q = HOME + 1e-3 * np.sin(k * H) + 1e-9 * random.normal(size=6)
+    return TickInputs(
+        k * H, JointInput(k * H, q, 1e-3 * np.cos(k * H) + 1e-6 * random.normal(size=6)),
+        WrenchInput(k * H, random.normal(size=6)),
+        VarianceInput((k - 1) * H, 0.2 + random.random(CONTACTS)))
+
+
+def changed(inputs, source, **values):
+    return inputs._replace(**{source: getattr(inputs, source)._replace(**values)})
+
+
+def put(number):
+    """Return a change that puts a number in the first place of a reading."""
+    def change(inputs, source):
+        values = getattr(inputs, source)[1].copy()
+        values[0] = number
+        return changed(inputs, source, **{
+            {'joints': 'q', 'wrench': 'wrench', 'variance': 'variance'}[source]: values})
+    return change
+
+
+def warm(ticks=20):
+    stage, random = Inputs(CONFIG), np.random.default_rng(0)
+    for k in range(ticks):
+        seen = stage.validate(good(k, random))
+        assert (seen.causes, seen.rejected) == ((), ())
+    return stage, random
+
+
+FAULTS = [
+    ('joints', put(np.nan), 'joints_invalid'), ('joints', put(2e3), 'joints_implausible'),
+    ('joints', put(HOME[0] + 0.02), 'joints_jump'), ('joints', put(HOME[0] - 0.02), 'joints_jump'),
+    ('wrench', put(np.nan), 'wrench_invalid'), ('wrench', put(-np.inf), 'wrench_saturated'),
+    ('wrench', put(2e6), 'wrench_saturated'), ('wrench', put(100.0), 'wrench_saturated'),
+    ('variance', put(np.nan), 'variance_invalid'), ('variance', put(-1.0), 'variance_invalid'),
+    ('joints', lambda x, s: changed(x, s, q=[0.0] * 5), 'joints_invalid'),
+    ('joints', lambda x, s: changed(x, s, qd='fast'), 'joints_invalid'),
+    *((source, lambda x, s: changed(x, s, stamp=x.time + H), f'{source}_stamp')
+      for source in SOURCES),
+    *((source, lambda x, s: changed(x, s, stamp=None), f'{source}_stamp') for source in SOURCES),
+    *((source, lambda x, s: changed(x, s, stamp=x.time - 5 * H), f'{source}_order')
+      for source in SOURCES)]
+
+
+@pytest.mark.parametrize(('source', 'change', 'name'), FAULTS)
+def test_fault_of_a_reading_is_named_and_its_numbers_are_not_used(source, change, name):
+    stage, random = warm()
+    stage.validate(good(20, random))
+    place = {'joints': stage.q, 'wrench': stage.wrench, 'variance': stage.variance}[source]
+    before = place.copy()
+    inputs = good(21, random)
+    seen = stage.validate(change(inputs, source))
+    assert seen.rejected == (name,)
+    np.testing.assert_array_equal(place, before)
+    assert seen.measured == (source != 'wrench')
+    if source != 'joints':
+        np.testing.assert_array_equal(stage.q, inputs.joints.q)
+
+
+@pytest.mark.parametrize(('source', 'bridged'), [('joints', 1), ('wrench', 12), ('variance', 3)])
+def test_missing_reading_is_bridged_for_its_largest_age_and_then_a_cause(source, bridged):
+    """R is a period old when all is well."""
+    stage, random = warm()
+    causes = [stage.validate(good(k, random)._replace(**{source: None})).causes
+              for k in range(20, 40)]
+    assert causes == [()] * bridged + [(f'{source}_stale',)] * (20 - bridged)
+    assert stage.validate(good(40, random)).causes == ()
+
+
+def test_variance_keeps_to_its_limits_and_grows_while_it_is_not_renewed():
+    stage, random = warm()
+    for k, (given_r, used) in enumerate(
+            ((1e-3, 0.1), (7.0, 7.0), (1e5, 1e3), (7.0, 7.0)), 20):
+        inputs = changed(good(k, random), 'variance', variance=np.full(CONTACTS, given_r))
+        stage.validate(inputs)
+        np.testing.assert_array_equal(stage.variance, used)
+    found = []
+    for k in range(24, 103):
+        stage.validate(good(k, random)._replace(variance=None))
+        found.append(stage.variance[0])
+    np.testing.assert_allclose(found[:3], 7.0)
+    np.testing.assert_allclose(found[3:], np.minimum(7.0 * 1.1 ** np.arange(1, 77), 1e3))
+
+
+def test_third_identical_reading_is_frozen_and_a_wrench_is_bridged_for_one():
+    stage, random = warm()
+    inputs, found = good(20, random), []
+    for k in range(20, 25):
+        inputs = changed(changed(inputs._replace(time=k * H), 'wrench', stamp=k * H),
+                         'joints', stamp=k * H)
+        found.append(stage.validate(inputs._replace(variance=good(k, random).variance)))
+    assert [seen.rejected for seen in found] == [()] * 2 + [
+        ('joints_frozen', 'wrench_frozen')] * 3
+    assert [seen.causes for seen in found] == [()] * 2 + [('joints_frozen',)] + [
+        ('joints_frozen', 'wrench_frozen')] * 2
+    assert stage.sensor_fault == 'frozen'
+
+
+def test_joints_are_refused_for_the_recovery_time_after_a_jump():
+    stage, random = warm()
+    away = np.array([0.0, 0.02, 0.0, 0.0, 0.0, 0.0])
+    rejected = []
+    for k in range(20, 60):
+        inputs = good(k, random)
+        rejected.append(stage.validate(
+            changed(inputs, 'joints', q=inputs.joints.q + away)).rejected)
+    refused = 1 + round(CONFIG.watchdog.recovery_time / H)
+    assert rejected == [('joints_jump',)] * refused + [()] * (40 - refused)
+
+
+@pytest.mark.parametrize(('times', 'causes'), [
+    ((20, 19), ('clock_backwards',)), ((20, np.nan), ('clock_invalid',)),
+    ((20, 23), ()), ((20, 23, 26), ('clock_rate',)), ((20, 20.3, 20.6), ('clock_rate',))])
+def test_fault_of_the_clock_is_named(times, causes):
+    """An odd period is one only twice in a row; joints and wrenches come in time."""
+    stage, random = warm()
+    for tick in times:
+        inputs = good(tick if np.isfinite(tick) else 21, random)
+        seen = stage.validate(inputs._replace(time=tick * H))
+    assert tuple(cause for cause in seen.causes if cause.startswith('clock')) == causes
+
+
+def test_tick_that_comes_again_is_repeated_once_and_then_a_frozen_clock():
+    stage, random = warm()
+    inputs = good(20, random)
+    found = [stage.validate(inputs) for _ in range(3)]
+    assert [seen.repeated for seen in found] == [False, True, False]
+    assert found[2].causes == ('clock_frozen',)
+
+
+def sensed(wrenches, **sensor):
+    """Return a stage that has got these wrenches, and for each what is passed on and rejected."""
+    config = CONFIG.model_copy(update={'sensor': SensorFrontEndConfig(**sensor)})
+    stage, passed, rejected = Inputs(config), [], []
+    for k, wrench in enumerate(wrenches):
+        seen = stage.validate(TickInputs(k * H, wrench=WrenchInput(k * H, wrench)))
+        passed.append(stage.filtered.copy())
+        rejected.append(tuple(x for x in seen.rejected if x.startswith('wrench')))
+    return stage, np.array(passed), rejected
+
+
+@pytest.mark.parametrize('order', [1, 2])
+def test_low_pass_is_scipys_butterworth(order):
+    signal = np.random.default_rng(0).standard_normal((200, 6))
+    signal[0] = 0.0
+    b, a = butter(order, 40.0, fs=RATE)
+    passed = sensed(signal, filter_order=order, filter_cutoff=40.0)[1]
+    np.testing.assert_allclose(passed, lfilter(b, a, signal, axis=0), atol=1e-12)
+
+
+@pytest.mark.parametrize('order', [1, 2])
+def test_low_pass_starts_settled_and_survives_a_missing_number(order):
+    wrench = np.arange(1.0, 7.0)
+    signal = np.tile(wrench, (30, 1))
+    signal[20] = np.nan
+    stage, passed, _ = sensed(
+        signal, filter_order=order, filter_cutoff=40.0, frozen_ticks=0)
+    assert np.isnan(passed[20]).all()
+    np.testing.assert_allclose(np.delete(passed, 20, axis=0), np.tile(wrench, (29, 1)), rtol=1e-12)
+    np.testing.assert_allclose(stage.wrench, wrench, rtol=1e-12)
+    stage.validate(TickInputs(1.0, wrench=WrenchInput(1.0, -wrench)))  # after a gap: settled anew
+    np.testing.assert_allclose(stage.wrench, -wrench, rtol=1e-12)
+
+
+@pytest.mark.parametrize('order', [1, 2])
+@pytest.mark.parametrize('cutoff', [15.0, 62.5, 125.0, 240.0])
+def test_filter_delay_is_the_group_delay_at_rest_and_that_of_a_ramp(order, cutoff):
+    sensor = {'filter_order': order, 'filter_cutoff': cutoff}
+    delay = SensorFrontEndConfig(**sensor).filter_delay(RATE)
+    # scipy cannot divide where a zero of the filter lies; 0 Hz is far from it.
+    _, samples = group_delay(butter(order, cutoff, fs=RATE), w=[1e-3], fs=RATE)
+    assert delay == pytest.approx(samples[0] / RATE, rel=1e-4)
+    passed = sensed(np.tile(np.arange(1000)[:, None] / RATE, 6), **sensor)[1]
+    assert 999 / RATE - passed[-1, 0] == pytest.approx(delay, rel=1e-9)
+
+
+def test_delay_of_the_low_pass_is_in_the_controllers_model():
+    """T_d of 6 ms and 3 periods of low-pass: as many delay states as 12 ms."""
+    sensor = {'filter_order': 1, 'filter_cutoff': RATE / np.pi * np.arctan(1 / 6)}
+    config = controller_config(sensor=sensor)
+    assert config.loop_delay == pytest.approx(0.006 + 3 / RATE)
+    observers = []
+    for changes in ({'sensor': sensor}, {'force': {'input_delay': 0.012}}):
+        controller = Controller.from_config(
+            controller_config(**changes), CommandedReference(('table', 'board')), config_dir())
+        home = np.array([1.847, 0.871, 2.937, 0.0, -0.666, 1.847])
+        controller.step(Measurement(0.0, home, np.zeros(6), np.zeros(6)), np.full(2, 0.6))
+        observers.append(controller.observers)
+    assert observers[0]['states'].tolist() == [2 + 6 + 1] * 2
+    np.testing.assert_allclose(observers[0]['feedback'], observers[1]['feedback'], rtol=1e-6)
+
+
+@pytest.mark.parametrize(('sensor', 'message'), [
+    ({'filter_order': 2, 'filter_cutoff': 5.0},
+     r'force.input_delay and the delay of sensor.filter_cutoff: expected at most 10 periods '
+     r'\(0.02 s\), found 0.006 s \+ 0.045 s'),
+    ({'filter_order': 1, 'filter_cutoff': 250.0},
+     'sensor.filter_cutoff: expected below the Nyquist frequency 250 Hz, found 250 Hz')])
+def test_low_pass_that_does_not_fit_the_loop_is_refused(sensor, message):
+    with pytest.raises(ConfigError, match=message):
+        controller_config(sensor=sensor)
+    assert controller_config(sensor={**sensor, 'filter_order': 0}).loop_delay == 0.006
+
+
+def test_checks_are_of_the_raw_wrench_and_the_filtered_one_is_handed_over():
+    signal = np.zeros((4, 6))
+    signal[1:] = 10.0
+    signal[2] = 10.1
+    stage, passed, rejected = sensed(
+        signal, filter_order=1, filter_cutoff=10.0, full_scale=(10.0,) * 6)
+    assert rejected == [()] + [('wrench_saturated',)] * 3
+    assert stage.sensor_fault == 'saturated' and (passed[1] < 5.0).all()
+    np.testing.assert_array_equal(stage.wrench, 0.0)
+    np.testing.assert_array_equal(stage.kept[0], signal)
+
+
+@pytest.mark.parametrize('axis', range(6))
+@pytest.mark.parametrize('sign', [-1.0, 1.0])
+def test_saturated_axis_is_found_where_the_full_scale_is_known(axis, sign):
+    wrench = sign * np.array(FULL_SCALE) * (np.arange(6) == axis)
+    assert sensed([wrench, 0.98 * wrench], full_scale=FULL_SCALE)[2] == [
+        ('wrench_saturated',), ()]
+    assert sensed([1e3 * wrench])[2] == [()]
+
+
+def test_frozen_sensor_is_found_in_time_and_its_recovery():
+    almost = np.ones(6) + 1e-9 * (np.arange(6) == 5)
+    signal = [np.ones(6)] * 8 + [almost] * 5
+    frozen = ('wrench_frozen',)
+    assert sensed(signal, frozen_ticks=5)[2] == [()] * 4 + [frozen] * 4 + [()] * 4 + [frozen]
+    assert sensed(signal, frozen_ticks=0)[2] == [()] * 13
+
+
+def test_wrenches_and_postures_are_kept_until_a_gap():
+    stage, random = warm(120)
+    wrenches, postures = stage.kept
+    assert (wrenches.shape, postures.shape) == ((100, 6), (100, 6))
+    np.testing.assert_array_equal(wrenches[-1], stage.raw)
+    np.testing.assert_array_equal(postures[-1], stage.q)
+    stage.validate(good(200, random))
+    assert len(stage.kept[0]) == 1
