@@ -5,7 +5,7 @@ from __future__ import annotations
 from multicontact_control.config import NoiseEstimatorConfig
 from multicontact_control.force import observer as aob
 from multicontact_control.force.noise import Innovation, make_noise_estimator
-from multicontact_control.force.plant_model import delayed_plant, place_poles
+from multicontact_control.force.plant import delayed_plant, place_poles
 import numpy as np
 
 H = 0.002
@@ -45,7 +45,9 @@ class ActiveObserver:
         return self.records['P'][0, :self.n, :self.n]
 
     def reset(self, force=0.0):
-        aob.start(self.records[0], force)
+        self.records['x_est'], self.records['P'] = 0.0, 0.0
+        self.records['x_est'][0, 0] = force
+        self.P[:] = self.design.P_0 * np.eye(self.n)
         self.records['running'], self.records['command'] = False, 0.0
         self.innovation = self.prior_variance = self.variance_used = 0.0
 

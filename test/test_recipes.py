@@ -6,7 +6,7 @@ from multicontact_control.config import NoiseEstimatorConfig
 from multicontact_control.experiment.closed_loop import run_in_process
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.force.noise import ESTIMATORS
-from multicontact_control.force.noise.estimator import VARIANCE_FLOOR
+from multicontact_control.force.noise.base import VARIANCE_FLOOR
 from multicontact_control.force.noise.innovation import InnovationEstimator
 import numpy as np
 from runs import run_of

@@ -41,7 +41,7 @@ def design(
         if not rate > 0.0:
             raise ConfigError('rate', 'a positive number', rate)
         from multicontact_control.experiment.law_report import show_design, write_design
-        from multicontact_control.force.laws.design import design_for_range
+        from multicontact_control.force.margins import design_for_range
 
         found = design_for_range(
             law, input_delay=input_delay, softest=softest, stiffest=stiffest,

@@ -25,12 +25,13 @@ from multicontact_control.experiment.external import read_controller_files
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.results import CONFIG_FOLDER, load_run
 from multicontact_control.force.stiffness import (
+    adopt_band,
+    CORRELATION,
     find_stiffness,
     friction_of_others,
     SLOW_BAND,
     STEP,
 )
-from multicontact_control.force.stiffness_fit import adopt_band, CORRELATION
 from multicontact_control.records import STIFFNESS
 import numpy as np
 

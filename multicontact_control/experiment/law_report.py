@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from multicontact_control.files import write_text
-from multicontact_control.force.laws.design import DesignedLaw
+from multicontact_control.force.margins import DesignedLaw
 import yaml
 
 NODES = {'controller': '/**/controller_node', 'noise_estimator': '/**/noise_estimator_node'}

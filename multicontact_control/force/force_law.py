@@ -15,31 +15,31 @@ from multicontact_control.config import ControllerConfig, FedForward, ForceConfi
 from multicontact_control.config.contact import FORCE
 from multicontact_control.errors import ConfigError
 from multicontact_control.force.laws import design_aob, LAWS, LinearLaw, LoopModel, steady_law
-from multicontact_control.force.linear_law import start_linear, step_linear
-from multicontact_control.force.linear_loop import (
+from multicontact_control.force.margins import (
     closed_loop,
     last_stable,
     LinearArmPlant,
     spectral_radius,
-    steady_gain,
 )
 from multicontact_control.force.observer import (
+    command,
     continue_at,
     continue_from,
     keep_at_rest,
     make_observers,
-    observe_and_command,
+    observe,
     ObserverDesign,
     same_states,
+    steady_gain,
 )
-from multicontact_control.force.plant_model import delayed_plant
 from multicontact_control.force.stiffness import (
     adopt_stiffness,
+    followed_force,
     friction_of_others,
+    INPUT_LIMIT,
     keep_stiffness,
     learn_stiffness,
     model_stiffnesses,
-    observe_and_follow,
     share_stiffness,
 )
 from multicontact_control.records import FORCE_LAW, Records
@@ -49,18 +49,15 @@ ESTIMATE, DESIRED, MIXED, MEASURED = range(4)  # as in `FedForward`
 RATIOS = tuple(np.geomspace(1.0, 100.0, 9).tolist())  # where the loop's limit is looked for
 
 
-def loop_model(force: ForceConfig, delay: float, period: float, stiffness: float) -> LoopModel:
-    """Return what a force law is designed for: T_d and h [s], stiffness of the contact [N/m]."""
-    rate = force.damping_rate
-    return LoopModel(
-        delayed_plant(stiffness, rate, delay, period), stiffness, rate, delay, period)
+def loop_model(config: ControllerConfig, stiffness: float) -> LoopModel:
+    """Return what the force law of a contact of a stiffness [N/m] is designed for."""
+    return LoopModel(stiffness, config.force.damping_rate, config.loop_delay, config.period)
 
 
-def design_law(
-    config: ControllerConfig, contact: str, stiffness: float,
-) -> ObserverDesign | LinearLaw:
+@lru_cache(maxsize=64)  # a live change is checked first, and then made; most contacts are alike
+def design_law(name: str, force: ForceConfig, model: LoopModel) -> ObserverDesign | LinearLaw:
     """
-    Return the force law of a contact, for a stiffness [N/m]; its arrays are not to be changed.
+    Return a force law of the registry; its arrays are not to be changed.
 
     Raises
     ------
@@ -68,16 +65,8 @@ def design_law(
         If there is none, or none of finite numbers.
 
     """
-    return _design_law(
-        config.law_of(contact), config.force, config.loop_delay, config.period, stiffness)
-
-
-@lru_cache(maxsize=64)  # a live change is checked first, and then made; most contacts are alike
-def _design_law(
-    name: str, force: ForceConfig, delay: float, period: float, stiffness: float,
-) -> ObserverDesign | LinearLaw:
     with _designing(name):
-        design = LAWS[name](loop_model(force, delay, period, stiffness), force)
+        design = LAWS[name](model, force)
         for field in fields(design):
             value = getattr(design, field.name)
             if isinstance(value, np.ndarray) and not np.isfinite(value).all():
@@ -110,22 +99,24 @@ def make_force_laws(config: ControllerConfig, stiffnesses: Vector) -> Records:
     """
     laws: Any = np.zeros(len(stiffnesses), dtype=FORCE_LAW)
     names, force = list(LAWS), config.force
-    limits = [largest_ratio(config, k) for k in model_stiffnesses(force.adaptive).tolist()] if (
-        force.stiffness == 'adaptive') else []
+    adaptive = force.stiffness == 'adaptive'
+    limits = [
+        largest_ratio(force, loop_model(config, k), config.initial_noise_variance)
+        for k in model_stiffnesses(force.adaptive).tolist()] if adaptive else []
     for law, column, stiffness in zip(laws, config.columns, stiffnesses.tolist()):
-        contact = column.contact
-        if force.stiffness == 'adaptive':
+        name = config.law_of(column.contact)
+        if adaptive:
             stiffness = force.adaptive.highest
-        design = design_law(config, contact, stiffness)
-        law['kind'] = names.index(config.law_of(contact))
-        law['fed'], law['K_2'] = get_args(FedForward).index(force.fed_forward), force.damping_rate
+        design = design_law(name, force, loop_model(config, stiffness))
+        law['kind'], law['K_2'] = names.index(name), force.damping_rate
+        law['fed'] = get_args(FedForward).index(force.fed_forward)
         law['stiffness']['k'] = stiffness
         if isinstance(design, LinearLaw):
             law['is_linear'], law['linear'] = True, design.record()[0]
             continue
         law['observer'] = make_observers([design])[0]
-        if force.stiffness == 'adaptive':
-            law['observer']['Phi_c'] = law['observer']['Phi_n']  # see `observe_and_follow`
+        if adaptive:
+            law['observer']['Phi_c'] = law['observer']['Phi_n']  # see `answer_forces`
             adopt_stiffness(
                 law['stiffness'], design.loop.plant, stiffness, force, period=config.period,
                 tool_mass=config.tool.mass, ratio_limits=limits)
@@ -135,60 +126,47 @@ def make_force_laws(config: ControllerConfig, stiffnesses: Vector) -> Records:
     return laws
 
 
-def largest_ratio(config: ControllerConfig, stiffness: float) -> float:
-    """Return how many times as stiff as its model [N/m] a surface may be, at the R to start."""
-    return _largest_ratio(config.force, config.loop_delay, config.period,
-                          config.initial_noise_variance, stiffness)
-
-
 @lru_cache(maxsize=64)  # the first sample and a live change are not to wait for it once more
-def _largest_ratio(
-    force: ForceConfig, delay: float, period: float, noise_variance: float, stiffness: float,
-) -> float:
-    rate = force.damping_rate
+def largest_ratio(force: ForceConfig, model: LoopModel, noise_variance: float) -> float:
+    """Return how many times as stiff as its model a surface may be, with a constant R [N^2]."""
     none = np.zeros((1, 1))
     with _designing('aob'):
-        design = design_aob(loop_model(force, delay, period, stiffness), force)
+        design = design_aob(model, force)
         law = steady_law(design, steady_gain(design, noise_variance))
 
         def stable(ratio: float) -> bool:
-            plant = LinearArmPlant(none, np.array([ratio * stiffness]), np.zeros(1), none, delay)
-            return spectral_radius(closed_loop(plant, law, rate, period)) < 1.0
+            plant = LinearArmPlant(none, np.array([ratio * model.stiffness]), np.zeros(1), none,
+                                   model.input_delay)
+            return spectral_radius(
+                closed_loop(plant, law, model.damping_rate, model.period)) < 1.0
 
         return min(last_stable(stable, RATIOS, 1e-2)[0], RATIOS[-1])
 
 
 def continue_laws(laws: Records, others: Records) -> None:
     """
-    Take over what force laws of another design know of the same contacts.
+    Take over the states of others, records of `FORCE_LAW`, shape (r,).
 
-    A law of the same kind and size goes on from where it is; another one from the estimated force
+    A law of the same kind and size goes on from where it is, another one from the estimated force
     and the disturbance that is compensated.
-
-    Parameters
-    ----------
-    laws, others
-        Records of `FORCE_LAW`, shape (r,); the first are changed.
-
     """
     for i in range(len(laws)):
         law, other = laws[i:i + 1], others[i:i + 1]
-        same = law['kind'][0] == other['kind'][0]
+        same, taken = law['kind'][0] == other['kind'][0], known(other[0])
         if law['is_linear'][0]:
             new, old = law['linear'], other['linear']
             if same and new['states'][0] == old['states'][0]:
                 for name in ('x', 'extra', 'p_est', 'running'):
                     new[name] = old[name]
-            elif running(other[0]):
-                start_linear(new[0], *known(other[0]))
+            elif taken is not None:
+                start_linear(new[0], *taken)
         elif same:
             if law['stiffness']['adaptive'][0] and same_states(law['observer'], other['observer']):
                 keep_stiffness(law[0], other[0])  # before the state, which is of that model
             continue_from(law['observer'], other['observer'])
-        elif running(other[0]):
+        elif taken is not None:
             observer = law['observer'][0]
-            x, p = known(other[0])
-            observer['x_est'][0] = x
+            observer['x_est'][0], p = taken
             n, order = int(observer['states']), int(observer['order'])
             observer['x_est'][n - order:n] = p
             observer['P'][:n, :n] = observer['P_0'] * np.eye(n)
@@ -196,17 +174,15 @@ def continue_laws(laws: Records, others: Records) -> None:
             keep_at_rest(law['observer'])
 
 
-def running(law: Any) -> bool:
-    """Return whether a force law is at work."""
-    return bool(law['linear']['running'] if law['is_linear'] else law['observer']['running'])
-
-
-def known(law: Any) -> tuple[float, float]:
-    """Return the estimated force [N] and the disturbance that a law compensates [m/s^2]."""
+def known(law: Any) -> tuple[float, float] | None:
+    """Return the estimated force [N] and the compensated disturbance [m/s^2], None at rest."""
+    part = law['linear'] if law['is_linear'] else law['observer']
+    if not part['running']:
+        return None
     if law['is_linear']:
-        return float(law['linear']['alpha']), float(law['linear']['p_est'])
-    x, order = law['observer']['x_est'], int(law['observer']['order'])
-    return float(x[0]), float(x[int(law['observer']['states']) - order]) if order else 0.0
+        return float(part['alpha']), float(part['p_est'])
+    x, order = part['x_est'], int(part['order'])
+    return float(x[0]), float(x[int(part['states']) - order]) if order else 0.0
 
 
 def continue_laws_at(laws: Records, held: Mask, force: Vector) -> None:
@@ -219,6 +195,65 @@ def act_beyond(laws: Records, which: Mask, acceleration: Vector) -> None:
     """Add an acceleration along the normals [m/s^2] to what these laws, (r,), predict with."""
     laws['observer']['command'][which] += acceleration
     laws['linear']['extra'][which] += acceleration
+
+
+@compiled
+def start_linear(law: Any, force: float, disturbance: float) -> None:
+    """Begin with a felt force [N] and a disturbance that is known [m/s^2]."""
+    for i in range(law.states):
+        law.x[i] = law.start_force[i] * force + law.start_disturbance[i] * disturbance
+    law.extra = 0.0
+    law.alpha = force
+    law.p_est = disturbance
+    law.running = True
+
+
+@compiled
+def step_linear(law: Any, contact: Any, speed: float) -> float:
+    """
+    Take one sample into a linear force law.
+
+    Parameters
+    ----------
+    law
+        Record of `LINEAR_LAW`, changed.
+    contact
+        Record of `CONTACT`; its estimates are filled in. A force that was not measured is the
+        one before.
+    speed
+        Of the contact point INTO the surface [m/s].
+
+    Returns
+    -------
+    float
+        u, the acceleration along the contact normal without the damping K_2 [m/s^2].
+
+    """
+    if not law.running:
+        start_linear(law, contact.alpha_meas, 0.0)
+    n, A, B, C, D = law.states, law.A, law.B, law.C, law.D
+    x, x_next, E = law.x, law.x_next, law.E
+    alpha, desired, extra = contact.alpha_meas, contact.alpha_des, law.extra
+    for i in range(n):
+        x[i] += E[i] * extra
+    for i in range(n):
+        x_next[i] = B[i, 0] * alpha + B[i, 1] * desired + B[i, 2] * speed
+        for j in range(n):
+            x_next[i] += A[i, j] * x[j]
+    u = D[0, 0] * alpha + D[0, 1] * desired + D[0, 2] * speed
+    estimate = D[1, 0] * alpha + D[1, 1] * desired + D[1, 2] * speed
+    disturbance = D[2, 0] * alpha + D[2, 1] * desired + D[2, 2] * speed
+    for j in range(n):
+        u += C[0, j] * x[j]
+        estimate += C[1, j] * x[j]
+        disturbance += C[2, j] * x[j]
+    for i in range(n):
+        x[i] = x_next[i]
+    law.extra = 0.0
+    law.p_est = disturbance
+    law.alpha = estimate
+    contact.alpha_est = estimate
+    return u
 
 
 @compiled
@@ -297,12 +332,17 @@ def answer_forces(
             contact.alpha_fed = 0.0
             inputs[i] = 0.0
             continue
+        stiffness, observer = law.stiffness, law.observer
         if law.is_linear:
             inputs[i] = step_linear(law.linear, contact, speed)
-            contact.alpha_rate_est = law.stiffness.k * speed
-        elif law.stiffness.adaptive:
-            inputs[i] = observe_and_follow(
-                law.observer, law.stiffness, contact, control.measured, speed)
+            contact.alpha_rate_est = stiffness.k * speed
+        elif stiffness.adaptive:
+            # The prediction is that of the open loop, under the input that was asked for.
+            begins = not observer.running
+            observe(observer, contact, control.measured, stiffness.k * speed)
+            u = command(observer, followed_force(stiffness, contact, begins))
+            inputs[i] = observer.command = min(max(u, -INPUT_LIMIT), INPUT_LIMIT)
         else:
-            inputs[i] = observe_and_command(law.observer, contact, control.measured)
+            observe(observer, contact, control.measured, 0.0)
+            inputs[i] = command(observer, contact.alpha_des)
         contact.alpha_fed = force_to_feed(law, contact, mobility)

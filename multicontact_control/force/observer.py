@@ -1,9 +1,4 @@
-"""
-The active observer (AOB) of a contact: a Kalman filter with an input-disturbance state.
-
-Its design, prediction, correction and command (P04 eqs 34-41). One record of `OBSERVER` per
-contact holds what is designed and what is known.
-"""
+"""The active observer (AOB): a Kalman filter with an input-disturbance state (P04 eqs 34-41)."""
 
 from __future__ import annotations
 
@@ -12,21 +7,20 @@ from dataclasses import dataclass
 from math import comb
 from typing import Any
 
-from multicontact_control.algebra import copy_vector
 from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.compiled import compiled
-from multicontact_control.force.plant_model import ForceLoop
+from multicontact_control.force.plant import ForceLoop
 from multicontact_control.records import MAX_STATES, OBSERVER, Records
 import numpy as np
+from scipy.linalg import solve_discrete_are
 
 
 @dataclass(frozen=True, slots=True)
 class ObserverDesign:
     """
-    State-space form of an active observer.
+    An active observer of the state [x_r, p_k, p_{k-1}, ...].
 
-    The state is [x_r, p_k, p_{k-1}, ...]: that of the delayed plant and the active states, the
-    newest of which is the disturbance p that adds to the input.
+    x_r is the state of the delayed plant; p adds to its input.
 
     Attributes
     ----------
@@ -93,22 +87,25 @@ def design_observer(
         Q, float(initial_covariance))
 
 
+def steady_gain(observer: ObserverDesign, noise_variance: float) -> Vector:
+    """
+    Return the gain K, shape (n,), that an observer settles at with a constant R [N^2].
+
+    From the stabilising solution P_1 of the discrete Riccati equation of P04 eqs 39-40.
+    """
+    C = np.zeros((observer.Q.shape[0], 1))
+    C[0] = 1.0
+    P_1 = solve_discrete_are(
+        observer.Phi_n.T, C, np.diag(observer.Q), np.array([[noise_variance]]))
+    gain: Vector = P_1[:, 0] / (P_1[0, 0] + noise_variance)
+    return gain
+
+
 def active_state_matrix(order: int) -> Matrix:
     """
-    Return the transition of [p_{k-1}, ..., p_{k-n}] to [p_k, ..., p_{k-n+1}].
+    Return the transition of [p_{k-1}, ..., p_{k-n}] to [p_k, ..., p_{k-n+1}], shape (n, n).
 
-    p_k = sum_j (-1)^(j+1) binom(n, j) p_{k-j} + noise, a polynomial of degree n - 1.
-
-    Parameters
-    ----------
-    order
-        n; 1 gives the random walk of P04 eq. 34.
-
-    Returns
-    -------
-    Matrix
-        Shape (n, n).
-
+    p_k = sum_j (-1)^(j+1) binom(n, j) p_{k-j} + noise; `order` 1 is the random walk of P04 eq. 34.
     """
     matrix = np.zeros((order, order))
     for j in range(1, order + 1):
@@ -133,16 +130,9 @@ def make_observers(designs: Sequence[ObserverDesign]) -> Records:
 
 def continue_from(observers: Records, others: Records) -> None:
     """
-    Take over what observers of another design know of the same contacts.
+    Take over the states of others, of as many states, records of `OBSERVER`, shape (r,).
 
-    The input that acts is the one the others have commanded, so the first prediction is that
-    of the plant under the others' feedback. Nothing is taken over if the numbers of states differ.
-
-    Parameters
-    ----------
-    observers, others
-        Records of `OBSERVER`, shape (r,); the first are changed.
-
+    The first prediction is that of the plant under the input that the others have commanded.
     """
     if not same_states(observers, others):
         return
@@ -176,32 +166,12 @@ def keep_at_rest(observers: Records) -> None:
 
 
 @compiled
-def start(observer: Any, force: float) -> None:
-    """Begin with a measured force [N] at rest: nothing leads to the first sample."""
-    n = observer.states
-    x_est, P = observer.x_est, observer.P
-    for i in range(n):
-        x_est[i] = 0.0
-        for j in range(n):
-            P[i, j] = observer.P_0 if i == j else 0.0
-    x_est[0] = force
-    observer.running = True
-
-
-@compiled
 def predict(observer: Any) -> None:
     """
-    Predict state and covariance of the next sample.
+    Predict state and covariance of the next sample, in a record of `OBSERVER`.
 
     x_1 = Phi_c x + Gamma r with the closed loop (P04 eqs 37-38), P_1 = Phi_n P Phi_n^T + Q with
-    the open one (eqs 40-41); P becomes P_1. It stays symmetric because only its upper triangle
-    is computed and then mirrored.
-
-    Parameters
-    ----------
-    observer
-        Record of `OBSERVER`, changed.
-
+    the open one (eqs 40-41); P becomes P_1, its upper triangle mirrored.
     """
     n = observer.states
     Phi_c, Phi_n, P, half = observer.Phi_c, observer.Phi_n, observer.P, observer.Phi_n_P
@@ -234,11 +204,9 @@ def correct(observer: Any, innovation: float, noise_variance: float) -> None:
     Correct the prediction by the innovation.
 
     K = P_1 C^T / (C P_1 C^T + R) with C = e_1^T, x = x_1 + K (y - C x_1), P = P_1 - K C P_1
-    (P04 eqs 37, 39, 40). The first row of P is written as R / (C P_1 C^T + R) times that of P_1,
-    the same thing as P_1 - K C P_1 without the difference of two nearly equal numbers: the
-    variance of the measured state stays positive however far R drops. What remains is the Schur
-    complement of the other states, where rounding is small against the process noise. Where the
-    model of the surface damps, C = (1, c / k, 0, ...), and P is worked out as it stands.
+    (P04 eqs 37, 39, 40). The first row of P is R / (C P_1 C^T + R) times that of P_1, without the
+    difference of two nearly equal numbers: the variance of the measured state stays positive
+    however far R drops. Where the model of the surface damps, C = (1, c / k, 0, ...).
 
     Parameters
     ----------
@@ -280,16 +248,14 @@ def correct(observer: Any, innovation: float, noise_variance: float) -> None:
 @compiled
 def command(observer: Any, alpha_des: float) -> float:
     """
-    Return the input that leads to the desired force.
-
-    u_k = L_1 f_des - [L_r 1] [x_est; p_est] (P04 eq. 36).
+    Return u_k = L_1 f_des - [L_r 1] [x_est; p_est] (P04 eq. 36), and keep r = L_1 f_des.
 
     Parameters
     ----------
     observer
-        Record of `OBSERVER`; its command is set.
+        Record of `OBSERVER`.
     alpha_des
-        Desired force [N].
+        f_des [N].
 
     Returns
     -------
@@ -331,15 +297,15 @@ def rescale(observers: Records, factors: Vector) -> None:
 
 def continue_at(observers: Records, held: Mask, force: Vector) -> None:
     """
-    Go on after a pause in which no observer was asked.
+    Go on after a pause.
 
     Parameters
     ----------
     observers
         Records of `OBSERVER`, changed, shape (r,).
     held
-        Which contacts have been pressed all the while, shape (r,): they go on from the force now,
-        at rest, with the disturbance p that they knew. The others start anew.
+        Contacts that stayed pressed, shape (r,): these go on from the measured force, at rest,
+        with the disturbance p from before. The others start anew.
     force
         Measured forces, shape (r,) [N].
 
@@ -354,25 +320,12 @@ def continue_at(observers: Records, held: Mask, force: Vector) -> None:
 
 
 @compiled
-def observe(observer: Any, contact: Any, measured: bool) -> None:
-    """Predict, and correct by the force; if it was not measured, by none (R = inf)."""
-    predict(observer)
-    if not measured:
-        copy_vector(observer.x_1, observer.x_est)
-        return
-    tau, P = observer.damping_time, observer.P
-    contact.prior_variance = P[0, 0] + tau * (2.0 * P[0, 1] + tau * P[1, 1])
-    contact.innovation = contact.alpha_meas - (observer.x_1[0] + tau * observer.x_1[1])
-    contact.variance_used = contact.noise_variance
-    correct(observer, contact.innovation, contact.noise_variance)
-
-
-@compiled
-def observe_and_command(observer: Any, contact: Any, measured: bool) -> float:
+def observe(observer: Any, contact: Any, measured: bool, rate: float) -> None:
     """
-    Take the measured force of an active contact into its observer, and work out its input.
+    Take the measured force of an active contact into its observer.
 
-    An observer that has not run starts from the measured force; see `observe`.
+    An observer that has not run starts from that force. Without a measurement it only predicts
+    (R = inf).
 
     Parameters
     ----------
@@ -380,17 +333,29 @@ def observe_and_command(observer: Any, contact: Any, measured: bool) -> float:
         Records of `OBSERVER` and `CONTACT`, both changed.
     measured
         Whether the measured force is of this sample.
-
-    Returns
-    -------
-    float
-        u [m/s^2].
+    rate
+        x_2 to start with, as uncertain as it is large [N/s].
 
     """
-    if observer.running:
-        observe(observer, contact, measured)
+    n, tau, P = observer.states, observer.damping_time, observer.P
+    x_est, x_1 = observer.x_est, observer.x_1
+    if not observer.running:
+        for i in range(n):
+            x_est[i] = 0.0
+            for j in range(n):
+                P[i, j] = observer.P_0 if i == j else 0.0
+        x_est[0], x_est[1] = contact.alpha_meas, rate
+        P[1, 1] += rate * rate
+        observer.running = True
     else:
-        start(observer, contact.alpha_meas)
-    contact.alpha_est = observer.x_est[0]
-    contact.alpha_rate_est = observer.x_est[1]
-    return command(observer, contact.alpha_des)
+        predict(observer)
+        if measured:
+            contact.prior_variance = P[0, 0] + tau * (2.0 * P[0, 1] + tau * P[1, 1])
+            contact.innovation = contact.alpha_meas - (x_1[0] + tau * x_1[1])
+            contact.variance_used = contact.noise_variance
+            correct(observer, contact.innovation, contact.noise_variance)
+        else:
+            for i in range(n):
+                x_est[i] = x_1[i]
+    contact.alpha_est = x_est[0] + tau * x_est[1]
+    contact.alpha_rate_est = x_est[1]

@@ -1,9 +1,15 @@
 """
 The stiffness of a surface, estimated on-line, and the observer that follows it.
 
-`stiffness_fit` finds k and c. While sliding, such a fit in closed loop is biased low, so that only
-samples after a touch or a step of the command are accepted. A second, faster fit always listens;
-where it finds the surface 1.5 times as stiff or more, k is what it says.
+On the surface alpha = k z + c dz/dt; the wrist sensor reads with it the inertia m d^2z/dt^2 of the
+tool, and mu times the friction w of the other contacts, which this one's motion drags over their
+surfaces; z is the way of the contact point into the surface, from the encoders. All of these pass
+the same band-pass filter, and k, c and mu are fitted to what comes out by least squares with a
+memory that counts accepted samples.
+
+While sliding, such a fit in closed loop is biased low, so that only samples after a touch or a
+step of the command are accepted. A second, faster fit always listens; where it finds the surface
+1.5 times as stiff or more, k is what it says.
 
 The model of the observer follows, at a bounded rate: its x_1 = k z, x_2 = k dz/dt, its output
 alpha = x_1 + (c / k) x_2. Its poles stay where they are as long as the tool's inertia allows.
@@ -12,16 +18,15 @@ alpha = x_1 + (c / k) x_2. Its poles stay where they are as long as the tool's i
 from __future__ import annotations
 
 from collections.abc import Sequence
+import math
 from typing import Any
 
-from multicontact_control.algebra import dot, multiply
-from multicontact_control.arrays import Matrix, Vector
+from multicontact_control.algebra import cholesky, dot, multiply, solve_cholesky
+from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.config import AdaptiveStiffnessConfig, ForceConfig
 from multicontact_control.config.contact import FORCE
-from multicontact_control.force.observer import command, observe, start
-from multicontact_control.force.plant_model import DelayedPlant
-from multicontact_control.force.stiffness_fit import adopt_band, begin_fit, take_sample
+from multicontact_control.force.plant import DelayedPlant
 from multicontact_control.records import LIMITS
 import numpy as np
 
@@ -41,6 +46,144 @@ LARGEST_DAMPING = 60.0  # N s/m, of the model
 FALL_TIME, RISE_TIME = 0.02, 0.004  # s, shortest in which the model's k changes by a factor e
 INPUT_LIMIT = 40.0  # m/s^2, of |u|
 APPROACH_LIMIT = 0.25  # m/s into the surface, at which the desired force is followed at most
+SMALLEST_RESIDUAL = 0.03  # N; what is left is never taken for smaller
+CORRELATION = 8.0  # samples of a band-passed signal for one that is independent
+LEAST_WEIGHT = 5.0  # samples, for a fit
+SMALLEST_PIVOT = 1e-6  # what must be left of a scaled column that the others do not explain
+LARGEST_FRICTION = 1.0
+SMALLEST_SIGNAL = 0.15  # N, filtered, from which on a sample is accepted
+
+
+def adopt_band(fit: Any, band: tuple[float, float], period: float, memory: float) -> None:
+    """Set the band [Hz] and the memory [s] of a record of `STIFFNESS_FIT`; h in [s]."""
+    fit['high'], fit['low'] = (
+        -math.expm1(-2.0 * math.pi * frequency * period) for frequency in band)
+    fit['keep'] = math.exp(-period / memory)
+
+
+@compiled
+def begin_fit(fit: Any, alpha: float) -> None:
+    """Let the filters of a fit start at a touch, at a force [N]; its sums stay."""
+    for i in range(4):
+        for j in range(4):
+            fit.stages[i, j] = 0.0
+    fit.stages[3, 0] = alpha
+    fit.speed = 0.0
+
+
+@compiled
+def take_sample(
+    fit: Any, sample: Vector, period: float, mass: float, accepted: bool,
+) -> None:
+    """
+    Filter a sample, and if it is accepted and large enough, fit k, c and mu anew.
+
+    Parameters
+    ----------
+    fit
+        Record of `STIFFNESS_FIT`, changed.
+    sample
+        Way into the surface [m], its rate [m/s], the friction of the other contacts per mu [N]
+        and the measured force [N], shape (4,).
+    period, mass
+        h [s], and mass of the tool [kg].
+    accepted
+        Whether the sample may count.
+
+    """
+    filtered = np.empty(4)
+    for i in range(4):
+        stages = fit.stages[i]
+        stages[0] += fit.high * (sample[i] - stages[0])
+        entering = sample[i] - stages[0]
+        for j in range(1, 4):
+            stages[j] += fit.low * (entering - stages[j])
+            entering = stages[j]
+        filtered[i] = entering
+    filtered[3] -= mass * (filtered[1] - fit.speed) / period
+    fit.speed = filtered[1]
+    if not accepted or abs(filtered[3]) < SMALLEST_SIGNAL:
+        return
+    for i in range(4):
+        for j in range(i, 4):
+            fit.sums[i, j] = fit.keep * fit.sums[i, j] + filtered[i] * filtered[j]
+    fit.weight = fit.keep * fit.weight + 1.0
+    if fit.weight >= LEAST_WEIGHT:
+        solve_fit(fit)
+
+
+@compiled
+def solve_fit(fit: Any) -> None:
+    """
+    Fit y = k z + c v + mu w to the sums of a record of `STIFFNESS_FIT` by least squares.
+
+    A mu beyond 0 to 1 is set there, and the rest is fitted again.
+    """
+    fixed = np.zeros(3, np.bool_)
+    value, variance = np.zeros(3), np.zeros(3)
+    for _ in range(2):
+        if not least_squares(fit.sums, fixed, value, variance):
+            return
+        bounded = min(max(value[2], 0.0), LARGEST_FRICTION)
+        if bounded == value[2]:
+            break
+        value[2] = bounded
+        fixed[2] = True
+    left = fit.sums[3, 3]
+    for i in range(3):
+        left -= 2.0 * value[i] * fit.sums[i, 3]
+        for j in range(3):
+            left += value[i] * value[j] * fit.sums[min(i, j), max(i, j)]
+    left = max(left, 0.0)
+    fit.k, fit.c, fit.mu = value[0], value[1], value[2]
+    fit.share = 1.0 - left / fit.sums[3, 3]
+    fit.k_std = np.sqrt(CORRELATION * variance[0] * max(
+        left / fit.weight, SMALLEST_RESIDUAL * SMALLEST_RESIDUAL))
+
+
+@compiled
+def least_squares(sums: Matrix, fixed: Mask, value: Vector, variance: Vector) -> bool:
+    """
+    Solve the normal equations of three parameters, shape (3,), of which some are fixed.
+
+    `sums` are those of the products of three regressors and of what they explain, shape (4, 4),
+    upper triangle. Of `variance` the first is filled in, over that of a sample. False where the
+    regressors do not tell the parameters apart.
+    """
+    normal, L = np.zeros((3, 3)), np.zeros((3, 3))
+    solution, scale = np.zeros(3), np.ones(3)
+    for i in range(3):
+        variance[i] = 0.0
+        if fixed[i]:
+            normal[i, i] = 1.0
+            continue
+        if sums[i, i] <= 0.0:  # it never moved: nothing is known, and nothing explained by it
+            if i == 0:
+                return False
+            normal[i, i] = 1.0
+            continue
+        scale[i] = 1.0 / np.sqrt(sums[i, i])
+        solution[i] = sums[i, 3]
+        for j in range(3):
+            product = sums[min(i, j), max(i, j)]
+            if fixed[j]:
+                solution[i] -= product * value[j]
+            elif j >= i:
+                normal[i, j] = product
+    for i in range(3):
+        solution[i] *= scale[i]
+        for j in range(i, 3):
+            normal[i, j] *= scale[i] * scale[j]
+    if not cholesky(normal, L, SMALLEST_PIVOT):
+        return False
+    variance[0] = 1.0
+    solve_cholesky(L, solution)
+    solve_cholesky(L, variance)
+    variance[0] *= scale[0] * scale[0]
+    for i in range(3):
+        if not fixed[i]:
+            value[i] = solution[i] * scale[i]
+    return True
 
 
 def adopt_stiffness(
@@ -279,20 +422,10 @@ def follow_stiffness(observer: Any, stiffness: Any) -> None:
 
 
 @compiled
-def stable_ratio(stiffness: Any) -> float:
-    """Return how many times as stiff as the model in use a surface may be; see `STIFFNESS`."""
-    limits = stiffness.ratio_limit
-    place = (limits.shape[0] - 1) * np.log(stiffness.k / stiffness.lowest) / np.log(
-        stiffness.highest / stiffness.lowest)
-    i = min(int(place), limits.shape[0] - 2)
-    return limits[i] + (place - i) * (limits[i + 1] - limits[i])
-
-
-@compiled
 def learn_stiffness(
     observer: Any, stiffness: Any, contact: Any, measured: bool, speed: float, friction: float,
 ) -> None:
-    """Take a sample into the model of a contact's surface; see `observe_and_follow`."""
+    """Take a sample into the model of a contact's surface."""
     alpha = contact.alpha_meas if measured else contact.alpha_est
     find_stiffness(stiffness, alpha, contact.alpha_des, speed, friction)
     follow_stiffness(observer, stiffness)
@@ -302,7 +435,12 @@ def learn_stiffness(
     contact.ratio_bound = contact.margin = 0.0  # as long as nothing is known
     if stiffness.k_est > 0.0:
         contact.ratio_bound = (stiffness.k_est + 2.0 * stiffness.k_std) / stiffness.k
-        contact.margin = stable_ratio(stiffness) / contact.ratio_bound
+        limits = stiffness.ratio_limit
+        place = (limits.shape[0] - 1) * np.log(stiffness.k / stiffness.lowest) / np.log(
+            stiffness.highest / stiffness.lowest)
+        i = min(int(place), limits.shape[0] - 2)
+        contact.margin = (limits[i] + (place - i) * (limits[i + 1] - limits[i])) / (
+            contact.ratio_bound)
 
 
 @compiled
@@ -319,45 +457,12 @@ def share_stiffness(observer: Any, stiffness: Any, contact: Any, leader: Any, wh
 
 
 @compiled
-def observe_and_follow(
-    observer: Any, stiffness: Any, contact: Any, measured: bool, speed: float,
-) -> float:
-    """
-    Take a sample into an observer whose stiffness is found on-line, and work out its input.
-
-    The prediction is that of the open loop under the input that was really asked for, and the
-    desired force is followed no faster than the contact point may move into the surface.
-
-    Parameters
-    ----------
-    observer, stiffness, contact
-        Records of `OBSERVER`, `STIFFNESS` and `CONTACT`, changed.
-    measured
-        Whether the measured force is of this sample.
-    speed
-        Of the contact point INTO the surface [m/s].
-
-    Returns
-    -------
-    float
-        u [m/s^2].
-
-    """
-    if observer.running:
-        observe(observer, contact, measured)
-    else:
-        start(observer, contact.alpha_meas)
-        rate = stiffness.k * speed
-        observer.x_est[1] = rate
-        observer.P[1, 1] += rate * rate  # as long as it is not known how stiff the surface is
+def followed_force(stiffness: Any, contact: Any, begins: bool) -> float:
+    """Return the desired force [N], followed at no more than APPROACH_LIMIT into the surface."""
+    if begins:
         stiffness.alpha_ref = contact.alpha_meas
         if stiffness.share == 0.0:
             stiffness.alpha_ref = max(contact.alpha_meas, 0.0)
     step = stiffness.k * APPROACH_LIMIT * stiffness.period
     stiffness.alpha_ref += min(max(contact.alpha_des - stiffness.alpha_ref, -step), step)
-    u = command(observer, stiffness.alpha_ref)
-    u = min(max(u, -INPUT_LIMIT), INPUT_LIMIT)
-    observer.command = u  # what the open loop is predicted with
-    contact.alpha_est = observer.x_est[0] + observer.damping_time * observer.x_est[1]
-    contact.alpha_rate_est = observer.x_est[1]
-    return u
+    return float(stiffness.alpha_ref)

@@ -20,7 +20,7 @@ from equations import (
     posture_pull,
 )
 from multicontact_control.contact.geometry import operational_stiffness
-from multicontact_control.force.plant_model import delayed_plant, place_poles
+from multicontact_control.force.plant import delayed_plant, place_poles
 import numpy as np
 
 

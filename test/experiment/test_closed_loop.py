@@ -5,7 +5,7 @@ from multicontact_control.experiment.judge import judge, NOT_STABLE
 from multicontact_control.experiment.metrics import contact_summary
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.scenario import resolve
-from multicontact_control.force.noise.estimator import VARIANCE_CEILING, VARIANCE_FLOOR
+from multicontact_control.force.noise.base import VARIANCE_CEILING, VARIANCE_FLOOR
 import numpy as np
 import pytest
 from runs import canonical, run_of

@@ -6,8 +6,7 @@ import shlex
 
 from multicontact_control.cli.options import resolve_settings
 from multicontact_control.experiment.law_report import show_design, write_design
-from multicontact_control.force.laws.design import DesignedLaw
-from multicontact_control.force.laws.margins import Margins
+from multicontact_control.force.margins import DesignedLaw, Margins
 
 
 def test_parameter_file_says_which_stiffness_it_goes_with(tmp_path):

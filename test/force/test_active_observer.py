@@ -3,10 +3,11 @@
 import equations
 from force_loop import ActiveObserver, design_force_loop
 from multicontact_control.force.observer import (
+    command,
     continue_at,
     design_observer,
     make_observers,
-    observe_and_command,
+    observe,
     rescale,
 )
 from multicontact_control.records import CONTACT
@@ -84,12 +85,13 @@ def test_observer_without_a_new_wrench_predicts_only(loop):
     observers = make_observers([design_observer(loop, **options)])
     literal = equations.Observer(loop.plant.Phi, loop.plant.Gamma, loop.L, **options)
     contact, random = np.zeros(1, dtype=CONTACT)[0], np.random.default_rng(6)
-    contact['alpha_meas'], contact['noise_variance'], contact['alpha_des'] = 4.0, 0.6, 10.0
+    contact['alpha_meas'], contact['noise_variance'] = 4.0, 0.6
     literal.reset(4.0)
     for k in range(30):
         measured = k % 3 < 2
         literal.update(contact['alpha_meas'], 0.6 if measured else np.inf)
-        u = observe_and_command(observers[0], contact, measured)
+        observe(observers[0], contact, measured, 0.0)
+        u = command(observers[0], 10.0)
         np.testing.assert_allclose(
             observers['x_est'][0, :len(literal.x_est)], literal.x_est, rtol=1e-9, atol=1e-12)
         assert u == pytest.approx(literal.command(10.0), rel=1e-8)

@@ -19,18 +19,20 @@ from multicontact_control.force.force_law import (
     design_law,
     loop_model,
     make_force_laws,
+    step_linear,
 )
-from multicontact_control.force.laws import LAWS, LinearLaw, steady_law
-from multicontact_control.force.laws.design import design_for_range, FASTER
-from multicontact_control.force.laws.margins import (
+from multicontact_control.force.laws import LAWS, LinearLaw, sampled, steady_law
+from multicontact_control.force.margins import (
     contact_loop,
+    design_for_range,
+    FASTER,
     input_rms,
     margins_of,
     rise_time,
+    spectral_radius,
 )
-from multicontact_control.force.linear_law import sampled, step_linear
-from multicontact_control.force.linear_loop import spectral_radius, steady_gain
-from multicontact_control.force.plant_model import delayed_plant
+from multicontact_control.force.observer import steady_gain
+from multicontact_control.force.plant import delayed_plant
 from multicontact_control.paths import config_dir
 from multicontact_control.records import CONTACT, CONTROL
 import numpy as np
@@ -48,12 +50,12 @@ def config_of(law, **force):
 
 
 def model_of(config, stiffness=K):
-    return loop_model(config.force, config.loop_delay, config.period, stiffness)
+    return loop_model(config, stiffness)
 
 
 def law_of(name, **force):
     config = config_of(name, **force)
-    design = design_law(config, 'table', K)
+    design = design_law(name, config.force, model_of(config))
     return design if isinstance(design, LinearLaw) else steady_law(
         design, steady_gain(design, 0.6))
 
@@ -247,7 +249,7 @@ def test_design_for_a_range_has_its_margins_on_every_surface(name):
         name, input_delay=DELAY, softest=2000.0, stiffest=8000.0, noise_variance=2.0)
     force = ForceConfig(**found.values)
     config = resolve('quick').controller.model_copy(update={'force': force})
-    design = design_law(config, 'table', found.stiffness)
+    design = design_law(name, force, model_of(config, found.stiffness))
     law = design if isinstance(design, LinearLaw) else steady_law(design, steady_gain(design, 2.0))
     for stiffness in (2000.0, 4000.0, 8000.0, 15900.0):
         model = model_of(config, stiffness)

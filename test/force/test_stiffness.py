@@ -5,11 +5,12 @@ from multicontact_control.config import ForceConfig
 from multicontact_control.force.observer import design_observer, make_observers
 from multicontact_control.force.stiffness import (
     adopt_stiffness,
+    begin_fit,
     find_stiffness,
     follow_stiffness,
+    take_sample,
     use_stiffness,
 )
-from multicontact_control.force.stiffness_fit import begin_fit, take_sample
 from multicontact_control.records import STIFFNESS
 import numpy as np
 import pytest

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 
 from multicontact_control.config import NoiseEstimatorConfig
-from multicontact_control.force.noise.estimator import Fixed, Innovation, NoiseEstimator
+from multicontact_control.force.noise.base import Fixed, Innovation, NoiseEstimator
 from multicontact_control.force.noise.innovation import (
     InnovationWindow,
     SageHusa,

@@ -5,8 +5,8 @@ from __future__ import annotations
 from abc import abstractmethod
 
 from multicontact_control.arrays import Mask, Matrix, require_shape, Vector
-from multicontact_control.force.noise import estimator as base
-from multicontact_control.force.noise.estimator import Innovation, NoiseEstimator, usable
+from multicontact_control.force.noise import base
+from multicontact_control.force.noise.base import Innovation, NoiseEstimator, usable
 import numpy as np
 
 BAYES_ITERATIONS = 3  # per sample

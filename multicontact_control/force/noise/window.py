@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compile_for, compiled
-from multicontact_control.force.noise.estimator import Innovation, MAX_MAGNITUDE, NoiseEstimator
+from multicontact_control.force.noise.base import Innovation, MAX_MAGNITUDE, NoiseEstimator
 from multicontact_control.records import FILTER_STATE, NOISE_WINDOW
 import numpy as np
 
@@ -68,38 +68,14 @@ def lead_filter(
 
 
 @compiled
-def advance_filter(window: Any, states: Any, alpha: Vector) -> None:
-    """Take forces, shape (r,) [N], into filters: a alpha_f,k-1 + b (alpha_k - c alpha_k-1)."""
-    for i in range(alpha.shape[0]):
-        state = states[i]
-        state.filtered = window.pole * state.filtered + window.gain * (
-            alpha[i] - window.zero * state.alpha)
-        state.alpha = alpha[i]
-
-
-@compiled
-def windowed_variance(samples: Matrix, count: int, variance: Vector) -> None:
-    """Fill in the variance, shape (r,), over `count` samples, shape (N, r) (P04 eqs 43-44)."""
-    for i in range(samples.shape[1]):
-        total = 0.0
-        for k in range(count):
-            total += samples[k, i]
-        mean = total / count
-        total = 0.0
-        for k in range(count):
-            deviation = samples[k, i] - mean
-            total += deviation * deviation
-        variance[i] = total / count
-
-
-@compiled
 def take_into_window(
     alpha: Vector, windows: Any, states: Any, samples: Matrix, variance: Vector,
 ) -> bool:
     """
     Filter one sample per contact, and estimate R once the window is full (P04 eqs 42-44).
 
-    The first sample is the filter's steady state.
+    alpha_f,k = a alpha_f,k-1 + b (alpha_k - c alpha_k-1), from the steady state of the first
+    sample; R is the variance of the filtered samples.
 
     Parameters
     ----------
@@ -129,15 +105,23 @@ def take_into_window(
         for i in range(contacts):
             states[i].alpha = alpha[i]
             states[i].filtered = window.dc_gain * alpha[i]
-    advance_filter(window, states, alpha)
     for i in range(contacts):
-        samples[window.count % length, i] = states[i].filtered
+        state = states[i]
+        state.filtered = window.pole * state.filtered + window.gain * (
+            alpha[i] - window.zero * state.alpha)
+        state.alpha = alpha[i]
+        samples[window.count % length, i] = state.filtered
     window.count += 1
-    if window.count >= length:
-        estimate = np.empty(contacts)
-        windowed_variance(samples, length, estimate)
-        for i in range(contacts):
-            variance[i] = window.scale * estimate[i]
+    for i in range(contacts if window.count >= length else 0):
+        total = 0.0
+        for k in range(length):
+            total += samples[k, i]
+        mean = total / length
+        total = 0.0
+        for k in range(length):
+            deviation = samples[k, i] - mean
+            total += deviation * deviation
+        variance[i] = window.scale * (total / length)
     return True
 
 

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from multicontact_control.config import NoiseEstimatorConfig, validate
 from multicontact_control.errors import ConfigError
 from multicontact_control.force.noise import ESTIMATORS, Innovation, make_noise_estimator
-from multicontact_control.force.noise.estimator import VARIANCE_CEILING, VARIANCE_FLOOR
+from multicontact_control.force.noise.base import VARIANCE_CEILING, VARIANCE_FLOOR
 import numpy as np
 import pytest
 

@@ -1,7 +1,7 @@
 """
 How wrong the stiffness and the delay may be: simulated, and by the linear loop.
 
-The linear loop is that of `force.linear_loop`, with the mobility of this arm at its home. The
+The linear loop is that of `force.margins`, with the mobility of this arm at its home. The
 plant of the paper's eq. 32 leaves out that the contact force moves the arm, that the surface
 damps, and that the sensor weighs the tool's inertia.
 """
@@ -25,16 +25,15 @@ from multicontact_control.experiment.study.presets.compare.matrix import (
     controller_values,
     estimator_values,
 )
-from multicontact_control.force.force_law import design_law
+from multicontact_control.force.force_law import design_law, loop_model
 from multicontact_control.force.laws import steady_law
-from multicontact_control.force.linear_loop import (
+from multicontact_control.force.margins import (
     closed_loop,
     last_stable,
     LinearArmPlant,
     spectral_radius,
-    steady_gain,
 )
-from multicontact_control.force.observer import ObserverDesign
+from multicontact_control.force.observer import ObserverDesign, steady_gain
 import numpy as np
 
 SCENARIO, PRESET = 'step', 'paper'
@@ -160,8 +159,9 @@ def arm_loop(setup: Setup) -> ArmLoop:
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     inertia = config.tool.mass * np.block(
         [[np.eye(3), -cross], [cross, -cross @ cross]])  # of a point mass at its centre
-    observer = design_law(config, config.contact_names[0], float(
-        loop_stiffnesses(config, state.pose.rotation_world)[0]))
+    stiffness = float(loop_stiffnesses(config, state.pose.rotation_world)[0])
+    observer = design_law(
+        config.law_of(config.contact_names[0]), config.force, loop_model(config, stiffness))
     if not isinstance(observer, ObserverDesign):
         raise ConfigError('force.law', 'aob, for the linear loops', config.force.law)
     tool_inertia = np.linalg.pinv(N) @ inertia @ N @ np.linalg.inv(N.T @ N)

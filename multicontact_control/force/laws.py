@@ -7,16 +7,118 @@ Each takes the `LoopModel` that it is designed for, and the gains in `ForceConfi
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 import math
 
-from multicontact_control.arrays import Vector
+from multicontact_control.arrays import Matrix, require_shape, Vector
 from multicontact_control.config import ForceConfig
-from multicontact_control.force.linear_law import LinearLaw, LoopModel, sampled
-from multicontact_control.force.linear_loop import steady_gain
-from multicontact_control.force.observer import design_observer, ObserverDesign
-from multicontact_control.force.plant_model import ForceLoop, place_poles
+from multicontact_control.errors import ConfigError
+from multicontact_control.force.observer import design_observer, ObserverDesign, steady_gain
+from multicontact_control.force.plant import delayed_plant, DelayedPlant, ForceLoop, place_poles
+from multicontact_control.records import LINEAR_LAW, MAX_STATES, Records
 import numpy as np
-from scipy.linalg import solve_discrete_are
+from scipy.linalg import solve, solve_discrete_are
+
+
+@dataclass(frozen=True, slots=True)
+class LoopModel:
+    """
+    What a force law is designed for (P04 eq. 32).
+
+    Attributes
+    ----------
+    stiffness, damping_rate, input_delay, period
+        k [N/m], K_2 [1/s], T_d [s] and h [s].
+
+    """
+
+    stiffness: float
+    damping_rate: float
+    input_delay: float
+    period: float
+
+    @property
+    def plant(self) -> DelayedPlant:
+        """Return the delayed plant, discretised."""
+        return delayed_plant(self.stiffness, self.damping_rate, self.input_delay, self.period)
+
+
+@dataclass(frozen=True)
+class LinearLaw:
+    """
+    A force law x_(k+1) = A x_k + B y_k + E extra_k, outputs = C x_k + D y_k.
+
+    Its inputs y are the measured force alpha [N], the desired one [N] and the speed of the contact
+    point INTO the surface [m/s]; `extra` is what acts beyond the answer [m/s^2]. Its outputs are
+    the acceleration u [m/s^2], without the damping K_2, the estimate of alpha [N], and that of
+    the disturbance p that it compensates [m/s^2].
+
+    Attributes
+    ----------
+    A, B, C, D
+        Shapes (n, n), (n, 3), (3, n), (3, 3).
+    E
+        Shape (n,).
+    start_force, start_disturbance
+        State at a touch, for a felt force of 1 N and for a known disturbance of 1 m/s^2, shape
+        (n,).
+
+    """
+
+    A: Matrix
+    B: Matrix
+    C: Matrix
+    D: Matrix
+    E: Vector
+    start_force: Vector
+    start_disturbance: Vector
+
+    def __post_init__(self) -> None:
+        n = self.A.shape[0]
+        if n > MAX_STATES:
+            raise ConfigError('force law', f'at most {MAX_STATES} states', n)
+        shapes = {'A': (n, n), 'B': (n, 3), 'C': (3, n), 'D': (3, 3), 'E': (n,),
+                  'start_force': (n,), 'start_disturbance': (n,)}
+        for name, shape in shapes.items():
+            require_shape(name, getattr(self, name), shape)
+
+    @property
+    def states(self) -> int:
+        """Return n."""
+        return int(self.A.shape[0])
+
+    def record(self) -> Records:
+        """Return it as one record of `LINEAR_LAW`, with no state."""
+        law, n = np.zeros(1, dtype=LINEAR_LAW), self.states
+        law['states'], law['D'] = n, self.D
+        law['A'][0, :n, :n], law['B'][0, :n], law['C'][0, :, :n] = self.A, self.B, self.C
+        for name in ('E', 'start_force', 'start_disturbance'):
+            law[name][0, :n] = getattr(self, name)
+        return law
+
+
+def sampled(
+    A: Matrix, B: Matrix, C: Matrix, D: Matrix, period: float, *, E: Vector | None = None,
+    start_force: Vector | None = None, start_disturbance: Vector | None = None,
+) -> LinearLaw:
+    """
+    Return the law dx/dt = A x + B y + E extra, discretised by the bilinear transformation.
+
+    The other arguments are as of `LinearLaw`, with the continuous state at a touch, and zero by
+    default. The discrete state is (1 - A h / 2) x - B y h / 2.
+    """
+    # As scipy.signal.cont2discrete, which takes 0.7 s to import while an arm waits.
+    change = np.eye(len(A)) - 0.5 * period * A
+    A_d = solve(change, np.eye(len(A)) + 0.5 * period * A)
+    B_d = solve(change, period * B)
+    C_d = solve(change.T, C.T).T
+    D_d = D + 0.5 * (C @ B_d)
+    extra, force, disturbance = (
+        np.zeros(len(A)) if vector is None else vector
+        for vector in (E, start_force, start_disturbance))
+    return LinearLaw(
+        A_d, B_d, C_d, D_d, period * extra, change @ force - 0.5 * period * B[:, 0],
+        change @ disturbance)
 
 
 def design_aob(model: LoopModel, config: ForceConfig) -> ObserverDesign:

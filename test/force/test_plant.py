@@ -2,7 +2,7 @@
 
 from force_loop import design_force_loop
 from multicontact_control.errors import ConfigError
-from multicontact_control.force.plant_model import ackermann, delayed_plant
+from multicontact_control.force.plant import ackermann, delayed_plant
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp

@@ -2,13 +2,13 @@
 
 from force_loop import H, observer_of
 from multicontact_control.force.laws import steady_law
-from multicontact_control.force.linear_loop import (
+from multicontact_control.force.margins import (
     closed_loop,
     last_stable,
     LinearArmPlant,
     spectral_radius,
-    steady_gain,
 )
+from multicontact_control.force.observer import steady_gain
 import numpy as np
 import pytest
 

@@ -1,0 +1,372 @@
+"""
+How far the force loops are from instability, and the fastest gains that leave a margin.
+
+P04 eq. 32 takes the contact for k e^(-s T_d) / (s (s + K_2)), as `Margins` do. `closed_loop` adds
+what an arm has besides: the contact force accelerates it, and only its delayed estimate is fed
+forward against it (eq. 24); the damping K_2 acts on the measured motion, and so is delayed, too;
+the surface damps; the contacts act on each other through the arm; and the wrist sensor weighs the
+inertia of the tool with the contact force.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+import math
+from typing import Any
+
+from multicontact_control.arrays import Matrix, Vector
+from multicontact_control.config import ForceConfig, validate
+from multicontact_control.errors import ConfigError
+from multicontact_control.force.laws import LAWS, LinearLaw, LoopModel, steady_law
+from multicontact_control.force.observer import steady_gain
+from multicontact_control.force.plant import delayed_hold
+import numpy as np
+from scipy.linalg import solve_discrete_lyapunov
+
+
+@dataclass(frozen=True)
+class LinearArmPlant:
+    """
+    The plant that the force loops meet.
+
+    d^2z/dt^2 = u(t - T) - K dz/dt - B alpha with alpha = k z + c dz/dt, where z are the ways of
+    the contact points into their surfaces; measured is alpha + M_t d^2z/dt^2. With K = K_2 and
+    without B, c and M_t each contact is G(s) of P04 eq. 32.
+
+    Attributes
+    ----------
+    mobility
+        B = N^T Lambda^-1 N: acceleration of the contact points along their normals for a unit
+        of contact force, shape (r, r) [1/kg].
+    stiffness, damping
+        k and c of the surfaces, shape (r,) [N/m], [N s/m].
+    tool_inertia
+        M_t: what the sensor reads along the normals for a unit of acceleration of the contact
+        points, shape (r, r) [kg].
+    delay
+        T, from a sample to the torque that answers it [s]: the actuator's ticks and all else.
+    damping_rate
+        K, damping of the motion that is there without being commanded [1/s].
+
+    """
+
+    mobility: Matrix
+    stiffness: Vector
+    damping: Vector
+    tool_inertia: Matrix
+    delay: float
+    damping_rate: float = 0.0
+
+
+def closed_loop(
+    plant: LinearArmPlant, law: LinearLaw, damping_rate: float, period: float, *,
+    fed_share: float = 0.0,
+) -> Matrix:
+    """
+    Return the matrix of one period of all force loops together.
+
+    Of the state [z, dz/dt, inputs under way, measured forces, x of every law], with the commanded
+    forces 0. A sample is answered by w = u - K_2 dz/dt + B (1 - g) alpha_est.
+
+    Parameters
+    ----------
+    plant
+        What the loops meet.
+    law
+        The force law of every contact; for an active observer `steady_law`.
+    damping_rate
+        K_2 on the measured motion [1/s]; 0 where the plant itself has it.
+    period
+        h [s].
+    fed_share
+        g, the share of the desired force in what is fed forward.
+
+    Returns
+    -------
+    Matrix
+        Square; the loops are stable if all its eigenvalues are inside the unit circle.
+
+    """
+    r, n = len(plant.stiffness), law.states
+    zero, one = np.zeros((r, r)), np.eye(r)
+    force = np.hstack([np.diag(plant.stiffness), np.diag(plant.damping)])  # alpha of z and dz/dt
+    acceleration = -plant.mobility @ force
+    acceleration[:, r:] -= plant.damping_rate * one
+    Phi, Gamma = delayed_hold(np.vstack([np.hstack([zero, one]), acceleration]),
+                              np.vstack([zero, one]), plant.delay, period)
+    real = len(Phi)  # states of the plant, with the inputs under way
+    own = real + r  # where the states of the laws begin
+    size = own + n * r
+    # What the laws answer: to the measured forces, to the speeds, and by what they remember.
+    output = {}
+    for row, name in enumerate(('u', 'alpha_est')):
+        output[name] = np.zeros((r, size))
+        output[name][:, real:own] = law.D[row, 0] * one
+        output[name][:, r:2 * r] = law.D[row, 2] * one
+        output[name][:, own:] = np.kron(one, law.C[row:row + 1])
+    answer = output['u'] + (1.0 - fed_share) * plant.mobility @ output['alpha_est']
+    answer[:, r:2 * r] -= damping_rate * one
+    loop = np.zeros((size, size))
+    loop[:real] = Gamma @ answer
+    loop[:real, :real] += Phi
+    motion = loop[:2 * r]
+    loop[real:own] = force @ motion + plant.tool_inertia @ (
+        acceleration @ motion + _acting_input(plant, answer, real, period))
+    loop[own:, real:own] = np.kron(one, law.B[:, :1])
+    loop[own:, r:2 * r] = np.kron(one, law.B[:, 2:3])
+    loop[own:, own:] = np.kron(one, law.A)
+    return loop
+
+
+def _acting_input(plant: LinearArmPlant, answer: Matrix, real: int, period: float) -> Matrix:
+    """Return, as rows, the inputs that act at the end of the period."""
+    waiting, r = plant.delay / period, len(answer)
+    whole = math.floor(waiting + 1e-9) == math.ceil(waiting - 1e-9)  # still the oldest
+    first = (2 if whole else 3) * r
+    return np.eye(answer.shape[1])[first:first + r] if first < real else answer
+
+
+def spectral_radius(matrix: Matrix) -> float:
+    """Return the largest magnitude of the eigenvalues."""
+    return float(np.abs(np.linalg.eigvals(matrix)).max())
+
+
+def last_stable(
+    stable: Callable[[float], bool], ratios: Sequence[float], tolerance: float,
+) -> tuple[float, float]:
+    """
+    Return a stable and an unstable ratio next to each other, the first from below.
+
+    Walks up the ratios to the first unstable one, then halves the step to a relative
+    `tolerance`. Stable islands beyond it do not count. (0, 0) if not even the first is stable,
+    infinities if all are.
+    """
+    low = 0.0
+    for high in ratios:
+        if stable(high):
+            low = high
+            continue
+        while low and high / low - 1.0 > tolerance:
+            middle = math.sqrt(low * high)
+            low, high = (middle, high) if stable(middle) else (low, middle)
+        return (low, high) if low else (0.0, 0.0)
+    return math.inf, math.inf
+
+
+POINTS = 4000  # of the frequency response
+LOWEST = 0.1  # rad/s
+LONGEST_RISE = 5.0  # s
+READ = [0, 2]  # of a law's inputs: alpha, and the speed
+RATIOS = tuple(np.geomspace(1.0, 1000.0, 121).tolist())
+
+
+@dataclass(frozen=True)
+class Margins:
+    """
+    Margins of a force loop, cut open at the input of P04 eq. 32.
+
+    Attributes
+    ----------
+    gain
+        Factor by which the loop's gain may grow; infinite if any.
+    phase
+        Lag that may be added [rad].
+    delay
+        Delay that may be added [s].
+    crossover
+        Frequency at which the loop's gain is 1 [rad/s].
+    softest, stiffest
+        Between which true stiffnesses the loop is stable, over that of the model.
+
+    """
+
+    gain: float
+    phase: float
+    delay: float
+    crossover: float
+    softest: float
+    stiffest: float
+
+
+def _readings(model: LoopModel) -> Matrix:
+    """Return what of a plant's state a law reads: alpha, and the speed dalpha/dt / k."""
+    outputs = np.zeros((2, len(model.plant.Gamma)))
+    outputs[0, 0], outputs[1, 1] = 1.0, 1.0 / model.stiffness
+    return outputs
+
+
+def contact_loop(law: LinearLaw, model: LoopModel, ratio: float = 1.0) -> Matrix:
+    """
+    Return the matrix of one period of a law on a contact of P04 eq. 32, with no command.
+
+    Of the state [x of the plant, x of the law]; `ratio` is true over modelled stiffness.
+    """
+    real = replace(model, stiffness=ratio * model.stiffness)
+    plant, rows = real.plant, _readings(real)
+    return np.block([
+        [plant.Phi + np.outer(plant.Gamma, law.D[0, READ] @ rows),
+         np.outer(plant.Gamma, law.C[0])],
+        [law.B[:, READ] @ rows, law.A]])
+
+
+def input_rms(law: LinearLaw, model: LoopModel, noise_variance: float) -> float:
+    """Return the rms of u that white noise of a variance [N^2] in alpha causes [m/s^2]."""
+    loop, plant = contact_loop(law, model), model.plant
+    entering = np.concatenate([plant.Gamma * law.D[0, 0], law.B[:, 0]])
+    if not entering.any():
+        return 0.0
+    P = solve_discrete_lyapunov(loop, noise_variance * np.outer(entering, entering))
+    output = np.concatenate([law.D[0, READ] @ _readings(model), law.C[0]])
+    return math.sqrt(float(output @ P @ output) + noise_variance * law.D[0, 0] ** 2)
+
+
+def rise_time(law: LinearLaw, model: LoopModel, ratio: float = 1.0) -> float:
+    """Return when the force first passes 63 % of a step of the command [s]; infinite if never."""
+    loop = contact_loop(law, model, ratio)
+    plant = replace(model, stiffness=ratio * model.stiffness).plant
+    entering = np.concatenate([plant.Gamma * law.D[0, 1], law.B[:, 1]])
+    state = np.zeros(len(loop))
+    for tick in range(round(LONGEST_RISE / model.period)):
+        if state[0] > 0.63:
+            return tick * model.period
+        state = loop @ state + entering
+    return math.inf
+
+
+def margins_of(law: LinearLaw, model: LoopModel) -> Margins:
+    """Return the margins of a force law, of an active observer's `steady_law`, on its model."""
+    import control  # takes a second: the controller needs `closed_loop` only
+
+    plant = control.ss(
+        model.plant.Phi, model.plant.Gamma[:, None], _readings(model), np.zeros((2, 1)),
+        model.period)
+    feedback = control.ss(law.A, law.B[:, READ], law.C[:1], law.D[:1, READ], model.period)
+    frequencies = np.geomspace(LOWEST, math.pi / model.period, POINTS)
+    response = control.frequency_response(-1.0 * feedback * plant, frequencies)
+    gain, phase, _, _, crossover, _ = control.stability_margins(response)
+    phase = math.radians(float(phase)) if np.isfinite(phase) else math.inf
+    crossover = float(crossover) if np.isfinite(crossover) else 0.0
+
+    softest, stiffest = stable_ratios(law, model)
+    return Margins(
+        gain=float(gain), phase=phase, delay=phase / crossover if crossover else math.inf,
+        crossover=crossover, softest=softest, stiffest=stiffest)
+
+
+def stable_ratios(law: LinearLaw, model: LoopModel) -> tuple[float, float]:
+    """Return from which to which true over modelled stiffness a force law is stable."""
+    def stable(ratio: float) -> bool:
+        return spectral_radius(contact_loop(law, model, ratio)) < 1.0 + 1e-9
+
+    down = last_stable(lambda ratio: stable(1.0 / ratio), RATIOS, 1e-3)[0]
+    return 1.0 / down if down else math.inf, last_stable(stable, RATIOS, 1e-3)[0]
+
+
+SPEEDS = tuple(np.geomspace(8.0, 1.0 / 64.0, 73).tolist())  # of the usual gains
+GAIN_MARGIN = 2.0  # left on the stiffest surface
+
+# What makes a law s times as fast as it usually is.
+FASTER: Mapping[str, Callable[[ForceConfig, float], dict[str, Any]]] = {
+    'aob': lambda force, s: {'time_constant': force.time_constant / s},
+    'pi': lambda force, s: {'pi': {'bandwidth': force.pi.bandwidth * s}},
+    'dob': lambda force, s: {'dob': {
+        'bandwidth': force.dob.bandwidth * s,
+        'observer_bandwidth': force.dob.observer_bandwidth * s}},
+    'lqg': lambda force, s: {'lqg': {'input_weight': force.lqg.input_weight / s ** 2}},
+    'admittance': lambda force, s: {'admittance': {
+        'bandwidth': force.admittance.bandwidth * s}},
+    'impedance': lambda force, s: {'impedance': {
+        'natural_frequency': force.impedance.natural_frequency * s}},
+    'feedforward': lambda force, s: {}}
+
+
+@dataclass(frozen=True)
+class DesignedLaw:
+    """
+    Gains, and what they lead to.
+
+    Attributes
+    ----------
+    values
+        Of `force` in a controller's configuration that differ from the defaults.
+    stiffness
+        Of the model [N/m].
+    margins
+        On the stiffest surface.
+    rise_softest, rise_stiffest
+        Of a step, on either end of the range [s].
+    input_rms
+        Of u on the stiffest surface under the noise [m/s^2].
+
+    """
+
+    values: dict[str, Any]
+    stiffness: float
+    margins: Margins
+    rise_softest: float
+    rise_stiffest: float
+    input_rms: float
+
+
+def design_for_range(
+    name: str, *, input_delay: float, softest: float, stiffest: float, noise_variance: float,
+    damping_rate: float = 100.0, period: float = 0.002,
+) -> DesignedLaw:
+    """
+    Return the fastest gains with a gain margin of 2 and a period's delay left on every surface.
+
+    Parameters
+    ----------
+    name
+        Of the law, as in `LAWS`.
+    input_delay
+        T_d [s].
+    softest, stiffest
+        Range of the true stiffness [N/m]; the model is in the middle of it, by ratio.
+    noise_variance
+        Of the measured force [N^2]; that of the steady observer of `aob` and `lqg`, too.
+    damping_rate
+        K_2 [1/s].
+    period
+        h [s].
+
+    Raises
+    ------
+    ConfigError
+        If a value is out of range, or no gains have these margins.
+
+    """
+    if name not in LAWS:
+        raise ConfigError('law', f'one of {", ".join(LAWS)}', f"'{name}'")
+    if not 0.0 < softest <= stiffest:
+        raise ConfigError('stiffness', 'softest and stiffest, above 0, in this order',
+                          f'{softest:g}, {stiffest:g}')
+    if not noise_variance > 0.0:
+        raise ConfigError('noise_variance', 'a positive number', noise_variance)
+
+    def model(stiffness: float) -> LoopModel:
+        return LoopModel(stiffness, damping_rate, input_delay, period)
+
+    middle = math.sqrt(softest * stiffest)
+    usual = validate(ForceConfig, {'law': name, 'damping_rate': damping_rate})
+    for speed in SPEEDS:
+        values = FASTER[name](usual, speed)
+        if name == 'lqg':
+            values['lqg']['noise_variance'] = noise_variance
+        force = validate(ForceConfig, {**values, 'law': name, 'damping_rate': damping_rate})
+        law = LAWS[name](model(middle), force)
+        if not isinstance(law, LinearLaw):
+            law = steady_law(law, steady_gain(law, noise_variance))
+        low, high = stable_ratios(law, model(stiffest))
+        if low > softest / stiffest or high < GAIN_MARGIN:
+            continue  # before the frequency response, which takes ten times as long
+        margins = margins_of(law, model(stiffest))
+        if margins.delay >= period:
+            return DesignedLaw(
+                {'law': name, 'damping_rate': damping_rate, 'input_delay': input_delay, **values},
+                middle, margins, rise_time(law, model(softest)), rise_time(law, model(stiffest)),
+                input_rms(law, model(stiffest), noise_variance))
+    raise ConfigError(
+        'stiffness', f'a range that `{name}` can be stable on with a gain margin of '
+        f'{GAIN_MARGIN:g} and a period of delay left', f'{softest:g} to {stiffest:g} N/m')
