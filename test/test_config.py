@@ -20,7 +20,7 @@ import pytest
     ({'contacts': {'table': {'normal_world': [1.0, 0.0, 1.0]}}},
      r'contacts.table.normal_world: expected a vector of unit length .* found \[1.0, 0.0, 1.0\]'),
     ({'contacts': {'board': {'stiffness': float('nan')}}},
-     'contacts.board.stiffness: expected greater than 0, found nan'),
+     'contacts.board.stiffness: expected a finite number, found nan'),
     ({'force': {'input_delay': 0.021}},
      r'force.input_delay: expected at most 10 periods \(0.02 s\), found 0.021 s'),
     ({'force': {'stifness': 1.0}},

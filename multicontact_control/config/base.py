@@ -26,12 +26,6 @@ WRENCH_SIZE = 6
 EVERY_NODE = '**'  # in the place of a node's name
 
 
-def _finite(value: float) -> float:
-    if not math.isfinite(value):
-        raise ValueError('expected a finite number')
-    return value
-
-
 def _unit_length(vector: tuple[float, float, float]) -> tuple[float, float, float]:
     norm = math.sqrt(sum(x * x for x in vector))
     if not abs(norm - 1.0) <= UNIT_NORM_TOLERANCE:
@@ -43,7 +37,7 @@ def _unit_length(vector: tuple[float, float, float]) -> tuple[float, float, floa
 
 ModelT = TypeVar('ModelT', bound='Config')
 
-Real = Annotated[float, AfterValidator(_finite)]
+Real = Annotated[float, Field(allow_inf_nan=False)]
 Vector = tuple[Real, ...]
 Vector3 = tuple[Real, Real, Real]
 UnitVector3 = Annotated[Vector3, AfterValidator(_unit_length)]

@@ -28,7 +28,6 @@ from typing import Any, NamedTuple
 
 from multicontact_control.algebra import copy_vector
 from multicontact_control.arrays import Matrix, Vector
-from multicontact_control.butterworth import butterworth
 from multicontact_control.compiled import compiled
 from multicontact_control.config import ControllerConfig
 from multicontact_control.records import INPUT_STAGE, JOINT_INPUT, Records, VARIANCE_INPUT
@@ -544,8 +543,9 @@ def stage_record(config: ControllerConfig) -> Records:
             settings['full_scale'] = SATURATED_SHARE * np.array(sensor.full_scale)
         order = settings['order'] = sensor.filter_order
         if order:
-            settings['b'][0, :order + 1], settings['a'][0, :order + 1] = butterworth(
-                order, sensor.filter_cutoff, config.rate)
+            from scipy.signal import butter  # 0.5 s, only where there is a filter
+            settings['b'][0, :order + 1], settings['a'][0, :order + 1] = butter(
+                order, sensor.filter_cutoff, fs=config.rate)
     for name in ('time', 'seen', 'valid', 'last', 'wrench', 'memory'):
         state[name] = math.nan
     state['inflation'] = 1.0

@@ -1,8 +1,9 @@
 from multicontact_control.errors import ConfigError
 import numpy as np
 import pytest
+from scipy.signal import butter
 from sim_bridge.config import SensorConfig
-from sim_bridge.wrench_sensor import low_pass_stages, quantum, WrenchSensor
+from sim_bridge.wrench_sensor import butterworth, low_pass_stages, quantum, WrenchSensor
 
 PERIOD = 2.5e-4
 IDEAL = {'noise': False, 'saturate': False, 'quantise': False, 'low_pass': False}
@@ -79,3 +80,11 @@ def test_mounting_turns_forces_and_torques_before_the_bias():
     instrument = sensor(mounting=turned, bias=(0.5, 0.0, 0.0, 0.0, 0.0, 0.0))
     raw, _ = readings(instrument, [np.arange(1.0, 7.0)])
     np.testing.assert_array_equal(raw[0], [-1.5, 1.0, 3.0, -5.0, 4.0, 6.0])
+
+
+def test_coefficients_of_a_low_pass_are_scipys(rng):
+    for rate in (500.0, 1000.0, 4000.0, *rng.uniform(100.0, 1e4, 20)):
+        for cutoff in (31.25, *rng.uniform(1.0, 0.49 * rate, 20)):
+            if cutoff < 0.5 * rate:
+                np.testing.assert_array_equal(
+                    butterworth(cutoff, rate), butter(2, cutoff, fs=rate))
