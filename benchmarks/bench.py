@@ -13,8 +13,7 @@ import sys
 from tempfile import TemporaryDirectory
 from time import perf_counter_ns
 
-from multicontact_control.control.controller import Controller, Measurement
-from multicontact_control.control.reference import CommandedReference
+from multicontact_control.control.controller import Controller
 from multicontact_control.control_loop import ControlLoop
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.experiment.closed_loop import estimate_variance, run_in_process
@@ -148,17 +147,19 @@ def bench_contacts(count):
         config = setup.controller.model_copy(update={'contact_names': tuple(names), 'contacts': {
             name: table.model_copy(update={'normal_world': (*n,), 'point_operational': (*p,)})
             for name, n, p in zip(names, NORMALS, points)}})
-        reference = CommandedReference(config.contact_names)
-        controller = Controller.from_config(config, reference, setup.urdf_dir)
+        controller = Controller.from_config(config, setup.urdf_dir)
+        controller.take(home, 0.0 * home, np.zeros(6), np.full(contacts, 0.6))
+        task, columns = controller.controls['task'], controller.contacts
+        task['position'], task['rotation'] = controller.start()
+        columns['active'], columns['alpha_des'] = True, 5.0
         times = np.zeros(count)
         for k in range(count):
             move, speed, wrench = random.standard_normal((3, 6))
-            sample = Measurement(k / RATE, home + 0.02 * move, 0.1 * speed, wrench)
             start = perf_counter_ns()
-            controller.step(sample, np.full(contacts, 0.6))
+            controller.take(home + 0.02 * move, 0.1 * speed, wrench)
+            controller.answer()
+            controller.output(controller.torque.copy())
             times[k] = perf_counter_ns() - start
-            if k == 0:
-                reference.set_forces(dict.fromkeys(names, 5.0))
         found[contacts] = 1e-3 * float(np.median(times))
     return found
 

@@ -24,7 +24,6 @@ from multicontact_control.sampling import MotionReading
 from multicontact_control.sensor.push_config import PushTestConfig
 from multicontact_control.sensor.push_gate import PushGate
 from multicontact_control.sensor.tare import MAX_JOINT_SPEED, tare_bias, TareConfig
-from multicontact_control.supervision.bumpless import BumplessController, not_supervised
 from multicontact_control.supervision.checks import COLLISION
 from multicontact_control.supervision.command_limits import (
     check_offsets,
@@ -33,9 +32,9 @@ from multicontact_control.supervision.command_limits import (
     half_lengths,
     offset_shares,
 )
-from multicontact_control.supervision.event_log import EventLog
 from multicontact_control.supervision.inputs import TickInputs
-from multicontact_control.supervision.supervisor import Supervisor, SupervisorStatus
+from multicontact_control.supervision.report import EventLog, SupervisorStatus
+from multicontact_control.supervision.supervisor import not_supervised, Supervisor
 import numpy as np
 
 STREAM_TIME = 1.0  # s, between commands; more often they are a stream, which insists on nothing
@@ -62,9 +61,7 @@ class ControlLoop:
     Attributes
     ----------
     supervisor
-        What is around the control law, None if it runs bare.
-    controller
-        The supervisor, or the control law with its start.
+        The control law and what is around it.
     output
         The answer to the newest sample, None before the first and in the safe behaviour.
     status
@@ -73,8 +70,6 @@ class ControlLoop:
         What the supervisor did since the last restart, and in how many ticks.
     collisions
         How often something has touched the arm before its wrist sensor, by cause.
-    safe
-        Whether samples are answered by the declared safe behaviour.
     push_gate
         What allows force control.
 
@@ -93,22 +88,27 @@ class ControlLoop:
         self._reference = HoldableReference(
             scenario or self._commanded,  # type: ignore[arg-type]
             locked=config.sensor.require_push_test)
-        self.supervisor: Supervisor | None = None
-        self.controller: BumplessController
-        if supervised:
-            self.controller = self.supervisor = Supervisor.from_config(
-                config, self._reference, base_dir)
-        else:
-            self.controller = BumplessController.from_config(config, self._reference, base_dir)
+        self.supervisor = Supervisor.from_config(
+            config, self._reference, base_dir, guarded=supervised)
         self.push_gate = PushGate(
-            required=config.sensor.require_push_test, robot=self.controller.controller.robot,
+            required=config.sensor.require_push_test, robot=self.supervisor.controller.robot,
             gravity_world=np.array(config.robot.gravity_world), rate=config.rate)
         self.restart()
 
     @property
     def config(self) -> ControllerConfig:
         """Return the configuration in force."""
-        return self.controller.config
+        return self.supervisor.config
+
+    @property
+    def supervised(self) -> bool:
+        """Whether contact states, watchdogs and limits are around the control law."""
+        return self.supervisor.guarded
+
+    @property
+    def safe(self) -> bool:
+        """Whether samples are answered by the declared safe behaviour."""
+        return self.supervisor.safe
 
     @property
     def held(self) -> bool:
@@ -117,7 +117,7 @@ class ControlLoop:
 
     def restart(self) -> None:
         """Forget the past: the next sample is the first."""
-        self.controller.reset()
+        self.supervisor.reset()
         self.push_gate.restart()
         self._expect_pushes()
         self.output: ControlOutput | None = None
@@ -128,7 +128,6 @@ class ControlLoop:
         self.limited: Counter[str] = Counter()
         self.collisions: Counter[str] = Counter()
         self._touched = ''
-        self.safe = False
         self._inputs = TickInputs(0.0)
         self._commanded_at = -math.inf
 
@@ -153,26 +152,23 @@ class ControlLoop:
 
         """
         self._inputs = inputs
-        controller = self.controller
-        output, status = controller.safe_step(inputs) if self.safe else controller.step(inputs)
-        if controller.own_weight is not None:  # the arm adds that itself
-            output = output._replace(torque=output.torque - controller.own_weight.torque)
+        output, status = self.supervisor.step(inputs)
         self.output, self.status = None if self.safe else output, status
         if status is not None:
             self._note(inputs.time, status)
-        if self.push_gate.running and not self.safe and controller.inputs.fresh:
+        if self.push_gate.running and not self.safe and self.supervisor.inputs.fresh:
             self._push(inputs)
         return output.torque
 
     def stop(self) -> Vector:
         """Answer the newest sample by the safe behaviour, as all that follow until a restart."""
-        self.safe = True
+        self.supervisor.stop()
         return self.step(self._inputs)
 
     @property
     def sensor_fault(self) -> str:
         """What is wrong with the newest wrench, ``frozen`` or ``saturated``; empty for nothing."""
-        return self.controller.inputs.sensor_fault
+        return self.supervisor.inputs.sensor_fault
 
     @property
     def time(self) -> float:
@@ -180,7 +176,7 @@ class ControlLoop:
         return self._inputs.time
 
     def _require_supervisor(self) -> None:
-        if self.supervisor is None:
+        if not self.supervised:
             raise not_supervised()
 
     def _note(self, time: float, status: SupervisorStatus) -> None:
@@ -203,11 +199,11 @@ class ControlLoop:
         if joints is None or wrench is None or joints.stamp != wrench.stamp:
             return
         if self.push_gate.update(
-                joints.q, joints.qd, self.controller.inputs.raw, self.config.tool):
+                joints.q, joints.qd, self.supervisor.inputs.raw, self.config.tool):
             if self.push_gate.open:
                 self._reference.unlock()
                 if not self.held:
-                    self.controller.go_on()
+                    self.supervisor.go_on()
             self._expect_pushes()
 
     def _require_rest(self, purpose: str) -> None:
@@ -216,13 +212,12 @@ class ControlLoop:
             raise CommandError('wrench_input', f'raw or filtered, for {purpose}', 'momentum')
         if self.output is not None and self.output.active.any():
             raise CommandError('contacts', f'none under force control for {purpose}', 'some')
-        if self.supervisor is not None and self.supervisor.presses:
+        if self.supervisor.presses:
             raise CommandError('contacts', f'none pressed by a reaction for {purpose}', 'some')
 
     def _expect_pushes(self) -> None:
         """Tell the supervisor whether pushes are expected: while the reference is locked."""
-        if self.supervisor is not None:
-            self.supervisor.expects_pushes = self._reference.locked
+        self.supervisor.expects_pushes = self._reference.locked
 
     def push_test(self, config: PushTestConfig, point_sensor: tuple[float, ...]) -> str:
         """
@@ -242,7 +237,7 @@ class ControlLoop:
         self._require_rest('a push test')
         self.push_gate.start(config, point_sensor)
         pose = self.output.pose if self.output is not None else None
-        self._reference.lock(None if pose is None else self.controller.stand_still(pose))
+        self._reference.lock(None if pose is None else self.supervisor.stand_still(pose))
         self._expect_pushes()
         return self.push_gate.instruction
 
@@ -295,8 +290,7 @@ class ControlLoop:
         """
         reference = self._commandable()
         check_position(motion.position_world, self.config.limits)
-        normals = np.zeros((0, 3)) if self.supervisor is None else (
-            self.supervisor.reference.sought_normals())
+        normals = self.supervisor.reference.sought_normals()
         reference.set_motion(motion.position_world, motion.quaternion_xyzw, motion.twist_world,
                              motion.acceleration_world, normals, self.limits.motion_timeout)
 
@@ -324,7 +318,7 @@ class ControlLoop:
         if self._reference.locked:
             raise CommandError('~/push_test', 'passed, to obey commands',
                                f"'{self.push_gate.instruction}'")
-        if not self._reference.begun or not (self.supervisor is None or self.supervisor.started):
+        if not self._reference.begun or not self.supervisor.started:
             causes = () if self.status is None else self.status.causes
             raise CommandError(
                 'control', 'begun, to obey commands', ', '.join(causes) or 'not yet')
@@ -342,13 +336,13 @@ class ControlLoop:
         """
         output = self._running()
         if wanted:
-            held = output.active if self.supervisor is None else self.supervisor.reference.held
-            self._reference.hold(self.controller.stand_still(output.pose), held)
+            held = self.supervisor.reference.held
+            self._reference.hold(self.supervisor.stand_still(output.pose), held)
         else:
             self._try_again()
             if self.held:
                 self._reference.release()
-                self.controller.go_on()
+                self.supervisor.go_on()
 
     def retry(self) -> str:
         """
@@ -372,7 +366,7 @@ class ControlLoop:
         return 'trying again'
 
     def _try_again(self) -> bool:
-        return self.supervisor is not None and self.supervisor.try_again()
+        return self.supervisor.try_again()
 
     def tare(self, config: TareConfig) -> Vector:
         """
@@ -401,13 +395,13 @@ class ControlLoop:
         joints = self._inputs.joints
         if joints is None:
             raise CommandError('samples', 'some, for a tare', 'none')
-        readings, postures = self.controller.inputs.kept
+        readings, postures = self.supervisor.inputs.kept
         way = float(np.abs(postures[-1:] - postures[:1]).max(initial=0.0))
         fastest = way / (max(len(postures) - 1, 1) * self.config.period)
         if not fastest <= MAX_JOINT_SPEED:
             raise CommandError('joint speeds', f'at most {MAX_JOINT_SPEED:g} rad/s for a '
                                'tare', f'{fastest:.3g} rad/s')
         model = self.config
-        pose = self.controller.controller.robot.update(joints.q, joints.qd).sensor_pose
+        pose = self.supervisor.controller.robot.update(joints.q, joints.qd).sensor_pose
         return tare_bias(readings, pose.rotation_world, model.tool,
                          np.array(model.robot.gravity_world), config)

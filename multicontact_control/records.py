@@ -31,7 +31,6 @@ LAW = np.dtype([
     ('posture_stiffness', F),  # k_q of the posture in the null space, 0 for none [1/s^2]
     ('stop_stiffness', F),  # k_s by which joints are kept off their stops there [1/s^2]
     ('least_share', F),  # s_0 of what goes beyond the priority, at a torque limit
-    ('limited', B),  # whether the law keeps to the torque limits itself, not a gate after it
     ('max_condition', F),  # largest accepted condition number of Lambda^-1
     ('singular_mobility', F),  # eigenvalue up to which Lambda^-1 is damped, 0 for none [1/kg]
     ('inertia_metric', B),  # whether motion is kept off the contacts in the metric of Lambda
@@ -55,6 +54,7 @@ JOINT = np.dtype([
     ('added', F),  # to the command by the drives themselves, 0 if they add nothing [N m]
     ('speed_limit', F),  # beyond which it is too fast [rad/s]
     ('torque', F),  # Gamma, what the law answers [N m]
+    ('unlimited', F),  # the same before it is brought within its limits [N m]
     ('priority', F),  # of that, what goes before the rest at a limit: see `limit_torque` [N m]
     ('effort', F),  # torque that acted since the sample before [N m]
     ('last_velocity', F), ('last_bias', F),  # of that sample [rad/s], [N m]
@@ -298,16 +298,8 @@ PLAUSIBILITY = np.dtype([
     ('box', F, (2, 3)),  # where the operational point may be [m]
 ])
 
-# All that the supervised law works on besides, and besides contacts' states and limits; one.
-SUPERVISION = np.dtype([
-    ('reference', CONTACT_REFERENCE), ('plausibility', PLAUSIBILITY),
-    ('settled', B),  # whether the law's torque goes to the gate as it is, if no contact changes
-], align=True)
-
 # Limits of one joint at the last gate.
 JOINT_LIMITS = np.dtype([
-    ('torque', F),  # of the command [N m]
-    ('added', F),  # to the command by the drives themselves, 0 if they add nothing [N m]
     ('step', F),  # of the torque, per period [N m]
     ('lower', F),  # position not to be passed [rad]
     ('upper', F),  # [rad]

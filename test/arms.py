@@ -1,6 +1,7 @@
 """Arms, plants and configurations that several tests use."""
 
 from pathlib import Path
+from typing import NamedTuple
 
 from external_arm import Arm
 from multicontact_control.config import (
@@ -10,6 +11,8 @@ from multicontact_control.config import (
     RobotConfig,
     validate,
 )
+from multicontact_control.control.controller import Controller
+from multicontact_control.control.reference import TaskArrays
 from multicontact_control.control_loop import ControlLoop
 from multicontact_control.paths import config_dir
 from multicontact_control.supervision.command_limits import CommandLimits
@@ -30,6 +33,40 @@ def controller_config(**changes):
 def still_config(**changes):
     """Return the same for an arm that stands still whatever its torques and its wrench say."""
     return controller_config(**merge({'collision': {'threshold': [1e9] * 6}}, changes))
+
+
+class Measurement(NamedTuple):
+    """A sample of the sensors: time [s], joints [rad, rad/s], wrench [N, N m]."""
+
+    time: float
+    q: np.ndarray
+    qd: np.ndarray
+    wrench_sensor: np.ndarray
+
+
+class Law:
+    """The control law of a configuration, asked for what a reference says, without its gate."""
+
+    def __init__(self, config, reference, base_dir=None):
+        self.controller = Controller.from_config(config, base_dir or config_dir())
+        self.reference = reference
+        controls, contacts = self.controller.controls, self.controller.contacts
+        self._task = TaskArrays(controls['task'], contacts['active'], contacts['alpha_des'])
+
+    def __getattr__(self, name):
+        return getattr(self.controller, name)
+
+    def step(self, measurement, noise_variance):
+        """Return the answer to a sample."""
+        law = self.controller
+        law.take(measurement.q, measurement.qd, measurement.wrench_sensor, noise_variance)
+        law.require_answer()
+        if not law.started:
+            self.reference.start(law.start(), law.contacts['normal'].copy())
+        self._task.take(self.reference.update(
+            measurement.time, law.contacts['alpha_meas']))
+        law.answer()
+        return law.output(law.torque.copy())
 
 
 def plant_config(name, **changes):

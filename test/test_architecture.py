@@ -16,8 +16,7 @@ LAYERS = {
     'sampling': 4, 'control_loop': 4, 'nodes': 5, 'experiment': 6, 'client': 6, 'view': 7,
     'cli': 8, '__main__': 8}
 PINOCCHIO_HOME = 'multicontact_control.dynamics.robot'
-STEPPED = (
-    'multicontact_control.supervision.supervisor', 'multicontact_control.supervision.bumpless')
+STEPPED = 'multicontact_control.supervision.supervisor'
 # Lines of a room, docstrings included. Where a room is still larger, its present size, rounded up,
 # stands behind its budget: to be lowered with every cut.
 SLACK = 1.1

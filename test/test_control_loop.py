@@ -135,7 +135,7 @@ def test_reconfigure_repeats_the_last_command_and_a_refusal_changes_nothing():
     make_contact(bench)
     before = bench.step()
     config = still_config(force={'time_constant': 0.05}, motion={'natural_frequency': 15.0})
-    bench.loop.controller.reconfigure(config)
+    bench.loop.supervisor.reconfigure(config)
     assert bench.loop.config is config
     after = [bench.step() for _ in range(200)]
     np.testing.assert_array_equal(after[0], before)
@@ -143,7 +143,7 @@ def test_reconfigure_repeats_the_last_command_and_a_refusal_changes_nothing():
     for changes in ({'limits': {'operational_speed': 0.1}}, {'watchdog': {'rate_band': 3.0}},
                     {'contact_state': {'preload': 1.0}}, {'rate': 400.0}):
         with pytest.raises(ConfigError, match=f'^{next(iter(changes))}: expected .* while in use'):
-            bench.loop.controller.reconfigure(still_config(**changes))
+            bench.loop.supervisor.reconfigure(still_config(**changes))
         assert bench.loop.config is config
 
 

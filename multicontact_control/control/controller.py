@@ -17,9 +17,8 @@ from multicontact_control.contact.geometry import (
     operational_stiffness,
 )
 from multicontact_control.control.arm_state import AMBIGUOUS, ArmState
-from multicontact_control.control.law import control_law, DEPENDENT, OK, SINGULAR
-from multicontact_control.control.reference import ReferenceSource, TaskArrays
-from multicontact_control.control.tick import ControlOutput, Measurement
+from multicontact_control.control.law import control_law, DEPENDENT, LIMITED
+from multicontact_control.control.tick import ControlOutput
 from multicontact_control.control.wrench import tool_record
 from multicontact_control.dynamics.operational_space import (
     MAX_CONDITION,
@@ -37,9 +36,6 @@ from multicontact_control.force.force_law import act_beyond, continue_laws, make
 from multicontact_control.force.observer import rescale
 from multicontact_control.records import CONTACT, CONTROL, LAW, Records
 import numpy as np
-
-__all__ = ['Controller', 'ControlOutput', 'Measurement']
-
 
 TASK_SIZE = 6  # joints with which an arm has no null space
 STOP_RATIO = 4.0  # frequency by which joints are kept off their stops, over the posture's
@@ -90,25 +86,19 @@ class Controller:
 
     """
 
-    def __init__(
-        self, config: ControllerConfig, robot: RobotModel, reference: ReferenceSource,
-    ) -> None:
+    def __init__(self, config: ControllerConfig, robot: RobotModel) -> None:
         count = len(config.columns)
         self.robot = robot
-        self._reference = reference
         self.controls: Any = np.zeros(1, dtype=CONTROL)
         self.controls['measured'] = True
+        self.controls['task']['rotation'] = np.eye(3)
         self.contacts: Any = np.zeros(count, dtype=CONTACT)
         self.arm = ArmState(robot, self.controls, self.contacts)
         self.active: Mask = self.contacts['active']
-        self._task = TaskArrays(
-            self.controls['task'], self.active, self.contacts['alpha_des'])
-        self._wrench: Vector = self.controls['wrench'][0]
-        self._alpha_meas: Vector = self.contacts['alpha_meas']
-        self._noise_variance: Vector = self.contacts['noise_variance']
-        effort: Vector = self.arm.joints['effort']
-        self.measured = self.arm.motion, self._wrench, self._noise_variance, effort
-        self._torque: Vector = self.arm.joints['torque']
+        joints = self.arm.joints
+        self.measured = (self.arm.motion, self.controls['wrench'][0],
+                         self.contacts['noise_variance'], joints['effort'])
+        self.torque: Vector = joints['torque']
         # numpy copies a structured array field by field, which takes five times as long.
         self._contact_bytes = self.contacts.view(np.uint8)
         self._control_bytes = self.controls.view(np.uint8)
@@ -123,7 +113,8 @@ class Controller:
             control_law, self.controls, self.arm.joints, robot.terms.mass_matrix,
             robot.terms.jacobian, robot.terms.jacobian_rate, self.contacts, self.laws)
         with contextlib.suppress(SingularTaskError, ContactGeometryError):
-            self.decide()  # all joints at 0 need not be a good posture
+            self.answer()  # all joints at 0 need not be a good posture
+        self.reset()
 
     def _adopt(self, config: ControllerConfig) -> None:
         """Set everything that follows from the configuration alone."""
@@ -147,7 +138,7 @@ class Controller:
 
     @classmethod
     def from_config(
-        cls, config: ControllerConfig, reference: ReferenceSource, base_dir: Path,
+        cls, config: ControllerConfig, base_dir: Path,
     ) -> Controller:
         """
         Build a controller with the arm its configuration names.
@@ -158,7 +149,7 @@ class Controller:
             If the URDF cannot be read or does not match the names.
 
         """
-        return cls(config, RobotModel(config.robot, base_dir), reference)
+        return cls(config, RobotModel(config.robot, base_dir))
 
     @property
     def observers(self) -> Records:
@@ -172,7 +163,7 @@ class Controller:
 
     def reset(self) -> None:
         """Forget everything measured; the next sample starts anew."""
-        self._started = False
+        self.started = False
         self.contacts['normal'] = self.contacts['normal_told']
         self.contacts['surface_speed_est'] = 0.0
 
@@ -203,7 +194,7 @@ class Controller:
         columns = self.contacts.copy()
         place_columns(config, columns)
         check_columns(config.column_names, columns)  # normals may be others
-        if not self._started:
+        if not self.started:
             return None
         laws = self._design(config, self.arm.pose.rotation_world)
         continue_laws(laws, self.laws)
@@ -222,64 +213,107 @@ class Controller:
             self.misread_friction = self._find_misread_friction()
             self._stiffnesses = loop_stiffnesses(config, self.arm.pose.rotation_world)
 
-    def step(self, measurement: Measurement, noise_variance: Vector) -> ControlOutput:
+    def take(
+        self, q: Vector, qd: Vector, wrench_sensor: Vector, noise_variance: Vector | None = None,
+    ) -> None:
         """
-        Answer one sample.
+        Take in a sample that no input stage has written into `measured`, and see it.
 
         Parameters
         ----------
-        measurement
-            The sample.
+        q, qd
+            Joint positions [rad] and velocities [rad/s], shape (n,).
+        wrench_sensor
+            Reading of the wrist sensor in its frame, force first, shape (6,) [N, N m].
         noise_variance
-            R_k per contact, estimated from the samples up to the one before, shape (r,) [N^2].
-
-        Returns
-        -------
-        ControlOutput
-            Torque and what led to it.
+            R_k per contact, shape (r,) [N^2]; the one before if not given.
 
         Raises
         ------
         ShapeError
             If an array is not of the robot's or the contacts' size.
+
+        """
+        (own_q, own_qd), wrench, variance, _ = self.measured
+        for name, values, place in (
+                ('q', q, own_q), ('qd', qd, own_qd), ('wrench_sensor', wrench_sensor, wrench),
+                ('noise_variance', noise_variance, variance)):
+            if values is not None:
+                require_shape(name, values, place.shape)
+                place[:] = values
+        self.see()
+
+    def see(self) -> bool:
+        """
+        Work out what is in `measured`: where the arm is, its model there, what the contacts bear.
+
+        Returns
+        -------
+        bool
+            Whether the model gives finite numbers there; if not, the arm stays where it was.
+
+        """
+        return self.arm.refresh()
+
+    def start(self) -> Pose:
+        """Design the force laws for where the arm is; return the pose that a task starts from."""
+        self.require_answer()
+        pose = self._pose()
+        self._stiffnesses = loop_stiffnesses(self.config, pose.rotation_world)
+        self.laws = self._design(self.config, pose.rotation_world)
+        joints = self.arm.joints
+        joints['posture'] = np.clip(  # what lies beyond a stop would be fought over
+            self.config.posture.joints or self.arm.q, joints['lower'] + STOP_MARGIN,
+            joints['upper'] - STOP_MARGIN)
+        self.misread_friction = self._find_misread_friction()
+        self.started = True
+        return pose
+
+    def require_answer(self) -> None:
+        """
+        Raise if what has been seen has no answer.
+
+        Raises
+        ------
+        SingularTaskError
+            If the arm's model gives no finite numbers.
+        ContactGeometryError
+            If the contacts cannot be told apart in this posture.
+
+        """
+        if not self.arm.finite:
+            raise SingularTaskError(
+                "the arm's dynamics: expected finite numbers, found others at joint positions "
+                f'{self.arm.q.tolist()} and velocities {self.arm.velocity.tolist()}')
+        if self.arm.found & AMBIGUOUS:
+            self._refuse(DEPENDENT)
+
+    def answer(self) -> bool:
+        """
+        Work out `torque` from what has been seen and what `controls` and `contacts` ask for.
+
+        Returns
+        -------
+        bool
+            Whether a torque limit was enforced.
+
+        Raises
+        ------
         SingularTaskError
             If the arm is in a singular posture.
         ContactGeometryError
             If the contacts' normals are not independent.
 
         """
-        self.see(measurement.q, measurement.qd, measurement.wrench_sensor)
-        return self.answer(measurement.time, noise_variance)
-
-    def see(self, q: Vector, qd: Vector, wrench_sensor: Vector) -> None:
-        """Take in a sample, see `Measurement`: the first half of `step`."""
-        if wrench_sensor.shape != self._wrench.shape:
-            require_shape('wrench_sensor', wrench_sensor, self._wrench.shape)
-        self._wrench[:] = wrench_sensor
-        self.arm.update(q, qd)
-
-    def answer(self, time: float, noise_variance: Vector) -> ControlOutput:
-        """Answer the sample that has been seen, as `step` does, of which it is the second half."""
-        if noise_variance.shape != self._noise_variance.shape:
-            require_shape('noise_variance', noise_variance, self._noise_variance.shape)
-        self._noise_variance[:] = noise_variance
-        self.begin()
-        self._task.take(self._reference.update(time, self._alpha_meas))
-        self.decide()
-        return self.output(self._torque.copy())
-
-    def begin(self) -> None:
-        """Get ready to answer what has been seen; for what is raised see `step`."""
-        if not self.arm.finite:
-            raise SingularTaskError(
-                "the arm's dynamics: expected finite numbers, found others at joint positions "
-                f'{self.arm.q.tolist()} and velocities {self.arm.velocity.tolist()}')
-        if self.arm.found & AMBIGUOUS:
-            self.refuse(DEPENDENT)
-        if not self._started:
-            self._start()
-        elif self._coordinate_driven:
+        if self._coordinate_driven and self.started:
             self._follow_stiffness()
+        terms = self.robot.terms
+        status = control_law(
+            self.controls, self.arm.joints, terms.mass_matrix, terms.jacobian,
+            terms.jacobian_rate, self.contacts, self.laws)
+        if status > LIMITED:
+            self._refuse(status)
+        return bool(status == LIMITED)
 
     def _follow_stiffness(self) -> None:
         """Redesign the observers of `paper` allocation when turning has changed k_s (eq. 17)."""
@@ -306,28 +340,6 @@ class Controller:
                 if coupling[i, j] > LEVERED and not (
                     contacts[names[j]].friction_std or contacts[names[j]].friction_coefficient)]
 
-    def _start(self) -> None:
-        """Begin with the first sample."""
-        pose = self._pose()
-        self._stiffnesses = loop_stiffnesses(self.config, pose.rotation_world)
-        self.laws = self._design(self.config, pose.rotation_world)
-        self._reference.start(pose, self.contacts['normal'].copy())
-        joints = self.arm.joints
-        joints['posture'] = np.clip(  # what lies beyond a stop would be fought over
-            self.config.posture.joints or self.arm.q, joints['lower'] + STOP_MARGIN,
-            joints['upper'] - STOP_MARGIN)
-        self.misread_friction = self._find_misread_friction()
-        self._started = True
-
-    def decide(self) -> None:
-        """Work out the joint torque from what has been seen and asked for."""
-        terms = self.robot.terms
-        status = control_law(
-            self.controls, self.arm.joints, terms.mass_matrix, terms.jacobian,
-            terms.jacobian_rate, self.contacts, self.laws)
-        if status != OK:
-            self.refuse(status)
-
     def account_for(self, torque: Vector) -> None:
         """
         Tell the force laws that another torque acts than the one that was answered.
@@ -351,13 +363,13 @@ class Controller:
         N = self.contacts['N'][active].T
         beyond = (self.contacts['alpha_fed'] - self.contacts['alpha_est'])[active]
         twist_rate = terms.jacobian @ np.linalg.solve(
-            M, torque - self._torque + terms.jacobian.T @ (N @ beyond))
+            M, torque - self.arm.joints['unlimited'] + terms.jacobian.T @ (N @ beyond))
         act_beyond(self.laws, active, (
             np.linalg.pinv(N) if self._coordinate_driven else N.T) @ twist_rate)
 
-    def refuse(self, status: int) -> NoReturn:
+    def _refuse(self, status: int) -> NoReturn:
         """Raise what a status of `control_law` other than OK means."""
-        if status != SINGULAR:
+        if status == DEPENDENT:
             raise ContactGeometryError(
                 'N: expected independent columns, found normals and contact points of '
                 f'{", ".join(self.config.column_names)} that depend on each other')
@@ -380,7 +392,7 @@ def law_record(config: ControllerConfig) -> Records:
         w = config.posture.natural_frequency
         law['nullspace_damping'] = max(config.nullspace_damping, 2.0 * w)
         law['posture_stiffness'], law['stop_stiffness'] = w ** 2, (STOP_RATIO * w) ** 2
-    law['limited'], law['least_share'] = True, config.limits.least_task_share
+    law['least_share'] = config.limits.least_task_share
     law['max_condition'] = MAX_CONDITION
     law['singular_mobility'] = config.limits.singular_mobility
     law['inertia_metric'] = force.projection == 'inertia'

@@ -24,8 +24,8 @@ from multicontact_control.dynamics.rotations import rotation_vector
 from multicontact_control.force.force_law import answer_forces
 import numpy as np
 
-# What `control_law` returns.
-OK, SINGULAR, DEPENDENT = range(3)
+# What `control_law` returns; LIMITED: a torque limit was enforced.
+OK, LIMITED, SINGULAR, DEPENDENT = range(4)
 
 
 @compiled
@@ -95,8 +95,12 @@ def force_law(
 
 
 @compiled
-def finish_torque(law: Any, joints: Any) -> None:
-    """Add the expected friction, Gamma += F_c tanh(v / v_0) + F_v v, then keep to the limits."""
+def finish_torque(law: Any, joints: Any) -> bool:
+    """
+    Add the expected friction, Gamma += F_c tanh(v / v_0) + F_v v, then keep to the limits.
+
+    Returns whether these were enforced.
+    """
     n = joints.shape[0]
     for j in range(n):
         joint = joints[j]
@@ -106,19 +110,14 @@ def finish_torque(law: Any, joints: Any) -> None:
             joint.priority += friction
         joint.torque += joint.viscous * joint.velocity
         joint.priority += joint.viscous * joint.velocity
-    if law.limited:
-        torque = np.empty(n)
-        for j in range(n):
-            torque[j] = joints[j].torque
-        if limit_torque(joints, law.least_share, torque):
-            for j in range(n):
-                joints[j].torque = torque[j]
+        joint.unlimited = joint.torque
+    return limit_torque(joints, law.least_share)
 
 
 @compiled
-def limit_torque(joints: Any, least_share: float, torque: Vector) -> bool:
+def limit_torque(joints: Any, least_share: float) -> bool:
     """
-    Bring a torque within the limits of the joints without turning what the task asks for.
+    Bring the torque of the joints within their limits without turning what the task asks for.
 
     Gamma = Gamma_p + s (Gamma - Gamma_p) with the largest s in [s_0, 1] within all limits. The
     priority Gamma_p carries the arm, overcomes its friction and presses with the forces that are
@@ -129,12 +128,11 @@ def limit_torque(joints: Any, least_share: float, torque: Vector) -> bool:
     Parameters
     ----------
     joints
-        Records of `JOINT`, shape (n,): limit of the command, what the drives add to it, and
-        priority are used.
+        Records of `JOINT`, shape (n,), whose torque is changed if need be; what is not a number
+        stays that. Used are also the limit of the command, what the drives add to it, and the
+        priority.
     least_share
         s_0; 1 to cut joint by joint.
-    torque
-        Changed if need be, shape (n,) [N m]; what is not a number stays that.
 
     Returns
     -------
@@ -148,25 +146,25 @@ def limit_torque(joints: Any, least_share: float, torque: Vector) -> bool:
         joint = joints[j]
         upper, lower = joint.added + joint.torque_limit, joint.added - joint.torque_limit
         first = joint.priority
-        if torque[j] > upper:
+        if joint.torque > upper:
             exceeded = True
             if first < upper:
-                share = min(share, (upper - first) / (torque[j] - first))
-        elif torque[j] < lower:
+                share = min(share, (upper - first) / (joint.torque - first))
+        elif joint.torque < lower:
             exceeded = True
             if first > lower:
-                share = min(share, (first - lower) / (first - torque[j]))
+                share = min(share, (first - lower) / (first - joint.torque))
     if not exceeded:
         return False
     share = max(share, least_share)
     for j in range(n):
         joint = joints[j]
         upper, lower = joint.added + joint.torque_limit, joint.added - joint.torque_limit
-        torque[j] = joint.priority + share * (torque[j] - joint.priority)
-        if torque[j] > upper:
-            torque[j] = upper
-        elif torque[j] < lower:
-            torque[j] = lower
+        joint.torque = joint.priority + share * (joint.torque - joint.priority)
+        if joint.torque > upper:
+            joint.torque = upper
+        elif joint.torque < lower:
+            joint.torque = lower
     return True
 
 
@@ -179,7 +177,7 @@ def control_law(
     Work out the joint torque of one tick.
 
     F = Lambda (Omega_m f_t* + Omega_c f_c*) + mu + p + N alpha_fed, Gamma = J^T F (P04
-    eqs 23-27), then null space, friction and, if they are the law's, limits. As published
+    eqs 23-27), then null space, friction and limits. As published
     alpha_fed is the estimate; see `force_to_feed`.
 
     Parameters
@@ -199,7 +197,7 @@ def control_law(
     Returns
     -------
     int
-        OK, or what is wrong; the force laws have not been touched then.
+        OK or LIMITED, or what is wrong; the force laws have not been touched then.
 
     """
     law, frame, task = controls[0].law, controls[0].frame, controls[0].task
@@ -255,5 +253,4 @@ def control_law(
             joints[j].priority += jacobian[i, j] * held[i]
     if n > 6 or damping > 0.0:
         add_nullspace_torque(joints, mass_matrix, jacobian, L, Y, Lambda, law)
-    finish_torque(law, joints)
-    return OK
+    return LIMITED if finish_torque(law, joints) else OK

@@ -1,38 +1,12 @@
-"""What goes into a tick of the controller and what comes out."""
+"""The answer of a tick."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from multicontact_control.arrays import Mask, Vector
 from multicontact_control.dynamics.pose import Pose
 from multicontact_control.records import Records
-
-
-@dataclass(frozen=True, slots=True)
-class Measurement:
-    """
-    One sample of the sensors.
-
-    Attributes
-    ----------
-    time
-        Time since the first sample [s].
-    q, qd
-        Joint positions [rad] and velocities [rad/s], shape (n,).
-    wrench_sensor
-        Reading of the wrist sensor in its frame, force first, shape (6,) [N, N m].
-    effort
-        Measured joint torque, shape (n,) [N m].
-
-    """
-
-    time: float
-    q: Vector
-    qd: Vector
-    wrench_sensor: Vector
-    effort: Vector | None = None
 
 
 class ControlOutput(NamedTuple):

@@ -30,7 +30,7 @@ from multicontact_control.supervision.inputs import (
     VarianceInput,
     WrenchInput,
 )
-from multicontact_control.supervision.status import SupervisorStatus
+from multicontact_control.supervision.report import SupervisorStatus
 import numpy as np
 from sim_bridge.actuator_delay import ActuatorDelay
 from sim_bridge.plant import Plant, Sample

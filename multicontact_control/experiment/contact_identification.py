@@ -18,7 +18,6 @@ from typing import Any
 from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.control.controller import Controller
-from multicontact_control.control.reference import CommandedReference
 from multicontact_control.errors import ConfigError, counted, RunError
 from multicontact_control.experiment.bag import read_bag
 from multicontact_control.experiment.external import read_controller_files
@@ -126,8 +125,7 @@ def contact_signals(
 ) -> dict[str, ContactSignals]:
     """Return the signals of every contact's normal force, from joints, wrench and torque alone."""
     names = config.column_names
-    controller = Controller.from_config(
-        config, CommandedReference(names, config.leader_of), base_dir)
+    controller = Controller.from_config(config, base_dir)
     controls, contacts = controller.controls, controller.contacts
     shape = (data.ticks, len(names))
     alpha, speed, motion, friction, commanded, resisted = (
@@ -137,7 +135,7 @@ def contact_signals(
         row = np.concatenate([data.q[k], data.qd[k], wrench[k], data.torque[k]])
         if not np.isfinite(row).all():
             continue
-        controller.see(data.q[k], data.qd[k], wrench[k])
+        controller.take(data.q[k], data.qd[k], wrench[k])
         alpha[k] = contacts['alpha_meas']
         frame = controls[0]['frame']
         twist, levers = frame['twist'], contacts['point'] @ frame['rotation'].T

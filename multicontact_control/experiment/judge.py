@@ -39,8 +39,8 @@ from multicontact_control.experiment.oscillation import stretches
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.supervision.contacts import ContactState
-from multicontact_control.supervision.event_log import CAPACITY, Event
-from multicontact_control.supervision.fallback import INFLATE, NONE
+from multicontact_control.supervision.reactions import INFLATE, NONE
+from multicontact_control.supervision.report import CAPACITY, Event
 import numpy as np
 
 STABLE, HELD, NOT_STABLE, UNJUDGED = (

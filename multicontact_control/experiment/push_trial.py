@@ -80,7 +80,7 @@ def run_push_test(
             loop.advance()
         tool = control.config.tool.model_copy(
             update={'bias_sensor': tuple(control.tare(TareConfig()).tolist())})
-        control.controller.reconfigure(control.config.model_copy(update={'tool': tool}))
+        control.supervisor.reconfigure(control.config.model_copy(update={'tool': tool}))
         said = control.push_test(config, loop.plant.tool_push_point)
         if on_instruction is not None:
             on_instruction(said)

@@ -21,7 +21,7 @@ from multicontact_control.experiment.metrics import (
 )
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.scenario import Setup
-from multicontact_control.supervision.event_log import read_event
+from multicontact_control.supervision.report import read_event
 import numpy as np
 
 

@@ -29,7 +29,7 @@ from multicontact_control.sensor.identification import (
     PoseReading,
 )
 from multicontact_control.sensor.tare import MIN_SAMPLES, TareConfig
-from multicontact_control.supervision.fallback import INFLATE, NONE
+from multicontact_control.supervision.reactions import INFLATE, NONE
 import numpy as np
 from scipy.spatial.transform import Rotation
 

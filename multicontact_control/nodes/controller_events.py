@@ -12,7 +12,7 @@ from multicontact_control.nodes import topics
 from multicontact_control.nodes.controller_status import reaction_text
 from multicontact_control.nodes.graph_node import create_publisher
 from multicontact_control.nodes.status_message import ACCEPTED, ControllerStatus, REFUSED, STATE
-from multicontact_control.supervision.fallback import NONE
+from multicontact_control.supervision.reactions import NONE
 from rclpy.node import Node
 
 REPEAT_TIME = 5_000_000_000  # ns, in which a line is logged once

@@ -151,7 +151,8 @@ class ControllerNode(ManagedNode):
 
     def deactivate(self) -> None:
         """Go over to the safe behaviour."""
-        self._configured.safe, self._last_command = True, None
+        self._last_command = None
+        self._configured.supervisor.stop()
         kind = self._configured.config.safe_behaviour.replace('_', ' ')
         self.get_logger().info(f'deactivated: commanding {kind} from the next sample on')
 
@@ -176,7 +177,7 @@ class ControllerNode(ManagedNode):
 
     def check(self, configurations: Sequence[Any]) -> None:
         """Raise if the controller cannot go on with new configurations."""
-        self._configured.controller.check(configurations[0])
+        self._configured.supervisor.check(configurations[0])
 
     def reconfigure(self, configurations: Sequence[Any]) -> None:
         """Go on with new configurations from the next sample on."""
@@ -186,7 +187,7 @@ class ControllerNode(ManagedNode):
         if self._commands is not None:
             self._commands.adopt(self._node_config)
         if config != loop.config:
-            loop.controller.reconfigure(config)
+            loop.supervisor.reconfigure(config)
 
     @property
     def _configured(self) -> ControlLoop:
@@ -338,7 +339,7 @@ class ControllerNode(ManagedNode):
         self._watch.missed, self._timing.skipped = self._timing.skipped, 0
         timing = {**self._watch.report(), 'steps': self._ticks.count,
                   'restarts': self._restarts, 'safe_behaviour': loop.safe,
-                  'supervised': loop.supervisor is not None}
+                  'supervised': loop.supervised}
         missed = timing['deadline_misses']
         return [
             Status('loop', timing, warning='; '.join(filter(None, (
@@ -349,7 +350,7 @@ class ControllerNode(ManagedNode):
             contact_status(loop, self._timing.variance), sensor_status(loop),
             message_status(self.refusals, unpaired=self._timing.unpaired, slow=sum(
                 reader.slow for reader in self._readers.values())),
-            *([self._report.status()] if loop.supervisor is not None and self._report else [])]
+            *([self._report.status()] if loop.supervised and self._report else [])]
 
     def _at_another_rate(self, loop: ControlLoop) -> str:
         """Say at what rate samples have come since this was asked last, if it is a wrong one."""
@@ -385,7 +386,7 @@ class ControllerNode(ManagedNode):
         age = self._fresh.ages().get(topics.NOISE_VARIANCE.name)
         if age is not None and age <= STALE_PERIODS * loop.config.period:
             return ''
-        inflated = loop.supervisor is not None and self._timing.variance is not None
+        inflated = loop.supervised and self._timing.variance is not None
         return ': the last R is held' + (' and inflated' if inflated else '')
 
 

@@ -9,7 +9,7 @@ from multicontact_control.arrays import Vector
 from multicontact_control.control_loop import ControlLoop
 from multicontact_control.nodes.diagnostics import Status
 from multicontact_control.supervision.contacts import ContactState
-from multicontact_control.supervision.fallback import INFLATE, NONE, SEVERITY
+from multicontact_control.supervision.reactions import INFLATE, NONE, SEVERITY
 
 TROUBLED = (ContactState.LOST.value, ContactState.RETRACTING.value, ContactState.GIVEN_UP.value)
 
@@ -33,7 +33,7 @@ class SupervisorReport:
         values |= {'causes': ' '.join(status.causes) or 'none',
                    'task_time_s': status.task_time, 'events': len(loop.events.events)}
         values |= loop.collisions
-        if loop.supervisor is not None:
+        if loop.supervised:
             values |= {f'{name} residual_nm': value for name, value in zip(
                 loop.config.robot.joint_names, loop.supervisor.collisions.residual.tolist())}
         values |= {f'ticks with {name}': n for name, n in counts[0].items() if name != NONE}
@@ -58,7 +58,7 @@ def reaction_text(loop: ControlLoop) -> str:
     causes = ', '.join(status.causes)
     if status.reaction == INFLATE:
         return f'R is inflated: {causes}'
-    outside = '; '.join(supervisor.outside) if supervisor is not None else ''
+    outside = '; '.join(supervisor.outside)
     return f'{status.reaction} instead of control: {causes}' + (
         f', until the arm is inside its limits: {outside}' if outside else '')
 
@@ -83,7 +83,7 @@ def contact_status(loop: ControlLoop, variance: Vector | None) -> Status:
     config = loop.config
     trouble = [f'1 N of friction at {where} is read as {gain:.1f} N at {what}: give '
                f'contacts.{where}.friction_std'
-               for where, what, gain in loop.controller.controller.misread_friction]
+               for where, what, gain in loop.supervisor.controller.misread_friction]
     for i, name in enumerate(config.column_names):
         values[f'{name} measured_n'] = float(output.alpha_meas[i])
         values[f'{name} estimated_n'] = float(output.alpha_est[i])

@@ -48,7 +48,7 @@ def reactions_of(config: ControllerConfig) -> dict[str, str]:
 
 @compiled
 def check_plausibility(
-    bounds: Any, control: Any, joints: Any, contacts: Any, states: Any,
+    limits: Any, controls: Any, joints: Any, contacts: Any, states: Any,
 ) -> int:
     """
     Check the answer of the control law that is in the joints.
@@ -57,6 +57,7 @@ def check_plausibility(
     explain) and OUTSIDE (the operational point is out of its box). A tool that is braked after
     the loss of a contact reads its own inertia as a pull: a lost contact has an allowance.
     """
+    bounds, control = limits[0], controls[0]
     frame, tool = control.frame, control.tool
     found = 0
     for j in range(joints.shape[0]):

@@ -1,19 +1,19 @@
 """
-The last gate: what leaves it is finite, within every limit, and brakes before the stops.
+The last step of a tick: what leaves it goes over smoothly from the torque before.
 
-Every command passes here.
+It is finite, within every limit, and brakes joints before their stops.
 """
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
-from multicontact_control.algebra import copy_vector
 from multicontact_control.arrays import Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.config import ControllerConfig
-from multicontact_control.control.arm_state import ArmState
-from multicontact_control.records import JOINT, JOINT_LIMITS, Records
+from multicontact_control.quintic import quintic
+from multicontact_control.records import JOINT_LIMITS, Records
 import numpy as np
 
 # What `gate_torque` returns, added up.
@@ -25,15 +25,9 @@ SPEED_GAIN = 50.0  # 1/s, how fast a joint is brought back to the speed it may h
 JOINT_MARGIN = 0.02  # rad before its stop, where a joint is to stand still
 JOINT_BRAKING = 5.0  # rad/s^2 counted on before a stop
 BRAKING_SHARE = 0.7  # of the speed a joint may have, from where on that is looked after
-
-
-@compiled
-def all_finite(values: Vector) -> bool:
-    """Return whether all values are finite."""
-    for i in range(values.shape[0]):
-        if not np.isfinite(values[i]):
-            return False
-    return True
+STEEPEST = 1.875  # largest slope of the quintic from 0 to 1
+BLEND_TIME = 0.003  # s, time constant by which a change of active contacts or laws is blended
+FADED = 1e-6  # N m in every joint, below which such a difference counts as gone
 
 
 @compiled
@@ -70,111 +64,151 @@ def brake_joints(joints: Any, limits: Any, torque: Vector) -> bool:
 
 @compiled
 def gate_torque(
-    torque: Vector, fallback: Vector, joints: Any, known: bool, limits: Any, started: bool,
-    gated: Vector,
+    torque: Vector, joints: Any, limits: Any, known: bool, seen: bool, begun: bool,
 ) -> int:
     """
-    Fill in `gated` as far as the limits allow; return the sum of the limits that were enforced.
+    Bring a torque within its limits; return the sum of those that were enforced.
 
-    See `TorqueGate.apply`. `joints` are records of `JOINT` and `limits` of `JOINT_LIMITS`, `last`
-    of which is overwritten; `started` says whether there was a last command.
+    Parameters
+    ----------
+    torque
+        Changed, shape (n,) [N m].
+    joints, limits
+        Records of `JOINT` and of `JOINT_LIMITS`, shape (n,); `last` of these is overwritten.
+    known, seen, begun
+        Whether the joints were ever known, whether they are known now, and whether there was a
+        torque before.
+
     """
-    enforced = 0
-    n = gated.shape[0]
-    if torque.shape[0] == n and all_finite(torque):
-        copy_vector(torque, gated)
-    else:
+    enforced, n = 0, torque.shape[0]
+    finite = True
+    for j in range(n):
+        finite = finite and np.isfinite(torque[j])
+    if not finite:
         enforced = NOT_FINITE
         for j in range(n):
-            gated[j] = fallback[j] if np.isfinite(fallback[j]) else 0.0
-    if known and brake_joints(joints, limits, gated):
+            carried = joints[j].bias_torque
+            torque[j] = carried if known and np.isfinite(carried) else 0.0
+    if seen and brake_joints(joints, limits, torque):
         enforced |= JOINT_STOP
     for j in range(n):
-        limit = limits[j]
-        clipped = min(max(gated[j], limit.added - limit.torque), limit.added + limit.torque)
-        if clipped != gated[j]:
+        joint, limit = joints[j], limits[j]
+        clipped = min(max(torque[j], joint.added - joint.torque_limit),
+                      joint.added + joint.torque_limit)
+        if clipped != torque[j]:
             enforced |= TORQUE
-        if started:
+        if begun:
             slowed = min(max(clipped, limit.last - limit.step), limit.last + limit.step)
             if slowed != clipped:
                 enforced |= TORQUE_RATE
             clipped = slowed
-        gated[j] = clipped
+        torque[j] = clipped
         limit.last = clipped
     return enforced
 
 
 class TorqueGate:
     """
-    Bounds torques.
+    Blends and bounds the torque of every tick.
 
-    In turn: numbers that are not finite are replaced by the fallback; near a stop or above its
-    speed a joint's torque is bounded so that it brakes, v_max = sqrt(2 a d) at a distance d; the
-    result is clipped to the torque limits and to their rate from the last command. The last two
-    hold whatever came in.
+    A torque goes over to that of another law in one of two ways. What is commanded (a start, other
+    gains, a hold) acts with all its gain at once; what it lacks of the torque before fades by the
+    `quintic`, as `transition` says. What happens by itself (a contact that comes or goes, a
+    reaction) fades with a time constant of 3 ms.
+
+    Then, in turn: a torque that is not finite is replaced by the one that carries the arm; near a
+    stop, or above its speed, a joint brakes; the torque is clipped to its limits, and to their
+    rate. The last two hold whatever came in.
 
     Parameters
     ----------
     config
-        Limits.
+        Limits, and how fast commanded differences fade.
     joints
-        Number of joints.
+        The arm: records of `JOINT`, shape (n,), which keep the limit of a torque, and what the
+        drives add to it.
+    guarded
+        Whether stops, speeds and torque rates are limited, too.
 
     Attributes
     ----------
-    limits
-        Records of `JOINT_LIMITS`, shape (n,).
+    last
+        The torque that acts, shape (n,) [N m]; its start is taken for it before the first tick.
+    begun
+        Whether there is one.
 
     """
 
-    def __init__(self, config: ControllerConfig, joints: int) -> None:
-        self.limits: Any = joint_limits(config, joints)
-        self._last: Vector = self.limits['last']
-        self._nowhere = np.zeros(joints, dtype=JOINT)
-        self._started = False
-        nothing = np.zeros(joints)
-        self.apply(nothing, nothing, None)  # no tick is to wait for numba
+    def __init__(self, config: ControllerConfig, joints: Records, *, guarded: bool = True) -> None:
+        self._joints: Any = joints
+        self._guarded = guarded
+        self._limits: Any = joint_limits(config, len(joints))
+        if not guarded:
+            self._limits['step'] = np.inf
+        self.last: Vector = self._limits['last']
+        self._period = config.period
+        self._keep = math.exp(-config.period / BLEND_TIME)
+        self.adopt(config)
+        self.reset()
+        self.apply(None, np.zeros(len(joints)))  # no tick is to wait for numba
         self.reset()
 
+    def adopt(self, config: ControllerConfig) -> None:
+        """Let commanded differences fade as another configuration says."""
+        self._pace = config.transition
+
     def reset(self) -> None:
-        """Forget the last command: the next one may be anything within the limits."""
-        self._started = False
-        self.limits['added'] = 0.0
+        """Forget the torque that acts."""
+        self.begun = False
+        self._joints['added'] = 0.0
+        self._law: object = None
+        self._end_blend()
 
-    def allow_for(self, added: Vector, change: Vector) -> None:
-        """Take in what the drives add to a command, and its change since the last one [N m]."""
-        self.limits['added'] = added
-        self._last += change
+    def _end_blend(self) -> None:
+        self._pending, self._tick, self._ticks = False, 0, 0
+        self._slow: Vector | None = None  # what a commanded torque lacks, before it fades
+        self._fast: Vector | None = None  # what is left of any other difference
 
-    def passed(self) -> Vector:
-        """Return the torque that has come through the gate last, shape (n,) [N m]."""
-        return self._last.copy()
+    def begin(self, torque: Vector) -> None:
+        """Take a torque, shape (n,) [N m], for the one that acts, if there was none before."""
+        if not self.begun:
+            limit, added = self._joints['torque_limit'], self._joints['added']
+            self.last[:] = np.clip(torque, added - limit, added + limit)
+            self.begun = True
 
-    def carry(self, arm: ArmState | None) -> Vector:
-        """Return what carries an arm, within limit and rate, by numpy alone; zero if unknown."""
-        limit, step, added = (self.limits[name] for name in ('torque', 'step', 'added'))
-        carried: Vector = np.zeros(limit.shape) if arm is None else np.clip(
-            arm.bias_torque, added - limit, added + limit)
-        if self._started:
-            carried = np.clip(carried, self._last - step, self._last + step)
-        self._started = True
-        self._last[:] = carried
-        return carried
+    def go_over(self) -> None:
+        """Let the next torque be the one that acts: what is commanded is about to jump."""
+        self._end_blend()
+        self._pending = self.begun
+
+    def hurry(self) -> None:
+        """Leave what has still to fade slowly to the fast way."""
+        if self._pending or self._slow is not None:
+            self._end_blend()
+            self._law = None
+
+    def allow_for(self, added: Vector) -> None:
+        """Take in what the drives add to a command [N m], which changes the torque that acts."""
+        self.last += added - self._joints['added']
+        self._joints['added'] = added
 
     def apply(
-        self, torque: Vector, fallback: Vector, arm: ArmState | None, *, limited: bool = False,
+        self, law: object, torque: Vector, *, limited: bool = False, known: bool = True,
+        seen: bool = True,
     ) -> tuple[Vector, tuple[str, ...]]:
         """
-        Let a torque through as far as the limits allow.
+        Let a torque through as far as continuity and the limits allow.
 
         Parameters
         ----------
-        torque, fallback
-            What is wanted, and what to do if that is not finite, shape (n,) [N m].
-        arm
-            The arm at its last valid state; None if there was none.
+        law
+            Anything that differs from one law to another.
+        torque
+            What is wanted, overwritten, shape (n,) [N m].
         limited
-            Whether the torque has been brought within the torque limits already.
+            Whether it was brought within the torque limits already.
+        known, seen
+            Whether the joints were ever known, and whether they are known now.
 
         Returns
         -------
@@ -184,18 +218,61 @@ class TorqueGate:
             Names of the limits that had to be enforced for it.
 
         """
-        gated = np.empty(self._last.shape)
+        if self._pending or self._slow is not None or self._fast is not None or law != self._law:
+            torque = self._blend(law, torque)
         enforced = gate_torque(
-            torque, fallback, self._nowhere if arm is None else arm.joints, arm is not None,
-            self.limits, self._started, gated)
-        self._started = True
-        return gated, ENFORCED[enforced | TORQUE if limited else enforced]
+            torque, self._joints, self._limits, known, seen and self._guarded, self.begun)
+        self.begun = True
+        return torque, ENFORCED[enforced | TORQUE if limited else enforced]
+
+    def carry(self, known: bool) -> Vector:
+        """Return what carries the arm, within limit and rate, by numpy alone; 0 if unknown."""
+        limit, added, bias = (self._joints[x] for x in ('torque_limit', 'added', 'bias_torque'))
+        carried: Vector = np.clip(bias if known else 0.0 * bias, added - limit, added + limit)
+        if self.begun:
+            carried = np.clip(
+                carried, self.last - self._limits['step'], self.last + self._limits['step'])
+        self.begun, self._law = True, None
+        self._end_blend()
+        self.last[:] = carried
+        return carried
+
+    def _blend(self, law: object, torque: Vector) -> Vector:
+        """Return a torque with what is left of the differences from the ones before."""
+        torque = self._fade_slowly(torque)
+        if law != self._law and self.begun:
+            self._fast = self.last - torque
+        elif self._fast is not None:
+            self._fast = self._fast * self._keep
+            if np.abs(self._fast).max() < FADED:
+                self._fast = None
+        self._law = law
+        return torque if self._fast is None else torque + self._fast
+
+    def _fade_slowly(self, torque: Vector) -> Vector:
+        if self._pending:
+            difference, pace = self.last - torque, self._pace
+            largest = float(np.abs(difference).max())
+            periods = max(pace.blend_time, STEEPEST * largest / pace.torque_rate) / self._period
+            if not math.isfinite(periods):
+                return torque  # for the gate; the blend waits for a torque that is finite
+            self._pending, self._slow = False, difference
+            self._tick, self._ticks = 0, math.ceil(periods)
+            return self.last.copy()
+        if self._slow is None:
+            return torque
+        self._tick += 1
+        if self._tick >= self._ticks:
+            self._slow = None
+            return torque
+        faded, _, _ = quintic(self._tick, self._ticks)
+        blended: Vector = torque + (1.0 - faded) * self._slow
+        return blended
 
 
 def joint_limits(config: ControllerConfig, joints: int) -> Records:
     """Return the limits as records of `JOINT_LIMITS`, shape (n,)."""
     limits, records = config.limits, np.zeros(joints, dtype=JOINT_LIMITS)
-    records['torque'] = config.torque_limit or np.inf
     records['step'] = np.array(limits.torque_rate or np.inf) * config.period
     records['lower'] = np.array(limits.joint_lower or -np.inf) + JOINT_MARGIN
     records['upper'] = np.array(limits.joint_upper or np.inf) - JOINT_MARGIN

@@ -8,7 +8,8 @@ from multicontact_control.arrays import Codes, Mask, Matrix, Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.config.contact import FORCE
 from multicontact_control.control.controller import Controller, place_columns
-from multicontact_control.control.reference import Reference, TaskArrays, TaskSource
+from multicontact_control.control.reference import Reference, TaskArrays
+from multicontact_control.control.reference.holdable import HeldSource
 from multicontact_control.dynamics.pose import Pose
 from multicontact_control.dynamics.robot import turn_between
 from multicontact_control.records import CONTACT, CONTACT_REFERENCE, CONTROL, Records
@@ -48,8 +49,8 @@ class ContactReference:
         Contacts, motion law, limits.
     task
         What is to be done.
-    record
-        One record of `CONTACT_REFERENCE` to fill in; its own if not given.
+    guarded
+        Whether that is so; otherwise the task is asked for as it is.
 
     Attributes
     ----------
@@ -61,11 +62,11 @@ class ContactReference:
     """
 
     def __init__(
-        self, config: ControllerConfig, task: TaskSource, record: Records | None = None,
+        self, config: ControllerConfig, task: HeldSource, *, guarded: bool = True,
     ) -> None:
         contact_state = task.contact_state(config.contact_state)
-        self._config, self._task = config, task
-        self._record: Any = np.zeros(1, dtype=CONTACT_REFERENCE) if record is None else record
+        self._config, self._task, self._guarded = config, task, guarded
+        self._record: Any = np.zeros(1, dtype=CONTACT_REFERENCE)
         self._record['settings'] = contact_settings(contact_state, config.period)
         self._limits = self._record['limits']
         self._leaders = np.array(config.leaders)
@@ -120,6 +121,8 @@ class ContactReference:
     @property
     def held(self) -> Mask:
         """Which contacts, and their couples, are held, also while a reaction pauses control."""
+        if not self._guarded:
+            return self._contacts['active'].astype(bool)
         return np.array([is_active(state) for state in self.contact_states], dtype=bool)
 
     def start(self, pose: Pose, normals_world: Vector) -> None:
@@ -141,7 +144,7 @@ class ContactReference:
         """
         Look at a controller's arm from now on, and make references in its arrays.
 
-        Then `observe` is not needed, and `ask` with the compiled `supervised_law` is `update`.
+        Then `observe` is not needed, and `ask` is `update`.
         """
         self._observed = True
         self._use(controller.controls, controller.contacts)
@@ -201,6 +204,8 @@ class ContactReference:
             Where the task has to be for the arm to stay at `pose`.
 
         """
+        if not self._guarded:
+            return pose
         position = pose.position_world.copy()
         active = self.held
         for state, normal in zip(
@@ -235,14 +240,21 @@ class ContactReference:
 
         It is overwritten by the next but for its pose.
         """
-        self.ask(time)
         self._contacts['alpha_meas'] = alpha_meas
-        self.limited = limit_reference(
-            self._record[0], self._controls[0], self._contacts, self.contact_states)
+        self.ask(time)
         return self._made.reference()
 
     def ask(self, time: float) -> None:
-        """Ask what is wanted at a time of the task [s]: all of a tick before compiled code."""
+        """Ask for what is wanted at a time of the task [s], as far as it may be asked for."""
+        if not self._guarded:
+            self._made.take(self._task.update(time, self._contacts['alpha_meas']))
+            return
+        self._want(time)
+        self.limited = limit_reference(
+            self._record, self._controls, self._contacts, self.contact_states)
+
+    def _want(self, time: float) -> None:
+        """Take in what is wanted at a time of the task [s]."""
         if not self._catching_up:
             self._wanted.take(self._task.task(time))
             return

@@ -194,14 +194,14 @@ def bound_task(limits: Any, frame: Any, contacts: Any, task: Any) -> bool:
 
 
 @compiled
-def limit_reference(reference: Any, control: Any, contacts: Any, states: Any) -> bool:
+def limit_reference(references: Any, controls: Any, contacts: Any, states: Any) -> bool:
     """
     Work out the reference of one tick; see `ContactReference.update`.
 
     Parameters
     ----------
-    reference, control
-        Records of `CONTACT_REFERENCE` and `CONTROL`, the task of which is filled in.
+    references, controls
+        One record of `CONTACT_REFERENCE` and one of `CONTROL`, the task of which is filled in.
     contacts, states
         Records of `CONTACT`, `active` and `alpha_des` of which are filled in, and
         `CONTACT_STATE`, changed, shape (r,).
@@ -212,8 +212,11 @@ def limit_reference(reference: Any, control: Any, contacts: Any, states: Any) ->
         Whether a limit of the motion was enforced.
 
     """
+    reference, control = references[0], controls[0]
     limits, wanted, settings = reference.limits, reference.wanted, reference.settings
     frame, task = control.frame, control.task
+    for i in range(contacts.shape[0]):
+        states[i].stiffness = contacts[i].stiffness
     follow_contacts(limits, wanted, frame, contacts, states, settings)
     for i in range(contacts.shape[0]):
         contact, state = contacts[i], states[i]

@@ -1,8 +1,8 @@
-"""The controller with everything that keeps it safe around it; nothing that comes in raises."""
+"""The control law with everything around it that keeps the arm safe, in one step."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from multicontact_control.arrays import Vector
@@ -13,16 +13,14 @@ from multicontact_control.control.arm_state import (
     JOINT_SPEED,
     OPERATIONAL_SPEED,
 )
-from multicontact_control.control.controller import ControlOutput
-from multicontact_control.control.law import limit_torque
-from multicontact_control.control.reference import TaskSource
+from multicontact_control.control.controller import Controller
+from multicontact_control.control.reference.holdable import HeldSource
 from multicontact_control.dynamics.pose import Pose
 from multicontact_control.dynamics.robot import RobotModel
-from multicontact_control.errors import ConfigError
+from multicontact_control.errors import CommandError, ConfigError, SingularTaskError
 from multicontact_control.force.force_law import continue_laws_at
-from multicontact_control.records import SUPERVISION
-from multicontact_control.supervision.bumpless import BumplessController
 from multicontact_control.supervision.checks import (
+    check_plausibility,
     CollisionWatch,
     limit_speeds,
     NOT_FINITE,
@@ -34,51 +32,45 @@ from multicontact_control.supervision.checks import (
     TOO_FAST,
 )
 from multicontact_control.supervision.command_limits import outside_limits
-from multicontact_control.supervision.fallback import (
+from multicontact_control.supervision.gate import TorqueGate
+from multicontact_control.supervision.inputs import Inputs, Seen, TickInputs
+from multicontact_control.supervision.reactions import (
     DAMP,
     FLOAT,
     HOLD,
     INFLATE,
+    LATCHED,
     NONE,
     Reactions,
+    RECOVERING,
+    Recovery,
+    SAFE,
     SEVERITY,
 )
-from multicontact_control.supervision.gate import ENFORCED, JOINT_STOP, TORQUE, TorqueGate
-from multicontact_control.supervision.inputs import Seen, TickInputs
-from multicontact_control.supervision.recovery import LATCHED, RECOVERING, Recovery
 from multicontact_control.supervision.reference import ContactReference
-from multicontact_control.supervision.status import (
-    no_answer,
-    SupervisorStatus,
-    TickOutput,
-)
-from multicontact_control.supervision.supervised_law import (
-    GATE,
-    PASSED,
-    REFERENCE,
-    SupervisedLaw,
-)
+from multicontact_control.supervision.report import no_answer, SupervisorStatus, TickOutput
 import numpy as np
-
-__all__ = ['Supervisor', 'TickOutput', 'SupervisorStatus']
 
 CONTRADICTIONS = 2  # samples in a row that contradict the contacts, for the wrench to be refused
 SEEN_TIME = 0.05  # s, after which an arm that was not seen is held again
 LONGEST_SKIP = 0.1  # s; the task's time does not follow a clock that has been set
-WAITING = ((RECOVERING,), (LATCHED,))
+CONTROLLED = (NONE, INFLATE)  # what the control law answers
 # What is 0 of a contact that no force law controls.
 OF_THE_LAW = ('active', 'alpha_des', 'alpha_fed', 'alpha_est', 'alpha_rate_est', 'innovation',
               'prior_variance', 'variance_used')
-SATURATED = frozenset(ENFORCED[TORQUE | JOINT_STOP])
 FIXED = ('torque_limit', 'sensor', 'contact_state', 'limits', 'watchdog', 'collision')
 LIVE_OF_CONTACTS = (
     'friction_coefficient', 'normal_world', 'normal_turn_rate', 'normal_range', 'surface_speed',
     'surface_speed_limit')
 
 
-class Supervisor(BumplessController):
+class Supervisor:
     """
     Controller, contact states, watchdog, reactions and gate in one step that never raises.
+
+    The torque starts from the one that holds the arm: the measured effort, or gravity compensation
+    where the robot measures none (or only zeros). What is commanded afterwards goes over without a
+    jump.
 
     Parameters
     ----------
@@ -88,13 +80,20 @@ class Supervisor(BumplessController):
         The arm.
     task
         What to do.
+    guarded
+        Whether inputs, contacts, speeds and answers are supervised. If not, the law answers every
+        sample as it is, and `step` raises where it cannot; torques are still limited.
 
     Attributes
     ----------
     config
         The configuration in force.
-    controller, reference
-        The control law, and what it is asked for.
+    inputs, controller, reference
+        What comes in, the control law, and what it is asked for.
+    safe
+        Whether ticks are answered by the declared safe behaviour, see `stop`.
+    started
+        Whether the control law has answered a sample since it was reset.
     outside
         Where the arm is beyond its limits, so that control cannot start, a line for each.
     expects_pushes
@@ -104,100 +103,83 @@ class Supervisor(BumplessController):
 
     """
 
-    def __init__(self, config: ControllerConfig, robot: RobotModel, task: TaskSource) -> None:
+    def __init__(
+        self, config: ControllerConfig, robot: RobotModel, task: HeldSource, *,
+        guarded: bool = True,
+    ) -> None:
+        self.guarded = guarded
         self._robot, self._period = robot, config.period
-        self._record: Any = np.zeros(1, dtype=SUPERVISION)
-        self.reference = ContactReference(config, task, self._record['reference'])
-        super().__init__(config, robot, self.reference)
-        self._gate = TorqueGate(config, robot.joint_count)
-        self._reactions = Reactions(config, self.controller)
-        self._recovery = Recovery(config.watchdog, config.period)
-        self.collisions = CollisionWatch(config, self.controller)
-        self.expects_pushes = False
-        arm = self.controller.arm
-        limit_speeds(arm.joints, arm.frames, config)
+        self.controller = Controller(config, robot)
+        self.reference = ContactReference(config, task, guarded=guarded)
         self.reference.bind(self.controller)
-        self._law = SupervisedLaw(
-            self._record, self.controller, self.reference.contact_states, self._gate)
-        self._measured: Any = self.controller.controls['measured']
+        arm = self.controller.arm
+        self._joints, self._controls = arm.joints, self.controller.controls
+        self.inputs = Inputs(config, self.controller.measured)
+        self._gate = TorqueGate(config, arm.joints, guarded=guarded)
+        self._reactions = Reactions(config, self.controller)
+        self._recovery = Recovery(config.watchdog.recovery_time, config.period)
+        self.collisions = CollisionWatch(config, self.controller)
+        if guarded:
+            limit_speeds(arm.joints, arm.frames, config)
+        else:
+            self._controls['momentum']['bandwidth'] = 0.0  # what touches the arm is not asked
+        self.expects_pushes = False
+        self._adopt(config)
         self.reset()
 
-    def _adopt(self, config: ControllerConfig) -> None:
-        super()._adopt(config)
-        self.reference.retune(config)
-        self._record['plausibility'] = plausibility_limits(config)
-        self.controller.controls['law']['limited'] = False  # that is done, and told, at the gate
+    @classmethod
+    def from_config(
+        cls, config: ControllerConfig, task: HeldSource, base_dir: Path, *, guarded: bool = True,
+    ) -> Supervisor:
+        """
+        Build a supervisor with the arm its configuration names.
 
-    def check(self, config: ControllerConfig) -> None:
-        """Find out whether `reconfigure` would take a configuration; see `BumplessController`."""
-        for name in FIXED:
-            if getattr(config, name) != getattr(self.config, name):
-                raise ConfigError(name, 'what it is while in use', 'another value')
-        for name, contact in self.config.contacts.items():
-            other = config.contacts.get(name)
-            if other is None or other != contact.model_copy(update={
-                    field: getattr(other, field) for field in LIVE_OF_CONTACTS}):
-                raise ConfigError(
-                    f'contacts.{name}', 'what it is while in use, but for '
-                    f'{", ".join(LIVE_OF_CONTACTS)}', 'another value')
-        super().check(config)
+        Raises
+        ------
+        ConfigError
+            If the URDF cannot be read or does not match the names.
 
-    def stand_still(self, pose: Pose) -> Pose:
-        """Keep the contacts that are held; return the pose of a task that leaves the arm there."""
-        return self.reference.stand_still(super().stand_still(pose))
-
-    def go_on(self) -> None:
-        """Go on with the task after `stand_still`, from where the arm is."""
-        super().go_on()
-        self.reference.resume()
+        """
+        return cls(config, RobotModel(config.robot, base_dir), task, guarded=guarded)
 
     def reset(self) -> None:
-        """Forget everything measured; the next tick starts anew."""
-        super().reset()
-        self.outside: tuple[str, ...] = ()
+        """Forget everything measured and commanded; the next tick starts anew."""
         self._restart_law()
+        self.inputs.reset()
         self.collisions.reset()
         self._gate.reset()
         self._reactions.end()
+        self.safe = False
+        self.outside: tuple[str, ...] = ()
         self._arm: ArmState | None = None
+        self._effort: Vector | None = None
         self._too_fast: tuple[str, ...] = ()
         self._touched: tuple[str, ...] = ()
-        self._wrench_known, self._blind = False, False
+        self._seen, self._wrench_known = Seen(), False
+        self._reaction = NONE
         self._output = no_answer(self._robot.joint_count, len(self.config.columns))
-        self._status: SupervisorStatus | None = None
-        self._last_law: object = None
-        self._effort: Vector | None = None
+        self._last: TickOutput | None = None
 
     def _restart_law(self) -> None:
         self.controller.reset()
         self._task_ticks = self._good_ticks = self._contradictions = 0
-        self._paused = self._running = False
+        self.started = self._paused = False
         self._waiting_reaction = HOLD
         self._recovery.reset()
 
-    @property
-    def started(self) -> bool:
-        """Whether the control law has answered a sample since it was reset."""
-        return self._running
-
-    @property
-    def presses(self) -> bool:
-        """Whether a reaction presses on with what a contact was held with."""
-        return self._reactions.presses
-
-    def try_again(self) -> bool:
+    def stop(self) -> None:
         """
-        Resume control that is latched, and seek contacts that were given up.
+        Answer by the declared safe behaviour from the next tick on, reached without a jump.
 
-        Returns
-        -------
-        bool
-            Whether there was any of that.
-
+        The control law is forgotten; `reset` ends this.
         """
-        latched = self._recovery.latched
-        self._recovery.allow()
-        return self.reference.seek_again() or latched
+        if self.safe:
+            return
+        self._restart_law()
+        self.safe = True
+        self._reactions.end()
+        self.reference.reset()
+        self._gate.go_over()
 
     def step(self, inputs: TickInputs) -> TickOutput:
         """
@@ -214,88 +196,116 @@ class Supervisor(BumplessController):
             A torque that may be commanded, and how it came about. A tick with the time of the
             one before gets the same answer again.
 
-        """
-        return self._survive(self._step, inputs)
+        Raises
+        ------
+        MulticontactError
+            Without guards, if a reading is missing or there is no torque for this posture.
 
-    def safe_step(self, inputs: TickInputs) -> TickOutput:
         """
-        Answer one tick by the declared safe behaviour, reached without a jump.
-
-        The control law is forgotten: a later `step` starts it anew, from the torque that acts
-        then.
-        """
-        return self._survive(self._safe_step, inputs)
-
-    def _survive(
-        self, answer: Callable[[Seen], TickOutput], inputs: TickInputs,
-    ) -> TickOutput:
         try:
-            valid = self._validate(inputs)
-            if valid.repeated and self._status is not None:
-                return TickOutput(self._output, self._status)
-            self._update_state(valid)
-            return answer(valid)
-        except Exception as error:  # whatever it is, it must not stop the callback
+            return self._tick(inputs)
+        except Exception as error:
+            if not self.guarded:
+                raise
             return self._last_resort(f'internal_{type(error).__name__}')
+
+    def _tick(self, inputs: TickInputs) -> TickOutput:
+        seen = self._validate(inputs)
+        if seen.repeated and self._last is not None:
+            return self._last
+        causes = self._see(seen)
+        reaction, causes = self._decide(causes)
+        if reaction not in CONTROLLED:
+            return self._react(reaction, causes)
+        try:
+            self._resume()
+            self.reference.ask(self._task_time())
+            limited = self.controller.answer()
+        except Exception as error:
+            if not self.guarded:
+                raise
+            return self._refuse(f'law_{type(error).__name__}')
+        if cause := self._check():
+            return self._refuse(cause)
+        torque, limits = self._pass(limited)
+        return self._report(torque, reaction, causes, limits)
 
     def _validate(self, inputs: TickInputs) -> Seen:
         """Return what is valid; take note of the time, and of the effort to start from."""
         before = self.inputs.now
-        valid = self.inputs.validate(inputs)
-        skipped = self.inputs.now - before - self._period
-        if self._running and not self._paused and 0.5 * self._period < skipped <= LONGEST_SKIP:
-            self._task_ticks += round(skipped / self._period)
-        if not self._transition.begun and inputs.joints is not None:
+        seen = self.inputs.validate(inputs)
+        if not self._gate.begun and inputs.joints is not None:
             self._effort = self.inputs.effort.copy() if self.inputs.acted else None
-        return valid
+        if not self.guarded:
+            return self._as_it_came(inputs)
+        skipped = self.inputs.now - before - self._period
+        if self.started and not self._paused and 0.5 * self._period < skipped <= LONGEST_SKIP:
+            self._task_ticks += round(skipped / self._period)
+        return seen
 
-    def _safe_step(self, valid: Seen) -> TickOutput:
-        arm = self._arm
-        if not self._safe_running:
-            self._restart_law()
-            self._reactions.end()
-            self.reference.reset()
-            self._safe.start()
-            self._transition.begin(self._acting)
-        self._safe_running = True
-        if arm is None or valid.blind:
-            self._safe.start()  # it is held wherever it has gone meanwhile
-            return self._react(valid.causes or ('joints_stale',), valid.rejected,
-                               DAMP if arm is None else FLOAT)
-        torque = self._safe.torque(arm.q, arm.velocity, self._added)
-        return self._finish(self._idle_output(torque), 'safe', valid.causes,
-                            valid.rejected, NONE, ())
+    def _as_it_came(self, inputs: TickInputs) -> Seen:
+        """Hand over the inputs of a tick, valid or not; raise if joints or wrench are missing."""
+        joints, variance = inputs.joints, inputs.variance
+        if joints is None or inputs.wrench is None:
+            raise not_supervised()
+        (q, qd), wrench, own_variance, _ = self.controller.measured
+        q[:], qd[:], wrench[:] = joints.q, joints.qd, self.inputs.filtered
+        own_variance[:] = (
+            self.config.initial_noise_variance if variance is None else variance.variance)
+        self._task_ticks = round(inputs.time / self._period)
+        return Seen()
 
-    def _acting(self) -> Vector:
-        """Return the torque that acts before any command, shape (n,) [N m]."""
-        return self._held(self._effort, None if self._arm is None else self._arm.q)
+    def _see(self, seen: Seen) -> tuple[str, ...]:
+        """Work out where the arm is and what its contacts bear; return what is wrong."""
+        arm, own = self.controller.arm, self.config.robot.adds_gravity
+        self._seen, self._wrench_known = seen, seen.measured
+        if self.guarded:
+            self.collisions.look(
+                self.inputs.joint_stamp, acted=self.inputs.acted, measured=seen.measured,
+                added=self._joints['added'] if own else None)
+            self.inputs.estimate_known = self.collisions.knows
+        if seen.joints and self.controller.see():
+            self._arm = arm
+            self._too_fast = TOO_FAST[arm.found & (OPERATIONAL_SPEED | JOINT_SPEED)]
+            if arm.found & AMBIGUOUS:  # what the contacts bear is of some time before
+                self._wrench_known = False
+            touched = self.collisions.cause(arm.found)
+            # The wrench is not to be believed before the pushes that prove it.
+            self._touched = (touched,) if touched and not self.expects_pushes else ()
+            if own:
+                self._gate.allow_for(self._own_weight())
+        return seen.causes + self._too_fast + self._touched
 
-    def _idle_output(self, torque: Vector) -> ControlOutput:
-        """Return an answer of something else than the control law: what is seen, no force."""
-        output = self._output if self._arm is None else self.controller.output(torque)
-        contacts = output.contacts.copy()
-        for name in OF_THE_LAW:
-            contacts[name] = 0
-        return output._replace(torque=torque, contacts=contacts)
+    def _own_weight(self) -> Vector:
+        """Return the torque by which the drives carry the arm where it is seen, shape (n,)."""
+        torque, tool = self._robot.terms.gravity.copy(), self.config.tool
+        if not self.config.robot.adds_tool_gravity:
+            torque -= self._robot.load_torque(tool.mass, np.array(tool.com_sensor))
+        return torque
 
-    def _step(self, valid: Seen) -> TickOutput:
-        causes = valid.causes + self._too_fast + self._touched
-        if not self._running:
+    def _decide(self, causes: tuple[str, ...]) -> tuple[str, tuple[str, ...]]:
+        """Return what answers the tick, the law or a reaction, and why."""
+        if self.safe:
+            if self._arm is not None and not self._seen.blind:
+                return SAFE, causes
+            return FLOAT if self._arm is not None else DAMP, causes or ('joints_stale',)
+        if self.guarded and not self.started:
             causes += self._start_refused()
         reaction = self._reaction_to(causes) if causes else NONE
-        if reaction in (NONE, INFLATE):
-            self._good_ticks += 1
-            missing = self._recovery.missing(self._good_ticks) if self._paused else ()
-            if missing:
-                return self._react(missing, valid.rejected, self._waiting(valid.blind))
-            return self._control(valid, causes, reaction)
-        return self._react(causes, valid.rejected, reaction)
+        if reaction not in CONTROLLED:
+            return reaction, causes
+        self._good_ticks += 1
+        missing = self._recovery.missing(self._good_ticks) if self._paused else ()
+        if missing:
+            return self._waiting(), missing
+        if self._arm is None or not self._seen.wrench:
+            return DAMP, ('joints_stale',)
+        return reaction, causes
 
-    def _waiting(self, blind: bool) -> str:
-        """Return what is done while control waits; joints that come and go are not held."""
-        floats = self._status is not None and self._status.reaction == FLOAT
-        seen = self._good_ticks * self._period
-        return FLOAT if blind or floats and seen < SEEN_TIME else self._waiting_reaction
+    def _reaction_to(self, causes: tuple[str, ...]) -> str:
+        reactions = reactions_of(self.config)
+        found = [reactions[cause.split('_')[0]] for cause in causes]
+        return max(found, key=SEVERITY.index, default=NONE)
 
     def _start_refused(self) -> tuple[str, ...]:
         """Return why control must not start from here: its limits would move the arm at once."""
@@ -304,119 +314,86 @@ class Supervisor(BumplessController):
             self.outside = outside_limits(self.config, arm.q, arm.pose.position_world)
         return ('start_outside',) if self.outside else ()
 
-    def _update_state(self, valid: Seen) -> None:
-        """Work out where the arm is."""
-        arm, self._wrench_known, self._blind = (
-            self.controller.arm, valid.measured, valid.blind)
-        self.collisions.look(
-            self.inputs.joint_stamp, acted=self.inputs.acted, measured=valid.measured,
-            added=None if self.own_weight is None else self.own_weight.torque)
-        self.inputs.estimate_known = self.collisions.knows
-        if valid.joints and arm.refresh():
-            self._arm = arm
-            self._too_fast = TOO_FAST[arm.found & (OPERATIONAL_SPEED | JOINT_SPEED)]
-            if arm.found & AMBIGUOUS:  # what the contacts bear is of some time before
-                self._wrench_known = False
-            touched = self.collisions.cause(arm.found)
-            # The wrench is not to be believed before the pushes that prove it.
-            self._touched = (touched,) if touched and not self.expects_pushes else ()
-            if self.own_weight is not None:
-                self._carry()
+    def _waiting(self) -> str:
+        """Return what is done while control waits; joints that come and go are not held."""
+        floats = self._reaction == FLOAT
+        seen = self._good_ticks * self._period
+        return FLOAT if self._seen.blind or floats and seen < SEEN_TIME else self._waiting_reaction
 
-    def _carry(self) -> Vector | None:
-        change = super()._carry()
-        if change is not None and self.own_weight is not None:
-            self._gate.allow_for(self.own_weight.torque, change)
-        return change
-
-    def _reaction_to(self, causes: tuple[str, ...]) -> str:
-        reactions = reactions_of(self.config)
-        found = [reactions[cause.split('_')[0]] for cause in causes]
-        return max(found, key=SEVERITY.index, default=NONE)
-
-    def _control(
-        self, valid: Seen, causes: tuple[str, ...], reaction: str,
-    ) -> TickOutput:
-        """Step the control law."""
-        if self._arm is None or not valid.wrench:
-            return self._react(('joints_stale',), valid.rejected, DAMP)
-        resumed = self._paused and self._running
-        if self._paused and not self._running:
-            self.controller.reset()  # the arm may have been moved since the first attempt
-        if resumed:
+    def _resume(self) -> None:
+        """Start the control law, or go on with it after a reaction, where that is due."""
+        controller = self.controller
+        controller.require_answer()
+        if self._paused and self.started:
             held = self.reference.resume()
-            continue_laws_at(self.controller.laws, held, self.controller.contacts['alpha_meas'])
-        self._measured[0] = valid.measured
-        try:
-            found = self._answer()
-        except Exception as error:  # whatever it is, the arm needs an answer
-            cause = f'law_{type(error).__name__}' if self.controller.arm.finite else (
-                'law_not_finite')
-            return self._refuse(cause, valid, HOLD)
+            continue_laws_at(controller.laws, held, controller.contacts['alpha_meas'])
+        elif self._paused:
+            controller.reset()  # the arm may have been moved since the first attempt
+        if not controller.started:
+            self.reference.start(controller.start(), controller.contacts['normal'].copy())
+        self._controls['measured'] = self._wrench_known
+
+    def _check(self) -> str:
+        """Return what speaks against the answer of the law, nothing if it may be commanded."""
+        if not self.guarded:
+            return ''
+        found = check_plausibility(
+            self._bounds, self._controls, self._joints, self.controller.contacts,
+            self.reference.contact_states)
         if found & NOT_FINITE:
-            return self._refuse('law_not_finite', valid, HOLD)
-        cause = '' if self.expects_pushes else self._contradiction(found)
-        if cause:
-            return self._refuse(cause, valid, self.config.watchdog.on_wrench_fault)
-        if self._safe_running or not self._transition.begun:
-            self._transition.begin(self._acting)
-        if resumed:
-            self._recovery.resumed(self._task_ticks)
-        self._running, self._paused, self._safe_running = True, False, False
-        self._reactions.end()
-        self._task_ticks += 1
+            return 'law_not_finite'
+        contradicted = found & (PULL | SIDEWAYS) and not self.expects_pushes
+        self._contradictions = self._contradictions + 1 if contradicted else 0
+        if contradicted and (self._contradictions >= CONTRADICTIONS or self._paused):
+            return 'wrench_pull' if found & PULL else 'wrench_sideways'
         if found & OUTSIDE:  # the contacts have led there
             self.reference.lead_back()
-        limits = ('reference',) if found & REFERENCE else ()
-        if found & PASSED:
-            torque = self._gate.passed()
-            if found // GATE & (TORQUE | JOINT_STOP):
-                self.controller.account_for(torque)
-            self._transition.commanded(torque)
-            return self._report(
-                self.controller.output(torque), reaction, causes, valid.rejected,
-                limits + ENFORCED[found // GATE])
-        active = self.controller.active.tobytes()
-        self._last_law = NONE, active, False
-        torque = self.controller.arm.joints['torque'].copy()
-        limited = limit_torque(
-            self.controller.arm.joints, self.config.limits.least_task_share, torque)
-        finished = self._finish(
-            self.controller.output(torque), (NONE, active, resumed), causes, valid.rejected,
-            reaction, limits, limited=limited)
+        return ''
+
+    def _pass(self, limited: bool) -> tuple[Vector, tuple[str, ...]]:
+        """Let the law's torque through the gate; return it and the limits that were enforced."""
+        self._begin()
+        if self._paused and self.started:
+            self._recovery.resumed(self._task_ticks)
+        if self._paused:
+            self._reactions.end()
+        self.started, self._paused = True, False
+        self._task_ticks += 1
+        law = (NONE, self.controller.active.tobytes()) if self.guarded else None
+        torque, limits = self._gate.apply(
+            law, self.controller.torque.copy(), limited=limited)
+        if not self.guarded and 'not_finite' in limits:
+            raise SingularTaskError('the torque: expected finite numbers, found others')
         # A blend passes in a moment, and a limited rate is caught up with: they are left out.
-        if not SATURATED.isdisjoint(finished.status.limits if finished.status else ()):
-            self.controller.account_for(finished.output.torque)
-        return finished
+        if self.guarded and ('torque' in limits or 'joint' in limits):
+            self.controller.account_for(torque)
+        return torque, ('reference', *limits) if self.reference.limited else limits
 
-    def _answer(self) -> int:
-        """Let the control law answer the task; return what `supervised_law` does."""
-        self.controller.begin()
-        self.reference.ask(self._task_time())
-        return self._law.answer(self._transition.settled(self._last_law))
+    def _begin(self) -> None:
+        """Let the torque start from the one that acts before any command."""
+        if self._gate.begun:
+            return
+        effort, acting = self._effort, np.zeros(self._robot.joint_count)
+        if effort is not None and np.isfinite(effort).all() and effort.any():
+            acting = effort + self._joints['added']
+        elif self._arm is not None:
+            acting = self._robot.update(self._arm.q, acting).gravity
+        self._gate.begin(acting)
+        self._gate.go_over()
 
-    def _contradiction(self, found: int) -> str:
-        """Return how the wrench contradicts what contacts can do, once it has done so twice."""
-        if not found & (PULL | SIDEWAYS):
-            self._contradictions = 0
-            return ''
-        self._contradictions += 1
-        cause = 'wrench_pull' if found & PULL else 'wrench_sideways'
-        return cause if self._contradictions >= CONTRADICTIONS or self._paused else ''
-
-    def _refuse(self, cause: str, valid: Seen, reaction: str) -> TickOutput:
+    def _refuse(self, cause: str) -> TickOutput:
         """Answer without the control law because of what it says."""
+        if not self.controller.arm.finite:
+            cause = 'law_not_finite'
         if self._paused:
             self._recovery.relapsed((cause,))
-        return self._react((cause,), valid.rejected, reaction)
+        return self._react(self._reaction_to((cause,)), (cause,))
 
-    def _react(
-        self, causes: tuple[str, ...], rejected: tuple[str, ...], reaction: str,
-    ) -> TickOutput:
+    def _react(self, reaction: str, causes: tuple[str, ...]) -> TickOutput:
         """Answer without the control law."""
-        if self._blind and self._arm is not None and reaction in (HOLD, DAMP):
+        if self._seen.blind and self._arm is not None and reaction in (HOLD, DAMP):
             reaction = FLOAT  # what is not seen can be neither held nor slowed down
-        if causes not in WAITING:
+        if causes not in ((RECOVERING,), (LATCHED,)):
             self._good_ticks = 0
             # An arm that was not seen for a moment only is held when it is seen again, or what
             # else it waited in goes on.
@@ -424,16 +401,22 @@ class Supervisor(BumplessController):
                 self._waiting_reaction = reaction
             elif not self._paused:
                 self._waiting_reaction = HOLD
-        if self._running and not self._paused:
+        if self.started and not self._paused:
             self._recovery.stopped(causes, self._task_ticks)
             self._reactions.begin(self._output)
         self._paused = True
         with np.errstate(all='ignore'):  # numbers that are none are for the gate to find
             # What blocks the arm may be what the contacts' forces press it against: they fade.
             felt = self._wrench_known and not self._touched
-            output = self._idle_output(self._reactions.torque(reaction, self._arm, felt))
-            self._transition.drop_slow_blend(self._acting)
-            return self._finish(output, reaction, causes, rejected, reaction, ())
+            torque = self._reactions.torque(reaction, self._arm, felt)
+            self._begin()
+            if reaction != SAFE:
+                self._gate.hurry()
+            torque, limits = self._gate.apply(
+                reaction, torque, known=self._arm is not None,
+                seen=self._arm is not None and not self._seen.blind)
+        return self._report(
+            torque, NONE if reaction == SAFE else reaction, causes, limits, controlled=False)
 
     def _unseen(self, causes: tuple[str, ...], reaction: str) -> bool:
         """Return whether the arm floats only because it is not seen, or a part has failed."""
@@ -441,42 +424,111 @@ class Supervisor(BumplessController):
                        if cause.split('_')[0] not in ('joints', 'internal'))
         return reaction == FLOAT and self._reaction_to(others) != FLOAT
 
-    def _finish(
-        self, output: ControlOutput, law: object, causes: tuple[str, ...],
-        rejected: tuple[str, ...], reaction: str, limits: tuple[str, ...], *,
-        limited: bool = False,
-    ) -> TickOutput:
-        """Blend, pass the gate, report; `limited` if the torque is at its limits already."""
-        blended = self._transition.apply(law, output.torque)
-        fallback = np.zeros_like(blended) if self._arm is None else self._arm.bias_torque.copy()
-        # Speeds that were once would be braked for ever: `float` ends them open loop.
-        seen = None if self._blind else self._arm
-        torque, enforced = self._gate.apply(blended, fallback, seen, limited=limited)
-        self._transition.commanded(torque)
-        return self._report(
-            ControlOutput(torque, *output[1:]), reaction, causes, rejected, limits + enforced)
-
-    def _report(
-        self, output: ControlOutput, reaction: str, causes: tuple[str, ...],
-        rejected: tuple[str, ...], limits: tuple[str, ...],
-    ) -> TickOutput:
-        self.collisions.commanded(output.torque)
-        self._output, self._status = output, SupervisorStatus(
-            reaction, causes, rejected, limits, self.reference.state_names, self._task_time())
-        return TickOutput(output, self._status)
-
     def _last_resort(self, cause: str) -> TickOutput:
         """Answer after something failed that should not: what is known of the arm is its past."""
         self._too_fast, self._touched = (), ()
-        self._wrench_known, self._blind = False, True
+        self._wrench_known, self._seen = False, Seen(blind=True)
         reaction = DAMP if self._arm is None else FLOAT
         try:
-            return self._react((cause,), (), reaction)
+            return self._react(reaction, (cause,))
         except Exception:  # nothing is left but gravity where the arm was seen last
             self._paused, self._good_ticks = True, 0
-            carried = self._gate.carry(self._arm)
-            self._transition.commanded(carried)
-            return self._report(self._idle_output(carried), reaction, (cause,), (), ())
+            return self._report(self._gate.carry(self._arm is not None), reaction, (cause,), (),
+                                controlled=False)
+
+    def _report(
+        self, torque: Vector, reaction: str, causes: tuple[str, ...], limits: tuple[str, ...], *,
+        controlled: bool = True,
+    ) -> TickOutput:
+        """Return the answer of the tick; of contacts that no law controls nothing is known."""
+        self.collisions.commanded(torque)
+        self._reaction = reaction
+        if self.config.robot.adds_gravity:
+            torque = torque - self._joints['added']
+        if controlled:
+            self._output = self.controller.output(torque)
+        else:
+            output = self._output if self._arm is None else self.controller.output(torque)
+            contacts = output.contacts.copy()
+            for name in OF_THE_LAW:
+                contacts[name] = 0
+            self._output = output._replace(torque=torque, contacts=contacts)
+        status = SupervisorStatus(
+            reaction, causes, self._seen.rejected, limits, self.reference.state_names,
+            self._task_time()) if self.guarded else None
+        self._last = TickOutput(self._output, status)
+        return self._last
 
     def _task_time(self) -> float:
         return self._task_ticks * self._period
+
+    def check(self, config: ControllerConfig) -> None:
+        """
+        Find out whether `reconfigure` would take a configuration.
+
+        Raises
+        ------
+        ConfigError
+            If not.
+
+        """
+        for name in FIXED if self.guarded else ():
+            if getattr(config, name) != getattr(self.config, name):
+                raise ConfigError(name, 'what it is while in use', 'another value')
+        for name, contact in self.config.contacts.items() if self.guarded else ():
+            other = config.contacts.get(name)
+            if other is None or other != contact.model_copy(update={
+                    field: getattr(other, field) for field in LIVE_OF_CONTACTS}):
+                raise ConfigError(
+                    f'contacts.{name}', 'what it is while in use, but for '
+                    f'{", ".join(LIVE_OF_CONTACTS)}', 'another value')
+        self.controller.redesign(config)
+
+    def reconfigure(self, config: ControllerConfig) -> None:
+        """
+        Go on with another configuration from the next sample on, without a jump of the torque.
+
+        Raises
+        ------
+        ConfigError
+            If that cannot be done; everything is as it was then.
+
+        """
+        self.check(config)
+        self.controller.reconfigure(config)
+        self._adopt(config)
+        self._gate.go_over()
+
+    def _adopt(self, config: ControllerConfig) -> None:
+        """Set what follows from the values that may change while the arm is controlled."""
+        self.config = config
+        self._gate.adopt(config)
+        self._reactions.adopt(config)
+        self.reference.retune(config)
+        self._bounds: Any = plausibility_limits(config)
+
+    @property
+    def presses(self) -> bool:
+        """Whether a reaction presses on with what a contact was held with."""
+        return self._reactions.presses
+
+    def try_again(self) -> bool:
+        """Resume control that is latched, seek contacts given up; return if there was any."""
+        latched = self._recovery.latched
+        self._recovery.allow()
+        return self.reference.seek_again() or latched
+
+    def stand_still(self, pose: Pose) -> Pose:
+        """Keep the contacts that are held; return the pose of a task that leaves the arm there."""
+        self._gate.go_over()
+        return self.reference.stand_still(pose)
+
+    def go_on(self) -> None:
+        """Go on with the task after `stand_still`, from where the arm is."""
+        self._gate.go_over()
+        self.reference.resume()
+
+
+def not_supervised() -> CommandError:
+    """Return the error of a tick that only a supervisor with guards can answer."""
+    return CommandError('supervised', 'true, to go on without a sample', 'false')

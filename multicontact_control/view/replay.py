@@ -25,7 +25,7 @@ from multicontact_control.experiment.results import (
 )
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.files import read_json
-from multicontact_control.supervision.event_log import read_event
+from multicontact_control.supervision.report import read_event
 from multicontact_control.view import source
 from multicontact_control.view.events import EventReader
 from multicontact_control.view.source import (

@@ -251,7 +251,7 @@ class Simulation:
     def _tare(self) -> str:
         control = self.loop.control
         bias = control.tare(TareConfig()).tolist()
-        control.controller.reconfigure(control.config.model_copy(update={
+        control.supervisor.reconfigure(control.config.model_copy(update={
             'tool': control.config.tool.model_copy(update={'bias_sensor': tuple(bias)})}))
         return 'bias ' + ', '.join(f'{x:.3g}' for x in bias[:3]) + ' N'
 
@@ -292,7 +292,7 @@ class Simulation:
         self, natural_frequency: float, time_constant: float, damping_rate: float,
     ) -> str:
         control = self.loop.control
-        control.controller.reconfigure(validate(ControllerConfig, merge(
+        control.supervisor.reconfigure(validate(ControllerConfig, merge(
             control.config.model_dump(), {
                 'motion': {'natural_frequency': natural_frequency},
                 'force': {'time_constant': time_constant, 'damping_rate': damping_rate}})))

@@ -27,7 +27,7 @@ from multicontact_control.nodes.graph_node import create_publisher, ignore, take
 from multicontact_control.nodes.topics import CONTROLLER, ESTIMATOR, RECORDER, SIM
 from multicontact_control.quintic import quintic
 from multicontact_control.supervision.command_limits import CommandLimits
-from multicontact_control.supervision.fallback import SEVERITY
+from multicontact_control.supervision.reactions import SEVERITY
 import numpy as np
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import JointState

@@ -1,7 +1,13 @@
 """The control law: physics, the same in plain numpy on random states, refusals."""
 
-from arms import controller_config, HOME, seven_joint_config, seven_joint_urdf
-from multicontact_control.control.controller import Controller, Measurement
+from arms import (
+    controller_config,
+    HOME,
+    Law,
+    Measurement,
+    seven_joint_config,
+    seven_joint_urdf,
+)
 from multicontact_control.control.reference import CommandedReference, Reference
 from multicontact_control.dynamics.pose import Pose
 from multicontact_control.dynamics.robot import RobotModel
@@ -26,7 +32,7 @@ NO_FRICTION = {'coulomb': [], 'viscous': []}
 def _controller(reference=None, **changes):
     config = controller_config(friction=NO_FRICTION, **changes)
     reference = reference or CommandedReference(config.contact_names)
-    return Controller.from_config(config, reference, config_dir()), reference
+    return Law(config, reference), reference
 
 
 def _sample(controller, time=0.0, q=HOME, qd=REST, force_world=NOTHING,
@@ -164,9 +170,9 @@ def assert_close(output, expected, tolerance):
 def assert_law_is_numpy(config, base_dir=None, home=HOME, tolerance=1e-12):
     """Compare both laws on random states and random contacts that come and go."""
     count, random = len(config.contact_names), np.random.default_rng(0)
-    compiled, plain = (
-        kind(config, RobotModel(config.robot, base_dir or config_dir()), RandomTask(count))
-        for kind in (Controller, ReferenceController))
+    compiled = Law(config, RandomTask(count), base_dir)
+    plain = ReferenceController(
+        config, RobotModel(config.robot, base_dir or config_dir()), RandomTask(count))
     for k in range(50):
         sample = Measurement(0.002 * k, home + 0.1 * random.normal(size=home.shape),
                              random.normal(size=home.shape), 10.0 * random.normal(size=6))

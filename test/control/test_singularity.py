@@ -1,7 +1,6 @@
 """Passing through the PUMA's singularities: torques without a spike, gravity held throughout."""
 
-from arms import controller_config, HOME
-from multicontact_control.control.controller import Controller, Measurement
+from arms import controller_config, HOME, Law, Measurement
 from multicontact_control.control.reference import Reference
 from multicontact_control.dynamics.operational_space import mobility_and_inertia
 from multicontact_control.dynamics.robot import RobotModel
@@ -32,7 +31,7 @@ def torques(joint, start, end, offset, seconds=1.0, **limits):
     config = controller_config(torque_limit=[], limits={'torque_rate': [], **limits})
     robot = RobotModel(config.robot, config_dir())
     follow = Follow(offset)
-    controller = Controller(config, RobotModel(config.robot, config_dir()), follow)
+    controller = Law(config, follow)
     speed = np.zeros(6)
     speed[joint] = (end - start) / seconds
     limit = np.array(controller_config().torque_limit)

@@ -14,9 +14,11 @@ ALONG_X = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 
 
 def limited(torque, priority, limit, least_share=0.0, added=0.0):
-    joints, found = np.zeros(len(torque), dtype=JOINT), np.array(torque)
-    joints['priority'], joints['torque_limit'], joints['added'] = priority, limit, added
-    return found, limit_torque(joints, least_share, found)
+    joints = np.zeros(len(torque), dtype=JOINT)
+    joints['torque'], joints['priority'], joints['torque_limit'] = torque, priority, limit
+    joints['added'] = added
+    was_limited = limit_torque(joints, least_share)
+    return joints['torque'], was_limited
 
 
 @given(seed=st.integers(0, 2 ** 32 - 1), size=st.floats(0.1, 30.0))

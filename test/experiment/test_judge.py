@@ -14,7 +14,7 @@ from multicontact_control.experiment.judge import (
     UNJUDGED,
 )
 from multicontact_control.experiment.scenario import resolve
-from multicontact_control.supervision.event_log import read_event
+from multicontact_control.supervision.report import read_event
 import numpy as np
 import pytest
 from runs import run_of

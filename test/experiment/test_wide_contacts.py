@@ -58,7 +58,7 @@ def press(changes, *, ticks, each=lambda loop, k: None, plant=None, only=None, m
         each(loop, k)
         loop.advance()
         errors.append(loop.sample.contact_force[-1] - 15.0)
-    return loop.control.controller.controller.contacts, np.array(errors)
+    return loop.control.supervisor.controller.contacts, np.array(errors)
 
 
 def test_a_moving_surface_is_pressed_as_one_that_rests():
@@ -137,11 +137,11 @@ def test_normals_may_be_set_while_in_use_unless_contacts_then_depend_on_each_oth
 
     for changes in ({'normal_world': config.contacts['board'].normal_world}, {'stiffness': 1.0}):
         with pytest.raises(ConfigError, match='table'):
-            loop.control.controller.reconfigure(with_table(**changes))
+            loop.control.supervisor.reconfigure(with_table(**changes))
         assert loop.control.config is config
-    loop.control.controller.reconfigure(with_table(normal_world=(0.0, 0.6, -0.8)))
+    loop.control.supervisor.reconfigure(with_table(normal_world=(0.0, 0.6, -0.8)))
     np.testing.assert_array_equal(
-        loop.control.controller.controller.contacts['normal'][0], (0.0, 0.6, -0.8))
+        loop.control.supervisor.controller.contacts['normal'][0], (0.0, 0.6, -0.8))
 
 
 @pytest.mark.parametrize('scenario', ['tilt', 'moving_surface'])

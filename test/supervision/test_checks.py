@@ -55,7 +55,7 @@ def test_speeds_and_plausibility_equal_numpy(seed, scale):
     SUPERVISOR.reference.contact_states['state'] = states
 
     def found():
-        return check_plausibility(plausibility_limits(CONFIG)[0], controls[0], arm.joints,
+        return check_plausibility(plausibility_limits(CONFIG), controls, arm.joints,
                                   contacts, SUPERVISOR.reference.contact_states)
 
     # A lost contact reads its tool's inertia at 20 m/s^2; a pull of 4 N and 5 N sideways pass.

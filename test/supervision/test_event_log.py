@@ -1,7 +1,11 @@
 """What the log writes can be read again."""
 
-from multicontact_control.supervision.event_log import CAPACITY, EventLog, read_event
-from multicontact_control.supervision.status import SupervisorStatus
+from multicontact_control.supervision.report import (
+    CAPACITY,
+    EventLog,
+    read_event,
+    SupervisorStatus,
+)
 import pytest
 
 

@@ -7,7 +7,7 @@ from multicontact_control.errors import CommandError
 from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.sampling import MotionReading
-from multicontact_control.supervision.recovery import RECOVERING, Recovery
+from multicontact_control.supervision.reactions import RECOVERING, Recovery
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -61,7 +61,7 @@ def reactions_change(statuses):
 def test_recovery_waits_three_times_as_long_after_each_relapse_and_latches_what_is_physical(
         cause, soon):
     """From 50 ms up to 2 s; a reaction is a relapse within `soon` after control has resumed."""
-    recovery, tick = Recovery(WatchdogConfig(), H), 0
+    recovery, tick = Recovery(WatchdogConfig().recovery_time, H), 0
 
     def stop(after):
         """Return the wait after some seconds of control [s]; None for ever."""

@@ -20,8 +20,8 @@ from multicontact_control.experiment.faults.fault import (
     TWO,
 )
 from multicontact_control.experiment.faults.judge import FaultRow, judge, Observation
-from multicontact_control.supervision.fallback import SEVERITY
 from multicontact_control.supervision.inputs import TickInputs
+from multicontact_control.supervision.reactions import SEVERITY
 import numpy as np
 
 RUN_TICKS = 600

@@ -11,7 +11,7 @@ from multicontact_control.experiment.faults.fault import Fault, REST, SLIDING
 from multicontact_control.experiment.faults.vocabulary import CONTROLLER, INF
 from multicontact_control.experiment.metrics import torque_limit
 from multicontact_control.experiment.scenario import Setup
-from multicontact_control.supervision.fallback import SEVERITY
+from multicontact_control.supervision.reactions import SEVERITY
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 

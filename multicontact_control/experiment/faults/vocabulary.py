@@ -50,8 +50,8 @@ JUMP = 0.1  # m
 SIDE_WALL, ELBOW_WALL = -2, -1  # numbers of surfaces that are no contacts: the last ones
 FAR = 10.0  # m, where they are not in the way
 # What a tick calls of a supervisor, one after the other.
-PARTS = ('inputs.validate', 'controller.arm.refresh', 'reference.ask', '_answer',
-         '_contradiction', '_reactions.torque', '_transition.apply', '_gate.apply')
+PARTS = ('inputs.validate', 'controller.see', 'reference.ask', 'controller.answer', '_check',
+         '_reactions.torque', '_gate.apply')
 
 
 def _deliveries() -> list[Fault]:

@@ -148,7 +148,7 @@ class ArmLoop:
 def arm_loop(setup: Setup) -> ArmLoop:
     """Return the linear force loops of a setup at its plant's home, for `decoupled` allocation."""
     config = setup.controller
-    controller = Controller.from_config(config, setup.reference(), setup.urdf_dir)
+    controller = Controller.from_config(config, setup.urdf_dir)
     robot = controller.robot
     state = robot.update(np.array(setup.plant.home), np.zeros(robot.joint_count))
     N = normal_space(controller.contacts, state.pose.rotation_world)

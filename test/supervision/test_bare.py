@@ -1,17 +1,16 @@
-"""The controller without jumps: at its start, when it is retuned, and when it gives up."""
+"""A supervisor without guards: no jump at its start, when it is retuned, and when it stops."""
 
-from arms import controller_config, HOME
-from multicontact_control.control.controller import Controller, Measurement
+from arms import controller_config, HOME, Law, Measurement
 from multicontact_control.control.reference import CommandedReference
 from multicontact_control.paths import config_dir
 from multicontact_control.sensor.weight import weight_reading
-from multicontact_control.supervision.bumpless import BumplessController
 from multicontact_control.supervision.inputs import (
     JointInput,
     TickInputs,
     VarianceInput,
     WrenchInput,
 )
+from multicontact_control.supervision.supervisor import Supervisor
 import numpy as np
 import pytest
 
@@ -23,7 +22,7 @@ EFFORT = np.array([1.0, -30.0, 5.0, 0.5, 0.5, 0.1])
 def make(**changes):
     config = controller_config(**changes)
     reference = CommandedReference(config.contact_names)
-    return BumplessController.from_config(config, reference, config_dir()), reference
+    return Supervisor.from_config(config, reference, config_dir(), guarded=False), reference
 
 
 def sample(controller, k=0, *, effort=None, q=HOME, qd=REST):
@@ -56,8 +55,7 @@ def test_first_command_is_the_measured_effort_or_gravity_compensation(effort):
 
 def test_torque_is_that_of_the_law_after_the_blend():
     controller, _ = make(transition={'blend_time': 0.02, 'torque_rate': 1e5})
-    law = Controller.from_config(
-        controller.config, CommandedReference(controller.config.contact_names), config_dir())
+    law = Law(controller.config, CommandedReference(controller.config.contact_names))
     for k in range(12):
         output = controller.step(sample(controller, k, effort=EFFORT)).output
         joints, wrench = sample(controller, k)[1:3]
@@ -105,31 +103,31 @@ def test_reconfigure_keeps_what_the_observers_know():
 
 
 @pytest.mark.parametrize('kind', ['gravity_compensation', 'zero_torque', 'hold_position'])
-def test_safe_step_goes_from_the_last_command_to_the_declared_behaviour(kind):
+def test_stop_goes_from_the_last_command_to_the_declared_behaviour(kind):
     controller, _ = make(safe_behaviour=kind)
     last = controller.step(sample(controller, effort=EFFORT)).output.torque
-    torques = [controller.safe_step(sample(controller, k)).output.torque for k in range(1, 1200)]
+    controller.stop()
+    torques = [controller.step(sample(controller, k)).output.torque for k in range(1, 1200)]
     np.testing.assert_array_equal(torques[0], last)
     rate = controller.config.transition.torque_rate
     assert np.abs(np.diff(torques, axis=0)).max() <= rate * 0.002 * (1.0 + 1e-9)
     expected = 0.0 * EFFORT if kind == 'zero_torque' else gravity(controller)
     np.testing.assert_allclose(torques[-1], expected, atol=1e-9)
-    again = controller.step(sample(controller, 1200)).output.torque  # the law starts from there
-    np.testing.assert_array_equal(again, torques[-1])
 
 
-def test_safe_step_answers_a_push_as_declared():
+def test_safe_behaviour_answers_a_push_as_declared():
     """A joint that is pushed away is braked, and pulled back only if the posture is held."""
     for kind, pulls in (('gravity_compensation', False), ('hold_position', True)):
         controller, _ = make(safe_behaviour=kind, transition={'blend_time': 0.0})
+        controller.stop()
         for k in range(3):
-            controller.safe_step(sample(controller, k))
+            controller.step(sample(controller, k))
         moved = HOME + np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.05])
-        back = controller.safe_step(sample(controller, 3, q=moved)).output.torque[5]
+        back = controller.step(sample(controller, 3, q=moved)).output.torque[5]
         weight = controller.controller.robot.update(moved, REST).gravity[5]
         assert (back < weight - 0.1) == pulls
         moving = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
-        assert controller.safe_step(sample(controller, 4, qd=moving)).output.torque[5] < -0.1
+        assert controller.step(sample(controller, 4, qd=moving)).output.torque[5] < -0.1
 
 
 def of_table(**changes):

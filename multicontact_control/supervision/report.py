@@ -1,4 +1,4 @@
-"""What a supervisor did in a run, and when."""
+"""What a supervisor reports: of every tick, and of a whole run."""
 
 from __future__ import annotations
 
@@ -6,35 +6,64 @@ from collections import deque
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from multicontact_control.supervision.fallback import SEVERITY
+from multicontact_control.control.tick import ControlOutput
+from multicontact_control.records import CONTACT, CONTROL
 from multicontact_control.supervision.gate import NAMES
-from multicontact_control.supervision.status import SupervisorStatus
+from multicontact_control.supervision.reactions import SEVERITY
+import numpy as np
 
-CAPACITY = 1000  # a limit that comes and goes at every tick must not fill the memory
+CAPACITY = 1000  # events; a limit that comes and goes at every tick must not fill the memory
 ALTERNATION_TIME, FASTEST_ALTERNATION = 5.0, 2.0  # s and 1/s, beyond which something alternates
 MOST_CHANGES = 500  # that are remembered
 REACTION = 'reaction'
 LIMITS = ('reference', *(name for name, _ in NAMES))
 
 
-class Event(NamedTuple):
+class SupervisorStatus(NamedTuple):
     """
-    One line of the log, taken apart.
+    What the supervisor did in a tick, and why.
 
     Attributes
     ----------
-    time
-        When it came to be so [s].
     reaction
-        As in `SupervisorStatus`.
+        ``none``, ``inflate`` (R), or instead of the control law ``hold``, ``float``, ``damp``.
     causes
         What called for it.
+    rejected
+        What was wrong with readings, whether it called for a reaction or not.
     limits
-        Limits that are enforced.
+        Limits that were enforced.
     contact_states
         State of each contact.
+    task_time
+        Time of the task, which stands still during a reaction [s].
 
     """
+
+    reaction: str
+    causes: tuple[str, ...]
+    rejected: tuple[str, ...]
+    limits: tuple[str, ...]
+    contact_states: tuple[str, ...]
+    task_time: float
+
+
+class TickOutput(NamedTuple):
+    """The answer to one tick, and its status, None without guards."""
+
+    output: ControlOutput
+    status: SupervisorStatus | None
+
+
+def no_answer(joints: int, contacts: int) -> ControlOutput:
+    """Return the answer before anything is known."""
+    controls = np.zeros(1, dtype=CONTROL)
+    controls['frame']['rotation'] = controls['task']['rotation'] = np.eye(3)
+    return ControlOutput(np.zeros(joints), np.zeros(contacts, dtype=CONTACT), controls)
+
+
+class Event(NamedTuple):
+    """A line of the log taken apart: its time [s], and the fields of `SupervisorStatus`."""
 
     time: float
     reaction: str
@@ -54,7 +83,7 @@ def read_event(time: float, what: str) -> Event:
 
 class EventLog:
     """
-    Notes what changes in what a supervisor reports.
+    Notes what changes in a supervisor's status.
 
     Attributes
     ----------
@@ -78,9 +107,8 @@ class EventLog:
             name: deque(maxlen=MOST_CHANGES) for name in self.names}
 
     def note(self, time: float, status: SupervisorStatus) -> None:
-        """Take in the status of one tick."""
-        # A clock that is set back begins anew: what changed is of times before, not of those.
-        self._passed += max(time - self._time, 0.0)
+        """Take in the status of one tick, at a time [s]."""
+        self._passed += max(time - self._time, 0.0)  # also over a clock that is set back
         self._time = time
         now = (status.reaction, status.causes, status.limits, status.contact_states)
         if now == self._before:
@@ -96,10 +124,10 @@ class EventLog:
 
     def _count(self, states: tuple[str, ...]) -> None:
         """
-        Take note of what has gone over into another state.
+        Count what has gone over into another state.
 
-        A reaction that becomes more severe counts for the way back, too: in how many steps it
-        goes back, from `float` over `hold`, is no alternation.
+        A reaction that becomes more severe counts for the way back, too, which may take several
+        steps, from `float` over `hold`.
         """
         for name, before, state in zip(self.names, self._states, states):
             if name != REACTION:
@@ -109,20 +137,7 @@ class EventLog:
         self._states = states
 
     def alternating(self, time: float) -> dict[str, float]:
-        """
-        Return what has changed its state more than twice a second over the last 5 s.
-
-        Parameters
-        ----------
-        time
-            Now [s].
-
-        Returns
-        -------
-        dict
-            Changes per second by name.
-
-        """
+        """Return what has changed more than twice a second over 5 s up to now [s], in 1/s."""
         passed = self._passed + max(time - self._time, 0.0)
         recent = {name: sum(passed - change <= ALTERNATION_TIME for change in changes)
                   for name, changes in self._changes.items()}
