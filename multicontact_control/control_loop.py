@@ -16,20 +16,16 @@ from pathlib import Path
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.control.controller import ControlOutput
-from multicontact_control.control.reference import CommandedReference
-from multicontact_control.control.reference.holdable import HeldSource, HoldableReference
+from multicontact_control.control.tasks import CommandedTask, MotionReading, TaskSource
 from multicontact_control.dynamics.pose import Pose
 from multicontact_control.errors import CommandError, ConfigError
-from multicontact_control.sampling import MotionReading
 from multicontact_control.sensor.push_config import PushTestConfig
 from multicontact_control.sensor.push_gate import PushGate
 from multicontact_control.sensor.tare import MAX_JOINT_SPEED, tare_bias, TareConfig
 from multicontact_control.supervision.checks import COLLISION
 from multicontact_control.supervision.command_limits import (
-    check_offsets,
     check_position,
     CommandLimits,
-    half_lengths,
     offset_shares,
 )
 from multicontact_control.supervision.inputs import TickInputs
@@ -76,20 +72,16 @@ class ControlLoop:
     """
 
     def __init__(
-        self, config: ControllerConfig, scenario: HeldSource | None, limits: CommandLimits,
+        self, config: ControllerConfig, scenario: TaskSource | None, limits: CommandLimits,
         base_dir: Path, *, supervised: bool = True,
     ) -> None:
         self._feels = config.wrench_input != 'momentum'
         if not (self._feels or supervised):
             raise ConfigError('wrench_input', 'raw or filtered without a supervisor', 'momentum')
         self.limits = limits
-        self._commanded = CommandedReference(
-            config.column_names, config.leader_of) if scenario is None else None
-        self._reference = HoldableReference(
-            scenario or self._commanded,  # type: ignore[arg-type]
-            locked=config.sensor.require_push_test)
-        self.supervisor = Supervisor.from_config(
-            config, self._reference, base_dir, guarded=supervised)
+        source = scenario or CommandedTask(config.column_names, config.leader_of)
+        self._commanded = source if isinstance(source, CommandedTask) else None
+        self.supervisor = Supervisor.from_config(config, source, base_dir, guarded=supervised)
         self.push_gate = PushGate(
             required=config.sensor.require_push_test, robot=self.supervisor.controller.robot,
             gravity_world=np.array(config.robot.gravity_world), rate=config.rate)
@@ -113,13 +105,12 @@ class ControlLoop:
     @property
     def held(self) -> bool:
         """Whether pose and forces are held."""
-        return self._reference.held
+        return self.supervisor.task.held
 
     def restart(self) -> None:
         """Forget the past: the next sample is the first."""
         self.supervisor.reset()
         self.push_gate.restart()
-        self._expect_pushes()
         self.output: ControlOutput | None = None
         self.status: SupervisorStatus | None = None
         self.events = EventLog(self.config.contact_names)
@@ -201,10 +192,8 @@ class ControlLoop:
         if self.push_gate.update(
                 joints.q, joints.qd, self.supervisor.inputs.raw, self.config.tool):
             if self.push_gate.open:
-                self._reference.unlock()
-                if not self.held:
-                    self.supervisor.go_on()
-            self._expect_pushes()
+                self.supervisor.go_over()
+                self.supervisor.task.unlock()
 
     def _require_rest(self, purpose: str) -> None:
         """Refuse what is only possible with a wrist sensor that nothing presses on."""
@@ -214,10 +203,6 @@ class ControlLoop:
             raise CommandError('contacts', f'none under force control for {purpose}', 'some')
         if self.supervisor.presses:
             raise CommandError('contacts', f'none pressed by a reaction for {purpose}', 'some')
-
-    def _expect_pushes(self) -> None:
-        """Tell the supervisor whether pushes are expected: while the reference is locked."""
-        self.supervisor.expects_pushes = self._reference.locked
 
     def push_test(self, config: PushTestConfig, point_sensor: tuple[float, ...]) -> str:
         """
@@ -236,9 +221,8 @@ class ControlLoop:
         """
         self._require_rest('a push test')
         self.push_gate.start(config, point_sensor)
-        pose = self.output.pose if self.output is not None else None
-        self._reference.lock(None if pose is None else self.supervisor.stand_still(pose))
-        self._expect_pushes()
+        self.supervisor.go_over()
+        self.supervisor.task.lock()
         return self.push_gate.instruction
 
     def set_forces(
@@ -265,12 +249,10 @@ class ControlLoop:
 
         """
         reference = self._commandable()
-        halves = half_lengths(self.config)
-        self.limits.check_forces(forces, self.config.contact_state.smallest_force, halves)
-        shares = offset_shares(halves, centres or {})
+        shares = offset_shares(self.config, centres or {})
         followed = {name: share for name, share in reference.shares.items() if name not in forces}
-        check_offsets(
-            self.config, {**reference.forces, **forces}, {**followed, **shares})
+        self.limits.check_forces(
+            self.config, forces, before=reference.forces, shares={**followed, **shares})
         # A client may repeat its command many times a second, or vary it: neither asks for
         # another try of what has been given up.
         if reference.set_forces(forces, shares):
@@ -290,9 +272,8 @@ class ControlLoop:
         """
         reference = self._commandable()
         check_position(motion.position_world, self.config.limits)
-        normals = self.supervisor.reference.sought_normals()
-        reference.set_motion(motion.position_world, motion.quaternion_xyzw, motion.twist_world,
-                             motion.acceleration_world, normals, self.limits.motion_timeout)
+        reference.set_motion(
+            motion, self.supervisor.task.sought_normals(), self.limits.motion_timeout)
 
     @property
     def commanded_pose(self) -> Pose | None:
@@ -304,7 +285,7 @@ class ControlLoop:
         """Return the forces and couples that are obeyed, by name [N]; none in a scenario."""
         return {} if self._commanded is None else self._commanded.forces
 
-    def _commandable(self) -> CommandedReference:
+    def _commandable(self) -> CommandedTask:
         if self._commanded is None:
             raise CommandError('reference_file', 'none, to obey commands', 'a scenario')
         self._running()
@@ -312,17 +293,16 @@ class ControlLoop:
             raise CommandError('~/hold', 'released, to obey commands', 'held')
         return self._commanded
 
-    def _running(self) -> ControlOutput:
+    def _running(self) -> None:
         if self.output is None:
             raise CommandError('controller', 'active, with samples coming', 'not so')
-        if self._reference.locked:
+        if self.supervisor.task.locked:
             raise CommandError('~/push_test', 'passed, to obey commands',
                                f"'{self.push_gate.instruction}'")
-        if not self._reference.begun or not self.supervisor.started:
+        if not (self.supervisor.task.begun and self.supervisor.started):
             causes = () if self.status is None else self.status.causes
             raise CommandError(
                 'control', 'begun, to obey commands', ', '.join(causes) or 'not yet')
-        return self.output
 
     def hold(self, wanted: bool) -> None:
         """
@@ -334,15 +314,13 @@ class ControlLoop:
             If nothing is controlled now.
 
         """
-        output = self._running()
-        if wanted:
-            held = self.supervisor.reference.held
-            self._reference.hold(self.supervisor.stand_still(output.pose), held)
-        else:
+        self._running()
+        if not wanted:
             self._try_again()
-            if self.held:
-                self._reference.release()
-                self.supervisor.go_on()
+        if wanted or self.held:
+            self.supervisor.go_over()
+            task = self.supervisor.task
+            (task.hold if wanted else task.release)()
 
     def retry(self) -> str:
         """

@@ -247,11 +247,10 @@ FILTER_STATE = np.dtype([('alpha', F), ('filtered', F)])  # [N]
 
 # The supervised state of one contact.
 CONTACT_STATE = np.dtype([
-    ('couple', B),  # whether it is a couple, whose state is that of its contact's normal force
     ('state', I),  # see `supervision.contacts`
     ('losses', I),  # how often it was lost since it was first wanted
     ('searches', I),  # in vain, since it held last
-    ('left', B),  # whether it was left for its force
+    ('left', B),  # whether it is to be left, or was, for its force or for where it leads
     ('again', B),  # whether it is to be sought although it was given up
     ('wanted', B),  # whether the task asks for it
     ('asked', F),  # force the task asks for [N]
@@ -274,11 +273,12 @@ CONTACT_STATE = np.dtype([
 # of at least some periods; one.
 CONTACT_SETTINGS = np.dtype([(name, F) for name in (
     'period', 'loss_time', 'bounce_time', 'approach_speed', 'approach_ramp_time',
-    'approach_distance', 'search_distance', 'contact_threshold', 'release_threshold', 'preload',
-    'force_rate', 'force_ceiling', 'retract_distance', 'retry_time')])
+    'approach_distance', 'contact_threshold', 'release_threshold', 'preload', 'force_ceiling',
+    'retry_time')])
 
-# Bounds of the reference, and what a pause has left; one.
-REFERENCE_LIMITS = np.dtype([
+# Bounds of a task, and what a pause has left; one.
+TASK_LIMITS = np.dtype([
+    ('contacts', CONTACT_SETTINGS),
     ('offset', F, 3),  # of the reference from the task, after a pause [m]
     ('turned', F, 3),  # its rotation from the task's, world axes [rad]
     ('lead', F),  # k_v / k_p: an error of v k_v / k_p makes the motion law move at v [s]
@@ -286,10 +286,6 @@ REFERENCE_LIMITS = np.dtype([
     ('turn', F),  # largest angle between them [rad]
     ('box', F, (2, 3)),  # lower and upper corner of the workspace [m]
 ], align=True)
-
-# What a reference is made of besides arm and contacts; one.
-CONTACT_REFERENCE = np.dtype([
-    ('limits', REFERENCE_LIMITS), ('wanted', TASK), ('settings', CONTACT_SETTINGS)], align=True)
 
 # What an answer of the law must be like; one.
 PLAUSIBILITY = np.dtype([

@@ -46,16 +46,6 @@ class WrenchReading:
     wrench_sensor: Vector
 
 
-@dataclass(frozen=True, slots=True)
-class MotionReading:
-    """A commanded pose, twist and acceleration of the operational point, in world axes."""
-
-    position_world: Vector
-    quaternion_xyzw: Vector
-    twist_world: Vector
-    acceleration_world: Vector
-
-
 class Action(Enum):
     """What to do now."""
 

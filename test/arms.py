@@ -12,10 +12,10 @@ from multicontact_control.config import (
     validate,
 )
 from multicontact_control.control.controller import Controller
-from multicontact_control.control.reference import TaskArrays
 from multicontact_control.control_loop import ControlLoop
 from multicontact_control.paths import config_dir
 from multicontact_control.supervision.command_limits import CommandLimits
+from multicontact_control.supervision.contact_task import ContactTask
 from multicontact_control.supervision.inputs import JointInput, TickInputs, WrenchInput
 import numpy as np
 from sim_bridge.config import PlantConfig
@@ -50,8 +50,8 @@ class Law:
     def __init__(self, config, reference, base_dir=None):
         self.controller = Controller.from_config(config, base_dir or config_dir())
         self.reference = reference
-        controls, contacts = self.controller.controls, self.controller.contacts
-        self._task = TaskArrays(controls['task'], contacts['active'], contacts['alpha_des'])
+        self._task = ContactTask(
+            self.controller.config, reference, self.controller, guarded=False)
 
     def __getattr__(self, name):
         return getattr(self.controller, name)
@@ -62,9 +62,8 @@ class Law:
         law.take(measurement.q, measurement.qd, measurement.wrench_sensor, noise_variance)
         law.require_answer()
         if not law.started:
-            self.reference.start(law.start(), law.contacts['normal'].copy())
-        self._task.take(self.reference.update(
-            measurement.time, law.contacts['alpha_meas']))
+            self._task.start(law.start())
+        self._task.ask(measurement.time)
         law.answer()
         return law.output(law.torque.copy())
 

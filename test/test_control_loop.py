@@ -1,6 +1,7 @@
 """A control loop between activation and deactivation, with its supervisor, without middleware."""
 
 from arms import HOME, pressed_wrench, still_config
+from multicontact_control.control.tasks import MotionReading
 from multicontact_control.control_loop import ControlLoop
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import CalibrationError, CommandError, ConfigError
@@ -8,7 +9,6 @@ from multicontact_control.paths import config_dir
 from multicontact_control.sampling import (
     Action,
     JointReading,
-    MotionReading,
     SampleTiming,
     WrenchReading,
 )

@@ -27,9 +27,6 @@ class ContactStateConfig(Config):
         0.5, 'Time to reach that speed.', unit='s', gt=0.0, le=10.0)
     approach_distance: Real = parameter(
         0.1, 'A surface not met over this distance is given up.', unit='m', gt=0.0, le=2.0)
-    search_distance: Real = parameter(
-        0.01, 'A lost surface not met this far beyond where it was is given up.', unit='m',
-        gt=0.0, le=0.5)
     contact_threshold: Real = parameter(
         1.5, 'Measured force that counts as touch.', unit='N', gt=0.0, le=100.0)
     release_threshold: Real = parameter(
@@ -43,13 +40,8 @@ class ContactStateConfig(Config):
         'cannot be told from a loss while sliding.', unit='N', gt=0.0, le=100.0)
     preload: Real = parameter(
         2.0, 'Desired force from touch until the contact holds.', unit='N', gt=0.0, le=100.0)
-    force_rate: Real = parameter(
-        100.0, 'Rise of the desired force of a contact that was lost, from touch on.',
-        unit='N/s', gt=0.0, le=1e4)
     force_ceiling: Real = parameter(
         60.0, 'Measured force at which a contact is left.', unit='N', gt=0.0, le=1000.0)
-    retract_distance: Real = parameter(
-        0.01, 'Way back from a surface that is left.', unit='m', gt=0.0, le=0.2)
 
     @cross_check
     def _check_across_fields(self) -> Iterator[ConfigError]:

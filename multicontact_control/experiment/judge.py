@@ -38,7 +38,14 @@ from multicontact_control.experiment.metrics import (
 from multicontact_control.experiment.oscillation import stretches
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.scenario import Setup
-from multicontact_control.supervision.contacts import ContactState
+from multicontact_control.supervision.contacts import (
+    GIVEN_UP,
+    HOLDING,
+    IMPACT,
+    LOST,
+    NAMES,
+    RETRACTING,
+)
 from multicontact_control.supervision.reactions import INFLATE, NONE
 from multicontact_control.supervision.report import CAPACITY, Event
 import numpy as np
@@ -71,8 +78,8 @@ LARGEST_HELD_SHARE = 0.05  # of the time under load, in which reactions replace 
 
 TRUE, MEASURED, UNKNOWN = 'true', 'measured', 'unknown'  # forces that a run is judged by
 
-WHOLE = (ContactState.IMPACT.value, ContactState.HOLDING.value)
-GONE = (ContactState.LOST.value, ContactState.RETRACTING.value, ContactState.GIVEN_UP.value)
+WHOLE = (NAMES[IMPACT], NAMES[HOLDING])
+GONE = tuple(NAMES[code] for code in (LOST, RETRACTING, GIVEN_UP))
 
 REAL_TIME = 'free_running'  # the mode with deadlines
 LOCKSTEP = 'lockstep'  # the simulator waits

@@ -8,7 +8,7 @@ import math
 from typing import Any
 
 from multicontact_control.arrays import Mask, Matrix, Vector
-from multicontact_control.control.reference import ReferenceConfig
+from multicontact_control.control.tasks import ReferenceConfig
 from multicontact_control.experiment.oscillation import (
     bridged,
     Oscillation,

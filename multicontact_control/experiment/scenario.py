@@ -23,7 +23,7 @@ from multicontact_control.config import (
     validate,
     write_parameters,
 )
-from multicontact_control.control.reference import ReferenceConfig, ScenarioReference
+from multicontact_control.control.tasks import ReferenceConfig, ScenarioTask
 from multicontact_control.errors import check_all, ConfigError
 from multicontact_control.paths import config_dir, named_file
 import numpy as np
@@ -94,12 +94,10 @@ class Setup:
         """Return the number of samples of the run."""
         return round(self.scenario.duration * self.controller.rate)
 
-    def reference(self) -> ScenarioReference:
+    def reference(self) -> ScenarioTask:
         """Return the scenario's reference, at its start."""
-        return ScenarioReference(
-            self.scenario.reference, rate=self.controller.rate,
-            contact_names=self.controller.column_names,
-            leader_of=self.controller.leader_of)
+        return ScenarioTask(self.scenario.reference, self.controller.rate,
+                            self.controller.column_names, self.controller.leader_of)
 
     def commanded(self, time: Vector) -> Matrix:
         """
@@ -116,10 +114,9 @@ class Setup:
             Shape (m, r) [N]; the preload before the first force step, also while approaching.
 
         """
-        reference = self.reference()
         steps = [step.time for step in self.scenario.reference.force_steps]
-        table = np.array([reference.forces_after(done) for done in range(len(steps) + 1)])
-        commanded: Matrix = table[np.searchsorted(steps, time + 1e-9, side='right')]
+        commanded: Matrix = self.reference().forces[
+            np.searchsorted(steps, time + 1e-9, side='right')]
         return commanded
 
     def write(self, folder: Path) -> dict[str, Path]:

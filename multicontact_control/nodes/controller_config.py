@@ -15,7 +15,7 @@ from multicontact_control.config import (
     validate,
     Vector,
 )
-from multicontact_control.control.reference import ReferenceConfig, ScenarioReference
+from multicontact_control.control.tasks import ReferenceConfig, ScenarioTask
 from multicontact_control.errors import ConfigError
 from multicontact_control.nodes.managed_node import ManagedConfig
 from multicontact_control.paths import config_dir
@@ -79,7 +79,7 @@ class ControllerNodeConfig(ManagedConfig):
             value for option, value in zip(sys.argv, sys.argv[1:]) if option == '--params-file']
         return Path(files[-1]).resolve().parent if files else config_dir()
 
-    def scenario(self, config: ControllerConfig) -> ScenarioReference | None:
+    def scenario(self, config: ControllerConfig) -> ScenarioTask | None:
         """Return the scenario to follow, None to obey commands; ConfigError if it is a bad one."""
         if not self.reference_file:
             return None
@@ -87,6 +87,4 @@ class ControllerNodeConfig(ManagedConfig):
         values = read_yaml(path)
         # A scenario file holds more than its reference.
         reference = validate(ReferenceConfig, values.get('reference', values), str(path))
-        return ScenarioReference(
-            reference, rate=config.rate, contact_names=config.column_names,
-            leader_of=config.leader_of)
+        return ScenarioTask(reference, config.rate, config.column_names, config.leader_of)

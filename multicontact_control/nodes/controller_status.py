@@ -8,10 +8,10 @@ from typing import Any
 from multicontact_control.arrays import Vector
 from multicontact_control.control_loop import ControlLoop
 from multicontact_control.nodes.diagnostics import Status
-from multicontact_control.supervision.contacts import ContactState
+from multicontact_control.supervision.contacts import GIVEN_UP, LOST, NAMES, RETRACTING
 from multicontact_control.supervision.reactions import INFLATE, NONE, SEVERITY
 
-TROUBLED = (ContactState.LOST.value, ContactState.RETRACTING.value, ContactState.GIVEN_UP.value)
+TROUBLED = tuple(NAMES[code] for code in (LOST, RETRACTING, GIVEN_UP))
 
 
 class SupervisorReport:

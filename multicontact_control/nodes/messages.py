@@ -15,9 +15,9 @@ from typing import Any
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped, Transform, Twist, WrenchStamped
 from multicontact_control.arrays import Vector
+from multicontact_control.control.tasks import MotionReading
 from multicontact_control.errors import counted, MessageError
 from multicontact_control.nodes.loop_statistics import NANOSECONDS
-from multicontact_control.sampling import MotionReading
 import numpy as np
 from numpy.typing import ArrayLike
 from sensor_msgs.msg import JointState

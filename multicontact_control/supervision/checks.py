@@ -71,7 +71,7 @@ def check_plausibility(
                 + contact.alpha_rate_est + contact.innovation + contact.prior_variance
                 + contact.variance_used):
             found |= NOT_FINITE
-        if states[i].couple:
+        if contact.leader != i:
             continue
         pressed += abs(contact.alpha_meas)
         allowance = bounds.inertia if states[i].state == LOST else 0.0

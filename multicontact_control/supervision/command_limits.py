@@ -1,8 +1,8 @@
-"""Limits of what may be commanded; what is beyond them is refused, not bent."""
+"""Limits of what may be commanded; a command beyond them is refused whole."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 
 from multicontact_control.arrays import Vector
 from multicontact_control.config import Config, ControllerConfig, LimitsConfig, parameter, Real
@@ -10,6 +10,7 @@ from multicontact_control.config.contact import LARGEST_OFFSET
 from multicontact_control.errors import CommandError
 
 START_EXCESS = 1e-3  # m or rad beyond a limit, from where control may start all the same
+NOTHING: Mapping[str, float] = {}
 
 
 class CommandLimits(Config):
@@ -23,28 +24,30 @@ class CommandLimits(Config):
         'only its pose does.', unit='s', live=True, gt=0.0)
 
     def check_forces(
-        self, forces: Mapping[str, float], smallest: float, couples: Collection[str] = (),
+        self, config: ControllerConfig, forces: Mapping[str, float],
+        before: Mapping[str, float] = NOTHING, shares: Mapping[str, float] = NOTHING,
     ) -> None:
         """
-        Refuse forces out of limits.
+        Refuse forces, couples and centres of pressure out of limits.
 
         Parameters
         ----------
-        forces
-            By contact, and couples [N].
-        smallest
-            `contact_state.smallest_force` [N]; 0 is allowed all the same, for no contact.
-        couples
-            Which names are those of couples, which may have either sign.
+        config
+            Contacts.
+        forces, before
+            Commanded forces and couples by name, new and until now [N].
+        shares
+            Couples relative to the normal force of their contact, by name, in their place.
 
         Raises
         ------
         CommandError
-            Naming the first contact.
+            Naming the first that is out of limits.
 
         """
+        smallest, halves = config.contact_state.smallest_force, half_lengths(config)
         for name, force in forces.items():
-            if name in couples:
+            if name in halves:
                 if not abs(force) <= self.force_ceiling:
                     raise CommandError(f'couple {name}', f'at most {self.force_ceiling:g} N',
                                        f'{force:g} N')
@@ -52,62 +55,37 @@ class CommandLimits(Config):
                 raise CommandError(
                     f'force on {name}', f'0 or {smallest:g} to {self.force_ceiling:g} N',
                     f'{force:g} N')
+        commanded = {**before, **forces}
+        for column in config.columns:
+            pressed = commanded.get(config.columns[column.leader].name, 0.0)
+            if column.name not in halves or pressed == 0.0:
+                continue
+            share = shares.get(column.name, commanded.get(column.name, 0.0) / pressed)
+            if not abs(share) <= LARGEST_OFFSET + 1e-9:
+                raise CommandError(
+                    f'centre of pressure of {column.name}',
+                    f'at most {LARGEST_OFFSET * column.half_length:.3g} m from the middle',
+                    f'{share * column.half_length:.3g} m')
 
 
 def half_lengths(config: ControllerConfig) -> dict[str, float]:
-    """Return what the centre of pressure that a couple stands for moves along, by couple [m]."""
+    """Return how far from the middle of its contact a couple of 1 N per 1 N presses, by name."""
     return {column.name: column.half_length for column in config.columns
             if column.half_length > 0.0}
 
 
-def offset_shares(
-    halves: Mapping[str, float], centres: Mapping[str, float],
-) -> dict[str, float]:
+def offset_shares(config: ControllerConfig, centres: Mapping[str, float]) -> dict[str, float]:
     """
-    Return the couples, relative to the normal forces, that centres of pressure ask for.
+    Return couples, relative to the normal force, for centres of pressure by the couple's name [m].
 
-    `centres` are from the middle of a contact, by the couple's name [m]; a name that is not that
-    of a couple (`half_lengths`) is a CommandError.
+    A name that is not that of a couple is a CommandError.
     """
+    halves = half_lengths(config)
     for name in centres:
         if name not in halves:
             raise CommandError('centre of pressure', f'one of {", ".join(halves)}'
                                if halves else 'an edge or plane', f"'{name}'")
     return {name: centre / halves[name] for name, centre in centres.items()}
-
-
-def check_offsets(
-    config: ControllerConfig, forces: Mapping[str, float], shares: Mapping[str, float],
-) -> None:
-    """
-    Refuse a centre of pressure outside its contact.
-
-    Parameters
-    ----------
-    config
-        Contacts.
-    forces
-        Of contacts, and couples, by name [N].
-    shares
-        Couples relative to the normal forces, by name, in place of these.
-
-    Raises
-    ------
-    CommandError
-        Naming the couple.
-
-    """
-    columns = config.columns
-    for column in columns:
-        pressed = forces.get(columns[column.leader].name, 0.0)
-        if column.half_length == 0.0 or pressed == 0.0:
-            continue
-        share = shares.get(column.name, forces.get(column.name, 0.0) / pressed)
-        if not abs(share) <= LARGEST_OFFSET + 1e-9:
-            raise CommandError(
-                f'centre of pressure of {column.name}',
-                f'at most {LARGEST_OFFSET * column.half_length:.3g} m from the middle',
-                f'{share * column.half_length:.3g} m')
 
 
 def check_position(position_world: Vector, limits: LimitsConfig) -> None:

@@ -17,19 +17,15 @@ along the normal, relative to the task without displacement [m, m/s].
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from enum import Enum
-import math
 from typing import Any
 
-from multicontact_control.arrays import Mask
 from multicontact_control.compiled import compiled
 from multicontact_control.config import ContactStateConfig
 from multicontact_control.records import CONTACT_SETTINGS, CONTACT_STATE, Records
 import numpy as np
 
-# States in the order of `ContactState`; below LOST and above APPROACHING the force law acts.
-FREE, APPROACHING, IMPACT, HOLDING, LOST, RETRACTING, GIVEN_UP = range(7)
+NAMES = ('free', 'approaching', 'impact', 'holding', 'lost', 'retracting', 'given up')
+FREE, APPROACHING, IMPACT, HOLDING, LOST, RETRACTING, GIVEN_UP = range(len(NAMES))
 RELEASE_SHARE = 0.3  # of the force held or asked for, below which a contact may be lost: a tool
 # that falls after its surface reads its own inertia
 ESCAPE_SPEED = 0.1  # m/s into the surface, beyond the task's, that only a lost contact reaches
@@ -40,11 +36,11 @@ REBOUND_TIME = 0.1  # s, the same of a contact that held and is thrown back
 LOST_TIME = 0.05  # s from loss to a new approach, at least
 BRAKING = 5.0  # m/s^2, of a tip that has lost its surface, or is pulled back
 RETRACT_SPEED = 0.05  # m/s
+RETRACT_DISTANCE = 0.01  # m, way back from a surface that is left
+SEARCH_DISTANCE = 0.01  # m beyond where a lost surface was, from where on it is given up
+FORCE_RATE = 100.0  # N/s, rise of the desired force of a contact that was lost, from touch on
 LEVEL_TIME = 0.1  # s, over which the force a contact is held with is averaged
 TOUCH_SHARE = 0.5  # of the force before a loss, that counts as touch right after it
-GUARD_SHARE = 0.3  # of the force held; below it the measured force is fed forward, so that the
-# other contacts are not pressed with what a surface that has gone does not bear
-GUARD_TIME = 0.3  # s after holding has begun; before, a guard would prolong bounces
 STEP_TIME = 0.02  # s, in which a force step may be taken
 REBOUND_SPEED = 2e-3  # m/s, away from the surface, from which on it is thrown back
 REBOUNDS_APART = 0.5  # s
@@ -53,69 +49,23 @@ LONGEST_WAIT = 4  # doublings of the time between two searches
 LOSS_PERIODS, BOUNCE_PERIODS = 2, 3
 POSITION_RATE = 20.0  # 1/s, of the way left: how a displacement settles
 
-
-class ContactState(Enum):
-    """What is known of a contact."""
-
-    FREE = 'free'
-    APPROACHING = 'approaching'
-    IMPACT = 'impact'
-    HOLDING = 'holding'
-    LOST = 'lost'
-    RETRACTING = 'retracting'
-    GIVEN_UP = 'given up'
-
-
-STATES = tuple(ContactState)
+FREE_CONTACT: Records = np.zeros((), dtype=CONTACT_STATE)
+FREE_CONTACT['origin'] = np.nan
 
 
 def contact_settings(config: ContactStateConfig, period: float) -> Records:
     """Return what is set for all contacts as one record of `CONTACT_SETTINGS`; h in [s]."""
-    settings = np.zeros(1, dtype=CONTACT_SETTINGS)
     values = config.model_dump() | {
         'period': period, 'loss_time': max(LOSS_TIME, LOSS_PERIODS * period),
         'bounce_time': max(BOUNCE_TIME, BOUNCE_PERIODS * period)}
-    for name in settings.dtype.names or ():
-        settings[name] = values[name]
-    return settings
-
-
-def contact_states(stiffness: Sequence[float], couples: Sequence[bool] = ()) -> Records:
-    """Return free contacts: stiffness of the surfaces [N/m], and which are couples, shape (r,)."""
-    states = np.zeros(len(stiffness), dtype=CONTACT_STATE)
-    states['stiffness'] = stiffness
-    if couples:
-        states['couple'] = couples
-    states['origin'] = math.nan
-    return states
-
-
-def reset(states: Records, which: Mask | None = None) -> None:
-    """Let contacts, all or those of a mask of shape (r,), start anew, free."""
-    chosen = np.ones(states.shape, dtype=bool) if which is None else which
-    for name in states.dtype.names or ():
-        if name not in ('stiffness', 'couple'):
-            states[name][chosen] = math.nan if name == 'origin' else 0
+    return np.array([tuple(values[name] for name in CONTACT_SETTINGS.names or ())],
+                    dtype=CONTACT_SETTINGS)
 
 
 @compiled
 def is_active(contact: Any) -> bool:
     """Return whether the force law drives a contact."""
     return contact.state == IMPACT or contact.state == HOLDING
-
-
-@compiled
-def is_falling(contact: Any, alpha: float) -> bool:
-    """Return whether a contact that has long held is felt far less than it was."""
-    return contact.state == HOLDING and contact.in_state > GUARD_TIME and (
-        alpha < GUARD_SHARE * min(contact.level, contact.asked))
-
-
-@compiled
-def enter(contact: Any, state: int) -> None:
-    """Begin a state."""
-    contact.state = state
-    contact.in_state = 0.0
 
 
 @compiled
@@ -128,13 +78,14 @@ def leave_surface(contact: Any, place: float, speed: float) -> None:
 
 
 @compiled
-def retreat(contact: Any, settings: Any, place: float, speed: float) -> None:
-    """Leave a surface for its force, or for where it leads, until it is commanded again."""
-    contact.displacement = place
-    contact.speed = speed
-    contact.target = place - settings.retract_distance
-    contact.left = True
-    enter(contact, RETRACTING)
+def let_go(contact: Any, place: float, speed: float) -> None:
+    """Give a contact back to the motion law, from where the tip is."""
+    if is_active(contact):
+        contact.losses += 1
+        leave_surface(contact, place, speed)
+        contact.state, contact.in_state = LOST, 0.0
+    else:
+        contact.displacement, contact.speed = place, 0.0
 
 
 @compiled
@@ -148,17 +99,17 @@ def watch_search(contact: Any, settings: Any, alpha: float) -> None:
         contact.force_limit = max(alpha, settings.preload) if met_before else settings.preload
         contact.below = 0.0
         contact.level = 0.0
-        enter(contact, IMPACT)
+        contact.state = IMPACT
     elif contact.state == LOST:
         if contact.in_state >= LOST_TIME and (
                 abs(contact.target - contact.displacement) < 2e-4 and abs(contact.speed) < 2e-3):
             contact.start = contact.displacement
-            enter(contact, APPROACHING)
+            contact.state = APPROACHING
     elif contact.displacement - contact.start > (
-            settings.search_distance if met_before else settings.approach_distance):
+            SEARCH_DISTANCE if met_before else settings.approach_distance):
         contact.target = contact.start
         contact.searches += 1
-        enter(contact, GIVEN_UP)
+        contact.state = GIVEN_UP
 
 
 @compiled
@@ -191,43 +142,11 @@ def watch_hold(
     if contact.below > patience + 1e-9 or escape > fastest:
         contact.losses += 1
         leave_surface(contact, place, speed)
-        enter(contact, LOST)
+        contact.state = LOST
     elif contact.state == IMPACT and contact.below == 0.0 and (
             contact.in_state >= IMPACT_TIME):
         contact.searches = 0
-        enter(contact, HOLDING)
-
-
-@compiled
-def wait_to_search(contact: Any, settings: Any) -> None:
-    """Seek a contact that was given up once it is time, or wanted."""
-    wait = settings.retry_time * 2.0 ** min(max(contact.searches - 1, 0), LONGEST_WAIT)
-    due = settings.retry_time > 0.0 and not contact.left and contact.in_state >= wait
-    if due or contact.again:
-        contact.left = False
-        # As far as before, wherever the tip has come to meanwhile.
-        contact.start = contact.target if np.isnan(contact.origin) else contact.origin
-        enter(contact, APPROACHING)
-
-
-@compiled
-def has_retracted(contact: Any) -> bool:
-    """Return whether a contact that retracts has come to where it is led."""
-    return abs(contact.target - contact.displacement) < 1e-4
-
-
-@compiled
-def stays_away(contact: Any) -> bool:
-    """
-    Return whether a contact that is not asked for is led away from its surface all the same.
-
-    It retracts from a force beyond the ceiling, and stays away if it was not asked for before:
-    the motion would press it again, and again.
-    """
-    uncalled = np.isnan(contact.origin)
-    if contact.state == RETRACTING:
-        return uncalled or not has_retracted(contact)
-    return contact.state == GIVEN_UP and contact.left and uncalled and not contact.again
+        contact.state = HOLDING
 
 
 @compiled
@@ -235,13 +154,23 @@ def switch_state(
     contact: Any, settings: Any, alpha: float, place: float, speed: float, escape: float,
 ) -> None:
     """Go to another state if it is time; see `advance_contact`."""
-    if alpha > settings.force_ceiling and contact.state != RETRACTING:
-        retreat(contact, settings, place, speed)
-    elif not contact.wanted and not stays_away(contact):
+    met_before = not np.isnan(contact.origin)
+    has_retracted = abs(contact.target - contact.displacement) < 1e-4
+    # A contact that is left for its force although it is not asked for stays away: the motion
+    # would press it again, and again.
+    stays_away = contact.state == RETRACTING and not (met_before and has_retracted) or (
+        contact.state == GIVEN_UP and contact.left and not (met_before or contact.again))
+    if alpha > settings.force_ceiling and contact.state != RETRACTING or (
+            contact.left and is_active(contact)):
+        contact.displacement = place
+        contact.speed = speed
+        contact.target = place - RETRACT_DISTANCE
+        contact.left = True
+        contact.state = RETRACTING
+    elif not contact.wanted and not stays_away:
         if is_active(contact):
             leave_surface(contact, place, speed)
-        if contact.state != FREE:
-            enter(contact, FREE)
+        contact.state = FREE
         contact.left = False
         contact.searches = 0
         contact.losses = 0
@@ -249,26 +178,22 @@ def switch_state(
         contact.target = 0.0
     elif contact.state == FREE:
         contact.start = contact.displacement
-        enter(contact, APPROACHING)
+        contact.state = APPROACHING
     elif is_active(contact):
         watch_hold(contact, settings, alpha, place, speed, escape)
     elif contact.state == RETRACTING:
-        if has_retracted(contact):
-            enter(contact, GIVEN_UP)
+        if has_retracted:
+            contact.state = GIVEN_UP
     elif contact.state == GIVEN_UP:
-        wait_to_search(contact, settings)
+        wait = settings.retry_time * 2.0 ** min(max(contact.searches - 1, 0), LONGEST_WAIT)
+        due = settings.retry_time > 0.0 and not contact.left and contact.in_state >= wait
+        if due or contact.again:
+            contact.left = False
+            # As far as before, wherever the tip has come to meanwhile.
+            contact.start = contact.origin if met_before else contact.target
+            contact.state = APPROACHING
     else:
         watch_search(contact, settings, alpha)
-
-
-@compiled
-def raise_force_limit(contact: Any, settings: Any) -> None:
-    """Let a contact that holds have what is asked for, at a bounded rate after a loss."""
-    if contact.state == HOLDING and contact.losses == 0:
-        contact.force_limit = max(contact.force_limit, contact.asked)
-    elif contact.state == HOLDING or not np.isnan(contact.origin) and contact.losses > 0:
-        step = settings.force_rate * settings.period
-        contact.force_limit += min(max(contact.asked - contact.force_limit, -step), step)
 
 
 @compiled
@@ -279,9 +204,7 @@ def move(contact: Any, settings: Any) -> None:
         wanted = settings.approach_speed
         change = settings.approach_speed / settings.approach_ramp_time
     else:
-        limit = settings.approach_speed
-        if contact.state == RETRACTING:
-            limit = RETRACT_SPEED
+        limit = RETRACT_SPEED if contact.state == RETRACTING else settings.approach_speed
         wanted = min(max(
             POSITION_RATE * (contact.target - contact.displacement), -limit), limit)
         change = BRAKING
@@ -304,28 +227,17 @@ def advance_contact(
     """
     contact.in_state += settings.period
     contact.again = contact.again and contact.state == GIVEN_UP
+    before = contact.state
     switch_state(contact, settings, alpha, place, speed, escape)
-    if is_active(contact):
-        contact.acceleration = 0.0
-        raise_force_limit(contact, settings)
-    else:
+    if contact.state != before:
+        contact.in_state = 0.0
+    if not is_active(contact):
         move(contact, settings)
-
-
-@compiled
-def follow_leader(couple: Any, leader: Any) -> None:
-    """Let a couple of a contact be in the state of its normal force; both `CONTACT_STATE`."""
-    couple.state = leader.state
-    couple.in_state = leader.in_state
-
-
-@compiled
-def let_go(contact: Any, place: float, speed: float) -> None:
-    """Give a contact back to the motion law, from where the tip is."""
-    if is_active(contact):
-        contact.losses += 1
-        leave_surface(contact, place, speed)
-        enter(contact, LOST)
-    else:
-        contact.displacement = place
-        contact.speed = 0.0
+        return
+    contact.acceleration = 0.0
+    # It has what is asked for once it holds; after a loss at a bounded rate.
+    if contact.state == HOLDING and contact.losses == 0:
+        contact.force_limit = max(contact.force_limit, contact.asked)
+    elif contact.state == HOLDING or not np.isnan(contact.origin) and contact.losses > 0:
+        step = FORCE_RATE * settings.period
+        contact.force_limit += min(max(contact.asked - contact.force_limit, -step), step)

@@ -14,8 +14,7 @@ from multicontact_control.control.arm_state import (
     OPERATIONAL_SPEED,
 )
 from multicontact_control.control.controller import Controller
-from multicontact_control.control.reference.holdable import HeldSource
-from multicontact_control.dynamics.pose import Pose
+from multicontact_control.control.tasks import TaskSource
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import CommandError, ConfigError, SingularTaskError
 from multicontact_control.force.force_law import continue_laws_at
@@ -32,6 +31,7 @@ from multicontact_control.supervision.checks import (
     TOO_FAST,
 )
 from multicontact_control.supervision.command_limits import outside_limits
+from multicontact_control.supervision.contact_task import ContactTask
 from multicontact_control.supervision.gate import TorqueGate
 from multicontact_control.supervision.inputs import Inputs, Seen, TickInputs
 from multicontact_control.supervision.reactions import (
@@ -47,7 +47,6 @@ from multicontact_control.supervision.reactions import (
     SAFE,
     SEVERITY,
 )
-from multicontact_control.supervision.reference import ContactReference
 from multicontact_control.supervision.report import no_answer, SupervisorStatus, TickOutput
 import numpy as np
 
@@ -78,7 +77,7 @@ class Supervisor:
         Everything tunable.
     robot
         The arm.
-    task
+    source
         What to do.
     guarded
         Whether inputs, contacts, speeds and answers are supervised. If not, the law answers every
@@ -88,7 +87,7 @@ class Supervisor:
     ----------
     config
         The configuration in force.
-    inputs, controller, reference
+    inputs, controller, task
         What comes in, the control law, and what it is asked for.
     safe
         Whether ticks are answered by the declared safe behaviour, see `stop`.
@@ -96,22 +95,19 @@ class Supervisor:
         Whether the control law has answered a sample since it was reset.
     outside
         Where the arm is beyond its limits, so that control cannot start, a line for each.
-    expects_pushes
-        Whether forces are expected that no contact can explain, from pushes on the tool.
     collisions
         What touches the arm before its wrist sensor.
 
     """
 
     def __init__(
-        self, config: ControllerConfig, robot: RobotModel, task: HeldSource, *,
+        self, config: ControllerConfig, robot: RobotModel, source: TaskSource, *,
         guarded: bool = True,
     ) -> None:
         self.guarded = guarded
         self._robot, self._period = robot, config.period
         self.controller = Controller(config, robot)
-        self.reference = ContactReference(config, task, guarded=guarded)
-        self.reference.bind(self.controller)
+        self.task = ContactTask(config, source, self.controller, guarded=guarded)
         arm = self.controller.arm
         self._joints, self._controls = arm.joints, self.controller.controls
         self.inputs = Inputs(config, self.controller.measured)
@@ -123,13 +119,12 @@ class Supervisor:
             limit_speeds(arm.joints, arm.frames, config)
         else:
             self._controls['momentum']['bandwidth'] = 0.0  # what touches the arm is not asked
-        self.expects_pushes = False
         self._adopt(config)
         self.reset()
 
     @classmethod
     def from_config(
-        cls, config: ControllerConfig, task: HeldSource, base_dir: Path, *, guarded: bool = True,
+        cls, config: ControllerConfig, source: TaskSource, base_dir: Path, *, guarded: bool = True,
     ) -> Supervisor:
         """
         Build a supervisor with the arm its configuration names.
@@ -140,7 +135,7 @@ class Supervisor:
             If the URDF cannot be read or does not match the names.
 
         """
-        return cls(config, RobotModel(config.robot, base_dir), task, guarded=guarded)
+        return cls(config, RobotModel(config.robot, base_dir), source, guarded=guarded)
 
     def reset(self) -> None:
         """Forget everything measured and commanded; the next tick starts anew."""
@@ -162,6 +157,7 @@ class Supervisor:
 
     def _restart_law(self) -> None:
         self.controller.reset()
+        self.task.reset()
         self._task_ticks = self._good_ticks = self._contradictions = 0
         self.started = self._paused = False
         self._waiting_reaction = HOLD
@@ -178,7 +174,6 @@ class Supervisor:
         self._restart_law()
         self.safe = True
         self._reactions.end()
-        self.reference.reset()
         self._gate.go_over()
 
     def step(self, inputs: TickInputs) -> TickOutput:
@@ -219,7 +214,7 @@ class Supervisor:
             return self._react(reaction, causes)
         try:
             self._resume()
-            self.reference.ask(self._task_time())
+            self.task.ask(self._task_time())
             limited = self.controller.answer()
         except Exception as error:
             if not self.guarded:
@@ -271,7 +266,7 @@ class Supervisor:
                 self._wrench_known = False
             touched = self.collisions.cause(arm.found)
             # The wrench is not to be believed before the pushes that prove it.
-            self._touched = (touched,) if touched and not self.expects_pushes else ()
+            self._touched = (touched,) if touched and not self.task.locked else ()
             if own:
                 self._gate.allow_for(self._own_weight())
         return seen.causes + self._too_fast + self._touched
@@ -325,12 +320,12 @@ class Supervisor:
         controller = self.controller
         controller.require_answer()
         if self._paused and self.started:
-            held = self.reference.resume()
+            held = self.task.resume()
             continue_laws_at(controller.laws, held, controller.contacts['alpha_meas'])
         elif self._paused:
             controller.reset()  # the arm may have been moved since the first attempt
         if not controller.started:
-            self.reference.start(controller.start(), controller.contacts['normal'].copy())
+            self.task.start(controller.start())
         self._controls['measured'] = self._wrench_known
 
     def _check(self) -> str:
@@ -339,15 +334,15 @@ class Supervisor:
             return ''
         found = check_plausibility(
             self._bounds, self._controls, self._joints, self.controller.contacts,
-            self.reference.contact_states)
+            self.task.states)
         if found & NOT_FINITE:
             return 'law_not_finite'
-        contradicted = found & (PULL | SIDEWAYS) and not self.expects_pushes
+        contradicted = found & (PULL | SIDEWAYS) and not self.task.locked
         self._contradictions = self._contradictions + 1 if contradicted else 0
         if contradicted and (self._contradictions >= CONTRADICTIONS or self._paused):
             return 'wrench_pull' if found & PULL else 'wrench_sideways'
         if found & OUTSIDE:  # the contacts have led there
-            self.reference.lead_back()
+            self.task.lead_back()
         return ''
 
     def _pass(self, limited: bool) -> tuple[Vector, tuple[str, ...]]:
@@ -367,7 +362,7 @@ class Supervisor:
         # A blend passes in a moment, and a limited rate is caught up with: they are left out.
         if self.guarded and ('torque' in limits or 'joint' in limits):
             self.controller.account_for(torque)
-        return torque, ('reference', *limits) if self.reference.limited else limits
+        return torque, ('reference', *limits) if self.task.limited else limits
 
     def _begin(self) -> None:
         """Let the torque start from the one that acts before any command."""
@@ -454,7 +449,7 @@ class Supervisor:
                 contacts[name] = 0
             self._output = output._replace(torque=torque, contacts=contacts)
         status = SupervisorStatus(
-            reaction, causes, self._seen.rejected, limits, self.reference.state_names,
+            reaction, causes, self._seen.rejected, limits, self.task.state_names,
             self._task_time()) if self.guarded else None
         self._last = TickOutput(self._output, status)
         return self._last
@@ -504,7 +499,7 @@ class Supervisor:
         self.config = config
         self._gate.adopt(config)
         self._reactions.adopt(config)
-        self.reference.retune(config)
+        self.task.retune(config)
         self._bounds: Any = plausibility_limits(config)
 
     @property
@@ -516,17 +511,11 @@ class Supervisor:
         """Resume control that is latched, seek contacts given up; return if there was any."""
         latched = self._recovery.latched
         self._recovery.allow()
-        return self.reference.seek_again() or latched
+        return self.task.seek_again() or latched
 
-    def stand_still(self, pose: Pose) -> Pose:
-        """Keep the contacts that are held; return the pose of a task that leaves the arm there."""
+    def go_over(self) -> None:
+        """Let the torque go over without a jump: the task is about to jump."""
         self._gate.go_over()
-        return self.reference.stand_still(pose)
-
-    def go_on(self) -> None:
-        """Go on with the task after `stand_still`, from where the arm is."""
-        self._gate.go_over()
-        self.reference.resume()
 
 
 def not_supervised() -> CommandError:

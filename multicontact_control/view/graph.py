@@ -13,14 +13,14 @@ from typing import Any
 
 from multicontact_control.arrays import Vector
 from multicontact_control.config import Vector3
+from multicontact_control.control.tasks import MotionReading
 from multicontact_control.errors import CommandError, MulticontactError, RunError
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.controller_outputs import NAMESPACE
 from multicontact_control.nodes.link import ControllerLink
 from multicontact_control.nodes.status_message import ControllerStatus, new_identifier, REFUSED
-from multicontact_control.sampling import MotionReading
-from multicontact_control.supervision.command_limits import CommandLimits, half_lengths
+from multicontact_control.supervision.command_limits import CommandLimits
 from multicontact_control.view import source
 from multicontact_control.view.motion import Motion
 from multicontact_control.view.source import (
@@ -298,8 +298,7 @@ class GraphSource:
         if unknown:
             raise CommandError('contact', f'one of {", ".join(config.column_names)}',
                                ', '.join(sorted(unknown)))
-        self._limits.check_forces(
-            forces, config.contact_state.smallest_force, half_lengths(config))
+        self._limits.check_forces(config, forces)
         self._link.command(topics.FORCE_COMMAND, messages.joint_state_message(
             0, list(forces), effort=list(forces.values())))
         return ', '.join(f'{name} {force:g} N' for name, force in forces.items())

@@ -17,6 +17,7 @@ from pathlib import Path
 import sys
 import time
 
+from multicontact_control.control.tasks import MotionReading
 from multicontact_control.errors import CommandError
 from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.display import count_bar
@@ -28,8 +29,7 @@ from multicontact_control.experiment.faults.vocabulary import faults_of
 from multicontact_control.experiment.oscillation import oscillations
 from multicontact_control.experiment.scenario import plants_of
 from multicontact_control.quintic import quintic
-from multicontact_control.sampling import MotionReading
-from multicontact_control.supervision.contacts import ContactState
+from multicontact_control.supervision.contacts import HOLDING, NAMES
 import numpy as np
 import psutil
 from rich.console import Console
@@ -153,7 +153,7 @@ class ProcessSoak:
             forces.append(self.loop.true_forces)
         wanted, status = np.array(list(self.wanted.values())), self.loop.status
         errors = np.array(forces) - wanted
-        held = all(state == ContactState.HOLDING.value
+        held = all(state == NAMES[HOLDING]
                    for state, force in zip(status.contact_states, wanted) if force > 0.0)
         near = np.abs(errors.mean(axis=0)) <= np.maximum(1.0, OFF * wanted)
         return held and status.reaction == 'none' and bool(near[wanted > 0.0].all()), errors

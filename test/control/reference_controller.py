@@ -56,7 +56,7 @@ class ReferenceController:
             self._start = measurement.q.copy()
             self._reference.start(state.pose, self._normals_world)
         self._redesign_if_turned(levers)
-        reference = self._reference.update(measurement.time, alpha_meas)
+        reference = self._reference.task(measurement.time, alpha_meas)
         self._follow_active_set(reference.active, alpha_meas)
         space = operational_space(
             state, singular_mobility=self.config.limits.singular_mobility)

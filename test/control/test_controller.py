@@ -8,7 +8,7 @@ from arms import (
     seven_joint_config,
     seven_joint_urdf,
 )
-from multicontact_control.control.reference import CommandedReference, Reference
+from multicontact_control.control.tasks import CommandedTask, MotionReading, Task
 from multicontact_control.dynamics.pose import Pose
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import (
@@ -31,7 +31,7 @@ NO_FRICTION = {'coulomb': [], 'viscous': []}
 
 def _controller(reference=None, **changes):
     config = controller_config(friction=NO_FRICTION, **changes)
-    reference = reference or CommandedReference(config.contact_names)
+    reference = reference or CommandedTask(config.contact_names)
     return Law(config, reference), reference
 
 
@@ -69,7 +69,7 @@ def test_controller_at_rest_compensates_gravity():
 def test_what_friction_is_read_as_is_worked_out_once():
     lever = {'table': {'type': 'edge', 'point_operational': [0.0, 0.0, 0.24]}}
     controller, _ = _controller(
-        contact_names=['table'], contacts=lever, reference=CommandedReference(['t', 't/along']))
+        contact_names=['table'], contacts=lever, reference=CommandedTask(['t', 't/along']))
     assert controller.misread_friction == []
     controller.step(_sample(controller), np.full(2, 0.6))
     found = controller.misread_friction
@@ -92,8 +92,9 @@ def test_motion_error_accelerates_no_contact(projection, allocation):
     controller.step(_sample(controller), np.full(2, 0.6))
     reference.set_forces({'table': 10.0, 'board': 5.0})
     pose = controller.robot.update(HOME, np.zeros(6)).pose
-    reference.set_motion(pose.position_world + [0.01, 0.004, -0.003], pose.quaternion_xyzw,
-                         np.zeros(6), np.array([0.5, 0, 0, 0, 0, 0.2]))
+    reference.set_motion(MotionReading(
+        pose.position_world + [0.01, 0.004, -0.003], pose.quaternion_xyzw, np.zeros(6),
+        np.array([0.5, 0, 0, 0, 0, 0.2])), np.zeros((0, 3)))
     state = controller.robot.update(HOME, np.zeros(6))
     R = state.pose.rotation_world
     force = np.array([0.0, 5.0, -10.0])
@@ -139,6 +140,8 @@ SERIES = ('torque', 'alpha_meas', 'alpha_est', 'alpha_rate_est', 'alpha_des', 'i
 class RandomTask:
     """Asks for something else at every tick, contacts coming and going."""
 
+    contact_state = {}
+
     def __init__(self, contacts):
         self._generator = np.random.default_rng(0)
         self._contacts = contacts
@@ -146,12 +149,12 @@ class RandomTask:
     def start(self, pose, normals_world):
         self._pose = pose
 
-    def update(self, time, alpha_meas):
+    def task(self, time, alpha_meas=None):
         random = self._generator
         turn = random.normal(size=4) * [0.2, 0.2, 0.2, 0.0] + [0.0, 0.0, 0.0, 1.0]
         offset = Pose.from_quaternion(0.05 * random.normal(size=3), turn)
         active = random.random(self._contacts) < 0.8
-        return Reference(
+        return Task(
             pose_des=Pose(self._pose.position_world + offset.position_world,
                           offset.rotation_world @ self._pose.rotation_world),
             twist_des=0.1 * random.normal(size=6), acceleration_des=random.normal(size=6),

@@ -1,7 +1,7 @@
 """Passing through the PUMA's singularities: torques without a spike, gravity held throughout."""
 
 from arms import controller_config, HOME, Law, Measurement
-from multicontact_control.control.reference import Reference
+from multicontact_control.control.tasks import Task
 from multicontact_control.dynamics.operational_space import mobility_and_inertia
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.paths import config_dir
@@ -14,16 +14,18 @@ H = 0.002
 class Follow:
     """Asks for the pose the arm is in, a little beside it, and for the speed it has."""
 
+    contact_state = {}
+
     def __init__(self, offset):
         self.offset = np.array(offset)
 
     def start(self, pose, normals_world):
         pass
 
-    def update(self, time, alpha_meas):
+    def task(self, time, alpha_meas=None):
         pose, twist = self.now
         beside = type(pose)(pose.position_world + self.offset, pose.rotation_world)
-        return Reference(beside, twist, np.zeros(6), np.zeros(2, dtype=bool), np.zeros(2))
+        return Task(beside, twist, np.zeros(6), np.zeros(2, dtype=bool), np.zeros(2))
 
 
 def torques(joint, start, end, offset, seconds=1.0, **limits):

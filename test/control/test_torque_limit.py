@@ -3,10 +3,10 @@
 from hypothesis import given
 from hypothesis import strategies as st
 from multicontact_control.control.law import limit_torque
+from multicontact_control.control.tasks import MotionReading
 from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.records import JOINT
-from multicontact_control.sampling import MotionReading
 import numpy as np
 import pytest
 

@@ -1,7 +1,7 @@
 """A supervisor without guards: no jump at its start, when it is retuned, and when it stops."""
 
 from arms import controller_config, HOME, Law, Measurement
-from multicontact_control.control.reference import CommandedReference
+from multicontact_control.control.tasks import CommandedTask
 from multicontact_control.paths import config_dir
 from multicontact_control.sensor.weight import weight_reading
 from multicontact_control.supervision.inputs import (
@@ -21,7 +21,7 @@ EFFORT = np.array([1.0, -30.0, 5.0, 0.5, 0.5, 0.1])
 
 def make(**changes):
     config = controller_config(**changes)
-    reference = CommandedReference(config.contact_names)
+    reference = CommandedTask(config.contact_names)
     return Supervisor.from_config(config, reference, config_dir(), guarded=False), reference
 
 
@@ -55,7 +55,7 @@ def test_first_command_is_the_measured_effort_or_gravity_compensation(effort):
 
 def test_torque_is_that_of_the_law_after_the_blend():
     controller, _ = make(transition={'blend_time': 0.02, 'torque_rate': 1e5})
-    law = Law(controller.config, CommandedReference(controller.config.contact_names))
+    law = Law(controller.config, CommandedTask(controller.config.contact_names))
     for k in range(12):
         output = controller.step(sample(controller, k, effort=EFFORT)).output
         joints, wrench = sample(controller, k)[1:3]

@@ -5,7 +5,7 @@ from functools import reduce
 
 from arms import controller_config, HOME, still_config
 from multicontact_control.contact.geometry import normal_space
-from multicontact_control.control.reference import CommandedReference
+from multicontact_control.control.tasks import CommandedTask
 from multicontact_control.control_loop import ControlLoop
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import ConfigError
@@ -49,7 +49,7 @@ def test_contacts_that_no_wrist_sensor_can_tell_apart_are_refused(points):
 @pytest.mark.parametrize(('points', 'rank'), [(dict(list(FEET.items())[:3]), 3), (aligned(), 1)])
 def test_contacts_that_depend_in_one_orientation_only_are_accepted(points, rank):
     config = controller_config(**pressing_down(points))
-    law = Supervisor(config, ROBOT, CommandedReference(config.contact_names)).controller
+    law = Supervisor(config, ROBOT, CommandedTask(config.contact_names)).controller
     here = ROBOT.update(HOME, REST).pose.rotation_world
     assert np.linalg.matrix_rank(normal_space(law.contacts.copy(), here), 1e-9) == rank
 

@@ -4,7 +4,7 @@ from arms import controller_config, HOME
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from multicontact_control.control.arm_state import ArmState, JOINT_SPEED, OPERATIONAL_SPEED
-from multicontact_control.control.reference import CommandedReference
+from multicontact_control.control.tasks import CommandedTask
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.paths import config_dir
 from multicontact_control.supervision.checks import (
@@ -16,7 +16,7 @@ from multicontact_control.supervision.checks import (
     SIDEWAYS,
     TOO_FAST,
 )
-from multicontact_control.supervision.contacts import ContactState, LOST
+from multicontact_control.supervision.contacts import LOST, NAMES
 from multicontact_control.supervision.supervisor import Supervisor
 import numpy as np
 
@@ -24,7 +24,7 @@ BIAS = [0.0, 0.0, 3.0, 0.0, 0.0, 0.0]
 CONFIG = controller_config(tool={'bias_sensor': BIAS})
 ROBOT = RobotModel(CONFIG.robot, config_dir())
 CONTACTS = len(CONFIG.contact_names)
-SUPERVISOR = Supervisor(CONFIG, ROBOT, CommandedReference(CONFIG.contact_names))
+SUPERVISOR = Supervisor(CONFIG, ROBOT, CommandedTask(CONFIG.contact_names))
 
 
 @settings(max_examples=100, deadline=None)
@@ -51,12 +51,12 @@ def test_speeds_and_plausibility_equal_numpy(seed, scale):
     contacts['alpha_meas'], controls['wrench'], contacts['innovation'] = alpha, wrench, 0.0
     arm.joints['torque'] = random.normal(size=6)
     arm.joints['torque'][3] = np.nan if scale == 3.0 else 0.0
-    states = random.integers(len(ContactState), size=CONTACTS)
-    SUPERVISOR.reference.contact_states['state'] = states
+    states = random.integers(len(NAMES), size=CONTACTS)
+    SUPERVISOR.task.states['state'] = states
 
     def found():
         return check_plausibility(plausibility_limits(CONFIG), controls, arm.joints,
-                                  contacts, SUPERVISOR.reference.contact_states)
+                                  contacts, SUPERVISOR.task.states)
 
     # A lost contact reads its tool's inertia at 20 m/s^2; a pull of 4 N and 5 N sideways pass.
     pull = 4.0 + np.where(states == LOST, CONFIG.tool.mass * 20.0, 0.0)

@@ -1,22 +1,35 @@
 """Commands beyond the limits are refused by name."""
 
+from arms import controller_config
 from multicontact_control.config import LimitsConfig
 from multicontact_control.errors import CommandError
 from multicontact_control.supervision.command_limits import check_position, CommandLimits
 import numpy as np
 import pytest
 
+EDGE = controller_config(contacts={'table': {
+    'type': 'edge', 'direction_operational': [1.0, 0.0, 0.0], 'half_length': 0.02}})
 
 def test_check_forces_takes_what_is_within():
     limits = CommandLimits(force_ceiling=10.0)
-    assert limits.check_forces({'a': 0.0, 'b': 10.0, 'c': 2.0}, 2.0) is None
-    assert limits.check_forces({'a/along': -10.0}, 2.0, ['a/along']) is None
+    assert limits.check_forces(EDGE, {'table': 0.0, 'board': 10.0}) is None
+    assert limits.check_forces(EDGE, {'table': 3.0, 'table/along': -1.0}) is None
+    assert limits.check_forces(
+        EDGE, {'table': 3.0, 'table/along': 9.0}, shares={'table/along': 0.1}) is None
 
 
-@pytest.mark.parametrize('force', [10.1, 1.9, -0.1, float('nan'), float('inf')])
+@pytest.mark.parametrize(('forces', 'before', 'shares'), [
+    ({'table': 5.0, 'table/along': -5.0}, {}, {}), ({'table/along': 5.0}, {'table': 5.0}, {}),
+    ({'table': 5.0}, {}, {'table/along': -1.0})])
+def test_check_forces_refuses_a_centre_of_pressure_outside_the_contact(forces, before, shares):
+    with pytest.raises(CommandError, match='centre of pressure of table/along: expected at most'):
+        CommandLimits().check_forces(EDGE, forces, before, shares)
+
+
+@pytest.mark.parametrize('force', [10.1, 2.9, -0.1, float('nan'), float('inf')])
 def test_check_forces_names_the_contact(force):
-    with pytest.raises(CommandError, match='force on b: expected 0 or 2 to 10 N'):
-        CommandLimits(force_ceiling=10.0).check_forces({'a': 3.0, 'b': force}, 2.0)
+    with pytest.raises(CommandError, match='force on board: expected 0 or 3 to 10 N'):
+        CommandLimits(force_ceiling=10.0).check_forces(EDGE, {'table': 3.0, 'board': force})
 
 
 def test_check_position_names_the_axis():

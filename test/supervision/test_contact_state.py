@@ -4,18 +4,17 @@ from arms import controller_config
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from multicontact_control.config import ContactStateConfig
-from multicontact_control.control.reference import CommandedReference
+from multicontact_control.control.controller import Controller
+from multicontact_control.control.tasks import CommandedTask
+from multicontact_control.dynamics.pose import Pose
 from multicontact_control.paths import config_dir
-from multicontact_control.records import REFERENCE_LIMITS, TASK
 from multicontact_control.supervision import contacts
-from multicontact_control.supervision.contacts import ContactState, STATES
-from multicontact_control.supervision.reference_limits import follow_contacts
-from multicontact_control.supervision.supervisor import Supervisor
+from multicontact_control.supervision.contact_task import ContactTask
 import numpy as np
 import pytest
 
 H = 0.002
-FREE, APPROACHING, IMPACT, HOLDING, LOST, RETRACTING, GIVEN_UP = STATES
+FREE, APPROACHING, IMPACT, HOLDING, LOST, RETRACTING, GIVEN_UP = contacts.NAMES
 # Every transition there is, as docs/architecture.md has them.
 GRAPH = {
     FREE: {APPROACHING, RETRACTING}, APPROACHING: {IMPACT, GIVEN_UP, RETRACTING, FREE},
@@ -29,7 +28,8 @@ class Surface:
 
     def __init__(self, depth=0.005, stiffness=6000.0, **config):
         self.config = ContactStateConfig(**config)
-        self.records = contacts.contact_states([stiffness])
+        self.records = np.array([contacts.FREE_CONTACT])
+        self.records['stiffness'] = stiffness
         self.settings = contacts.contact_settings(self.config, H)[0]
         self.depth, self.stiffness = depth, stiffness
         self.place, self.speed = 0.0, 0.0
@@ -41,7 +41,7 @@ class Surface:
 
     @property
     def state(self):
-        return STATES[self.contact['state']]
+        return contacts.NAMES[self.contact['state']]
 
     def advance(self, wanted, alpha, asked, place, speed, escape=None):
         self.records['wanted'], self.records['asked'] = wanted, asked
@@ -179,14 +179,14 @@ def test_escaping_tip_is_a_loss_whatever_its_inertia_reads():
 
 
 def test_lost_contact_returns_brakes_searches_and_gives_up():
-    surface = holding(search_distance=0.008)
+    surface = holding()
     origin = surface.place
     surface.speed = 0.1
     trace = surface.run(3.0, alpha=0.0)
     assert surface.states[-3:] == [LOST, APPROACHING, GIVEN_UP]
     late = trace[60:]
     assert np.abs(late[:, 1]).max() <= 0.02 + 1e-9
-    assert late[:, 0].max() < origin + 0.0085
+    assert late[:, 0].max() < origin + 0.0105
     assert abs(trace[-1, 1]) < 1e-3
 
 
@@ -201,7 +201,7 @@ def test_first_approach_gives_up_after_its_distance_until_asked_for_anew():
 
 
 def test_lost_contact_waits_where_it_would_touch_and_not_where_it_pressed():
-    surface = Surface(search_distance=0.001)
+    surface = Surface()
     for alpha, ticks in ((0.0, 300), (15.0, 100), (0.0, 10)):
         for _ in range(ticks):
             surface.advance(True, alpha, 15.0, 0.005, 0.0)
@@ -212,13 +212,13 @@ def test_lost_contact_waits_where_it_would_touch_and_not_where_it_pressed():
 
 
 def test_force_beyond_the_ceiling_makes_it_retract_and_a_retry_reaches_the_surface_again():
-    surface = holding(retract_distance=0.02)
+    surface = holding()
     surface.run(H, alpha=70.0)
     assert surface.state is RETRACTING
     start = surface.place
     trace = surface.run(7.0, alpha=0.0)  # beyond retry_time
     assert surface.state is GIVEN_UP
-    assert trace[-1, 0] == pytest.approx(start - 0.02, abs=2e-4)
+    assert trace[-1, 0] == pytest.approx(start - contacts.RETRACT_DISTANCE, abs=2e-4)
     assert np.abs(trace[:, 1]).max() <= 0.05 + 1e-9
     surface.contact['again'] = True
     surface.run(3.0)
@@ -242,7 +242,7 @@ def test_force_that_is_not_asked_for_is_left_once_and_not_again_and_again():
     assert surface.states == [FREE, RETRACTING]
     trace = surface.run(5.0, wanted=False, alpha=50.0)
     assert surface.states[2:] == [GIVEN_UP]
-    assert trace[-1, 0] == pytest.approx(-surface.config.retract_distance, abs=2e-4)
+    assert trace[-1, 0] == pytest.approx(-contacts.RETRACT_DISTANCE, abs=2e-4)
     surface.contact['again'] = True
     surface.run(2.0, wanted=False, alpha=0.0)
     assert surface.states[3:] == [FREE]
@@ -255,16 +255,15 @@ def test_surface_that_is_known_to_move_is_not_lost_for_its_speed(away):
     values = {name: contact.model_dump() for name, contact in controller_config().contacts.items()}
     values['table']['surface_speed'] = away
     config = controller_config(contacts=values)
-    supervisor = Supervisor.from_config(
-        config, CommandedReference(config.contact_names), config_dir())
-    states, felt = supervisor.reference.contact_states, supervisor.controller.contacts
-    frame, wanted = supervisor.controller.controls['frame'][0], np.zeros(1, dtype=TASK)[0]
+    source = CommandedTask(config.contact_names)
+    controller = Controller.from_config(config, config_dir())
+    task, columns = ContactTask(config, source, controller), controller.contacts
+    frame = controller.controls['frame'][0]
     frame['rotation'], frame['twist'] = np.eye(3), [0.0, 0.0, -away, 0.0, 0.0, 0.0]
-    states['state'], states['wanted'], states['asked'] = STATES.index(HOLDING), True, 15.0
-    states['level'] = felt['alpha_meas'] = 15.0
-    felt['N'][0] = [0.0, 0.0, -1.0, 0.0, 0.0, 0.0]
-    limits = np.zeros(1, dtype=REFERENCE_LIMITS)[0]
-    of_contacts = contacts.contact_settings(config.contact_state, config.period)[0]
-    for _ in range(500):
-        follow_contacts(limits, wanted, frame, felt, states, of_contacts)
-    assert STATES[states['state'][0]] is ContactState.HOLDING
+    task.start(Pose(np.zeros(3), np.eye(3)))
+    source.set_forces({'table': 15.0})
+    task.states['state'] = contacts.NAMES.index(HOLDING)
+    task.states['level'] = columns['alpha_meas'] = 15.0
+    for k in range(500):
+        task.ask(k * H)
+    assert task.state_names[0] is HOLDING

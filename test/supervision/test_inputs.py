@@ -2,7 +2,7 @@
 
 from arms import controller_config, HOME, Law, Measurement
 from multicontact_control.config import SensorFrontEndConfig
-from multicontact_control.control.reference import CommandedReference
+from multicontact_control.control.tasks import CommandedTask
 from multicontact_control.errors import ConfigError
 from multicontact_control.supervision.inputs import (
     Inputs,
@@ -208,7 +208,7 @@ def test_delay_of_the_low_pass_is_in_the_controllers_model():
     assert config.loop_delay == pytest.approx(0.006 + 3 / RATE)
     observers = []
     for changes in ({'sensor': sensor}, {'force': {'input_delay': 0.012}}):
-        controller = Law(controller_config(**changes), CommandedReference(('table', 'board')))
+        controller = Law(controller_config(**changes), CommandedTask(('table', 'board')))
         home = np.array([1.847, 0.871, 2.937, 0.0, -0.666, 1.847])
         controller.step(Measurement(0.0, home, np.zeros(6), np.zeros(6)), np.full(2, 0.6))
         observers.append(controller.observers)

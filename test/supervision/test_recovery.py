@@ -3,10 +3,10 @@
 from contextlib import closing
 
 from multicontact_control.config import WatchdogConfig
+from multicontact_control.control.tasks import MotionReading
 from multicontact_control.errors import CommandError
 from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.scenario import resolve
-from multicontact_control.sampling import MotionReading
 from multicontact_control.supervision.reactions import RECOVERING, Recovery
 import numpy as np
 import pytest

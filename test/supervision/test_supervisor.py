@@ -4,11 +4,11 @@ from arms import controller_config, HOME, still_config
 from hypothesis import given, HealthCheck, settings
 from hypothesis import strategies as st
 from multicontact_control.compiled import compiled_here
-from multicontact_control.control.reference import (
+from multicontact_control.control.tasks import (
     ApproachConfig,
-    CommandedReference,
+    CommandedTask,
     ReferenceConfig,
-    ScenarioReference,
+    ScenarioTask,
 )
 from multicontact_control.paths import config_dir
 from multicontact_control.supervision.inputs import (
@@ -28,9 +28,9 @@ STEP = np.array(CONFIG.limits.torque_rate) * H
 
 
 def make(reference=None):
-    return Supervisor.from_config(CONFIG, reference or ScenarioReference(
+    return Supervisor.from_config(CONFIG, reference or ScenarioTask(
         ReferenceConfig(approach=ApproachConfig(start_time=0.0)), rate=500.0,
-        contact_names=CONFIG.contact_names), config_dir())
+        names=CONFIG.contact_names), config_dir())
 
 
 SUPERVISOR = make()
@@ -181,7 +181,7 @@ def test_force_that_no_contact_makes_is_held_against_and_latched(force, cause):
 
 def test_no_tick_compiles_anything():
     """Whatever the arrays of a message are like, and in any reaction: it would take seconds."""
-    supervisor, other = make(), make(CommandedReference(CONFIG.contact_names))
+    supervisor, other = make(), make(CommandedTask(CONFIG.contact_names))
     before, reactions = compiled_here(), []
     turned = HOME + np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.009])
     for k in range(200):
@@ -197,7 +197,7 @@ def test_no_tick_compiles_anything():
         assert_sound(supervisor.step(inputs))
         reactions.append(other.step(inputs).status.reaction)
         if k == 5:
-            supervisor.reference.lead_back()
+            supervisor.task.lead_back()
     assert 'float' in reactions and reactions[-1] == 'none'
     assert compiled_here() == before
 
@@ -208,7 +208,7 @@ def test_arm_that_is_not_seen_is_brought_to_rest_and_carried(changes):
     """Whatever it did last."""
     config = controller_config(**changes)
     supervisor = Supervisor.from_config(
-        config, CommandedReference(config.contact_names), config_dir())
+        config, CommandedTask(config.contact_names), config_dir())
     turning = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.8])
     for k in range(5):
         supervisor.step(good(k, q=HOME + k * H * turning, qd=turning))

@@ -1,11 +1,12 @@
-"""Scenario and commanded references: times, derivatives, refusals."""
+"""Scenario and commanded tasks: times, derivatives, refusals."""
 
-from multicontact_control.control.reference import (
+from multicontact_control.control.tasks import (
     ApproachConfig,
-    CommandedReference,
+    CommandedTask,
     ForceStepConfig,
+    MotionReading,
     ReferenceConfig,
-    ScenarioReference,
+    ScenarioTask,
     sine_motion,
     SineConfig,
 )
@@ -16,24 +17,25 @@ import pytest
 
 RATE = 500.0
 NORMALS = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+FREE = np.zeros((0, 3))  # normals of no contact
 POSE = Pose(np.array([0.0, 0.5, 0.6]), np.eye(3))
 
 
-def _reference(**values):
-    reference = ScenarioReference(
-        ReferenceConfig(**values), rate=RATE, contact_names=('table', 'board'))
-    reference.start(POSE, NORMALS)
-    return reference
+def _scenario(**values):
+    source = ScenarioTask(
+        ReferenceConfig(**values), rate=RATE, names=('table', 'board'))
+    source.start(POSE, NORMALS)
+    return source
 
 
-def _run(reference, seconds, alpha):
-    return [reference.update(k / RATE, alpha(k / RATE)) for k in range(int(seconds * RATE))]
+def _run(source, seconds, alpha):
+    return [source.task(k / RATE, alpha(k / RATE)) for k in range(int(seconds * RATE))]
 
 
 def test_approach_moves_towards_every_untouched_surface():
     """0.02 m/s along both normals after the ramp; a touched contact is no longer approached."""
-    reference = _reference(approach=ApproachConfig(start_time=0.0))
-    touched = _run(reference, 3.0, lambda t: np.array([2.0 if t > 1.0 else 0.0, 0.0]))
+    source = _scenario(approach=ApproachConfig(start_time=0.0))
+    touched = _run(source, 3.0, lambda t: np.array([2.0 if t > 1.0 else 0.0, 0.0]))
     position = np.array([r.pose_des.position_world for r in touched])
     np.testing.assert_allclose(touched[450].twist_des[:3], [0.0, 0.02, -0.02])
     np.testing.assert_allclose(touched[-1].twist_des[:3], [0.0, 0.02, 0.0])
@@ -44,11 +46,11 @@ def test_approach_moves_towards_every_untouched_surface():
 
 
 def test_force_steps_apply_to_active_contacts_from_their_time_on():
-    reference = _reference(
+    source = _scenario(
         approach=ApproachConfig(start_time=0.0, preload=2.0),
         force_steps=(ForceStepConfig(time=0.2, forces={'table': 10.0, 'board': 10.0}),
                      ForceStepConfig(time=0.4, forces={'board': 15.0})))
-    run = _run(reference, 0.6, lambda t: np.array([3.0, 3.0 if t > 0.3 else 0.0]))
+    run = _run(source, 0.6, lambda t: np.array([3.0, 3.0 if t > 0.3 else 0.0]))
     np.testing.assert_array_equal(run[50].alpha_des, [2.0, 0.0])
     np.testing.assert_array_equal(run[100].alpha_des, [10.0, 0.0])
     np.testing.assert_array_equal(run[160].alpha_des, [10.0, 10.0])
@@ -71,45 +73,46 @@ def test_sine_motion_derivatives_agree_with_differences():
     ({'wall': 1.0}, "expected contacts among table, board, found 'wall'"),
     ({'table': 3.0, 'board': float('nan')}, 'contact_forces/command.board: expected a force'),
     ({'table': 3.0, 'board': -1.0}, 'contact_forces/command.board: expected a force')])
-def test_commanded_reference_refuses_bad_forces_and_changes_nothing(forces, message):
-    reference = CommandedReference(('table', 'board'))
-    reference.start(POSE, NORMALS)
+def test_commanded_task_refuses_bad_forces_and_changes_nothing(forces, message):
+    source = CommandedTask(('table', 'board'))
+    source.start(POSE, NORMALS)
     with pytest.raises(ConfigError, match=message):
-        reference.set_forces(forces)
-    np.testing.assert_array_equal(reference.update(0.0, np.zeros(2)).alpha_des, 0.0)
+        source.set_forces(forces)
+    np.testing.assert_array_equal(source.task(0.0).alpha_des, 0.0)
 
 
 @pytest.mark.parametrize('bad', [
     (np.full(3, np.inf), np.array([0, 0, 0, 1.0])), (np.zeros(3), np.zeros(4))])
-def test_commanded_reference_refuses_bad_motions_and_changes_nothing(bad):
-    reference = CommandedReference(('table', 'board'))
-    reference.start(POSE, NORMALS)
+def test_commanded_task_refuses_bad_motions_and_changes_nothing(bad):
+    source = CommandedTask(('table', 'board'))
+    source.start(POSE, NORMALS)
     with pytest.raises(ConfigError, match='motion/command: expected'):
-        reference.set_motion(*bad, np.zeros(6), np.zeros(6))
-    assert reference.update(0.0, np.zeros(2)).pose_des is POSE
+        source.set_motion(MotionReading(*bad, np.zeros(6), np.zeros(6)), FREE)
+    assert source.task(0.0).pose_des is POSE
 
 
 def test_twist_of_a_motion_that_stops_coming_counts_for_a_while_only():
-    reference = CommandedReference(('table', 'board'))
-    reference.start(POSE, NORMALS)
-    motion = (POSE.position_world, np.array([0, 0, 0, 1.0]), np.ones(6), np.ones(6))
+    source = CommandedTask(('table', 'board'))
+    source.start(POSE, NORMALS)
+    motion = MotionReading(
+        POSE.position_world, np.array([0, 0, 0, 1.0]), np.ones(6), np.ones(6))
     for start in (0.0, 1.0):
-        reference.set_motion(*motion, lasting=0.2)
+        source.set_motion(motion, FREE, lasting=0.2)
         for time in (start, start + 0.19):
-            assert reference.task(time).twist_des.all()
-        late = reference.task(start + 0.21)
+            assert source.task(time).twist_des.all()
+        late = source.task(start + 0.21)
         assert not late.twist_des.any() and not late.acceleration_des.any()
         np.testing.assert_array_equal(late.pose_des.position_world, POSE.position_world)
-    reference.set_motion(*motion)
-    assert reference.task(2.0).twist_des.all() and reference.task(1e6).twist_des.all()
+    source.set_motion(motion, FREE)
+    assert source.task(2.0).twist_des.all() and source.task(1e6).twist_des.all()
 
 
 def test_contact_is_not_wanted_while_a_step_asks_nothing_of_it():
     """A force of 0 N, held for a contact, would let it tap for ever."""
-    reference = _reference(approach=ApproachConfig(start_time=0.0), force_steps=(
+    source = _scenario(approach=ApproachConfig(start_time=0.0), force_steps=(
         ForceStepConfig(time=1.0, forces={'table': 10.0, 'board': 5.0}),
         ForceStepConfig(time=2.0, forces={'board': 0.0}),
         ForceStepConfig(time=3.0, forces={'board': 6.0})))
-    assert reference.task(0.9).active.all()
-    assert [reference.task(t).active.tolist() for t in (1.5, 2.5, 3.5)] == [
+    assert source.task(0.9).active.all()
+    assert [source.task(t).active.tolist() for t in (1.5, 2.5, 3.5)] == [
         [True, True], [True, False], [True, True]]

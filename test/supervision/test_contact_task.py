@@ -1,0 +1,194 @@
+"""The task around a source: box, reach, pauses, hold and lock."""
+
+from types import SimpleNamespace
+
+from arms import controller_config
+from equations import rotation_error
+from multicontact_control.control.controller import place_columns
+from multicontact_control.control.tasks import (
+    ApproachConfig,
+    CommandedTask,
+    MotionReading,
+    ReferenceConfig,
+    ScenarioTask,
+    SineConfig,
+)
+from multicontact_control.dynamics.pose import Pose
+from multicontact_control.records import CONTACT, CONTROL
+from multicontact_control.supervision.contact_task import ContactTask
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+H = 0.002
+POSE = Pose(np.array([0.0, 0.55, 0.64]), np.eye(3))
+STILL = np.zeros(6)
+AHEAD = np.array([0, 0, 0, 1.0])
+
+
+class Asked:
+    """A task and the records that it is written into, at a pose."""
+
+    def __init__(self, source=None, *, guarded=True, locked=False, **limits):
+        config = controller_config(limits=limits, sensor={'require_push_test': locked})
+        self.source = source or CommandedTask(config.contact_names)
+        self.controls, self.contacts = np.zeros(1, CONTROL), np.zeros(2, CONTACT)
+        place_columns(config, self.contacts)
+        self.task = ContactTask(config, self.source, self, guarded=guarded)
+        self.stay(POSE)
+        self.task.start(POSE)
+
+    def stay(self, pose):
+        self.controls['frame']['position'], self.controls['frame']['rotation'] = pose
+
+    def move(self, *motion):
+        self.source.set_motion(MotionReading(*motion), self.task.sought_normals())
+
+    def ask(self, time, alpha_meas=(0.0, 0.0)):
+        """Return what is asked for, beside measured forces."""
+        self.contacts['alpha_meas'] = alpha_meas
+        self.task.ask(time)
+        wanted = self.controls['task'][0].copy()
+        return SimpleNamespace(
+            pose=Pose(wanted['position'], wanted['rotation']), twist=wanted['twist'],
+            acceleration=wanted['acceleration'], active=self.contacts['active'].copy(),
+            alpha_des=self.contacts['alpha_des'].copy())
+
+
+def moving(names=('table', 'board')):
+    config = ReferenceConfig(approach=ApproachConfig(start_time=100.0),
+                             motion=SineConfig(start_time=0.0, amplitude=0.02))
+    return ScenarioTask(config, rate=1.0 / H, names=names)
+
+
+def gap(pose):
+    return np.concatenate([pose[0] - POSE[0], rotation_error(pose[1], POSE[1])])
+
+
+def test_pose_outside_the_box_is_not_asked_for():
+    asked = Asked(operational_speed=10.0)
+    asked.move(np.array([0.0, 5.0, -5.0]), AHEAD, np.ones(6), STILL)
+    asked.stay(Pose(np.array([0.0, 0.8, 0.4]), np.eye(3)))
+    out = asked.ask(0.0)
+    np.testing.assert_allclose(out.pose.position_world, [0.0, 0.9, 0.3])
+    np.testing.assert_array_equal(out.twist[1:3], 0.0)
+    assert out.twist[0] == 1.0
+    assert asked.task.limited
+
+
+def test_turn_asked_for_is_within_reach():
+    asked = Asked(operational_turn=1.0)
+    asked.move(POSE.position_world, np.array([1.0, 0, 0, 0]), STILL, STILL)
+    turn = rotation_error(asked.ask(0.0).pose.rotation_world, POSE.rotation_world)
+    assert np.linalg.norm(turn) == pytest.approx(2.0 / 30.0)
+
+
+def test_contact_that_a_hold_lets_go_is_sought_again_for_the_same_task():
+    asked = Asked()
+    asked.source.set_forces({'table': 5.0})
+    for _ in range(2):
+        asked.ask(0.0)
+        assert asked.task.state_names == ('approaching', 'free')
+        asked.task.hold()
+        assert asked.task.state_names == ('free', 'free')
+        asked.task.release()
+
+
+@pytest.mark.parametrize(('away', 'speed'), [
+    (Pose(POSE.position_world + [0.05, 0.0, 0.0], np.eye(3)), 0.1),
+    (Pose(POSE.position_world, Rotation.from_rotvec([0.0, 0.3, 0.0]).as_matrix()), 0.4)])
+def test_task_is_caught_up_with_slowly_after_a_pause(away, speed):
+    """It starts where the arm is, and comes back below a fifth of the speed limit."""
+    asked = Asked()
+    asked.ask(0.0)
+    asked.stay(away)
+    asked.task.resume()
+    gaps = []
+    for k in range(1, 2500):
+        pose = asked.ask(k * H).pose
+        asked.stay(pose)
+        gaps.append(gap(pose))
+    np.testing.assert_allclose(gaps[0], gap(away), atol=2e-3)
+    assert np.abs(np.diff(gaps, axis=0)).max() <= speed * H + 1e-9
+    assert np.abs(gaps[-1]).max() < 1e-4
+
+
+def test_contact_that_leads_out_of_the_workspace_is_left_and_not_taken_up_again():
+    asked, felt = Asked(), (5.0, 0.0)
+    asked.source.set_forces({'table': 10.0})
+    for k in range(100):
+        asked.ask(k * H, felt)
+    assert asked.task.state_names[0] == 'holding'
+    asked.task.lead_back()
+    for k in range(100, 1500):
+        assert not asked.ask(k * H, felt).active.any()
+    assert asked.task.state_names[0] == 'given up'
+    asked.task.seek_again()
+    for k in range(1500, 1600):
+        asked.ask(k * H, felt)
+    assert asked.task.state_names[0] == 'holding'
+
+
+@pytest.mark.parametrize(('axis', 'lead'), [(0, 'reach'), (4, 'turn')])
+def test_twist_that_leads_beyond_the_limits_does_not_count(axis, lead):
+    """With an error of three quarters of the reach a quarter of the speed is left."""
+    asked = Asked(operational_speed=0.5, operational_turn=0.5)
+    length = 0.5 * 2.0 / 30.0  # k_v / k_p = 2 / omega
+    position, quaternion = POSE.position_world.copy(), AHEAD
+    if lead == 'reach':
+        position[0] += 0.75 * length
+    else:
+        quaternion = np.array([0.0, np.sin(0.375 * length), 0.0, np.cos(0.375 * length)])
+    for speed, counts in ((0.12, True), (0.13, False), (11.0, False), (-0.8, True)):
+        twist = np.zeros(6)
+        twist[axis] = speed
+        asked.move(position, quaternion, twist, 0.5 * twist)
+        out = asked.ask(0.0)
+        assert out.twist[axis] == (speed if counts else 0.0)
+        assert out.acceleration[axis] == (0.5 * speed if counts else 0.0)
+        assert asked.task.limited is not counts
+
+
+def test_hold_stands_still_and_release_goes_on_where_the_scenario_was():
+    asked, other = Asked(moving(), guarded=False), moving()
+    other.start(POSE, np.zeros((2, 3)))
+    for k in range(500):
+        asked.ask(k * H)
+    here = Pose(np.array([0.1, 0.2, 0.3]), np.eye(3))
+    asked.stay(here)
+    asked.task.hold()
+    assert asked.task.held
+    for k in range(500, 800):
+        held = asked.ask(k * H)
+        np.testing.assert_array_equal(held.pose.position_world, here.position_world)
+        assert not held.twist.any() and not held.acceleration.any()
+    asked.task.release()
+    np.testing.assert_allclose(
+        asked.ask(800 * H).pose.position_world, other.task(500 * H).pose_des.position_world,
+        atol=1e-12)
+
+
+def test_hold_keeps_the_desired_forces():
+    asked = Asked(guarded=False)
+    asked.source.set_forces({'table': 7.0})
+    asked.ask(0.0)
+    asked.task.hold()
+    asked.source.set_forces({'table': 0.0})
+    held = asked.ask(H)
+    assert held.alpha_des == pytest.approx([7.0, 0.0])
+    assert held.active.tolist() == [True, False]
+
+
+def test_a_locked_task_stands_still_until_it_is_unlocked_and_then_begins():
+    asked, other = Asked(moving(), guarded=False, locked=True), moving()
+    other.start(POSE, np.zeros((2, 3)))
+    for k in range(300):
+        task = asked.ask(k * H)
+        np.testing.assert_array_equal(task.pose.position_world, POSE.position_world)
+        assert not task.active.any() and not task.alpha_des.any()
+    asked.task.release()  # only a hold is released
+    np.testing.assert_array_equal(asked.ask(300 * H).pose.position_world, POSE.position_world)
+    asked.task.unlock()
+    np.testing.assert_allclose(
+        asked.ask(800 * H).pose.position_world, other.task(500 * H).pose_des.position_world,
+        atol=1e-12)
