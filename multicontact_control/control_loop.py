@@ -19,9 +19,8 @@ from multicontact_control.control.controller import ControlOutput
 from multicontact_control.control.tasks import CommandedTask, MotionReading, TaskSource
 from multicontact_control.dynamics.pose import Pose
 from multicontact_control.errors import CommandError, ConfigError
-from multicontact_control.sensor.push_config import PushTestConfig
-from multicontact_control.sensor.push_gate import PushGate
-from multicontact_control.sensor.tare import MAX_JOINT_SPEED, tare_bias, TareConfig
+from multicontact_control.sensor.push_test import PushGate, PushTestConfig
+from multicontact_control.sensor.tool import MAX_JOINT_SPEED, tare_bias, TareConfig
 from multicontact_control.supervision.checks import COLLISION
 from multicontact_control.supervision.command_limits import (
     check_position,

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from multicontact_control.arrays import require_shape, Vector
 from multicontact_control.config import ToolConfig, Vector3
 from multicontact_control.errors import ConfigError, RunError
-from multicontact_control.sensor.weight import weight_reading
+from multicontact_control.sensor.tool import weight_reading
 import numpy as np
 import pinocchio as pin
 from sim_bridge.arm import Arm, OPERATIONAL_FRAME, SENSOR_FRAME

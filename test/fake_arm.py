@@ -8,7 +8,7 @@ from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.graph_node import take
 from multicontact_control.paths import config_dir
-from multicontact_control.sensor.weight import weight_reading
+from multicontact_control.sensor.tool import weight_reading
 import numpy as np
 from rclpy.qos import QoSProfile
 from ros_graph import wait_for

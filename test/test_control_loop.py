@@ -12,9 +12,8 @@ from multicontact_control.sampling import (
     SampleTiming,
     WrenchReading,
 )
-from multicontact_control.sensor.push_config import PushTestConfig
-from multicontact_control.sensor.tare import TareConfig
-from multicontact_control.sensor.weight import weight_reading
+from multicontact_control.sensor.push_test import PushTestConfig
+from multicontact_control.sensor.tool import TareConfig, weight_reading
 from multicontact_control.supervision.command_limits import CommandLimits
 from multicontact_control.supervision.inputs import (
     JointInput,

@@ -17,7 +17,7 @@ from multicontact_control.config import (
 )
 from multicontact_control.errors import CalibrationError, ConfigError
 from multicontact_control.experiment.scenario import plant_source, resolve, Setup
-from multicontact_control.sensor.identification import (
+from multicontact_control.sensor.tool import (
     Identification,
     IdentificationConfig,
     identify_tool,

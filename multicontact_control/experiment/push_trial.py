@@ -13,9 +13,8 @@ from multicontact_control.arrays import Matrix
 from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.experiment.calibration import sensor_setup
 from multicontact_control.experiment.scenario import Setup
-from multicontact_control.sensor.push_config import PushTestConfig, SENSOR_FAULTS
-from multicontact_control.sensor.push_verdict import PushTestResult
-from multicontact_control.sensor.tare import TareConfig
+from multicontact_control.sensor.push_test import PushTestConfig, PushTestResult
+from multicontact_control.sensor.tool import TareConfig
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -32,10 +31,11 @@ def fault_mounting(fault: str, seed: int) -> Matrix:
     """
     turn = (1.0 if seed // 3 % 2 == 0 else -1.0) * np.pi / 2.0
     made = {
-        'none': np.eye(3), 'sign': -np.eye(3), 'scale': WRONG_SCALE * np.eye(3),
-        'rotate': np.round(Rotation.from_rotvec(turn * np.eye(3)[seed % 3]).as_matrix())}
+        'none': np.eye(3), 'sign': -np.eye(3),
+        'rotate': np.round(Rotation.from_rotvec(turn * np.eye(3)[seed % 3]).as_matrix()),
+        'scale': WRONG_SCALE * np.eye(3)}
     if fault not in made:
-        raise ConfigError('fault', f'one of {", ".join(SENSOR_FAULTS)}', f"'{fault}'")
+        raise ConfigError('fault', f'one of {", ".join(made)}', f"'{fault}'")
     return made[fault]
 
 

@@ -21,14 +21,15 @@ from multicontact_control.experiment.bag_messages import (
 )
 from multicontact_control.experiment.external import read_controller_files
 from multicontact_control.experiment.oscillation import stretches
-from multicontact_control.sensor.identification import (
+from multicontact_control.sensor.tool import (
     Identification,
     IdentificationConfig,
     identify_tool,
     MIN_POSES,
+    MIN_SAMPLES,
     PoseReading,
+    TareConfig,
 )
-from multicontact_control.sensor.tare import MIN_SAMPLES, TareConfig
 from multicontact_control.supervision.reactions import INFLATE, NONE
 import numpy as np
 from scipy.spatial.transform import Rotation

@@ -19,8 +19,8 @@ from multicontact_control.control.tasks import ReferenceConfig, ScenarioTask
 from multicontact_control.errors import ConfigError
 from multicontact_control.nodes.managed_node import ManagedConfig
 from multicontact_control.paths import config_dir
-from multicontact_control.sensor.push_config import PushTestConfig
-from multicontact_control.sensor.tare import TareConfig
+from multicontact_control.sensor.push_test import PushTestConfig
+from multicontact_control.sensor.tool import TareConfig
 from multicontact_control.supervision.command_limits import CommandLimits
 
 SAFE_TIME = 0.5  # s, in which a robot gets the safe behaviour before it gets nothing

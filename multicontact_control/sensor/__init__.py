@@ -1,1 +1,1 @@
-"""The wrist sensor's front end: identification, tare, health, low-pass, push test."""
+"""The wrist sensor: what hangs on it, what it reads of itself, and the test that proves it."""

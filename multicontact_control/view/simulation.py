@@ -32,8 +32,8 @@ from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.force.noise import ESTIMATORS, make_noise_estimator
 from multicontact_control.process import settle_process
-from multicontact_control.sensor.push_config import PushTestConfig
-from multicontact_control.sensor.tare import TareConfig
+from multicontact_control.sensor.push_test import PushTestConfig
+from multicontact_control.sensor.tool import TareConfig
 from multicontact_control.view import source
 from multicontact_control.view.motion import Motion
 from multicontact_control.view.source import (

@@ -12,7 +12,7 @@ from multicontact_control.experiment.calibration import (
 from multicontact_control.experiment.position_controlled_plant import ServoedPlant
 from multicontact_control.experiment.push_trial import fault_mounting, push_setup, run_push_test
 from multicontact_control.paths import config_dir
-from multicontact_control.sensor.push_config import PushTestConfig
+from multicontact_control.sensor.push_test import PushTestConfig
 import numpy as np
 import pytest
 

@@ -12,7 +12,7 @@ from multicontact_control.experiment.weighing import (
     weigh_recording,
 )
 from multicontact_control.nodes import messages, topics
-from multicontact_control.sensor.weight import weight_reading
+from multicontact_control.sensor.tool import weight_reading
 import numpy as np
 import pytest
 from rclpy.serialization import serialize_message

@@ -2,9 +2,13 @@
 
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from multicontact_control.sensor.push_config import MAX_ANGLE, PushTestConfig
-from multicontact_control.sensor.push_test import PushPhase, PushTest
-from multicontact_control.sensor.push_verdict import fit_mounting, judge_pushes
+from multicontact_control.sensor.push_test import (
+    fit_mounting,
+    judge_pushes,
+    MAX_ANGLE,
+    PushGate,
+    PushTestConfig,
+)
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -45,7 +49,7 @@ def judge(mounting, config=None, *, rest=None, lever=LEVER, **changes):
     config = config or PushTestConfig()
     return judge_pushes(
         pushes(mounting, config, **changes), np.zeros(6) if rest is None else rest, config,
-        sensor_rotation_world=changes.get('sensor'), lever_world=lever)
+        rotation_world=changes.get('sensor', np.eye(3)), lever_world=lever)
 
 
 @given(rotations, seeds, st.sampled_from([('+x', '+y', '+z'), ('-z', '+y', '-x'), SIX]))
@@ -54,7 +58,6 @@ def test_right_sensor_passes_with_an_unsteady_hand_in_any_pose(sensor, seed, dir
                    noise=0.02, rng=np.random.default_rng(seed))
     assert result.passed, result.message
     assert result.findings == ()
-    assert result.sign == 1
     assert result.scale == pytest.approx(1.0, abs=0.12)
 
 
@@ -109,7 +112,8 @@ def test_flipped_torque_channels_are_found_where_the_push_has_a_lever():
 def test_force_read_at_rest_is_refused():
     config = PushTestConfig()
     rest = np.array([0.0, 0.0, 3.0, 0.0, 0.0, 0.0])
-    result = judge_pushes(pushes(np.eye(3), config) + rest, rest, config)
+    result = judge_pushes(
+        pushes(np.eye(3), config) + rest, rest, config, rotation_world=np.eye(3))
     assert not result.passed and '3.0 N read' in result.message
 
 
@@ -122,29 +126,34 @@ def test_fit_recovers_any_mounting_exactly(rotation, sign, scale, seed):
     assert found[2] == pytest.approx(scale)
 
 
-def run(test, hand, mounting=None, seconds=60.0):
-    """Let a hand follow the test's instructions; `hand` turns a direction into a force."""
+def begun(**config):
+    """Return a gate with a test under way that is given compensated wrenches."""
+    gate = PushGate(required=True, robot=None, gravity_world=np.zeros(3), rate=RATE)
+    gate.start(PushTestConfig(**config), ())
+    return gate
+
+
+def run(gate, hand):
+    """Let a hand follow the instructions; `hand` turns a direction into a force."""
     rng, said = np.random.default_rng(0), []
-    mounting = np.eye(3) if mounting is None else mounting
-    for _ in range(round(seconds * RATE)):
-        if not said or said[-1] != test.instruction:
-            said.append(test.instruction)
-        if test.result is not None:
-            break
-        force = -mounting @ hand(test.direction)
-        test.update(np.concatenate((force, np.zeros(3))) + 0.02 * rng.standard_normal(6))
-    return test.result, said
+    while gate.running:
+        if not said or said[-1] != gate.instruction:
+            said.append(gate.instruction)
+        gate.take(np.concatenate((-hand(gate.direction), np.zeros(3)))
+                  + 0.02 * rng.standard_normal(6))
+    return gate.result, said
 
 
 def obedient(direction):
-    if direction is None:
+    if not direction:
         return np.zeros(3)
     return 10.0 * float(f'{direction[0]}1') * np.eye(3)['xyz'.index(direction[1])]
 
 
 def test_push_test_guides_through_the_pushes_and_passes():
-    result, said = run(PushTest(PushTestConfig(), RATE), obedient)
-    assert result.passed
+    gate = begun()
+    result, said = run(gate, obedient)
+    assert result.passed and gate.open and gate.instruction == result.message
     assert [text.split()[5] for text in said if text.startswith('push the tool')] == [
         '+x', '+y', '+z']
 
@@ -154,17 +163,27 @@ def test_push_test_guides_through_the_pushes_and_passes():
     (lambda direction: np.random.default_rng().standard_normal(3) * 5.0, 'no rest within 2 s'),
     (lambda direction: np.full(3, np.nan) if direction else np.zeros(3), 'not a finite number')])
 def test_push_test_ends_when_nothing_comes(hand, message):
-    result, _ = run(PushTest(PushTestConfig(timeout=2.0), RATE), hand)
-    assert not result.passed
+    gate = begun(timeout=2.0)
+    result, _ = run(gate, hand)
+    assert not result.passed and not gate.open
     assert message in result.message
     assert np.isnan(result.scale)
 
 
 def test_push_that_is_let_go_too_soon_is_asked_for_again():
-    test = PushTest(PushTestConfig(), RATE)
-    while test.direction is None:
-        test.update(np.zeros(6))
-    for _ in range(40):
-        test.update(np.array([-10.0, 0, 0, 0, 0, 0]))
-    assert test.update(np.zeros(6)) is PushPhase.PUSH
-    assert run(test, obedient)[0].passed
+    gate = begun()
+    while not gate.direction:
+        gate.take(np.zeros(6))
+    for force in [-10.0] * 40 + [0.0]:
+        gate.take(np.array([force, 0, 0, 0, 0, 0]))
+    assert gate.direction == '+x'
+    assert run(gate, obedient)[0].passed
+
+
+def test_test_that_is_under_way_begins_anew_after_a_restart():
+    gate = begun()
+    while gate.phase != 'release':
+        gate.take(np.concatenate((-obedient(gate.direction), np.zeros(3))))
+    gate.restart()
+    assert gate.phase == 'rest'
+    assert len([text for text in run(gate, obedient)[1] if text.startswith('push')]) == 3

@@ -4,8 +4,7 @@ from multicontact_control.config import ToolConfig
 from multicontact_control.control.wrench import contact_wrench
 from multicontact_control.dynamics.pose import Pose
 from multicontact_control.errors import CalibrationError
-from multicontact_control.sensor.tare import tare_bias
-from multicontact_control.sensor.weight import weight_reading
+from multicontact_control.sensor.tool import tare_bias, weight_reading
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

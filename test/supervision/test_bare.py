@@ -3,7 +3,7 @@
 from arms import controller_config, HOME, Law, Measurement
 from multicontact_control.control.tasks import CommandedTask
 from multicontact_control.paths import config_dir
-from multicontact_control.sensor.weight import weight_reading
+from multicontact_control.sensor.tool import weight_reading
 from multicontact_control.supervision.inputs import (
     JointInput,
     TickInputs,

@@ -1,0 +1,227 @@
+"""
+What hangs on the wrist sensor, and what the sensor reads of itself: weight, tare, identification.
+
+At rest the sensor reads f = -m g_s + b_f and tau = g_s x (m c) + b_tau, with g_s = R^T g gravity
+in its axes: linear in mass m, first moment m c and biases b. The bias stays as the sensor turns,
+the weight does not, which is what tells them apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from multicontact_control.arrays import Matrix, Vector
+from multicontact_control.config import Config, parameter, Real, ToolConfig
+from multicontact_control.errors import CalibrationError
+import numpy as np
+
+MIN_SAMPLES = 25  # readings of a tare
+MAX_JOINT_SPEED = 0.02  # rad/s, mean during a tare, so that no inertia counts as bias
+MIN_POSES = 4
+MAX_CONDITION = 30.0  # of the equations; a tilt of some 6 degrees
+NOTHING_HANGS = 3.0  # standard errors below which a mass is none
+UNKNOWNS = 10
+
+
+class TareConfig(Config):
+    """When readings are quiet enough for a tare."""
+
+    max_force_std: Real = parameter(
+        0.5, 'Largest standard deviation of a force axis.', unit='N', gt=0.0)
+    max_torque_std: Real = parameter(
+        0.05, 'Largest standard deviation of a torque axis.', unit='N m', gt=0.0)
+
+
+class IdentificationConfig(Config):
+    """Limits within which an identification is accepted."""
+
+    max_force_residual: Real = parameter(
+        0.5, 'Largest rms of what the fit leaves of a force axis.', unit='N', gt=0.0)
+    max_torque_residual: Real = parameter(
+        0.05, 'Largest rms of what the fit leaves of a torque axis.', unit='N m', gt=0.0)
+
+
+class PoseReading(NamedTuple):
+    """Orientation of the sensor, shape (3, 3), and what it reads at rest, shape (6,) [N, N m]."""
+
+    rotation_world: Matrix
+    wrench_sensor: Vector
+
+
+@dataclass(frozen=True, slots=True)
+class Identification:
+    """
+    What hangs on the sensor and what it reads of itself.
+
+    Attributes
+    ----------
+    mass, mass_std
+        Mass beyond the sensor and its standard error [kg].
+    com_sensor, com_std
+        Its centre of mass, sensor frame, and the standard error, shape (3,) [m]; 0 without mass.
+    bias_sensor
+        Reading under no load, force first, shape (6,) [N, N m].
+    force_residual, torque_residual
+        Rms per axis of what the fit leaves [N], [N m].
+    condition, poses
+        Condition number of the equations, gravity taken as 1, and the number of poses.
+
+    """
+
+    mass: float
+    mass_std: float
+    com_sensor: Vector
+    com_std: Vector
+    bias_sensor: Vector
+    force_residual: float
+    torque_residual: float
+    condition: float
+    poses: int
+
+    def tool(self) -> ToolConfig:
+        """Return it as the controller's configuration has it."""
+        x, y, z = self.com_sensor.tolist()
+        return ToolConfig(
+            mass=self.mass, com_sensor=(x, y, z), bias_sensor=tuple(self.bias_sensor.tolist()))
+
+
+def weight_reading(rotation_world: Matrix, tool: ToolConfig, gravity_world: Vector) -> Vector:
+    """
+    Return what an unbiased sensor reads at rest with nothing touching the tool: -m R^T g.
+
+    Parameters
+    ----------
+    rotation_world
+        R, orientation of the sensor, shape (3, 3).
+    tool
+        Mass and centre of mass; its bias is not used.
+    gravity_world
+        g, shape (3,) [m/s^2].
+
+    Returns
+    -------
+    Vector
+        Sensor axes, force first, shape (6,) [N, N m].
+
+    """
+    force = -tool.mass * (rotation_world.T @ gravity_world)
+    return np.concatenate((force, np.cross(tool.com_sensor, force)))
+
+
+def tare_bias(
+    wrenches_sensor: Matrix, rotation_world: Matrix, tool: ToolConfig, gravity_world: Vector,
+    config: TareConfig | None = None,
+) -> Vector:
+    """
+    Return the bias for `ToolConfig.bias_sensor`, by which the compensated reading is zero.
+
+    It holds in every pose. What touches the tool meanwhile is taken for bias.
+
+    Parameters
+    ----------
+    wrenches_sensor
+        Readings at rest, sensor axes, force first, shape (k, 6) [N, N m].
+    rotation_world, tool, gravity_world
+        As for `weight_reading`.
+    config
+        What counts as quiet.
+
+    Raises
+    ------
+    CalibrationError
+        If there are too few readings, or they are restless or not finite.
+
+    """
+    config = config or TareConfig()
+    if len(wrenches_sensor) < MIN_SAMPLES:
+        raise CalibrationError(
+            f'tare: expected at least {MIN_SAMPLES} readings, found {len(wrenches_sensor)}')
+    if not np.isfinite(wrenches_sensor).all():
+        raise CalibrationError('tare: expected finite readings, found others')
+    restless = np.std(wrenches_sensor, axis=0).reshape(2, 3).max(axis=1)
+    if restless[0] > config.max_force_std or restless[1] > config.max_torque_std:
+        raise CalibrationError(
+            f'tare: expected readings at rest (standard deviation at most '
+            f'{config.max_force_std:g} N and {config.max_torque_std:g} N m), found '
+            f'{restless[0]:.3g} N and {restless[1]:.3g} N m')
+    mean: Vector = wrenches_sensor.mean(axis=0)
+    return mean - weight_reading(rotation_world, tool, gravity_world)
+
+
+def identify_tool(
+    readings: Sequence[PoseReading], gravity_world: Vector,
+    config: IdentificationConfig | None = None,
+) -> Identification:
+    """
+    Identify mass, centre of mass and bias by linear least squares.
+
+    Parameters
+    ----------
+    readings
+        One mean reading per pose, at rest, nothing touching the tool.
+    gravity_world
+        g, shape (3,) [m/s^2].
+    config
+        When to accept the result.
+
+    Raises
+    ------
+    CalibrationError
+        If there are too few poses or they are too similar, or if no tool makes such readings.
+
+    """
+    config, poses = config or IdentificationConfig(), len(readings)
+    if poses < MIN_POSES:
+        raise CalibrationError(f'poses: expected at least {MIN_POSES}, found {poses}')
+    scale = float(np.sqrt(gravity_world @ gravity_world))
+    A, b = _equations(readings, gravity_world / scale)
+    condition = float(np.linalg.cond(A))
+    if not condition <= MAX_CONDITION:
+        raise CalibrationError(
+            f'poses: expected orientations that tilt the tool differently (condition number at '
+            f'most {MAX_CONDITION:g}), found {condition:.3g}')
+    x: Vector = np.linalg.lstsq(A, b, rcond=None)[0].astype(float)
+    left = (b - A @ x).reshape(-1, 2, 3)
+    # Force and torque equations share no unknown: 4 and 6 of them, 3 equations each per pose.
+    variance = np.sum(left ** 2, axis=(0, 2)) / (3 * poses - np.array([4, 6]))
+    spread = np.sqrt(np.diag(np.linalg.inv(A.T @ A)))
+    mass, mass_std = x[0] / scale, spread[0] * np.sqrt(variance[0]) / scale
+    if mass < -NOTHING_HANGS * mass_std:
+        raise CalibrationError(
+            f'mass: expected at least 0 kg, found {mass:.3g} kg; is the sign of the sensor '
+            'flipped?')
+    residual = np.sqrt(np.mean(left ** 2, axis=(0, 2))).tolist()
+    for what, found, limit, unit in zip(
+            ('force', 'torque'), residual,
+            (config.max_force_residual, config.max_torque_residual), ('N', 'N m')):
+        if found > limit:
+            raise CalibrationError(
+                f'residual {what}: expected at most {limit:g} {unit}, found {found:.3g} {unit}; '
+                'is the frame of the sensor right, and was the arm at rest?')
+    com, com_std = np.zeros(3), np.zeros(3)
+    if mass > NOTHING_HANGS * mass_std:
+        com = x[1:4] / (mass * scale)
+        com_std = np.hypot(spread[1:4] * np.sqrt(variance[1]) / scale, com * mass_std) / mass
+    return Identification(
+        mass=max(float(mass), 0.0), mass_std=float(mass_std), com_sensor=com, com_std=com_std,
+        bias_sensor=x[4:].copy(), force_residual=residual[0], torque_residual=residual[1],
+        condition=condition, poses=poses)
+
+
+def _equations(readings: Sequence[PoseReading], down_world: Vector) -> tuple[Matrix, Vector]:
+    """Return A, shape (6 p, 10), and b of A [m, m c, b_f, b_tau] = b; gravity is 1."""
+    A = np.zeros((len(readings), 6, UNKNOWNS))
+    b = np.zeros((len(readings), 6))
+    for i, reading in enumerate(readings):
+        if not np.isfinite(reading.wrench_sensor).all():
+            raise CalibrationError(
+                f'reading of pose {i}: expected finite numbers, found '
+                f'{reading.wrench_sensor.tolist()}')
+        x, y, z = down = reading.rotation_world.T @ down_world
+        A[i, :3, 0] = -down
+        A[i, 3:, 1:4] = ((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0))
+        A[i, :, 4:] = np.eye(6)
+        b[i] = reading.wrench_sensor
+    return A.reshape(-1, UNKNOWNS), b.ravel()
