@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Literal, NamedTuple
 
 from multicontact_control.config.base import Config, parameter, Real, UnitVector3, Vector3
@@ -85,16 +84,3 @@ class Column(NamedTuple):
     stiffness: float  # modelled, along this coordinate [N/m]
     half_length: float  # unit of a couple's lever, 0 for a force [m]
     direction_operational: Vector3  # of an edge, or of the first side of a plane
-
-
-def is_couple_name(name: str) -> bool:
-    """Return whether a name is that of a couple of a contact."""
-    return name.endswith((SUFFIXES[ALONG], SUFFIXES[ACROSS]))
-
-
-def contact_types(names: Iterable[str]) -> dict[str, ContactType]:
-    """Return the types of contacts by name, from the names of forces and couples."""
-    known = list(names)
-    return {name: 'plane' if name + SUFFIXES[ACROSS] in known else
-            'edge' if name + SUFFIXES[ALONG] in known else 'point'
-            for name in known if not is_couple_name(name)}

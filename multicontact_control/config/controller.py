@@ -122,13 +122,14 @@ class ControllerConfig(Config):
     def _check_joints(self) -> Iterator[ConfigError]:
         joints, limits = len(self.robot.joint_names), self.limits
         positive = {'torque_limit': self.torque_limit, 'limits.joint_speed': limits.joint_speed,
-                    'limits.torque_rate': limits.torque_rate}
+                    'limits.torque_rate': limits.torque_rate,
+                    'collision.threshold': self.collision.threshold}
         friction = {'friction.coulomb': self.friction.coulomb,
                     'friction.viscous': self.friction.viscous}
         for name, values in {
                 **positive, **friction, 'robot.armature': self.robot.armature,
-                'limits.joint_lower': limits.joint_lower, 'posture.joints': self.posture.joints,
-                'collision.threshold': self.collision.threshold}.items():
+                'limits.joint_lower': limits.joint_lower,
+                'posture.joints': self.posture.joints}.items():
             if values and len(values) != joints:
                 yield ConfigError(
                     name, f'{counted(joints, "values")}, one per joint', f'{len(values)}')

@@ -15,29 +15,22 @@ class NoiseEstimatorConfig(Config):
     estimator: Literal[
         'lead_window', 'hf_window', 'window', 'fixed', 'innovation', 'sage_husa',
         'variational_bayes'] = parameter(
-        'lead_window', 'How R_k is estimated: the windowed variance of the force behind a lead '
-        'filter of unit gain at DC (eqs 42-44) or at high frequency, or without a filter; not '
-        'at all; or from the innovations of the observers.')
+        'lead_window', 'Estimate of R_k: windowed variance of the force behind a lead filter of '
+        'unit gain at DC (eqs 42-44) or at high frequency, or without a filter; a fixed one; or '
+        'from the innovations of the observers.')
     contact_names: tuple[str, ...] = parameter(
         ..., 'Contacts in the order of every contact vector.', min_length=1)
     rate: Real = parameter(500.0, 'Rate of the force samples.', unit='Hz', gt=0.0)
     window: int = parameter(
-        50, 'Samples in the window N of eq. 43, of forces or of innovations.', ge=2, le=10000)
+        50, 'Samples in the window N of eq. 43, of forces or of innovations; `sage_husa` and '
+        '`variational_bayes` forget by 1 - 1/N.', ge=2, le=10000)
     zero_frequency: Real = parameter(3.0, 'Zero of G_f, eq. 42.', unit='Hz', gt=0.0)
     pole_frequency: Real = parameter(60.0, 'Pole of G_f, eq. 42.', unit='Hz', gt=0.0)
-    forgetting_factor: Real = parameter(
-        0.98, 'Forgetting factor b of `sage_husa`; 0.98 remembers about 50 samples.',
-        gt=0.0, lt=1.0)
-    bayes_decay: Real = parameter(
-        0.98, 'Decay rho of `variational_bayes`; 0.98 remembers about 50 samples.',
-        gt=0.0, lt=1.0)
     variance_scale: Real = parameter(
-        1.0, 'What an estimated R is multiplied by, e.g. to compare two estimators at the same '
-        'value at rest; `fixed_variance` is not.', gt=0.0)
+        1.0, 'Factor of an estimated R, e.g. to compare estimators of equal R at rest.', gt=0.0)
     slew_time: Real = parameter(
-        0.0, 'Time in which R may change by a factor e, either way; 0 for as it comes, as in the '
-        'paper. A force step makes R jump, which with K_2 = 20 1/s slows the very step: with '
-        '0.03 s it does not.',
+        0.0, 'Time in which R changes by a factor e at most; 0 for no bound, as in the paper. A '
+        'force step raises R, which with K_2 = 20 1/s slows the step: 0.03 s prevents that.',
         unit='s', ge=0.0, le=10.0)
     fixed_variance: Real = parameter(
         0.6, 'R of the estimator `fixed`, and of the others until they know one.',

@@ -76,19 +76,18 @@ class ToolConfig(Config):
 
 
 class SensorFrontEndConfig(Config):
-    """What is done to the wrist sensor's readings before anything else sees them."""
+    """The wrist sensor: its low-pass, its noise, and its faults."""
 
     filter_order: int = parameter(
         0, 'Order of the low-pass on the readings: 0 for none, 1, or 2 (Butterworth).', ge=0, le=2)
     filter_cutoff: Real = parameter(
-        125.0, 'Cut-off of that low-pass; its delay is added to force.input_delay.', unit='Hz',
-        gt=0.0)
+        125.0, 'Its cut-off; its delay is added to force.input_delay.', unit='Hz', gt=0.0)
     full_scale: Vector = parameter(
-        (), 'Largest reading of each axis, force first, of which 99 % count as saturated; empty '
-        'where it is not known.', unit='N, N m')
+        (), 'Largest reading of each axis, force first; 99 % of it are saturated. Empty if '
+        'unknown.', unit='N, N m')
     force_noise_std: Real = parameter(
-        0.05, 'Noise of a force axis, by which readings are weighed where friction is allowed '
-        'for (contacts.*.friction_std).', unit='N', gt=0.0)
+        0.05, 'Noise of a force axis: the weight of a reading with contacts.*.friction_std.',
+        unit='N', gt=0.0)
     torque_noise_std: Real = parameter(
         0.004, 'The same of a torque axis.', unit='N m', gt=0.0)
     frozen_ticks: int = parameter(
@@ -96,11 +95,11 @@ class SensorFrontEndConfig(Config):
         'itself: its steps are above its noise, or it is slower than the controller.', ge=0)
     require_push_test: bool = parameter(
         True, 'Whether force control stays disabled until a push test has proved sign, frame '
-        'and scale of the sensor; false where there is nobody to push, as in a simulation.')
+        'and scale of the sensor; false in a simulation.')
 
     @cross_check
     def _check(self) -> Iterator[ConfigError]:
-        if self.full_scale and len(self.full_scale) != WRENCH_SIZE:
+        if len(self.full_scale) not in (0, WRENCH_SIZE):
             yield ConfigError('sensor.full_scale', '6 values or none', len(self.full_scale))
         if min(self.full_scale, default=1.0) <= 0.0:
             yield ConfigError('sensor.full_scale', 'values above 0', min(self.full_scale))
@@ -109,10 +108,9 @@ class SensorFrontEndConfig(Config):
 
     def filter_delay(self, rate: float) -> float:
         """
-        Return by how much the low-pass delays what changes slowly [s], at a rate [Hz].
+        Return the group delay of the low-pass at 0 Hz [s], for a rate f_s [Hz].
 
-        Its group delay at 0 Hz, exact for the bilinear transform: with K = tan(pi f_c / f_s),
-        1 / (2 K) samples for order 1 and 1 / (sqrt(2) K) for order 2.
+        With K = tan(pi f_c / f_s): 1 / (2 K) samples for order 1, 1 / (sqrt(2) K) for order 2.
         """
         if self.filter_order == 0:
             return 0.0

@@ -93,23 +93,17 @@ class LimitsConfig(Config):
 
 
 class CollisionConfig(Config):
-    """
-    When something touches the arm before its wrist sensor, and what is done about it.
-
-    What the joint torques do beside moving and carrying the arm, overcoming its friction and
-    pressing as the wrist sensor says (a generalised-momentum observer).
-    """
+    """Collisions of the arm before its wrist sensor, seen by a generalised-momentum observer."""
 
     reaction: Literal['none', 'hold', 'float', 'damp'] = parameter(
-        'hold', 'Reaction: none but to report it, the posture held while contact forces fade, '
-        'only carried once it is at rest, or carried and damped.')
+        'hold', 'Reaction: a report only, the posture held while contact forces fade, the arm '
+        'carried once it is at rest, or carried and damped.')
     bandwidth: Real = parameter(
-        200.0, 'K of the observer: what touches is seen with a time constant of 1 / K, at least '
-        '2.5 periods.',
+        200.0, 'K of the observer, whose time constant is 1 / K, at least 2.5 periods.',
         unit='1/s', gt=0.0, le=2000.0)
     threshold: Vector = parameter(
-        (), 'Torque in each joint from which on it counts, at rest; empty for the shares below.',
-        unit='N m')
+        (), 'Least external torque in each joint that is a collision, at rest; empty for the '
+        'shares below.', unit='N m')
     limit_share: Real = parameter(
         0.03, "That torque over the joint's limit (torque_limit, or that of the URDF), at least "
         '1 N m...', ge=0.0, le=1.0)
@@ -118,14 +112,8 @@ class CollisionConfig(Config):
     dynamic_share: Real = parameter(
         0.1, 'Added to it, over the torque that accelerates the joint.', ge=0.0, le=1.0)
     command_delay: int = parameter(
-        -1, 'For an arm that measures no torque, periods from a sample to the torque that answers '
-        'it: what is commanded is taken for what acts then; -1 to look for no collision.',
-        ge=-1, le=10)
-
-    @cross_check
-    def _check(self) -> Iterator[ConfigError]:
-        if min(self.threshold, default=1.0) <= 0.0:
-            yield ConfigError('collision.threshold', 'values above 0', min(self.threshold))
+        -1, 'Periods from a sample to the torque that answers it, for an arm that measures no '
+        'torque: the command stands for it; -1 to look for no collision.', ge=-1, le=10)
 
 
 class WatchdogConfig(Config):
@@ -137,9 +125,8 @@ class WatchdogConfig(Config):
         12.5, 'Largest age of a wrench; up to it the observers predict what is not measured.',
         unit='periods', ge=1.0, le=1000.0)
     variance_max_age: Real = parameter(
-        4.5, 'Largest age of R, which is one period old when all is well; an estimator that is '
-        'late by two or three, on a busy machine, is no fault.', unit='periods', ge=2.0,
-        le=1e4)
+        4.5, 'Largest age of R, which is one period old at best and three on a busy machine.',
+        unit='periods', ge=2.0, le=1e4)
     on_joint_fault: Reaction = parameter(
         'float', 'Reaction to a joint state that is missing, stale or invalid.')
     on_wrench_fault: Reaction = parameter(
@@ -149,8 +136,7 @@ class WatchdogConfig(Config):
         'a fault.', gt=1.0, le=100.0)
     frozen_joint_ticks: int = parameter(
         0, 'Identical joint states in a row, while a joint moves, that mean frozen joints; 0 for '
-        'an encoder that repeats itself: its step is not far below what a joint moves in a '
-        'period.', ge=0, le=1000)
+        'encoders with steps near the motion in a period.', ge=0, le=1000)
     friction_bound: Real = parameter(
         0.8, 'Largest accepted ratio of sideways to normal forces, beyond 5 N.', gt=0.0, le=10.0)
     recovery_time: Real = parameter(

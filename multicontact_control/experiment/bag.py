@@ -8,7 +8,7 @@ from pathlib import Path
 
 from multicontact_control.arrays import Matrix
 from multicontact_control.config import ControllerConfig
-from multicontact_control.config.contact import is_couple_name
+from multicontact_control.config.contact import ACROSS, ALONG, SUFFIXES
 from multicontact_control.errors import RunError
 from multicontact_control.experiment.bag_messages import (
     BagColumns,
@@ -163,7 +163,8 @@ def _commands(
         newest = np.where(np.isnan(begun), 0, np.arange(data.ticks + 1))
         asked[:] = begun[np.maximum.accumulate(newest)][:-1]
     for name, asked, wanted in zip(data.contact_names, command.T, data.alpha_des.T):
-        if is_couple_name(name):  # which may be commanded as a centre of pressure
+        if name.endswith((SUFFIXES[ALONG], SUFFIXES[ACROSS])):
+            # A couple may be commanded as a centre of pressure.
             asked[:] = wanted
             continue
         for begin, end in zip(*stretches(asked > 0.0)):

@@ -18,7 +18,7 @@ from multicontact_control.config import (
     validate,
 )
 from multicontact_control.config.base import EVERY_NODE
-from multicontact_control.config.contact import contact_types
+from multicontact_control.config.contact import ACROSS, ALONG, ContactType, SUFFIXES
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.experiment.bag import sample_topic
@@ -272,3 +272,10 @@ def _rate(path: Path, found: BagMessages) -> float:
     unsure = max(WHOLE, float(np.abs(periods - usual).max()) / duration)
     whole = float(round(rate))
     return whole if whole and abs(rate - whole) <= unsure * rate else rate
+
+
+def contact_types(names: Sequence[str]) -> dict[str, ContactType]:
+    """Return the types of contacts by name, from the names of forces and couples."""
+    along, across = SUFFIXES[ALONG], SUFFIXES[ACROSS]
+    return {name: 'plane' if name + across in names else 'edge' if name + along in names
+            else 'point' for name in names if not name.endswith((along, across))}

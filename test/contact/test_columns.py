@@ -1,6 +1,6 @@
 """Edges and planes: their columns of N, and what is measured along them."""
 
-from multicontact_control.config.contact import ACROSS, ALONG, contact_types, FORCE
+from multicontact_control.config.contact import ACROSS, ALONG, FORCE
 from multicontact_control.contact.geometry import check_columns, friction_coupling, normal_space
 from multicontact_control.control.wrench import measure_contacts
 from multicontact_control.errors import ConfigError
@@ -132,8 +132,3 @@ def test_coupling_is_what_friction_is_read_as():
     np.testing.assert_allclose(coupling[:, 0], worst, rtol=1e-4)
     assert (coupling[:, 1] == 0.0).all()
     assert coupling[1, 0] > 1.0  # a lever of 0.2 m on an edge of 0.08 m
-
-
-def test_names_tell_what_contacts_are():
-    names = ('a', 'b', 'b/along', 'c', 'c/along', 'c/across')
-    assert contact_types(names) == {'a': 'point', 'b': 'edge', 'c': 'plane'}

@@ -5,7 +5,7 @@ from dataclasses import replace
 from foreign_bag import controller_file, JOINTS
 from multicontact_control.cli.options import prepare_external
 from multicontact_control.errors import ConfigError
-from multicontact_control.experiment.external import dotted, resolve_external
+from multicontact_control.experiment.external import contact_types, dotted, resolve_external
 from multicontact_control.experiment.results import load_setup
 from multicontact_control.files import write_json
 import pytest
@@ -126,3 +126,8 @@ def test_setting_without_what_it_is_laid_over_is_refused(
         prepare_external([file], str(scenario) if given else None, duration, None,
                          tmp_path / 'out', False, settings=[setting])
     assert not (tmp_path / 'out').exists()
+
+
+def test_contact_types_follow_from_names():
+    names = ('a', 'b', 'b/along', 'c', 'c/along', 'c/across')
+    assert contact_types(names) == {'a': 'point', 'b': 'edge', 'c': 'plane'}

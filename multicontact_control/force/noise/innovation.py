@@ -32,6 +32,11 @@ class InnovationEstimator(NoiseEstimator):
         self._variance[:] = np.where(known, self.config.variance_scale * estimate, self._variance)
         return True
 
+    @property
+    def _kept(self) -> float:
+        """Return the share of the past that a recursive estimate keeps, 1 - 1/N."""
+        return 1.0 - 1.0 / self.config.window
+
     @abstractmethod
     def _estimate_from(self, innovation: Innovation) -> tuple[Vector, Mask]:
         """Return estimated variances, shape (r,) [N^2], and which of them are known."""
@@ -72,7 +77,7 @@ class SageHusa(InnovationEstimator):
 
     def _estimate_from(self, innovation: Innovation) -> tuple[Vector, Mask]:
         valid = innovation.valid
-        b = self.config.forgetting_factor
+        b = self._kept
         self._count = self._count + valid
         weight = (1.0 - b) / (1.0 - b ** np.maximum(self._count, 1.0))
         term = innovation.residual ** 2 + innovation.posterior_variance
@@ -94,13 +99,13 @@ class VariationalBayes(InnovationEstimator):
     """
 
     def _forget(self) -> None:
-        weight = 0.5 / (1.0 - self.config.bayes_decay)
+        weight = 0.5 / (1.0 - self._kept)
         self._shape: Vector = np.full(self._contacts, weight)
         self._scale: Vector = weight * self._variance / self.config.variance_scale
 
     def _estimate_from(self, innovation: Innovation) -> tuple[Vector, Mask]:
         valid = innovation.valid
-        rho = self.config.bayes_decay
+        rho = self._kept
         shape = np.where(valid, rho * self._shape + 0.5, self._shape)
         prior = rho * self._scale
         scale = self._scale

@@ -77,8 +77,7 @@ def test_estimators_reset_forgets_all_samples(name):
 
 
 @pytest.mark.parametrize(('field', 'value'), [
-    ('estimator', 'kalman'), ('forgetting_factor', 1.0), ('bayes_decay', 0.0),
-    ('variance_scale', -1.0)])
+    ('estimator', 'kalman'), ('window', 1), ('variance_scale', -1.0)])
 def test_noise_estimator_config_refuses_values_out_of_range(field, value):
     with pytest.raises(ConfigError, match=f'^{field}: expected'):
         validate(NoiseEstimatorConfig, {'contact_names': ['a'], field: value})

@@ -46,7 +46,7 @@ def test_innovation_is_the_mean_over_the_window_within_its_floor():
 
 def test_sage_husa_is_its_recursion():
     """R_k = (1 - d_k) R_k-1 + d_k (e e^T + C P C^T), d_k = (1 - b) / (1 - b^k)."""
-    estimator = estimator_of('sage_husa', forgetting_factor=0.9)
+    estimator = estimator_of('sage_husa', window=10)
     R = 123.0  # forgotten with d_1 = 1
     for k, innovation in enumerate(_innovations(60, np.random.default_rng(19)), start=1):
         d = (1.0 - 0.9) / (1.0 - 0.9 ** k)
@@ -59,7 +59,7 @@ def test_sage_husa_is_its_recursion():
 
 def test_variational_bayes_is_its_fixed_point_iteration():
     """Check alpha + 1/2 and beta + e^2/2 + C P C^T/2, written out for one contact."""
-    estimator = estimator_of('variational_bayes', bayes_decay=0.95)
+    estimator = estimator_of('variational_bayes', window=20)
     alpha = 0.5 / 0.05
     beta = alpha * 0.6
     for innovation in _innovations(60, np.random.default_rng(20)):
