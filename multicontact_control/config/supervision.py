@@ -67,9 +67,6 @@ class LimitsConfig(Config):
     joint_upper: Vector = parameter((), 'Upper stop of each joint.', unit='rad')
     joint_speed: Vector = parameter((), 'Largest speed of each joint.', unit='rad/s')
     torque_rate: Vector = parameter((), 'Largest rate of each torque.', unit='N m/s')
-    least_task_share: Real = parameter(
-        0.5, 'Smallest share to which a torque limit scales the torque of the task beyond weight, '
-        'friction and held forces; the rest is cut joint by joint.', ge=0.0, le=1.0)
     operational_speed: Real = parameter(
         0.5, 'Largest speed of the operational point.', unit='m/s', gt=0.0, le=10.0)
     operational_turn: Real = parameter(
@@ -77,9 +74,6 @@ class LimitsConfig(Config):
     workspace_lower: Vector = parameter(
         (), 'Lower corner of the box the operational point stays in.', unit='m')
     workspace_upper: Vector = parameter((), 'Upper corner of that box.', unit='m')
-    singular_mobility: Real = parameter(
-        0.004, 'Smallest eigenvalue of J M^-1 J^T up to which Lambda is damped, 0 for never.',
-        unit='1/kg', ge=0.0, le=1.0)
 
     @cross_check
     def _check_across_fields(self) -> Iterator[ConfigError]:

@@ -39,6 +39,8 @@ import numpy as np
 
 TASK_SIZE = 6  # joints with which an arm has no null space
 STOP_RATIO = 4.0  # frequency by which joints are kept off their stops, over the posture's
+SINGULAR_MOBILITY = 0.004  # 1/kg, eigenvalue of J M^-1 J^T up to which Lambda is damped
+LEAST_TASK_SHARE = 0.5  # of the task at a torque limit; the rest is cut joint by joint
 LARGEST_DRIFT = 0.02  # of a stiffness, from which on an observer is redesigned
 LEVERED = 1.05  # N that 1 N of friction is read as, from which on a lever is to blame
 NORMAL_TIME = 0.06  # s, in which an estimated normal turns; 0.03 s swings on rough surfaces
@@ -392,9 +394,9 @@ def law_record(config: ControllerConfig) -> Records:
         w = config.posture.natural_frequency
         law['nullspace_damping'] = max(config.nullspace_damping, 2.0 * w)
         law['posture_stiffness'], law['stop_stiffness'] = w ** 2, (STOP_RATIO * w) ** 2
-    law['least_share'] = config.limits.least_task_share
+    law['least_share'] = LEAST_TASK_SHARE
     law['max_condition'] = MAX_CONDITION
-    law['singular_mobility'] = config.limits.singular_mobility
+    law['singular_mobility'] = SINGULAR_MOBILITY
     law['inertia_metric'] = force.projection == 'inertia'
     law['decoupled'] = force.allocation == 'decoupled'
     law['separated'] = any(

@@ -20,6 +20,7 @@ from equations import (
     posture_pull,
 )
 from multicontact_control.contact.geometry import operational_stiffness
+from multicontact_control.control.controller import LEAST_TASK_SHARE, SINGULAR_MOBILITY
 from multicontact_control.force.plant import delayed_plant, place_poles
 import numpy as np
 
@@ -59,7 +60,7 @@ class ReferenceController:
         reference = self._reference.task(measurement.time, alpha_meas)
         self._follow_active_set(reference.active, alpha_meas)
         space = operational_space(
-            state, singular_mobility=self.config.limits.singular_mobility)
+            state, singular_mobility=SINGULAR_MOBILITY)
         N = N_all[:, self._active]
         acceleration = self._acceleration(
             state, space, reference, N, self._force_inputs(reference, alpha_meas, noise_variance))
@@ -73,7 +74,7 @@ class ReferenceController:
             N @ fed[self._active])
         return SimpleNamespace(
             torque=limited_torque(torque, priority, self._torque_limit,
-                                  self.config.limits.least_task_share),
+                                  LEAST_TASK_SHARE),
             active=self._active, alpha_meas=alpha_meas, alpha_des=reference.alpha_des,
             alpha_est=alpha_est, alpha_rate_est=self._of_active('x_est', 1),
             **{name: self._of_active(name)
