@@ -24,7 +24,7 @@ TOP, LOOP = 'top', 'loop and sampling'
 BUDGETS = {
     TOP: (1000, 1400), 'dynamics': (600, 950), 'contact': (650, 0), 'force': (1950, 2800),
     'control': (1100, 2250), LOOP: (450, 850), 'supervision': (2050, 3750), 'sensor': (500, 1000),
-    'config': (850, 1020), 'nodes': (2600, 4050)}
+    'config': (850, 970), 'nodes': (2600, 4050)}
 MOST_COMPILED = 140  # functions; 80 is enough
 
 

@@ -33,7 +33,7 @@ import pytest
      'torque_limit: expected values above 0, found -186.4'),
     ({'contact_state': {'preload': 80.0}},
      'contact_state.preload: expected below force_ceiling 60 N, found 80 N'),
-    ({'contact_state': {'contact_threshold': 0.3}}, 'contact_state.contact_threshold: expected'),
+    ({'contact_state': {'contact_threshold': 0.3}}, 'contact_state.release_threshold: expected'),
     ({'force': {'law': 'lqg'}, 'contacts': {'table': {'surface_speed_limit': 0.05}}},
      'contacts.table.surface_speed_limit: expected 0 m/s unless force.law is aob'),
     ({'force': {'law': 'pi', 'allocation': 'paper'}}, 'force.allocation'),
@@ -68,7 +68,7 @@ def test_all_that_is_wrong_is_named_at_once():
             torque_limit=[1.0], contact_names=['table', 'wall'], robot={'armature': [1.0]})
     assert all(line.startswith('controller.yaml: ') for line in str(caught.value).splitlines())
     assert {error.field for error in caught.value.errors} == {
-        'sensor.full_scale', 'contact_state.contact_threshold', 'contact_state.smallest_force',
+        'sensor.full_scale', 'contact_state.contact_threshold',
         'limits.workspace_lower', 'limits.joint_speed', 'robot.armature', 'torque_limit',
         'contact_names'}
     with pytest.raises(ConfigError) as caught:

@@ -68,11 +68,6 @@ class ContactConfig(Config):
         unit='m/s', live=True, ge=0.0, le=0.5)
     law: Literal[LawName, ''] = parameter('', 'Force law of this contact, empty for force.law.')
 
-    @property
-    def stiffness_of_couples(self) -> float:
-        """Return the stiffness along the couples' coordinates [N/m], by default k / 3."""
-        return self.couple_stiffness or 1.0 / 3.0 * self.stiffness
-
 
 class Column(NamedTuple):
     """One controlled coordinate of a contact."""

@@ -18,9 +18,7 @@ from multicontact_control.config.supervision import (
 from multicontact_control.errors import ConfigError, counted
 
 MAX_DELAY_PERIODS = 10
-# Of the momentum observer, per period: forces change between samples, and only a mean evens out
-# what that does to its residual.
-FASTEST_MOMENTUM = 0.4
+FASTEST_MOMENTUM = 0.4  # bandwidth per rate: the residual is a mean over some samples
 SafeBehaviour = Literal['gravity_compensation', 'zero_torque', 'hold_position']
 
 
@@ -104,9 +102,9 @@ class ControllerConfig(Config):
         yield from self._check_joints()
         known, names = self.contacts, self.contact_names
         unknown = [name for name in names if name not in known]
-        for name in unknown:
-            yield ConfigError(
-                'contact_names', f'names among {", ".join(sorted(known))}', f"'{name}'")
+        if unknown:
+            yield ConfigError('contact_names', f'names among {", ".join(sorted(known))}',
+                              ', '.join(map(repr, unknown)))
         if len(set(names)) != len(names):
             yield ConfigError('contact_names', 'distinct names', list(names))
         momentum = self.wrench_input == 'momentum'
@@ -203,9 +201,10 @@ class ControllerConfig(Config):
         for name in self.contact_names:
             contact, leader = self.contacts[name], len(columns)
             halves = (0.0, contact.half_length, contact.half_width)
+            couple = contact.couple_stiffness or 1.0 / 3.0 * contact.stiffness
             columns += [Column(
                 name=name + SUFFIXES[kind], contact=name, kind=kind, leader=leader,
-                stiffness=contact.stiffness if kind == FORCE else contact.stiffness_of_couples,
+                stiffness=contact.stiffness if kind == FORCE else couple,
                 half_length=halves[kind], direction_operational=contact.direction_operational)
                 for kind in KINDS[contact.type]]
         return tuple(columns)

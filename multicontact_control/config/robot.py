@@ -33,8 +33,8 @@ class RobotConfig(Config):
     operational_frame: str = parameter(
         ..., 'URDF link that carries the operational point and its axes.')
     sensor_frame: str = parameter(
-        ..., 'URDF link in whose axes and at whose origin the wrist sensor reads, carried by the '
-        'joint that carries operational_frame; empty for an arm without one.')
+        ..., 'URDF link in whose frame the wrist sensor reads, carried by the same joint as '
+        'operational_frame; empty for an arm without one.')
     gravity_world: Vector3 = parameter((0.0, 0.0, -9.81), 'Gravity.', unit='m/s^2')
     adds_gravity: bool = parameter(
         False, 'Whether the drives add the torque that holds the arm against gravity: commands '

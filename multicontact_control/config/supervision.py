@@ -5,24 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Literal
 
-from multicontact_control.config.base import (
-    Config,
-    cross_check,
-    parameter,
-    Real,
-    Vector,
-)
+from multicontact_control.config.base import Config, cross_check, parameter, Real, Vector
 from multicontact_control.errors import ConfigError
 
 Reaction = Literal['hold', 'float', 'damp']
 
 
 class ContactStateConfig(Config):
-    """When a contact counts as made, held or lost, and how it is looked for."""
+    """Thresholds of the contact states, and the search for surfaces."""
 
     approach_speed: Real = parameter(
-        0.02, 'Largest speed along a normal towards a surface that is not felt; what a scenario '
-        'says of its approach goes before.', unit='m/s', gt=0.0, le=0.25)
+        0.02, 'Largest speed along a normal towards a surface that is not felt, where a scenario '
+        'sets none.', unit='m/s', gt=0.0, le=0.25)
     approach_ramp_time: Real = parameter(
         0.5, 'Time to reach that speed.', unit='s', gt=0.0, le=10.0)
     approach_distance: Real = parameter(
@@ -32,12 +26,11 @@ class ContactStateConfig(Config):
     release_threshold: Real = parameter(
         0.5, 'Measured force below which a contact may be lost.', unit='N', ge=0.0, le=100.0)
     retry_time: Real = parameter(
-        5.0, 'After this a contact that was not found is sought again, twice as long after each '
-        'search in vain; 0 for never. One that was left for its force is not, unless commanded.',
-        unit='s', ge=0.0, le=3600.0)
+        5.0, 'Time to the next search for a contact that was not found, doubled by each; 0 for '
+        'none. One left for its force waits for a command.', unit='s', ge=0.0, le=3600.0)
     smallest_force: Real = parameter(
-        3.0, 'Smallest force that may be asked of a contact: with the thresholds above, less '
-        'cannot be told from a loss while sliding.', unit='N', gt=0.0, le=100.0)
+        3.0, 'Smallest commanded force: below it sliding looks like a loss.', unit='N', gt=0.0,
+        le=100.0)
     preload: Real = parameter(
         2.0, 'Desired force from touch until the contact holds.', unit='N', gt=0.0, le=100.0)
     force_ceiling: Real = parameter(
@@ -45,23 +38,17 @@ class ContactStateConfig(Config):
 
     @cross_check
     def _check_across_fields(self) -> Iterator[ConfigError]:
-        if not self.release_threshold < self.contact_threshold < self.force_ceiling:
-            yield ConfigError(
-                'contact_state.contact_threshold',
-                f'above release_threshold {self.release_threshold:g} N and below force_ceiling '
-                f'{self.force_ceiling:g} N', f'{self.contact_threshold:g} N')
-        if not self.contact_threshold <= self.smallest_force:
-            yield ConfigError(
-                'contact_state.smallest_force',
-                f'at least contact_threshold {self.contact_threshold:g} N, or it cannot be held',
-                f'{self.smallest_force:g} N')
-        if not self.preload < self.force_ceiling:
-            yield ConfigError('contact_state.preload', f'below force_ceiling '
-                              f'{self.force_ceiling:g} N', f'{self.preload:g} N')
+        for lower, upper in (
+                ('release_threshold', 'contact_threshold'), ('preload', 'force_ceiling'),
+                ('contact_threshold', 'smallest_force'), ('contact_threshold', 'force_ceiling')):
+            small, large = getattr(self, lower), getattr(self, upper)
+            if not small < large:
+                yield ConfigError(
+                    f'contact_state.{lower}', f'below {upper} {large:g} N', f'{small:g} N')
 
 
 class LimitsConfig(Config):
-    """What no command and no motion may exceed; an empty list is no limit."""
+    """Limits of commands and of motion; an empty list is no limit."""
 
     joint_lower: Vector = parameter((), 'Lower stop of each joint.', unit='rad')
     joint_upper: Vector = parameter((), 'Upper stop of each joint.', unit='rad')
