@@ -151,7 +151,7 @@ def bench_contacts(count):
         controller.take(home, 0.0 * home, np.zeros(6), np.full(contacts, 0.6))
         task, columns = controller.controls['task'], controller.contacts
         task['position'], task['rotation'] = controller.start()
-        columns['active'], columns['alpha_des'] = True, 5.0
+        columns['answer']['active'], columns['answer']['alpha_des'] = True, 5.0
         times = np.zeros(count)
         for k in range(count):
             move, speed, wrench = random.standard_normal((3, 6))

@@ -144,3 +144,11 @@ def cross(a: Vector, b: Vector, c: Vector) -> None:
     c[0] = a[1] * b[2] - a[2] * b[1]
     c[1] = a[2] * b[0] - a[0] * b[2]
     c[2] = a[0] * b[1] - a[1] * b[0]
+
+
+@compiled
+def velocity_at(twist: Vector, lever: Vector, velocity: Vector) -> None:
+    """Fill in v + omega x l, shape (3,), of a twist [v, omega] at its end of a lever."""
+    cross(twist[3:], lever, velocity)
+    for k in range(3):
+        velocity[k] += twist[k]

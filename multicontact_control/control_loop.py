@@ -17,7 +17,7 @@ from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.control.controller import ControlOutput
 from multicontact_control.control.tasks import CommandedTask, MotionReading, TaskSource
-from multicontact_control.dynamics.pose import Pose
+from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import CommandError, ConfigError
 from multicontact_control.sensor.push_test import PushGate, PushTestConfig
 from multicontact_control.sensor.tool import MAX_JOINT_SPEED, tare_bias, TareConfig

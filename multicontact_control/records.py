@@ -108,44 +108,51 @@ CONTROL = np.dtype([
     ('measured', B),  # whether that is of this sample; if not, observers only predict
 ], align=True)
 
-# One column of N, as the force law sees it: the normal force of a contact, or one of its couples,
-# which are counted in newtons as `ContactConfig` says.
-CONTACT = np.dtype([
-    ('kind', I),  # FORCE, ALONG or ACROSS, see `config.columns`
-    ('leader', I),  # index of the normal force of the same contact
-    ('normal', F, 3),  # unit normal INTO the surface, world axes; 0 for couples
-    ('point', F, 3),  # contact point, or centre, in the operational frame [m]
-    ('direction', F, 3),  # of an edge, or of a plane's first side, in the operational frame
-    ('half_length', F),  # unit of a couple's lever, 0 for a force [m]
-    ('friction_std', F),  # of friction that is allowed for, 0 for couples [N]
-    ('torsion_std', F),  # of its torque about the normal [N m]
-    ('friction_coefficient', F),  # that is expected while sliding, 0 for couples
-    ('friction', F, 3),  # what of it is found, world axes [N]
-    ('normal_told', F, 3),  # normal as configured
-    ('normal_gain', F),  # share of the way that the estimated normal goes per period
-    ('turn_limit', F),  # how far it goes per period at most, 0 where it is not estimated [rad]
-    ('smallest_cosine', F),  # of the angle between it and the one configured
-    ('surface_speed', F),  # of the surface along its normal, as configured [m/s]
-    ('surface_speed_est', F),  # what is added to that, estimated [m/s]
-    ('surface_gain', F),  # share of the way that it goes per period
-    ('surface_speed_limit', F),  # its bound, 0 where it is not estimated [m/s]
-    ('N', F, 6),  # column of N: the wrench of a unit force, world axes
+# What the force law answers for one contact, all 0 where no law controls it.
+FORCE_ANSWER = np.dtype([
     ('active', B),  # whether its force is controlled
-    ('noise_variance', F),  # R_k [N^2]
-    ('alpha_meas', F),  # measured force [N]
-    ('alpha_des', F),  # desired force, 0 where not active [N]
-    ('guarded', B),  # whether the measured force is fed forward, as the surface seems to be gone
-    ('alpha_fed', F),  # force fed forward, 0 where not active [N]
-    ('alpha_est', F),  # estimated force, 0 where not active [N]
-    ('alpha_rate_est', F),  # its estimated rate, 0 where not active [N/s]
+    ('alpha_des', F),  # desired force [N]
+    ('alpha_fed', F),  # force fed forward [N]
+    ('alpha_est', F),  # estimated force [N]
+    ('alpha_rate_est', F),  # its estimated rate [N/s]
     ('innovation', F),  # alpha_meas - C x_1, 0 where nothing was predicted [N]
     ('prior_variance', F),  # C P_1 C^T, 0 there as well [N^2]
     ('variance_used', F),  # R the observer worked with, 0 there as well [N^2]
+], align=True)
+
+# One column of N, as the force law sees it: the normal force of a contact, or one of its couples,
+# which are counted in newtons as `ContactConfig` says. Configuration, then what is measured and
+# learnt of the surface, then the answer.
+CONTACT = np.dtype([
+    ('kind', I),  # FORCE, ALONG or ACROSS, see `config.contact`
+    ('leader', I),  # index of the normal force of the same contact
+    ('normal_told', F, 3),  # unit normal INTO the surface, world axes; 0 for couples
+    ('point', F, 3),  # contact point, or centre, in the operational frame [m]
+    ('direction', F, 3),  # of an edge, or of a plane's first side, in the operational frame
+    ('half_length', F),  # unit of a couple's lever, 0 for a force [m]
+    ('largest_offset', F),  # of the centre of pressure, of half lengths
+    ('friction_std', F),  # of friction that is allowed for, 0 for couples [N]
+    ('torsion_std', F),  # of its torque about the normal [N m]
+    ('friction_coefficient', F),  # that is expected while sliding, 0 for couples
+    ('normal_gain', F),  # share of the way that the estimated normal goes per period
+    ('turn_limit', F),  # how far it goes per period at most, 0 where it is not estimated [rad]
+    ('smallest_cosine', F),  # of the angle between it and the one configured
+    ('surface_speed', F),  # of the surface along its normal [m/s]
+    ('surface_gain', F),  # share of the way that the estimate below goes per period
+    ('surface_speed_limit', F),  # its bound, 0 where it is not estimated [m/s]
+    ('N', F, 6),  # column of N: the wrench of a unit force, world axes
+    ('alpha_meas', F),  # measured force [N]
+    ('noise_variance', F),  # R_k [N^2]
+    ('guarded', B),  # whether the measured force is fed forward, as the surface seems to be gone
+    ('normal', F, 3),  # estimated unit normal, world axes
+    ('surface_speed_est', F),  # what is added to the configured speed, estimated [m/s]
+    ('friction', F, 3),  # found, world axes [N]
     ('stiffness', F),  # k of the model in use [N/m]
     ('stiffness_est', F),  # k estimated on-line, 0 as long as nothing is known [N/m]
     ('stiffness_std', F),  # its standard error [N/m]
     ('ratio_bound', F),  # largest likely true stiffness over that of the model in use
     ('margin', F),  # largest ratio at which the force loop is stable, over that one
+    ('answer', FORCE_ANSWER),
 ], align=True)
 
 # The active observer of one contact: its design, and what it knows. Of the matrices the first

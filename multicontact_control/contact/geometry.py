@@ -37,36 +37,25 @@ def fill_normal_space(contacts: Any, rotation: Matrix) -> None:
         Axes R of the operational frame as columns, world axes, shape (3, 3).
 
     """
+    lever, moment = np.empty(3), np.empty(3)
     for i in range(contacts.shape[0]):
-        if contacts[i].kind != FORCE:
-            fill_couple(contacts[i], contacts[contacts[i].leader].normal, rotation)
-            continue
-        normal, point, column = contacts[i].normal, contacts[i].point, contacts[i].N
-        nx, ny, nz = normal[0], normal[1], normal[2]
-        px, py, pz = point[0], point[1], point[2]
-        lx = -(rotation[0, 0] * px + rotation[0, 1] * py + rotation[0, 2] * pz)
-        ly = -(rotation[1, 0] * px + rotation[1, 1] * py + rotation[1, 2] * pz)
-        lz = -(rotation[2, 0] * px + rotation[2, 1] * py + rotation[2, 2] * pz)
-        column[0], column[1], column[2] = nx, ny, nz
-        column[3] = ny * lz - nz * ly
-        column[4] = nz * lx - nx * lz
-        column[5] = nx * ly - ny * lx
-
-
-@compiled
-def fill_couple(contact: Any, normal: Vector, rotation: Matrix) -> None:
-    """Fill in the column of a couple on a surface with this normal; see `fill_normal_space`."""
-    e, couple = np.empty(3), np.empty(3)
-    multiply(rotation, contact.direction, e)
-    if contact.kind == ALONG:
-        cross(e, normal, couple)
-    else:
-        along = dot(e, normal)
+        contact = contacts[i]
+        normal = contacts[i if contact.kind == FORCE else contact.leader].normal
+        multiply(rotation, contact.point if contact.kind == FORCE else contact.direction, lever)
+        if contact.kind == FORCE:
+            for k in range(3):
+                lever[k] = -lever[k]
+            cross(normal, lever, moment)
+        elif contact.kind == ALONG:
+            cross(lever, normal, moment)
+        else:
+            along = dot(lever, normal)
+            for k in range(3):
+                moment[k] = lever[k] - along * normal[k]
         for k in range(3):
-            couple[k] = e[k] - along * normal[k]
-    for k in range(3):
-        contact.N[k] = 0.0
-        contact.N[3 + k] = contact.half_length * couple[k]
+            contact.N[k] = normal[k] if contact.kind == FORCE else 0.0
+            contact.N[3 + k] = moment[k] if contact.kind == FORCE else (
+                contact.half_length * moment[k])
 
 
 def normal_space(contacts: Records, rotation_world: Matrix) -> Matrix:
@@ -95,9 +84,8 @@ def are_independent(contacts: Records) -> bool:
     """
     Return whether one wrist sensor can tell the forces of some contacts apart.
 
-    The rank of N is looked at in a few orientations of the operational frame: what depends on
-    each other in all of them does so in any, as three collinear points or four coplanar ones with
-    one normal.
+    Columns of N that are dependent in three orientations of the operational frame are so in any,
+    as those of three collinear points or four coplanar ones with one normal.
 
     Parameters
     ----------
@@ -117,19 +105,12 @@ def are_independent(contacts: Records) -> bool:
 
 def check_columns(names: Sequence[str], contacts: Records) -> None:
     """
-    Refuse contacts that one wrist sensor cannot tell apart.
-
-    Parameters
-    ----------
-    names
-        Of the columns.
-    contacts
-        Records of `CONTACT` with normals and points, shape (r,).
+    Refuse columns, with these names, that one wrist sensor cannot tell apart.
 
     Raises
     ------
     ConfigError
-        If their columns depend on each other, as those of more than six always do.
+        If they depend on each other, as more than six always do; see `are_independent`.
 
     """
     if not are_independent(contacts):

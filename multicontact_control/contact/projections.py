@@ -26,21 +26,13 @@ SMALLEST_PIVOT = 1e-6
 @compiled
 def active_rows(contacts: Any, everyone: bool, rows: Matrix) -> None:
     """
-    Fill in N^T, with zeros for every contact that is left out.
+    Fill in N^T, shape (r, 6), with zeros for every contact that is left out.
 
-    Parameters
-    ----------
-    contacts
-        Records of `CONTACT` with `N` filled in, shape (r,).
-    everyone
-        Whether all contacts count, otherwise those that are active.
-    rows
-        Filled, shape (r, 6).
-
+    Of records of `CONTACT` with `N` filled in, shape (r,); all count, or those that are active.
     """
     for i in range(contacts.shape[0]):
         column = contacts[i].N
-        counts = everyone or contacts[i].active
+        counts = everyone or contacts[i].answer.active
         for k in range(6):
             rows[i, k] = column[k] if counts else 0.0
 
@@ -50,10 +42,10 @@ def factorise_contacts(
     contacts: Any, everyone: bool, rows: Matrix, weighted_rows: Matrix, factor: Matrix,
 ) -> bool:
     """
-    Factorise N^T D, with 1 on the diagonal of every contact that is left out.
+    Factorise N^T D; return whether the active columns of N are independent.
 
-    So the size stays the same whichever contacts are there, and the coordinate of one that is
-    not there stays 0. D is N itself, or Lambda^-1 N.
+    D is N itself, or Lambda^-1 N. Every contact that is left out has 1 on the diagonal, so that
+    the size stays the same, and its coordinate 0.
 
     Parameters
     ----------
@@ -64,11 +56,6 @@ def factorise_contacts(
     factor
         Filled with the Cholesky factor, shape (r, r).
 
-    Returns
-    -------
-    bool
-        Whether the active columns of N are independent.
-
     """
     count = rows.shape[0]
     for i in range(count):
@@ -77,7 +64,7 @@ def factorise_contacts(
             for k in range(6):
                 total += rows[i, k] * weighted_rows[j, k]
             factor[i, j] = total
-        if not (everyone or contacts[i].active):
+        if not (everyone or contacts[i].answer.active):
             factor[i, i] = 1.0
     return cholesky(factor, factor, SMALLEST_PIVOT)
 
@@ -85,17 +72,9 @@ def factorise_contacts(
 @compiled
 def coordinates(rows: Matrix, factor: Matrix, vector: Vector, alpha: Vector) -> None:
     """
-    Fill in the contact coordinates alpha = (N^T N)^-1 N^T f (P04 eqs 2, 7).
+    Fill in the contact coordinates alpha = (N^T N)^-1 N^T f, shape (r,) (P04 eqs 2, 7).
 
-    Parameters
-    ----------
-    rows, factor
-        N^T, shape (r, 6), and the factor of N^T N, shape (r, r).
-    vector
-        Wrench or twist f, shape (6,).
-    alpha
-        Filled, shape (r,).
-
+    Of a wrench or twist f, shape (6,), with N^T and the factor of N^T N.
     """
     multiply(rows, vector, alpha)
     solve_cholesky(factor, alpha)

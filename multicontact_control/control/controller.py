@@ -16,17 +16,17 @@ from multicontact_control.contact.geometry import (
     friction_coupling,
     operational_stiffness,
 )
-from multicontact_control.control.arm_state import AMBIGUOUS, ArmState
+from multicontact_control.contact.wrench import tool_record
+from multicontact_control.control.arm import AMBIGUOUS, ArmState
 from multicontact_control.control.law import control_law, DEPENDENT, LIMITED
 from multicontact_control.control.tick import ControlOutput
-from multicontact_control.control.wrench import tool_record
 from multicontact_control.dynamics.operational_space import (
     MAX_CONDITION,
     STOP_MARGIN,
     task_inertia,
 )
-from multicontact_control.dynamics.pose import Pose
 from multicontact_control.dynamics.robot import RobotModel
+from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import (
     ConfigError,
     ContactGeometryError,
@@ -96,7 +96,7 @@ class Controller:
         self.controls['task']['rotation'] = np.eye(3)
         self.contacts: Any = np.zeros(count, dtype=CONTACT)
         self.arm = ArmState(robot, self.controls, self.contacts)
-        self.active: Mask = self.contacts['active']
+        self.active: Mask = self.contacts['answer']['active']
         joints = self.arm.joints
         self.measured = (self.arm.motion, self.controls['wrench'][0],
                          self.contacts['noise_variance'], joints['effort'])
@@ -363,7 +363,8 @@ class Controller:
         M = np.triu(terms.mass_matrix)
         M += np.triu(M, 1).T
         N = self.contacts['N'][active].T
-        beyond = (self.contacts['alpha_fed'] - self.contacts['alpha_est'])[active]
+        answer = self.contacts['answer'][active]
+        beyond = answer['alpha_fed'] - answer['alpha_est']
         twist_rate = terms.jacobian @ np.linalg.solve(
             M, torque - self.arm.joints['unlimited'] + terms.jacobian.T @ (N @ beyond))
         act_beyond(self.laws, active, (

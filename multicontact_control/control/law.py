@@ -85,7 +85,7 @@ def force_law(
     if law.decoupled:
         multiply(rows, twist, alpha_star)
         for i in range(inputs.shape[0]):
-            if contacts[i].active:
+            if contacts[i].answer.active:
                 alpha_star[i] -= contacts[i].surface_speed + contacts[i].surface_speed_est
     else:
         coordinates(rows, factor, twist, alpha_star)
@@ -243,8 +243,8 @@ def control_law(
     for i in range(count):
         contact = contacts[i]
         for k in range(6):
-            force[k] += rows[i, k] * contact.alpha_fed
-            held[k] += rows[i, k] * contact.alpha_fed
+            force[k] += rows[i, k] * contact.answer.alpha_fed
+            held[k] += rows[i, k] * contact.answer.alpha_fed
     for j in range(n):
         joints[j].torque, joints[j].priority = 0.0, joints[j].bias_torque
     for i in range(6):

@@ -9,7 +9,7 @@ from typing import NamedTuple, Protocol
 
 from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.config import Config, parameter, Real, UnitVector3
-from multicontact_control.dynamics.pose import Pose
+from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import ConfigError
 from multicontact_control.quintic import quintic
 import numpy as np

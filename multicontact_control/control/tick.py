@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from multicontact_control.arrays import Mask, Vector
-from multicontact_control.dynamics.pose import Pose
+from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.records import Records
 
 
@@ -45,7 +45,7 @@ class ControlOutput(NamedTuple):
     @property
     def active(self) -> Mask:
         """Which contacts are force controlled, shape (r,)."""
-        return self.contacts['active']
+        return self.contacts['answer']['active']
 
     @property
     def alpha_meas(self) -> Vector:
@@ -55,29 +55,29 @@ class ControlOutput(NamedTuple):
     @property
     def alpha_des(self) -> Vector:
         """Desired contact forces, shape (r,) [N]."""
-        return self.contacts['alpha_des']
+        return self.contacts['answer']['alpha_des']
 
     @property
     def alpha_est(self) -> Vector:
         """Estimated contact forces, shape (r,) [N]."""
-        return self.contacts['alpha_est']
+        return self.contacts['answer']['alpha_est']
 
     @property
     def alpha_rate_est(self) -> Vector:
         """Their estimated rates, shape (r,) [N/s]."""
-        return self.contacts['alpha_rate_est']
+        return self.contacts['answer']['alpha_rate_est']
 
     @property
     def innovation(self) -> Vector:
         """Return alpha_meas minus each observer's prediction, shape (r,) [N]."""
-        return self.contacts['innovation']
+        return self.contacts['answer']['innovation']
 
     @property
     def prior_variance(self) -> Vector:
         """Return the variance C P_1 C^T of that prediction, shape (r,) [N^2]."""
-        return self.contacts['prior_variance']
+        return self.contacts['answer']['prior_variance']
 
     @property
     def variance_used(self) -> Vector:
         """Return the R each observer worked with, shape (r,) [N^2]."""
-        return self.contacts['variance_used']
+        return self.contacts['answer']['variance_used']

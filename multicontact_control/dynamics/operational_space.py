@@ -30,12 +30,11 @@ def mobility_and_inertia(
     Work out Lambda = (J M^-1 J^T)^-1 (P04 eq. 23) and what leads to it.
 
     M = L L^T, Y = L^-1 J^T, Lambda^-1 = Y^T Y. The condition number of Lambda^-1 is at most the
-    product of the Frobenius norms of the two; only when that is too large is it worked out.
+    product of the Frobenius norms of the two; only where that is too large is it worked out.
 
-    Near a singularity, below an eigenvalue e_0 of Lambda^-1, d = e_0 / 2 (1 - e / e_0)^2 is
-    added to its diagonal. Lambda then has no eigenvalue above 2 / e_0, changes smoothly, and is
-    exact away from singularities. This is damped least squares in the metric of M: in the
-    direction that the arm is losing it does less than asked, and no torque grows without bound.
+    Below an eigenvalue e_0 of Lambda^-1, d = e_0 / 2 (1 - e / e_0)^2 is added to its diagonal:
+    damped least squares in the metric of M. Lambda then has no eigenvalue above 2 / e_0 and
+    changes smoothly; away from singularities it is exact.
 
     Parameters
     ----------
@@ -146,9 +145,9 @@ def add_nullspace_torque(
     """
     Give the motion that the operational point does not see a posture, off the stops, and damp it.
 
-    Gamma += (1 - J^T J_bar^T)(C v + g + M (k_q (q_0 - q) + s(q) - d v)); see `stop_repulsion` for
-    s. Neither motion nor contact forces feel it: of what it adds to gravity and Coriolis' part,
-    J M^-1 Gamma is 0.
+    Gamma += (1 - J^T J_bar^T)(C v + g + M (k_q (q_0 - q) + s - d v)), s = k_s (m - x)^2 / m away
+    from a stop at a distance x below the margin m. J M^-1 of what is added is 0, gravity and
+    Coriolis' part aside.
 
     Parameters
     ----------
@@ -164,7 +163,14 @@ def add_nullspace_torque(
     free, pull = np.empty(n), np.empty(n)
     for j in range(n):
         joint = joints[j]
-        pull[j] = law.posture_stiffness * (joint.posture - joint.q) + stop_repulsion(joint, law)
+        push = 0.0
+        below = STOP_MARGIN - (joint.q - joint.lower)
+        if below > 0.0:
+            push += law.stop_stiffness * below * below / STOP_MARGIN
+        above = STOP_MARGIN - (joint.upper - joint.q)
+        if above > 0.0:
+            push -= law.stop_stiffness * above * above / STOP_MARGIN
+        pull[j] = law.posture_stiffness * (joint.posture - joint.q) + push
     for i in range(n):
         momentum = 0.0
         for j in range(n):
@@ -184,47 +190,15 @@ def add_nullspace_torque(
             joints[j].torque -= jacobian[i, j] * force[i]
 
 
-@compiled
-def stop_repulsion(joint: Any, law: Any) -> float:
-    """
-    Return the acceleration that keeps a joint off its stops, k_s (m - x)^2 / m [rad/s^2].
-
-    x is the way that is left to the stop; from the margin m on it is 0, with a slope of 0.
-    """
-    push = 0.0
-    below = STOP_MARGIN - (joint.q - joint.lower)
-    if below > 0.0:
-        push += law.stop_stiffness * below * below / STOP_MARGIN
-    above = STOP_MARGIN - (joint.upper - joint.q)
-    if above > 0.0:
-        push -= law.stop_stiffness * above * above / STOP_MARGIN
-    return push
-
-
 def task_inertia(
     mass_matrix: Matrix, jacobian: Matrix, *, max_condition: float = MAX_CONDITION,
     singular_mobility: float = 0.0,
 ) -> Matrix:
     """
-    Return the inertia felt at the operational point.
+    Return Lambda = (J M^-1 J^T)^-1 (P04 eq. 23), shape (6, 6) [kg, kg m, kg m^2].
 
-    Lambda = (J M^-1 J^T)^-1 (P04 eq. 23); see `mobility_and_inertia`.
-
-    Parameters
-    ----------
-    mass_matrix
-        Joint inertia M, shape (n, n), symmetric positive definite [kg m^2].
-    jacobian
-        J, shape (6, n), world axes, linear rows first.
-    max_condition
-        Largest accepted condition number of J M^-1 J^T.
-    singular_mobility
-        Eigenvalue of it up to which it is damped, 0 for not at all [1/kg].
-
-    Returns
-    -------
-    Matrix
-        Lambda, shape (6, 6) [kg, kg m, kg m^2].
+    Of M, shape (n, n), and J, shape (6, n), world axes, linear rows first; see
+    `mobility_and_inertia`.
 
     Raises
     ------

@@ -4,69 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+import math
 from pathlib import Path
 import xml.etree.ElementTree as ElementTree
 
 from multicontact_control.arrays import Matrix, require_shape, Vector
 from multicontact_control.config import RobotConfig
-from multicontact_control.dynamics.pose import Pose
+from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import ConfigError
 import numpy as np
 import pinocchio as pin
 
 
-@dataclass(frozen=True, slots=True)
-class RobotState:
-    """
-    Everything the control law needs to know of the arm at one instant.
-
-    Attributes
-    ----------
-    mass_matrix
-        Joint inertia M with armature, shape (n, n) [kg m^2].
-    coriolis
-        Coriolis and centripetal torque C(q, v) v, shape (n,) [N m].
-    gravity
-        Gravity torque g(q), shape (n,) [N m].
-    jacobian
-        J of the operational point, world axes, linear rows first, shape (6, n).
-    jacobian_drift
-        dJ/dt v, shape (6,) [m/s^2, rad/s^2].
-    pose
-        Pose of the operational frame.
-    twist_world
-        J v, shape (6,) [m/s, rad/s].
-    velocity
-        Joint velocity v, shape (n,) [rad/s].
-    sensor_pose
-        Pose of the wrist sensor's frame.
-
-    """
-
-    mass_matrix: Matrix
-    coriolis: Vector
-    gravity: Vector
-    jacobian: Matrix
-    jacobian_drift: Vector
-    pose: Pose
-    twist_world: Vector
-    velocity: Vector
-    sensor_pose: Pose
-
-
 @dataclass(slots=True)
-class LiveTerms:
+class Terms:
     """
-    What compiled code needs to know of the arm, in arrays that the next `compute` overwrites.
+    What compiled code needs of the arm, in arrays that the next `compute` overwrites.
 
     Attributes
     ----------
     mass_matrix
-        M with armature, shape (n, n); only the upper triangle is filled [kg m^2].
-    bias_torque
-        C(q, v) v + g(q), shape (n,) [N m].
-    gravity
-        g(q) alone, shape (n,) [N m].
+        M with armature, only its upper triangle, shape (n, n) [kg m^2].
+    bias_torque, gravity
+        C(q, v) v + g(q) and g(q), shape (n,) [N m].
     jacobian, jacobian_rate
         J of the operational point and dJ/dt, world axes, linear rows first, shape (6, n).
     placements
@@ -81,6 +41,49 @@ class LiveTerms:
     jacobian: Matrix
     jacobian_rate: Matrix
     placements: tuple[Vector, Matrix, Vector, Matrix]
+
+
+@dataclass(frozen=True, slots=True)
+class RobotState:
+    """
+    The same in arrays of its own, and what follows from it.
+
+    Attributes
+    ----------
+    mass_matrix
+        Joint inertia M with armature, shape (n, n) [kg m^2].
+    coriolis, gravity
+        C(q, v) v and g(q), shape (n,) [N m].
+    jacobian
+        J of the operational point, world axes, linear rows first, shape (6, n).
+    jacobian_drift
+        dJ/dt v, shape (6,) [m/s^2, rad/s^2].
+    pose, sensor_pose
+        Of the operational frame and of the wrist sensor's.
+    twist_world, velocity
+        J v, shape (6,) [m/s, rad/s], and v, shape (n,) [rad/s].
+
+    """
+
+    mass_matrix: Matrix
+    coriolis: Vector
+    gravity: Vector
+    jacobian: Matrix
+    jacobian_drift: Vector
+    pose: Pose
+    twist_world: Vector
+    velocity: Vector
+    sensor_pose: Pose
+
+
+@dataclass(frozen=True, slots=True)
+class LinkTransform:
+    """Pose of a link in its parent's frame: origin [m] and orientation, scalar last."""
+
+    parent: str
+    child: str
+    translation: tuple[float, ...]
+    quaternion_xyzw: tuple[float, ...]
 
 
 class RobotModel:
@@ -121,8 +124,7 @@ class RobotModel:
             self._sensor = self._frame_id('robot.sensor_frame', config.sensor_frame)
             self._require_felt(config)
         self._data = self._model.createData()
-        self._zero = np.zeros(self._model.nv)
-        self.terms = self._live_terms()
+        self.terms = self._shared_terms()
 
     @property
     def joint_count(self) -> int:
@@ -151,30 +153,21 @@ class RobotModel:
             raise ConfigError(field, f'a link of the robot among {", ".join(bodies)}', f"'{name}'")
         return int(self._model.getFrameId(name))
 
-    def _live_terms(self) -> LiveTerms:
+    def _shared_terms(self) -> Terms:
         """Return arrays that share pinocchio's memory, so that nothing needs to be copied."""
         data = self._data
         frame, sensor = data.oMf[self._frame], data.oMf[self._sensor]
-        return LiveTerms(
+        return Terms(
             mass_matrix=data.M, bias_torque=data.nle, gravity=data.g,
             jacobian=np.zeros((6, self._model.nv)),
             jacobian_rate=np.zeros((6, self._model.nv)), placements=(
                 frame.translation, frame.rotation, sensor.translation, sensor.rotation))
 
-    def compute(self, q: Vector, v: Vector) -> LiveTerms:
+    def compute(self, q: Vector, v: Vector) -> Terms:
         """
-        Compute what compiled code needs, without allocating more than pinocchio does.
+        Return the arm's terms at positions [rad] and velocities [rad/s], shape (n,).
 
-        Parameters
-        ----------
-        q, v
-            Joint positions [rad] and velocities [rad/s], shape (n,).
-
-        Returns
-        -------
-        LiveTerms
-            `terms`, valid until the next call of `compute` or `update`.
-
+        They are `terms`, valid until the next call of `compute` or `update`.
         """
         model, data, terms = self._model, self._data, self.terms
         pin.computeAllTerms(model, data, q, v)  # M, C v + g, and what the Jacobians need
@@ -185,41 +178,9 @@ class RobotModel:
             model, data, self._frame, pin.LOCAL_WORLD_ALIGNED)
         return terms
 
-    def load_torque(self, mass: float, com_sensor: Vector) -> Vector:
-        """
-        Return what a load on the sensor adds to g(q), where `compute` was called last.
-
-        Parameters
-        ----------
-        mass, com_sensor
-            Of the load [kg], and its centre of mass in the sensor frame, shape (3,) [m].
-
-        Returns
-        -------
-        Vector
-            Shape (n,) [N m].
-
-        """
-        weight = mass * self._model.gravity.linear
-        lever = self._data.oMf[self._sensor].rotation @ com_sensor
-        jacobian = pin.getFrameJacobian(
-            self._model, self._data, self._sensor, pin.LOCAL_WORLD_ALIGNED)
-        torque: Vector = -jacobian.T @ np.concatenate([weight, np.cross(lever, weight)])
-        return torque
-
     def update(self, q: Vector, v: Vector) -> RobotState:
         """
-        Compute the arm's state.
-
-        Parameters
-        ----------
-        q, v
-            Joint positions [rad] and velocities [rad/s], shape (n,).
-
-        Returns
-        -------
-        RobotState
-            Arrays that do not share memory with the model.
+        Return the arm's state at positions [rad] and velocities [rad/s], shape (n,).
 
         Raises
         ------
@@ -229,33 +190,32 @@ class RobotModel:
         """
         require_shape('q', q, (self._model.nv,))
         require_shape('v', v, (self._model.nv,))
-        model, data = self._model, self._data
-        pin.forwardKinematics(model, data, q, v, self._zero)
-        pin.updateFramePlacement(model, data, self._frame)
-        pin.updateFramePlacement(model, data, self._sensor)
-        drift = pin.getFrameClassicalAcceleration(
-            model, data, self._frame, pin.LOCAL_WORLD_ALIGNED).vector.copy()
-        jacobian = np.ascontiguousarray(
-            pin.computeFrameJacobian(model, data, q, self._frame, pin.LOCAL_WORLD_ALIGNED))
-        upper = pin.crba(model, data, q)
-        mass_matrix = np.triu(upper) + np.triu(upper, 1).T
-        gravity = pin.computeGeneralizedGravity(model, data, q).copy()
-        coriolis = pin.nonLinearEffects(model, data, q, v) - gravity
+        terms, data = self.compute(q, v), self._data
+        upper, gravity = np.triu(terms.mass_matrix), terms.gravity.copy()
+        jacobian = np.ascontiguousarray(terms.jacobian)
         return RobotState(
-            mass_matrix=mass_matrix, coriolis=coriolis, gravity=gravity, jacobian=jacobian,
-            jacobian_drift=drift, pose=_pose(data.oMf[self._frame]), twist_world=jacobian @ v,
-            velocity=v.copy(), sensor_pose=_pose(data.oMf[self._sensor]))
+            mass_matrix=upper + np.triu(upper, 1).T, coriolis=terms.bias_torque - gravity,
+            gravity=gravity, jacobian=jacobian, jacobian_drift=terms.jacobian_rate @ v,
+            pose=_pose(data.oMf[self._frame]), twist_world=jacobian @ v, velocity=v.copy(),
+            sensor_pose=_pose(data.oMf[self._sensor]))
+
+    def load_torque(self, mass: float, com_sensor: Vector) -> Vector:
+        """
+        Return what a load on the sensor adds to g(q), where `compute` was called last.
+
+        Of a mass [kg] with its centre at `com_sensor` in the sensor frame, shape (3,) [m]; the
+        torque is of shape (n,) [N m].
+        """
+        weight = mass * self._model.gravity.linear
+        lever = self._data.oMf[self._sensor].rotation @ com_sensor
+        jacobian = pin.getFrameJacobian(
+            self._model, self._data, self._sensor, pin.LOCAL_WORLD_ALIGNED)
+        torque: Vector = -jacobian.T @ np.concatenate([weight, np.cross(lever, weight)])
+        return torque
 
     def link_poses(self, q: Vector, links: Sequence[str]) -> list[Pose]:
         """
-        Return where links are, to draw the arm.
-
-        Parameters
-        ----------
-        q
-            Joint positions, shape (n,) [rad].
-        links
-            Names of links of the URDF.
+        Return where links of the URDF are at joint positions, shape (n,) [rad].
 
         Raises
         ------
@@ -268,6 +228,53 @@ class RobotModel:
         require_shape('q', q, (self._model.nv,))
         pin.framesForwardKinematics(self._model, self._data, q)
         return [_pose(self._data.oMf[self._frame_id('link', name)]) for name in links]
+
+
+class LinkTransforms:
+    """
+    The links of a URDF, to be placed many times a second.
+
+    Parameters
+    ----------
+    urdf
+        Its text.
+    world_frame
+        Name of the frame that the root link stands in, where the controller has the world; empty
+        for none.
+
+    Raises
+    ------
+    ConfigError
+        See `load_model`.
+
+    """
+
+    def __init__(self, urdf: str, world_frame: str = '') -> None:
+        self._model = load_model(urdf)
+        self._data, self._world = self._model.createData(), world_frame
+
+    def at(self, positions: Mapping[str, float]) -> list[LinkTransform]:
+        """Return the pose of every link whose joint's position, by name, is known and finite."""
+        model, data = self._model, self._data
+        known = [positions.get(name, math.nan) for name in list(model.names)[1:]]
+        pin.framesForwardKinematics(model, data, np.nan_to_num(known, posinf=0.0, neginf=0.0))
+        found = []
+        for body, frame in enumerate(model.frames):
+            if frame.type != pin.FrameType.BODY:
+                continue
+            joint = model.frames[frame.parentFrame]
+            if joint.type == pin.FrameType.JOINT and not math.isfinite(
+                    known[frame.parentJoint - 1]):
+                continue
+            parent, place = self._world, data.oMf[body]
+            if frame.parentFrame:  # 0 is that of the root
+                parent = model.frames[joint.parentFrame].name
+                place = data.oMf[joint.parentFrame].actInv(place)
+            if parent and parent != frame.name:
+                found.append(LinkTransform(
+                    parent, frame.name, tuple(place.translation.tolist()),
+                    tuple(pin.Quaternion(place.rotation).coeffs().tolist())))
+        return found
 
 
 def load_model(
@@ -359,11 +366,7 @@ def _without_continuous(text: str) -> tuple[str, set[str]]:
 
 
 def turn_between(rotation_des: Matrix, rotation: Matrix) -> Vector:
-    """
-    Return log(R_des R^T) in world axes, shape (3,) [rad], of matrices of shape (3, 3).
-
-    For a call now and then: numba would compile `rotation_vector` anew for other views of arrays.
-    """
+    """Return log(R_des R^T) in world axes, shape (3,) [rad], of any arrays of shape (3, 3)."""
     turn: Vector = pin.log3(rotation_des @ rotation.T)
     return turn
 

@@ -1,26 +1,21 @@
-"""Rotations as quaternions and rotation vectors, compiled."""
+"""Poses, and rotations as quaternions and rotation vectors."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 
 @compiled
 def quaternion_of(rotation: Matrix, quaternion: Vector) -> None:
     """
-    Fill in the unit quaternion of a rotation.
+    Fill in the unit quaternion, scalar last, shape (4,), of a rotation, shape (3, 3).
 
     Shepperd's method: of the four ways to take the roots, the one without cancellation.
-
-    Parameters
-    ----------
-    rotation
-        Shape (3, 3).
-    quaternion
-        Filled, scalar last, shape (4,).
-
     """
     trace = rotation[0, 0] + rotation[1, 1] + rotation[2, 2]
     largest = 3
@@ -50,18 +45,18 @@ def quaternion_of(rotation: Matrix, quaternion: Vector) -> None:
 
 
 @compiled
-def logarithm(error: Matrix, vector: Vector) -> None:
+def rotation_vector(rotation_des: Matrix, rotation: Matrix, vector: Vector) -> None:
     """
-    Fill in the rotation vector of a rotation.
+    Fill in log(R_des R^T), the rotation from an orientation to a desired one, in world axes.
 
-    Parameters
-    ----------
-    error
-        Shape (3, 3).
-    vector
-        Filled, shape (3,) [rad].
-
+    The result is of shape (3,) [rad], the orientations are of shape (3, 3).
     """
+    error = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            error[i, j] = (rotation_des[i, 0] * rotation[j, 0]
+                           + rotation_des[i, 1] * rotation[j, 1]
+                           + rotation_des[i, 2] * rotation[j, 2])
     vector[0] = 0.5 * (error[2, 1] - error[1, 2])
     vector[1] = 0.5 * (error[0, 2] - error[2, 0])
     vector[2] = 0.5 * (error[1, 0] - error[0, 1])
@@ -81,23 +76,32 @@ def logarithm(error: Matrix, vector: Vector) -> None:
             vector[i] *= factor
 
 
-@compiled
-def rotation_vector(rotation_des: Matrix, rotation: Matrix, vector: Vector) -> None:
+class Pose(NamedTuple):
     """
-    Fill in log(R_des R^T), the rotation from an orientation to a desired one, in world axes.
+    Position and orientation of a frame in the world.
 
-    Parameters
+    Attributes
     ----------
-    rotation_des, rotation
-        Shape (3, 3).
-    vector
-        Filled, shape (3,) [rad].
+    position_world
+        Origin of the frame, shape (3,) [m].
+    rotation_world
+        Columns are the frame's axes in world axes, shape (3, 3).
 
     """
-    error = np.empty((3, 3))
-    for i in range(3):
-        for j in range(3):
-            error[i, j] = (rotation_des[i, 0] * rotation[j, 0]
-                           + rotation_des[i, 1] * rotation[j, 1]
-                           + rotation_des[i, 2] * rotation[j, 2])
-    logarithm(error, vector)
+
+    position_world: Vector
+    rotation_world: Matrix
+
+    @property
+    def quaternion_xyzw(self) -> Vector:
+        """Orientation as a unit quaternion, shape (4,), scalar last."""
+        quaternion = np.empty(4)
+        # A copy: numba would compile anew for an array of another layout, or not writable.
+        quaternion_of(np.array(self.rotation_world, order='C'), quaternion)
+        return quaternion
+
+    @classmethod
+    def from_quaternion(cls, position_world: Vector, quaternion_xyzw: Vector) -> Pose:
+        """Build a pose from a position [m] and a quaternion, scalar last, of any length > 0."""
+        return cls(np.asarray(position_world, dtype=float),
+                   Rotation.from_quat(quaternion_xyzw).as_matrix())

@@ -233,7 +233,7 @@ def step_linear(law: Any, contact: Any, speed: float) -> float:
         start_linear(law, contact.alpha_meas, 0.0)
     n, A, B, C, D = law.states, law.A, law.B, law.C, law.D
     x, x_next, E = law.x, law.x_next, law.E
-    alpha, desired, extra = contact.alpha_meas, contact.alpha_des, law.extra
+    alpha, desired, extra = contact.alpha_meas, contact.answer.alpha_des, law.extra
     for i in range(n):
         x[i] += E[i] * extra
     for i in range(n):
@@ -252,7 +252,7 @@ def step_linear(law: Any, contact: Any, speed: float) -> float:
     law.extra = 0.0
     law.p_est = disturbance
     law.alpha = estimate
-    contact.alpha_est = estimate
+    contact.answer.alpha_est = estimate
     return u
 
 
@@ -277,8 +277,8 @@ def force_to_feed(law: Any, contact: Any, mobility: Matrix) -> float:
     if contact.guarded or law.fed == MEASURED:
         return contact.alpha_meas if contact.kind != FORCE else max(contact.alpha_meas, 0.0)
     if law.fed == ESTIMATE:
-        return contact.alpha_est
-    desired = law.stiffness.alpha_ref if law.stiffness.adaptive else contact.alpha_des
+        return contact.answer.alpha_est
+    desired = law.stiffness.alpha_ref if law.stiffness.adaptive else contact.answer.alpha_des
     if law.fed == DESIRED:
         return desired
     N = contact.N
@@ -286,7 +286,7 @@ def force_to_feed(law: Any, contact: Any, mobility: Matrix) -> float:
     for i in range(6):
         along += N[i] * dot(mobility[i], N)
     share = min(law.K_2 * law.K_2 / (2.0 * law.stiffness.k * along), 1.0)
-    return contact.alpha_est + share * (desired - contact.alpha_est)
+    return contact.answer.alpha_est + share * (desired - contact.answer.alpha_est)
 
 
 @compiled
@@ -311,10 +311,10 @@ def answer_forces(
 
     """
     for i in range(contacts.shape[0]):
-        contact, law = contacts[i], laws[i]
-        contact.innovation = 0.0
-        contact.prior_variance = 0.0
-        contact.variance_used = 0.0
+        contact, law, answer = contacts[i], laws[i], contacts[i].answer
+        answer.innovation = 0.0
+        answer.prior_variance = 0.0
+        answer.variance_used = 0.0
         # Of the contact point into the surface, as far as it is known how that moves itself.
         speed = dot(contact.N, control.frame.twist) - (
             contact.surface_speed + contact.surface_speed_est)
@@ -324,18 +324,18 @@ def answer_forces(
         elif law.stiffness.adaptive:
             share_stiffness(law.observer, law.stiffness, contact, contacts[contact.leader],
                             laws[contact.leader].stiffness)
-        if not contact.active:
+        if not answer.active:
             law.observer.running = False
             law.linear.running = False
-            contact.alpha_est = 0.0
-            contact.alpha_rate_est = 0.0
-            contact.alpha_fed = 0.0
+            answer.alpha_est = 0.0
+            answer.alpha_rate_est = 0.0
+            answer.alpha_fed = 0.0
             inputs[i] = 0.0
             continue
         stiffness, observer = law.stiffness, law.observer
         if law.is_linear:
             inputs[i] = step_linear(law.linear, contact, speed)
-            contact.alpha_rate_est = stiffness.k * speed
+            answer.alpha_rate_est = stiffness.k * speed
         elif stiffness.adaptive:
             # The prediction is that of the open loop, under the input that was asked for.
             begins = not observer.running
@@ -344,5 +344,5 @@ def answer_forces(
             inputs[i] = observer.command = min(max(u, -INPUT_LIMIT), INPUT_LIMIT)
         else:
             observe(observer, contact, control.measured, 0.0)
-            inputs[i] = command(observer, contact.alpha_des)
-        contact.alpha_fed = force_to_feed(law, contact, mobility)
+            inputs[i] = command(observer, answer.alpha_des)
+        answer.alpha_fed = force_to_feed(law, contact, mobility)

@@ -338,7 +338,7 @@ def observe(observer: Any, contact: Any, measured: bool, rate: float) -> None:
 
     """
     n, tau, P = observer.states, observer.damping_time, observer.P
-    x_est, x_1 = observer.x_est, observer.x_1
+    x_est, x_1, answer = observer.x_est, observer.x_1, contact.answer
     if not observer.running:
         for i in range(n):
             x_est[i] = 0.0
@@ -350,12 +350,12 @@ def observe(observer: Any, contact: Any, measured: bool, rate: float) -> None:
     else:
         predict(observer)
         if measured:
-            contact.prior_variance = P[0, 0] + tau * (2.0 * P[0, 1] + tau * P[1, 1])
-            contact.innovation = contact.alpha_meas - (x_1[0] + tau * x_1[1])
-            contact.variance_used = contact.noise_variance
-            correct(observer, contact.innovation, contact.noise_variance)
+            answer.prior_variance = P[0, 0] + tau * (2.0 * P[0, 1] + tau * P[1, 1])
+            answer.innovation = contact.alpha_meas - (x_1[0] + tau * x_1[1])
+            answer.variance_used = contact.noise_variance
+            correct(observer, answer.innovation, contact.noise_variance)
         else:
             for i in range(n):
                 x_est[i] = x_1[i]
-    contact.alpha_est = x_est[0] + tau * x_est[1]
-    contact.alpha_rate_est = x_est[1]
+    answer.alpha_est = x_est[0] + tau * x_est[1]
+    answer.alpha_rate_est = x_est[1]

@@ -426,8 +426,8 @@ def learn_stiffness(
     observer: Any, stiffness: Any, contact: Any, measured: bool, speed: float, friction: float,
 ) -> None:
     """Take a sample into the model of a contact's surface."""
-    alpha = contact.alpha_meas if measured else contact.alpha_est
-    find_stiffness(stiffness, alpha, contact.alpha_des, speed, friction)
+    alpha = contact.alpha_meas if measured else contact.answer.alpha_est
+    find_stiffness(stiffness, alpha, contact.answer.alpha_des, speed, friction)
     follow_stiffness(observer, stiffness)
     contact.stiffness = stiffness.k
     contact.stiffness_est = stiffness.k_est
@@ -464,5 +464,5 @@ def followed_force(stiffness: Any, contact: Any, begins: bool) -> float:
         if stiffness.share == 0.0:
             stiffness.alpha_ref = max(contact.alpha_meas, 0.0)
     step = stiffness.k * APPROACH_LIMIT * stiffness.period
-    stiffness.alpha_ref += min(max(contact.alpha_des - stiffness.alpha_ref, -step), step)
+    stiffness.alpha_ref += min(max(contact.answer.alpha_des - stiffness.alpha_ref, -step), step)
     return float(stiffness.alpha_ref)

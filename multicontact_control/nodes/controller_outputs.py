@@ -10,7 +10,7 @@ from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.config.contact import ACROSS
 from multicontact_control.control.controller import ControlOutput
-from multicontact_control.dynamics.pose import Pose
+from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.nodes.controller_config import ControllerNodeConfig
 from multicontact_control.nodes.graph_node import create_publisher, full_topic_name

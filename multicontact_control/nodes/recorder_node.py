@@ -17,7 +17,7 @@ import sys
 import time
 
 from multicontact_control.config import parameter
-from multicontact_control.dynamics.link_transforms import LinkTransforms
+from multicontact_control.dynamics.robot import LinkTransforms
 from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.nodes import qos
 from multicontact_control.nodes.bag import Bag

@@ -14,7 +14,7 @@ from typing import Literal, NamedTuple
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import Config, cross_check, parameter, Real, ToolConfig
-from multicontact_control.control.wrench import contact_wrench
+from multicontact_control.contact.wrench import contact_wrench
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import ConfigError
 import numpy as np

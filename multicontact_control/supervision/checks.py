@@ -15,7 +15,7 @@ from typing import Any
 from multicontact_control.arrays import Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.config import ControllerConfig
-from multicontact_control.control.arm_state import JOINT_SPEED, OPERATIONAL_SPEED, TOUCHED
+from multicontact_control.control.arm import JOINT_SPEED, OPERATIONAL_SPEED, TOUCHED
 from multicontact_control.control.controller import Controller
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.records import PLAUSIBILITY, Records
@@ -65,11 +65,10 @@ def check_plausibility(
             found = NOT_FINITE
     pressed = 0.0
     for i in range(contacts.shape[0]):
-        contact = contacts[i]
+        contact, answer = contacts[i], contacts[i].answer
         if not np.isfinite(
-                contact.alpha_meas + contact.alpha_des + contact.alpha_est
-                + contact.alpha_rate_est + contact.innovation + contact.prior_variance
-                + contact.variance_used):
+                contact.alpha_meas + answer.alpha_des + answer.alpha_est + answer.alpha_rate_est
+                + answer.innovation + answer.prior_variance + answer.variance_used):
             found |= NOT_FINITE
         if contact.leader != i:
             continue

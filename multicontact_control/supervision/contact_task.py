@@ -11,9 +11,8 @@ from multicontact_control.config import ContactStateConfig, ControllerConfig, va
 from multicontact_control.config.contact import LARGEST_OFFSET
 from multicontact_control.control.controller import Controller
 from multicontact_control.control.tasks import Task, TaskSource
-from multicontact_control.dynamics.pose import Pose
 from multicontact_control.dynamics.robot import turn_between
-from multicontact_control.dynamics.rotations import rotation_vector
+from multicontact_control.dynamics.rotations import Pose, rotation_vector
 from multicontact_control.records import CONTACT_STATE, TASK_LIMITS
 from multicontact_control.supervision.contacts import (
     advance_contact,
@@ -139,7 +138,8 @@ class ContactTask:
         wanted, columns = self._wanted, self._columns
         wanted['position'], wanted['rotation'] = task.pose_des
         wanted['twist'], wanted['acceleration'] = task.twist_des, task.acceleration_des
-        columns['active'], columns['alpha_des'] = task.active, task.alpha_des
+        answer = columns['answer']
+        answer['active'], answer['alpha_des'] = task.active, task.alpha_des
         if self._guarded:
             if self._catching_up:
                 self._catch_up(task)
@@ -213,7 +213,7 @@ class ContactTask:
     def pressed(self) -> Mask:
         """Which forces and couples the force law drives, also while a reaction acts, (r,)."""
         if not self._guarded:
-            return self._columns['active'].astype(bool)
+            return self._columns['answer']['active'].astype(bool)
         codes = self.states['state']
         pressed: Mask = (codes == IMPACT) | (codes == HOLDING)
         return pressed
@@ -320,18 +320,18 @@ def limit_task(limits: Any, controls: Any, columns: Any, states: Any) -> bool:
     follow_contacts(limit, frame, task, columns, states)
     for i in range(columns.shape[0]):
         column, state = columns[i], states[i]
-        column.active = is_active(state)
+        column.answer.active = is_active(state)
         if column.leader != i:
             leader = columns[column.leader]  # which comes before
-            bound = LARGEST_OFFSET * leader.alpha_des
+            bound = LARGEST_OFFSET * leader.answer.alpha_des
             column.guarded = leader.guarded
-            column.alpha_des = min(max(state.asked, -bound), bound)
+            column.answer.alpha_des = min(max(state.asked, -bound), bound)
         else:
             column.guarded = state.state == HOLDING and state.in_state > GUARD_TIME and (
                 column.alpha_meas < GUARD_SHARE * min(state.level, state.asked))
-            column.alpha_des = min(state.asked, state.force_limit)
-        if not column.active:
-            column.alpha_des = 0.0
+            column.answer.alpha_des = min(state.asked, state.force_limit)
+        if not column.answer.active:
+            column.answer.alpha_des = 0.0
     # What a pause has left, and the displacements of the contacts.
     rotate_by(limit.turned, task.rotation, task.rotation)
     for k in range(3):
@@ -356,7 +356,7 @@ def follow_contacts(limit: Any, frame: Any, task: Any, columns: Any, states: Any
         moved[i] = states[i].displacement
     for i in range(count):
         column, state = columns[i], states[i]
-        state.wanted, state.asked = column.active, column.alpha_des
+        state.wanted, state.asked = column.answer.active, column.answer.alpha_des
         if column.leader != i:  # a couple is in the state of its normal force
             leader = states[column.leader]
             state.state, state.in_state = leader.state, leader.in_state
@@ -466,7 +466,7 @@ def leave_to_contacts(columns: Any, gap: Vector, way: Vector) -> None:
     """Take off two vectors what lies along the normals of the active contacts (Gram-Schmidt)."""
     axes, count = np.empty((3, 3)), 0
     for i in range(columns.shape[0]):
-        if count == 3 or not columns[i].active or columns[i].leader != i:
+        if count == 3 or not columns[i].answer.active or columns[i].leader != i:
             continue
         axis = axes[count]
         copy_vector(columns[i].normal, axis)

@@ -7,7 +7,7 @@ from typing import Any
 
 from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.config import ControllerConfig
-from multicontact_control.control.arm_state import ArmState
+from multicontact_control.control.arm import ArmState
 from multicontact_control.control.controller import Controller, ControlOutput
 import numpy as np
 
@@ -75,10 +75,11 @@ class Reactions:
     def begin(self, answered: ControlOutput) -> None:
         """Go on pressing with the forces of the contacts that were held at an answer."""
         contacts = answered.contacts
-        wanted, couple = contacts['alpha_des'], contacts['leader'] != np.arange(len(contacts))
-        least, most = np.where(couple, -np.abs(wanted), 0.0), np.abs(wanted)
+        answer, couple = contacts['answer'], contacts['leader'] != np.arange(len(contacts))
+        most = np.abs(answer['alpha_des'])
+        least = np.where(couple, -most, 0.0)
         alpha = np.where(
-            contacts['active'], np.clip(contacts['alpha_est'], least, most), 0.0)
+            answer['active'], np.clip(answer['alpha_est'], least, most), 0.0)
         self._pressing = self._robot.terms.jacobian.T @ (contacts['N'].T * alpha)
 
     @property

@@ -7,7 +7,7 @@ from typing import Any
 
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
-from multicontact_control.control.arm_state import (
+from multicontact_control.control.arm import (
     AMBIGUOUS,
     ArmState,
     JOINT_SPEED,
@@ -54,9 +54,6 @@ CONTRADICTIONS = 2  # samples in a row that contradict the contacts, for the wre
 SEEN_TIME = 0.05  # s, after which an arm that was not seen is held again
 LONGEST_SKIP = 0.1  # s; the task's time does not follow a clock that has been set
 CONTROLLED = (NONE, INFLATE)  # what the control law answers
-# What is 0 of a contact that no force law controls.
-OF_THE_LAW = ('active', 'alpha_des', 'alpha_fed', 'alpha_est', 'alpha_rate_est', 'innovation',
-              'prior_variance', 'variance_used')
 FIXED = ('torque_limit', 'sensor', 'contact_state', 'limits', 'watchdog', 'collision')
 LIVE_OF_CONTACTS = (
     'friction_coefficient', 'normal_world', 'normal_turn_rate', 'normal_range', 'surface_speed',
@@ -445,8 +442,7 @@ class Supervisor:
         else:
             output = self._output if self._arm is None else self.controller.output(torque)
             contacts = output.contacts.copy()
-            for name in OF_THE_LAW:
-                contacts[name] = 0
+            contacts['answer'] = 0
             self._output = output._replace(torque=torque, contacts=contacts)
         status = SupervisorStatus(
             reaction, causes, self._seen.rejected, limits, self.task.state_names,

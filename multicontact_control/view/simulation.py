@@ -160,8 +160,8 @@ class Simulation:
         loop.act()
         contacts = output.contacts
         self._sum[0] += contacts['alpha_meas']
-        self._sum[1] += contacts['alpha_est']
-        self._sum[2] += contacts['innovation'] ** 2
+        self._sum[1] += contacts['answer']['alpha_est']
+        self._sum[2] += contacts['answer']['innovation'] ** 2
         limit = self._setup.controller.torque_limit
         if limit:
             np.maximum(self._use, np.abs(output.torque) / limit, out=self._use)
@@ -169,7 +169,7 @@ class Simulation:
         if self._counted >= self.every // POINTS:
             n = self._counted
             self._points.append(np.concatenate([
-                [self.time], self._sum[0] / n, self._sum[1] / n, contacts['alpha_des'],
+                [self.time], self._sum[0] / n, self._sum[1] / n, contacts['answer']['alpha_des'],
                 loop.variance, np.sqrt(self._sum[2] / n), self._use]))
             self._clear_point()
 

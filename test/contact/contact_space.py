@@ -17,7 +17,7 @@ def contact_normals(normals_world, levers_world):
 
 def _factorised(N, Lambda=None):
     contacts = np.zeros(N.shape[1], dtype=CONTACT)
-    contacts['N'], contacts['active'] = N.T, True
+    contacts['N'], contacts['answer']['active'] = N.T, True
     rows = np.empty((N.shape[1], 6))
     executed.active_rows(contacts, False, rows)
     weighted = rows if Lambda is None else np.ascontiguousarray(

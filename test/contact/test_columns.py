@@ -2,7 +2,7 @@
 
 from multicontact_control.config.contact import ACROSS, ALONG, FORCE
 from multicontact_control.contact.geometry import check_columns, friction_coupling, normal_space
-from multicontact_control.control.wrench import measure_contacts
+from multicontact_control.contact.wrench import measure_contacts
 from multicontact_control.errors import ConfigError
 from multicontact_control.records import CONTACT, CONTROL
 import numpy as np

@@ -17,7 +17,7 @@ def follow(velocity, ticks=1):
     frame['twist'][0, :3] = velocity
     told = np.array([0.0, 0.0, -1.0])
     contacts['normal'] = contacts['normal_told'] = told
-    contacts['active'], contacts['normal_gain'] = True, 0.1
+    contacts['answer']['active'], contacts['normal_gain'] = True, 0.1
     contacts['turn_limit'], contacts['smallest_cosine'] = 0.1, np.cos(0.6)
     for _ in range(ticks):
         normal = contacts['normal'][0]

@@ -9,8 +9,8 @@ from arms import (
     seven_joint_urdf,
 )
 from multicontact_control.control.tasks import CommandedTask, MotionReading, Task
-from multicontact_control.dynamics.pose import Pose
 from multicontact_control.dynamics.robot import RobotModel
+from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import (
     ConfigError,
     ContactGeometryError,

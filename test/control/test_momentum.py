@@ -1,8 +1,8 @@
 """The momentum observer, against what really touches a simulated arm."""
 
 from arms import controller_config, HOME, plant_config
-from multicontact_control.control.arm_state import ArmState, TOUCHED
-from multicontact_control.control.wrench import tool_record
+from multicontact_control.contact.wrench import tool_record
+from multicontact_control.control.arm import ArmState, TOUCHED
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.paths import config_dir
 from multicontact_control.records import CONTROL

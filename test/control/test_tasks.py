@@ -10,7 +10,7 @@ from multicontact_control.control.tasks import (
     sine_motion,
     SineConfig,
 )
-from multicontact_control.dynamics.pose import Pose
+from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import ConfigError
 import numpy as np
 import pytest

@@ -2,8 +2,8 @@
 
 import equations
 from multicontact_control.config import ToolConfig
-from multicontact_control.control.wrench import contact_wrench
-from multicontact_control.dynamics.pose import Pose
+from multicontact_control.contact.wrench import contact_wrench
+from multicontact_control.dynamics.rotations import Pose
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

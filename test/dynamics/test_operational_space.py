@@ -2,7 +2,7 @@
 
 from arms import controller_config, HOME, seven_joint_config, seven_joint_urdf
 import equations
-from multicontact_control.control.arm_state import ArmState
+from multicontact_control.control.arm import ArmState
 from multicontact_control.dynamics.operational_space import (
     add_nullspace_torque,
     bias_acceleration,

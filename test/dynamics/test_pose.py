@@ -3,8 +3,7 @@
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from multicontact_control.dynamics.pose import Pose
-from multicontact_control.dynamics.rotations import rotation_vector
+from multicontact_control.dynamics.rotations import Pose, rotation_vector
 import numpy as np
 from scipy.spatial.transform import Rotation
 

@@ -1,7 +1,7 @@
 """Weighing the tool and pushing it, on the simulated arm with noise."""
 
 from multicontact_control.config import ControllerConfig, merge, read_parameters, validate
-from multicontact_control.control.wrench import contact_wrench
+from multicontact_control.contact.wrench import contact_wrench
 from multicontact_control.errors import CalibrationError
 from multicontact_control.experiment.calibration import (
     calibrate,

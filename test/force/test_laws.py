@@ -65,11 +65,11 @@ def run_steps(law, alphas, desired, speeds, extra=None):
     record, contact = law.record()[0], np.zeros(1, dtype=CONTACT)[0]
     answers = []
     for k, values in enumerate(zip(alphas, desired, speeds)):
-        contact['alpha_meas'], contact['alpha_des'] = values[:2]
+        contact['alpha_meas'], contact['answer']['alpha_des'] = values[:2]
         if k and extra is not None:
             record['extra'] = extra[k - 1]
         u = step_linear(record, contact, values[2])
-        answers.append((u, float(contact['alpha_est']), float(record['p_est'])))
+        answers.append((u, float(contact['answer']['alpha_est']), float(record['p_est'])))
     return np.array(answers)
 
 
@@ -131,8 +131,8 @@ def test_settled_observer_is_a_linear_law(order):
 def one_contact(desired):
     """Return the records of an active contact along z and its control; R = 0.6."""
     contacts, control = np.zeros(1, dtype=CONTACT), np.zeros(1, dtype=CONTROL)
-    contacts['active'], contacts['N'] = True, [0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
-    contacts['noise_variance'], contacts['alpha_des'] = 0.6, desired
+    contacts['answer']['active'], contacts['N'] = True, [0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
+    contacts['noise_variance'], contacts['answer']['alpha_des'] = 0.6, desired
     control['measured'] = True
     return contacts, control
 

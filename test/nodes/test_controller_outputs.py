@@ -1,7 +1,7 @@
 """Contact forces as arrows."""
 
 from arms import controller_config
-from multicontact_control.dynamics.pose import Pose
+from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import MessageError
 from multicontact_control.nodes.controller_outputs import ContactMarkers
 import numpy as np

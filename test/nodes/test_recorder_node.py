@@ -34,7 +34,7 @@ COUNT, PERIOD = 600, 2_000_000
 STORE = get_typestore(Stores.ROS2_JAZZY)
 JOINTS = [f'joint{i}' for i in range(1, 7)]
 URDF = """<robot name="one"><link name="base"/><link name="arm"/>
-<joint name="joint1" type="revolute"><parent link="base"/><child link="arm"/>
+<joint name="joint1" type="continuous"><parent link="base"/><child link="arm"/>
 <origin xyz="1 2 3"/><axis xyz="0 0 1"/></joint></robot>"""
 
 

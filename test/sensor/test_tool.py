@@ -1,8 +1,8 @@
 """Payload and bias from a few poses: exact without noise, accepted only when well posed."""
 
 from multicontact_control.config import ToolConfig
-from multicontact_control.control.wrench import contact_wrench
-from multicontact_control.dynamics.pose import Pose
+from multicontact_control.contact.wrench import contact_wrench
+from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import CalibrationError
 from multicontact_control.sensor.tool import identify_tool, PoseReading, weight_reading
 import numpy as np

@@ -3,7 +3,7 @@
 from arms import controller_config, HOME
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from multicontact_control.control.arm_state import ArmState, JOINT_SPEED, OPERATIONAL_SPEED
+from multicontact_control.control.arm import ArmState, JOINT_SPEED, OPERATIONAL_SPEED
 from multicontact_control.control.tasks import CommandedTask
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.paths import config_dir
@@ -48,7 +48,8 @@ def test_speeds_and_plausibility_equal_numpy(seed, scale):
 
     alpha, wrench = random.normal(size=CONTACTS) * 5.0, random.normal(size=6) * 10.0
     contacts, controls = SUPERVISOR.controller.contacts, SUPERVISOR.controller.controls
-    contacts['alpha_meas'], controls['wrench'], contacts['innovation'] = alpha, wrench, 0.0
+    contacts['alpha_meas'], controls['wrench'] = alpha, wrench
+    contacts['answer']['innovation'] = 0.0
     arm.joints['torque'] = random.normal(size=6)
     arm.joints['torque'][3] = np.nan if scale == 3.0 else 0.0
     states = random.integers(len(NAMES), size=CONTACTS)
@@ -71,7 +72,7 @@ def test_speeds_and_plausibility_equal_numpy(seed, scale):
     assert found() == (
         NOT_FINITE * (scale == 3.0) + PULL * bool((alpha < -pull).any())
         + SIDEWAYS * bool(np.linalg.norm(sideways) > bound) + OUTSIDE * bool(outside))
-    arm.joints['torque'], contacts['innovation'][0] = 0.0, np.inf
+    arm.joints['torque'], contacts['answer']['innovation'][0] = 0.0, np.inf
     assert found() & NOT_FINITE
 
 

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from multicontact_control.config import ContactStateConfig
 from multicontact_control.control.controller import Controller
 from multicontact_control.control.tasks import CommandedTask
-from multicontact_control.dynamics.pose import Pose
+from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.paths import config_dir
 from multicontact_control.supervision import contacts
 from multicontact_control.supervision.contact_task import ContactTask

@@ -13,7 +13,7 @@ from multicontact_control.control.tasks import (
     ScenarioTask,
     SineConfig,
 )
-from multicontact_control.dynamics.pose import Pose
+from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.records import CONTACT, CONTROL
 from multicontact_control.supervision.contact_task import ContactTask
 import numpy as np
@@ -51,8 +51,8 @@ class Asked:
         wanted = self.controls['task'][0].copy()
         return SimpleNamespace(
             pose=Pose(wanted['position'], wanted['rotation']), twist=wanted['twist'],
-            acceleration=wanted['acceleration'], active=self.contacts['active'].copy(),
-            alpha_des=self.contacts['alpha_des'].copy())
+            acceleration=wanted['acceleration'], active=self.contacts['answer']['active'].copy(),
+            alpha_des=self.contacts['answer']['alpha_des'].copy())
 
 
 def moving(names=('table', 'board')):

@@ -3,7 +3,7 @@
 from arms import controller_config, HOME
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from multicontact_control.control.arm_state import ArmState
+from multicontact_control.control.arm import ArmState
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.paths import config_dir
 from multicontact_control.supervision.gate import TorqueGate

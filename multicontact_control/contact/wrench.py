@@ -10,7 +10,14 @@ from __future__ import annotations
 
 from typing import Any
 
-from multicontact_control.algebra import cholesky, cross, dot, multiply, solve_lower
+from multicontact_control.algebra import (
+    cholesky,
+    cross,
+    dot,
+    multiply,
+    solve_lower,
+    velocity_at,
+)
 from multicontact_control.arrays import Matrix, require_shape, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.config import ToolConfig
@@ -20,7 +27,6 @@ from multicontact_control.contact.projections import (
     coordinates,
     factorise_contacts,
 )
-from multicontact_control.dynamics.pose import Pose
 from multicontact_control.records import CONTROL, Records, TOOL
 import numpy as np
 
@@ -32,18 +38,10 @@ def operational_wrench(control: Any, wrench: Vector) -> None:
     """
     Fill in the wrench the robot exerts on the environment, at the operational point.
 
-    The sensor reads m (a - g) + f_c + bias: the bias is taken off, the tool's weight m g added
-    back, the result rotated to world axes and moved along the lever from the sensor to the
-    operational point. The inertia m a is left in: 0.05 N with the paper's tool and motion on rigid
-    drives, and up to 1 N where flexible ones let the tool swing.
-
-    Parameters
-    ----------
-    control
-        Record of `CONTROL`, with the reading in it.
-    wrench
-        Filled with f_c, world axes, shape (6,) [N, N m].
-
+    The sensor reads m (a - g) + f_c + bias. Bias and weight of the tool are taken off, its inertia
+    m a is left in: 0.05 N with the paper's tool and motion on rigid drives, and up to 1 N where
+    flexible ones let the tool swing. `control` is a record of `CONTROL` with the reading in it,
+    `wrench` is filled with f_c, world axes, shape (6,) [N, N m].
     """
     frame, tool, reading = control.frame, control.tool, control.wrench
     rotation, weight, bias = frame.sensor_rotation, tool.weight, tool.bias
@@ -70,23 +68,11 @@ def operational_wrench(control: Any, wrench: Vector) -> None:
 @compiled
 def measure_contacts(control: Any, contacts: Any) -> bool:
     """
-    Work out the contact forces that the wrist sensor feels.
+    Work out the contact forces; return whether the columns of N are independent.
 
-    alpha = (N^T N)^-1 N^T f_c (P04 eqs 2, 5, 7), or as `measure_with_friction` says. All
-    contacts share the wrench among them.
-
-    Parameters
-    ----------
-    control
-        As for `operational_wrench`.
-    contacts
-        Records of `CONTACT`, shape (r,): `N` and `alpha_meas` are filled in.
-
-    Returns
-    -------
-    bool
-        Whether the columns of N are independent.
-
+    alpha = (N^T N)^-1 N^T f_c (P04 eqs 2, 5, 7), or as `allow_for_friction` says, of all contacts
+    together. `N` and `alpha_meas` of the contacts, records of `CONTACT`, shape (r,), are filled
+    in.
     """
     count, law = contacts.shape[0], control.law
     wrench = np.empty(6)
@@ -118,7 +104,7 @@ def expect_friction(frame: Any, contacts: Any, rows: Matrix) -> None:
     The robot drags a surface along its sliding velocity v by mu v / sqrt(v^2 + v_s^2): filled in
     in `friction` of the contacts, per newton, and added to `rows`, N^T, shape (r, 6).
     """
-    point, velocity, moment, twist = np.empty(3), np.empty(3), np.empty(3), frame.twist
+    point, velocity, moment = np.empty(3), np.empty(3), np.empty(3)
     for i in range(contacts.shape[0]):
         contact = contacts[i]
         for k in range(3):
@@ -126,9 +112,7 @@ def expect_friction(frame: Any, contacts: Any, rows: Matrix) -> None:
         if contact.friction_coefficient <= 0.0:
             continue
         multiply(frame.rotation, contact.point, point)
-        cross(twist[3:], point, velocity)
-        for k in range(3):
-            velocity[k] += twist[k]
+        velocity_at(frame.twist, point, velocity)
         into = dot(velocity, contact.normal)
         for k in range(3):
             velocity[k] -= into * contact.normal[k]
@@ -149,10 +133,9 @@ def allow_for_friction(
     """
     Weigh a wrench and the columns of N by what besides the normal forces may be in it.
 
-    Least squares of what is returned are alpha = (N^T W^-1 N)^-1 N^T W^-1 f_c, with
-    W = S + sum T_i T_i^T: the sensor's noise, and friction of a standard deviation in every
-    direction across the normal of each contact, and about it. Friction far above the noise is so
-    taken out of the measured forces, as far as the geometry tells it from them.
+    Least squares of the results are alpha = (N^T W^-1 N)^-1 N^T W^-1 f_c, W = S + sum T_i T_i^T:
+    the sensor's noise, and friction of a standard deviation in every direction across the normal
+    of each contact, and about it.
 
     Parameters
     ----------
@@ -174,14 +157,12 @@ def allow_for_friction(
         contact = contacts[i]
         if contact.friction_std <= 0.0:
             continue
-        for axis in range(3):
+        for axis in range(4):  # three of the force, then the torque about the normal
+            std = contact.friction_std if axis < 3 else contact.torsion_std
             fill_friction(law, frame, contact, axis, lever, friction)
-            add_square(contact.friction_std, friction, W)
-        for k in range(3):
-            friction[k] = 0.0
-            friction[3 + k] = contact.normal[k]
-        weigh_at_sensor(law, lever, friction)
-        add_square(contact.torsion_std, friction, W)
+            for j in range(6):
+                for k in range(6):
+                    W[j, k] += std * std * friction[j] * friction[k]
     cholesky(W, factor, 0.0)  # positive definite, as it is 1 and more
     weigh_at_sensor(law, lever, wrench)
     solve_lower(factor, wrench)
@@ -221,25 +202,22 @@ def find_friction(
 def fill_friction(
     law: Any, frame: Any, contact: Any, axis: int, lever: Vector, column: Vector,
 ) -> None:
-    """Fill in the wrench at the sensor, over its noise, of 1 N of friction along a world axis."""
+    """
+    Fill in the wrench at the sensor, over its noise, of 1 N of friction along a world axis.
+
+    Axis 3 stands for 1 N m about the normal.
+    """
     point, across, moment = np.empty(3), np.empty(3), np.empty(3)
     multiply(frame.rotation, contact.point, point)
     for k in range(3):
-        across[k] = -contact.normal[k] * contact.normal[axis]
-    across[axis] += 1.0
+        across[k] = -contact.normal[k] * contact.normal[axis] if axis < 3 else 0.0
+    if axis < 3:
+        across[axis] += 1.0
     cross(point, across, moment)
     for k in range(3):
         column[k] = across[k]
-        column[3 + k] = moment[k]
+        column[3 + k] = moment[k] if axis < 3 else contact.normal[k]
     weigh_at_sensor(law, lever, column)
-
-
-@compiled
-def add_square(scale: float, x: Vector, A: Matrix) -> None:
-    """Add s^2 x x^T to A, for x of shape (n,)."""
-    for j in range(x.shape[0]):
-        for k in range(x.shape[0]):
-            A[j, k] += scale * scale * x[j] * x[k]
 
 
 @compiled
@@ -262,8 +240,8 @@ def tool_record(tool: ToolConfig, gravity_world: Vector) -> Records:
 
 
 def contact_wrench(
-    wrench_sensor: Vector, sensor_pose: Pose, position_world: Vector, tool: ToolConfig,
-    gravity_world: Vector,
+    wrench_sensor: Vector, sensor_pose: tuple[Vector, Matrix], position_world: Vector,
+    tool: ToolConfig, gravity_world: Vector,
 ) -> Vector:
     """
     Return the wrench the robot exerts on the environment; see `operational_wrench`.
@@ -273,13 +251,11 @@ def contact_wrench(
     wrench_sensor
         Reading in the sensor's axes at its origin, force first, shape (6,) [N, N m].
     sensor_pose
-        Pose of the sensor frame.
+        Origin, shape (3,) [m], and axes of the sensor, shape (3, 3).
     position_world
         Operational point, shape (3,) [m].
-    tool
-        Mass beyond the sensor and its centre of mass, and the sensor's bias.
-    gravity_world
-        g, shape (3,) [m/s^2].
+    tool, gravity_world
+        What hangs on the sensor, and g, shape (3,) [m/s^2].
 
     Returns
     -------

@@ -1,0 +1,313 @@
+"""Where the arm is, what its model says there, and what touches it before the wrist sensor."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from multicontact_control.algebra import (
+    cross,
+    multiply,
+    multiply_transposed,
+    solve_lower,
+    velocity_at,
+)
+from multicontact_control.arrays import Matrix, require_shape, Vector
+from multicontact_control.compiled import compile_for, compiled
+from multicontact_control.contact.wrench import measure_contacts, operational_wrench
+from multicontact_control.dynamics.operational_space import mobility_and_inertia
+from multicontact_control.dynamics.robot import RobotModel
+from multicontact_control.dynamics.rotations import Pose
+from multicontact_control.records import CONTACT, CONTROL, JOINT
+import numpy as np
+
+# What `see_arm` returns: that the model gave no numbers, or what is unusual, added up.
+NO_NUMBERS = -1
+OPERATIONAL_SPEED, JOINT_SPEED, AMBIGUOUS, TOUCHED = 1, 2, 4, 8
+RELEASE = 0.5  # share of its threshold that a residual must fall below to count no more
+
+
+@compiled
+def tool_velocity(control: Any, lever: Vector, velocity: Vector) -> None:
+    """Fill in the lever to the tool's centre of mass, world axes, and its velocity."""
+    frame, tool = control.frame, control.tool
+    for i in range(3):
+        lever[i] = frame.sensor_position[i] - frame.position[i]
+        for j in range(3):
+            lever[i] += frame.sensor_rotation[i, j] * tool.com_sensor[j]
+    velocity_at(frame.twist, lever, velocity)
+
+
+@compiled
+def observe_momentum(control: Any, joints: Any, mass_matrix: Matrix, jacobian: Matrix) -> bool:
+    """
+    Update the residual of every joint; return whether something touches the arm.
+
+    dr/dt = K (Gamma - M dv/dt - C v - g - F_c tanh(v / v_0) - F_v v - J^T f - r), the
+    generalised-momentum observer, one sample at a time. f is the wrench at the wrist sensor (0
+    where the residual is the input), so that r is J_i^T f_i of the contacts before it. They count
+    from the threshold of a residual until it falls below half of that.
+
+    Parameters
+    ----------
+    control
+        Record of `CONTROL`; the momentum in it is changed.
+    joints
+        Records of `JOINT`, shape (n,), changed.
+    mass_matrix, jacobian
+        M (upper triangle), shape (n, n), and J, shape (6, n).
+
+    """
+    momentum, law, n = control.momentum, control.law, joints.shape[0]
+    lever, velocity, inertia, moment = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    if momentum.elapsed > 0.0:
+        wrench, taken, inertial = np.zeros(6), np.empty(n), np.empty(n)
+        if not momentum.is_input:
+            # Of what the sensor feels, the arm's model has the tool's inertia already.
+            operational_wrench(control, wrench)
+            tool_velocity(control, lever, velocity)
+            for k in range(3):
+                inertia[k] = control.tool.mass * (
+                    velocity[k] - momentum.com_velocity[k]) / momentum.elapsed
+            cross(lever, inertia, moment)
+            for k in range(3):
+                wrench[k] -= inertia[k]
+                wrench[3 + k] -= moment[k]
+        finite = True
+        for i in range(n):
+            joint = joints[i]
+            inertial[i] = 0.0
+            for j in range(n):
+                inertial[i] += mass_matrix[min(i, j), max(i, j)] * (
+                    joints[j].velocity - joints[j].last_velocity)
+            inertial[i] /= momentum.elapsed
+            taken[i] = joint.effort - inertial[i] - 0.5 * (joint.bias_torque + joint.last_bias)
+            taken[i] -= joint.coulomb * np.tanh(joint.velocity / law.friction_speed)
+            taken[i] -= joint.viscous * joint.velocity
+            for k in range(6):
+                taken[i] -= jacobian[k, i] * wrench[k]
+            finite = finite and np.isfinite(taken[i])
+        share = 1.0 - np.exp(-momentum.bandwidth * momentum.elapsed)
+        touched, factor = False, RELEASE if momentum.collided else 1.0
+        for i in range(n):
+            joint = joints[i]
+            if finite:
+                joint.residual += share * (taken[i] - joint.residual)
+                joint.slack += share * (
+                    momentum.dynamic_share * abs(inertial[i]) + joint.doubt - joint.slack)
+            limit = joint.threshold + joint.slack
+            touched = touched or abs(joint.residual) > factor * limit
+        momentum.collided = touched
+    tool_velocity(control, lever, velocity)
+    for k in range(3):
+        momentum.com_velocity[k] = velocity[k]
+    return bool(momentum.collided)
+
+
+@compiled
+def wrench_of_residual(
+    control: Any, joints: Any, mass_matrix: Matrix, jacobian: Matrix,
+) -> None:
+    """
+    Fill in the wrench that explains the residual, as a sensor at the operational point reads it.
+
+    f = J_bar^T r, J_bar = M^-1 J^T Lambda. In a singular posture the wrench of `control`, a record
+    of `CONTROL`, stays as it was; the other arguments are those of `observe_momentum`.
+    """
+    n = joints.shape[0]
+    L, Y = np.empty((n, n)), np.empty((n, 6))
+    mobility, Lambda = np.empty((6, 6)), np.empty((6, 6))
+    law, rotation = control.law, control.frame.sensor_rotation
+    if mobility_and_inertia(mass_matrix, jacobian, law.max_condition, law.singular_mobility, L, Y,
+                            mobility, Lambda) < 0.0:
+        return
+    reduced, acceleration, wrench = np.empty(n), np.empty(6), np.empty(6)
+    for j in range(n):
+        reduced[j] = joints[j].residual
+    solve_lower(L, reduced)
+    multiply_transposed(Y, reduced, acceleration)
+    multiply(Lambda, acceleration, wrench)
+    for i in range(3):
+        control.wrench[i], control.wrench[3 + i] = 0.0, 0.0
+        for j in range(3):
+            control.wrench[i] += rotation[j, i] * wrench[j]
+            control.wrench[3 + i] += rotation[j, i] * wrench[3 + j]
+
+
+@compiled
+def fill_arm(
+    motion: Matrix, mass_matrix: Matrix, bias_torque: Vector, jacobian: Matrix, placements: Any,
+    joints: Any, frame: Any,
+) -> int:
+    """Fill in joints and frame of `see_arm`; return NO_NUMBERS, or what is too fast."""
+    for j in range(joints.shape[0]):
+        if not np.isfinite(bias_torque[j]):
+            return NO_NUMBERS
+    position, rotation, sensor_position, sensor_rotation = placements
+    found, speed, turn = 0, 0.0, 0.0
+    for j in range(joints.shape[0]):
+        joint = joints[j]
+        joint.last_velocity, joint.last_bias = joint.velocity, joint.bias_torque
+        joint.q, joint.velocity = motion[0, j], motion[1, j]
+        joint.inertia, joint.bias_torque = mass_matrix[j, j], bias_torque[j]
+        if abs(joint.velocity) > joint.speed_limit:
+            found = JOINT_SPEED
+    for i in range(3):
+        frame.position[i], frame.sensor_position[i] = position[i], sensor_position[i]
+        for j in range(3):
+            frame.rotation[i, j] = rotation[i, j]
+            frame.sensor_rotation[i, j] = sensor_rotation[i, j]
+    for i in range(6):
+        total = 0.0
+        for j in range(joints.shape[0]):
+            total += jacobian[i, j] * motion[1, j]
+        frame.twist[i] = total
+    for k in range(3):
+        speed += frame.twist[k] ** 2
+        turn += frame.twist[3 + k] ** 2
+    if speed > frame.speed_limit ** 2 or turn > frame.turn_limit ** 2:
+        found += OPERATIONAL_SPEED
+    return found
+
+
+@compiled
+def see_arm(
+    motion: Matrix, mass_matrix: Matrix, bias_torque: Vector, jacobian: Matrix, placements: Any,
+    joints: Any, controls: Any, contacts: Any,
+) -> int:
+    """
+    Take in all that is known of a sample before anything is asked for.
+
+    Parameters
+    ----------
+    motion
+        q [rad] and v [rad/s], shape (2, n).
+    mass_matrix, bias_torque, jacobian, placements
+        Of the arm there; see `Terms`.
+    joints, contacts
+        Records of `JOINT`, shape (n,), and `CONTACT`, shape (r,); both changed.
+    controls
+        One record of `CONTROL` with the wrench in it; its frame is filled in.
+
+    Returns
+    -------
+    int
+        NO_NUMBERS if the model gives none, and nothing has changed; otherwise the sum of
+        OPERATIONAL_SPEED, JOINT_SPEED, AMBIGUOUS (the contacts depend on each other, and what
+        they bear has not changed) and TOUCHED (by something before the wrist sensor).
+
+    """
+    control = controls[0]
+    found = fill_arm(
+        motion, mass_matrix, bias_torque, jacobian, placements, joints, control.frame)
+    if found == NO_NUMBERS:
+        return found
+    if control.momentum.bandwidth > 0.0:
+        if observe_momentum(control, joints, mass_matrix, jacobian):
+            found += TOUCHED
+        if control.momentum.is_input:
+            wrench_of_residual(control, joints, mass_matrix, jacobian)
+    if not measure_contacts(control, contacts):
+        found += AMBIGUOUS
+    return found
+
+
+class ArmState:
+    """
+    The arm when its joints were last given, in arrays that the next `update` overwrites.
+
+    Parameters
+    ----------
+    robot
+        Its model.
+    controls, contacts
+        One record of `CONTROL` and records of `CONTACT`, shape (r,), to be filled in; its own and
+        no contacts if not given.
+
+    Attributes
+    ----------
+    motion
+        Joint positions and velocities, shape (2, n), the rows of which are
+    q, velocity
+        [rad] and [rad/s], shape (n,).
+    joints
+        Records of `JOINT`, shape (n,).
+    frames
+        One record of `FRAME`.
+    inertia, bias_torque
+        Diagonal of M [kg m^2] and C v + g [N m], in `joints`, shape (n,).
+    pose, twist_world
+        Of the operational frame, in `frames`.
+    found
+        What is unusual about it; see `see_arm`.
+
+    """
+
+    def __init__(
+        self, robot: RobotModel, controls: Any = None, contacts: Any = None,
+    ) -> None:
+        self.robot = robot
+        self._shape = (robot.joint_count,)
+        self.motion: Matrix = np.zeros((2, robot.joint_count))
+        self.q, self.velocity = self.motion
+        self.joints: Any = np.zeros(self._shape, dtype=JOINT)
+        self._controls = np.zeros(1, dtype=CONTROL) if controls is None else controls
+        self._contacts = np.zeros(0, dtype=CONTACT) if contacts is None else contacts
+        self.frames: Any = self._controls['frame']
+        for limited, name in ((self.joints, 'speed_limit'), (self.frames, 'speed_limit'),
+                              (self.frames, 'turn_limit')):
+            limited[name] = np.inf
+        self.inertia: Vector = self.joints['inertia']
+        self.bias_torque: Vector = self.joints['bias_torque']
+        frame = self.frames[0]
+        self.pose = Pose(frame['position'], frame['rotation'])
+        self.twist_world: Vector = frame['twist']
+        terms = robot.compute(self.q, self.velocity)
+        compile_for(
+            see_arm, self.motion, terms.mass_matrix, terms.bias_torque, terms.jacobian,
+            terms.placements, self.joints, self._controls, self._contacts)
+        self.look()
+
+    @property
+    def finite(self) -> bool:
+        """Whether the model gave finite numbers; if not, the arm is where it was before."""
+        return self.found != NO_NUMBERS
+
+    def update(self, q: Vector, velocity: Vector) -> bool:
+        """
+        Take in where the arm is, and what the wrench in `controls` says of the contacts there.
+
+        Parameters
+        ----------
+        q, velocity
+            Joint positions [rad] and velocities [rad/s], shape (n,).
+
+        Returns
+        -------
+        bool
+            Whether the model gives finite numbers there; if not, the arm stays where it was.
+
+        Raises
+        ------
+        ShapeError
+            If an array is not of the robot's size.
+
+        """
+        if q.shape != self._shape or velocity.shape != self._shape:
+            require_shape('q', q, self._shape)
+            require_shape('qd', velocity, self._shape)
+        self.q[:] = q  # whatever its layout
+        self.velocity[:] = velocity
+        return self.refresh()
+
+    def refresh(self) -> bool:
+        """Take in what has been written into `motion`; see `update`."""
+        self.robot.compute(self.q, self.velocity)
+        return self.look()
+
+    def look(self) -> bool:
+        """Take in what the robot's model has computed; see `update`."""
+        terms = self.robot.terms
+        self.found = see_arm(
+            self.motion, terms.mass_matrix, terms.bias_torque, terms.jacobian,
+            terms.placements, self.joints, self._controls, self._contacts)
+        return self.found != NO_NUMBERS
