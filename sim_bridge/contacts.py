@@ -176,7 +176,9 @@ def act_on_arm(
         hand = hands[i]
         if hand.force[0] != 0.0 or hand.force[1] != 0.0 or hand.force[2] != 0.0:
             place_point(hand.local, links[last], hand.point)
-            add_push(hand.point, hand.force, 1.0, last + i, pushes[count])
+            for k in range(3):
+                pushes[count, k], pushes[count, 3 + k] = hand.force[k], hand.point[k]
+            pushes[count, 6] = last + i
             count += 1
     add_joint_torque(hands[0].point, hands[0].force, 1.0, links, last, load)
     for i in range(surfaces.shape[0]):
@@ -188,7 +190,9 @@ def act_on_arm(
         press(surface, velocity, profiles[i])
         if surface.alpha > 0.0:
             add_joint_torque(surface.point, surface.force, -1.0, links, surface.joint, load)
-            add_push(surface.point, surface.force, -1.0, surface.body, pushes[count])
+            for k in range(3):
+                pushes[count, k], pushes[count, 3 + k] = -surface.force[k], surface.point[k]
+            pushes[count, 6] = surface.body
             count += 1
     add_joint_torque(hands[1].point, hands[1].force, 1.0, links, last, load)
     for joint in range(last + 1):
@@ -196,11 +200,3 @@ def act_on_arm(
         link_side[joint] = motor[joint]
     advance_drives(motor, q, qd, drives, step, link_side)
     return count
-
-
-@compiled
-def add_push(point: Vector, force: Vector, sign: float, body: int, push: Vector) -> None:
-    """Fill in a row of the pushes of `act_on_arm` for sign * force."""
-    for i in range(3):
-        push[i], push[3 + i] = sign * force[i], point[i]
-    push[6] = body

@@ -4,13 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from multicontact_control.algebra import (
-    cholesky,
-    copy_matrix,
-    copy_vector,
-    dot,
-    solve_cholesky,
-)
+from multicontact_control.algebra import cholesky, dot, solve_cholesky
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.records import Records
@@ -221,11 +215,12 @@ def implicit_joint_speed(
     factor = np.empty((n, n))
     _friction_residual(speed, free_speed, step, mass_matrix, friction, residual)
     for _ in range(NEWTON_STEPS):
-        copy_matrix(mass_matrix, factor)
         for joint in range(n):
+            change[joint] = residual[joint]
+            for other in range(n):
+                factor[joint, other] = mass_matrix[joint, other]
             factor[joint, joint] += step * friction_at(speed[joint], friction[joint])[1]
         cholesky(factor, factor, 0.0)  # positive definite, as M is and friction never pushes
-        copy_vector(residual, change)
         solve_cholesky(factor, change)
         share = 1.0
         before = dot(residual, change)
@@ -237,9 +232,9 @@ def implicit_joint_speed(
             if dot(residual, change) >= -0.5 * before:
                 break
             share *= 0.5
-        copy_vector(trial, speed)
         largest_change, largest_speed = 0.0, 0.0
         for joint in range(n):
+            speed[joint] = trial[joint]
             largest_change = max(largest_change, abs(change[joint]))
             largest_speed = max(largest_speed, abs(speed[joint]))
         if largest_change <= NEWTON_TOLERANCE * (1.0 + largest_speed):

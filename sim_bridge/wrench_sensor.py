@@ -165,48 +165,25 @@ def take_readings(
     """
     Take one reading after the other, the last one into `axes`, records of `AXIS`, shape (6,).
 
-    Of true wrenches [N, N m] and white noise of deviation 1, shape (m, 6), with the memory of the
-    low-passes, shape (6, stages, 2), settled at the `first` of all readings.
+    Of true wrenches [N, N m] and white noise of deviation 1, shape (m, 6). The low-passes are of
+    transposed direct form II, with a memory of shape (6, stages, 2), at rest at the `first` of all
+    readings.
     """
     for i in range(axes.shape[0]):
         axis = axes[i]
         for k in range(wrenches.shape[0]):
-            axis.reading = measure(wrenches[k, i], noise[k, i], axis)
-            if first and k == 0:
-                settle(axis.reading, stages, memory[i])
-            axis.filtered = low_pass(axis.reading, stages, memory[i])
-
-
-@compiled
-def measure(true: float, noise: float, axis: Any) -> float:
-    """Return what the converter of an axis sees of a true value, given noise of deviation 1."""
-    value = true + axis.bias + noise * axis.noise_std
-    value = min(max(value, -axis.limit), axis.limit)
-    if axis.quantum > 0.0:
-        value = axis.quantum * np.rint(value / axis.quantum)
-    return float(value)
-
-
-@compiled
-def settle(value: float, stages: Matrix, memory: Matrix) -> None:
-    """Set the filters' memory, shape (stages, 2), as if `value` had always been there."""
-    for stage in range(stages.shape[0]):
-        b0, b1, b2, a1, a2 = stages[stage]
-        memory[stage, 0] = value * (1.0 - b0)
-        memory[stage, 1] = value * (b2 - a2)
-
-
-@compiled
-def low_pass(signal: float, stages: Matrix, memory: Matrix) -> float:
-    """
-    Return the output of the chain for the next reading, and update its memory, shape (stages, 2).
-
-    Transposed direct form II, gain 1 at rest.
-    """
-    for stage in range(stages.shape[0]):
-        b0, b1, b2, a1, a2 = stages[stage]
-        output = b0 * signal + memory[stage, 0]
-        memory[stage, 0] = b1 * signal - a1 * output + memory[stage, 1]
-        memory[stage, 1] = b2 * signal - a2 * output
-        signal = output
-    return signal
+            value = wrenches[k, i] + axis.bias + noise[k, i] * axis.noise_std
+            value = min(max(value, -axis.limit), axis.limit)
+            if axis.quantum > 0.0:
+                value = axis.quantum * np.rint(value / axis.quantum)
+            axis.reading = signal = value
+            for stage in range(stages.shape[0]):
+                b0, b1, b2, a1, a2 = stages[stage]
+                kept = memory[i, stage]
+                if first and k == 0:
+                    kept[0], kept[1] = value * (1.0 - b0), value * (b2 - a2)
+                output = b0 * signal + kept[0]
+                kept[0] = b1 * signal - a1 * output + kept[1]
+                kept[1] = b2 * signal - a2 * output
+                signal = output
+            axis.filtered = signal

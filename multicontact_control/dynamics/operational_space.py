@@ -64,44 +64,41 @@ def mobility_and_inertia(
             Y[i, j] = jacobian[j, i]
     solve_lower_columns(L, Y)
     gram(Y, mobility)
-    damping = 0.0
-    invertible = _invert(mobility, Lambda)
+    damping, squared = 0.0, _invert(mobility, Lambda)
     # 1 / |Lambda| is at most the smallest eigenvalue: mostly that alone says enough.
     if singular_mobility > 0.0 and not (
-            invertible and np.sqrt(_squared_norm(Lambda)) * singular_mobility <= 1.0):
+            squared >= 0.0 and np.sqrt(squared) * singular_mobility <= 1.0):
         smallest = np.linalg.eigvalsh(mobility)[0]
         if smallest < singular_mobility:
             damping = 0.5 * singular_mobility * (1.0 - smallest / singular_mobility) ** 2
             for i in range(6):
                 mobility[i, i] += damping
-            invertible = _invert(mobility, Lambda)
-    if not invertible:
+            squared = _invert(mobility, Lambda)
+    if squared < 0.0:
         return -1.0
-    if np.sqrt(_squared_norm(mobility) * _squared_norm(Lambda)) < max_condition:
+    of_mobility = 0.0
+    for i in range(6):
+        for j in range(6):
+            of_mobility += mobility[i, j] * mobility[i, j]
+    if np.sqrt(of_mobility * squared) < max_condition:
         return damping
     eigenvalues = np.linalg.eigvalsh(mobility)
     return damping if eigenvalues[0] * max_condition > eigenvalues[-1] else -1.0
 
 
 @compiled
-def _invert(A: Matrix, inverse: Matrix) -> bool:
-    """Fill in the inverse of a symmetric matrix; return whether it is positive definite."""
+def _invert(A: Matrix, inverse: Matrix) -> float:
+    """Fill in the inverse of a symmetric matrix; return its squared norm, < 0 for no inverse."""
     factor = np.empty((6, 6))
     if not cholesky(A, factor, 0.0):
-        return False
+        return -1.0
     root = np.eye(6)
     solve_lower_columns(factor, root)
     gram(root, inverse)
-    return True
-
-
-@compiled
-def _squared_norm(A: Matrix) -> float:
-    """Return the sum of the squares of all elements."""
     total = 0.0
-    for i in range(A.shape[0]):
-        for j in range(A.shape[1]):
-            total += A[i, j] * A[i, j]
+    for i in range(6):
+        for j in range(6):
+            total += inverse[i, j] * inverse[i, j]
     return total
 
 

@@ -34,7 +34,7 @@ from multicontact_control.force.observer import (
 )
 from multicontact_control.force.stiffness import (
     adopt_stiffness,
-    followed_force,
+    APPROACH_LIMIT,
     friction_of_others,
     INPUT_LIMIT,
     keep_stiffness,
@@ -340,7 +340,14 @@ def answer_forces(
             # The prediction is that of the open loop, under the input that was asked for.
             begins = not observer.running
             observe(observer, contact, control.measured, stiffness.k * speed)
-            u = command(observer, followed_force(stiffness, contact, begins))
+            if begins:
+                stiffness.alpha_ref = contact.alpha_meas
+                if stiffness.share == 0.0:
+                    stiffness.alpha_ref = max(contact.alpha_meas, 0.0)
+            # No faster than the contact point may move into the surface.
+            step = stiffness.k * APPROACH_LIMIT * stiffness.period
+            stiffness.alpha_ref += min(max(answer.alpha_des - stiffness.alpha_ref, -step), step)
+            u = command(observer, stiffness.alpha_ref)
             inputs[i] = observer.command = min(max(u, -INPUT_LIMIT), INPUT_LIMIT)
         else:
             observe(observer, contact, control.measured, 0.0)

@@ -22,7 +22,7 @@ import math
 from typing import Any
 
 from multicontact_control.algebra import cholesky, dot, multiply, solve_cholesky
-from multicontact_control.arrays import Mask, Matrix, Vector
+from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.config import AdaptiveStiffnessConfig, ForceConfig
 from multicontact_control.config.contact import FORCE
@@ -117,73 +117,55 @@ def solve_fit(fit: Any) -> None:
     """
     Fit y = k z + c v + mu w to the sums of a record of `STIFFNESS_FIT` by least squares.
 
-    A mu beyond 0 to 1 is set there, and the rest is fitted again.
+    A mu beyond 0 to 1 is set there, and the rest is fitted again. The fit stays as it was where
+    the regressors do not tell the parameters apart.
     """
-    fixed = np.zeros(3, np.bool_)
-    value, variance = np.zeros(3), np.zeros(3)
+    sums, fixed = fit.sums, False  # mu
+    value, variance, solution, scale = np.zeros(3), np.zeros(3), np.zeros(3), np.ones(3)
+    normal, L = np.zeros((3, 3)), np.zeros((3, 3))
+    if sums[0, 0] <= 0.0:
+        return
     for _ in range(2):
-        if not least_squares(fit.sums, fixed, value, variance):
+        for i in range(3):
+            variance[i], solution[i], scale[i] = 0.0, 0.0, 1.0
+            for j in range(3):
+                normal[i, j] = 0.0
+            if (fixed and i == 2) or sums[i, i] <= 0.0:  # known, or it never moved
+                normal[i, i] = 1.0
+                continue
+            scale[i] = 1.0 / np.sqrt(sums[i, i])
+            solution[i] = sums[i, 3]
+            for j in range(3):
+                product = sums[min(i, j), max(i, j)]
+                if fixed and j == 2:
+                    solution[i] -= product * value[j]
+                elif j >= i:
+                    normal[i, j] = product
+        for i in range(3):
+            solution[i] *= scale[i]
+            for j in range(i, 3):
+                normal[i, j] *= scale[i] * scale[j]
+        if not cholesky(normal, L, SMALLEST_PIVOT):
             return
+        variance[0] = 1.0
+        solve_cholesky(L, solution)
+        solve_cholesky(L, variance)
+        for i in range(2 if fixed else 3):
+            value[i] = solution[i] * scale[i]
         bounded = min(max(value[2], 0.0), LARGEST_FRICTION)
         if bounded == value[2]:
             break
-        value[2] = bounded
-        fixed[2] = True
-    left = fit.sums[3, 3]
+        value[2], fixed = bounded, True
+    left = sums[3, 3]
     for i in range(3):
-        left -= 2.0 * value[i] * fit.sums[i, 3]
+        left -= 2.0 * value[i] * sums[i, 3]
         for j in range(3):
-            left += value[i] * value[j] * fit.sums[min(i, j), max(i, j)]
+            left += value[i] * value[j] * sums[min(i, j), max(i, j)]
     left = max(left, 0.0)
     fit.k, fit.c, fit.mu = value[0], value[1], value[2]
-    fit.share = 1.0 - left / fit.sums[3, 3]
-    fit.k_std = np.sqrt(CORRELATION * variance[0] * max(
+    fit.share = 1.0 - left / sums[3, 3]
+    fit.k_std = np.sqrt(CORRELATION * (variance[0] * (scale[0] * scale[0])) * max(
         left / fit.weight, SMALLEST_RESIDUAL * SMALLEST_RESIDUAL))
-
-
-@compiled
-def least_squares(sums: Matrix, fixed: Mask, value: Vector, variance: Vector) -> bool:
-    """
-    Solve the normal equations of three parameters, shape (3,), of which some are fixed.
-
-    `sums` are those of the products of three regressors and of what they explain, shape (4, 4),
-    upper triangle. Of `variance` the first is filled in, over that of a sample. False where the
-    regressors do not tell the parameters apart.
-    """
-    normal, L = np.zeros((3, 3)), np.zeros((3, 3))
-    solution, scale = np.zeros(3), np.ones(3)
-    for i in range(3):
-        variance[i] = 0.0
-        if fixed[i]:
-            normal[i, i] = 1.0
-            continue
-        if sums[i, i] <= 0.0:  # it never moved: nothing is known, and nothing explained by it
-            if i == 0:
-                return False
-            normal[i, i] = 1.0
-            continue
-        scale[i] = 1.0 / np.sqrt(sums[i, i])
-        solution[i] = sums[i, 3]
-        for j in range(3):
-            product = sums[min(i, j), max(i, j)]
-            if fixed[j]:
-                solution[i] -= product * value[j]
-            elif j >= i:
-                normal[i, j] = product
-    for i in range(3):
-        solution[i] *= scale[i]
-        for j in range(i, 3):
-            normal[i, j] *= scale[i] * scale[j]
-    if not cholesky(normal, L, SMALLEST_PIVOT):
-        return False
-    variance[0] = 1.0
-    solve_cholesky(L, solution)
-    solve_cholesky(L, variance)
-    variance[0] *= scale[0] * scale[0]
-    for i in range(3):
-        if not fixed[i]:
-            value[i] = solution[i] * scale[i]
-    return True
 
 
 def adopt_stiffness(
@@ -262,11 +244,9 @@ def predictor_gains(plant: DelayedPlant, stiffness: float) -> tuple[Matrix, Vect
 def keep_stiffness(law: Any, other: Any) -> None:
     """Take over what another design has found out; records of `FORCE_LAW`, the first changed."""
     record, known = law['stiffness'], other['stiffness']
-    for name in ('k_est', 'k_std', 'alpha_ref', 'alpha_des', 'since', 'depth', 'speed', 'felt'):
+    for name in ('slow', 'fast', 'k_est', 'k_std', 'alpha_ref', 'alpha_des', 'since', 'depth',
+                 'speed', 'felt'):
         record[name] = known[name]
-    for name in ('slow', 'fast'):
-        for part in ('stages', 'speed', 'sums', 'weight', 'k', 'c', 'mu', 'k_std', 'share'):
-            record[name][part] = known[name][part]
     use_stiffness(law['observer'], record, float(known['k']), float(known['c']))
 
 
@@ -454,15 +434,3 @@ def share_stiffness(observer: Any, stiffness: Any, contact: Any, leader: Any, wh
     contact.stiffness_est = share * leader.stiffness_est
     contact.stiffness_std = share * leader.stiffness_std
     contact.ratio_bound, contact.margin = leader.ratio_bound, leader.margin
-
-
-@compiled
-def followed_force(stiffness: Any, contact: Any, begins: bool) -> float:
-    """Return the desired force [N], followed at no more than APPROACH_LIMIT into the surface."""
-    if begins:
-        stiffness.alpha_ref = contact.alpha_meas
-        if stiffness.share == 0.0:
-            stiffness.alpha_ref = max(contact.alpha_meas, 0.0)
-    step = stiffness.k * APPROACH_LIMIT * stiffness.period
-    stiffness.alpha_ref += min(max(contact.answer.alpha_des - stiffness.alpha_ref, -step), step)
-    return float(stiffness.alpha_ref)
