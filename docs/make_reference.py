@@ -25,11 +25,11 @@ from multicontact_control.experiment.calibration import CalibrationConfig
 from multicontact_control.experiment.scenario import ScenarioConfig
 from multicontact_control.experiment.study.presets.sweep.config import StudyConfig
 from multicontact_control.nodes import qos, topics
-from multicontact_control.nodes.command_interface import SERVICES
 from multicontact_control.nodes.controller_config import ControllerNodeConfig
-from multicontact_control.nodes.graph_node import StartupConfig
-from multicontact_control.nodes.managed_node import ManagedConfig
-from multicontact_control.nodes.recorder_node import RecorderConfig, TF_TOPIC, TF_TYPE
+from multicontact_control.nodes.controller_topics import SERVICES
+from multicontact_control.nodes.graph import StartupConfig
+from multicontact_control.nodes.lifecycle import ManagedConfig
+from multicontact_control.nodes.recorder_node import RecorderConfig
 from pydantic.fields import FieldInfo
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sim_bridge.config import PlantConfig
@@ -212,8 +212,6 @@ def graph() -> str:
     """Return the page of topics, services and qualities of service."""
     names = _profile_names()
     contents = [[f'`{x.name}`', x.type_name, _text(x.content)] for x in topics.TOPICS]
-    contents.append([f'`{TF_TOPIC}`', TF_TYPE, 'Only in the bag, by the recorder, at 25 Hz: '
-                     'link poses, worked out from joint states and robot description.'])
     ends = [[f'`{x.name}`', x.publisher,
              ', '.join(name for name in x.subscribers if name != topics.RECORDER), x.rate,
              f'[{names[id(x.profile)]}](#quality-of-service)'] for x in topics.TOPICS]

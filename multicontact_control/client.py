@@ -22,7 +22,7 @@ from multicontact_control.arrays import Vector
 from multicontact_control.errors import RunError
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.link import CommandRefusedError, ControllerLink, DEACTIVATE
-from multicontact_control.nodes.status_message import ControllerStatus, new_identifier
+from multicontact_control.nodes.status import ControllerStatus, new_identifier
 from multicontact_control.quintic import quintic
 import numpy as np
 from numpy.typing import ArrayLike

@@ -21,7 +21,7 @@ from multicontact_control.supervision.inputs import (
 
 NANOSECONDS = 1_000_000_000
 LONGEST_PAUSE = 10.0  # s; stamps that jump farther ahead are of a clock that was set
-BARE_REPEATS = 25  # bare, nothing else tells that the arm has not been seen for long
+BARE_REPEATS = 25
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,15 +55,16 @@ class Action(Enum):
     HALF = 'step by half a sample'
     WITHOUT = 'step without a sample'
     REPEAT = 'send the last command again'
+    STALE = 'nothing: the same sample has come too often'
     SHOW = 'publish the last tick again, for the estimator that missed it'
     REFUSE = 'refuse the sample: it is older than the last'
 
 
 class Decision(NamedTuple):
-    """What to do now, and by which inputs if it is a step."""
+    """What to do now, and the inputs if it is a step."""
 
     action: Action
-    inputs: TickInputs = TickInputs(0.0)
+    inputs: TickInputs | None = None
 
 
 class SampleTiming:
@@ -75,12 +76,12 @@ class SampleTiming:
     ================================== =================== =================== ================
     one half of a sample               WAIT                WAIT                WAIT
     both, within `pair_tolerance`      STEP                STEP                STEP with R [1]_
-    the same stamp again, answered     REPEAT              REPEAT, 25 at most  REPEAT
+    the same stamp again, answered     REPEAT              REPEAT [2]_         REPEAT
     the same stamp again, waiting      WAIT                WAIT                SHOW
     one sample older than the last     REFUSE              ANEW                ANEW
-    a second, not older than the first STEP [2]_           ANEW                ANEW
+    a second, not older than the first STEP [3]_           ANEW                ANEW
     no sample for `patience`           HALF if one waits   WAIT                WAIT
-    none one period later, or later    WITHOUT [3]_        WAIT                WAIT
+    none one period later, or later    WITHOUT [4]_        WAIT                WAIT
     ================================== =================== =================== ================
 
     One reading of each kind is kept; one that is overtaken is counted. Nothing is missing before
@@ -89,8 +90,9 @@ class SampleTiming:
 
     .. [1] WAIT until the noise variance R of the sample before is there, but not in the safe
        behaviour.
-    .. [2] The clock was set back; the watchdog answers that.
-    .. [3] Once for each period. Time is counted on in periods meanwhile and does not go back
+    .. [2] 25 times at most, then STALE: nothing else tells that the arm is not seen any more.
+    .. [3] The clock was set back; the watchdog answers that.
+    .. [4] Once for each period. Time is counted on in periods meanwhile and does not go back
        when samples come again, later than that: their stamps are shifted from then on.
 
     Parameters
@@ -107,8 +109,9 @@ class SampleTiming:
 
     Attributes
     ----------
-    last_stamp
-        Of the newest sample [ns], -1 before the first.
+    last_stamp, expected_stamp
+        Of the newest sample, and of the one that should have come by now [ns], -1 before the
+        first.
     tick
         Number of the newest sample, from 0.
     due
@@ -147,7 +150,7 @@ class SampleTiming:
     def _forget(self) -> None:
         self._first_stamp: int | None = None
         self._older_stamp: int | None = None
-        self._variance_stamp = self.last_stamp = -1
+        self._variance_stamp = self.last_stamp = self.expected_stamp = -1
         self.variance: Vector | None = None
         self._inputs = TickInputs(0.0)
         self._time = self._shift = 0.0
@@ -155,40 +158,29 @@ class SampleTiming:
         self._missed = self._repeats = self.tick = self.skipped = 0
         self._since, self._late, self.due = 0.0, 0, 0
 
-    @property
-    def expected_stamp(self) -> int:
-        """Stamp of the newest sample, or of the one that should have come by now [ns]."""
-        return self.last_stamp + round(self._missed * self._period * 1e9)
-
-    def add_joints(self, reading: JointReading) -> None:
-        """Take in a joint state."""
-        self.unpaired += self._joints is not None
-        self._joints = reading
-        self._pair()
-
-    def add_wrench(self, reading: WrenchReading) -> None:
-        """Take in a wrench."""
-        self.unpaired += self._wrench is not None
-        self._wrench = reading
-        self._pair()
+    def add(self, reading: JointReading | WrenchReading) -> None:
+        """Take in a reading; with its other half it is a sample that waits."""
+        if isinstance(reading, JointReading):
+            self.unpaired += self._joints is not None
+            self._joints = reading
+        else:
+            self.unpaired += self._wrench is not None
+            self._wrench = reading
+        joints, wrench = self._joints, self._wrench
+        if joints is None or (wrench is None and self._feels):
+            return
+        self.apart = 0 if wrench is None else wrench.stamp - joints.stamp
+        if abs(self.apart) <= self._tolerance:
+            self._came_again = (
+                self._waiting is not None and self._waiting[0].stamp == joints.stamp)
+            self._waiting, self._joints, self._wrench, self.apart = (joints, wrench), None, None, 0
 
     def add_variance(self, stamp: int, variance: Vector) -> None:
         """Use an R [N^2] from the next tick on; its stamp is that of a sample [ns]."""
         if stamp <= self.last_stamp:  # else left over from before a restart
             self._variance_stamp, self.variance = stamp, variance
-            self._inputs = self._inputs._replace(
-                variance=VarianceInput(self._time_of(stamp), variance))
-
-    def _pair(self) -> None:
-        joints, wrench = self._joints, self._wrench
-        if joints is None or (wrench is None and self._feels):
-            return
-        self.apart = 0 if wrench is None else wrench.stamp - joints.stamp
-        if abs(self.apart) > self._tolerance:
-            return
-        self._came_again = self._waiting is not None and self._waiting[0].stamp == joints.stamp
-        self._waiting, self.apart = (joints, wrench), 0
-        self._joints = self._wrench = None
+            time = (stamp - (self._first_stamp or 0)) * 1e-9 + self._shift
+            self._inputs = self._inputs._replace(variance=VarianceInput(time, variance))
 
     def what_now(self, now: int, *, safe: bool = False) -> Decision:
         """Decide after a message that came `now` [ns], in the safe behaviour if `safe`."""
@@ -201,7 +193,7 @@ class SampleTiming:
             self._waiting = None
             self._repeats += 1
             return Decision(Action.REPEAT if self._supervised or self._lockstep or (
-                self._repeats <= BARE_REPEATS) else Action.WAIT)
+                self._repeats <= BARE_REPEATS) else Action.STALE)
         if joints.stamp < self.last_stamp:
             if self._lockstep or not self._supervised:
                 self._forget()
@@ -213,8 +205,7 @@ class SampleTiming:
             return Decision(Action.SHOW if came_again else Action.WAIT)
         self._waiting = self._older_stamp = None
         self._repeats = 0
-        self._wait_from(now)
-        return Decision(action, self._begin(joints.stamp, joints, wrench))
+        return Decision(action, self._begin(now, joints, wrench))
 
     def late(self, now: int) -> Decision:
         """Decide if `due` has passed `now` [ns] and everything that has come is taken in."""
@@ -225,12 +216,12 @@ class SampleTiming:
         if halves:
             newest = max(halves, key=lambda half: half.stamp)
             self.unpaired += 1
-            self._wait_from(max(self._since + self._period_ns, now - self._period_ns))
+            since = max(self._since + self._period_ns, now - self._period_ns)
             if isinstance(newest, JointReading):
                 self._joints = None
-                return Decision(Action.HALF, self._begin(newest.stamp, newest, None))
+                return Decision(Action.HALF, self._begin(since, newest, None))
             self._wrench = None
-            return Decision(Action.HALF, self._begin(newest.stamp, None, newest))
+            return Decision(Action.HALF, self._begin(since, None, newest))
         periods_late = int((now - self._since - self._patience_ns) // self._period_ns)
         passed = int((now - self._since) // self._period_ns) if periods_late else 0
         ticks, self._late = passed - self._late, passed
@@ -238,40 +229,39 @@ class SampleTiming:
         if not ticks:  # what is only late is waited for one more period
             return Decision(Action.WAIT)
         self._missed += ticks
+        self.expected_stamp = self.last_stamp + round(self._missed * self._period * 1e9)
         self._counted_on = True
         self._time += ticks * self._period
         self._inputs = self._inputs._replace(time=self._time)
         return Decision(Action.WITHOUT, self._inputs)
 
-    def _wait_from(self, since: float) -> None:
-        self._since, self._late = since, 0
-        self.due = int(since + self._patience_ns) if self._patience_ns else 0
-
-    def _time_of(self, stamp: int) -> float:
-        """Return the time [s] of a stamp [ns]."""
-        return (stamp - (self._first_stamp or 0)) * 1e-9 + self._shift
-
     def _begin(
-        self, stamp: int, joints: JointReading | None, wrench: WrenchReading | None,
+        self, since: float, joints: JointReading | None, wrench: WrenchReading | None,
     ) -> TickInputs:
-        """Begin the tick of a sample: return the newest of each input, at the sample's time."""
+        """
+        Begin the tick of a sample, and wait for the next `since` then, monotonic [ns].
+
+        Returns the newest of each input, at the time of the sample.
+        """
+        stamp = joints.stamp if joints is not None else wrench.stamp if wrench is not None else 0
         if self._first_stamp is None:
             self._first_stamp = stamp
         tick = round((stamp - self._first_stamp) * 1e-9 * self._rate)
         missed = tick - self.tick - 1
         if 0 < missed <= LONGEST_PAUSE * self._rate:
             self.skipped += missed
-        self.tick, self.last_stamp, self._missed = tick, stamp, 0
-        time = self._time_of(stamp)
+        self.tick, self.last_stamp, self.expected_stamp = tick, stamp, stamp
+        time = (stamp - self._first_stamp) * 1e-9 + self._shift
         if self._counted_on and time <= self._time:
             self._shift += self._time + self._period - time
             time = self._time + self._period
-        self._counted_on, self._time = False, time
-        inputs = self._inputs._replace(time=time if self._supervised else tick * self._period)
-        if joints is not None:
-            inputs = inputs._replace(
-                joints=JointInput(time, joints.q, joints.qd, joints.effort))
-        if wrench is not None:
-            inputs = inputs._replace(wrench=WrenchInput(time, wrench.wrench_sensor))
-        self._inputs = inputs
-        return inputs
+        self._counted_on, self._missed, self._time = False, 0, time
+        self._since, self._late = since, 0
+        self.due = int(since + self._patience_ns) if self._patience_ns else 0
+        self._inputs = TickInputs(
+            time if self._supervised else tick * self._period,
+            self._inputs.joints if joints is None else JointInput(
+                time, joints.q, joints.qd, joints.effort),
+            self._inputs.wrench if wrench is None else WrenchInput(time, wrench.wrench_sensor),
+            self._inputs.variance)
+        return self._inputs

@@ -26,26 +26,23 @@ from multicontact_control.errors import MessageError, RunError
 from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.nodes.diagnostics import (
     Diagnostics,
-    input_status,
+    DurationLog,
+    Inputs,
+    LoopStatistics,
     message_status,
     STALE_PERIODS,
     Status,
 )
-from multicontact_control.nodes.graph_node import (
+from multicontact_control.nodes.graph import (
     create_publisher,
     Refusals,
     StartupConfig,
     StartupGate,
 )
-from multicontact_control.nodes.loop_statistics import (
-    DurationLog,
-    Freshness,
-    LoopStatistics,
-    NANOSECONDS,
-)
 from multicontact_control.nodes.parameters import load_parameters
 from multicontact_control.nodes.runtime import run_node, Spinner
 from multicontact_control.nodes.streams import effort_reader, Streams
+from multicontact_control.sampling import NANOSECONDS
 import numpy as np
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
@@ -118,18 +115,16 @@ class SimNode(Node):
         description = create_publisher(self, topics.ROBOT_DESCRIPTION)
         self._surfaces = SurfaceMarkers(plant_config, rate=config.rate)
         self._surface_publisher = create_publisher(self, topics.SURFACE_MARKERS)
-        self.streams.advertise(self._examples())
+        for topic, example in self._examples().items():
+            self.streams.advertise(topic, example)
         self._reader = effort_reader(self._plant.joint_names)
         self.streams.subscribe(topics.EFFORT_COMMAND, self._on_command, qos.INPUT)
-        self._watch, self._fresh = LoopStatistics(config.rate), Freshness()
-        self._fresh.expect(topics.EFFORT_COMMAND.name)
+        self._watch = LoopStatistics(config.rate)
+        self._inputs = Inputs(self, {topics.EFFORT_COMMAND: 'a torque [N m] for each joint'})
         self._diagnostics = Diagnostics(self, self._statuses)
         # Kept by the publisher for whoever comes late.
         description.publish(String(data=self._plant.description.urdf))
-        self._gate = StartupGate(
-            self, {**self.streams.publishers, topics.ROBOT_DESCRIPTION: description,
-                   topics.SURFACE_MARKERS: self._surface_publisher},
-            self.streams.subscriptions, config)
+        self._gate = StartupGate(self, config)
         self._origin = 0  # stamp of sample 0 [ns]
 
     def _examples(self) -> dict[topics.Topic, Any]:
@@ -337,7 +332,7 @@ class SimNode(Node):
         return self._origin + stamp_of(tick, self._config.rate)
 
     def _on_command(self, data: bytes) -> None:
-        received = self._fresh.note(topics.EFFORT_COMMAND.name)
+        received = self._inputs.note(topics.EFFORT_COMMAND)
         with self._refusals.guard(topics.EFFORT_COMMAND):
             command = self._reader.read(data)
             tick = round((command.stamp - self._origin) * 1e-9 * self._config.rate)
@@ -370,9 +365,10 @@ class SimNode(Node):
         forces = zip(self._plant.contact_names, self._sample.contact_force.tolist())
         return [
             Status('loop', loop, warning=f'{missed} deadlines missed' if missed else ''),
-            input_status(self._fresh, STALE_PERIODS / self._config.rate, needed=self._tick > 0,
-                         consequence=': the drives hold their position' if self._hold.holding
-                         else ': the last torque is held'),
+            self._inputs.status(
+                STALE_PERIODS / self._config.rate, needed=self._tick > 0,
+                consequence=': the drives hold their position' if self._hold.holding
+                else ': the last torque is held'),
             Status('contacts', {
                 name: f'touching with {force:.4g} N' if force > 0.0 else 'free'
                 for name, force in forces}),

@@ -6,7 +6,7 @@ from arms import controller_config, HOME, pressed_wrench
 from diagnostic_msgs.msg import DiagnosticArray
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.nodes import messages, topics
-from multicontact_control.nodes.graph_node import take
+from multicontact_control.nodes.graph import take
 from multicontact_control.paths import config_dir
 from multicontact_control.sensor.tool import weight_reading
 import numpy as np

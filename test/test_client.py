@@ -14,9 +14,9 @@ from multicontact_control.client import (
 )
 from multicontact_control.errors import RunError
 from multicontact_control.nodes import messages, topics
-from multicontact_control.nodes.graph_node import create_publisher
+from multicontact_control.nodes.graph import create_publisher
 from multicontact_control.nodes.link import CLEAN_UP, DEACTIVATE, GuestNode, LifecycleDriver
-from multicontact_control.nodes.status_message import ACCEPTED, identifier_of
+from multicontact_control.nodes.status import ACCEPTED, identifier_of
 import numpy as np
 import pytest
 from rclpy.executors import SingleThreadedExecutor

@@ -57,8 +57,8 @@ class Bench:
 
     def step(self, n=1, effort=EFFORT, wrench=None, q=HOME, qd=REST):
         for _ in range(n):
-            self.timing.add_joints(JointReading(self.stamp, q.copy(), qd, effort))
-            self.timing.add_wrench(WrenchReading(
+            self.timing.add(JointReading(self.stamp, q.copy(), qd, effort))
+            self.timing.add(WrenchReading(
                 self.stamp, self.wrench() if wrench is None else wrench))
             action, inputs = self.timing.what_now(self.stamp)
             assert action is Action.STEP
@@ -69,9 +69,9 @@ class Bench:
 
     def step_half(self, q=HOME, *, joints=True):
         if joints:
-            self.timing.add_joints(JointReading(self.stamp, q.copy(), REST))
+            self.timing.add(JointReading(self.stamp, q.copy(), REST))
         else:
-            self.timing.add_wrench(WrenchReading(self.stamp, self.wrench()))
+            self.timing.add(WrenchReading(self.stamp, self.wrench()))
         action, inputs = self.timing.late(self.timing.due)
         assert action is Action.HALF
         self.k += 1

@@ -3,7 +3,7 @@
 import importlib.util
 
 from multicontact_control.nodes import topics
-from multicontact_control.nodes.command_interface import SERVICES
+from multicontact_control.nodes.controller_topics import SERVICES
 import pytest
 from ros_graph import ROOT
 

@@ -8,7 +8,7 @@ import pytest
 
 H = 0.002
 PERIOD = 2_000_000
-WAIT, STEP, ANEW, HALF, WITHOUT, REPEAT, SHOW, REFUSE = Action
+WAIT, STEP, ANEW, HALF, WITHOUT, REPEAT, STALE, SHOW, REFUSE = Action
 
 
 def joints(stamp):
@@ -25,8 +25,8 @@ def timing_of(**options):
 
 def sample(timing, stamp, now=0, **options):
     """Take in a whole sample, and return what to do."""
-    timing.add_joints(joints(stamp))
-    timing.add_wrench(wrench(stamp))
+    timing.add(joints(stamp))
+    timing.add(wrench(stamp))
     return timing.what_now(now, **options)
 
 
@@ -34,7 +34,7 @@ def sample(timing, stamp, now=0, **options):
 def test_pairing_gives_each_pair_once_in_either_order_and_never_mixes_stamps(joints_first):
     timing = timing_of()
     for stamp in (1, 2, 3):
-        halves = [(timing.add_joints, joints(stamp)), (timing.add_wrench, wrench(stamp))]
+        halves = [(timing.add, joints(stamp)), (timing.add, wrench(stamp))]
         (first, half), (second, other) = halves if joints_first else halves[::-1]
         first(half)
         assert timing.what_now(0).action is WAIT
@@ -43,12 +43,12 @@ def test_pairing_gives_each_pair_once_in_either_order_and_never_mixes_stamps(joi
         assert action is STEP and timing.what_now(0).action is WAIT
         assert (inputs.joints.q[0], inputs.wrench.wrench[0]) == (stamp, stamp)
     assert timing.unpaired == 0
-    for add, reading in ((timing.add_joints, joints(4)), (timing.add_wrench, wrench(5)),
-                         (timing.add_wrench, wrench(6))):
+    for add, reading in ((timing.add, joints(4)), (timing.add, wrench(5)),
+                         (timing.add, wrench(6))):
         add(reading)
         assert timing.what_now(0).action is WAIT
     assert timing.apart == 2
-    timing.add_joints(joints(6))
+    timing.add(joints(6))
     assert timing.what_now(0).action is STEP and timing.last_stamp == 6
     assert timing.unpaired == 2
 
@@ -61,7 +61,7 @@ def test_sensors_that_are_read_at_another_time_of_the_period_are_paired(offset):
         (k * PERIOD + offset, 1, wrench(k * PERIOD + offset)) for k in range(1, 8)],
         key=lambda each: each[:2])
     for _, kind, reading in sent:
-        (timing.add_wrench if kind else timing.add_joints)(reading)
+        (timing.add if kind else timing.add)(reading)
         action, inputs = timing.what_now(0)
         if action is STEP:
             assert abs(inputs.wrench.wrench[0] - timing.last_stamp) <= PERIOD // 2
@@ -72,14 +72,14 @@ def test_late_half_of_a_sample_that_was_answered_is_none_of_the_next():
     """The joints alone were answered; their wrench, 50 us newer, is no news."""
     timing = timing_of(pair_tolerance=0.5, patience=1.5)
     sample(timing, 0)
-    timing.add_joints(joints(PERIOD))
+    timing.add(joints(PERIOD))
     action, inputs = timing.late(timing.due)
     assert (action, inputs.time, inputs.joints.stamp, inputs.wrench.stamp) == (HALF, H, H, 0.0)
-    timing.add_wrench(wrench(PERIOD + 50_000))
+    timing.add(wrench(PERIOD + 50_000))
     assert timing.what_now(0).action is WAIT and timing.late(timing.due).action is WAIT
-    timing.add_joints(joints(2 * PERIOD))
+    timing.add(joints(2 * PERIOD))
     assert timing.what_now(0).action is WAIT
-    timing.add_wrench(wrench(2 * PERIOD + 50_000))
+    timing.add(wrench(2 * PERIOD + 50_000))
     assert timing.what_now(0).action is STEP and timing.last_stamp == 2 * PERIOD
 
 
@@ -122,7 +122,7 @@ def test_halves_are_waited_for_on_the_grid_of_the_samples():
     timing = timing_of(patience=1.5)
     sample(timing, 0)
     for k in (1, 2, 3):
-        timing.add_wrench(wrench(k * PERIOD))
+        timing.add(wrench(k * PERIOD))
         assert timing.late(timing.due).action is HALF
         assert timing.due == (k + 1.5) * PERIOD
 
@@ -151,7 +151,7 @@ def test_nothing_is_missing_before_the_first_sample_and_after_a_restart():
 def test_a_sample_that_comes_again_gets_its_command_again(options, repeats):
     timing = timing_of(**options)
     sample(timing, 0)
-    assert [sample(timing, 0).action for _ in range(60)] == [REPEAT] * repeats + [WAIT] * (
+    assert [sample(timing, 0).action for _ in range(60)] == [REPEAT] * repeats + [STALE] * (
         60 - repeats)
 
 
@@ -188,7 +188,7 @@ def test_lockstep_waits_for_the_variance_of_the_sample_before_but_not_in_the_saf
 
 def test_without_a_wrist_sensor_joint_states_are_whole_samples():
     timing = timing_of(feels=False)
-    timing.add_joints(joints(5))
+    timing.add(joints(5))
     action, inputs = timing.what_now(0)
     assert (action, inputs.wrench, inputs.joints.q[0]) == (STEP, None, 5.0)
 

@@ -57,7 +57,7 @@ def echo(
     """
     with errors_in_one_line():
         require_ros()
-        from multicontact_control.nodes.graph_node import full_topic_name, ignore, take
+        from multicontact_control.nodes.graph import full_topic_name, ignore, take
         from multicontact_control.nodes.link import GuestNode
         from multicontact_control.nodes.runtime import StopFlag
 

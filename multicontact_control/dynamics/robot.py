@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-import math
 from pathlib import Path
 import xml.etree.ElementTree as ElementTree
 
@@ -74,16 +73,6 @@ class RobotState:
     twist_world: Vector
     velocity: Vector
     sensor_pose: Pose
-
-
-@dataclass(frozen=True, slots=True)
-class LinkTransform:
-    """Pose of a link in its parent's frame: origin [m] and orientation, scalar last."""
-
-    parent: str
-    child: str
-    translation: tuple[float, ...]
-    quaternion_xyzw: tuple[float, ...]
 
 
 class RobotModel:
@@ -228,53 +217,6 @@ class RobotModel:
         require_shape('q', q, (self._model.nv,))
         pin.framesForwardKinematics(self._model, self._data, q)
         return [_pose(self._data.oMf[self._frame_id('link', name)]) for name in links]
-
-
-class LinkTransforms:
-    """
-    The links of a URDF, to be placed many times a second.
-
-    Parameters
-    ----------
-    urdf
-        Its text.
-    world_frame
-        Name of the frame that the root link stands in, where the controller has the world; empty
-        for none.
-
-    Raises
-    ------
-    ConfigError
-        See `load_model`.
-
-    """
-
-    def __init__(self, urdf: str, world_frame: str = '') -> None:
-        self._model = load_model(urdf)
-        self._data, self._world = self._model.createData(), world_frame
-
-    def at(self, positions: Mapping[str, float]) -> list[LinkTransform]:
-        """Return the pose of every link whose joint's position, by name, is known and finite."""
-        model, data = self._model, self._data
-        known = [positions.get(name, math.nan) for name in list(model.names)[1:]]
-        pin.framesForwardKinematics(model, data, np.nan_to_num(known, posinf=0.0, neginf=0.0))
-        found = []
-        for body, frame in enumerate(model.frames):
-            if frame.type != pin.FrameType.BODY:
-                continue
-            joint = model.frames[frame.parentFrame]
-            if joint.type == pin.FrameType.JOINT and not math.isfinite(
-                    known[frame.parentJoint - 1]):
-                continue
-            parent, place = self._world, data.oMf[body]
-            if frame.parentFrame:  # 0 is that of the root
-                parent = model.frames[joint.parentFrame].name
-                place = data.oMf[joint.parentFrame].actInv(place)
-            if parent and parent != frame.name:
-                found.append(LinkTransform(
-                    parent, frame.name, tuple(place.translation.tolist()),
-                    tuple(pin.Quaternion(place.rotation).coeffs().tolist())))
-        return found
 
 
 def load_model(

@@ -17,7 +17,7 @@ from multicontact_control.config import (
 )
 from multicontact_control.control.tasks import ReferenceConfig, ScenarioTask
 from multicontact_control.errors import ConfigError
-from multicontact_control.nodes.managed_node import ManagedConfig
+from multicontact_control.nodes.lifecycle import ManagedConfig
 from multicontact_control.paths import config_dir
 from multicontact_control.sensor.push_test import PushTestConfig
 from multicontact_control.sensor.tool import TareConfig

@@ -4,22 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+import math
 import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from multicontact_control.errors import counted
+from multicontact_control.arrays import Vector
 from multicontact_control.nodes import topics
-from multicontact_control.nodes.graph_node import create_publisher, quality_mismatches, Refusals
-from multicontact_control.nodes.loop_statistics import Freshness, NANOSECONDS
+from multicontact_control.nodes.graph import create_publisher, Refusals
 from multicontact_control.nodes.topics import SIM, Topic
+from multicontact_control.sampling import NANOSECONDS
+import numpy as np
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy
 
-PERIOD = 1_000_000_000  # ns
+PERIOD = NANOSECONDS
 STALE_PERIODS = 25  # from which an input at the control rate is stale
-MISSING_AGE = 1.0  # s without a message, from which on a topic is missing
-REMINDER_PERIOD = 30 * NANOSECONDS  # ns
+MISSING_AGE = NANOSECONDS  # without a message, from which on a topic is missing
+REMINDER_PERIOD = 30 * NANOSECONDS
+CAPACITY = 1 << 18  # durations: 8 minutes at 500 Hz
+REPORTED = 1 << 12  # turns that a report is made of, at most
+PERCENTILES = {'p50': 50.0, 'p99': 99.0, 'p999': 99.9, 'max': 100.0}
+EDGES = np.logspace(1.0, 5.0, 41)  # us, of a histogram: ten per decade, 10 us to 100 ms
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
 
@@ -41,8 +46,7 @@ class Diagnostics:
     """
 
     def __init__(self, node: Node, collect: Callable[[], Sequence[Status]]) -> None:
-        self._node = node
-        self._collect = collect
+        self._node, self._collect = node, collect
         self._publisher = create_publisher(node, topics.DIAGNOSTICS)
         self._next = time.monotonic_ns() + PERIOD
 
@@ -50,13 +54,13 @@ class Diagnostics:
         """Publish if a second has passed; costs next to nothing otherwise."""
         now = time.monotonic_ns()
         if now >= self._next:
-            # No burst after a pause.
-            self._next = max(self._next + PERIOD, now + PERIOD // 2)
+            self._next = max(self._next + PERIOD, now + PERIOD // 2)  # no burst after a pause
             name = self._node.get_fully_qualified_name().lstrip('/')
             message = DiagnosticArray(status=[DiagnosticStatus(
                 name=f'{name}: {status.part}', level=ERROR if status.error else
                 WARN if status.warning else OK, message=status.error or status.warning or 'ok',
-                values=[KeyValue(key=key, value=_text(x)) for key, x in status.values.items()])
+                values=[KeyValue(key=key, value=_text(x))
+                        for key, x in status.values.items()])
                 for status in self._collect()])
             message.header.stamp = self._node.get_clock().now().to_msg()
             self._publisher.publish(message)
@@ -68,17 +72,149 @@ def _text(value: Any) -> str:
     return f'{value:.6g}' if isinstance(value, float) else str(value)
 
 
-def input_status(
-    freshness: Freshness, max_age: float, *, needed: bool, consequence: str = '',
-) -> Status:
-    """Return the ages of inputs; if `needed`, which are older than `max_age` [s], and so what."""
-    ages = freshness.ages()
-    stale = [f'{name} for {age:.3g} s' if age is not None else f'{name} ever'
-             for name, age in ages.items() if age is None or age > max_age]
-    values = {f'age_s {name}': None if age is None else round(age, 6)
-              for name, age in ages.items()}
-    text = f'no {", no ".join(stale)}{consequence}' if stale and needed else ''
-    return Status('inputs', values, warning=text)
+class DurationLog:
+    """The newest durations, `capacity` at most."""
+
+    def __init__(self, capacity: int = CAPACITY) -> None:
+        self._nanoseconds = np.zeros(capacity, dtype=np.int64)
+        self.count = 0
+
+    def add(self, nanoseconds: int) -> None:
+        """Keep one duration [ns]."""
+        self._nanoseconds[self.count % self._nanoseconds.size] = nanoseconds
+        self.count += 1
+
+    @property
+    def microseconds(self) -> Vector:
+        """Return those that are kept [us]."""
+        kept = self._nanoseconds[:min(self.count, self._nanoseconds.size)]
+        return np.asarray(1e-3 * kept, dtype=np.float64)
+
+    def percentiles(self) -> dict[str, float | None]:
+        """Return median, tails and maximum [us]; None without any duration."""
+        return _percentiles(self.microseconds)
+
+    def histogram(self) -> dict[str, list[float] | list[int]]:
+        """Return how many there are from one edge [us] to the next, first and last with all."""
+        kept = np.clip(self.microseconds, EDGES[0], EDGES[-1])
+        return {'edges_us': EDGES.round(1).tolist(),
+                'counts': np.histogram(kept, EDGES)[0].tolist()}
+
+
+def _percentiles(microseconds: Vector) -> dict[str, float | None]:
+    found = np.percentile(microseconds, list(PERCENTILES.values())).round(3).tolist() if (
+        microseconds.size) else [None] * len(PERCENTILES)
+    return dict(zip(PERCENTILES, found))
+
+
+class LoopStatistics:
+    """
+    Rate, jitter and latency since the last report.
+
+    The loop should run at `rate` [Hz]; the node counts deadlines as `missed`.
+    """
+
+    def __init__(self, rate: float) -> None:
+        self._period = 1e6 / rate  # us
+        self._last = 0
+        self._begin()
+
+    def _begin(self) -> None:
+        self._intervals, self._latencies = DurationLog(REPORTED), DurationLog(REPORTED)
+        self._report_start = time.monotonic_ns()
+        self.missed = 0
+
+    def add_period(self, now: int) -> None:
+        """Take note of a turn of the loop at a monotonic time [ns]."""
+        if self._last:
+            self._intervals.add(now - self._last)
+        self._last = now
+
+    def add_latency(self, latency: int) -> None:
+        """Take note of the time from a sample to its answer [ns]."""
+        self._latencies.add(latency)
+
+    def report(self) -> dict[str, float | int | None]:
+        """
+        Return what was seen since the last call, by name with unit.
+
+        Jitter is the deviation of an interval from the period.
+        """
+        elapsed = max(1, time.monotonic_ns() - self._report_start)
+        jitter = _percentiles(np.abs(self._intervals.microseconds - self._period))
+        latency = self._latencies.percentiles()
+        values = {
+            'rate_hz': round(self._intervals.count * NANOSECONDS / elapsed, 2),
+            'deadline_misses': self.missed,
+            **{f'jitter_us_{name}': jitter[name] for name in ('p50', 'p99')},
+            **{f'latency_us_{name}': latency[name] for name in ('p50', 'p99', 'max')}}
+        self._begin()
+        return values
+
+
+class Inputs:
+    """When each input of a node last came, by what is `expected` in it; logs what is missing."""
+
+    def __init__(self, node: Node, expected: Mapping[Topic, str]) -> None:
+        self._node, self._expected = node, expected
+        self.restart()
+
+    def restart(self) -> None:
+        """Wait for all of them from now on."""
+        self._last = dict.fromkeys((topic.name for topic in self._expected), 0)
+        self._since = time.monotonic_ns()
+        self._next = self._since + MISSING_AGE
+        self._reminders: dict[Topic, int] = {}  # when those that are missing are due again
+
+    def note(self, topic: Topic) -> int:
+        """Take note of an input; return the monotonic time [ns]."""
+        now = time.monotonic_ns()
+        self._last[topic.name] = now
+        return now
+
+    def age(self, topic: Topic) -> float:
+        """Return how long ago an input came last [s], infinity if it never has."""
+        last = self._last[topic.name]
+        return (time.monotonic_ns() - last) * 1e-9 if last else math.inf
+
+    def status(self, max_age: float, *, needed: bool, consequence: str = '') -> Status:
+        """Return ages; if `needed`, which are above `max_age` [s], and what is done about it."""
+        ages = {topic.name: self.age(topic) for topic in self._expected}
+        stale = [f'{name} for {age:.3g} s' if age < math.inf else f'{name} ever'
+                 for name, age in ages.items() if age > max_age]
+        text = f'no {", no ".join(stale)}{consequence}' if stale and needed else ''
+        return Status('inputs', {
+            f'age_s {name}': age if age < math.inf else None for name, age in ages.items()},
+            warning=text)
+
+    def poll(self) -> None:
+        """Look once a second; costs next to nothing otherwise."""
+        now = time.monotonic_ns()
+        if now < self._next:
+            return
+        self._next = now + MISSING_AGE
+        for topic, content in self._expected.items():
+            missing = now - (self._last[topic.name] or self._since)
+            name = str(self._node.resolve_topic_name(topic.name))
+            if missing < MISSING_AGE:
+                if self._reminders.pop(topic, 0):
+                    self._node.get_logger().info(f'{name} comes')
+            elif now >= self._reminders.get(topic, 0):
+                self._reminders[topic] = now + REMINDER_PERIOD
+                self._node.get_logger().warning(
+                    f'no message on {name} for {missing / NANOSECONDS:.1f} s: expected '
+                    f'{topic.type_name} with {content}; {self._found(topic, name)}')
+
+    def _found(self, topic: Topic, name: str) -> str:
+        """Return what there is of a topic instead."""
+        publishers = self._node.get_publishers_info_by_topic(name)
+        types = {x.topic_type for x in publishers} - {topic.type_name}
+        if not publishers:
+            source = 'the driver of the robot' if topic.publisher == SIM else topic.publisher
+            return (f'it has no publisher: start {source}, or give its topic, -r '
+                    f'{topic.name}:=/its/topic')
+        return f'it is published as {", ".join(sorted(types))}' if types else (
+            f'publishers: {len(publishers)}, but nothing is sent that can be read')
 
 
 def message_status(refusals: Refusals, **dropped: int) -> Status:
@@ -86,67 +222,3 @@ def message_status(refusals: Refusals, **dropped: int) -> Status:
     return Status('messages', {
         'refused': sum(refusals.counts.values()), **dropped,
         **{f'refused {cause}': count for cause, count in refusals.counts.items()}})
-
-
-class MissingInputs:
-    """
-    Logs which inputs of a node do not come for a second.
-
-    Parameters
-    ----------
-    node, fresh
-        The node, and when each input came last.
-    inputs
-        Quality of service that each must have at least, and what is expected in it.
-
-    """
-
-    def __init__(
-        self, node: Node, fresh: Freshness, inputs: Mapping[Topic, tuple[QoSProfile, str]],
-    ) -> None:
-        self._node, self._fresh, self._inputs = node, fresh, inputs
-        self._reminders: dict[Topic, int] = {}  # when those that are missing are due again
-        self.restart()
-
-    def restart(self) -> None:
-        """Wait for all of them from now on."""
-        self._since = time.monotonic_ns()
-        self._next = self._since + NANOSECONDS
-
-    def poll(self) -> None:
-        """Look once a second; costs next to nothing otherwise."""
-        now = time.monotonic_ns()
-        if now < self._next:
-            return
-        self._next = now + NANOSECONDS
-        ages = self._fresh.ages()
-        for topic in self._inputs:
-            age = ages.get(topic.name)
-            missing = (now - self._since) / NANOSECONDS if age is None else age
-            if missing < MISSING_AGE:
-                if self._reminders.pop(topic, 0):
-                    self._node.get_logger().info(
-                        f'{self._node.resolve_topic_name(topic.name)} comes')
-            elif now >= self._reminders.get(topic, 0):
-                self._reminders[topic] = now + REMINDER_PERIOD
-                self._node.get_logger().warning(self._describe(topic, missing))
-
-    def _describe(self, topic: Topic, missing: float) -> str:
-        """Return what is wrong with a topic that has not come for some time [s]."""
-        profile, content = self._inputs[topic]
-        full = str(self._node.resolve_topic_name(topic.name))
-        publishers = self._node.get_publishers_info_by_topic(full)
-        types = {x.topic_type for x in publishers} - {topic.type_name}
-        found = '; '.join(quality_mismatches(self._node, full, profile))
-        if not publishers:
-            source = 'the driver of the robot' if topic.publisher == SIM else topic.publisher
-            found = (f'it has no publisher: start {source}, or give its topic, -r '
-                     f'{topic.name}:=/its/topic')
-        elif types:
-            found = f'it is published as {", ".join(sorted(types))}'
-        found = found or (f"{counted(len(publishers), 'publishers')} connected, but nothing is "
-                          'sent that can be read')
-        reliability = 'reliable' if profile.reliability == ReliabilityPolicy.RELIABLE else (
-            'reliable or best effort')
-        return (f'no message on {full} for {missing:.1f} s: expected {topic.type_name} '
-                f'({reliability}) with {content}; {found}')

@@ -1,8 +1,4 @@
-"""
-How a process that is none of the graph's takes part in it: a command, a client, a campaign.
-
-A node of its own in a context that is shared, services, and the life cycle of managed nodes.
-"""
+"""A process that is none of the graph's takes part in it: a node of its own, services, topics."""
 
 from __future__ import annotations
 
@@ -19,9 +15,9 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from multicontact_control.errors import RunError
 from multicontact_control.nodes import qos, topics
-from multicontact_control.nodes.graph_node import create_publisher, take
+from multicontact_control.nodes.graph import create_publisher, take
 from multicontact_control.nodes.runtime import prepare_environment
-from multicontact_control.nodes.status_message import (
+from multicontact_control.nodes.status import (
     ControllerStatus,
     identify,
     new_identifier,
@@ -31,7 +27,6 @@ from multicontact_control.nodes.topics import Topic
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 
 CONFIGURE, ACTIVATE = 'configure', 'activate'
@@ -46,7 +41,6 @@ RESEND_PERIOD = 0.2  # s, of a command that is not answered
 WAIT_PERIOD = 0.02  # s, for services
 POLL_PERIOD = 0.001  # s, for messages
 
-KeepWaiting = Callable[[str], None]
 T = TypeVar('T')
 GuestT = TypeVar('GuestT', bound='GuestNode')
 _lock = threading.Lock()
@@ -71,15 +65,7 @@ class GuestNode:
 
     A context is a participant of DDS as long as it has a node. Fast DDS 2.14 can wait for itself
     for ever when a participant leaves while others come and go, so that a process has one, which
-    leaves with its last guest.
-
-    Parameters
-    ----------
-    name, namespace
-        Of the node.
-    domain_id
-        ROS domain; that of the environment by default.
-
+    leaves with its last guest. The domain is that of the environment by default.
     """
 
     def __init__(self, name: str, domain_id: int | None = None, namespace: str = '') -> None:
@@ -87,10 +73,8 @@ class GuestNode:
         self._domain_id = domain_id
         with _lock:
             guests = _shared.setdefault(domain_id, [])
-            if guests:
-                self.context = guests[0].context
-            else:
-                self.context = Context()
+            self.context = guests[0].context if guests else Context()
+            if not guests:
                 self.context.init(args=[], domain_id=domain_id)
             self.node = Node(
                 name, namespace=namespace, context=self.context, use_global_arguments=False,
@@ -109,32 +93,23 @@ class GuestNode:
         """Leave the graph; nothing if that is done."""
         with _lock:
             guests = _shared[self._domain_id]
-            if self.node not in guests:
-                return
-            guests.remove(self.node)
-            self.node.destroy_node()
-            if not guests:
-                self.context.try_shutdown()
+            if self.node in guests:
+                guests.remove(self.node)
+                self.node.destroy_node()
+                if not guests:
+                    self.context.try_shutdown()
 
 
 class LifecycleDriver(GuestNode):
     """
     Calls services and changes the state of managed nodes.
 
-    Parameters
-    ----------
-    domain_id, namespace, name
-        Of the nodes, by default the domain of the environment, and name of the guest.
-    keep_waiting
-        Called every `WAIT_PERIOD` while a node is waited for, with what is waited for; what it
-        raises ends the waiting.
-    patience
-        Longest wait for a node to appear, and to do its work [s].
-
+    `keep_waiting` is called with what is waited for while a node is; what it raises ends the
+    waiting. `patience` is the longest wait for a node to appear, and to do its work [s].
     """
 
     def __init__(
-        self, domain_id: int | None, keep_waiting: KeepWaiting = lambda what: None,
+        self, domain_id: int | None, keep_waiting: Callable[[str], None] = lambda what: None,
         namespace: str = '', *, patience: float = PATIENCE, name: str = 'lifecycle_driver',
     ) -> None:
         super().__init__(name, domain_id, namespace)
@@ -164,15 +139,15 @@ class LifecycleDriver(GuestNode):
         while (left := give_up - time.monotonic()) > 0.0:
             asked = self._ready(node_name, ChangeState, 'change_state').call_async(request)
             self._wait(asked.done, min(FIRST_TIMEOUT, left), f'{node_name} to {transition}')
-            # Request or answer may be lost: one that was killed seems to listen for a while, and
-            # a second request is refused where the first was obeyed. Then the state tells. A
-            # node at work answers when it has done it: first this request, then for its state.
-            if not (asked.done() and (first or asked.result().success)) and (
+            # Request or answer may be lost: then the state tells, and a second request is
+            # refused where the first was obeyed. A node at work answers when it has done it.
+            answered = asked.done()
+            if not (answered and (first or asked.result().success)) and (
                     self.state(node_name, left) == GOALS[transition]):
                 return
-            if asked.done():
-                if asked.result().success:
-                    return
+            if answered and asked.result().success:
+                return
+            if answered:
                 raise TransitionError(f'{node_name} refused to {transition}; its log says why')
             first = False
         raise NoAnswerError(f'{node_name} did not answer when asked to {transition}')
@@ -195,8 +170,7 @@ class LifecycleDriver(GuestNode):
         return self._wait(client.service_is_ready, wait, f'{node_name} to appear')
 
     def call(
-        self, node_name: str, service: Any, name: str, request: Any,
-        timeout: float = math.inf,
+        self, node_name: str, service: Any, name: str, request: Any, timeout: float = math.inf,
     ) -> Any:
         """
         Return the response of a service of a node.
@@ -220,11 +194,10 @@ class LifecycleDriver(GuestNode):
         return client
 
     def _client(self, node_name: str, service: Any, name: str) -> Any:
-        client = self._clients.get((node_name, name))
-        if client is None:
-            client = self.node.create_client(service, f'{node_name}/{name}')
-            self._clients[node_name, name] = client
-        return client
+        if (node_name, name) not in self._clients:
+            self._clients[node_name, name] = self.node.create_client(
+                service, f'{node_name}/{name}')
+        return self._clients[node_name, name]
 
     def _wait(self, condition: Callable[[], Any], timeout: float, what: str) -> bool:
         """Return whether a condition came true in time; errors of `keep_waiting` go through."""
@@ -241,12 +214,10 @@ class ControllerLink(LifecycleDriver):
     """
     One end of a connection to a running controller, without a thread.
 
-    Subscriptions hold the newest message and are looked at when one is wanted.
-
     Parameters
     ----------
     newest, queued
-        What to listen to, and what to without losing anything.
+        Topics of which the newest message is kept, and of which all are, until they are looked at.
     namespace, domain_id, timeout
         Where the controller is, and longest wait for anything [s].
     on_status
@@ -263,21 +234,17 @@ class ControllerLink(LifecycleDriver):
                          name=f'multicontact_client_{os.getpid()}')
         self._kept: dict[Topic, deque[Any]] = {}
         self._subscriptions: dict[Topic, Subscription] = {}
-        for topic in newest:
-            self._listen(topic, qos.LATCHED if topic.profile == qos.LATCHED else qos.GLANCE, 1)
-        for topic in (*queued, topics.STATUS):
-            self._listen(topic, qos.QUEUE, None)
-        self._publishers = {
-            topic: create_publisher(self.node, topic)
-            for topic in (topics.FORCE_COMMAND, topics.MOTION_COMMAND)}
+        for topic in (*newest, *queued, topics.STATUS):
+            glance = qos.LATCHED if topic.profile == qos.LATCHED else qos.GLANCE
+            kept = self._kept[topic] = deque(maxlen=1 if topic in newest else None)
+            # The executor, which waits for services, may be faster than `_taken`.
+            self._subscriptions[topic] = self.node.create_subscription(
+                topic.message, topic.name, lambda message, kept=kept: kept.append(message),
+                glance if topic in newest else qos.QUEUE)
+        self._publishers = {topic: create_publisher(self.node, topic)
+                            for topic in (topics.FORCE_COMMAND, topics.MOTION_COMMAND)}
         self._on_status = on_status
         self.status: ControllerStatus | None = None
-
-    def _listen(self, topic: Topic, profile: QoSProfile, depth: int | None) -> None:
-        kept = self._kept[topic] = deque(maxlen=depth)
-        # The executor, which waits for services, may be faster than `_taken`.
-        self._subscriptions[topic] = self.node.create_subscription(
-            topic.message, topic.name, lambda message: kept.append(message), profile)
 
     def _taken(self, topic: Topic) -> deque[Any]:
         kept = self._kept[topic]
@@ -292,9 +259,8 @@ class ControllerLink(LifecycleDriver):
 
     def queue(self, topic: Topic) -> list[Any]:
         """Return the messages of a topic that have come since this was called last."""
-        kept = self._taken(topic)
-        found = list(kept)
-        kept.clear()
+        found = list(self._taken(topic))
+        self._kept[topic].clear()
         return found
 
     def fresh(self, *wanted: Topic) -> list[Any]:
@@ -308,8 +274,8 @@ class ControllerLink(LifecycleDriver):
         """Return messages like `fresh`, all with the same stamp."""
         def of_one_stamp() -> list[Any] | None:
             found: list[Any] = [self.newest(topic) for topic in wanted]
-            return found if all(
-                x.header.stamp == found[0].header.stamp for x in found) else None
+            stamps = [x.header.stamp for x in found]
+            return found if stamps.count(stamps[0]) == len(stamps) else None
 
         self.fresh(*wanted)
         names = ', '.join(topic.name for topic in wanted)
@@ -326,10 +292,10 @@ class ControllerLink(LifecycleDriver):
 
     def look(self) -> list[ControllerStatus]:
         """Return what the controller has said of itself and of commands since the last look."""
-        said = [ControllerStatus.of(message) for message in self.queue(topics.STATUS)]
-        for self.status in said:
+        found = [ControllerStatus.of(message) for message in self.queue(topics.STATUS)]
+        for self.status in found:
             self._on_status(self.status)
-        return said
+        return found
 
     def send(self, topic: Topic, command: Any, identifier: str) -> None:
         """Publish a command once, without waiting for an answer."""

@@ -17,7 +17,7 @@ from geometry_msgs.msg import PoseStamped, Transform, Twist, WrenchStamped
 from multicontact_control.arrays import Vector
 from multicontact_control.control.tasks import MotionReading
 from multicontact_control.errors import counted, MessageError
-from multicontact_control.nodes.loop_statistics import NANOSECONDS
+from multicontact_control.sampling import NANOSECONDS
 import numpy as np
 from numpy.typing import ArrayLike
 from sensor_msgs.msg import JointState
@@ -36,27 +36,16 @@ def stamp_to_ns(stamp: Time) -> int:
 
 
 def ns_to_stamp(nanoseconds: int) -> Time:
-    """Return nanoseconds as a time stamp, exactly."""
-    sec, nanosec = split_stamp(nanoseconds)
+    """Return nanoseconds as a time stamp, exactly; MessageError if ROS cannot hold it."""
+    sec, nanosec = divmod(nanoseconds, NANOSECONDS)
+    if abs(sec) > LAST_SECOND:
+        raise MessageError('stamp.sec', f'at most {LAST_SECOND}', sec)
     return Time(sec=sec, nanosec=nanosec)
 
 
-def split_stamp(nanoseconds: int) -> tuple[int, int]:
-    """Return seconds and the nanoseconds beyond them of a time stamp that ROS can hold."""
-    sec, nanosec = divmod(nanoseconds, NANOSECONDS)
-    if not -LAST_SECOND <= sec <= LAST_SECOND:
-        raise MessageError('stamp.sec', f'at most {LAST_SECOND}', sec)
-    return sec, nanosec
-
-
-def all_finite(numbers: Vector) -> bool:
-    """Return whether a few numbers are finite; one whose sum overflows is no better."""
-    return math.isfinite(sum(numbers.tolist()))
-
-
 def finite(numbers: Vector, field: str) -> Vector:
-    """Return numbers, which must be finite."""
-    if not all_finite(numbers):
+    """Return numbers, which must be finite, and whose sum must be."""
+    if not math.isfinite(sum(numbers.tolist())):
         raise MessageError(field, 'finite numbers', numbers.tolist())
     return numbers
 
@@ -109,11 +98,10 @@ def read_motion(message: MultiDOFJointTrajectoryPoint) -> MotionReading:
 
 
 def _read_twist(twists: Sequence[Any], field: str) -> Vector:
-    if not twists:
-        return np.zeros(6)
-    if len(twists) != 1:
+    if len(twists) > 1:
         raise MessageError(field, 'at most one', f'{len(twists)}')
-    return finite_array(_numbers('xyz', twists[0].linear, twists[0].angular), 6, field)
+    return finite_array(_numbers('xyz', twists[0].linear, twists[0].angular), 6, field) if (
+        twists) else np.zeros(6)
 
 
 def _numbers(axes: str, *parts: Any) -> list[float]:
@@ -121,12 +109,17 @@ def _numbers(axes: str, *parts: Any) -> list[float]:
     return [getattr(part, axis) for part in parts for axis in axes]
 
 
-def _fill(values: ArrayLike, field: str, *parts: tuple[Any, str]) -> None:
-    """Put numbers into vectors or quaternions, each with its axes, one after the other."""
-    targets = [(part, axis) for part, axes in parts for axis in axes]
+def _fill(values: ArrayLike, field: str, axes: str, *parts: Any) -> None:
+    """Put numbers into vectors or quaternions, one after the other."""
+    targets = [(part, axis) for part in parts for axis in axes]
     numbers = finite_array(values, len(targets), field)
     for (part, axis), value in zip(targets, numbers.tolist()):
         setattr(part, axis, value)
+
+
+def _stamped(message: Any, stamp: int, frame_id: str) -> Any:
+    message.header.stamp, message.header.frame_id = ns_to_stamp(stamp), frame_id
+    return message
 
 
 def joint_state_message(
@@ -134,8 +127,7 @@ def joint_state_message(
     velocity: ArrayLike | None = None, effort: ArrayLike | None = None, frame_id: str = '',
 ) -> JointState:
     """Build a named list of numbers."""
-    message = JointState(name=list(names))
-    message.header.stamp, message.header.frame_id = ns_to_stamp(stamp), frame_id
+    message = _stamped(JointState(name=list(names)), stamp, frame_id)
     for field, values in (('position', position), ('velocity', velocity), ('effort', effort)):
         if values is not None:
             numbers = finite_array(values, len(names), field)
@@ -145,9 +137,8 @@ def joint_state_message(
 
 def wrench_message(stamp: int, wrench: ArrayLike, frame_id: str) -> WrenchStamped:
     """Build a wrench, force first."""
-    message = WrenchStamped()
-    message.header.stamp, message.header.frame_id = ns_to_stamp(stamp), frame_id
-    _fill(wrench, 'wrench', (message.wrench.force, 'xyz'), (message.wrench.torque, 'xyz'))
+    message = _stamped(WrenchStamped(), stamp, frame_id)
+    _fill(wrench, 'wrench', 'xyz', message.wrench.force, message.wrench.torque)
     return message
 
 
@@ -155,10 +146,9 @@ def pose_message(
     stamp: int, position_world: ArrayLike, quaternion_xyzw: ArrayLike, frame_id: str,
 ) -> PoseStamped:
     """Build a pose."""
-    message = PoseStamped()
-    message.header.stamp, message.header.frame_id = ns_to_stamp(stamp), frame_id
-    _fill(position_world, 'position', (message.pose.position, 'xyz'))
-    _fill(quaternion_xyzw, 'orientation', (message.pose.orientation, 'xyzw'))
+    message = _stamped(PoseStamped(), stamp, frame_id)
+    _fill(position_world, 'position', 'xyz', message.pose.position)
+    _fill(quaternion_xyzw, 'orientation', 'xyzw', message.pose.orientation)
     return message
 
 
@@ -168,10 +158,9 @@ def motion_message(
 ) -> MultiDOFJointTrajectoryPoint:
     """Build a commanded motion of the operational point; twist and acceleration linear first."""
     pose, twist, acceleration = Transform(), Twist(), Twist()
-    _fill(position_world, 'translation', (pose.translation, 'xyz'))
-    _fill(quaternion_xyzw, 'rotation', (pose.rotation, 'xyzw'))
-    for part, values, field in ((twist, twist_world, 'velocities'),
-                                (acceleration, acceleration_world, 'accelerations')):
-        _fill(values, field, (part.linear, 'xyz'), (part.angular, 'xyz'))
+    _fill(position_world, 'translation', 'xyz', pose.translation)
+    _fill(quaternion_xyzw, 'rotation', 'xyzw', pose.rotation)
+    _fill(twist_world, 'velocities', 'xyz', twist.linear, twist.angular)
+    _fill(acceleration_world, 'accelerations', 'xyz', acceleration.linear, acceleration.angular)
     return MultiDOFJointTrajectoryPoint(
         transforms=[pose], velocities=[twist], accelerations=[acceleration])

@@ -2,14 +2,14 @@
 ROS parameters from configuration models, and back.
 
 Every value of a model of `multicontact_control.config` becomes a ROS parameter: nested fields get
-dotted names, a mapping such as ``contacts`` one set per name in ``contact_names``.
+dotted names, a mapping such as ``contacts`` one set per name in ``contact_names``. ROS holds
+values of any type; the models alone say what is acceptable, so that all errors are found at once.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
-import sys
 import traceback
 from types import NoneType
 import typing
@@ -18,34 +18,21 @@ from typing import Any, Literal, NamedTuple
 from multicontact_control.config import Config, validate
 from multicontact_control.errors import check_all, ConfigError, MulticontactError
 from pydantic.fields import FieldInfo
-from rcl_interfaces.msg import (
-    FloatingPointRange,
-    IntegerRange,
-    ParameterDescriptor,
-    SetParametersResult,
-)
+from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-Type = Parameter.Type
 Check = Callable[[Sequence[Any]], None]
 
 NAMES_OF_MAPPINGS = 'contact_names'
 SET_BY_ROS = ('use_sim_time', 'start_type_description_service', 'qos_overrides')
-INTEGER_LIMIT = 2 ** 63 - 1
 LOCKED = 'can be changed only before the node is configured'
-
-_SCALAR_TYPES = {bool: Type.BOOL, int: Type.INTEGER, float: Type.DOUBLE, str: Type.STRING}
-_ARRAY_TYPES = {
-    bool: Type.BOOL_ARRAY, int: Type.INTEGER_ARRAY, float: Type.DOUBLE_ARRAY,
-    str: Type.STRING_ARRAY}
+BOUNDS = {'gt': 'above', 'ge': 'at least', 'lt': 'below', 'le': 'at most'}
 
 
 class ParameterSpec(NamedTuple):
-    """A ROS parameter: name, type, default (None without), if live, and what ROS tools show."""
+    """A ROS parameter: its default (None without), whether it is live, and its description."""
 
-    name: str
-    type: Parameter.Type  # noqa: A003
     default: Any
     live: bool
     descriptor: ParameterDescriptor
@@ -53,7 +40,7 @@ class ParameterSpec(NamedTuple):
 
 def parameter_specs(
     model: type[Config], overrides: Mapping[str, Any], prefix: str = '',
-) -> Iterator[ParameterSpec]:
+) -> Iterator[tuple[str, ParameterSpec]]:
     """Yield the parameters of a model; `overrides` by name say which entries a mapping has."""
     for key, field in model.model_fields.items():
         name, annotation = prefix + key, _bare(field.annotation)
@@ -65,7 +52,7 @@ def parameter_specs(
             if isinstance(kind, type) and issubclass(kind, Config):
                 yield from parameter_specs(kind, overrides, f'{entry}.')
             else:
-                yield _leaf_spec(entry, kind, field)
+                yield entry, _leaf_spec(entry, kind, field)
 
 
 def _mapping_names(name: str, overrides: Mapping[str, Any]) -> list[str]:
@@ -76,33 +63,21 @@ def _mapping_names(name: str, overrides: Mapping[str, Any]) -> list[str]:
     return sorted(found, key=lambda x: listed.index(x) if x in listed else len(listed)) or listed
 
 
-def _leaf_spec(name: str, annotation: Any, field: FieldInfo) -> ParameterSpec:
-    ros_type, choices = _ros_type(name, annotation)
+def _leaf_spec(name: str, kind: Any, field: FieldInfo) -> ParameterSpec:
     extra = field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
-    unit = extra.get('unit')
-    descriptor = ParameterDescriptor(
-        name=name, type=ros_type.value,
-        description=(field.description or '') + (f' [{unit}]' if unit else ''),
-        additional_constraints=f'one of {", ".join(choices)}' if choices else '')
-    _add_range(descriptor, ros_type, field)
+    unit, live = extra.get('unit'), bool(extra.get('live'))
+    limits = [f'{words} {getattr(bound, key):g}' for bound in field.metadata
+              for key, words in BOUNDS.items() if getattr(bound, key, None) is not None]
+    if typing.get_origin(kind) is Literal:
+        limits = [f'one of {", ".join(map(str, typing.get_args(kind)))}']
     default = None if field.is_required() else field.get_default(call_default_factory=True)
     if isinstance(default, Mapping):
         default = default.get(name.rsplit('.', 1)[-1])
-    if isinstance(default, (tuple, list)):
-        default = list(default)
-    return ParameterSpec(name, ros_type, default, bool(extra.get('live')), descriptor)
-
-
-def _ros_type(name: str, annotation: Any) -> tuple[Parameter.Type, Sequence[str]]:
-    """Return the ROS type of an annotation, and the choices if there are only a few."""
-    types, kind = _SCALAR_TYPES, annotation
-    if typing.get_origin(annotation) in (tuple, list) and typing.get_args(annotation):
-        types, kind = _ARRAY_TYPES, _bare(typing.get_args(annotation)[0])
-    if typing.get_origin(kind) is Literal:
-        return types[str], [str(choice) for choice in typing.get_args(kind)]
-    if kind not in types:
-        raise ConfigError(name, 'a type that a ROS parameter can hold', annotation)
-    return types[kind], ()
+    return ParameterSpec(_plain(default), live, ParameterDescriptor(
+        name=name, dynamic_typing=True,
+        description=(field.description or '') + (f' [{unit}]' if unit else ''),
+        # Not read-only: `lock` decides that, and a descriptor cannot be unlocked.
+        additional_constraints='; '.join(limits + ([] if live else [LOCKED]))))
 
 
 def _bare(annotation: Any) -> Any:
@@ -113,22 +88,6 @@ def _bare(annotation: Any) -> Any:
     if NoneType in arguments:
         return _bare(next(argument for argument in arguments if argument is not NoneType))
     return annotation
-
-
-def _add_range(
-    descriptor: ParameterDescriptor, ros_type: Parameter.Type, field: FieldInfo,
-) -> None:
-    """Add the range of a number; a ROS range is closed, the model is stricter where it is not."""
-    bounds = {name[0]: getattr(constraint, name) for constraint in field.metadata
-              for name in ('ge', 'gt', 'le', 'lt') if getattr(constraint, name, None) is not None}
-    if bounds and ros_type is Type.DOUBLE:
-        limit = sys.float_info.max
-        descriptor.floating_point_range = [FloatingPointRange(
-            from_value=float(bounds.get('g', -limit)), to_value=float(bounds.get('l', limit)))]
-    elif bounds and ros_type is Type.INTEGER:
-        descriptor.integer_range = [IntegerRange(
-            from_value=int(bounds.get('g', -INTEGER_LIMIT)),
-            to_value=int(bounds.get('l', INTEGER_LIMIT)), step=1)]
 
 
 def nested(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -145,23 +104,13 @@ def nested(values: Mapping[str, Any]) -> dict[str, Any]:
     return result
 
 
-def _parameter_overrides(node: Node) -> dict[str, Any]:
-    """Return what the command line and its parameter files set; None for an empty list."""
-    # The public ways refuse an integer for a number and an empty list, and hide unknown names.
-    overrides: dict[str, Parameter] = getattr(node, '_parameter_overrides')  # noqa: B009
-    return {
-        name: parameter.value for name, parameter in overrides.items()
-        if name.split('.')[0] not in SET_BY_ROS}
-
-
 class ParameterSet:
     """
     Declares the parameters of some models, and turns their values into configurations.
 
-    A value that cannot be declared as what it should be is kept, so that `configurations` can
-    refuse it by name; setting a better one repairs that. Once `lock` has been called, a change
-    must be of a live parameter, lead to valid configurations and pass the node's own check;
-    only then the whole new configurations are handed to the node.
+    Once `lock` has been called, a change must be of a live parameter, lead to valid
+    configurations and pass the node's own check; only then the whole new configurations are
+    handed to the node.
 
     Parameters
     ----------
@@ -178,18 +127,18 @@ class ParameterSet:
     def __init__(self, node: Node, *models: type[Config]) -> None:
         self._node, self._models = node, models
         # What the command line and its parameter files set; None for an empty list. The public
-        # ways refuse an integer for a number and an empty list, and hide unknown names.
+        # ways hide unknown names.
         overrides: dict[str, Parameter] = getattr(node, '_parameter_overrides')  # noqa: B009
         given = {name: parameter.value for name, parameter in overrides.items()
                  if name.split('.')[0] not in SET_BY_ROS}
         self._specs = {
-            spec.name: spec for model in models for spec in parameter_specs(model, given)}
-        self._undeclared = {
-            name: value for name, value in given.items()
-            if name not in self._specs or not self._declare(self._specs[name], given)}
+            name: spec for model in models for name, spec in parameter_specs(model, given)}
+        self._unknown = {name: x for name, x in given.items() if name not in self._specs}
         for name, spec in self._specs.items():
-            if name not in given:
-                self._declare(spec, given)
+            value = given.get(name, spec.default)
+            node.declare_parameter(
+                name, [] if value is None and name in given else value, spec.descriptor,
+                ignore_override=True)
         self._check: Check | None = None
         self._apply: Check | None = None
         self._pending: list[Any] | None = None
@@ -220,7 +169,9 @@ class ParameterSet:
             Naming every parameter that is unknown, missing or not acceptable.
 
         """
-        values = nested({**self._undeclared, **self._values(self._specs), **(changes or {})})
+        present = {name: self.value(name) for name in self._specs} | dict(changes or {})
+        values = nested({**self._unknown, **{
+            name: value for name, value in present.items() if value is not None}})
         known = {key for model in self._models for key in model.model_fields}
 
         def refuse_unknown() -> None:
@@ -237,41 +188,13 @@ class ParameterSet:
 
     def value(self, name: str) -> Any:
         """Return the present value of one parameter, None if it has none."""
-        return self._values([name]).get(name)
+        return _plain(self._node.get_parameter_or(name).value)
 
     def assign(self, name: str, value: Any) -> None:
         """Change a parameter as its user could; ConfigError if that is refused."""
-        parameter = Parameter(name, self._specs[name].type, value)
-        result = self._node.set_parameters([parameter])[0]
+        result = self._node.set_parameters([Parameter(name, value=value)])[0]
         if not result.successful:
             raise ConfigError(name, 'an acceptable value', f'{value} ({result.reason})')
-
-    def _values(self, names: Iterable[str]) -> dict[str, Any]:
-        values = ((name, self._node.get_parameter_or(name).value) for name in names)
-        return {name: _plain(value) for name, value in values if value is not None}
-
-    def _declare(self, spec: ParameterSpec, given: Mapping[str, Any]) -> bool:
-        """Declare a parameter; return whether its given value could be set."""
-        descriptor = spec.descriptor
-        if not spec.live:
-            # Not read-only: `lock` decides that, and a descriptor cannot be unlocked.
-            descriptor.additional_constraints = '; '.join(
-                filter(None, (descriptor.additional_constraints, LOCKED)))
-        self._node.declare_parameter(spec.name, spec.type, descriptor, ignore_override=True)
-        value = given.get(spec.name, spec.default)
-        try:
-            if spec.type in _ARRAY_TYPES.values():
-                # ROS has no type for an empty list in a parameter file.
-                value = [float(x) if spec.type is Type.DOUBLE_ARRAY and type(x) is int else x
-                         for x in value or ()]
-            elif value is None:
-                return True
-            elif spec.type is Type.DOUBLE and type(value) is int:
-                value = float(value)
-            parameter = Parameter(spec.name, spec.type, value)
-        except (ValueError, TypeError, AttributeError):
-            return False  # not of that type
-        return bool(self._node.set_parameters([parameter])[0].successful)
 
     def _on_set(self, parameters: Sequence[Parameter]) -> SetParametersResult:
         self._pending = None
@@ -280,7 +203,7 @@ class ParameterSet:
             return SetParametersResult(successful=True)
         try:
             for name, value in changes.items():
-                if not self._specs[name].live and value != self.value(name):
+                if value is None or not self._specs[name].live and value != self.value(name):
                     raise ConfigError(name, f'{self.value(name)}: it {LOCKED}', value)
             configurations = self.configurations(changes)
             self._check(configurations)
@@ -292,9 +215,7 @@ class ParameterSet:
         self._pending = configurations
         return SetParametersResult(successful=True)
 
-    def _on_applied(self, parameters: Sequence[Parameter]) -> None:
-        for parameter in parameters:
-            self._undeclared.pop(parameter.name, None)
+    def _on_applied(self, _parameters: Sequence[Parameter]) -> None:
         if self._pending is not None and self._apply is not None:
             configurations, self._pending = self._pending, None
             self._apply(configurations)
@@ -302,7 +223,7 @@ class ParameterSet:
 
 def _plain(value: Any) -> Any:
     """Return an array as a list."""
-    return value if isinstance(value, (bool, int, float, str)) else list(value)
+    return value if isinstance(value, (bool, int, float, str, NoneType)) else list(value)
 
 
 def load_parameters(node: Node, *models: type[Config]) -> list[Any]:

@@ -1,5 +1,5 @@
 """
-The recorder as a ROS 2 node: every message of the graph into a bag, as it came, and /tf.
+The recorder as a ROS 2 node: every message of the graph into a bag, as it came.
 
 The subscriptions are raw, and emptied fifty times a second without an executor: the middleware
 keeps what arrives meanwhile, with its time and its number in the publisher's stream. A recorder
@@ -17,46 +17,28 @@ import sys
 import time
 
 from multicontact_control.config import parameter
-from multicontact_control.dynamics.robot import LinkTransforms
 from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.nodes import qos
 from multicontact_control.nodes.bag import Bag
-from multicontact_control.nodes.diagnostics import Diagnostics, input_status, Status
-from multicontact_control.nodes.graph_node import (
+from multicontact_control.nodes.diagnostics import Diagnostics, Status
+from multicontact_control.nodes.graph import (
+    compatible,
     full_topic_name,
     ignore,
-    quality_mismatches,
     StartupConfig,
     StartupGate,
     take,
 )
-from multicontact_control.nodes.loop_statistics import Freshness, NANOSECONDS
 from multicontact_control.nodes.parameters import load_parameters
 from multicontact_control.nodes.runtime import run_node, Spinner
-from multicontact_control.nodes.streams import HEADER, STAMP
-from multicontact_control.nodes.topics import (
-    JOINT_STATES,
-    message_class,
-    RECORDER,
-    ROBOT_DESCRIPTION,
-    Topic,
-    TOPICS,
-    USER,
-    WORLD_FRAME,
-)
-from rclpy.impl.rcutils_logger import RcutilsLogger
+from multicontact_control.nodes.topics import message_class, RECORDER, Topic, TOPICS, USER
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
-from sensor_msgs.msg import JointState
-from std_msgs.msg import String
 
-STALE_AGE = 1.0  # s
 NICENESS = 10  # the nodes that control go first; ten seconds of messages can wait
 POLL_PERIOD, FLUSH_PERIOD = 0.02, 0.5  # s
 QUIET_TIME, DRAIN_TIMEOUT = 0.2, 3.0  # s without a message that end a recording, at most this long
-TF_TOPIC, TF_TYPE, TF_PERIOD = '/tf', 'tf2_msgs/msg/TFMessage', NANOSECONDS // 25
 
 
 class RecorderConfig(StartupConfig):
@@ -102,26 +84,21 @@ class RecorderNode(Node):
             latched = topic.profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
             self._streams[name] = Stream(topic, self._subscribe(
                 topic, qos.RECORDING_LATCHED if latched else qos.RECORDING))
-        self._transforms = _TransformWriter(self._bag, self.get_logger()) if (
-            {JOINT_STATES, ROBOT_DESCRIPTION} <= set(chosen)) else None
         self._messages, self._next_flush = 0, 0.0
-        self._fresh = Freshness()
         self._diagnostics = Diagnostics(self, self._statuses)
-        self._gate = StartupGate(
-            self, {}, {x.topic: x.subscription for x in self._streams.values()}, self._config)
+        self._gate = StartupGate(self, self._config)
 
     def _chosen_topics(self) -> list[Topic]:
         """Return the topics to record; ConfigError if one is not known, or is there twice."""
-        names = [topic.name for topic in TOPICS]
-        for name in self._config.topics:
-            if name not in names:
-                raise ConfigError('topics', f'names among {", ".join(names)}', f"'{name}'")
-        chosen = [x for x in TOPICS if not self._config.topics or x.name in self._config.topics]
-        taken = {self.resolve_topic_name(name) for name in names}
+        ours = {topic.name: topic for topic in TOPICS}
+        unknown = [name for name in self._config.topics if name not in ours]
+        if unknown:
+            raise ConfigError('topics', f'names among {", ".join(ours)}', f"'{unknown[0]}'")
+        chosen = [ours[name] for name in self._config.topics or ours]
+        taken = {self.resolve_topic_name(name) for name in ours}
         for text in self._config.extra_topics:
             name, _, type_name = text.strip().partition(' ')
-            full_topic_name('extra_topics', name, self)
-            full = self.resolve_topic_name(name)
+            full = full_topic_name('extra_topics', name, self)
             if not type_name or full in taken:
                 raise ConfigError('extra_topics', 'NAME TYPE of other topics, each once',
                                   f"'{text}'")
@@ -162,12 +139,9 @@ class RecorderNode(Node):
                 arrived.append((sent, name, data))
                 if stream.topic.rate == 'control':
                     stream.count(info['publication_sequence_number'])
-                    self._fresh.note(name)
         arrived.sort(key=itemgetter(0))
         for sent, name, data in arrived:
             self._bag.write(name, data, sent)
-            if self._transforms is not None:
-                self._transforms.take(self._streams[name].topic, data, sent)
         self._messages += len(arrived)
         if time.monotonic() >= self._next_flush:
             self._bag.flush()
@@ -177,11 +151,11 @@ class RecorderNode(Node):
     def _meet_publishers(self) -> None:
         """Ask for no more than is given where one of a topic's publishers gives less."""
         for name, stream in self._streams.items():
-            end, asked = stream.subscription, stream.subscription.qos_profile
-            if self.count_publishers(name) > end.get_publisher_count() and (
-                    quality_mismatches(self, name, asked)):
+            asked = stream.subscription.qos_profile
+            if not all(compatible(x.qos_profile, asked)
+                       for x in self.get_publishers_info_by_topic(name)):
                 self._drain()
-                self.destroy_subscription(end)
+                self.destroy_subscription(stream.subscription)
                 stream.subscription = self._subscribe(
                     stream.topic, qos.profile(asked.depth, reliable=False))
                 self.get_logger().info(f'{name}: recorded best effort, as published')
@@ -189,9 +163,10 @@ class RecorderNode(Node):
     def close(self) -> None:
         """Close the bag, and write the counts of this run, if asked to."""
         self._bag.close()
+        lost = self._lost()
         self._config.write_counts({
             'messages': self._messages, 'counts': self._bag.counts(),
-            'lost': sum(self._lost().values()), 'lost_by_topic': self._lost()})
+            'lost': sum(lost.values()), 'lost_by_topic': lost})
 
     def _lost(self) -> dict[str, int]:
         return {name: x.lost for name, x in self._streams.items() if x.lost}
@@ -205,45 +180,7 @@ class RecorderNode(Node):
             Status('messages', {
                 'dropped': sum(lost.values()),
                 **{f'dropped {name}': number for name, number in lost.items()}},
-                warning=f'messages lost on {", ".join(lost)}' if lost else ''),
-            # Of what has come and does so no more: no graph has all that can be recorded.
-            input_status(self._fresh, STALE_AGE, needed=self._messages > 0)]
-
-
-class _TransformWriter:
-    """Adds the poses of the links to a bag, from its joint states and robot description."""
-
-    def __init__(self, bag: Bag, logger: RcutilsLogger) -> None:
-        self._bag, self._logger = bag, logger
-        self._links: LinkTransforms | None = None
-        self._last = -TF_PERIOD
-        bag.add_topic(TF_TOPIC, TF_TYPE, qos.STREAM)
-
-    def take(self, topic: Topic, data: bytes, sent: int) -> None:
-        """Take in a message; write the poses of a joint state 25 times a second."""
-        if topic is ROBOT_DESCRIPTION:
-            try:
-                self._links = LinkTransforms(
-                    deserialize_message(data, String).data, world_frame=WORLD_FRAME)
-            except ConfigError as error:
-                self._logger.error(f'no {TF_TOPIC}: {error}')
-        if topic is not JOINT_STATES or self._links is None:
-            return
-        sec, nanosec = STAMP.unpack_from(data, HEADER)
-        stamp = sec * NANOSECONDS + nanosec
-        if 0 <= stamp - self._last < TF_PERIOD:
-            return
-        self._last = stamp
-        joints = deserialize_message(data, JointState)
-        types = self._bag.types.types
-        at = types['builtin_interfaces/msg/Time'](sec, nanosec)
-        make, transform, vector, quaternion = (types[f'geometry_msgs/msg/{name}'] for name in (
-            'TransformStamped', 'Transform', 'Vector3', 'Quaternion'))
-        message = types[TF_TYPE]([make(
-            types['std_msgs/msg/Header'](at, x.parent), x.child,
-            transform(vector(*x.translation), quaternion(*x.quaternion_xyzw)))
-            for x in self._links.at(dict(zip(joints.name, joints.position)))])
-        self._bag.write(TF_TOPIC, bytes(self._bag.types.serialize_cdr(message, TF_TYPE)), sent)
+                warning=f'messages lost on {", ".join(lost)}' if lost else '')]
 
 
 def main() -> int:

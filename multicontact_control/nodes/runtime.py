@@ -51,8 +51,7 @@ class StopFlag:
             signal.signal(number, self._handle)
 
     def _handle(self, number: int, _frame: FrameType | None) -> None:
-        if self.signal is None:
-            self.signal = number
+        self.signal = number if self.signal is None else self.signal
         self.hurry = self.hurry or number == signal.SIGTERM
 
 
@@ -74,10 +73,8 @@ class Spinner:
         except InvalidHandle as error:
             # The events executor raises what the standard one ignores: an event of a topic's end
             # that has been destroyed (rclpy issue 1644).
-            trace = error.__traceback__
-            while trace is not None and trace.tb_next is not None:
-                trace = trace.tb_next
-            if trace is None or trace.tb_frame.f_code is not EventHandler.take_data.__code__:
+            *_, (last, _) = traceback.walk_tb(error.__traceback__)
+            if last.f_code is not EventHandler.take_data.__code__:
                 raise
 
     def drain(self, duration: float = SPIN_TIMEOUT) -> None:
@@ -167,8 +164,7 @@ def run_node(make_node: Callable[[], Any], args: Sequence[str] | None = None) ->
         traceback.print_exc()
         return EXIT_ERROR
     finally:
-        # All is written. A signal that comes while the interpreter and the middleware shut down,
-        # which takes a second on a busy machine, would end the process with -15.
+        # A signal that comes while interpreter and middleware shut down would end it with -15.
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.SIG_IGN)
         sys.stderr.flush()
@@ -185,14 +181,12 @@ def loaded_kernels() -> Any:
 
 def _compilations_reported(program: str) -> contextlib.AbstractContextManager[None]:
     """Print, at the first kernel, that this process has to compile."""
-    kernels: list[str] = []
-
-    def report(kernel: str) -> None:
-        kernels.append(kernel)
-        if len(kernels) == 1:
+    def report(kernel: str, told: list[str] = []) -> None:  # noqa: B006 - once a process
+        if not told:
             print(f'{program}: compiling the numerical kernels, beginning with {kernel}: '
                   'this takes a while, once; `multicontact compile` does it beforehand',
                   file=sys.stderr, flush=True)
+        told.append(kernel)
 
     compiled = loaded_kernels()
     return compiled.compilations_told(report) if compiled else contextlib.nullcontext()
@@ -206,11 +200,11 @@ def _run(node: Any, stop: StopFlag) -> None:
         node.run(spinner)
         give_up = time.monotonic() + ACKNOWLEDGE_TIMEOUT
         for publisher in node.publishers if not stop.hurry else ():
-            if publisher.topic_name not in ('/rosout', '/parameter_events'):
-                remaining = max(0.0, give_up - time.monotonic())
-                if not publisher.wait_for_all_acked(Duration(seconds=remaining)):
-                    node.get_logger().warning(
-                        f'{publisher.topic_name}: a reader has not acknowledged all messages')
+            remaining = Duration(seconds=max(0.0, give_up - time.monotonic()))
+            if publisher.topic_name not in ('/rosout', '/parameter_events') and not (
+                    publisher.wait_for_all_acked(remaining)):
+                node.get_logger().warning(
+                    f'{publisher.topic_name}: a reader has not acknowledged all messages')
     finally:
         spinner.close()
         try:

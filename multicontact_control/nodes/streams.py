@@ -8,24 +8,22 @@ names and lengths stay. Bytes are CDR (XCDR version 1) with its encapsulation he
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+import math
 import struct
 from typing import Any, Generic, NamedTuple, TypeVar
 
 from geometry_msgs.msg import WrenchStamped
 from multicontact_control.arrays import Vector
 from multicontact_control.errors import counted, MessageError
-from multicontact_control.force.noise import Innovation
-from multicontact_control.nodes.graph_node import create_publisher
-from multicontact_control.nodes.loop_statistics import NANOSECONDS
-from multicontact_control.nodes.messages import all_finite, finite, split_stamp, stamp_to_ns
+from multicontact_control.nodes.graph import create_publisher
+from multicontact_control.nodes.messages import LAST_SECOND, stamp_to_ns
 from multicontact_control.nodes.topics import Topic
-from multicontact_control.sampling import JointReading, WrenchReading
+from multicontact_control.sampling import JointReading, NANOSECONDS, WrenchReading
 import numpy as np
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
-from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 
 HEADER = 4  # bytes of the encapsulation: representation, options
@@ -43,10 +41,12 @@ class NamedReading(NamedTuple):
 
 
 class InnovationReading(NamedTuple):
-    """What the observers found at a time [ns], in the order that was asked for."""
+    """R that was used, C P_1 C^T [N^2] and innovation [N] at a time [ns], each of shape (r,)."""
 
     stamp: int
-    innovation: Innovation
+    variance_used: Vector
+    prior_variance: Vector
+    innovation: Vector
 
 
 class MessageTemplate:
@@ -61,8 +61,7 @@ class MessageTemplate:
         constants, runs, size = _lay_out(message)
         # From the first number on all are at multiples of 8 bytes from each other, so that one
         # array covers them; what is between two runs is a length and means nothing as a number.
-        filled = [start for start, count in runs if count]
-        self._first = filled[0] if filled else size
+        self._first = next((start for start, count in runs if count), size)
         self._covered = (size - self._first) // 8
         self.runs = [slice((start - self._first) // 8, (start - self._first) // 8 + count)
                      for start, count in runs]
@@ -75,16 +74,11 @@ class MessageTemplate:
         self._constants = struct.Struct(text)
         self._expected = self._constants.unpack_from(self._bytes)
         self._numbers = np.frombuffer(self._bytes, '<f8', self._covered, self._first) if (
-            filled) else np.zeros(0)
+            self._covered) else np.zeros(0)
         self._views = [self._numbers[run] for run in self.runs if run.stop > run.start]
 
     def read(self, data: bytes) -> tuple[int, Vector] | None:
-        """
-        Return stamp [ns] and numbers of a message, of which `runs` are slices.
-
-        None if anything but these differs from the template's, or the stamp is none. What follows
-        the message in its bytes means nothing, to rclpy as well.
-        """
+        """Return stamp [ns] and numbers of a message, None if anything else is different."""
         if len(data) < len(self._bytes) or self._constants.unpack_from(data) != self._expected:
             return None
         sec, nanosec = STAMP.unpack_from(data, HEADER)
@@ -95,21 +89,27 @@ class MessageTemplate:
         return sec * NANOSECONDS + nanosec, numbers
 
     def write(self, stamp: int, *runs: Vector) -> bytes:
-        """Return the message with another stamp [ns], and other numbers in its runs."""
-        sec, nanosec = split_stamp(stamp)
+        """
+        Return the message with another stamp [ns], and other numbers in its runs.
+
+        Raises `MessageError` if the numbers are not finite, or ROS cannot hold the stamp.
+        """
         for view, values in zip(self._views, runs):
             view[:] = values
-        finite(self._numbers, 'numbers')
+        if not math.isfinite(sum(self._numbers.tolist())):
+            raise MessageError('numbers', 'finite ones', self._numbers.tolist())
+        sec, nanosec = divmod(stamp, NANOSECONDS)
+        if abs(sec) > LAST_SECOND:
+            raise MessageError('stamp.sec', f'at most {LAST_SECOND}', sec)
         STAMP.pack_into(self._bytes, HEADER, sec, nanosec)
         return bytes(self._bytes)
 
 
 def _lay_out(message: Any) -> tuple[list[tuple[int, int]], list[tuple[int, int]], int]:
     """
-    Return where a message stands in its bytes.
+    Return strings and lengths by first and last byte, exclusive; runs by first byte and count.
 
-    First and last byte, exclusive, of strings and lengths; first byte and count of runs of
-    doubles; and the size. Alignment counts from the end of the encapsulation.
+    And the size of the message. Alignment counts from the end of the encapsulation.
     """
     constants, runs, at = [(0, 2)], [], HEADER + STAMP.size
 
@@ -150,19 +150,23 @@ class MessageReader(Generic[Reading]):
     ----------
     class_
         Of the topic.
+    fields, optional
+        Names of the vectors of a reading; that of one which is None where it is not finite.
     arrange
-        Returns where the vectors of a reading are among the numbers of a message, from it and
-        the runs of its template; raises `MessageError` if it cannot be used.
+        Returns where these vectors are among the numbers of a message, from it and the runs of
+        its template; raises `MessageError` if it cannot be used.
     make
         Makes the reading of a stamp and these vectors, or raises `MessageError`.
 
     """
 
     def __init__(
-        self, class_: Any, arrange: Callable[[Any, list[slice]], Sequence[Any]],
-        make: Callable[..., Reading],
+        self, class_: Any, fields: Sequence[str],
+        arrange: Callable[[Any, list[slice]], Sequence[Any]], make: Callable[..., Reading],
+        optional: str = '',
     ) -> None:
-        self._class, self._arrange, self._make = class_, arrange, make
+        self._class, self._fields, self._optional = class_, fields, optional
+        self._arrange, self._make = arrange, make
         self._template: MessageTemplate | None = None
         self._places: Sequence[Any] = ()
         self.slow = 0
@@ -171,7 +175,14 @@ class MessageReader(Generic[Reading]):
         """Return the reading in a message; MessageError if it is none, or cannot be used."""
         found = self._template.read(data) if self._template is not None else None
         stamp, numbers = found or self._learn(data)
-        return self._make(stamp, *[numbers[place] for place in self._places])
+        vectors: list[Vector | None] = []
+        for field, place in zip(self._fields, self._places):
+            vector = numbers[place]
+            finite = math.isfinite(sum(vector.tolist()))
+            if not finite and field != self._optional:
+                raise MessageError(field, 'finite numbers', vector.tolist())
+            vectors.append(vector if finite else None)
+        return self._make(stamp, *vectors)
 
     def _learn(self, data: bytes) -> tuple[int, Vector]:
         """Check a message by way of its class, and take its layout for that of the next."""
@@ -180,49 +191,60 @@ class MessageReader(Generic[Reading]):
             message = deserialize_message(data, self._class)
         except Exception as error:  # of whatever kind the middleware raises
             raise MessageError('data', f'a {self._class.__name__}', error) from None
-        stamp = stamp_to_ns(message.header.stamp)
-        template = MessageTemplate(message)
-        self._places = self._arrange(message, template.runs)
-        self._template = template
+        stamp, template = stamp_to_ns(message.header.stamp), MessageTemplate(message)
+        self._places, self._template = self._arrange(message, template.runs), template
         # Written anew: it may have come in another representation.
-        found = template.read(serialize_message(message))
-        return found or (stamp, np.zeros(0))
+        return template.read(serialize_message(message)) or (stamp, np.zeros(0))
+
+
+def _named_reader(
+    names: Sequence[str], fields: Sequence[str], make: Callable[..., Reading], optional: str = '',
+) -> MessageReader[Reading]:
+    """Return a reader of these fields of a JointState, by name, in the order of `names`."""
+    def arrange(message: JointState, runs: list[slice]) -> Sequence[Any]:
+        found = list(message.name)
+        if any(found.count(name) != 1 for name in names):
+            raise MessageError('name', f'each of {list(names)} once', found)
+        places: Any = np.array([found.index(name) for name in names], dtype=int)
+        chosen = []
+        for field in fields:
+            length = len(getattr(message, field))
+            if length == len(found):
+                chosen.append(runs[JOINT_FIELDS.index(field)].start + places)
+            elif field != optional:
+                raise MessageError(field, counted(len(found), 'values'), f'{length}')
+        return chosen
+
+    return MessageReader(JointState, fields, arrange, make, optional)
 
 
 def joint_state_reader(names: Sequence[str]) -> MessageReader[JointReading]:
     """
     Return a reader of positions and velocities of joints, which may be among others.
 
-    The effort is read where there is one for every joint: not every robot measures it.
+    The effort is None where it is not there or not finite: not every robot measures it.
     """
-    def make(stamp: int, q: Vector, qd: Vector, effort: Vector | None = None) -> JointReading:
-        return JointReading(
-            stamp, finite(q, 'position'), finite(qd, 'velocity'),
-            effort if effort is not None and all_finite(effort) else None)
-
-    def arrange(message: JointState, runs: list[slice]) -> Sequence[Any]:
-        with_effort = len(message.effort) == len(message.name)
-        return _places(message, names, JOINT_FIELDS if with_effort else JOINT_FIELDS[:2], runs)
-
-    return MessageReader(JointState, arrange, make)
+    return _named_reader(names, JOINT_FIELDS, JointReading, optional='effort')
 
 
 def effort_reader(names: Sequence[str]) -> MessageReader[NamedReading]:
-    """Return a reader of one effort per name: torques [N m], forces [N] or variances [N^2]."""
-    return MessageReader(
-        JointState, lambda message, runs: _places(message, names, ('effort',), runs),
-        lambda stamp, values: NamedReading(stamp, finite(values, 'effort')))
+    """Return a reader of one effort per name: torques [N m] or forces [N]."""
+    return _named_reader(names, ('effort',), NamedReading)
+
+
+def variance_reader(names: Sequence[str]) -> MessageReader[NamedReading]:
+    """Return a reader of one variance above 0 per name [N^2]."""
+    def make(stamp: int, values: Vector) -> NamedReading:
+        if min(values.tolist()) <= 0.0:
+            raise MessageError('effort', 'variances above 0', values.tolist())
+        return NamedReading(stamp, values)
+
+    return _named_reader(names, ('effort',), make)
 
 
 def innovation_reader(names: Sequence[str]) -> MessageReader[InnovationReading]:
     """Return a reader of effort r [N], velocity C P_1 C^T and position R used [N^2] per name."""
-    def make(stamp: int, used: Vector, prior: Vector, innovation: Vector) -> InnovationReading:
-        return InnovationReading(stamp, Innovation(
-            innovation=finite(innovation, 'effort'), prior_variance=finite(prior, 'velocity'),
-            variance_used=finite(used, 'position')))
-
-    return MessageReader(
-        JointState, lambda message, runs: _places(message, names, JOINT_FIELDS, runs), make)
+    return _named_reader(names, JOINT_FIELDS, InnovationReading)
 
 
 def wrench_reader(
@@ -235,74 +257,36 @@ def wrench_reader(
     """
     def arrange(message: WrenchStamped, runs: list[slice]) -> Sequence[Any]:
         found = message.header.frame_id.lstrip('/')
-        if frame and found and found != frame:
+        if frame and found not in ('', frame):
             raise MessageError('header.frame_id', f"'{frame}' (robot.sensor_frame), or none",
                                f"'{found}'")
         if frame and not found:
             on_nameless()
         return runs
 
-    return MessageReader(WrenchStamped, arrange, lambda stamp, wrench: WrenchReading(
-        stamp, finite(wrench, 'wrench')))
-
-
-def _places(
-    message: JointState, names: Sequence[str], fields: Sequence[str], runs: list[slice],
-) -> list[Any]:
-    """Return where the numbers of these names are, for each field."""
-    found = list(message.name)
-    if any(found.count(name) != 1 for name in names):
-        raise MessageError('name', f'each of {list(names)} once', found)
-    places = [found.index(name) for name in names]
-    for field in fields:
-        if len(getattr(message, field)) != len(found):
-            raise MessageError(
-                field, counted(len(found), 'values'), f'{len(getattr(message, field))}')
-    chosen = [runs[JOINT_FIELDS.index(field)] for field in fields]
-    if places == list(range(len(found))):
-        return chosen
-    return [run.start + np.array(places, dtype=int) for run in chosen]
+    return MessageReader(WrenchStamped, ('wrench',), arrange, WrenchReading)
 
 
 class Streams:
-    """The `publishers` and `subscriptions` of a node at the control rate, for bytes."""
+    """The streams of a node: its ends of topics at the control rate, for bytes."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
-        self.publishers: dict[Topic, Publisher] = {}
-        self.subscriptions: dict[Topic, Subscription] = {}
-        self._templates: dict[Topic, MessageTemplate] = {}
+        self._ends: dict[Topic, tuple[MessageTemplate, Publisher]] = {}
 
     def subscribe(
         self, topic: Topic, callback: Callable[[bytes], None], profile: QoSProfile,
     ) -> None:
-        """Call back with every message of a topic."""
-        self.subscriptions[topic] = self._node.create_subscription(
-            topic.message, topic.name, callback, profile, raw=True)
+        """Call back with the bytes of every message of a topic."""
+        self._node.create_subscription(topic.message, topic.name, callback, profile, raw=True)
 
-    def advertise(self, patterns: dict[Topic, Any]) -> None:
-        """Publish topics, with messages that are like these patterns but for stamp and numbers."""
-        for topic, pattern in patterns.items():
-            self.publishers[topic] = create_publisher(self._node, topic)
-            self._templates[topic] = MessageTemplate(pattern)
+    def advertise(self, topic: Topic, pattern: Any) -> tuple[MessageTemplate, Publisher]:
+        """Publish a topic, with messages like a pattern but for stamp and numbers."""
+        self._ends[topic] = MessageTemplate(pattern), create_publisher(self._node, topic)
+        return self._ends[topic]
 
     def send(self, topic: Topic, stamp: int, *runs: Vector) -> None:
         """Publish a message of a stamp [ns] and numbers in its order, if it is subscribed to."""
-        if self.publishers[topic].get_subscription_count():
-            self.pass_on(topic, self.message(topic, stamp, *runs))
-
-    def message(self, topic: Topic, stamp: int, *runs: Vector) -> bytes:
-        """Return what `send` would publish."""
-        return self._templates[topic].write(stamp, *runs)
-
-    def pass_on(self, topic: Topic, data: bytes) -> None:
-        """Publish bytes on a topic."""
-        self.publishers[topic].publish(data)
-
-    def close(self) -> None:
-        """Free the topics."""
-        for publisher in self.publishers.values():
-            self._node.destroy_publisher(publisher)
-        for subscription in self.subscriptions.values():
-            self._node.destroy_subscription(subscription)
-        self.publishers, self.subscriptions, self._templates = {}, {}, {}
+        template, publisher = self._ends[topic]
+        if publisher.get_subscription_count():
+            publisher.publish(template.write(stamp, *runs))

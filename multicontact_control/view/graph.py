@@ -17,9 +17,9 @@ from multicontact_control.control.tasks import MotionReading
 from multicontact_control.errors import CommandError, MulticontactError, RunError
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.nodes import messages, topics
-from multicontact_control.nodes.controller_outputs import NAMESPACE
+from multicontact_control.nodes.contact_markers import NAMESPACE
 from multicontact_control.nodes.link import ControllerLink
-from multicontact_control.nodes.status_message import ControllerStatus, new_identifier, REFUSED
+from multicontact_control.nodes.status import ControllerStatus, new_identifier, REFUSED
 from multicontact_control.supervision.command_limits import CommandLimits
 from multicontact_control.view import source
 from multicontact_control.view.motion import Motion

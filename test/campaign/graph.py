@@ -23,7 +23,7 @@ from multicontact_control.experiment.faults.vocabulary import HALT, KILL
 from multicontact_control.experiment.graph import spec
 from multicontact_control.experiment.graph.processes import NodeProcesses
 from multicontact_control.nodes import link, messages, qos, topics
-from multicontact_control.nodes.graph_node import create_publisher, ignore, take
+from multicontact_control.nodes.graph import create_publisher, ignore, take
 from multicontact_control.nodes.topics import CONTROLLER, ESTIMATOR, RECORDER, SIM
 from multicontact_control.quintic import quintic
 from multicontact_control.supervision.command_limits import CommandLimits

@@ -3,7 +3,7 @@
 from contextlib import contextmanager
 
 from multicontact_control.experiment.graph.domain import reserve_domain
-from multicontact_control.nodes import diagnostics, managed_node
+from multicontact_control.nodes import diagnostics, lifecycle
 from multicontact_control.nodes.link import GuestNode, LifecycleDriver
 from multicontact_control.nodes.runtime import Spinner, StopFlag
 import pytest
@@ -83,7 +83,7 @@ class Host(Middleware):
 def host_domain(tmp_path_factory):
     """Reserve a domain for hosted nodes: what is left of them answers no other test."""
     with reserve_domain() as number, environment(number, tmp_path_factory.mktemp('host')) as patch:
-        patch.setattr(managed_node, 'SPIN_TIMEOUT', 0.001)
+        patch.setattr(lifecycle, 'SPIN_TIMEOUT', 0.001)
         patch.setattr(diagnostics, 'PERIOD', 200_000_000)
         with GuestNode('keeper', number):
             yield number

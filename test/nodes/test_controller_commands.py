@@ -6,9 +6,9 @@ from builtin_interfaces.msg import Duration
 from fake_arm import FakeArm, PARAMETERS
 from geometry_msgs.msg import Transform
 from multicontact_control.nodes import messages, qos, topics
-from multicontact_control.nodes.graph_node import ignore, take
+from multicontact_control.nodes.graph import ignore, take
 from multicontact_control.nodes.link import LifecycleDriver
-from multicontact_control.nodes.status_message import ControllerStatus
+from multicontact_control.nodes.status import ControllerStatus
 from multicontact_control.paths import config_dir
 import numpy as np
 import pytest

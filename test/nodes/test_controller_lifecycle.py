@@ -8,7 +8,8 @@ from fake_arm import EFFORT, FakeArm
 from fake_arm import PARAMETERS as STILL
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.controller_node import ControllerNode
-from multicontact_control.nodes.graph_node import ignore
+from multicontact_control.nodes.graph import ignore
+from multicontact_control.nodes.lifecycle import FAILURE, FINALIZED, SUCCESS, UNCONFIGURED
 from multicontact_control.nodes.link import (
     ACTIVATE,
     CLEAN_UP,
@@ -16,7 +17,6 @@ from multicontact_control.nodes.link import (
     DEACTIVATE,
     TransitionError,
 )
-from multicontact_control.nodes.managed_node import FAILURE, FINALIZED, SUCCESS, UNCONFIGURED
 from multicontact_control.nodes.noise_estimator_node import NoiseEstimatorNode
 from multicontact_control.paths import config_dir
 import numpy as np

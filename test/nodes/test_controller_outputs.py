@@ -3,7 +3,7 @@
 from arms import controller_config
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import MessageError
-from multicontact_control.nodes.controller_outputs import ContactMarkers
+from multicontact_control.nodes.contact_markers import ContactMarkers
 import numpy as np
 import pytest
 from visualization_msgs.msg import Marker

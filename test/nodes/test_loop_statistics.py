@@ -1,8 +1,11 @@
 """Rates, jitter, ages and refusals from what is known."""
 
+import math
+
 from multicontact_control.errors import MessageError, RunError, ShapeError
-from multicontact_control.nodes.graph_node import Refusals
-from multicontact_control.nodes.loop_statistics import Freshness, LoopStatistics
+from multicontact_control.nodes.diagnostics import Inputs, LoopStatistics
+from multicontact_control.nodes.graph import Refusals
+from multicontact_control.nodes.topics import JOINT_STATES, WRENCH
 import pytest
 from rclpy.logging import get_logger
 
@@ -24,12 +27,13 @@ def test_report_gives_jitter_latency_and_misses_since_the_last():
     assert (values['deadline_misses'], values['latency_us_p50']) == (0, None)
 
 
-def test_freshness_knows_what_never_came():
-    fresh = Freshness()
-    fresh.expect('a', 'b')
-    fresh.note('a')
-    ages = fresh.ages()
-    assert ages['a'] >= 0.0 and ages['b'] is None
+def test_inputs_know_what_never_came():
+    inputs = Inputs(None, {JOINT_STATES: '', WRENCH: ''})
+    inputs.note(JOINT_STATES)
+    assert 0.0 <= inputs.age(JOINT_STATES) < inputs.age(WRENCH) == math.inf
+    status = inputs.status(60.0, needed=True, consequence=': it is held')
+    assert status.values['age_s ft_sensor/wrench'] is None
+    assert status.warning == 'no ft_sensor/wrench ever: it is held'
 
 
 @pytest.mark.parametrize('make', [

@@ -62,8 +62,7 @@ def read(reader, message, fields):
         reading = reader.read(serialize_message(message))
     except MessageError:
         return None
-    source = getattr(reading, 'innovation', reading)
-    values = [getattr(source, name) for name in fields]
+    values = [getattr(reading, name) for name in fields]
     return reading.stamp, *(x if x is None else x.tolist() for x in values)
 
 

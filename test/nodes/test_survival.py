@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from diagnostic_msgs.msg import DiagnosticArray
 from multicontact_control.nodes import messages, qos, topics
-from multicontact_control.nodes.graph_node import ignore
+from multicontact_control.nodes.graph import ignore
 from multicontact_control.paths import config_dir
 import pytest
 from ros_graph import wait_for

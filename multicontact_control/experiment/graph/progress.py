@@ -8,7 +8,7 @@ import math
 import time
 
 from multicontact_control.nodes import messages, qos, topics
-from multicontact_control.nodes.graph_node import ignore, take
+from multicontact_control.nodes.graph import ignore, take
 from multicontact_control.nodes.link import GuestNode
 
 

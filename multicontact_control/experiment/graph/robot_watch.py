@@ -11,13 +11,14 @@ from typing import Any
 
 from multicontact_control.errors import MessageError
 from multicontact_control.nodes import messages, qos, topics
-from multicontact_control.nodes.graph_node import ignore, NAMELESS, take
+from multicontact_control.nodes.graph import ignore, take
 from multicontact_control.nodes.link import GuestNode
 import numpy as np
 
 OURS = (topics.CONTROLLER, topics.ESTIMATOR, topics.RECORDER)
 HEARD = 100  # samples that are looked at for a rate, and for stamps that make pairs
 SILENCE = 2.0  # s without a message, from which on a robot that was heard is silent
+NAMELESS = '_NODE_NAME_UNKNOWN_'  # of a topic's end, until its node is known, too
 RATE_BAND = 1.5  # rates beyond 1 / this to this times the right one are told
 
 

@@ -23,7 +23,7 @@ from multicontact_control.experiment.bag import read_graph
 from multicontact_control.experiment.graph.domain import reserve_domain, shared_domain
 from multicontact_control.experiment.results import load
 from multicontact_control.nodes import messages, qos, topics
-from multicontact_control.nodes.graph_node import ignore, take
+from multicontact_control.nodes.graph import ignore, take
 from multicontact_control.nodes.link import GuestNode
 import numpy as np
 import pytest

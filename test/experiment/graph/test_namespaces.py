@@ -5,7 +5,7 @@ from __future__ import annotations
 from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.graph.domain import check_namespace, reserve_domain
 from multicontact_control.nodes import qos
-from multicontact_control.nodes.graph_node import ignore, take
+from multicontact_control.nodes.graph import ignore, take
 from multicontact_control.nodes.link import GuestNode
 from multicontact_control.paths import config_dir
 import pytest
@@ -99,7 +99,7 @@ def test_each_graph_records_its_own_topics_only(two_runs):
     for side in SIDES:
         with Reader(folders[side] / 'bag') as reader:
             counts = {x.topic: x.msgcount for x in reader.connections}
-        assert set(counts) - {'/clock', '/tf'} == {x for x in counts if x.startswith(f'/{side}/')}
+        assert set(counts) - {'/clock'} == {x for x in counts if x.startswith(f'/{side}/')}
         assert counts[f'/{side}/joint_states'] == TICKS
         assert counts[f'/{side}/joint_effort_command'] == TICKS
     positions = [read(folders[side], f'/{side}/ft_sensor/wrench')[-1].wrench.force.z

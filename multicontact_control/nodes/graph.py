@@ -14,7 +14,7 @@ from multicontact_control.errors import ConfigError, MulticontactError
 from multicontact_control.files import write_json
 from multicontact_control.nodes import qos
 from multicontact_control.nodes.runtime import loaded_kernels
-from multicontact_control.nodes.topics import Topic
+from multicontact_control.nodes.topics import Topic, TOPICS
 from multicontact_control.process import claim_processor, describe_claim
 from rclpy.exceptions import NameValidationException
 from rclpy.expand_topic_name import expand_topic_name
@@ -26,10 +26,8 @@ from rclpy.subscription import Subscription
 from rclpy.validate_full_topic_name import validate_full_topic_name
 from std_msgs.msg import Empty
 
-GATE_POLL = 0.02
-REPORT_PERIOD = 5.0
+GATE_POLL, REPORT_PERIOD = 0.02, 5.0  # s
 NAMED = 3  # connections that a line names
-NAMELESS = '_NODE_NAME_UNKNOWN_'  # of a topic's end, until its node is known, too
 
 
 class StartupConfig(Config):
@@ -70,30 +68,14 @@ def create_publisher(node: Node, topic: Topic) -> Publisher:
     return node.create_publisher(topic.message, topic.name, topic.profile)
 
 
-def quality_mismatches(node: Node, full_name: str, profile: QoSProfile) -> list[str]:
-    """Return which publishers of a topic a subscription cannot hear, and why."""
-    found = []
-    for other in node.get_publishers_info_by_topic(full_name):
-        policies = _unlike_policies(other.qos_profile, profile)
-        if policies:
-            who = 'a node whose name is not known' if other.node_name == NAMELESS else (
-                f'{other.node_namespace.rstrip("/")}/{other.node_name}')
-            found.append(f'no message goes from {who}: {", ".join(policies)}')
-    return found
-
-
-def _unlike_policies(offered: QoSProfile, requested: QoSProfile) -> list[str]:
-    """Return policies of which less is offered than requested, and what is."""
+def compatible(offered: QoSProfile, requested: QoSProfile) -> bool:
+    """Return whether a publisher offers the reliability and durability that a reader requests."""
     # rclpy's own check takes the endless deadline of a discovered reader for one that is set.
-    found = []
-    for policy, less, more in (
-            ('reliability', ReliabilityPolicy.BEST_EFFORT, ReliabilityPolicy.RELIABLE),
-            ('durability', DurabilityPolicy.VOLATILE, DurabilityPolicy.TRANSIENT_LOCAL)):
-        if (getattr(offered, policy), getattr(requested, policy)) == (less, more):
-            offers, wants = (x.name.lower().replace('_', ' ') for x in (less, more))
-            found.append(f'{policy} is offered as {offers} by the publisher and requested as '
-                         f'{wants} by the subscriber')
-    return found
+    return not (
+        (offered.reliability, requested.reliability) == (
+            ReliabilityPolicy.BEST_EFFORT, ReliabilityPolicy.RELIABLE)
+        or (offered.durability, requested.durability) == (
+            DurabilityPolicy.VOLATILE, DurabilityPolicy.TRANSIENT_LOCAL))
 
 
 def take(subscription: Subscription) -> tuple[Any, dict[str, Any]] | None:
@@ -147,16 +129,16 @@ class StartupGate:
     (hidden) publisher that is never used, and the gate opens when all peers have said so.
     """
 
-    def __init__(
-        self, node: Node, publishers: Mapping[Topic, Publisher],
-        subscriptions: Mapping[Topic, Subscription], config: StartupConfig,
-    ) -> None:
-        self._node, self._config = node, config
-        self._publishers, self._subscriptions = publishers, subscriptions
-        self._marker: Publisher | None = None
+    def __init__(self, node: Node, config: StartupConfig) -> None:
+        self._node, self._peers = node, config.startup_peers
+        ends = {node.resolve_topic_name(topic.name): topic for topic in TOPICS}
+        self._publishers, self._subscriptions = (
+            [(ends[x.topic_name], x) for x in found if x.topic_name in ends]
+            for found in (node.publishers, node.subscriptions))
+        self.marker: Publisher | None = None
         self._next_poll = time.monotonic()
         self._next_report = self._next_poll + REPORT_PERIOD
-        self.open = not config.startup_peers
+        self.open = not self._peers
         # By now all memory is there, and the threads of the middleware keep their own priority.
         for problem in claim_processor(
                 fifo_priority=config.fifo_priority, cpus=config.cpus,
@@ -168,8 +150,7 @@ class StartupGate:
         now = time.monotonic()
         if self.open or now < self._next_poll:
             return self.open
-        self._next_poll = now + GATE_POLL
-        missing = self._missing()
+        self._next_poll, missing = now + GATE_POLL, self._missing()
         self.open = not missing
         if missing and now > self._next_report:
             self._next_report = now + REPORT_PERIOD
@@ -179,25 +160,21 @@ class StartupGate:
 
     def _missing(self) -> list[str]:
         """Return what the node still waits for."""
-        peers = self._config.startup_peers
         missing = [
-            f'{topic.name} from {topic.publisher}'
-            for topic, subscription in self._subscriptions.items()
-            if topic.publisher in peers and subscription.get_publisher_count() == 0]
-        for topic, publisher in self._publishers.items():
+            f'{topic.name} from {topic.publisher}' for topic, subscription in self._subscriptions
+            if topic.publisher in self._peers and subscription.get_publisher_count() == 0]
+        for topic, publisher in self._publishers:
             readers = [x for x in self._node.get_subscriptions_info_by_topic(publisher.topic_name)
-                       if not _unlike_policies(publisher.qos_profile, x.qos_profile)]
+                       if compatible(publisher.qos_profile, x.qos_profile)]
             present = {x.node_name for x in readers
                        if x.node_namespace == self._node.get_namespace()}
-            wanted = {x for x in topic.subscribers if x in peers}
+            wanted = set(topic.subscribers) & set(self._peers)
             # Known by name is not yet connected: every reader that can be must be.
             if wanted - present or publisher.get_subscription_count() < len(readers):
                 missing.append(
                     f'{topic.name} to {", ".join(sorted(wanted - present or wanted))}')
-        if missing:
-            return missing
-        if self._marker is None:
-            self._marker = self._node.create_publisher(
+        if not missing and self.marker is None:
+            self.marker = self._node.create_publisher(
                 Empty, ready_topic(self._node.get_name()), qos.LATCHED)
-        return [f'{peer} to be ready' for peer in peers
-                if self._node.count_publishers(ready_topic(peer)) == 0]
+        return missing or [f'{peer} to be ready' for peer in self._peers
+                           if self._node.count_publishers(ready_topic(peer)) == 0]

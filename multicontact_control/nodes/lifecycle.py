@@ -6,14 +6,14 @@ from abc import abstractmethod
 from collections.abc import Callable, Sequence
 import gc
 import sys
+import time
 import traceback
 from typing import Any
 
-from lifecycle_msgs.srv import ChangeState
 from multicontact_control.config import Config, parameter
 from multicontact_control.errors import MulticontactError
 from multicontact_control.nodes.diagnostics import Diagnostics, Status
-from multicontact_control.nodes.graph_node import Refusals, StartupConfig, StartupGate
+from multicontact_control.nodes.graph import Refusals, StartupConfig, StartupGate
 from multicontact_control.nodes.parameters import ParameterSet
 from multicontact_control.nodes.runtime import Spinner
 from multicontact_control.nodes.streams import Streams
@@ -52,37 +52,42 @@ class ManagedNode(LifecycleNode):
     ----------
     state
         Of the life cycle.
+    working
+        Whether the node is active and its peers are there.
+    due
+        When `look` is to be called at the latest, monotonic time [ns]; 0 for now and then.
 
     """
 
     def __init__(self, name: str, *models: type[Config], **options: Any) -> None:
         super().__init__(name, **options)
         self.streams = Streams(self)
-        self.state = UNCONFIGURED
+        self.state, self.working, self.due = UNCONFIGURED, False, 0
         self.refusals = Refusals(self.get_logger())
         self.parameter_set = ParameterSet(self, *models)
         self.parameter_set.refused = self.refusals.refuse
         self.diagnostics = Diagnostics(self, self._all_statuses)
-        self.gate: StartupGate | None = None
+        self._gate: StartupGate | None = None
         self._gate_passed = False
         self._failure: MulticontactError | None = None
         self._survive_impossible_transitions()
+        self._lasting: list[Any] = [*self.publishers, *self.subscriptions, *self.services]
 
     @abstractmethod
     def configure(self, configurations: Sequence[Any]) -> None:
-        """Load everything; may raise `MulticontactError`."""
+        """Load everything and create the ends of topics; may raise `MulticontactError`."""
 
     @abstractmethod
-    def activate(self) -> StartupGate:
+    def activate(self) -> StartupConfig:
         """Forget the past and begin; return what to wait for."""
 
     @abstractmethod
-    def gate_opened(self) -> None:
-        """Answer what has come meanwhile."""
+    def clean_up(self) -> None:
+        """Write the counts of the run; the ends of topics are destroyed by themselves."""
 
     @abstractmethod
-    def clean_up(self) -> None:
-        """Free everything that `configure` made but the streams, or as much as there is of it."""
+    def statuses(self) -> Sequence[Status]:
+        """Return what diagnostics report."""
 
     def deactivate(self) -> None:
         """Stop the node's work; by itself it gives no more answers."""
@@ -93,24 +98,11 @@ class ManagedNode(LifecycleNode):
     def reconfigure(self, configurations: Sequence[Any]) -> None:
         """Go on with new configurations."""
 
-    @abstractmethod
-    def statuses(self) -> Sequence[Status]:
-        """Return what diagnostics report."""
-
-    def patience(self) -> float:
-        """Return how long to wait for the next callback at most [s]."""
-        return SPIN_TIMEOUT
-
     def look(self, spinner: Spinner) -> None:
-        """Look what has not come; called after each callback, and when the patience is over."""
+        """Do what is due; called after each callback, at `due`, and when the gate has opened."""
 
     def take_leave(self, spinner: Spinner) -> None:
         """Do what others need before the process ends; called when it has been asked to."""
-
-    @property
-    def working(self) -> bool:
-        """Whether the node is active and its peers are there."""
-        return self.state == ACTIVE and self.gate is not None and self.gate.open
 
     def run(self, spinner: Spinner) -> None:
         """Run callbacks until asked to stop or shut down; raise if an autostart fails."""
@@ -125,17 +117,20 @@ class ManagedNode(LifecycleNode):
 
     def spin_once(self, spinner: Spinner) -> None:
         """Run what comes next, and what is due between two callbacks."""
-        spinner.spin_once(GATED_SPIN_TIMEOUT if self._gated else self.patience())
-        if not self._gated:
+        gated = self.state == ACTIVE and not self.working
+        longest = GATED_SPIN_TIMEOUT if gated else SPIN_TIMEOUT
+        left = (self.due - time.monotonic_ns()) * 1e-9 if self.due else longest
+        spinner.spin_once(min(longest, max(0.0, left)))
+        if self.state == ACTIVE and not self.working and self._gate is not None:
+            self.working = self._gate_passed = self._gate.poll()
+        if self.working or self.state == INACTIVE:
             self.look(spinner)
-        elif self.gate is not None and self.gate.poll():
-            self._gate_passed = True
-            self.gate_opened()
         self.diagnostics.poll()
 
-    @property
-    def _gated(self) -> bool:
-        return self.state == ACTIVE and not self.working
+    def close(self) -> None:
+        """Leave what a configured node leaves at its end."""
+        if self.state in (ACTIVE, INACTIVE):
+            self.clean_up()
 
     def _all_statuses(self) -> list[Status]:
         state = Status('life cycle', {'state': self.state})
@@ -155,30 +150,44 @@ class ManagedNode(LifecycleNode):
     def on_activate(self, _state: LifecycleState) -> TransitionCallbackReturn:
         """Implement `LifecycleNode`."""
         def work() -> None:
-            self.gate = self.activate()
+            self._gate = StartupGate(self, self.activate())
             # Peers are waited for once: later they may have gone, and that is no reason.
-            self.gate.open = self.gate.open or self._gate_passed
+            self.working = self._gate.open or self._gate_passed
         return self._attempt('activate', work, ACTIVE)
 
     def on_deactivate(self, _state: LifecycleState) -> TransitionCallbackReturn:
         """Implement `LifecycleNode`."""
-        return self._attempt('deactivate', self.deactivate, INACTIVE)
+        def work() -> None:
+            self.working = False
+            self.deactivate()
+        return self._attempt('deactivate', work, INACTIVE)
 
     def on_cleanup(self, _state: LifecycleState) -> TransitionCallbackReturn:
         """Implement `LifecycleNode`."""
-        return self._attempt('clean up', self._free, UNCONFIGURED)
+        return self._attempt('clean up', self._end, UNCONFIGURED)
 
     def on_shutdown(self, _state: LifecycleState) -> TransitionCallbackReturn:
         """Implement `LifecycleNode`."""
-        return self._attempt('shut down', self._free, FINALIZED)
+        return self._attempt('shut down', self._end, FINALIZED)
 
     on_error = on_cleanup
 
+    def _end(self) -> None:
+        self.close()
+        self._free()
+
     def _free(self) -> None:
+        """Destroy the ends of topics and services that `configure` has created."""
         self.parameter_set.unlock()
-        self.gate = None
-        self.clean_up()
-        self.streams.close()
+        if self._gate is not None:
+            self._lasting.append(self._gate.marker)
+        self._gate, self.working, self.due = None, False, 0
+        for destroy, ends in ((self.destroy_publisher, self.publishers),
+                              (self.destroy_subscription, self.subscriptions),
+                              (self.destroy_service, self.services)):
+            for end in [end for end in ends if end not in self._lasting]:
+                destroy(end)
+        self.streams = Streams(self)
         gc.unfreeze()  # what `settle_process` froze
         gc.collect()
 
@@ -205,9 +214,7 @@ class ManagedNode(LifecycleNode):
         service = self._service_change_state
         change = service.callback
 
-        def change_if_possible(
-            request: ChangeState.Request, response: ChangeState.Response,
-        ) -> ChangeState.Response:
+        def change_if_possible(request: Any, response: Any) -> Any:
             wanted = request.transition
             possible = dict(x[:2] for x in self._state_machine.available_transitions)
             if wanted.label in possible.values() if wanted.label else wanted.id in possible:

@@ -1,25 +1,19 @@
-"""What the controller publishes: its command, the state of each tick, and arrows for viewers."""
+"""Contact forces as arrows for viewers."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import Any
 
 from geometry_msgs.msg import Point
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.config.contact import ACROSS
-from multicontact_control.control.controller import ControlOutput
 from multicontact_control.dynamics.rotations import Pose
-from multicontact_control.nodes import messages, qos, topics
-from multicontact_control.nodes.controller_config import ControllerNodeConfig
-from multicontact_control.nodes.graph_node import create_publisher, full_topic_name
-from multicontact_control.nodes.streams import JOINT_FIELDS, Streams
+from multicontact_control.nodes import messages, topics
 import numpy as np
 from rclpy.duration import Duration
-from rclpy.node import Node
-from rclpy.publisher import Publisher
-from std_msgs.msg import ColorRGBA, Float64MultiArray
+from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 NAMESPACE = 'contact_forces'
@@ -31,104 +25,6 @@ CONTROLLED, FELT, ESTIMATED, DESIRED = (
     ColorRGBA(r=red, g=green, b=blue, a=1.0) for red, green, blue in (
         (1.0, 0.45, 0.1), (0.5, 0.5, 0.5), (0.18, 0.45, 0.75), (0.2, 0.58, 0.36)))
 KINDS = (('', FELT), ('/estimated', ESTIMATED), ('/desired', DESIRED))
-
-
-class Command(NamedTuple):
-    """A command as it is sent, and its torques, shape (n,) [N m]."""
-
-    data: bytes
-    torque: Vector
-
-
-class ControllerOutputs:
-    """
-    What the controller publishes.
-
-    The bare efforts, if asked for, are what ros2_control's `forward_command_controller` and
-    `joint_group_effort_controller` subscribe to, in the order of the controller's joints.
-    """
-
-    def __init__(
-        self, node: Node, streams: Streams, config: ControllerConfig,
-        node_config: ControllerNodeConfig,
-    ) -> None:
-        self._node, self._streams = node, streams
-        self._shown = {topic: numbers for topic, (_, numbers) in SHOWN.items()
-                       if config.force.stiffness == 'adaptive' or topic not in OF_STIFFNESS}
-        streams.advertise(examples(config.robot.joint_names, config.column_names))
-        self._markers_publisher = create_publisher(node, topics.CONTACT_MARKERS)
-        bare = node_config.effort_output_topic
-        self._bare = node.create_publisher(
-            Float64MultiArray, full_topic_name('effort_output_topic', bare, node),
-            qos.STREAM) if bare else None
-        self._markers = ContactMarkers(
-            config, rate=node_config.marker_rate, scale=node_config.marker_scale)
-
-    @property
-    def publishers(self) -> dict[topics.Topic, Publisher]:
-        """Return the publishers that have to find their readers."""
-        return {**self._streams.publishers, topics.CONTACT_MARKERS: self._markers_publisher}
-
-    def close(self) -> None:
-        """Free the topics that are no streams."""
-        for publisher in (self._markers_publisher, self._bare):
-            if publisher is not None:
-                self._node.destroy_publisher(publisher)
-
-    def command(self, stamp: int, torque: Vector) -> Command:
-        """Return a command; raise `MessageError` if a torque is not finite."""
-        return Command(self._streams.message(topics.EFFORT_COMMAND, stamp, torque), torque)
-
-    def send(self, command: Command) -> None:
-        """Publish a command, and its bare efforts too if asked to."""
-        self._streams.pass_on(topics.EFFORT_COMMAND, command.data)
-        if self._bare is not None:
-            self._bare.publish(Float64MultiArray(data=command.torque))
-
-    def show(self, stamp: int, tick: int, output: ControlOutput) -> None:
-        """Publish forces, innovations, poses and markers of a tick with a stamp [ns]."""
-        for topic, numbers in self._shown.items():
-            self._streams.send(topic, stamp, *numbers(output))
-        if self._markers.due(tick):
-            self._markers_publisher.publish(self._markers.message(
-                stamp, output.pose, (output.alpha_meas, output.alpha_est, output.alpha_des),
-                output.active, output.contacts['normal']))
-
-
-# What is published of a tick: the fields of a message per contact, or none for a pose, and its
-# numbers in the order of the message's fields.
-Numbers = Callable[[ControlOutput], tuple[Vector, ...]]
-SHOWN: dict[topics.Topic, tuple[tuple[str, ...], Numbers]] = {
-    topics.MEASURED_FORCES: (('effort',), lambda output: (output.alpha_meas,)),
-    topics.ESTIMATED_FORCES: (
-        ('velocity', 'effort'), lambda output: (output.alpha_rate_est, output.alpha_est)),
-    topics.DESIRED_FORCES: (('effort',), lambda output: (output.alpha_des,)),
-    topics.INNOVATION: (JOINT_FIELDS, lambda output: (
-        output.variance_used, output.prior_variance, output.innovation)),
-    topics.STIFFNESS: (JOINT_FIELDS, lambda output: (
-        output.contacts['stiffness_est'], output.contacts['stiffness_std'],
-        output.contacts['stiffness'])),
-    topics.STABILITY_MARGIN: (('position', 'effort'), lambda output: (
-        output.contacts['ratio_bound'], output.contacts['margin'])),
-    topics.POSE: ((), lambda output: (_seven(output.pose),)),
-    topics.POSE_DESIRED: ((), lambda output: (_seven(output.pose_des),))}
-OF_STIFFNESS = (topics.STIFFNESS, topics.STABILITY_MARGIN)
-
-
-def _seven(pose: Pose) -> Vector:
-    """Return the numbers of a pose message: position and quaternion, shape (7,)."""
-    return np.concatenate((pose.position_world, pose.quaternion_xyzw))
-
-
-def examples(joints: Sequence[str], contacts: Sequence[str]) -> dict[topics.Topic, Any]:
-    """Return a message of each topic that the controller publishes at the control rate."""
-    build: Any = messages.joint_state_message
-    zeros = np.zeros(len(contacts))
-    pose = messages.pose_message(0, np.zeros(3), np.zeros(4), topics.WORLD_FRAME)
-    return {
-        topics.EFFORT_COMMAND: build(0, joints, effort=np.zeros(len(joints))),
-        **{topic: build(0, contacts, **dict.fromkeys(fields, zeros)) if fields else pose
-           for topic, (fields, _) in SHOWN.items()}}
 
 
 class ContactMarkers:

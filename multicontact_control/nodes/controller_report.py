@@ -1,0 +1,266 @@
+"""What the controller says of itself: ~/status and its log at once, diagnostics each second."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+import math
+import time
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from multicontact_control.control_loop import ControlLoop
+from multicontact_control.nodes import topics
+from multicontact_control.nodes.diagnostics import (
+    DurationLog,
+    Inputs,
+    LoopStatistics,
+    message_status,
+    STALE_PERIODS,
+    Status,
+)
+from multicontact_control.nodes.graph import create_publisher
+from multicontact_control.nodes.lifecycle import ACTIVE, ManagedNode
+from multicontact_control.nodes.status import ACCEPTED, ControllerStatus, REFUSED, STATE
+from multicontact_control.nodes.topics import Topic
+from multicontact_control.sampling import NANOSECONDS, SampleTiming
+from multicontact_control.supervision.contacts import GIVEN_UP, LOST, NAMES, RETRACTING
+from multicontact_control.supervision.reactions import INFLATE, NONE, SEVERITY
+
+REPEAT_TIME = 5_000_000_000  # ns, in which a line is logged once
+STATE_INTERVAL = 20_000_000  # ns, between two messages on a state that changes
+ANSWER_INTERVAL = 100_000_000  # ns, between two equal answers: motions come at the control rate
+TROUBLED = tuple(NAMES[code] for code in (LOST, RETRACTING, GIVEN_UP))
+# Samples from which on a rate is known, and the factor from which on it is a wrong one.
+FEWEST, WRONG_RATE = 10, 1.3
+
+
+class ControllerReport:
+    """
+    Says what becomes of commands, what the controller does, and what is wrong with its inputs.
+
+    Each answer to a command and each change of state is a `ControllerStatus` on ~/status. A
+    command with an identifier is answered; one without is told of if it is refused. The state is
+    repeated once a second.
+
+    Parameters
+    ----------
+    node, loop, timing
+        The controller's node, what it steps, and what says when.
+    inputs
+        What is expected in each input.
+    pair_tolerance
+        Largest difference between the stamps of a pair [periods].
+
+    Attributes
+    ----------
+    inputs
+        When each input came last.
+    ticks
+        From the last message of a sample to its command sent.
+    restarts
+        How often samples have begun anew.
+
+    """
+
+    def __init__(
+        self, node: ManagedNode, loop: ControlLoop, timing: SampleTiming,
+        inputs: Mapping[Topic, str], pair_tolerance: float,
+    ) -> None:
+        self._node, self._loop, self._timing = node, loop, timing
+        self.inputs, self._pair_tolerance = Inputs(node, inputs), pair_tolerance
+        self._pair = [topic for topic in inputs if topic is not topics.NOISE_VARIANCE]
+        self._publisher = create_publisher(node, topics.STATUS)
+        self._watch = LoopStatistics(loop.config.rate)
+        self.ticks, self.restarts = DurationLog(), 0
+        self._log_due: dict[str, int] = {}
+        self._warned: set[str] = set()
+        self._before: tuple[Any, ...] = ((NONE, (), ()), '')
+        self._next_state = self._next_answer = 0
+        self._answered: tuple[str, str, bool] | None = None
+        self._refused = 0  # commands
+        self._samples, self.last_sample = 0, 0  # and when the last was complete
+        self._reported_at = (0, -1)
+
+    def add_sample(self, received: int, sent: int) -> None:
+        """Take note of a sample, and of when its command was sent, monotonic times [ns]."""
+        self._samples, self.last_sample = self._samples + 1, received
+        self._watch.add_period(received)
+        self._watch.add_latency(sent - received)
+
+    def answer(self, source: str, identifier: str, error: Exception | None) -> None:
+        """Tell whether a command on a topic or of a service is accepted, or why it is refused."""
+        self._refused += error is not None
+        answer, now = (source, identifier, error is None), time.monotonic_ns()
+        if (identifier or error is not None) and (
+                answer != self._answered or now >= self._next_answer):
+            self._answered, self._next_answer = answer, now + ANSWER_INTERVAL
+            self._publish(ACCEPTED if error is None else REFUSED, identifier,
+                          '' if error is None else f'{source}: {error}')
+
+    def look(self) -> None:
+        """Tell what has changed with the newest tick, if anything has."""
+        loop = self._loop
+        status = loop.status
+        did = (NONE, (), ()) if status is None else (
+            status.reaction, status.causes, status.contact_states)
+        now: tuple[Any, ...] = (
+            did, loop.push_gate.instruction, loop.safe, loop.held, self._node.state,
+            *loop.commanded_forces.values())
+        if status is not None and status.rejected:
+            for name in status.rejected:
+                self._warn(name, f'a reading is not used: {name}')
+        if now == self._before or time.monotonic_ns() < self._next_state:
+            return
+        before, self._before = self._before, now
+        if now[0][:2] != before[0][:2]:
+            self._warn(f'{now[0]}', reaction_text(loop) or 'control goes on')
+        if now[1] not in ('', before[1]):
+            self._node.get_logger().info(f'push test: {now[1]}')
+        self._repeat()
+
+    def _warn(self, kind: str, text: str) -> None:
+        """Log what may happen at every tick, each kind of it once in `REPEAT_TIME`."""
+        now = time.monotonic_ns()
+        if now >= self._log_due.get(kind, 0):
+            self._log_due[kind] = now + REPEAT_TIME
+            self._node.get_logger().warning(text)
+
+    def warn_once(self, kind: str, text: str) -> str:
+        """Log a warning, unless one of that kind has been; return it."""
+        if kind not in self._warned:
+            self._warned.add(kind)
+            self._node.get_logger().warning(text)
+        return text
+
+    def _repeat(self) -> None:
+        self._next_state = time.monotonic_ns() + STATE_INTERVAL
+        self._publish(STATE, '', '')
+
+    def _publish(self, event: str, identifier: str, refusal: str) -> None:
+        loop, status, reaction = self._loop, self._loop.status, reaction_text(self._loop)
+        text = refusal or reaction or loop.push_gate.instruction or (
+            'safe behaviour' if loop.safe else 'held' if loop.held else 'ok')
+        states = zip(loop.config.contact_names, status.contact_states) if status else ()
+        self._publisher.publish(ControllerStatus(
+            event=event, command=identifier, text=text, life_cycle=self._node.state,
+            reaction=status.reaction if status else NONE,
+            causes=' '.join(status.causes) if status else '',
+            contacts=', '.join(f'{name} {state}' for name, state in states),
+            held=loop.held, refused=self._refused, push_test=loop.push_gate.instruction,
+            forces=loop.commanded_forces).message(
+                f'{self._node.get_name()}: status',
+                DiagnosticStatus.WARN if refusal or reaction else DiagnosticStatus.OK))
+
+    def statuses(self, slow: int) -> list[Status]:
+        """Return what diagnostics report; `slow` is how many messages were read slowly."""
+        loop, timing = self._loop, self._timing
+        self._repeat()
+        self._watch.missed, timing.skipped = timing.skipped, 0
+        values = {**self._watch.report(), 'steps': self.ticks.count, 'restarts': self.restarts,
+                  'safe_behaviour': loop.safe, 'supervised': loop.supervised}
+        missed = values['deadline_misses']
+        active = self._node.state == ACTIVE
+        warnings = [f'{missed} samples without a command' if missed else '',
+                    *((self._without_pairs(), self._at_another_rate()) if active else ())]
+        return [
+            Status('loop', values, warning='; '.join(filter(None, warnings))),
+            self.inputs.status(STALE_PERIODS * loop.config.period, needed=active,
+                               consequence=self._without_variance()),
+            self._contacts(), self._sensor(),
+            message_status(self._node.refusals, unpaired=timing.unpaired, slow=slow),
+            *([self._supervisor()] if loop.supervised else [])]
+
+    def _at_another_rate(self) -> str:
+        """Say at what rate samples have come since this was asked last, if it is a wrong one."""
+        newest = self._timing.last_stamp
+        (samples, stamp), self._reported_at = self._reported_at, (self._samples, newest)
+        count, elapsed = self._samples - samples, (newest - stamp) / NANOSECONDS
+        if stamp < 0 or count < FEWEST or elapsed < 0.0:
+            return ''
+        rate, expected = count / elapsed if elapsed else math.inf, self._loop.config.rate
+        return '' if expected / WRONG_RATE < rate < expected * WRONG_RATE else self.warn_once(
+            'rate', f'samples come at {rate:.4g} Hz by their stamps: expected {expected:g} Hz')
+
+    def _without_pairs(self) -> str:
+        """Return how far joint states and wrenches are apart if none of them is a pair."""
+        since = (time.monotonic_ns() - self.last_sample) / NANOSECONDS
+        if since < 1.0 or not self._timing.apart or any(
+                self.inputs.age(topic) > 1.0 for topic in self._pair):
+            return ''
+        return self.warn_once('apart', (
+            f'{" and ".join(topic.name for topic in self._pair)} come, but their stamps are '
+            f'{abs(self._timing.apart) * 1e-6:.6g} ms apart: expected at most '
+            f'{self._pair_tolerance:g} periods of {1e3 * self._loop.config.period:g} ms '
+            '(pair_tolerance), of one clock'))
+
+    def _without_variance(self) -> str:
+        """Return what is done about an R that is not renewed, nothing if it is."""
+        if self.inputs.age(topics.NOISE_VARIANCE) <= STALE_PERIODS * self._loop.config.period:
+            return ''
+        inflated = self._loop.supervised and self._timing.variance is not None
+        return ': the last R is held' + (' and inflated' if inflated else '')
+
+    def _supervisor(self) -> Status:
+        """Return what the supervisor does, and in how many ticks it did something else."""
+        loop, status = self._loop, self._loop.status
+        if status is None:
+            return Status('supervisor', {'reaction': NONE})
+        text = reaction_text(loop)
+        severe = SEVERITY.index(status.reaction) > SEVERITY.index(INFLATE)
+        return Status('supervisor', {
+            'reaction': status.reaction, 'causes': ' '.join(status.causes) or 'none',
+            'task_time_s': status.task_time, 'events': len(loop.events.events), **loop.collisions,
+            **{f'ticks with {name}': n for name, n in loop.reactions.items() if name != NONE},
+            **{f'rejected {name}': n for name, n in loop.rejected.items()},
+            **{f'limited {name}': n for name, n in loop.limited.items()}},
+            error=text if severe else '', warning='' if severe else text)
+
+    def _contacts(self) -> Status:
+        """Return the states and forces of the contacts, and R [N^2]."""
+        loop, output, variance = self._loop, self._loop.output, self._timing.variance
+        config, status = loop.config, loop.status
+        values: dict[str, Any] = {'held': loop.held}
+        if output is None:
+            return Status('contacts', values)
+        trouble = [f'1 N of friction at {where} is read as {gain:.1f} N at {what}: give '
+                   f'contacts.{where}.friction_std'
+                   for where, what, gain in loop.supervisor.controller.misread_friction]
+        for i, name in enumerate(config.column_names):
+            values |= {
+                f'{name} measured_n': float(output.alpha_meas[i]),
+                f'{name} estimated_n': float(output.alpha_est[i]),
+                f'{name} desired_n': float(output.alpha_des[i]),
+                f'{name} noise_variance_n2': float(
+                    config.initial_noise_variance if variance is None else variance[i])}
+        for contact, (i, name) in enumerate(zip(config.leaders, config.contact_names)):
+            values[name] = status.contact_states[contact] if status else (
+                'force' if output.active[i] else 'motion')
+            if config.force.stiffness == 'adaptive':
+                values |= {f'{name} {key}': float(output.contacts[i][key]) for key in (
+                    'stiffness', 'stiffness_est', 'stiffness_std', 'ratio_bound', 'margin')}
+            if values[name] in TROUBLED:
+                trouble.append(f'{name} is {values[name]}')
+        return Status('contacts', values, warning='; '.join(trouble))
+
+    def _sensor(self) -> Status:
+        """Return the health of the wrist sensor, and what is still to be proved of it."""
+        gate, fault = self._loop.push_gate, self._loop.sensor_fault
+        values = {'fault': fault or 'none', 'push_test': gate.instruction or 'none',
+                  'force_control': 'allowed' if gate.open else 'disabled'}
+        failed = gate.result is not None and not gate.result.passed and not gate.running
+        error = f'the readings are {fault}' if fault else gate.instruction if failed else ''
+        return Status('sensor', values, error=error,
+                      warning=gate.instruction if gate.running or not gate.open else '')
+
+
+def reaction_text(loop: ControlLoop) -> str:
+    """Return what the supervisor does instead of control, and why; empty if nothing."""
+    status = loop.status
+    if status is None or status.reaction == NONE:
+        return ''
+    causes = ', '.join(status.causes)
+    if status.reaction == INFLATE:
+        return f'R is inflated: {causes}'
+    outside = '; '.join(loop.supervisor.outside)
+    return f'{status.reaction} instead of control: {causes}' + (
+        f', until the arm is inside its limits: {outside}' if outside else '')

@@ -1,0 +1,206 @@
+"""Topics and services of the controller: what it publishes, and how a user commands it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from multicontact_control.arrays import Vector
+from multicontact_control.config import ControllerConfig
+from multicontact_control.control.controller import ControlOutput
+from multicontact_control.control_loop import ControlLoop
+from multicontact_control.dynamics.rotations import Pose
+from multicontact_control.errors import MulticontactError
+from multicontact_control.nodes import messages, qos, topics
+from multicontact_control.nodes.contact_markers import ContactMarkers
+from multicontact_control.nodes.controller_config import ControllerNodeConfig
+from multicontact_control.nodes.graph import create_publisher, full_topic_name, Refusals
+from multicontact_control.nodes.status import identifier_of
+from multicontact_control.nodes.streams import JOINT_FIELDS, Streams
+import numpy as np
+from rclpy.node import Node
+from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import SetBool, Trigger
+
+# What is published of a tick: the fields of a message per contact, or none for a pose, and its
+# numbers in the order of the message's fields.
+Numbers = Callable[[ControlOutput], tuple[Vector, ...]]
+SHOWN: dict[topics.Topic, tuple[tuple[str, ...], Numbers]] = {
+    topics.MEASURED_FORCES: (('effort',), lambda output: (output.alpha_meas,)),
+    topics.ESTIMATED_FORCES: (
+        ('velocity', 'effort'), lambda output: (output.alpha_rate_est, output.alpha_est)),
+    topics.DESIRED_FORCES: (('effort',), lambda output: (output.alpha_des,)),
+    topics.INNOVATION: (JOINT_FIELDS, lambda output: (
+        output.variance_used, output.prior_variance, output.innovation)),
+    topics.STIFFNESS: (JOINT_FIELDS, lambda output: (
+        output.contacts['stiffness_est'], output.contacts['stiffness_std'],
+        output.contacts['stiffness'])),
+    topics.STABILITY_MARGIN: (('position', 'effort'), lambda output: (
+        output.contacts['ratio_bound'], output.contacts['margin'])),
+    topics.POSE: ((), lambda output: (_seven(output.pose),)),
+    topics.POSE_DESIRED: ((), lambda output: (_seven(output.pose_des),))}
+OF_STIFFNESS = (topics.STIFFNESS, topics.STABILITY_MARGIN)
+
+
+def _seven(pose: Pose) -> Vector:
+    """Return the numbers of a pose message: position and quaternion, shape (7,)."""
+    return np.concatenate((pose.position_world, pose.quaternion_xyzw))
+
+
+class Command(NamedTuple):
+    """A command as it is sent, and its torques, shape (n,) [N m]."""
+
+    data: bytes
+    torque: Vector
+
+
+class ControllerOutputs:
+    """
+    Publishes the command, the state of each tick, and arrows for viewers.
+
+    The bare efforts, if asked for, are what ros2_control's `forward_command_controller` and
+    `joint_group_effort_controller` subscribe to, in the order of the controller's joints.
+    """
+
+    def __init__(
+        self, node: Node, streams: Streams, config: ControllerConfig,
+        node_config: ControllerNodeConfig,
+    ) -> None:
+        bare = node_config.effort_output_topic
+        name = full_topic_name('effort_output_topic', bare, node) if bare else ''
+        self._streams, build = streams, messages.joint_state_message
+        joints, contacts = config.robot.joint_names, config.column_names
+        zeros = np.zeros(len(contacts))
+        self._shown = {topic: numbers for topic, (_, numbers) in SHOWN.items()
+                       if config.force.stiffness == 'adaptive' or topic not in OF_STIFFNESS}
+        self._command, self._commands = streams.advertise(
+            topics.EFFORT_COMMAND, build(0, joints, effort=np.zeros(len(joints))))
+        for topic in self._shown:
+            fields: Any = dict.fromkeys(SHOWN[topic][0], zeros)
+            streams.advertise(topic, build(0, contacts, **fields) if fields else (
+                messages.pose_message(0, np.zeros(3), np.zeros(4), topics.WORLD_FRAME)))
+        self._bare = node.create_publisher(Float64MultiArray, name, qos.STREAM) if bare else None
+        self._markers_publisher = create_publisher(node, topics.CONTACT_MARKERS)
+        self._markers = ContactMarkers(
+            config, rate=node_config.marker_rate, scale=node_config.marker_scale)
+
+    def command(self, stamp: int, torque: Vector) -> Command:
+        """Return a command; raise `MessageError` if a torque is not finite."""
+        return Command(self._command.write(stamp, torque), torque)
+
+    def send(self, command: Command) -> None:
+        """Publish a command, and its bare efforts too if asked to."""
+        self._commands.publish(command.data)
+        if self._bare is not None:
+            self._bare.publish(Float64MultiArray(data=command.torque))
+
+    def show(self, stamp: int, tick: int, output: ControlOutput) -> None:
+        """Publish forces, innovations, poses and markers of a tick with a stamp [ns]."""
+        for topic, numbers in self._shown.items():
+            self._streams.send(topic, stamp, *numbers(output))
+        if self._markers.due(tick):
+            self._markers_publisher.publish(self._markers.message(
+                stamp, output.pose, (output.alpha_meas, output.alpha_est, output.alpha_des),
+                output.active, output.contacts['normal']))
+
+
+class Service(NamedTuple):
+    """A service of the controller's node: its name in it, class, and content for the reference."""
+
+    name: str
+    kind: Any
+    content: str
+
+    @property
+    def type_name(self) -> str:
+        """Return the type as ROS tools write it, e.g. ``std_srvs/srv/Trigger``."""
+        return '/'.join([*self.kind.__module__.split('.')[:2], self.kind.__name__])
+
+
+TARE = Service(
+    'tare', Trigger, 'Takes the present reading of the wrist sensor for its bias; refused while '
+    'a contact is under force control, or pressed by a reaction.')
+HOLD = Service('hold', SetBool, 'Holds the present pose and forces, or lets go of them.')
+RETRY = Service(
+    'retry', Trigger, 'Resumes control that waits for an operator (cause `latched`), and seeks '
+    'contacts that were given up.')
+PUSH_TEST = Service(
+    'push_test', Trigger, 'Begins the push test: log, diagnostics and `~/status` say where to '
+    'push the tool.')
+SERVICES = (TARE, HOLD, RETRY, PUSH_TEST)
+
+Answer = Callable[[str, str, Exception | None], None]
+
+
+class CommandInterface:
+    """
+    Hands commands to a control loop, and answers.
+
+    Parameters
+    ----------
+    node, loop
+        The controller's node, and what obeys.
+    refusals
+        Counts what is refused.
+    answer
+        Called with source, identifier and refusal, if it is one, of each command.
+    settings
+        Returns the configuration of tare and push test.
+    set_bias
+        Makes a bias of the wrist sensor the one in force; may raise `MulticontactError`.
+
+    """
+
+    def __init__(
+        self, node: Node, loop: ControlLoop, refusals: Refusals, answer: Answer,
+        settings: Callable[[], ControllerNodeConfig], set_bias: Callable[[list[float]], None],
+    ) -> None:
+        self._loop, self._refusals, self._answer = loop, refusals, answer
+        self._settings, self._set_bias = settings, set_bias
+        for topic, callback in ((topics.FORCE_COMMAND, self._on_forces),
+                                (topics.MOTION_COMMAND, self._on_motion)):
+            node.create_subscription(topic.message, topic.name, callback, qos.COMMAND)
+        for service, work in ((TARE, self._tare), (HOLD, self._hold),
+                              (RETRY, lambda _: loop.retry()), (PUSH_TEST, self._push_test)):
+            node.create_service(service.kind, f'~/{service.name}', self._served(service, work))
+
+    def _on_forces(self, message: Any) -> None:
+        self._obey(topics.FORCE_COMMAND.name, identifier_of(message), lambda: (
+            self._loop.set_forces(
+                *messages.read_force_command(message, self._loop.config.column_names))))
+
+    def _on_motion(self, message: Any) -> None:
+        self._obey(topics.MOTION_COMMAND.name, identifier_of(message),
+                   lambda: self._loop.set_motion(messages.read_motion(message)))
+
+    def _obey(self, source: str, identifier: str, work: Callable[[], Any]) -> Any:
+        """Return what some work does, or why it is refused."""
+        try:
+            found, refusal = work(), None
+        except MulticontactError as error:
+            self._refusals.refuse(source, error)
+            found = refusal = error
+        self._answer(source, identifier, refusal)
+        return found
+
+    def _tare(self, _request: Any) -> str:
+        bias = self._loop.tare(self._settings().tare)
+        self._set_bias(bias.tolist())
+        return 'bias [N, N m]: ' + ', '.join(f'{x:.4g}' for x in bias)
+
+    def _hold(self, request: Any) -> str:
+        self._loop.hold(request.data)
+        return 'held' if request.data else 'released'
+
+    def _push_test(self, _request: Any) -> str:
+        config = self._settings()
+        return self._loop.push_test(config.push_test, config.push_point_sensor)
+
+    def _served(self, service: Service, work: Callable[[Any], str]) -> Callable[[Any, Any], Any]:
+        """Return a service that answers with the words of some work, or with its refusal."""
+        def answer(request: Any, response: Any) -> Any:
+            found = self._obey(f'~/{service.name}', '', lambda: work(request))
+            response.message = str(found)
+            response.success = not isinstance(found, MulticontactError)
+            return response
+        return answer
