@@ -46,28 +46,17 @@ class NotReachedError(RunError):
 @dataclass(frozen=True, slots=True)
 class ArmState:
     """
-    What the controller says of one sample.
+    What the controller says of one sample: its stamp [s], forces by contact name, and poses.
 
-    Attributes
-    ----------
-    time
-        Stamp of the sample [s].
-    forces, forces_estimated, forces_desired
-        Contact forces by contact name [N]; estimated and desired are 0 where none is controlled.
-    noise_variance
-        R by contact name [N^2], the newest; empty if no estimator runs.
-    position_world, quaternion_xyzw
-        Pose of the operational point [m].
-    position_desired, quaternion_desired
-        Where it should be.
-
+    Estimated and desired forces are 0 where none is controlled; R is the newest, empty if no
+    estimator runs. Positions [m] are in world axes, quaternions in the order x, y, z, w.
     """
 
     time: float
-    forces: dict[str, float]
+    forces: dict[str, float]  # N
     forces_estimated: dict[str, float]
     forces_desired: dict[str, float]
-    noise_variance: dict[str, float]
+    noise_variance: dict[str, float]  # N^2
     position_world: Vector
     quaternion_xyzw: Vector
     position_desired: Vector
@@ -80,14 +69,13 @@ class MultiContactClient:
 
     The clock of everything is that of the samples, so a simulation in lockstep or with a pause
     is no different from a robot. Only timeouts look at the wall clock. Not for use by several
-    threads at once.
+    threads at once. Every method raises `RunError` if what it waits for does not come, and where
+    the controller refuses.
 
     Parameters
     ----------
-    namespace
-        Namespace of the controller.
-    domain_id
-        ROS domain; that of the environment by default.
+    namespace, domain_id
+        Of the controller; by default the domain of the environment.
     timeout
         Longest wait for an answer or a sample [s].
 
@@ -118,12 +106,6 @@ class MultiContactClient:
         Configure and activate estimator and controller, as far as they are not.
 
         A controller that is activated knows of no command from before.
-
-        Raises
-        ------
-        RunError
-            If the controller has no lifecycle, does not answer or refuses.
-
         """
         if self._link.has_lifecycle(topics.ESTIMATOR, OPTIONAL_WAIT):
             self._link.bring_up(topics.ESTIMATOR)
@@ -131,15 +113,7 @@ class MultiContactClient:
             self._commanded.clear()
 
     def deactivate(self) -> None:
-        """
-        Let the controller command its safe behaviour and obey no more.
-
-        Raises
-        ------
-        RunError
-            If the controller has no lifecycle, does not answer or refuses.
-
-        """
+        """Let the controller command its safe behaviour and obey no more."""
         if self._link.state(topics.CONTROLLER) == 'active':
             self._link.change(topics.CONTROLLER, DEACTIVATE)
         self._commanded.clear()
@@ -150,39 +124,15 @@ class MultiContactClient:
         return self._link.status
 
     def hold(self, on: bool = True) -> None:
-        """
-        Hold the arm where it is and obey no motion, or let go of it again.
-
-        Raises
-        ------
-        RunError
-            If the controller does not answer or refuses.
-
-        """
+        """Hold the arm where it is and obey no motion, or let go of it again."""
         self._ask('hold', SetBool, SetBool.Request(data=on))
 
     def tare(self) -> None:
-        """
-        Take what the wrist sensor reads now for its zero; nothing may touch the tool.
-
-        Raises
-        ------
-        RunError
-            If the controller does not answer or refuses.
-
-        """
+        """Take what the wrist sensor reads now for its zero; nothing may touch the tool."""
         self._ask('tare', Trigger, Trigger.Request())
 
     def retry(self) -> None:
-        """
-        Resume control that waits for an operator, and seek contacts that were given up.
-
-        Raises
-        ------
-        RunError
-            If the controller does not answer, or there is nothing of that.
-
-        """
+        """Resume control that waits for an operator, and seek contacts that were given up."""
         self._ask('retry', Trigger, Trigger.Request())
 
     def _ask(self, what: str, service: Any, request: Any) -> None:
@@ -211,8 +161,6 @@ class MultiContactClient:
         ------
         CommandRefusedError
             If the controller refuses, with its reason; centres are commanded after the forces.
-        RunError
-            If no controller runs or answers.
         MessageError
             If a force is not finite.
 
@@ -241,19 +189,17 @@ class MultiContactClient:
 
         Parameters
         ----------
-        position_world
-            Goal, shape (3,) [m].
+        position_world, quaternion_xyzw
+            Goal, shape (3,) [m], and orientation to turn to, the present one by default.
         duration
             Time to get there [s].
-        quaternion_xyzw
-            Orientation to turn to; the present one if not given.
 
         Raises
         ------
-        RunError
-            If no controller listens or answers, or samples stop coming or begin anew.
         CommandRefusedError
             If the controller does not obey; the arm stays where it got to.
+        RunError
+            If samples stop coming or begin anew.
         MessageError
             If a number is not finite, or the duration is not above 0.
 
@@ -292,27 +238,16 @@ class MultiContactClient:
         self._link.fresh(topics.POSE_DESIRED)
 
     def read(self) -> ArmState:
-        """
-        Return the state of a sample that comes from now on.
-
-        Raises
-        ------
-        RunError
-            If none comes.
-
-        """
-        forces, estimated, desired, pose, pose_desired = self._link.fresh_sample(
-            *STATE_TOPICS)
+        """Return the state of a sample that comes from now on."""
+        forces, estimated, desired, pose, pose_desired = self._link.fresh_sample(*STATE_TOPICS)
         variance = self._link.newest(topics.NOISE_VARIANCE)
-        position, rotation = _pose_of(pose)
-        position_desired, rotation_desired = _pose_of(pose_desired)
+        (position, rotation), (position_desired, rotation_desired) = (
+            _pose_of(pose), _pose_of(pose_desired))
         return ArmState(
-            time=messages.stamp_to_ns(forces.header.stamp) * 1e-9, forces=_by_name(forces),
-            forces_estimated=_by_name(estimated),
-            forces_desired=_by_name(desired),
-            noise_variance={} if variance is None else _by_name(variance),
-            position_world=position, quaternion_xyzw=rotation.as_quat(),
-            position_desired=position_desired, quaternion_desired=rotation_desired.as_quat())
+            messages.stamp_to_ns(forces.header.stamp) * 1e-9, _by_name(forces),
+            _by_name(estimated), _by_name(desired),
+            {} if variance is None else _by_name(variance), position, rotation.as_quat(),
+            position_desired, rotation_desired.as_quat())
 
     def wait_until_reached(
         self, force_tolerance: float = 0.5, timeout: float = 20.0, *, settle_time: float = 0.2,
@@ -324,10 +259,8 @@ class MultiContactClient:
         ----------
         force_tolerance
             Largest difference between a command and the mean measured force [N].
-        timeout
-            Longest wait [s].
-        settle_time
-            Time that mean is taken over, in the time of the samples [s].
+        timeout, settle_time
+            Longest wait, and the time of the samples that the mean is taken over [s].
 
         Returns
         -------
@@ -338,8 +271,6 @@ class MultiContactClient:
         ------
         NotReachedError
             Naming the contacts that are still off, and what the controller does instead.
-        RunError
-            If samples stop coming.
 
         """
         wanted = np.array(list(self._commanded.values()))
@@ -348,10 +279,6 @@ class MultiContactClient:
         while True:
             message, = self._link.fresh(topics.MEASURED_FORCES)
             now, forces = messages.stamp_to_ns(message.header.stamp) * 1e-9, _by_name(message)
-            missing = set(self._commanded) - set(forces)
-            if missing:
-                raise RunError(f'contact_forces/measured: expected {", ".join(sorted(missing))}, '
-                               f'found {", ".join(forces)}')
             if seen and now < seen[-1][0]:
                 seen.clear()  # their clock was set back
             seen.append((now, np.array([forces[name] for name in self._commanded])))
@@ -362,17 +289,13 @@ class MultiContactClient:
             if settled and (off <= force_tolerance).all():
                 return self.read()
             if time.monotonic() > give_up:
+                status = self.status()
                 raise NotReachedError(f'not within {force_tolerance:g} N after {timeout:g} s: ' + (
                     ', '.join(f'{name} is off by {value:.3g} N' for name, value
                               in zip(self._commanded, off) if value > force_tolerance)
-                    or 'too few samples') + self._doing())
-
-    def _doing(self) -> str:
-        """Say what the controller does instead of pressing, if it is known."""
-        status = self.status()
-        if status is None:
-            return ''
-        return f'; the controller: {status.text} (contacts: {status.contacts or "unknown"})'
+                    or 'too few samples') + ('' if status is None else (
+                        f'; the controller: {status.text} '
+                        f'(contacts: {status.contacts or "unknown"})')))
 
 
 def _by_name(message: JointState) -> dict[str, float]:

@@ -26,11 +26,7 @@ BARE_REPEATS = 25
 
 @dataclass(frozen=True, slots=True)
 class JointReading:
-    """
-    Joint positions [rad] and velocities [rad/s] at a time [ns], in the order of the robot's.
-
-    The effort [N m] is None if it is not measured at every joint.
-    """
+    """Positions [rad], velocities [rad/s] and efforts [N m] of the joints at a time [ns]."""
 
     stamp: int
     q: Vector
@@ -84,40 +80,34 @@ class SampleTiming:
     none one period later, or later    WITHOUT [4]_        WAIT                WAIT
     ================================== =================== =================== ================
 
-    One reading of each kind is kept; one that is overtaken is counted. Nothing is missing before
-    the first sample. The time of a tick is its stamp less the first; the law's time goes in whole
-    periods where it runs bare.
+    Nothing is missing before the first sample. The time of a tick is its stamp less the first;
+    bare, the law's time goes in whole periods.
 
-    .. [1] WAIT until the noise variance R of the sample before is there, but not in the safe
-       behaviour.
+    .. [1] Of the sample before, not in the safe behaviour; WAIT until it is there.
     .. [2] 25 times at most, then STALE: nothing else tells that the arm is not seen any more.
     .. [3] The clock was set back; the watchdog answers that.
-    .. [4] Once for each period. Time is counted on in periods meanwhile and does not go back
-       when samples come again, later than that: their stamps are shifted from then on.
+    .. [4] Once for each period, in which time is counted on. It does not go back when samples
+       come again: their stamps are shifted from then on.
 
     Parameters
     ----------
     rate
         1 / h [Hz].
     supervised, lockstep, feels
-        Whether a supervisor is around the law, whether R is waited for, and whether there is a
-        wrist sensor; without one joint states alone are whole samples.
-    patience
-        How long the next sample is waited for [periods]; 0 for ever.
-    pair_tolerance
-        Largest difference between the stamps of a pair [periods].
+        Whether a supervisor is around the law, R is waited for, and there is a wrist sensor;
+        without one joint states alone are whole samples.
+    patience, pair_tolerance
+        How long the next sample is waited for, 0 for ever, and the largest difference between
+        the stamps of a pair [periods].
 
     Attributes
     ----------
     last_stamp, expected_stamp
-        Of the newest sample, and of the one that should have come by now [ns], -1 before the
-        first.
-    tick
-        Number of the newest sample, from 0.
+        Of the newest sample, and of the one that should have come by now [ns]; -1 for none.
+    tick, variance
+        Number of the newest sample, from 0, and the newest R, shape (r,) [N^2], or None.
     due
         When `late` is to be asked, monotonic time [ns]; 0 for never.
-    variance
-        The newest R, shape (r,) [N^2], None before the first.
     unpaired, skipped
         Readings without their other half, and samples that never came or were overtaken.
     apart

@@ -41,7 +41,7 @@ from multicontact_control.nodes.graph import (
 )
 from multicontact_control.nodes.parameters import load_parameters
 from multicontact_control.nodes.runtime import run_node, Spinner
-from multicontact_control.nodes.streams import effort_reader, Streams
+from multicontact_control.nodes.streams import effort_reader, StreamPublisher, subscribe
 from multicontact_control.sampling import NANOSECONDS
 import numpy as np
 from rclpy.node import Node
@@ -61,6 +61,7 @@ ANSWER_TIMEOUT = 3.0  # s, longest wait for a command in lockstep
 RESENDS = 5  # times that a sample is sent in lockstep within that
 WAIT_FRACTION = 0.5  # of a period: time for the command of a sample before the plant moves on
 COMMAND_TIMEOUT = 0.05  # s without a command, free-running; then the drives hold their position
+EDGES = np.logspace(1.0, 5.0, 41)  # us, of the latencies: ten per decade, 10 us to 100 ms
 REMEMBERED = 1024  # samples whose time of publication is known
 
 
@@ -88,7 +89,6 @@ class SimNode(Node):
 
     def __init__(self) -> None:
         super().__init__(topics.SIM)
-        self.streams = Streams(self)
         plant_config: PlantConfig
         config: SimNodeConfig
         plant_config, config = load_parameters(self, PlantConfig, SimNodeConfig)
@@ -115,10 +115,10 @@ class SimNode(Node):
         description = create_publisher(self, topics.ROBOT_DESCRIPTION)
         self._surfaces = SurfaceMarkers(plant_config, rate=config.rate)
         self._surface_publisher = create_publisher(self, topics.SURFACE_MARKERS)
-        for topic, example in self._examples().items():
-            self.streams.advertise(topic, example)
+        self.streams = {topic: StreamPublisher(self, topic, example)
+                               for topic, example in self._examples().items()}
         self._reader = effort_reader(self._plant.joint_names)
-        self.streams.subscribe(topics.EFFORT_COMMAND, self._on_command, qos.INPUT)
+        subscribe(self, topics.EFFORT_COMMAND, self._on_command, qos.INPUT)
         self._watch = LoopStatistics(config.rate)
         self._inputs = Inputs(self, {topics.EFFORT_COMMAND: 'a torque [N m] for each joint'})
         self._diagnostics = Diagnostics(self, self._statuses)
@@ -169,7 +169,7 @@ class SimNode(Node):
             'pace_slips': self._slips, 'command_timeouts': self._timeouts,
             'wall_s': self._wall * 1e-9, 'on_time_share': self._on_time / samples,
             'latency_us': self._latency.percentiles(),
-            'latency_histogram': self._latency.histogram(),
+            'latency_histogram': histogram(self._latency.microseconds),
             'plant_us': self._step_times.percentiles(),
             'saturated_ticks': self._saturated, 'saturated_fraction':
             self._saturated / samples, 'refused': dict(self._refusals.counts)})
@@ -308,18 +308,18 @@ class SimNode(Node):
         """Publish what the controller works with; the clock of the latency starts here."""
         sample, streams, stamp = self._sample, self.streams, self._stamp(self._tick)
         if self._config.lockstep:
-            streams.send(topics.CLOCK, stamp)
+            streams[topics.CLOCK].send(stamp)
         now = time.monotonic_ns()
         self._published[self._tick % REMEMBERED] = now
         self._watch.add_period(now)
-        streams.send(topics.WRENCH, stamp, sample.wrench)
-        streams.send(topics.WRENCH_FILTERED, stamp, sample.wrench_filtered)
-        streams.send(topics.JOINT_STATES, stamp, sample.q, sample.qd, sample.effort)
+        streams[topics.WRENCH].send(stamp, sample.wrench)
+        streams[topics.WRENCH_FILTERED].send(stamp, sample.wrench_filtered)
+        streams[topics.JOINT_STATES].send(stamp, sample.q, sample.qd, sample.effort)
 
     def _publish_truth(self) -> None:
         """Publish what only an observer may know."""
-        self.streams.send(
-            topics.TRUE_FORCES, self._stamp(self._tick), self._sample.contact_force)
+        self.streams[topics.TRUE_FORCES].send(
+            self._stamp(self._tick), self._sample.contact_force)
         if self._surfaces.due(self._tick):
             self._publish_surfaces()
 
@@ -373,6 +373,12 @@ class SimNode(Node):
                 name: f'touching with {force:.4g} N' if force > 0.0 else 'free'
                 for name, force in forces}),
             message_status(self._refusals, slow=self._reader.slow)]
+
+
+def histogram(microseconds: Vector) -> dict[str, list[float] | list[int]]:
+    """Return how many there are from one edge [us] to the next, first and last with all."""
+    kept = np.clip(microseconds, EDGES[0], EDGES[-1])
+    return {'edges_us': EDGES.round(1).tolist(), 'counts': np.histogram(kept, EDGES)[0].tolist()}
 
 
 def main() -> int:

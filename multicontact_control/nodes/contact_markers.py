@@ -8,7 +8,6 @@ from typing import Any
 from geometry_msgs.msg import Point
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import ControllerConfig
-from multicontact_control.config.contact import ACROSS
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.nodes import messages, topics
 import numpy as np
@@ -31,21 +30,21 @@ class ContactMarkers:
     """
     Turns contact forces into arrows, three per contact, a few times a second.
 
-    That of the measured force ends at the contact's tip, or at the centre of pressure of an edge
-    or plane; those of the estimated and the desired one stand beside it. All point into the
-    surface. The measured one is orange where the force is controlled and grey where it is only
-    felt. There are `rate` messages a second [Hz], with `scale` as length per force [m/N].
+    That of the measured force ends at the contact's tip; those of the estimated and the desired
+    one stand beside it. All point into the surface. The measured one is orange where the force is
+    controlled and grey where it is only felt. There are `rate` messages a second [Hz], with
+    `scale` as length per force [m/N].
     """
 
     def __init__(self, config: ControllerConfig, *, rate: float, scale: float) -> None:
-        contacts = [config.contacts[name] for name in config.contact_names]
-        self._names, self._columns = config.contact_names, config.columns
         self._leaders = np.array(config.leaders)
-        self._points_operational = np.array([contact.point_operational for contact in contacts])
+        self._points_operational = np.array(
+            [config.contacts[name].point_operational for name in config.contact_names])
         self._every = max(1, round(config.rate / rate)) if rate > 0.0 else 0
         self._scale = scale
         self._arrows = [_arrow(f'{NAMESPACE}/{name}{kind}', number, colour)
-                        for kind, colour in KINDS for number, name in enumerate(self._names)]
+                        for kind, colour in KINDS
+                        for number, name in enumerate(config.contact_names)]
 
     def due(self, tick: int) -> bool:
         """Return whether the sample `tick` is one to show."""
@@ -69,8 +68,7 @@ class ContactMarkers:
 
         """
         normals = normals_world[self._leaders]
-        feet = pose.position_world + (self._points_operational + self._centres(
-            forces[0], pose, normals)) @ pose.rotation_world.T
+        feet = pose.position_world + self._points_operational @ pose.rotation_world.T
         alpha = np.array(forces)[:, self._leaders, None]
         # Beside each other in the surface: up, or along world -y where it is about level.
         level = np.abs(normals[:, 2:]) >= 0.8
@@ -91,21 +89,6 @@ class ContactMarkers:
         for arrow, leader in zip(self._arrows, self._leaders):
             arrow.color = CONTROLLED if active[leader] else FELT
         return MarkerArray(markers=self._arrows)
-
-    def _centres(self, alpha: Vector, pose: Pose, normals: Matrix) -> Matrix:
-        """Return the centres of pressure from those of the contacts, operational axes [m]."""
-        centres = np.zeros((len(self._names), 3))
-        for column, value in zip(self._columns, alpha.tolist()):
-            pressed = alpha[column.leader]
-            if column.half_length == 0.0 or pressed <= SMALLEST_FORCE:
-                continue
-            contact = self._names.index(column.contact)
-            direction = np.array(column.direction_operational)
-            if column.kind == ACROSS:
-                direction = np.cross(pose.rotation_world.T @ normals[contact], direction)
-            centres[contact] += min(max(value / pressed, -1.0), 1.0) * (
-                column.half_length * direction)
-        return centres
 
 
 def _arrow(namespace: str, number: int, colour: ColorRGBA) -> Marker:

@@ -31,6 +31,7 @@ from multicontact_control.nodes.runtime import run_node, Spinner
 from multicontact_control.nodes.streams import (
     joint_state_reader,
     MessageReader,
+    subscribe,
     variance_reader,
     wrench_reader,
 )
@@ -93,14 +94,14 @@ class ControllerNode(ManagedNode):
                     f'{wrench.name}: header.frame_id is empty: it is taken for {frame} '
                     '(robot.sensor_frame)'))), timing.add)
             expected[wrench] = f'force [N] and torque [N m] in the axes of {frame}, stamped'
-        self._outputs = ControllerOutputs(self, self.streams, config, node_config)
+        self._outputs = ControllerOutputs(self, config, node_config)
         report = ControllerReport(self, loop, timing, expected, node_config.pair_tolerance)
         CommandInterface(
             self, loop, self.refusals, report.answer, lambda: self._node_config,
             lambda bias: self.parameter_set.assign('tool.bias_sensor', bias))
         for topic in self._inputs:
-            self.streams.subscribe(topic, partial(self._on_message, topic),
-                                   qos.INPUT if node_config.lockstep else qos.SENSOR)
+            subscribe(self, topic, partial(self._on_message, topic),
+                      qos.INPUT if node_config.lockstep else qos.SENSOR)
         self._loop, self._timing, self._report = loop, timing, report
         self._node_config, self._last_command = node_config, None
 

@@ -46,19 +46,15 @@ class ControllerReport:
     ----------
     node, loop, timing
         The controller's node, what it steps, and what says when.
-    inputs
-        What is expected in each input.
-    pair_tolerance
-        Largest difference between the stamps of a pair [periods].
+    inputs, pair_tolerance
+        What is expected in each input, and how far the stamps of a pair may differ [periods].
 
     Attributes
     ----------
-    inputs
-        When each input came last.
+    inputs, restarts
+        When each input came last, and how often samples have begun anew.
     ticks
         From the last message of a sample to its command sent.
-    restarts
-        How often samples have begun anew.
 
     """
 

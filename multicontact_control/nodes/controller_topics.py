@@ -16,7 +16,7 @@ from multicontact_control.nodes.contact_markers import ContactMarkers
 from multicontact_control.nodes.controller_config import ControllerNodeConfig
 from multicontact_control.nodes.graph import create_publisher, full_topic_name, Refusals
 from multicontact_control.nodes.status import identifier_of
-from multicontact_control.nodes.streams import JOINT_FIELDS, Streams
+from multicontact_control.nodes.streams import JOINT_FIELDS, StreamPublisher
 import numpy as np
 from rclpy.node import Node
 from std_msgs.msg import Float64MultiArray
@@ -63,22 +63,21 @@ class ControllerOutputs:
     """
 
     def __init__(
-        self, node: Node, streams: Streams, config: ControllerConfig,
-        node_config: ControllerNodeConfig,
+        self, node: Node, config: ControllerConfig, node_config: ControllerNodeConfig,
     ) -> None:
         bare = node_config.effort_output_topic
         name = full_topic_name('effort_output_topic', bare, node) if bare else ''
-        self._streams, build = streams, messages.joint_state_message
         joints, contacts = config.robot.joint_names, config.column_names
-        zeros = np.zeros(len(contacts))
-        self._shown = {topic: numbers for topic, (_, numbers) in SHOWN.items()
-                       if config.force.stiffness == 'adaptive' or topic not in OF_STIFFNESS}
-        self._command, self._commands = streams.advertise(
-            topics.EFFORT_COMMAND, build(0, joints, effort=np.zeros(len(joints))))
-        for topic in self._shown:
-            fields: Any = dict.fromkeys(SHOWN[topic][0], zeros)
-            streams.advertise(topic, build(0, contacts, **fields) if fields else (
-                messages.pose_message(0, np.zeros(3), np.zeros(4), topics.WORLD_FRAME)))
+        zeros, build = np.zeros(len(contacts)), messages.joint_state_message
+        self._commands = StreamPublisher(
+            node, topics.EFFORT_COMMAND, build(0, joints, effort=np.zeros(len(joints))))
+        self._shown: list[tuple[StreamPublisher, Numbers]] = []
+        for topic, (fields, numbers) in SHOWN.items():
+            if config.force.stiffness == 'adaptive' or topic not in OF_STIFFNESS:
+                values: Any = dict.fromkeys(fields, zeros)
+                pattern = build(0, contacts, **values) if fields else messages.pose_message(
+                    0, np.zeros(3), np.zeros(4), topics.WORLD_FRAME)
+                self._shown.append((StreamPublisher(node, topic, pattern), numbers))
         self._bare = node.create_publisher(Float64MultiArray, name, qos.STREAM) if bare else None
         self._markers_publisher = create_publisher(node, topics.CONTACT_MARKERS)
         self._markers = ContactMarkers(
@@ -86,7 +85,7 @@ class ControllerOutputs:
 
     def command(self, stamp: int, torque: Vector) -> Command:
         """Return a command; raise `MessageError` if a torque is not finite."""
-        return Command(self._command.write(stamp, torque), torque)
+        return Command(self._commands.write(stamp, torque), torque)
 
     def send(self, command: Command) -> None:
         """Publish a command, and its bare efforts too if asked to."""
@@ -96,8 +95,8 @@ class ControllerOutputs:
 
     def show(self, stamp: int, tick: int, output: ControlOutput) -> None:
         """Publish forces, innovations, poses and markers of a tick with a stamp [ns]."""
-        for topic, numbers in self._shown.items():
-            self._streams.send(topic, stamp, *numbers(output))
+        for publisher, numbers in self._shown:
+            publisher.send(stamp, *numbers(output))
         if self._markers.due(tick):
             self._markers_publisher.publish(self._markers.message(
                 stamp, output.pose, (output.alpha_meas, output.alpha_est, output.alpha_des),

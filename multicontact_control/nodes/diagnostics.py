@@ -24,7 +24,6 @@ REMINDER_PERIOD = 30 * NANOSECONDS
 CAPACITY = 1 << 18  # durations: 8 minutes at 500 Hz
 REPORTED = 1 << 12  # turns that a report is made of, at most
 PERCENTILES = {'p50': 50.0, 'p99': 99.0, 'p999': 99.9, 'max': 100.0}
-EDGES = np.logspace(1.0, 5.0, 41)  # us, of a histogram: ten per decade, 10 us to 100 ms
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
 
@@ -87,18 +86,11 @@ class DurationLog:
     @property
     def microseconds(self) -> Vector:
         """Return those that are kept [us]."""
-        kept = self._nanoseconds[:min(self.count, self._nanoseconds.size)]
-        return np.asarray(1e-3 * kept, dtype=np.float64)
+        return np.asarray(1e-3 * self._nanoseconds[:self.count], dtype=np.float64)
 
     def percentiles(self) -> dict[str, float | None]:
         """Return median, tails and maximum [us]; None without any duration."""
         return _percentiles(self.microseconds)
-
-    def histogram(self) -> dict[str, list[float] | list[int]]:
-        """Return how many there are from one edge [us] to the next, first and last with all."""
-        kept = np.clip(self.microseconds, EDGES[0], EDGES[-1])
-        return {'edges_us': EDGES.round(1).tolist(),
-                'counts': np.histogram(kept, EDGES)[0].tolist()}
 
 
 def _percentiles(microseconds: Vector) -> dict[str, float | None]:
@@ -115,8 +107,7 @@ class LoopStatistics:
     """
 
     def __init__(self, rate: float) -> None:
-        self._period = 1e6 / rate  # us
-        self._last = 0
+        self._rate, self._last = rate, 0
         self._begin()
 
     def _begin(self) -> None:
@@ -135,13 +126,9 @@ class LoopStatistics:
         self._latencies.add(latency)
 
     def report(self) -> dict[str, float | int | None]:
-        """
-        Return what was seen since the last call, by name with unit.
-
-        Jitter is the deviation of an interval from the period.
-        """
+        """Return what was seen since the last call; jitter is the deviation from the period."""
         elapsed = max(1, time.monotonic_ns() - self._report_start)
-        jitter = _percentiles(np.abs(self._intervals.microseconds - self._period))
+        jitter = _percentiles(np.abs(self._intervals.microseconds - 1e6 / self._rate))
         latency = self._latencies.percentiles()
         values = {
             'rate_hz': round(self._intervals.count * NANOSECONDS / elapsed, 2),

@@ -16,7 +16,6 @@ from multicontact_control.nodes.diagnostics import Diagnostics, Status
 from multicontact_control.nodes.graph import Refusals, StartupConfig, StartupGate
 from multicontact_control.nodes.parameters import ParameterSet
 from multicontact_control.nodes.runtime import Spinner
-from multicontact_control.nodes.streams import Streams
 from multicontact_control.process import settle_process
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
@@ -61,7 +60,6 @@ class ManagedNode(LifecycleNode):
 
     def __init__(self, name: str, *models: type[Config], **options: Any) -> None:
         super().__init__(name, **options)
-        self.streams = Streams(self)
         self.state, self.working, self.due = UNCONFIGURED, False, 0
         self.refusals = Refusals(self.get_logger())
         self.parameter_set = ParameterSet(self, *models)
@@ -187,7 +185,6 @@ class ManagedNode(LifecycleNode):
                               (self.destroy_service, self.services)):
             for end in [end for end in ends if end not in self._lasting]:
                 destroy(end)
-        self.streams = Streams(self)
         gc.unfreeze()  # what `settle_process` froze
         gc.collect()
 

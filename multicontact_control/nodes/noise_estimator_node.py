@@ -26,6 +26,8 @@ from multicontact_control.nodes.streams import (
     InnovationReading,
     MessageReader,
     NamedReading,
+    StreamPublisher,
+    subscribe,
 )
 import numpy as np
 
@@ -49,6 +51,8 @@ class NoiseEstimatorNode(ManagedNode):
     def __init__(self, **options: Any) -> None:
         super().__init__(topics.ESTIMATOR, NoiseEstimatorConfig, ManagedConfig, **options)
         self._samples = 0
+        self._waiting: deque[NamedReading] = deque()
+        self._innovations: deque[InnovationReading] = deque(maxlen=MAX_INNOVATIONS)
 
     def configure(self, configurations: Sequence[Any]) -> None:
         """Make the estimator and its ends of the topics."""
@@ -58,21 +62,20 @@ class NoiseEstimatorNode(ManagedNode):
         self._estimator.update(np.zeros(len(names)))  # the first one takes a while
         self._watch = LoopStatistics(self._config.rate)
         self._measured, self._innovation = effort_reader(names), innovation_reader(names)
-        self._template, self._publisher = self.streams.advertise(
-            topics.NOISE_VARIANCE,
-            messages.joint_state_message(0, names, effort=np.zeros(len(names))))
+        self._publisher = StreamPublisher(self, topics.NOISE_VARIANCE, (
+            messages.joint_state_message(0, names, effort=np.zeros(len(names)))))
         expected = {topics.MEASURED_FORCES: 'an effort [N] for each contact'}
-        self.streams.subscribe(topics.MEASURED_FORCES, self._on_measured, qos.INPUT)
+        subscribe(self, topics.MEASURED_FORCES, self._on_measured, qos.INPUT)
         if self._estimator.uses_innovation:
             expected[topics.INNOVATION] = 'innovations [N] and their variances [N^2]'
-            self.streams.subscribe(topics.INNOVATION, self._on_innovation, qos.INPUT)
+            subscribe(self, topics.INNOVATION, self._on_innovation, qos.INPUT)
         self._inputs = Inputs(self, expected)
 
     def activate(self) -> ManagedConfig:
         """Start with an empty window."""
         self._estimator.reset()
-        self._waiting: deque[NamedReading] = deque()
-        self._innovations: deque[InnovationReading] = deque(maxlen=MAX_INNOVATIONS)
+        self._waiting.clear()
+        self._innovations.clear()
         self._last_stamp, self._last_answer = -1, b''
         self._inputs.restart()
         return self._node_config
@@ -83,25 +86,24 @@ class NoiseEstimatorNode(ManagedNode):
             'samples': self._samples, 'refused': dict(self.refusals.counts)})
 
     def _on_measured(self, data: bytes) -> None:
-        self._watch.add_period(time.monotonic_ns())
-        self._receive(topics.MEASURED_FORCES, self._measured, data)
-
-    def _on_innovation(self, data: bytes) -> None:
-        self._receive(topics.INNOVATION, self._innovation, data)
-
-    def _receive(self, topic: topics.Topic, reader: MessageReader[Any], data: bytes) -> None:
-        """Take in a message; answer what can be answered with it."""
-        if self.state != ACTIVE:
-            return
         received, answered = time.monotonic_ns(), self._samples
-        queue: deque[Any] = (
-            self._waiting if topic is topics.MEASURED_FORCES else self._innovations)
-        with self.refusals.guard(topic):
-            queue.append(reader.read(data))
-            self._inputs.note(topic)
-            self._answer()
+        self._watch.add_period(received)
+        self._receive(topics.MEASURED_FORCES, self._measured, self._waiting, data)
         if self._samples != answered:
             self._watch.add_latency(time.monotonic_ns() - received)
+
+    def _on_innovation(self, data: bytes) -> None:
+        self._receive(topics.INNOVATION, self._innovation, self._innovations, data)
+
+    def _receive(
+        self, topic: topics.Topic, reader: MessageReader[Any], queue: deque[Any], data: bytes,
+    ) -> None:
+        """Take in a message; answer what can be answered with it."""
+        if self.state == ACTIVE:
+            with self.refusals.guard(topic):
+                queue.append(reader.read(data))
+                self._inputs.note(topic)
+                self._answer()
 
     def look(self, spinner: Spinner) -> None:
         """Answer what has waited for the gate."""
@@ -124,7 +126,7 @@ class NoiseEstimatorNode(ManagedNode):
                 self._samples += 1
                 variance = self._estimator.update(sample.values, None if found is None else (
                     Innovation(found.innovation, found.prior_variance, found.variance_used)))
-                self._last_answer = self._template.write(stamp, variance)
+                self._last_answer = self._publisher.write(stamp, variance)
             if self._last_answer:
                 self._publisher.publish(self._last_answer)
 

@@ -110,18 +110,7 @@ class ParameterSet:
 
     Once `lock` has been called, a change must be of a live parameter, lead to valid
     configurations and pass the node's own check; only then the whole new configurations are
-    handed to the node.
-
-    Parameters
-    ----------
-    node, models
-        The node, and configuration classes without common field names.
-
-    Attributes
-    ----------
-    refused
-        Called with name and error of a change that is refused.
-
+    handed to the node. `refused` is called with name and error of a change that is not taken.
     """
 
     def __init__(self, node: Node, *models: type[Config]) -> None:
@@ -161,13 +150,9 @@ class ParameterSet:
 
     def configurations(self, changes: Mapping[str, Any] | None = None) -> list[Any]:
         """
-        Return one frozen configuration per model, of the present values and of changes by name.
+        Return one configuration per model, of the present values and of changes by name.
 
-        Raises
-        ------
-        ConfigError
-            Naming every parameter that is unknown, missing or not acceptable.
-
+        ConfigError names every parameter that is unknown, missing or not acceptable.
         """
         present = {name: self.value(name) for name in self._specs} | dict(changes or {})
         values = nested({**self._unknown, **{

@@ -65,6 +65,5 @@ def identify(command: Any, identifier: str) -> None:
 
 def identifier_of(command: Any) -> str:
     """Return the identifier of a command on a topic, empty if it has none."""
-    if isinstance(command, JointState):
-        return str(command.header.frame_id)
-    return str(command.time_from_start.sec or '')
+    return str(command.header.frame_id if isinstance(command, JointState)
+               else command.time_from_start.sec or '')

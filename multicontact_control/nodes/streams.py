@@ -21,7 +21,6 @@ from multicontact_control.nodes.topics import Topic
 from multicontact_control.sampling import JointReading, NANOSECONDS, WrenchReading
 import numpy as np
 from rclpy.node import Node
-from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
@@ -267,26 +266,22 @@ def wrench_reader(
     return MessageReader(WrenchStamped, ('wrench',), arrange, WrenchReading)
 
 
-class Streams:
-    """The streams of a node: its ends of topics at the control rate, for bytes."""
+class StreamPublisher:
+    """Publishes messages like a pattern but for stamp [ns] and numbers, as bytes."""
 
-    def __init__(self, node: Node) -> None:
-        self._node = node
-        self._ends: dict[Topic, tuple[MessageTemplate, Publisher]] = {}
+    def __init__(self, node: Node, topic: Topic, pattern: Any) -> None:
+        self._template, publisher = MessageTemplate(pattern), create_publisher(node, topic)
+        self.write, self.publish = self._template.write, publisher.publish
+        self._readers = publisher.get_subscription_count
 
-    def subscribe(
-        self, topic: Topic, callback: Callable[[bytes], None], profile: QoSProfile,
-    ) -> None:
-        """Call back with the bytes of every message of a topic."""
-        self._node.create_subscription(topic.message, topic.name, callback, profile, raw=True)
+    def send(self, stamp: int, *runs: Vector) -> None:
+        """Publish a message with numbers in its order, if it is subscribed to."""
+        if self._readers():
+            self.publish(self.write(stamp, *runs))
 
-    def advertise(self, topic: Topic, pattern: Any) -> tuple[MessageTemplate, Publisher]:
-        """Publish a topic, with messages like a pattern but for stamp and numbers."""
-        self._ends[topic] = MessageTemplate(pattern), create_publisher(self._node, topic)
-        return self._ends[topic]
 
-    def send(self, topic: Topic, stamp: int, *runs: Vector) -> None:
-        """Publish a message of a stamp [ns] and numbers in its order, if it is subscribed to."""
-        template, publisher = self._ends[topic]
-        if publisher.get_subscription_count():
-            publisher.publish(template.write(stamp, *runs))
+def subscribe(
+    node: Node, topic: Topic, callback: Callable[[bytes], None], profile: QoSProfile,
+) -> None:
+    """Call back with the bytes of every message of a topic."""
+    node.create_subscription(topic.message, topic.name, callback, profile, raw=True)

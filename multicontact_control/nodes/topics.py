@@ -33,32 +33,15 @@ WORLD_FRAME = 'world'
 
 @dataclass(frozen=True, eq=False)
 class Topic:
-    """
-    One topic.
+    """One topic."""
 
-    Attributes
-    ----------
-    name, message
-        Relative name, and message class.
-    publisher, subscribers
-        Names of the nodes that publish it (`USER` for any, for which no node waits), and that
-        always subscribe to it. The controller subscribes to one of the two wrenches.
-    profile
-        Quality of service of the publisher.
-    rate
-        ``control`` for one message per control period, ``event`` for now and then.
-    content
-        What is in a message, for the reference (docs/reference).
-
-    """
-
-    name: str
-    message: Any
-    publisher: str
-    subscribers: tuple[str, ...]
-    profile: QoSProfile = field(default_factory=lambda: qos.STREAM)
-    rate: Literal['control', 'event'] = 'control'
-    content: str = ''
+    name: str  # relative
+    message: Any  # class
+    publisher: str  # name of the node; `USER` for any, for which no node waits
+    subscribers: tuple[str, ...]  # nodes that always do; the controller to one of two wrenches
+    profile: QoSProfile = field(default_factory=lambda: qos.STREAM)  # of the publisher
+    rate: Literal['control', 'event'] = 'control'  # once per control period, or now and then
+    content: str = ''  # of a message, for docs/reference
 
     @property
     def type_name(self) -> str:
