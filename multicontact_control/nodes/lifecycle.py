@@ -38,21 +38,12 @@ class ManagedNode(LifecycleNode):
     What the managed nodes of the graph share: transitions, parameters, gate, diagnostics.
 
     A transition that fails says why in one line and leaves the node where it was. rclpy calls
-    callbacks in every state: they look at `state`.
-
-    Parameters
-    ----------
-    name, models
-        Of the node; its configuration classes, of which the last is a `ManagedConfig`.
-    options
-        Of `rclpy.node.Node`: context, arguments, parameters.
+    callbacks in every state: they look at `state`. The last of the `models` is a `ManagedConfig`.
 
     Attributes
     ----------
-    state
-        Of the life cycle.
-    working
-        Whether the node is active and its peers are there.
+    state, working
+        Of the life cycle, and whether the node is active and its peers are there.
     due
         When `look` is to be called at the latest, monotonic time [ns]; 0 for now and then.
 

@@ -133,23 +133,18 @@ class LifecycleDriver(GuestNode):
         return inactive
 
     def change(self, node_name: str, transition: str) -> None:
-        """Lead a node through a transition; TransitionError if it refuses, or NoAnswerError."""
+        """Lead a node to where a transition goes; TransitionError if it refuses, NoAnswerError."""
         request = ChangeState.Request(transition=Transition(label=transition))
-        first, give_up = True, time.monotonic() + self._patience
+        give_up = time.monotonic() + self._patience
         while (left := give_up - time.monotonic()) > 0.0:
             asked = self._ready(node_name, ChangeState, 'change_state').call_async(request)
+            # Request or answer may be lost: then the state tells. A node at work answers later.
             self._wait(asked.done, min(FIRST_TIMEOUT, left), f'{node_name} to {transition}')
-            # Request or answer may be lost: then the state tells, and a second request is
-            # refused where the first was obeyed. A node at work answers when it has done it.
-            answered = asked.done()
-            if not (answered and (first or asked.result().success)) and (
+            if asked.done() and asked.result().success or (
                     self.state(node_name, left) == GOALS[transition]):
                 return
-            if answered and asked.result().success:
-                return
-            if answered:
+            if asked.done():
                 raise TransitionError(f'{node_name} refused to {transition}; its log says why')
-            first = False
         raise NoAnswerError(f'{node_name} did not answer when asked to {transition}')
 
     def state(self, node_name: str, timeout: float = ANSWER_TIMEOUT) -> str:

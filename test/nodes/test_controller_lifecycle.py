@@ -12,7 +12,6 @@ from multicontact_control.nodes.graph import ignore
 from multicontact_control.nodes.lifecycle import FAILURE, FINALIZED, SUCCESS, UNCONFIGURED
 from multicontact_control.nodes.link import (
     ACTIVATE,
-    CLEAN_UP,
     CONFIGURE,
     DEACTIVATE,
     TransitionError,
@@ -67,7 +66,7 @@ def test_controller_goes_through_every_transition_again_and_again(host):
 def test_process_obeys_possible_transitions_and_leaves_the_arm_safely(middleware, driver):
     process = middleware.start(
         MODULE, *PARAMETERS, 'safe_behaviour:=zero_torque', files=(FILE,))
-    for transition in (ACTIVATE, DEACTIVATE, CLEAN_UP):  # not possible yet
+    for transition in (ACTIVATE, DEACTIVATE):  # not possible yet
         with pytest.raises(TransitionError):
             driver.change(NAME, transition)
     assert driver.state(NAME) == 'unconfigured'
