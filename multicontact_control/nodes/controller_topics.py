@@ -73,11 +73,11 @@ class ControllerOutputs:
             node, topics.EFFORT_COMMAND, build(0, joints, effort=np.zeros(len(joints))))
         self._shown: list[tuple[StreamPublisher, Numbers]] = []
         for topic, (fields, numbers) in SHOWN.items():
+            values: Any = dict.fromkeys(fields, zeros)
+            publisher = StreamPublisher(node, topic, build(0, contacts, **values) if fields else (
+                messages.pose_message(0, np.zeros(3), np.zeros(4), topics.WORLD_FRAME)))
             if config.force.stiffness == 'adaptive' or topic not in OF_STIFFNESS:
-                values: Any = dict.fromkeys(fields, zeros)
-                pattern = build(0, contacts, **values) if fields else messages.pose_message(
-                    0, np.zeros(3), np.zeros(4), topics.WORLD_FRAME)
-                self._shown.append((StreamPublisher(node, topic, pattern), numbers))
+                self._shown.append((publisher, numbers))
         self._bare = node.create_publisher(Float64MultiArray, name, qos.STREAM) if bare else None
         self._markers_publisher = create_publisher(node, topics.CONTACT_MARKERS)
         self._markers = ContactMarkers(
