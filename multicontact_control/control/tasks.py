@@ -266,6 +266,7 @@ class CommandedTask:
         self._names = tuple(names)
         self._leader_of = np.array(range(len(names)) if leader_of is None else leader_of)
         self.pose: Pose | None = None
+        self._alpha_des = np.zeros(len(self._names))  # told of before the start, too
 
     def start(self, pose: Pose, normals_world: Matrix) -> None:
         """Begin from a pose at rest; see `TaskSource.start`."""
