@@ -26,7 +26,7 @@ from multicontact_control.nodes.controller_topics import (
     ControllerOutputs,
 )
 from multicontact_control.nodes.diagnostics import Status
-from multicontact_control.nodes.lifecycle import ACTIVE, ManagedNode
+from multicontact_control.nodes.lifecycle import ACTIVE, INACTIVE, ManagedNode
 from multicontact_control.nodes.runtime import run_node, Spinner
 from multicontact_control.nodes.streams import (
     joint_state_reader,
@@ -156,6 +156,8 @@ class ControllerNode(ManagedNode):
 
     def _on_message(self, topic: topics.Topic, data: bytes) -> None:
         """Take in a message, and do what it leads to."""
+        if self.state not in (ACTIVE, INACTIVE):
+            return  # it was on its way when the end of its topic was destroyed
         start = time.monotonic_ns()
         self._heard += 1
         reader, take_in = self._inputs[topic]

@@ -19,7 +19,7 @@ from multicontact_control.nodes.diagnostics import (
     Status,
 )
 from multicontact_control.nodes.graph import create_publisher
-from multicontact_control.nodes.lifecycle import ACTIVE, ManagedNode
+from multicontact_control.nodes.lifecycle import ACTIVE, INACTIVE, ManagedNode
 from multicontact_control.nodes.status import ACCEPTED, ControllerStatus, REFUSED, STATE
 from multicontact_control.nodes.topics import Topic
 from multicontact_control.sampling import NANOSECONDS, SampleTiming
@@ -85,6 +85,8 @@ class ControllerReport:
 
     def answer(self, source: str, identifier: str, error: Exception | None) -> None:
         """Tell whether a command on a topic or of a service is accepted, or why it is refused."""
+        if self._node.state not in (ACTIVE, INACTIVE):
+            return  # the command was on its way when the end of its topic was destroyed
         self._refused += error is not None
         answer, now = (source, identifier, error is None), time.monotonic_ns()
         if (identifier or error is not None) and (
