@@ -311,13 +311,6 @@ JOINT_LIMITS = np.dtype([
     ('last', F),  # what was commanded last and what was added [N m]
 ])
 
-# One joint of the input stage: the newest reading, the one before, the newest valid one.
-JOINT_INPUT = np.dtype([(name, F) for name in (  # [rad, rad/s, N m]
-    'q', 'qd', 'effort', 'last_q', 'last_qd', 'valid_q', 'valid_qd', 'speed_limit')])
-
-# R of one contact: the newest, and the newest valid one within its bounds [N^2].
-VARIANCE_INPUT = np.dtype([('new', F), ('valid', F)])
-
 # What the input stage is set to; one. Three values are those of joints, wrench and R.
 INPUT_SETTINGS = np.dtype([
     ('period', F),  # [s]
@@ -336,28 +329,24 @@ INPUT_STATE = np.dtype([
     ('seen', F, 3),  # newest stamp, NaN for none [s]
     ('valid', F, 3),  # stamp of the newest valid reading, NaN for none [s]
     ('odd_periods', I),  # in a row that are too long or too short
-    ('same_times', I),  # ticks in a row with the time of the one before
+    ('known', np.uint8, 2),  # whether any joints and any wrench were valid
     ('blind_ticks', I),  # in a row without valid joints
     ('distrust', I),  # joint states to be refused after a jump
     ('equal_joints', I), ('equal_wrenches', I),  # readings in a row, the newest counted
     ('fault', I), ('faults', I),  # of the newest wrench; frozen or saturated ones in a row
     ('raw', F, 6), ('last', F, 6),  # the newest wrench and the one before [N, N m]
-    ('filtered', F, 6), ('wrench', F, 6),  # behind the low-pass, and the newest valid one [N, N m]
+    ('filtered', F, 6),  # behind the low-pass [N, N m]
     ('memory', F, (2, 6)),  # of the low-pass, NaN before its first wrench [N, N m]
     ('kept', I),  # wrenches kept for a tare since the last gap
-    ('inflation', F),  # of R, 1 while it is renewed
 ], align=True)
 
 # What the input stage finds at a tick; one.
 INPUT_VERDICT = np.dtype([
-    ('clock', I),  # what is wrong with the time
-    ('problem', I, 3),  # what is wrong with each reading
-    ('stale', np.uint8, 3),  # whether the newest valid one is too old
-    ('repeated', B),  # whether this is the tick before once more
+    ('problem', I, 4),  # what is wrong with each reading, and with the time
+    ('stale', np.uint8, 4),  # whether the newest valid one is too old, or the time is wrong
     ('blind', B),  # whether joints were valid neither in this tick nor in the one before
-    ('joints', B), ('wrench', B),  # whether any was ever valid
     ('fresh', B),  # whether a wrench came
-    ('acted', B),  # whether torques that came with the joints say anything
+    ('acts', B),  # whether the torques in their place say anything
 ], align=True)
 
 INPUT_STAGE = np.dtype([

@@ -20,6 +20,7 @@ from multicontact_control.control.controller import Controller
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.records import PLAUSIBILITY, Records
 from multicontact_control.supervision.contacts import LOST
+from multicontact_control.supervision.inputs import Inputs
 import numpy as np
 
 # What `check_plausibility` returns, added up.
@@ -53,9 +54,9 @@ def check_plausibility(
     """
     Check the answer of the control law that is in the joints.
 
-    Returns the sum of NOT_FINITE, PULL (a surface pulls), SIDEWAYS (more than friction can
-    explain) and OUTSIDE (the operational point is out of its box). A tool that is braked after
-    the loss of a contact reads its own inertia as a pull: a lost contact has an allowance.
+    Returns the sum of NOT_FINITE, PULL (a surface pulls; after the loss of a contact the inertia
+    of the tool that is braked is allowed for), SIDEWAYS (more than friction can explain) and
+    OUTSIDE (the operational point is out of its box).
     """
     bounds, control = limits[0], controls[0]
     frame, tool = control.frame, control.tool
@@ -119,8 +120,6 @@ class CollisionWatch:
     The observer needs the torque that acted since the sample before: the measured one, or, if
     `collision.command_delay` says so, the command of that many periods before. That may be one
     period off, so the difference between successive commands is added to the thresholds then.
-    A missing sample or wrench interrupts the observer for two samples. After 1 s without known
-    torques a collision is forgotten, so that it does not block the arm for good.
 
     Parameters
     ----------
@@ -137,31 +136,25 @@ class CollisionWatch:
     """
 
     def __init__(self, config: ControllerConfig, controller: Controller) -> None:
-        joints = controller.arm.joints
         self._period, self._names = config.period, config.robot.joint_names
         self._feels = config.wrench_input != 'momentum'
-        self._joints: Any = joints
-        self._effort: Vector = joints['effort']
-        self._doubt: Vector = joints['doubt']
-        self.residual: Vector = joints['residual']
-        self._threshold: Vector = joints['threshold']
-        self._threshold[:] = collision_thresholds(config, controller.robot) if (
+        self._joints, self._momentum = controller.arm.joints, controller.controls['momentum']
+        self.residual: Vector = self._joints['residual']
+        self._joints['threshold'] = collision_thresholds(config, controller.robot) if (
             self._feels) else np.inf
-        self._momentum: Any = controller.controls['momentum']
         self._momentum['bandwidth'] = config.momentum_bandwidth
         self._momentum['dynamic_share'] = config.collision.dynamic_share
-        self._by_command = config.collision.command_delay >= 0
-        self._commands: deque[Vector] = deque(
-            maxlen=max(config.collision.command_delay, 0) + 2)
+        delay = config.collision.command_delay
+        self._by_command, self._needed = delay >= 0, max(delay, 0) + 2
+        self._commands: deque[Vector] = deque(maxlen=self._needed)
         self.reset()
 
     def reset(self) -> None:
         """Forget the past."""
         self._forget_collision()
-        self._momentum['elapsed'], self._stamp = 0.0, np.nan
+        self._momentum['elapsed'], self._joints['doubt'], self._stamp = 0.0, 0.0, np.nan
         self._commands.clear()
         self._farthest, self._unknown = -1, 0
-        self._doubt[:] = 0.0
 
     def _forget_collision(self) -> None:
         self.residual[:], self._joints['slack'], self._momentum['collided'] = 0.0, 0.0, False
@@ -170,44 +163,24 @@ class CollisionWatch:
         """Take note of a command, shape (n,) [N m]."""
         self._commands.append(torque)
 
-    def look(
-        self, stamp: float, *, acted: bool, added: Vector | None, measured: bool,
-    ) -> None:
-        """
-        Get ready for the sample that is valid now.
-
-        Parameters
-        ----------
-        stamp
-            Of its joints [s].
-        acted
-            Whether the torque before it was measured, and is in the arm's joints.
-        added
-            By the arm to that, shape (n,) [N m]; None for nothing.
-        measured
-            Whether there is a valid wrench with it.
-
-        """
-        if acted and added is not None:
-            self._effort += added
-        commands = self._commands
-        self._doubt[:] = 0.0
-        if self._by_command and not acted and len(commands) == commands.maxlen:
-            before, last, after = commands[0], commands[1], commands[min(2, len(commands) - 1)]
-            self._doubt[:] = np.maximum(np.abs(last - before), np.abs(after - last))
-            self._effort[:], acted = last, True
-        elapsed, self._stamp = stamp - self._stamp, stamp
+    def look(self, inputs: Inputs, *, measured: bool) -> None:
+        """Get ready for the newest sample of an input stage, which has a valid wrench or not."""
+        joints, commands, acted = self._joints, self._commands, inputs.acted
+        joints['doubt'] = 0.0
+        if acted:
+            joints['effort'] += joints['added']
+        elif self._by_command and len(commands) == self._needed:
+            before, last, after = commands[0], commands[1], commands[min(2, self._needed - 1)]
+            joints['doubt'] = np.maximum(np.abs(last - before), np.abs(after - last))
+            joints['effort'], acted = last, True
+        elapsed, self._stamp = inputs.joint_stamp - self._stamp, inputs.joint_stamp
         follows = abs(elapsed - self._period) < UNEVEN * self._period
         known = follows and acted and (measured or not self._feels)
         self._momentum['elapsed'] = elapsed if known else 0.0
         self._unknown = 0 if known else self._unknown + 1
         if self._unknown * self._period > FORGOTTEN and self._momentum['collided'].any():
-            self._forget_collision()
-
-    @property
-    def knows(self) -> bool:
-        """Whether the residual is of now, but for the samples that the observer needs to begin."""
-        return self._unknown <= (self._commands.maxlen or 0) + 1
+            self._forget_collision()  # it would block the arm for good
+        inputs.estimate_known = self._unknown <= self._needed + 1  # it takes as many to begin
 
     def cause(self, found: int) -> str:
         """
@@ -219,7 +192,7 @@ class CollisionWatch:
         if not found & TOUCHED:
             self._farthest = -1
             return ''
-        beyond = np.flatnonzero(np.abs(self.residual) > self._threshold)
+        beyond = np.flatnonzero(np.abs(self.residual) > self._joints['threshold'])
         if beyond.size:
             self._farthest = max(self._farthest, int(beyond[-1]))
         return f'{COLLISION}_{self._names[max(self._farthest, 0)]}'
@@ -231,8 +204,5 @@ def collision_thresholds(config: ControllerConfig, robot: RobotModel) -> Vector:
     if collision.threshold:
         return np.array(collision.threshold)
     limit = np.array(config.torque_limit) if config.torque_limit else robot.torque_limit
-    coulomb = np.array(config.friction.coulomb or 0.0)
-    thresholds: Vector = np.maximum(
-        collision.limit_share * limit, LEAST_THRESHOLD) + (
-        collision.friction_share * coulomb)
-    return thresholds
+    friction: Vector = collision.friction_share * np.array(config.friction.coulomb or 0.0)
+    return np.maximum(collision.limit_share * limit, LEAST_THRESHOLD) + friction

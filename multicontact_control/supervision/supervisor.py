@@ -150,7 +150,6 @@ class Supervisor:
         self._seen, self._wrench_known = Seen(), False
         self._reaction = NONE
         self._output = no_answer(self._robot.joint_count, len(self.config.columns))
-        self._last: TickOutput | None = None
 
     def _restart_law(self) -> None:
         self.controller.reset()
@@ -185,8 +184,7 @@ class Supervisor:
         Returns
         -------
         TickOutput
-            A torque that may be commanded, and how it came about. A tick with the time of the
-            one before gets the same answer again.
+            A torque that may be commanded, and how it came about.
 
         Raises
         ------
@@ -203,8 +201,6 @@ class Supervisor:
 
     def _tick(self, inputs: TickInputs) -> TickOutput:
         seen = self._validate(inputs)
-        if seen.repeated and self._last is not None:
-            return self._last
         causes = self._see(seen)
         reaction, causes = self._decide(causes)
         if reaction not in CONTROLLED:
@@ -252,10 +248,7 @@ class Supervisor:
         arm, own = self.controller.arm, self.config.robot.adds_gravity
         self._seen, self._wrench_known = seen, seen.measured
         if self.guarded:
-            self.collisions.look(
-                self.inputs.joint_stamp, acted=self.inputs.acted, measured=seen.measured,
-                added=self._joints['added'] if own else None)
-            self.inputs.estimate_known = self.collisions.knows
+            self.collisions.look(self.inputs, measured=seen.measured)
         if seen.joints and self.controller.see():
             self._arm = arm
             self._too_fast = TOO_FAST[arm.found & (OPERATIONAL_SPEED | JOINT_SPEED)]
@@ -447,8 +440,7 @@ class Supervisor:
         status = SupervisorStatus(
             reaction, causes, self._seen.rejected, limits, self.task.state_names,
             self._task_time()) if self.guarded else None
-        self._last = TickOutput(self._output, status)
-        return self._last
+        return TickOutput(self._output, status)
 
     def _task_time(self) -> float:
         return self._task_ticks * self._period
