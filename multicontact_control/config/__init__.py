@@ -27,12 +27,12 @@ from multicontact_control.config.controller import (
     MAX_DELAY_PERIODS,
     TransitionConfig,
 )
-from multicontact_control.config.estimator import NoiseEstimatorConfig
 from multicontact_control.config.force import (
     AdaptiveStiffnessConfig,
     FedForward,
     ForceConfig,
     LawName,
+    NoiseEstimatorConfig,
 )
 from multicontact_control.config.robot import RobotConfig, SensorFrontEndConfig, ToolConfig
 from multicontact_control.config.supervision import (

@@ -20,7 +20,6 @@ from pydantic import (
 import yaml
 
 UNIT_NORM_TOLERANCE = 1e-3
-WRENCH_SIZE = 6
 EVERY_NODE = '**'  # in the place of a node's name
 LOADER = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)  # ten times as fast
 

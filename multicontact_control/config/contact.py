@@ -33,11 +33,9 @@ class ContactConfig(Config):
     normal_world: UnitVector3 = parameter(
         ..., 'Unit surface normal INTO the surface, in world axes.', live=True)
     point_operational: Vector3 = parameter(
-        ..., 'Contact point, or the centre of an edge or plane, in the operational frame.',
-        unit='m')
+        ..., 'Contact point, or centre of an edge or plane, in the operational frame.', unit='m')
     direction_operational: UnitVector3 = parameter(
-        (1.0, 0.0, 0.0), 'Direction of an edge, or of a first side of a plane, in the '
-        'operational frame.')
+        (1.0, 0.0, 0.0), 'Edge, or first side of a plane, in the operational frame.')
     half_length: Real = parameter(
         0.05, 'Half the length of an edge, or of a plane along its direction.', unit='m', gt=0.0)
     half_width: Real = parameter(
@@ -58,8 +56,7 @@ class ContactConfig(Config):
         'contact indicates; 0 to keep normal_world. A slip at the touch turns it as fast: no '
         'more than is needed. Needs friction_std.', unit='rad/s', live=True, ge=0.0, le=10.0)
     normal_range: Real = parameter(
-        0.6, 'Largest angle between the normal and normal_world.', unit='rad', live=True, gt=0.0,
-        le=1.5)
+        0.6, 'Largest angle of the normal to normal_world.', unit='rad', live=True, gt=0.0, le=1.5)
     surface_speed: Real = parameter(
         0.0, 'Speed of the surface along its normal, away from the robot if positive; K_2 damps '
         'the motion relative to it.', unit='m/s', live=True, ge=-0.5, le=0.5)

@@ -45,8 +45,7 @@ class FrictionConfig(Config):
     """Compensation of the joints' friction, which the paper's model does not have."""
 
     coulomb: Vector = parameter(
-        (), 'Coulomb friction added per joint in the direction of its motion; empty for none.',
-        unit='N m')
+        (), 'Coulomb friction added per joint, along its motion; empty for none.', unit='N m')
     viscous: Vector = parameter(
         (), 'Viscous friction added per joint; empty for none.', unit='N m s/rad')
     speed: Real = parameter(
@@ -58,8 +57,7 @@ class TransitionConfig(Config):
     """Torque from one law to another: at a start, a stop and a live change."""
 
     blend_time: Real = parameter(
-        0.2, 'Shortest time for the difference between two laws to fade.', unit='s', live=True,
-        ge=0.0, le=10.0)
+        0.2, 'Shortest fade of the difference of two laws.', unit='s', live=True, ge=0.0, le=10.0)
     torque_rate: Real = parameter(
         100.0, 'Largest rate at which it fades, in any joint.', unit='N m/s', live=True, gt=0.0)
 

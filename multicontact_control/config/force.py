@@ -1,4 +1,4 @@
-"""The force law of the contacts: its gains, its kinds, and the stiffness found on-line."""
+"""The force laws with their gains, the stiffness found on-line, and the estimate of the noise."""
 
 from __future__ import annotations
 
@@ -19,8 +19,7 @@ class PiConfig(Config):
         24.0, 'Bandwidth of the loop with K_p alone.', unit='rad/s', live=True, gt=0.0, le=500.0)
     integral_rate: Real = parameter(5.0, 'K_i / K_p.', unit='1/s', live=True, gt=0.0, le=100.0)
     filter_cutoff: Real = parameter(
-        30.0, 'Cut-off of a low-pass on the measured force, 0 for none.', unit='Hz', live=True,
-        ge=0.0)
+        30.0, 'Cut-off of a low-pass on the force, 0 for none.', unit='Hz', live=True, ge=0.0)
 
 
 class DobConfig(Config):
@@ -29,8 +28,7 @@ class DobConfig(Config):
     observer_bandwidth: Real = parameter(
         40.0, 'Double pole of Q.', unit='rad/s', live=True, gt=0.0, le=1000.0)
     bandwidth: Real = parameter(
-        25.0, 'Bandwidth of the proportional force loop around it.', unit='rad/s', live=True,
-        gt=0.0, le=500.0)
+        25.0, 'Bandwidth of the force loop around it.', unit='rad/s', live=True, gt=0.0, le=500.0)
 
 
 class LqgConfig(Config):
@@ -50,16 +48,14 @@ class AdmittanceConfig(Config):
     inertia_time: Real = parameter(
         0.005, 'Virtual mass over the virtual damping.', unit='s', live=True, ge=1e-4, le=1.0)
     integral_rate: Real = parameter(
-        5.0, 'Rate at which a constant error is integrated away.', unit='1/s', live=True, ge=0.0,
-        le=100.0)
+        5.0, 'Decay rate of a constant force error.', unit='1/s', live=True, ge=0.0, le=100.0)
 
 
 class ImpedanceConfig(Config):
     """The law `impedance`: a virtual spring to a point that lies alpha_des / k in the surface."""
 
     natural_frequency: Real = parameter(
-        30.0, 'Natural frequency of the virtual spring.', unit='rad/s', live=True, gt=0.0,
-        le=500.0)
+        30.0, 'Natural frequency of that spring.', unit='rad/s', live=True, gt=0.0, le=500.0)
 
 
 class AdaptiveStiffnessConfig(Config):
@@ -67,8 +63,7 @@ class AdaptiveStiffnessConfig(Config):
 
     lowest: Real = parameter(200.0, 'Smallest stiffness of the model.', unit='N/m', gt=0.0)
     highest: Real = parameter(
-        8e4, 'Largest stiffness of the model, from which it starts at the first touch.',
-        unit='N/m', gt=0.0)
+        8e4, 'Largest stiffness of the model, at the first touch.', unit='N/m', gt=0.0)
 
     @cross_check
     def _check_order(self) -> Iterator[ConfigError]:
@@ -81,8 +76,7 @@ class ForceConfig(Config):
     """The force law and its active observer, one per contact (P04 sec. 3.2, 4)."""
 
     law: LawName = parameter(
-        'aob', 'Force law of the contacts: the active observer, or one to compare it with.',
-        live=True)
+        'aob', 'Force law: the active observer, or one to compare it with.', live=True)
     fed_forward: FedForward = parameter(
         'mixed', 'Force fed forward in eq. 24: the estimate, as in the paper, the desired force, '
         'as much of it as the stiffness lets act before the loop does, or the measured force.',
@@ -112,3 +106,38 @@ class ForceConfig(Config):
         'decoupled', 'Force allocation: f_c* = N (N^T N)^-1 alpha* or N alpha* (eq. 30).')
     projection: Literal['euclidean', 'inertia'] = parameter(
         'euclidean', 'Metric of Omega_f and Omega_m: eqs 11-12 or dynamically consistent.')
+
+
+class NoiseEstimatorConfig(Config):
+    """The on-line estimate of R_k (P04 sec. 4.2)."""
+
+    estimator: Literal[
+        'lead_window', 'hf_window', 'window', 'fixed', 'innovation', 'sage_husa',
+        'variational_bayes'] = parameter(
+        'lead_window', 'Estimate of R_k: windowed variance of the force behind a lead filter of '
+        'unit gain at DC (eqs 42-44) or at high frequency, or without a filter; a fixed one; or '
+        'from the innovations of the observers.')
+    contact_names: tuple[str, ...] = parameter(
+        ..., 'Contacts in the order of every contact vector.', min_length=1)
+    rate: Real = parameter(500.0, 'Rate of the force samples.', unit='Hz', gt=0.0)
+    window: int = parameter(
+        50, 'Samples in the window N of eq. 43, of forces or of innovations; `sage_husa` and '
+        '`variational_bayes` forget by 1 - 1/N.', ge=2, le=10000)
+    zero_frequency: Real = parameter(3.0, 'Zero of G_f, eq. 42.', unit='Hz', gt=0.0)
+    pole_frequency: Real = parameter(60.0, 'Pole of G_f, eq. 42.', unit='Hz', gt=0.0)
+    variance_scale: Real = parameter(
+        1.0, 'Factor of an estimated R, e.g. to compare estimators of equal R at rest.', gt=0.0)
+    slew_time: Real = parameter(
+        0.0, 'Time in which R changes by a factor e at most; 0 for no bound, as in the paper. A '
+        'force step raises R, which with K_2 = 20 1/s slows the step: 0.03 s prevents that.',
+        unit='s', ge=0.0, le=10.0)
+    fixed_variance: Real = parameter(
+        0.6, 'R of the estimator `fixed`, and of others at first.', unit='N^2', gt=0.0)
+
+    @cross_check
+    def _check_across_fields(self) -> Iterator[ConfigError]:
+        for name in ('zero_frequency', 'pole_frequency'):
+            if getattr(self, name) >= 0.5 * self.rate:
+                yield ConfigError(
+                    name, f'below the Nyquist frequency {0.5 * self.rate:g} Hz',
+                    f'{getattr(self, name):g} Hz')

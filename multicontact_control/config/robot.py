@@ -5,15 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 import math
 
-from multicontact_control.config.base import (
-    Config,
-    cross_check,
-    parameter,
-    Real,
-    Vector,
-    Vector3,
-    WRENCH_SIZE,
-)
+from multicontact_control.config.base import Config, cross_check, parameter, Real, Vector, Vector3
 from multicontact_control.errors import ConfigError, counted
 
 
@@ -71,7 +63,7 @@ class ToolConfig(Config):
 
     @cross_check
     def _check_length(self) -> Iterator[ConfigError]:
-        if len(self.bias_sensor) != WRENCH_SIZE:
+        if len(self.bias_sensor) != 6:
             yield ConfigError('tool.bias_sensor', '6 values', len(self.bias_sensor))
 
 
@@ -99,7 +91,7 @@ class SensorFrontEndConfig(Config):
 
     @cross_check
     def _check(self) -> Iterator[ConfigError]:
-        if len(self.full_scale) not in (0, WRENCH_SIZE):
+        if len(self.full_scale) not in (0, 6):
             yield ConfigError('sensor.full_scale', '6 values or none', len(self.full_scale))
         if min(self.full_scale, default=1.0) <= 0.0:
             yield ConfigError('sensor.full_scale', 'values above 0', min(self.full_scale))

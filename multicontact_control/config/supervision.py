@@ -29,8 +29,7 @@ class ContactStateConfig(Config):
         5.0, 'Time to the next search for a contact that was not found, doubled by each; 0 for '
         'none. One left for its force waits for a command.', unit='s', ge=0.0, le=3600.0)
     smallest_force: Real = parameter(
-        3.0, 'Smallest commanded force: below it sliding looks like a loss.', unit='N', gt=0.0,
-        le=100.0)
+        3.0, 'Smallest commanded force; below, sliding looks like a loss.', unit='N', gt=0.0)
     preload: Real = parameter(
         2.0, 'Desired force from touch until the contact holds.', unit='N', gt=0.0, le=100.0)
     force_ceiling: Real = parameter(
