@@ -352,6 +352,8 @@ class Inputs:
         self.filtered: Vector = self._state['filtered'][0]
         self._all_well = Seen()
         self.reset()
+        self.validate(TickInputs(0.0))  # no tick is to wait for numba
+        self.reset()
 
     def reset(self) -> None:
         """Forget everything; the next tick is the first."""

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from multicontact_control.arrays import Vector
+from multicontact_control.compiled import compile_for
 from multicontact_control.config import ControllerConfig
 from multicontact_control.control.arm import (
     AMBIGUOUS,
@@ -117,6 +118,8 @@ class Supervisor:
         else:
             self._controls['momentum']['bandwidth'] = 0.0  # what touches the arm is not asked
         self._adopt(config)
+        compile_for(check_plausibility, self._bounds, self._controls, arm.joints,
+                    self.controller.contacts, self.task.states)
         self.reset()
 
     @classmethod
