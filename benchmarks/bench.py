@@ -147,8 +147,9 @@ def bench_contacts(count):
         config = setup.controller.model_copy(update={'contact_names': tuple(names), 'contacts': {
             name: table.model_copy(update={'normal_world': (*n,), 'point_operational': (*p,)})
             for name, n, p in zip(names, NORMALS, points)}})
-        controller = Controller.from_config(config, setup.urdf_dir)
-        controller.take(home, 0.0 * home, np.zeros(6), np.full(contacts, 0.6))
+        controller = Controller(config, RobotModel(config.robot, setup.urdf_dir))
+        controller.contacts['noise_variance'] = 0.6
+        controller.take(home, 0.0 * home, np.zeros(6))
         task, columns = controller.controls['task'], controller.contacts
         task['position'], task['rotation'] = controller.start()
         columns['answer']['active'], columns['answer']['alpha_des'] = True, 5.0

@@ -11,8 +11,10 @@ from multicontact_control.config import (
     RobotConfig,
     validate,
 )
+from multicontact_control.control.arm_state import AMBIGUOUS
 from multicontact_control.control.controller import Controller
 from multicontact_control.control_loop import ControlLoop
+from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.paths import config_dir
 from multicontact_control.supervision.command_limits import CommandLimits
 from multicontact_control.supervision.contact_task import ContactTask
@@ -48,7 +50,8 @@ class Law:
     """The control law of a configuration, asked for what a reference says, without its gate."""
 
     def __init__(self, config, reference, base_dir=None):
-        self.controller = Controller.from_config(config, base_dir or config_dir())
+        self.controller = Controller(
+            config, RobotModel(config.robot, base_dir or config_dir()))
         self.reference = reference
         self._task = ContactTask(
             self.controller.config, reference, self.controller, guarded=False)
@@ -59,8 +62,10 @@ class Law:
     def step(self, measurement, noise_variance):
         """Return the answer to a sample."""
         law = self.controller
-        law.take(measurement.q, measurement.qd, measurement.wrench_sensor, noise_variance)
-        law.require_answer()
+        law.contacts['noise_variance'] = noise_variance
+        law.take(measurement.q, measurement.qd, measurement.wrench_sensor)
+        if law.arm.found & AMBIGUOUS:
+            law.refuse()
         if not law.started:
             self._task.start(law.start())
         self._task.ask(measurement.time)

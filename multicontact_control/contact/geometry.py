@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+import math
 from typing import Any
 
 from multicontact_control.algebra import cross, dot, multiply
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
+from multicontact_control.config import ControllerConfig
 from multicontact_control.config.contact import ALONG, FORCE
 from multicontact_control.errors import ConfigError
 from multicontact_control.records import Records
@@ -15,6 +17,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 SMALLEST_SINGULAR_VALUE = 1e-6  # of N with points of length 1; below it columns are dependent
+LEVERED = 1.05  # N that 1 N of friction is read as, from which on a lever is to blame
+NORMAL_TIME = 0.06  # s, in which an estimated normal turns; 0.03 s swings on rough surfaces
+SURFACE_SPEED_TIME = 0.05  # s, time constant of an estimated speed of a surface
 ORIENTATIONS = Rotation.from_rotvec(
     [[0.0, 0.0, 0.0], [0.7, -0.4, 0.3], [-0.2, 1.1, 0.5]]).as_matrix()  # any, but not special
 
@@ -170,3 +175,78 @@ def operational_stiffness(k_env: float, normal_world: Vector, lever_world: Vecto
     """
     moment = np.cross(lever_world, normal_world)
     return float(k_env * (1.0 + moment @ moment))
+
+
+def place_columns(config: ControllerConfig, columns: Records) -> None:
+    """Fill records of `CONTACT`, shape (r,), with the configuration of the columns of N."""
+    for record, column in zip(columns, config.columns):
+        contact, is_force = config.contacts[column.contact], column.kind == FORCE
+        record['kind'], record['leader'] = column.kind, column.leader
+        told = contact.normal_world if is_force else (0.0, 0.0, 0.0)
+        # A normal that has been estimated is kept while its configuration is.
+        if (record['normal_told'] != told).any() or not contact.normal_turn_rate:
+            record['normal'] = record['normal_told'] = told
+        record['normal_gain'] = config.period / (NORMAL_TIME + config.period)
+        record['turn_limit'] = contact.normal_turn_rate * config.period
+        record['smallest_cosine'] = math.cos(contact.normal_range)
+        record['point'] = contact.point_operational
+        record['direction'] = contact.direction_operational
+        record['half_length'] = column.half_length
+        record['stiffness'] = column.stiffness
+        if is_force:
+            record['surface_speed'] = contact.surface_speed
+            record['surface_gain'] = config.period / (SURFACE_SPEED_TIME + config.period)
+            limit = record['surface_speed_limit'] = contact.surface_speed_limit
+            record['surface_speed_est'] = np.clip(record['surface_speed_est'], -limit, limit)
+            record['friction_coefficient'] = contact.friction_coefficient
+            record['friction_std'] = contact.friction_std
+            record['torsion_std'] = 0.0 if contact.type == 'point' else (
+                contact.friction_std * contact.half_length)
+
+
+def loop_stiffnesses(config: ControllerConfig, rotation_world: Matrix) -> Vector:
+    """
+    Return the stiffness that the force loop of each contact drives, shape (r,) [N/m].
+
+    Parameters
+    ----------
+    config
+        Contacts, force loops.
+    rotation_world
+        Axes of the operational frame, shape (3, 3).
+
+    """
+    if config.force.allocation == 'decoupled':  # which drives the contact point itself
+        return np.array([column.stiffness for column in config.columns])
+    contacts = [config.contacts[name] for name in config.contact_names]
+    return np.array([operational_stiffness(  # `paper` drives the coordinate along N_i
+        contact.stiffness, np.array(contact.normal_world),
+        -rotation_world @ np.array(contact.point_operational)) for contact in contacts])
+
+
+def misread_friction(
+    config: ControllerConfig, columns: Records, rotation_world: Matrix,
+) -> list[tuple[str, str, float]]:
+    """
+    Return where a lever turns friction into more than itself.
+
+    Parameters
+    ----------
+    config, columns
+        Contacts as configured, and as records of `CONTACT`, shape (r,).
+    rotation_world
+        Axes of the operational frame, shape (3, 3).
+
+    Returns
+    -------
+    list of tuple
+        Of contacts whose friction is neither expected nor allowed for: the name, the force or
+        couple that the friction is read as, and how much of that 1 N is [N].
+
+    """
+    coupling = friction_coupling(columns.copy(), rotation_world)
+    names, contacts = config.column_names, config.contacts
+    return [(names[j], names[i], float(coupling[i, j]))
+            for j in config.leaders for i in range(len(names))
+            if coupling[i, j] > LEVERED and not (
+                contacts[names[j]].friction_std or contacts[names[j]].friction_coefficient)]

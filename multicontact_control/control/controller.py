@@ -1,20 +1,16 @@
-"""The control law around its compiled core: from joint state, wrench and R to torque."""
+"""The control law around its compiled core: from joint state, wrench, R and task to torque."""
 
 from __future__ import annotations
 
 import contextlib
-import math
-from pathlib import Path
 from typing import Any, NoReturn
 
-from multicontact_control.arrays import Mask, Matrix, require_shape, Vector
-from multicontact_control.compiled import compile_for
+from multicontact_control.arrays import Mask, require_shape, Vector
 from multicontact_control.config import ControllerConfig, ToolConfig
-from multicontact_control.config.contact import FORCE
 from multicontact_control.contact.geometry import (
     check_columns,
-    friction_coupling,
-    operational_stiffness,
+    loop_stiffnesses,
+    place_columns,
 )
 from multicontact_control.contact.wrench import tool_record
 from multicontact_control.control.arm import AMBIGUOUS, ArmState
@@ -42,9 +38,6 @@ STOP_RATIO = 4.0  # frequency by which joints are kept off their stops, over the
 SINGULAR_MOBILITY = 0.004  # 1/kg, eigenvalue of J M^-1 J^T up to which Lambda is damped
 LEAST_TASK_SHARE = 0.5  # of the task at a torque limit; the rest is cut joint by joint
 LARGEST_DRIFT = 0.02  # of a stiffness, from which on an observer is redesigned
-LEVERED = 1.05  # N that 1 N of friction is read as, from which on a lever is to blame
-NORMAL_TIME = 0.06  # s, in which an estimated normal turns; 0.03 s swings on rough surfaces
-SURFACE_SPEED_TIME = 0.05  # s, time constant of an estimated speed of a surface
 
 
 class Controller:
@@ -53,7 +46,9 @@ class Controller:
 
     F = Lambda (Omega_m f_t* + Omega_f f_c*) + mu + p + f_c_hat, Gamma = J^T F (eqs 24-26).
 
-    Everything is compiled when a controller is made; no step waits for it.
+    A tick writes a sample into `measured`, calls `see`, writes the task into `controls` and
+    `contacts`, and calls `answer`; before the first answer it calls `start`. All kernels are
+    compiled when a controller is made.
 
     Parameters
     ----------
@@ -61,25 +56,20 @@ class Controller:
         Everything tunable.
     robot
         The arm.
-    reference
-        What to do.
 
     Attributes
     ----------
     arm
         Where the arm is.
-    controls, contacts, laws
-        What every step overwrites: one record of `CONTROL`, records of `CONTACT` and, from the
-        first sample on, of `FORCE_LAW`, shape (r,).
-    active
-        Which contacts are force controlled, in these records, shape (r,).
-    misread_friction
-        From the first sample on, where a lever turns friction into more than itself: a contact
-        whose friction is neither expected nor allowed for, the force or couple that it is read
-        as, and how much of it 1 N is [N].
     measured
-        Where what is measured goes: q and v, shape (2, n), wrench, shape (6,), R, shape (r,), and
-        the torques that acted, shape (n,).
+        Places of a sample: q and v, shape (2, n) [rad, rad/s], wrench, shape (6,) [N, N m], R,
+        shape (r,) [N^2], and the torques that acted, shape (n,) [N m].
+    controls, contacts, laws
+        One record of `CONTROL`, records of `CONTACT` and `FORCE_LAW`, shape (r,).
+    active, torque
+        Which contacts are force controlled, shape (r,), and the answer, shape (n,) [N m].
+    started
+        Whether the force laws have been designed for where the arm is.
 
     Raises
     ------
@@ -104,16 +94,11 @@ class Controller:
         # numpy copies a structured array field by field, which takes five times as long.
         self._contact_bytes = self.contacts.view(np.uint8)
         self._control_bytes = self.controls.view(np.uint8)
-        self.misread_friction: list[tuple[str, str, float]] = []
         self._adopt(config)
         check_columns(config.column_names, self.contacts)
         self.reset()
-        pose = self._pose()
-        pose.quaternion_xyzw  # noqa: B018 - no step is to wait for it to be compiled
-        self.laws: Any = self._design(config, pose.rotation_world)
-        compile_for(
-            control_law, self.controls, self.arm.joints, robot.terms.mass_matrix,
-            robot.terms.jacobian, robot.terms.jacobian_rate, self.contacts, self.laws)
+        self.arm.pose.quaternion_xyzw  # noqa: B018 - no step is to wait for it to be compiled
+        self.laws: Any = self._design(config)
         with contextlib.suppress(SingularTaskError, ContactGeometryError):
             self.answer()  # all joints at 0 need not be a good posture
         self.reset()
@@ -138,30 +123,9 @@ class Controller:
         joints['upper'] = config.limits.joint_upper or np.inf
         self._coordinate_driven = config.force.allocation == 'paper'
 
-    @classmethod
-    def from_config(
-        cls, config: ControllerConfig, base_dir: Path,
-    ) -> Controller:
-        """
-        Build a controller with the arm its configuration names.
-
-        Raises
-        ------
-        ConfigError
-            If the URDF cannot be read or does not match the names.
-
-        """
-        return cls(config, RobotModel(config.robot, base_dir))
-
-    @property
-    def observers(self) -> Records:
-        """Return the active observers of the force laws, records of `OBSERVER`, shape (r,)."""
-        observers: Records = self.laws['observer']
-        return observers
-
-    @staticmethod
-    def _design(config: ControllerConfig, rotation_world: Matrix) -> Records:
-        return make_force_laws(config, loop_stiffnesses(config, rotation_world))
+    def _design(self, config: ControllerConfig) -> Records:
+        self._stiffnesses = loop_stiffnesses(config, self.arm.pose.rotation_world)
+        return make_force_laws(config, self._stiffnesses)
 
     def reset(self) -> None:
         """Forget everything measured; the next sample starts anew."""
@@ -169,24 +133,14 @@ class Controller:
         self.contacts['normal'] = self.contacts['normal_told']
         self.contacts['surface_speed_est'] = 0.0
 
-    def redesign(self, config: ControllerConfig) -> Records | None:
+    def check(self, config: ControllerConfig) -> None:
         """
-        Return force laws for other gains, which keep what they know as far as that is possible.
-
-        Parameters
-        ----------
-        config
-            Everything tunable, for the same arm, contacts and rate.
-
-        Returns
-        -------
-        Records or None
-            The force laws, None before the first sample.
+        Raise if `reconfigure` cannot take a configuration.
 
         Raises
         ------
         ConfigError
-            If that is not so, or there is no such design.
+            If it is not for the same arm, contacts and rate, or its contacts cannot be told apart.
 
         """
         for name in ('rate', 'robot', 'contact_names', 'column_names'):
@@ -196,30 +150,19 @@ class Controller:
         columns = self.contacts.copy()
         place_columns(config, columns)
         check_columns(config.column_names, columns)  # normals may be others
-        if not self.started:
-            return None
-        laws = self._design(config, self.arm.pose.rotation_world)
-        continue_laws(laws, self.laws)
-        return laws
+        make_force_laws(config, loop_stiffnesses(config, self.arm.pose.rotation_world))
 
     def reconfigure(self, config: ControllerConfig) -> None:
-        """
-        Go on with other gains from the next sample on; see `redesign`.
-
-        If that raises, everything is as it was.
-        """
-        laws = self.redesign(config)
+        """Go on with other gains; the force laws keep what they know as far as possible."""
         self._adopt(config)
-        if laws is not None:
+        if self.started:
+            laws = self._design(config)
+            continue_laws(laws, self.laws)
             self.laws = laws
-            self.misread_friction = self._find_misread_friction()
-            self._stiffnesses = loop_stiffnesses(config, self.arm.pose.rotation_world)
 
-    def take(
-        self, q: Vector, qd: Vector, wrench_sensor: Vector, noise_variance: Vector | None = None,
-    ) -> None:
+    def take(self, q: Vector, qd: Vector, wrench_sensor: Vector) -> None:
         """
-        Take in a sample that no input stage has written into `measured`, and see it.
+        Take in and see a sample that no input stage has written into `measured`.
 
         Parameters
         ----------
@@ -227,27 +170,23 @@ class Controller:
             Joint positions [rad] and velocities [rad/s], shape (n,).
         wrench_sensor
             Reading of the wrist sensor in its frame, force first, shape (6,) [N, N m].
-        noise_variance
-            R_k per contact, shape (r,) [N^2]; the one before if not given.
 
         Raises
         ------
         ShapeError
-            If an array is not of the robot's or the contacts' size.
+            If an array is not of the robot's size.
 
         """
-        (own_q, own_qd), wrench, variance, _ = self.measured
+        (own_q, own_qd), wrench, _, _ = self.measured
         for name, values, place in (
-                ('q', q, own_q), ('qd', qd, own_qd), ('wrench_sensor', wrench_sensor, wrench),
-                ('noise_variance', noise_variance, variance)):
-            if values is not None:
-                require_shape(name, values, place.shape)
-                place[:] = values
+                ('q', q, own_q), ('qd', qd, own_qd), ('wrench_sensor', wrench_sensor, wrench)):
+            require_shape(name, values, place.shape)
+            place[:] = values
         self.see()
 
     def see(self) -> bool:
         """
-        Work out what is in `measured`: where the arm is, its model there, what the contacts bear.
+        Compute the arm's model and the measured contact forces of the sample in `measured`.
 
         Returns
         -------
@@ -258,41 +197,27 @@ class Controller:
         return self.arm.refresh()
 
     def start(self) -> Pose:
-        """Design the force laws for where the arm is; return the pose that a task starts from."""
-        self.require_answer()
-        pose = self._pose()
-        self._stiffnesses = loop_stiffnesses(self.config, pose.rotation_world)
-        self.laws = self._design(self.config, pose.rotation_world)
+        """
+        Design the force laws for where the arm is.
+
+        Returns
+        -------
+        Pose
+            That of the operational frame, from which a task starts.
+
+        """
+        self.laws = self._design(self.config)
         joints = self.arm.joints
         joints['posture'] = np.clip(  # what lies beyond a stop would be fought over
             self.config.posture.joints or self.arm.q, joints['lower'] + STOP_MARGIN,
             joints['upper'] - STOP_MARGIN)
-        self.misread_friction = self._find_misread_friction()
         self.started = True
-        return pose
-
-    def require_answer(self) -> None:
-        """
-        Raise if what has been seen has no answer.
-
-        Raises
-        ------
-        SingularTaskError
-            If the arm's model gives no finite numbers.
-        ContactGeometryError
-            If the contacts cannot be told apart in this posture.
-
-        """
-        if not self.arm.finite:
-            raise SingularTaskError(
-                "the arm's dynamics: expected finite numbers, found others at joint positions "
-                f'{self.arm.q.tolist()} and velocities {self.arm.velocity.tolist()}')
-        if self.arm.found & AMBIGUOUS:
-            self._refuse(DEPENDENT)
+        position, rotation = self.arm.pose
+        return Pose(position.copy(), rotation.copy())
 
     def answer(self) -> bool:
         """
-        Work out `torque` from what has been seen and what `controls` and `contacts` ask for.
+        Compute `torque` from what has been seen and what `controls` and `contacts` ask for.
 
         Returns
         -------
@@ -302,19 +227,21 @@ class Controller:
         Raises
         ------
         SingularTaskError
-            If the arm is in a singular posture.
+            If the arm is in a singular posture, or its model gives no finite numbers.
         ContactGeometryError
             If the contacts' normals are not independent.
 
         """
-        if self._coordinate_driven and self.started:
+        if self.arm.found & AMBIGUOUS:  # which is in NO_NUMBERS, too
+            self.refuse()
+        if self._coordinate_driven:
             self._follow_stiffness()
         terms = self.robot.terms
         status = control_law(
             self.controls, self.arm.joints, terms.mass_matrix, terms.jacobian,
             terms.jacobian_rate, self.contacts, self.laws)
         if status > LIMITED:
-            self._refuse(status)
+            self.refuse(status)
         return bool(status == LIMITED)
 
     def _follow_stiffness(self) -> None:
@@ -329,18 +256,6 @@ class Controller:
         return ControlOutput(
             torque, np.frombuffer(self._contact_bytes.tobytes(), CONTACT),
             np.frombuffer(self._control_bytes.tobytes(), CONTROL))
-
-    def _pose(self) -> Pose:
-        position, rotation = self.arm.pose
-        return Pose(position.copy(), rotation.copy())
-
-    def _find_misread_friction(self) -> list[tuple[str, str, float]]:
-        coupling = friction_coupling(self.contacts.copy(), self.arm.pose.rotation_world)
-        names, contacts = self.config.column_names, self.config.contacts
-        return [(names[j], names[i], float(coupling[i, j]))
-                for j in self.config.leaders for i in range(len(names))
-                if coupling[i, j] > LEVERED and not (
-                    contacts[names[j]].friction_std or contacts[names[j]].friction_coefficient)]
 
     def account_for(self, torque: Vector) -> None:
         """
@@ -370,8 +285,12 @@ class Controller:
         act_beyond(self.laws, active, (
             np.linalg.pinv(N) if self._coordinate_driven else N.T) @ twist_rate)
 
-    def _refuse(self, status: int) -> NoReturn:
-        """Raise what a status of `control_law` other than OK means."""
+    def refuse(self, status: int = DEPENDENT) -> NoReturn:
+        """Raise what a status of `control_law`, or a model without finite numbers, means."""
+        if not self.arm.finite:
+            raise SingularTaskError(
+                "the arm's dynamics: expected finite numbers, found others at joint positions "
+                f'{self.arm.q.tolist()} and velocities {self.arm.velocity.tolist()}')
         if status == DEPENDENT:
             raise ContactGeometryError(
                 'N: expected independent columns, found normals and contact points of '
@@ -406,50 +325,3 @@ def law_record(config: ControllerConfig) -> Records:
     law['force_noise'] = config.sensor.force_noise_std
     law['torque_noise'] = config.sensor.torque_noise_std
     return law
-
-
-def place_columns(config: ControllerConfig, columns: Records) -> None:
-    """Fill in what the configuration says of the columns, records of `CONTACT`, shape (r,)."""
-    for record, column in zip(columns, config.columns):
-        contact, is_force = config.contacts[column.contact], column.kind == FORCE
-        record['kind'], record['leader'] = column.kind, column.leader
-        told = contact.normal_world if is_force else (0.0, 0.0, 0.0)
-        # A normal that has been found is kept while nothing else is told of it.
-        if (record['normal_told'] != told).any() or not contact.normal_turn_rate:
-            record['normal'] = record['normal_told'] = told
-        record['normal_gain'] = config.period / (NORMAL_TIME + config.period)
-        record['turn_limit'] = contact.normal_turn_rate * config.period
-        record['smallest_cosine'] = math.cos(contact.normal_range)
-        record['point'] = contact.point_operational
-        record['direction'] = contact.direction_operational
-        record['half_length'] = column.half_length
-        record['stiffness'] = column.stiffness
-        if is_force:
-            record['surface_speed'] = contact.surface_speed
-            record['surface_gain'] = config.period / (SURFACE_SPEED_TIME + config.period)
-            limit = record['surface_speed_limit'] = contact.surface_speed_limit
-            record['surface_speed_est'] = np.clip(record['surface_speed_est'], -limit, limit)
-            record['friction_coefficient'] = contact.friction_coefficient
-            record['friction_std'] = contact.friction_std
-            record['torsion_std'] = 0.0 if contact.type == 'point' else (
-                contact.friction_std * contact.half_length)
-
-
-def loop_stiffnesses(config: ControllerConfig, rotation_world: Matrix) -> Vector:
-    """
-    Return the stiffness that the force loop of each contact drives, shape (r,) [N/m].
-
-    Parameters
-    ----------
-    config
-        Contacts, force loops.
-    rotation_world
-        Axes of the operational frame, shape (3, 3).
-
-    """
-    if config.force.allocation == 'decoupled':  # which drives the contact point itself
-        return np.array([column.stiffness for column in config.columns])
-    contacts = [config.contacts[name] for name in config.contact_names]
-    return np.array([operational_stiffness(  # `paper` drives the coordinate along N_i
-        contact.stiffness, np.array(contact.normal_world),
-        -rotation_world @ np.array(contact.point_operational)) for contact in contacts])

@@ -18,6 +18,7 @@ from typing import Any
 from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.control.controller import Controller
+from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import ConfigError, counted, RunError
 from multicontact_control.experiment.bag import read_bag
 from multicontact_control.experiment.external import read_controller_files
@@ -125,7 +126,7 @@ def contact_signals(
 ) -> dict[str, ContactSignals]:
     """Return the signals of every contact's normal force, from joints, wrench and torque alone."""
     names = config.column_names
-    controller = Controller.from_config(config, base_dir)
+    controller = Controller(config, RobotModel(config.robot, base_dir))
     controls, contacts = controller.controls, controller.contacts
     shape = (data.ticks, len(names))
     alpha, speed, motion, friction, commanded, resisted = (

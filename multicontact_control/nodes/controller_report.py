@@ -8,6 +8,7 @@ import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from multicontact_control.contact.geometry import misread_friction
 from multicontact_control.control_loop import ControlLoop
 from multicontact_control.nodes import topics
 from multicontact_control.nodes.diagnostics import (
@@ -222,7 +223,8 @@ class ControllerReport:
             return Status('contacts', values)
         trouble = [f'1 N of friction at {where} is read as {gain:.1f} N at {what}: give '
                    f'contacts.{where}.friction_std'
-                   for where, what, gain in loop.supervisor.controller.misread_friction]
+                   for where, what, gain in misread_friction(
+                   config, output.contacts, output.pose.rotation_world)]
         for i, name in enumerate(config.column_names):
             values |= {
                 f'{name} measured_n': float(output.alpha_meas[i]),

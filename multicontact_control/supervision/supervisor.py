@@ -311,7 +311,8 @@ class Supervisor:
     def _resume(self) -> None:
         """Start the control law, or go on with it after a reaction, where that is due."""
         controller = self.controller
-        controller.require_answer()
+        if controller.arm.found & AMBIGUOUS:
+            controller.refuse()
         if self._paused and self.started:
             held = self.task.resume()
             continue_laws_at(controller.laws, held, controller.contacts['alpha_meas'])
@@ -468,7 +469,7 @@ class Supervisor:
                 raise ConfigError(
                     f'contacts.{name}', 'what it is while in use, but for '
                     f'{", ".join(LIVE_OF_CONTACTS)}', 'another value')
-        self.controller.redesign(config)
+        self.controller.check(config)
 
     def reconfigure(self, config: ControllerConfig) -> None:
         """

@@ -8,6 +8,7 @@ from arms import (
     seven_joint_config,
     seven_joint_urdf,
 )
+from multicontact_control.contact.geometry import misread_friction
 from multicontact_control.control.tasks import CommandedTask, MotionReading, Task
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.dynamics.rotations import Pose
@@ -66,19 +67,23 @@ def test_controller_at_rest_compensates_gravity():
     np.testing.assert_allclose(output.alpha_meas, 0.0, atol=1e-9)
 
 
-def test_what_friction_is_read_as_is_worked_out_once():
+def test_friction_at_a_lever_is_misread():
     lever = {'table': {'type': 'edge', 'point_operational': [0.0, 0.0, 0.24]}}
     controller, _ = _controller(
         contact_names=['table'], contacts=lever, reference=CommandedTask(['t', 't/along']))
-    assert controller.misread_friction == []
+
+    def misread():
+        return misread_friction(
+            controller.config, controller.contacts, controller.arm.pose.rotation_world)
+
     controller.step(_sample(controller), np.full(2, 0.6))
-    found = controller.misread_friction
+    found = misread()
     assert [(where, what) for where, what, _ in found] == [('table', 'table/along')]
-    assert found[0][2] > 1.05 and controller.misread_friction is found
+    assert found[0][2] > 1.05
     table = controller.config.contacts['table'].model_copy(update={'friction_coefficient': 0.1})
     controller.reconfigure(controller.config.model_copy(update={
         'contacts': {**controller.config.contacts, 'table': table}}))
-    assert controller.misread_friction == []
+    assert misread() == []
 
 
 @pytest.mark.parametrize('projection', ['euclidean', 'inertia'])
@@ -240,9 +245,9 @@ def test_run_equals_numpy_tick_by_tick():
                 atol=1e-11 * max(1.0, np.abs(wanted).max()), err_msg=f'{name} at tick {k}')
 
 
-def step(q=HOME, wrench=REST, variance=2, **changes):
+def step(q=HOME, wrench=REST, qd=REST, **changes):
     controller, _ = _controller(**changes)
-    return controller.step(Measurement(0.0, q, np.zeros(6), wrench), np.ones(variance))
+    return controller.step(Measurement(0.0, q, qd, wrench), np.ones(2))
 
 
 def test_output_stays_when_the_next_sample_comes():
@@ -279,7 +284,7 @@ def test_dependent_contacts_are_refused():
         step(contacts={'board': above})
 
 
-@pytest.mark.parametrize('sizes', [(5, 6, 2), (6, 5, 2), (6, 6, 3)])
+@pytest.mark.parametrize('sizes', [(5, 6), (6, 5)])
 def test_arrays_of_wrong_size_are_refused(sizes):
     with pytest.raises(ShapeError):
-        step(np.zeros(sizes[0]), np.zeros(sizes[1]), sizes[2])
+        step(np.zeros(sizes[0]), qd=np.zeros(sizes[1]))

@@ -87,10 +87,10 @@ def test_reconfigure_keeps_what_the_observers_know():
         if k == 1:
             reference.set_forces({'table': 5.0})
         controller.step(sample(controller, k))
-    known = controller.controller.observers
+    known = controller.controller.laws['observer']
     assert known['x_est'][0].any()
     controller.reconfigure(controller_config(force={'time_constant': 0.04}))
-    new = controller.controller.observers
+    new = controller.controller.laws['observer']
     np.testing.assert_array_equal(known['x_est'], new['x_est'])
     np.testing.assert_array_equal(known['P'], new['P'])
     np.testing.assert_array_equal(known['running'], new['running'])

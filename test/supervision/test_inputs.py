@@ -217,7 +217,7 @@ def test_delay_of_the_low_pass_is_in_the_controllers_model():
         controller = Law(controller_config(**changes), CommandedTask(('table', 'board')))
         home = np.array([1.847, 0.871, 2.937, 0.0, -0.666, 1.847])
         controller.step(Measurement(0.0, home, np.zeros(6), np.zeros(6)), np.full(2, 0.6))
-        observers.append(controller.observers)
+        observers.append(controller.laws['observer'])
     assert observers[0]['states'].tolist() == [2 + 6 + 1] * 2
     np.testing.assert_allclose(observers[0]['feedback'], observers[1]['feedback'], rtol=1e-6)
 

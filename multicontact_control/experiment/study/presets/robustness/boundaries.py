@@ -14,9 +14,10 @@ import math
 from typing import Any
 
 from multicontact_control.arrays import Matrix
-from multicontact_control.contact.geometry import normal_space
-from multicontact_control.control.controller import Controller, loop_stiffnesses
+from multicontact_control.contact.geometry import loop_stiffnesses, normal_space
+from multicontact_control.control.controller import Controller
 from multicontact_control.dynamics.operational_space import task_inertia
+from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.experiment.study.jobs import job_of, RunJob
@@ -148,7 +149,7 @@ class ArmLoop:
 def arm_loop(setup: Setup) -> ArmLoop:
     """Return the linear force loops of a setup at its plant's home, for `decoupled` allocation."""
     config = setup.controller
-    controller = Controller.from_config(config, setup.urdf_dir)
+    controller = Controller(config, RobotModel(config.robot, setup.urdf_dir))
     robot = controller.robot
     state = robot.update(np.array(setup.plant.home), np.zeros(robot.joint_count))
     N = normal_space(controller.contacts, state.pose.rotation_world)
