@@ -14,7 +14,6 @@ from tempfile import TemporaryDirectory
 from time import perf_counter_ns
 
 from multicontact_control.control.controller import Controller
-from multicontact_control.control_loop import ControlLoop
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.experiment.closed_loop import estimate_variance, run_in_process
 from multicontact_control.experiment.compilation import ensure_compiled
@@ -22,6 +21,7 @@ from multicontact_control.experiment.metrics import percentiles
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.files import write_json
 from multicontact_control.force.noise import make_noise_estimator
+from multicontact_control.loop import ControlLoop
 from multicontact_control.process import settle_process
 from multicontact_control.supervision.command_limits import CommandLimits
 from multicontact_control.supervision.inputs import (

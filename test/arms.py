@@ -11,10 +11,10 @@ from multicontact_control.config import (
     RobotConfig,
     validate,
 )
-from multicontact_control.control.arm_state import AMBIGUOUS
+from multicontact_control.control.arm import AMBIGUOUS
 from multicontact_control.control.controller import Controller
-from multicontact_control.control_loop import ControlLoop
 from multicontact_control.dynamics.robot import RobotModel
+from multicontact_control.loop import ControlLoop
 from multicontact_control.paths import config_dir
 from multicontact_control.supervision.command_limits import CommandLimits
 from multicontact_control.supervision.contact_task import ContactTask

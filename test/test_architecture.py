@@ -13,7 +13,7 @@ ROOT = Path(__file__).resolve().parents[1]
 # What is not listed (config, errors, arrays, paths, ...) lies at the bottom.
 LAYERS = {
     'dynamics': 1, 'contact': 1, 'force': 1, 'control': 2, 'sensor': 3, 'supervision': 3,
-    'sampling': 4, 'control_loop': 4, 'nodes': 5, 'experiment': 6, 'client': 6, 'view': 7,
+    'sampling': 4, 'loop': 4, 'nodes': 5, 'experiment': 6, 'client': 6, 'view': 7,
     'cli': 8, '__main__': 8}
 PINOCCHIO_HOME = 'multicontact_control.dynamics.robot'
 STEPPED = 'multicontact_control.supervision.supervisor'
@@ -39,7 +39,7 @@ def layer(module: str) -> int:
 
 
 def is_core(module: str) -> bool:
-    return area(module) != '' and layer(module) <= LAYERS['control_loop']
+    return area(module) != '' and layer(module) <= LAYERS['loop']
 
 
 def broken_rule(module: str, target: str) -> str:
@@ -51,8 +51,8 @@ def broken_rule(module: str, target: str) -> str:
         return 'the page is an extra, known to view/ alone'
     if top == 'pinocchio' and module != PINOCCHIO_HOME and not module.startswith('sim_bridge'):
         return 'pinocchio is wrapped in dynamics/robot.py'
-    if target.startswith(STEPPED) and area(module) not in ('supervision', 'control_loop'):
-        return 'samples become torques in control_loop.py'
+    if target.startswith(STEPPED) and area(module) not in ('supervision', 'loop'):
+        return 'samples become torques in loop.py'
     if area(module) in ('control', 'supervision') and f'{target}.'.startswith(
             'multicontact_control.force.noise.'):
         return 'R reaches the controller as a number'
@@ -79,7 +79,7 @@ def room(module: str) -> str:
     package, *inner = module.split('.')
     if package != 'multicontact_control':
         return ''
-    if inner in (['control_loop'], ['loop'], ['sampling']):
+    if inner in (['loop'], ['sampling']):
         return LOOP
     if inner and inner[0] in BUDGETS:
         return inner[0]

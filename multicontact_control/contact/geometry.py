@@ -64,61 +64,31 @@ def fill_normal_space(contacts: Any, rotation: Matrix) -> None:
 
 
 def normal_space(contacts: Records, rotation_world: Matrix) -> Matrix:
-    """
-    Return N of some contacts (P04 eq. 5), and fill it in.
-
-    Parameters
-    ----------
-    contacts
-        Records of `CONTACT`, shape (r,).
-    rotation_world
-        Axes of the operational frame, shape (3, 3).
-
-    Returns
-    -------
-    Matrix
-        N at the operational point, world axes, shape (6, r).
-
-    """
+    """Fill in and return N of records of `CONTACT`, world axes, shape (6, r) (P04 eq. 5)."""
     fill_normal_space(contacts, np.ascontiguousarray(rotation_world))
     N: Matrix = contacts['N'].T.copy()
     return N
-
-
-def are_independent(contacts: Records) -> bool:
-    """
-    Return whether one wrist sensor can tell the forces of some contacts apart.
-
-    Columns of N that are dependent in three orientations of the operational frame are so in any,
-    as those of three collinear points or four coplanar ones with one normal.
-
-    Parameters
-    ----------
-    contacts
-        Records of `CONTACT` with normals and points, shape (r,).
-
-    """
-    copies, count = contacts.copy(), len(contacts)
-    reach = max(float(np.abs(contacts['point']).max()), 1e-3)
-    units = np.repeat([1.0, 1.0 / reach], 3)  # so that moments count as forces do
-    for turn in ORIENTATIONS:
-        N = normal_space(copies, turn) * units[:, None]
-        if np.linalg.matrix_rank(N, SMALLEST_SINGULAR_VALUE) == count:
-            return True
-    return False
 
 
 def check_columns(names: Sequence[str], contacts: Records) -> None:
     """
     Refuse columns, with these names, that one wrist sensor cannot tell apart.
 
+    Columns of N that are dependent in three orientations of the operational frame are so in any,
+    as those of three collinear points or four coplanar ones with one normal.
+
     Raises
     ------
     ConfigError
-        If they depend on each other, as more than six always do; see `are_independent`.
+        If they depend on each other, as more than six always do.
 
     """
-    if not are_independent(contacts):
+    copies = contacts.copy()
+    reach = max(float(np.abs(contacts['point']).max()), 1e-3)
+    units = np.repeat([1.0, 1.0 / reach], 3)  # so that moments count as forces do
+    if not any(np.linalg.matrix_rank(
+            normal_space(copies, turn) * units[:, None], SMALLEST_SINGULAR_VALUE) == len(contacts)
+            for turn in ORIENTATIONS):
         raise ConfigError(
             'contacts', 'forces none of which the others could have made (independent columns of '
             'N, P04 eq. 5)', f'{", ".join(names)}, which depend on each other')
@@ -126,21 +96,10 @@ def check_columns(names: Sequence[str], contacts: Records) -> None:
 
 def friction_coupling(contacts: Records, rotation_world: Matrix) -> Matrix:
     """
-    Return what friction is read as where the wrench is taken apart without allowing for it.
+    Return what 1 N of friction is read as where nothing is allowed for it.
 
-    Parameters
-    ----------
-    contacts
-        Records of `CONTACT`, shape (r,).
-    rotation_world
-        Axes of the operational frame, shape (3, 3).
-
-    Returns
-    -------
-    Matrix
-        Largest force or couple i that 1 N of friction at contact j is read as, in any direction
-        across its normal, shape (r, r); 0 where j is a couple [N].
-
+    Element i, j is the largest force or couple i that 1 N of friction at contact j is read as, in
+    any direction across its normal, shape (r, r); 0 where j is a couple [N].
     """
     N_inverse = np.linalg.pinv(normal_space(contacts, rotation_world))
     coupling: Matrix = np.zeros((len(contacts), len(contacts)))
@@ -155,9 +114,9 @@ def friction_coupling(contacts: Records, rotation_world: Matrix) -> Matrix:
 
 def operational_stiffness(k_env: float, normal_world: Vector, lever_world: Vector) -> float:
     """
-    Return the stiffness of one contact as felt at the operational point.
+    Return k_s = k_env (1 + |l x n|^2), the stiffness along the coordinate N_i (P04 eq. 17).
 
-    k_s = k_env (1 + |l x n|^2) (P04 eq. 17).
+    The 1 is a number, |l x n| is in metres: k_s depends on the unit of length, as N_i does.
 
     Parameters
     ----------
@@ -165,12 +124,6 @@ def operational_stiffness(k_env: float, normal_world: Vector, lever_world: Vecto
         Stiffness at the contact point [N/m].
     normal_world, lever_world
         Unit normal and vector from the contact point to the operational point [m], shape (3,).
-
-    Returns
-    -------
-    float
-        k_s [N/m] for coordinates along N_i. The 1 in it is a number, |l x n| is in metres: k_s
-        depends on the unit of length, as N_i itself does.
 
     """
     moment = np.cross(lever_world, normal_world)
@@ -205,17 +158,7 @@ def place_columns(config: ControllerConfig, columns: Records) -> None:
 
 
 def loop_stiffnesses(config: ControllerConfig, rotation_world: Matrix) -> Vector:
-    """
-    Return the stiffness that the force loop of each contact drives, shape (r,) [N/m].
-
-    Parameters
-    ----------
-    config
-        Contacts, force loops.
-    rotation_world
-        Axes of the operational frame, shape (3, 3).
-
-    """
+    """Return the stiffness that the force loop of each contact drives, shape (r,) [N/m]."""
     if config.force.allocation == 'decoupled':  # which drives the contact point itself
         return np.array([column.stiffness for column in config.columns])
     contacts = [config.contacts[name] for name in config.contact_names]
@@ -230,19 +173,8 @@ def misread_friction(
     """
     Return where a lever turns friction into more than itself.
 
-    Parameters
-    ----------
-    config, columns
-        Contacts as configured, and as records of `CONTACT`, shape (r,).
-    rotation_world
-        Axes of the operational frame, shape (3, 3).
-
-    Returns
-    -------
-    list of tuple
-        Of contacts whose friction is neither expected nor allowed for: the name, the force or
-        couple that the friction is read as, and how much of that 1 N is [N].
-
+    Of contacts whose friction is neither expected nor allowed for: the name, the force or couple
+    that the friction is read as, and how much of that 1 N is [N].
     """
     coupling = friction_coupling(columns.copy(), rotation_world)
     names, contacts = config.column_names, config.contacts

@@ -14,7 +14,6 @@ import time
 from multicontact_control.arrays import Vector
 from multicontact_control.config import NoiseEstimatorConfig
 from multicontact_control.control.controller import ControlOutput
-from multicontact_control.control_loop import ControlLoop
 from multicontact_control.errors import (
     ContactGeometryError,
     RunError,
@@ -23,6 +22,7 @@ from multicontact_control.errors import (
 from multicontact_control.experiment.recording import empty_run_data, OF_STIFFNESS, RunData
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.force.noise import Innovation, make_noise_estimator, NoiseEstimator
+from multicontact_control.loop import ControlLoop
 from multicontact_control.supervision.command_limits import CommandLimits
 from multicontact_control.supervision.inputs import (
     JointInput,

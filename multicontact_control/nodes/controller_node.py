@@ -10,13 +10,13 @@ import time
 from typing import Any
 
 from multicontact_control.config import ControllerConfig
-from multicontact_control.control_loop import ControlLoop
 from multicontact_control.errors import (
     ContactGeometryError,
     MessageError,
     MulticontactError,
     SingularTaskError,
 )
+from multicontact_control.loop import ControlLoop
 from multicontact_control.nodes import qos, topics
 from multicontact_control.nodes.controller_config import ControllerNodeConfig, SAFE_TIME
 from multicontact_control.nodes.controller_report import ControllerReport

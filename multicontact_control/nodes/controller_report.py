@@ -9,7 +9,7 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from multicontact_control.contact.geometry import misread_friction
-from multicontact_control.control_loop import ControlLoop
+from multicontact_control.loop import ControlLoop
 from multicontact_control.nodes import topics
 from multicontact_control.nodes.diagnostics import (
     DurationLog,
@@ -206,12 +206,13 @@ class ControllerReport:
             return Status('supervisor', {'reaction': NONE})
         text = reaction_text(loop)
         severe = SEVERITY.index(status.reaction) > SEVERITY.index(INFLATE)
+        log = loop.events
         return Status('supervisor', {
             'reaction': status.reaction, 'causes': ' '.join(status.causes) or 'none',
-            'task_time_s': status.task_time, 'events': len(loop.events.events), **loop.collisions,
-            **{f'ticks with {name}': n for name, n in loop.reactions.items() if name != NONE},
-            **{f'rejected {name}': n for name, n in loop.rejected.items()},
-            **{f'limited {name}': n for name, n in loop.limited.items()}},
+            'task_time_s': status.task_time, 'events': len(log.events), **log.collisions,
+            **{f'ticks with {name}': n for name, n in log.reactions.items() if name != NONE},
+            **{f'rejected {name}': n for name, n in log.rejected.items()},
+            **{f'limited {name}': n for name, n in log.limited.items()}},
             error=text if severe else '', warning='' if severe else text)
 
     def _contacts(self) -> Status:

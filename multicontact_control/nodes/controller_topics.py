@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.control.controller import ControlOutput
-from multicontact_control.control_loop import ControlLoop
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import MulticontactError
+from multicontact_control.loop import ControlLoop
 from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.nodes.contact_markers import ContactMarkers
 from multicontact_control.nodes.controller_config import ControllerNodeConfig

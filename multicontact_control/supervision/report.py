@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Sequence
 from typing import NamedTuple
 
 from multicontact_control.control.tick import ControlOutput
 from multicontact_control.records import CONTACT, CONTROL
+from multicontact_control.supervision.checks import COLLISION
 from multicontact_control.supervision.gate import NAMES
 from multicontact_control.supervision.reactions import SEVERITY
 import numpy as np
@@ -83,7 +84,7 @@ def read_event(time: float, what: str) -> Event:
 
 class EventLog:
     """
-    Notes what changes in a supervisor's status.
+    Counts what a supervisor does, and notes what changes.
 
     Attributes
     ----------
@@ -93,14 +94,23 @@ class EventLog:
         How many came after these.
     names
         Of what has states: the reaction and the contacts.
+    reactions, rejected, limited
+        In how many ticks there were which.
+    collisions
+        How often something has touched the arm before its wrist sensor, by cause.
 
     """
 
     def __init__(self, contact_names: Sequence[str] = ()) -> None:
         self.events: list[tuple[float, str]] = []
         self.dropped = 0
+        self.reactions: Counter[str] = Counter()
+        self.rejected: Counter[str] = Counter()
+        self.limited: Counter[str] = Counter()
+        self.collisions: Counter[str] = Counter()
         self.names = (REACTION, *contact_names)
         self._before: tuple[object, ...] = ()
+        self._touched = False
         self._states: tuple[str, ...] = ()
         self._time, self._passed = 0.0, 0.0
         self._changes: dict[str, deque[float]] = {
@@ -110,10 +120,18 @@ class EventLog:
         """Take in the status of one tick, at a time [s]."""
         self._passed += max(time - self._time, 0.0)  # also over a clock that is set back
         self._time = time
+        self.reactions[status.reaction] += 1
+        if status.rejected:
+            self.rejected.update(status.rejected)
+        if status.limits:
+            self.limited.update(status.limits)
         now = (status.reaction, status.causes, status.limits, status.contact_states)
         if now == self._before:
             return
-        self._before = now
+        touched = [cause for cause in status.causes if cause.startswith(COLLISION)]
+        if touched and not self._touched:
+            self.collisions[touched[0]] += 1
+        self._before, self._touched = now, bool(touched)
         self._count((status.reaction, *status.contact_states))
         if len(self.events) == CAPACITY:
             self.dropped += 1

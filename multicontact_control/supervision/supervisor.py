@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 from multicontact_control.arrays import Vector
@@ -21,6 +20,7 @@ from multicontact_control.errors import CommandError, ConfigError, SingularTaskE
 from multicontact_control.force.force_law import continue_laws_at
 from multicontact_control.supervision.checks import (
     check_plausibility,
+    COLLISION,
     CollisionWatch,
     limit_speeds,
     NOT_FINITE,
@@ -56,18 +56,18 @@ SEEN_TIME = 0.05  # s, after which an arm that was not seen is held again
 LONGEST_SKIP = 0.1  # s; the task's time does not follow a clock that has been set
 CONTROLLED = (NONE, INFLATE)  # what the control law answers
 FIXED = ('torque_limit', 'sensor', 'contact_state', 'limits', 'watchdog', 'collision')
-LIVE_OF_CONTACTS = (
+LIVE_OF_CONTACTS = {
     'friction_coefficient', 'normal_world', 'normal_turn_rate', 'normal_range', 'surface_speed',
-    'surface_speed_limit')
+    'surface_speed_limit'}
 
 
 class Supervisor:
     """
-    Controller, contact states, watchdog, reactions and gate in one step that never raises.
+    The control loop of a tick: inputs, controller, task, checks, gate.
 
     The torque starts from the one that holds the arm: the measured effort, or gravity compensation
     where the robot measures none (or only zeros). What is commanded afterwards goes over without a
-    jump.
+    jump. Reactions take the place of the law; see `Reactions`.
 
     Parameters
     ----------
@@ -85,16 +85,14 @@ class Supervisor:
     ----------
     config
         The configuration in force.
-    inputs, controller, task
-        What comes in, the control law, and what it is asked for.
+    inputs, controller, task, collisions
+        The input stage, the control law, what it is asked for, and what touches the arm.
     safe
         Whether ticks are answered by the declared safe behaviour, see `stop`.
     started
         Whether the control law has answered a sample since it was reset.
     outside
         Where the arm is beyond its limits, so that control cannot start, a line for each.
-    collisions
-        What touches the arm before its wrist sensor.
 
     """
 
@@ -122,34 +120,17 @@ class Supervisor:
                     self.controller.contacts, self.task.states)
         self.reset()
 
-    @classmethod
-    def from_config(
-        cls, config: ControllerConfig, source: TaskSource, base_dir: Path, *, guarded: bool = True,
-    ) -> Supervisor:
-        """
-        Build a supervisor with the arm its configuration names.
-
-        Raises
-        ------
-        ConfigError
-            If the URDF cannot be read or does not match the names.
-
-        """
-        return cls(config, RobotModel(config.robot, base_dir), source, guarded=guarded)
-
     def reset(self) -> None:
         """Forget everything measured and commanded; the next tick starts anew."""
         self._restart_law()
         self.inputs.reset()
         self.collisions.reset()
         self._gate.reset()
-        self._reactions.end()
         self.safe = False
         self.outside: tuple[str, ...] = ()
-        self._arm: ArmState | None = None
-        self._effort: Vector | None = None
-        self._too_fast: tuple[str, ...] = ()
-        self._touched: tuple[str, ...] = ()
+        self._arm: ArmState | None = None  # once it was seen
+        self._found = 0  # of it; see `see_arm`
+        self._alarms: tuple[str, ...] = ()
         self._seen, self._wrench_known = Seen(), False
         self._reaction = NONE
         self._output = no_answer(self._robot.joint_count, len(self.config.columns))
@@ -161,6 +142,7 @@ class Supervisor:
         self.started = self._paused = False
         self._waiting_reaction = HOLD
         self._recovery.reset()
+        self._reactions.end()
 
     def stop(self) -> None:
         """
@@ -168,12 +150,10 @@ class Supervisor:
 
         The control law is forgotten; `reset` ends this.
         """
-        if self.safe:
-            return
-        self._restart_law()
-        self.safe = True
-        self._reactions.end()
-        self._gate.go_over()
+        if not self.safe:
+            self._restart_law()
+            self.safe = True
+            self._gate.go_over()
 
     def step(self, inputs: TickInputs) -> TickOutput:
         """
@@ -195,38 +175,33 @@ class Supervisor:
             Without guards, if a reading is missing or there is no torque for this posture.
 
         """
+        part, reaction = 'internal', NONE
         try:
-            return self._tick(inputs)
-        except Exception as error:
-            if not self.guarded:
-                raise
-            return self._last_resort(f'internal_{type(error).__name__}')
-
-    def _tick(self, inputs: TickInputs) -> TickOutput:
-        seen = self._validate(inputs)
-        causes = self._see(seen)
-        reaction, causes = self._decide(causes)
-        if reaction not in CONTROLLED:
-            return self._react(reaction, causes)
-        try:
-            self._resume()
-            self.task.ask(self._task_time())
+            seen = self._validate(inputs)
+            causes = self._see(seen)
+            if causes or self._paused or self.safe or not self.started:
+                reaction, causes = self._decide(causes)
+                if reaction not in CONTROLLED:
+                    return self._react(reaction, causes)
+            part = 'law'
+            if self._paused or not self.started:
+                self._resume()
+            self.task.ask(self._task_ticks * self._period)
             limited = self.controller.answer()
+            part = 'internal'
+            if refused := self._check():
+                return self._refuse(refused)
+            torque, limits = self._pass(limited)
+            return self._report(torque, reaction, causes, limits)
         except Exception as error:
             if not self.guarded:
                 raise
-            return self._refuse(f'law_{type(error).__name__}')
-        if cause := self._check():
-            return self._refuse(cause)
-        torque, limits = self._pass(limited)
-        return self._report(torque, reaction, causes, limits)
+            return self._survive(part, error)
 
     def _validate(self, inputs: TickInputs) -> Seen:
-        """Return what is valid; take note of the time, and of the effort to start from."""
+        """Return what is valid, or, without guards, all; the task's time follows the stamps."""
         before = self.inputs.now
         seen = self.inputs.validate(inputs)
-        if not self._gate.begun and inputs.joints is not None:
-            self._effort = self.inputs.effort.copy() if self.inputs.acted else None
         if not self.guarded:
             return self._as_it_came(inputs)
         skipped = self.inputs.now - before - self._period
@@ -247,22 +222,26 @@ class Supervisor:
         return Seen()
 
     def _see(self, seen: Seen) -> tuple[str, ...]:
-        """Work out where the arm is and what its contacts bear; return what is wrong."""
+        """Compute where the arm is and what its contacts bear; return what is wrong."""
         arm, own = self.controller.arm, self.config.robot.adds_gravity
         self._seen, self._wrench_known = seen, seen.measured
         if self.guarded:
             self.collisions.look(self.inputs, measured=seen.measured)
         if seen.joints and self.controller.see():
             self._arm = arm
-            self._too_fast = TOO_FAST[arm.found & (OPERATIONAL_SPEED | JOINT_SPEED)]
-            if arm.found & AMBIGUOUS:  # what the contacts bear is of some time before
-                self._wrench_known = False
-            touched = self.collisions.cause(arm.found)
-            # The wrench is not to be believed before the pushes that prove it.
-            self._touched = (touched,) if touched and not self.task.locked else ()
+            if arm.found or self._found:
+                self._alarms = TOO_FAST[arm.found & (OPERATIONAL_SPEED | JOINT_SPEED)]
+                touched = self.collisions.cause(arm.found)
+                # The wrench is not to be believed before the pushes that prove it.
+                if touched and not self.task.locked:
+                    self._alarms += (touched,)
             if own:
                 self._gate.allow_for(self._own_weight())
-        return seen.causes + self._too_fast + self._touched
+            self._found = arm.found
+        if self._found & AMBIGUOUS:  # what the contacts bear is of some time before
+            self._wrench_known = False
+        self._controls['measured'] = self._wrench_known
+        return seen.causes + self._alarms
 
     def _own_weight(self) -> Vector:
         """Return the torque by which the drives carry the arm where it is seen, shape (n,)."""
@@ -273,34 +252,29 @@ class Supervisor:
 
     def _decide(self, causes: tuple[str, ...]) -> tuple[str, tuple[str, ...]]:
         """Return what answers the tick, the law or a reaction, and why."""
+        arm = self._arm
         if self.safe:
-            if self._arm is not None and not self._seen.blind:
-                return SAFE, causes
-            return FLOAT if self._arm is not None else DAMP, causes or ('joints_stale',)
-        if self.guarded and not self.started:
-            causes += self._start_refused()
-        reaction = self._reaction_to(causes) if causes else NONE
-        if reaction not in CONTROLLED:
-            return reaction, causes
-        self._good_ticks += 1
-        missing = self._recovery.missing(self._good_ticks) if self._paused else ()
-        if missing:
-            return self._waiting(), missing
-        if self._arm is None or not self._seen.wrench:
-            return DAMP, ('joints_stale',)
+            if arm is None or self._seen.blind:
+                return DAMP if arm is None else FLOAT, causes or ('joints_stale',)
+            return SAFE, causes
+        if self.guarded and not self.started:  # limits that are passed would move the arm at once
+            if arm is not None:
+                self.outside = outside_limits(self.config, arm.q, arm.pose.position_world)
+            causes += ('start_outside',) * bool(self.outside)
+        reaction = self._reaction_to(causes)
+        if reaction in CONTROLLED:
+            self._good_ticks += 1
+            missing = self._recovery.missing(self._good_ticks) if self._paused else ()
+            if missing:
+                return self._waiting(), missing
+            if arm is None or not self._seen.wrench:
+                return DAMP, ('joints_stale',)
         return reaction, causes
 
     def _reaction_to(self, causes: tuple[str, ...]) -> str:
         reactions = reactions_of(self.config)
         found = [reactions[cause.split('_')[0]] for cause in causes]
         return max(found, key=SEVERITY.index, default=NONE)
-
-    def _start_refused(self) -> tuple[str, ...]:
-        """Return why control must not start from here: its limits would move the arm at once."""
-        arm = self._arm
-        if arm is not None:
-            self.outside = outside_limits(self.config, arm.q, arm.pose.position_world)
-        return ('start_outside',) if self.outside else ()
 
     def _waiting(self) -> str:
         """Return what is done while control waits; joints that come and go are not held."""
@@ -309,9 +283,9 @@ class Supervisor:
         return FLOAT if self._seen.blind or floats and seen < SEEN_TIME else self._waiting_reaction
 
     def _resume(self) -> None:
-        """Start the control law, or go on with it after a reaction, where that is due."""
+        """Start the control law, or go on with it after a reaction."""
         controller = self.controller
-        if controller.arm.found & AMBIGUOUS:
+        if self._found & AMBIGUOUS:
             controller.refuse()
         if self._paused and self.started:
             held = self.task.resume()
@@ -320,7 +294,6 @@ class Supervisor:
             controller.reset()  # the arm may have been moved since the first attempt
         if not controller.started:
             self.task.start(controller.start())
-        self._controls['measured'] = self._wrench_known
 
     def _check(self) -> str:
         """Return what speaks against the answer of the law, nothing if it may be commanded."""
@@ -341,14 +314,15 @@ class Supervisor:
 
     def _pass(self, limited: bool) -> tuple[Vector, tuple[str, ...]]:
         """Let the law's torque through the gate; return it and the limits that were enforced."""
-        self._begin()
-        if self._paused and self.started:
-            self._recovery.resumed(self._task_ticks)
+        if not self._gate.begun:
+            self._begin()
         if self._paused:
             self._reactions.end()
+            if self.started:
+                self._recovery.resumed(self._task_ticks)
         self.started, self._paused = True, False
         self._task_ticks += 1
-        law = (NONE, self.controller.active.tobytes()) if self.guarded else None
+        law = self.controller.active.tobytes() if self.guarded else None
         torque, limits = self._gate.apply(
             law, self.controller.torque.copy(), limited=limited)
         if not self.guarded and 'not_finite' in limits:
@@ -360,11 +334,9 @@ class Supervisor:
 
     def _begin(self) -> None:
         """Let the torque start from the one that acts before any command."""
-        if self._gate.begun:
-            return
-        effort, acting = self._effort, np.zeros(self._robot.joint_count)
-        if effort is not None and np.isfinite(effort).all() and effort.any():
-            acting = effort + self._joints['added']
+        acting = np.zeros(self._robot.joint_count)
+        if self.inputs.acted:
+            acting = self.inputs.effort + self._joints['added']
         elif self._arm is not None:
             acting = self._robot.update(self._arm.q, acting).gravity
         self._gate.begin(acting)
@@ -372,15 +344,14 @@ class Supervisor:
 
     def _refuse(self, cause: str) -> TickOutput:
         """Answer without the control law because of what it says."""
-        if not self.controller.arm.finite:
-            cause = 'law_not_finite'
         if self._paused:
             self._recovery.relapsed((cause,))
         return self._react(self._reaction_to((cause,)), (cause,))
 
     def _react(self, reaction: str, causes: tuple[str, ...]) -> TickOutput:
         """Answer without the control law."""
-        if self._seen.blind and self._arm is not None and reaction in (HOLD, DAMP):
+        arm, blind = self._arm, self._seen.blind
+        if blind and arm is not None and reaction in (HOLD, DAMP):
             reaction = FLOAT  # what is not seen can be neither held nor slowed down
         if causes not in ((RECOVERING,), (LATCHED,)):
             self._good_ticks = 0
@@ -394,16 +365,16 @@ class Supervisor:
             self._recovery.stopped(causes, self._task_ticks)
             self._reactions.begin(self._output)
         self._paused = True
-        with np.errstate(all='ignore'):  # numbers that are none are for the gate to find
-            # What blocks the arm may be what the contacts' forces press it against: they fade.
-            felt = self._wrench_known and not self._touched
-            torque = self._reactions.torque(reaction, self._arm, felt)
+        if not self._gate.begun:
             self._begin()
-            if reaction != SAFE:
-                self._gate.hurry()
+        if reaction != SAFE:
+            self._gate.hurry()
+        with np.errstate(all='ignore'):  # the gate finds numbers that are not finite
+            # What blocks the arm may be what the contacts' forces press it against: they fade.
+            felt = self._wrench_known and not any(x.startswith(COLLISION) for x in self._alarms)
             torque, limits = self._gate.apply(
-                reaction, torque, known=self._arm is not None,
-                seen=self._arm is not None and not self._seen.blind)
+                reaction, self._reactions.torque(reaction, arm, felt),
+                known=arm is not None, seen=arm is not None and not blind)
         return self._report(
             torque, NONE if reaction == SAFE else reaction, causes, limits, controlled=False)
 
@@ -413,16 +384,23 @@ class Supervisor:
                        if cause.split('_')[0] not in ('joints', 'internal'))
         return reaction == FLOAT and self._reaction_to(others) != FLOAT
 
-    def _last_resort(self, cause: str) -> TickOutput:
-        """Answer after something failed that should not: what is known of the arm is its past."""
-        self._too_fast, self._touched = (), ()
-        self._wrench_known, self._seen = False, Seen(blind=True)
-        reaction = DAMP if self._arm is None else FLOAT
+    def _survive(self, part: str, error: Exception) -> TickOutput:
+        """Answer after an exception, in the law or in what is around it."""
         try:
-            return self._react(reaction, (cause,))
+            if part == 'law':
+                return self._refuse(f'law_{type(error).__name__}' if self.controller.arm.finite
+                                    else 'law_not_finite')
+        except Exception as another:
+            error = another
+        # What failed is not known: what is known of the arm is its past.
+        self._alarms, self._wrench_known, self._seen = (), False, Seen(blind=True)
+        reaction, causes = DAMP if self._arm is None else FLOAT, (
+            f'internal_{type(error).__name__}',)
+        try:
+            return self._react(reaction, causes)
         except Exception:  # nothing is left but gravity where the arm was seen last
             self._paused, self._good_ticks = True, 0
-            return self._report(self._gate.carry(self._arm is not None), reaction, (cause,), (),
+            return self._report(self._gate.carry(self._arm is not None), reaction, causes, (),
                                 controlled=False)
 
     def _report(
@@ -434,20 +412,16 @@ class Supervisor:
         self._reaction = reaction
         if self.config.robot.adds_gravity:
             torque = torque - self._joints['added']
-        if controlled:
-            self._output = self.controller.output(torque)
-        else:
-            output = self._output if self._arm is None else self.controller.output(torque)
+        output = self._output if self._arm is None else self.controller.output(torque)
+        if not controlled:
             contacts = output.contacts.copy()
             contacts['answer'] = 0
-            self._output = output._replace(torque=torque, contacts=contacts)
+            output = output._replace(torque=torque, contacts=contacts)
         status = SupervisorStatus(
             reaction, causes, self._seen.rejected, limits, self.task.state_names,
-            self._task_time()) if self.guarded else None
-        return TickOutput(self._output, status)
-
-    def _task_time(self) -> float:
-        return self._task_ticks * self._period
+            self._task_ticks * self._period) if self.guarded else None
+        self._output = output
+        return TickOutput(output, status)
 
     def check(self, config: ControllerConfig) -> None:
         """
@@ -459,16 +433,13 @@ class Supervisor:
             If not.
 
         """
-        for name in FIXED if self.guarded else ():
-            if getattr(config, name) != getattr(self.config, name):
-                raise ConfigError(name, 'what it is while in use', 'another value')
-        for name, contact in self.config.contacts.items() if self.guarded else ():
-            other = config.contacts.get(name)
-            if other is None or other != contact.model_copy(update={
-                    field: getattr(other, field) for field in LIVE_OF_CONTACTS}):
-                raise ConfigError(
-                    f'contacts.{name}', 'what it is while in use, but for '
-                    f'{", ".join(LIVE_OF_CONTACTS)}', 'another value')
+        if self.guarded:
+            now, then = _fixed_values(self.config), _fixed_values(config)
+            for name in now:
+                if then.get(name) != now[name]:
+                    live = ', but for ' + ', '.join(sorted(LIVE_OF_CONTACTS)) if (
+                        name.startswith('contacts.')) else ''
+                    raise ConfigError(name, f'what it is while in use{live}', 'another value')
         self.controller.check(config)
 
     def reconfigure(self, config: ControllerConfig) -> None:
@@ -484,7 +455,7 @@ class Supervisor:
         self.check(config)
         self.controller.reconfigure(config)
         self._adopt(config)
-        self._gate.go_over()
+        self.go_over()
 
     def _adopt(self, config: ControllerConfig) -> None:
         """Set what follows from the values that may change while the arm is controlled."""
@@ -493,6 +464,10 @@ class Supervisor:
         self._reactions.adopt(config)
         self.task.retune(config)
         self._bounds: Any = plausibility_limits(config)
+
+    def go_over(self) -> None:
+        """Let the next command be the last one again: what is asked for is about to jump."""
+        self._gate.go_over()
 
     @property
     def presses(self) -> bool:
@@ -505,9 +480,12 @@ class Supervisor:
         self._recovery.allow()
         return self.task.seek_again() or latched
 
-    def go_over(self) -> None:
-        """Let the torque go over without a jump: the task is about to jump."""
-        self._gate.go_over()
+
+def _fixed_values(config: ControllerConfig) -> dict[str, Any]:
+    """Return what does not change while an arm is controlled, by name."""
+    return {name: getattr(config, name) for name in FIXED} | {
+        f'contacts.{name}': contact.model_dump(exclude=LIVE_OF_CONTACTS)
+        for name, contact in config.contacts.items()}
 
 
 def not_supervised() -> CommandError:

@@ -21,7 +21,7 @@ def test_pushed_elbow_comes_back_and_the_force_on_the_wall_stays(tmp_path):
     del arm.pushes['l3']
     after = run_loop(arm, loop, 2.0, first=1600, each=lambda: (
         arm.force, np.abs(arm.q - start).max()))
-    assert set(loop.reactions) <= {'none', 'inflate'}
+    assert set(loop.events.reactions) <= {'none', 'inflate'}
     assert pushed[:, 1].max() > 0.05
     assert after[-1, 1] < 0.02
     forces = np.concatenate([pushed, after])[:, 0]

@@ -77,7 +77,7 @@ def sliding_errors():
                 0.05 * rate ** 2 * np.cos(time) * ALONG_X))
             loop.advance()
             errors.append(np.abs(loop.true_forces - 10.0))
-        assert loop.control.limited['torque'] > 500
+        assert loop.control.events.limited['torque'] > 500
     finally:
         loop.close()
     return np.sqrt(np.mean(np.square(errors), axis=0)), np.max(errors, axis=0)

@@ -79,8 +79,8 @@ def test_a_robot_of_another_rate_presses_without_any_reaction(rate, force):
     for _ in range(round(0.5 * rate)):
         loop.advance()
     loop.close()
-    assert set(loop.control.reactions) == {'none'}
-    assert not loop.control.rejected
+    assert set(loop.control.events.reactions) == {'none'}
+    assert not loop.control.events.rejected
     assert not [event for _, event in loop.control.events.events if 'lost' in event]
 
 
@@ -100,5 +100,5 @@ def test_encoder_with_steps_is_not_taken_for_a_frozen_one(samples, trips):
     for _ in range(700):
         loop.advance(rounded)
     loop.close()
-    assert ('joints_frozen' in loop.control.rejected) == trips
-    assert trips or set(loop.control.reactions) == {'none'}
+    assert ('joints_frozen' in loop.control.events.rejected) == trips
+    assert trips or set(loop.control.events.reactions) == {'none'}

@@ -1,11 +1,11 @@
 """Edges, planes, moving and tilted surfaces: what the force loops make of them, in simulation."""
 
-from multicontact_control.control_loop import ControlLoop
 from multicontact_control.errors import CommandError, ConfigError
 from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.judge import judge, STABLE
 from multicontact_control.experiment.metrics import force_error, losses, rms_in, windows
 from multicontact_control.experiment.scenario import resolve
+from multicontact_control.loop import ControlLoop
 from multicontact_control.supervision.command_limits import CommandLimits
 import numpy as np
 import pytest

@@ -2,6 +2,7 @@
 
 from arms import controller_config, HOME, Law, Measurement
 from multicontact_control.control.tasks import CommandedTask
+from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.paths import config_dir
 from multicontact_control.sensor.tool import weight_reading
 from multicontact_control.supervision.inputs import (
@@ -22,7 +23,8 @@ EFFORT = np.array([1.0, -30.0, 5.0, 0.5, 0.5, 0.1])
 def make(**changes):
     config = controller_config(**changes)
     reference = CommandedTask(config.contact_names)
-    return Supervisor.from_config(config, reference, config_dir(), guarded=False), reference
+    robot = RobotModel(config.robot, config_dir())
+    return Supervisor(config, robot, reference, guarded=False), reference
 
 
 def sample(controller, k=0, *, effort=None, q=HOME, qd=REST):

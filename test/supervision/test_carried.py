@@ -6,12 +6,12 @@ from functools import reduce
 from arms import controller_config, HOME, still_config
 from multicontact_control.contact.geometry import normal_space
 from multicontact_control.control.tasks import CommandedTask
-from multicontact_control.control_loop import ControlLoop
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.faults.vocabulary import PARTS
 from multicontact_control.experiment.scenario import resolve
+from multicontact_control.loop import ControlLoop
 from multicontact_control.paths import config_dir
 from multicontact_control.supervision.command_limits import CommandLimits
 from multicontact_control.supervision.supervisor import Supervisor

@@ -20,7 +20,7 @@ def standing(plant, **controller):
     loop = ClosedLoop(resolve('quick', plant=plant, plant_overrides=overrides,
                               controller=controller), commanded=True)
     advance(loop, 150)
-    assert not loop.control.collisions
+    assert not loop.control.events.collisions
     return closing(loop)
 
 
@@ -56,7 +56,7 @@ def test_15_newtons_at_the_elbow_are_seen_within_20_ms_held_against_and_left(
             *(f'collision_{joint}' for joint in joints), 'recovering'}
         assert statuses[seen].reaction == 'hold'
         assert forces.max() < 20.0
-        assert loop.control.collisions.total() >= 1
+        assert loop.control.events.collisions.total() >= 1
         loop.plant.contacts.shift(ELBOW_WALL, FAR)
         statuses, _ = advance(loop, 1500, corrupt)
     assert (statuses[-1].reaction, statuses[-1].causes) == ('none', ())
@@ -95,7 +95,7 @@ def test_nothing_is_made_up_in_forces_motion_and_pushes_of_5_newtons(plant):
         for _ in range(loop.setup.ticks):
             loop.advance()
             largest = max(largest, (np.abs(joints['residual']) / joints['threshold']).max())
-    assert not loop.control.collisions
+    assert not loop.control.events.collisions
     assert 0.1 < largest < 0.9
 
 

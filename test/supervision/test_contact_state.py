@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 from multicontact_control.config import ContactStateConfig
 from multicontact_control.control.controller import Controller
 from multicontact_control.control.tasks import CommandedTask
+from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.paths import config_dir
 from multicontact_control.supervision import contacts
@@ -256,7 +257,7 @@ def test_surface_that_is_known_to_move_is_not_lost_for_its_speed(away):
     values['table']['surface_speed'] = away
     config = controller_config(contacts=values)
     source = CommandedTask(config.contact_names)
-    controller = Controller.from_config(config, config_dir())
+    controller = Controller(config, RobotModel(config.robot, config_dir()))
     task, columns = ContactTask(config, source, controller), controller.contacts
     frame = controller.controls['frame'][0]
     frame['rotation'], frame['twist'] = np.eye(3), [0.0, 0.0, -away, 0.0, 0.0, 0.0]

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 from arms import controller_config
 from equations import rotation_error
-from multicontact_control.control.controller import place_columns
+from multicontact_control.contact.geometry import place_columns
 from multicontact_control.control.tasks import (
     ApproachConfig,
     CommandedTask,

@@ -69,7 +69,7 @@ def test_simulated_arm_that_carries_itself_is_held_and_presses(with_tool, superv
             forces.append(loop.true_forces)
         if supervised:
             np.testing.assert_allclose(np.mean(forces[-100:], axis=0), 10.0, atol=0.3)
-            assert set(loop.control.reactions) == {'none'}
+            assert set(loop.control.events.reactions) == {'none'}
 
 
 @pytest.mark.parametrize('kind', ['gravity_compensation', 'hold_position', 'zero_torque'])

@@ -10,6 +10,7 @@ from multicontact_control.control.tasks import (
     ReferenceConfig,
     ScenarioTask,
 )
+from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.paths import config_dir
 from multicontact_control.supervision.inputs import (
     JointInput,
@@ -28,9 +29,9 @@ STEP = np.array(CONFIG.limits.torque_rate) * H
 
 
 def make(reference=None):
-    return Supervisor.from_config(CONFIG, reference or ScenarioTask(
+    return Supervisor(CONFIG, RobotModel(CONFIG.robot, config_dir()), reference or ScenarioTask(
         ReferenceConfig(approach=ApproachConfig(start_time=0.0)), rate=500.0,
-        names=CONFIG.contact_names), config_dir())
+        names=CONFIG.contact_names))
 
 
 SUPERVISOR = make()
@@ -205,8 +206,8 @@ def test_no_tick_compiles_anything():
 def test_arm_that_is_not_seen_is_brought_to_rest_and_carried(changes):
     """Whatever it did last."""
     config = controller_config(**changes)
-    supervisor = Supervisor.from_config(
-        config, CommandedTask(config.contact_names), config_dir())
+    supervisor = Supervisor(
+        config, RobotModel(config.robot, config_dir()), CommandedTask(config.contact_names))
     turning = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.8])
     for k in range(5):
         supervisor.step(good(k, q=HOME + k * H * turning, qd=turning))

@@ -127,7 +127,7 @@ def run_fault(
     random = fault.random(seed)
     for _ in range(int(random.integers(5, 60))):
         loop.advance()
-    begin, known = loop.tick, loop.control.collisions.total()
+    begin, known = loop.tick, loop.control.events.collisions.total()
     found = [Occurrence(fault, random, loop)]
     if other is not None:
         found.append(Occurrence(other, other.random(seed), loop))
@@ -152,7 +152,7 @@ def run_fault(
         torque=np.array(torques), before=before, time=time, force=np.max(forces, axis=1),
         reaction=max(reactions[:lasted], key=SEVERITY.index), reactions=reactions,
         forces=np.array(forces), wanted=loop.setup.commanded(begin * period + time),
-        met=np.array(met), noticed=bool(loop.control.collisions.total() > known),
+        met=np.array(met), noticed=bool(loop.control.events.collisions.total() > known),
         lasted=lasted, problems=problems), where=PROCESS, phase=phase)
 
 

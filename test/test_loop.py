@@ -2,9 +2,9 @@
 
 from arms import HOME, pressed_wrench, still_config
 from multicontact_control.control.tasks import MotionReading
-from multicontact_control.control_loop import ControlLoop
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import CalibrationError, CommandError, ConfigError
+from multicontact_control.loop import ControlLoop
 from multicontact_control.paths import config_dir
 from multicontact_control.sampling import (
     Action,
