@@ -175,14 +175,14 @@ class ScenarioTask:
         leader_of: Sequence[int] | None = None,
     ) -> None:
         self._approach, self._motion, self._period = config.approach, config.motion, 1.0 / rate
+        self._direction = np.array(config.motion.direction_world if config.motion else [0.0] * 3)
         self.contact_state: Mapping[str, float] = {
             'approach_speed': config.approach.speed,
             'approach_ramp_time': config.approach.ramp_time,
             'contact_threshold': config.approach.contact_threshold,
             'preload': config.approach.preload}
         self._leader_of = np.array(range(len(names)) if leader_of is None else leader_of)
-        forces = np.where(self._leader_of == np.arange(len(names)), config.approach.preload, 0.0)
-        rows = [forces]
+        rows = [np.where(self._leader_of == np.arange(len(names)), config.approach.preload, 0.0)]
         for index, step in enumerate(config.force_steps):
             for name in step.forces:
                 if name not in names:
@@ -191,6 +191,8 @@ class ScenarioTask:
             rows.append(np.array([
                 step.forces.get(name, force) for name, force in zip(names, rows[-1].tolist())]))
         self.forces: Matrix = np.array(rows)
+        self._wanted: list[tuple[Mask, Vector]] = [
+            ((row > 0.0)[self._leader_of], row) for row in (*rows, np.zeros(len(names)))]
         self._step_times = [step.time for step in config.force_steps]
 
     def start(self, pose: Pose, normals_world: Matrix) -> None:
@@ -207,20 +209,18 @@ class ScenarioTask:
         0. Given `alpha_meas` it is approached until it is touched, and active from then on.
         """
         since = time - self._approach.start_time
-        alpha_des = self.forces[bisect_right(self._step_times, time + 1e-9)]
-        if since < 0.0:
-            alpha_des = np.zeros_like(alpha_des)
-        active = (alpha_des > 0.0)[self._leader_of]
+        done = bisect_right(self._step_times, time + 1e-9) if since >= 0.0 else -1
+        active, alpha_des = self._wanted[done]
         position, twist, acceleration = self._pose.position_world, np.zeros(6), np.zeros(6)
         if alpha_meas is not None:
             position, twist[:3], acceleration[:3] = self._seek(since, alpha_meas)
             active, alpha_des = self._touched, np.where(self._touched, alpha_des, 0.0)
-        if self._motion is not None:
-            s, ds, dds = sine_motion(self._motion, time)
-            direction = np.array(self._motion.direction_world)
-            position = position + s * direction
-            twist[:3] += ds * direction
-            acceleration[:3] += dds * direction
+        motion = self._motion
+        if motion is not None and time > motion.start_time:
+            s, ds, dds = sine_motion(motion, time)
+            position = position + s * self._direction
+            twist[:3] += ds * self._direction
+            acceleration[:3] += dds * self._direction
         return Task(
             Pose(position, self._pose.rotation_world), twist, acceleration, active, alpha_des)
 
@@ -266,15 +266,18 @@ class CommandedTask:
         self._names = tuple(names)
         self._leader_of = np.array(range(len(names)) if leader_of is None else leader_of)
         self.pose: Pose | None = None
-        self._alpha_des = np.zeros(len(self._names))  # told of before the start, too
+        self._forget()
 
-    def start(self, pose: Pose, normals_world: Matrix) -> None:
-        """Begin from a pose at rest; see `TaskSource.start`."""
-        self.pose = pose
+    def _forget(self) -> None:
         self._twist, self._acceleration = np.zeros(6), np.zeros(6)
         self._lasting = self._until = math.inf  # of these two [s]; NaN until the next tick
         self._alpha_des = np.zeros(len(self._names))
         self._shares = np.full(len(self._names), math.nan)
+
+    def start(self, pose: Pose, normals_world: Matrix) -> None:
+        """Begin from a pose at rest; see `TaskSource.start`."""
+        self._forget()
+        self.pose = pose
 
     def set_forces(
         self, forces: Mapping[str, float], shares: Mapping[str, float] | None = None,

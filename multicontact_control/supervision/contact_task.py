@@ -98,11 +98,7 @@ class ContactTask:
         self.reset()
 
     def retune(self, config: ControllerConfig) -> None:
-        """
-        Keep to the speed limits with the gains of another configuration.
-
-        The task may be so far ahead of the arm that the motion law asks for these speeds.
-        """
+        """Let the task be so far ahead of the arm that the motion law asks for its limits."""
         self._config = config
         lead = 2.0 * config.motion.damping_ratio / config.motion.natural_frequency  # k_v / k_p
         self._limits['lead'] = lead
@@ -174,7 +170,8 @@ class ContactTask:
         self.locked = True
         if self.begun or self._rest is not None:
             self._rest = _still(self._stand(), *self._no_contact)
-            self._held = self._held and self._rest
+            if self._held is not None:
+                self._held = self._rest
 
     def unlock(self) -> None:
         """End a lock: go on with the source, or, if it was held before, stay without contact."""
@@ -194,15 +191,7 @@ class ContactTask:
         return Pose(position, rotation)
 
     def resume(self) -> Mask:
-        """
-        Go on after a pause, from where the arm is.
-
-        Returns
-        -------
-        Mask
-            Which contacts still count as held: those that were and are felt now, shape (r,).
-
-        """
+        """Go on from where the arm is; return which contacts are kept: pressed and felt, (r,)."""
         self._offset[:] = self._turned[:] = np.nan  # set at the next tick
         self._catching_up = True
         felt = self._columns['alpha_meas'] > self._limits['contacts']['contact_threshold']
@@ -298,22 +287,15 @@ def _closer(gap: float, step: float) -> float:
 @compiled
 def limit_task(limits: Any, controls: Any, columns: Any, states: Any) -> bool:
     """
-    Bring a task that is wanted to one that may be followed.
+    Bring a task that is wanted to one that may be followed; return whether a limit was enforced.
 
     Parameters
     ----------
     limits, controls
         One record of `TASK_LIMITS` and one of `CONTROL`, the task of which is changed.
-    columns
-        Records of `CONTACT`, shape (r,): `active` and `alpha_des` say what is wanted, and then
-        what the force law is to do.
-    states
-        Records of `CONTACT_STATE`, changed, shape (r,).
-
-    Returns
-    -------
-    bool
-        Whether a limit of the motion was enforced.
+    columns, states
+        Records of `CONTACT` and `CONTACT_STATE`, shape (r,): `active` and `alpha_des` say what is
+        wanted, and then what the force law is to do.
 
     """
     limit, frame, task = limits[0], controls[0].frame, controls[0].task

@@ -69,6 +69,11 @@ def test_sine_motion_derivatives_agree_with_differences():
     assert max(abs(v) for v in sine_motion(config, 1.0 + 1e-4)) < 1e-4
 
 
+def test_commanded_task_has_no_pose_and_no_forces_before_its_start():
+    source = CommandedTask(('table', 'board'))
+    assert (source.pose, source.forces, source.shares) == (None, {'table': 0.0, 'board': 0.0}, {})
+
+
 @pytest.mark.parametrize(('forces', 'message'), [
     ({'wall': 1.0}, "expected contacts among table, board, found 'wall'"),
     ({'table': 3.0, 'board': float('nan')}, 'contact_forces/command.board: expected a force'),
