@@ -16,6 +16,7 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 NAMESPACE = 'contact_forces'
+RATE, SCALE = 25.0, 0.01  # messages per second, m/N
 SHAFT_DIAMETER, HEAD_DIAMETER, HEAD_LENGTH = 0.008, 0.016, 0.02  # m
 SMALLEST_FORCE = 0.2  # N; below it the arrow would be noise
 LIFETIME = 0.5  # s; a viewer drops the arrows of a controller that is gone
@@ -32,23 +33,21 @@ class ContactMarkers:
 
     That of the measured force ends at the contact's tip; those of the estimated and the desired
     one stand beside it. All point into the surface. The measured one is orange where the force is
-    controlled and grey where it is only felt. There are `rate` messages a second [Hz], with
-    `scale` as length per force [m/N].
+    controlled and grey where it is only felt.
     """
 
-    def __init__(self, config: ControllerConfig, *, rate: float, scale: float) -> None:
+    def __init__(self, config: ControllerConfig) -> None:
         self._leaders = np.array(config.leaders)
         self._points_operational = np.array(
             [config.contacts[name].point_operational for name in config.contact_names])
-        self._every = max(1, round(config.rate / rate)) if rate > 0.0 else 0
-        self._scale = scale
+        self._every = max(1, round(config.rate / RATE))
         self._arrows = [_arrow(f'{NAMESPACE}/{name}{kind}', number, colour)
                         for kind, colour in KINDS
                         for number, name in enumerate(config.contact_names)]
 
     def due(self, tick: int) -> bool:
         """Return whether the sample `tick` is one to show."""
-        return self._every > 0 and tick % self._every == 0
+        return tick % self._every == 0
 
     def message(
         self, stamp: int, pose: Pose, forces: Sequence[Vector], active: Any,
@@ -76,7 +75,7 @@ class ContactMarkers:
         along = axes - normals * np.sum(normals * axes, axis=1, keepdims=True)
         beside = along / np.linalg.norm(along, axis=1, keepdims=True)
         tips = feet + np.arange(len(forces))[:, None, None] * BESIDE * beside
-        tails = tips - self._scale * alpha * normals
+        tails = tips - SCALE * alpha * normals
         messages.finite(np.ravel((tips, tails)), 'points')
         shown = (alpha > SMALLEST_FORCE).ravel().tolist()
         time = messages.ns_to_stamp(stamp)

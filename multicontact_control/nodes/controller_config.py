@@ -48,10 +48,6 @@ class ControllerNodeConfig(ManagedConfig):
     effort_output_topic: str = parameter(
         '', 'Topic for the bare efforts (std_msgs/Float64MultiArray) that the forward '
         'controllers of ros2_control take; empty for none.')
-    marker_rate: Real = parameter(
-        25.0, 'Contact markers per second; 0 for none.', unit='Hz', ge=0.0)
-    marker_scale: Real = parameter(
-        0.01, 'Length of the arrow of a contact force.', unit='m/N', gt=0.0)
     command: CommandLimits = CommandLimits()
     tare: TareConfig = TareConfig()
     push_test: PushTestConfig = PushTestConfig()

@@ -80,8 +80,7 @@ class ControllerOutputs:
                 self._shown.append((publisher, numbers))
         self._bare = node.create_publisher(Float64MultiArray, name, qos.STREAM) if bare else None
         self._markers_publisher = create_publisher(node, topics.CONTACT_MARKERS)
-        self._markers = ContactMarkers(
-            config, rate=node_config.marker_rate, scale=node_config.marker_scale)
+        self._markers = ContactMarkers(config)
 
     def command(self, stamp: int, torque: Vector) -> Command:
         """Return a command; raise `MessageError` if a torque is not finite."""

@@ -20,7 +20,7 @@ def as_array(point):
 
 
 def arrows_of(*sample):
-    return ContactMarkers(CONFIG, rate=25.0, scale=0.01).message(*sample)
+    return ContactMarkers(CONFIG).message(*sample)
 
 
 def test_arrows_end_at_the_tips_and_are_as_long_as_their_force():
@@ -55,7 +55,7 @@ def test_estimated_and_desired_force_stand_beside_the_measured_one():
 
 
 def test_arrows_of_a_sample_owe_nothing_to_those_before():
-    same = ContactMarkers(CONFIG, rate=25.0, scale=0.01)
+    same = ContactMarkers(CONFIG)
     for sample in (
             (STAMP, ORIGIN, [np.array([10.0, 4.0])] * 3, [True, False], NORMALS),
             (STAMP + 40_000_000, Pose(np.array([0.1, 0.2, 0.3]), QUARTER_TURN),
@@ -73,7 +73,5 @@ def test_number_that_is_not_finite_is_not_drawn():
         arrows_of(STAMP, ORIGIN, [np.array([np.nan, 4.0])] * 3, [True, True], NORMALS)
 
 
-@pytest.mark.parametrize(('rate', 'count'), [(25.0, 25), (0.0, 0), (1000.0, 500)])
-def test_markers_are_due_at_their_rate(rate, count):
-    markers = ContactMarkers(CONFIG, rate=rate, scale=0.01)
-    assert sum(markers.due(tick) for tick in range(500)) == count
+def test_markers_are_due_25_times_a_second():
+    assert sum(ContactMarkers(CONFIG).due(tick) for tick in range(500)) == 25
