@@ -62,9 +62,8 @@ class PushTestConfig(Config):
     @property
     def directions_world(self) -> Matrix:
         """Return the unit vectors of the pushes, world axes, shape (p, 3)."""
-        return np.array([
-            math.copysign(1.0, float(f'{direction[0]}1')) * np.eye(3)['xyz'.index(direction[1])]
-            for direction in self.directions])
+        return np.array([(1.0 if sign == '+' else -1.0) * np.eye(3)['xyz'.index(axis)]
+                         for sign, axis in self.directions])
 
 
 class PushTestResult(NamedTuple):

@@ -22,7 +22,6 @@ MAX_JOINT_SPEED = 0.02  # rad/s, mean during a tare, so that no inertia counts a
 MIN_POSES = 4
 MAX_CONDITION = 30.0  # of the equations; a tilt of some 6 degrees
 NOTHING_HANGS = 3.0  # standard errors below which a mass is none
-UNKNOWNS = 10
 
 
 class TareConfig(Config):
@@ -212,7 +211,7 @@ def identify_tool(
 
 def _equations(readings: Sequence[PoseReading], down_world: Vector) -> tuple[Matrix, Vector]:
     """Return A, shape (6 p, 10), and b of A [m, m c, b_f, b_tau] = b; gravity is 1."""
-    A = np.zeros((len(readings), 6, UNKNOWNS))
+    A = np.zeros((len(readings), 6, 10))
     b = np.zeros((len(readings), 6))
     for i, reading in enumerate(readings):
         if not np.isfinite(reading.wrench_sensor).all():
@@ -224,4 +223,4 @@ def _equations(readings: Sequence[PoseReading], down_world: Vector) -> tuple[Mat
         A[i, 3:, 1:4] = ((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0))
         A[i, :, 4:] = np.eye(6)
         b[i] = reading.wrench_sensor
-    return A.reshape(-1, UNKNOWNS), b.ravel()
+    return A.reshape(-1, 10), b.ravel()
