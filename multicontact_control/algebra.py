@@ -10,23 +10,10 @@ import numpy as np
 @compiled
 def cholesky(A: Matrix, L: Matrix, smallest_pivot: float) -> bool:
     """
-    Factorise A = L L^T.
+    Factorise A = L L^T, shape (n, n); return whether A is positive definite.
 
-    Parameters
-    ----------
-    A
-        Symmetric, shape (n, n); only its upper triangle is read.
-    L
-        Its lower triangle is filled, shape (n, n).
-    smallest_pivot
-        What may be left of a diagonal element of A, relative to it, once the columns before are
-        taken out; 0 for anything positive.
-
-    Returns
-    -------
-    bool
-        Whether A is positive definite in that sense; if not, L is of no use.
-
+    The upper triangle of A is read, the lower one of L filled. Of every diagonal element of A more
+    than the share `smallest_pivot` must be left once the columns before are taken out.
     """
     n = A.shape[0]
     for j in range(n):
@@ -121,21 +108,6 @@ def dot(x: Vector, y: Vector) -> float:
     for i in range(x.shape[0]):
         total += x[i] * y[i]
     return total
-
-
-@compiled
-def copy_matrix(A: Matrix, B: Matrix) -> None:
-    """Fill B with A, both of shape (n, m); compiles in a tenth of the time of B[:] = A."""
-    for i in range(A.shape[0]):
-        for j in range(A.shape[1]):
-            B[i, j] = A[i, j]
-
-
-@compiled
-def copy_vector(x: Vector, y: Vector) -> None:
-    """Fill y with x, both of shape (n,)."""
-    for i in range(x.shape[0]):
-        y[i] = x[i]
 
 
 @compiled

@@ -16,7 +16,6 @@ from sim_bridge.kinematics import (
     add_joint_torque,
     forward_kinematics,
     place_point,
-    point_velocity,
 )
 from sim_bridge.surface import build_surfaces, move, press
 
@@ -186,7 +185,15 @@ def act_on_arm(
         if surface.velocity != 0.0 or surface.mass > 0.0:
             move(surface, step)
         place_point(surface.tip, links[surface.joint], surface.point)
-        point_velocity(surface.point, qd, links, surface.joint, velocity)
+        velocity[0], velocity[1], velocity[2] = 0.0, 0.0, 0.0
+        for joint in range(surface.joint + 1):  # sum of qd_i z_i x (p - o_i)
+            axis, origin = links[joint].axis, links[joint].origin
+            x = surface.point[0] - origin[0]
+            y = surface.point[1] - origin[1]
+            z = surface.point[2] - origin[2]
+            velocity[0] += qd[joint] * (axis[1] * z - axis[2] * y)
+            velocity[1] += qd[joint] * (axis[2] * x - axis[0] * z)
+            velocity[2] += qd[joint] * (axis[0] * y - axis[1] * x)
         press(surface, velocity, profiles[i])
         if surface.alpha > 0.0:
             add_joint_torque(surface.point, surface.force, -1.0, links, surface.joint, load)

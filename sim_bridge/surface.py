@@ -131,17 +131,6 @@ def track_direction(normal_world: Vector) -> Vector:
 
 
 @compiled
-def profile_at(values: Vector, spacing: float, position: float) -> float:
-    """Return the value of a periodic profile at a position along its track, between points."""
-    place = position / spacing
-    lower = np.floor(place)
-    share = place - lower
-    index = int(lower) % values.shape[0]
-    following = (index + 1) % values.shape[0]
-    return float((1.0 - share) * values[index] + share * values[following])
-
-
-@compiled
 def move(surface: Any, step: float) -> None:
     """Let a surface move, or give way to what presses on it, for a step [s]."""
     if surface.mass > 0.0:  # a body on a spring, by semi-implicit Euler
@@ -228,8 +217,12 @@ def press(surface: Any, velocity: Vector, profile: Matrix) -> None:
     # A surface that moves goes along its own normal, not along that where the tip is.
     for i in range(3):
         rate -= surface.speed * surface.normal[i] * normal[i]
-    depth += profile_at(profile[0], surface.spacing, along)
-    rate += profile_at(profile[1], surface.spacing, along) * along_rate
+    lower = np.floor(along / surface.spacing)
+    share = along / surface.spacing - lower
+    index = int(lower) % profile.shape[1]
+    following = (index + 1) % profile.shape[1]
+    depth += (1.0 - share) * profile[0, index] + share * profile[0, following]
+    rate += ((1.0 - share) * profile[1, index] + share * profile[1, following]) * along_rate
     force[0], force[1], force[2] = 0.0, 0.0, 0.0
     surface.alpha = 0.0
     if depth <= 0.0:

@@ -24,20 +24,6 @@ SMALLEST_PIVOT = 1e-6
 
 
 @compiled
-def active_rows(contacts: Any, everyone: bool, rows: Matrix) -> None:
-    """
-    Fill in N^T, shape (r, 6), with zeros for every contact that is left out.
-
-    Of records of `CONTACT` with `N` filled in, shape (r,); all count, or those that are active.
-    """
-    for i in range(contacts.shape[0]):
-        column = contacts[i].N
-        counts = everyone or contacts[i].answer.active
-        for k in range(6):
-            rows[i, k] = column[k] if counts else 0.0
-
-
-@compiled
 def factorise_contacts(
     contacts: Any, everyone: bool, rows: Matrix, weighted_rows: Matrix, factor: Matrix,
 ) -> bool:
@@ -50,7 +36,7 @@ def factorise_contacts(
     Parameters
     ----------
     contacts, everyone
-        As for `active_rows`.
+        Records of `CONTACT`; all count, or those that are active.
     rows, weighted_rows
         N^T and D^T, zero for those left out, shape (r, 6).
     factor
@@ -70,17 +56,6 @@ def factorise_contacts(
 
 
 @compiled
-def coordinates(rows: Matrix, factor: Matrix, vector: Vector, alpha: Vector) -> None:
-    """
-    Fill in the contact coordinates alpha = (N^T N)^-1 N^T f, shape (r,) (P04 eqs 2, 7).
-
-    Of a wrench or twist f, shape (6,), with N^T and the factor of N^T N.
-    """
-    multiply(rows, vector, alpha)
-    solve_cholesky(factor, alpha)
-
-
-@compiled
 def compose_acceleration(
     rows: Matrix, weighted_rows: Matrix, weighted_factor: Matrix, f_t: Vector, f_c: Vector,
     acceleration: Vector,
@@ -90,17 +65,8 @@ def compose_acceleration(
 
     As Omega_m = 1 - Omega_c with Omega_c = D (N^T D)^-1 N^T, this is
     f_t* - D (N^T D)^-1 N^T (f_t* - f_c*). D = N gives the paper's projections (eqs 11-13),
-    D = Lambda^-1 N the dynamically consistent ones.
-
-    Parameters
-    ----------
-    rows, weighted_rows, weighted_factor
-        N^T and D^T, shape (r, 6), and the factor of N^T D, shape (r, r).
-    f_t, f_c
-        Accelerations of the motion and the force law, shape (6,).
-    acceleration
-        Filled, shape (6,).
-
+    D = Lambda^-1 N the dynamically consistent ones. `rows` and `weighted_rows` are N^T and D^T,
+    shape (r, 6), `weighted_factor` is that of N^T D.
     """
     count = rows.shape[0]
     for k in range(6):
@@ -124,19 +90,8 @@ def allocate(
 
     N alpha* is the paper's (P04 eq. 30): the contact points then accelerate by N^T N alpha*,
     which couples the loops unless N^T N is diagonal. N (N^T N)^-1 alpha*, if `decoupled`, lets
-    contact point i accelerate by alpha*_i whatever the geometry.
-
-    Parameters
-    ----------
-    rows, factor
-        N^T, shape (r, 6), and the factor of N^T N, shape (r, r).
-    alpha_star
-        Inputs of the force loops, overwritten, shape (r,) [m/s^2].
-    decoupled
-        Which of the two.
-    f_c
-        Filled, shape (6,) [m/s^2, rad/s^2].
-
+    contact point i accelerate by alpha*_i whatever the geometry. `alpha_star`, shape (r,)
+    [m/s^2], is overwritten, `f_c`, shape (6,) [m/s^2, rad/s^2], filled.
     """
     if decoupled:
         solve_cholesky(factor, alpha_star)

@@ -15,6 +15,7 @@ from multicontact_control.algebra import (
     cross,
     dot,
     multiply,
+    solve_cholesky,
     solve_lower,
     velocity_at,
 )
@@ -23,8 +24,6 @@ from multicontact_control.compiled import compiled
 from multicontact_control.config import ToolConfig
 from multicontact_control.contact.geometry import fill_normal_space
 from multicontact_control.contact.projections import (
-    active_rows,
-    coordinates,
     factorise_contacts,
 )
 from multicontact_control.records import CONTROL, Records, TOOL
@@ -81,14 +80,17 @@ def measure_contacts(control: Any, contacts: Any) -> bool:
     alpha = np.empty(count)
     operational_wrench(control, wrench)
     fill_normal_space(contacts, control.frame.rotation)
-    active_rows(contacts, True, rows)
+    for i in range(count):
+        for k in range(6):
+            rows[i, k] = contacts[i].N[k]
     W = np.empty((6, 6))
     if law.separated:
         expect_friction(control.frame, contacts, rows)
         allow_for_friction(control, contacts, rows, wrench, W)
     if not factorise_contacts(contacts, True, rows, rows, factor):
         return False
-    coordinates(rows, factor, wrench, alpha)
+    multiply(rows, wrench, alpha)
+    solve_cholesky(factor, alpha)
     for i in range(count):
         contacts[i].alpha_meas = alpha[i]
     if law.separated:
@@ -137,16 +139,8 @@ def allow_for_friction(
     the sensor's noise, and friction of a standard deviation in every direction across the normal
     of each contact, and about it.
 
-    Parameters
-    ----------
-    control, contacts
-        Records of `CONTROL` and `CONTACT`, shape (r,), with `N` filled in.
-    rows, wrench
-        N^T, shape (r, 6), and f_c at the operational point, shape (6,); replaced by W^(-1/2)
-        times themselves.
-    factor
-        Filled with W^(1/2), lower triangular, in units of the noise at the sensor, shape (6, 6).
-
+    N^T, shape (r, 6), and f_c, shape (6,), are replaced by W^(-1/2) times themselves; `factor` is
+    filled with W^(1/2), lower triangular, in units of the noise at the sensor, shape (6, 6).
     """
     law, frame = control.law, control.frame
     W = np.eye(6)
@@ -253,14 +247,9 @@ def contact_wrench(
     sensor_pose
         Origin, shape (3,) [m], and axes of the sensor, shape (3, 3).
     position_world
-        Operational point, shape (3,) [m].
+        Operational point, at which the result is, world axes, shape (3,) [m].
     tool, gravity_world
         What hangs on the sensor, and g, shape (3,) [m/s^2].
-
-    Returns
-    -------
-    Vector
-        f_c in world axes at `position_world`, shape (6,) [N, N m].
 
     Raises
     ------

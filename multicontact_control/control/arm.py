@@ -134,11 +134,33 @@ def wrench_of_residual(
 
 
 @compiled
-def fill_arm(
+def see_arm(
     motion: Matrix, mass_matrix: Matrix, bias_torque: Vector, jacobian: Matrix, placements: Any,
-    joints: Any, frame: Any,
+    joints: Any, controls: Any, contacts: Any,
 ) -> int:
-    """Fill in joints and frame of `see_arm`; return NO_NUMBERS, or what is too fast."""
+    """
+    Take in all that is known of a sample before anything is asked for.
+
+    Parameters
+    ----------
+    motion
+        q [rad] and v [rad/s], shape (2, n).
+    mass_matrix, bias_torque, jacobian, placements
+        Of the arm there; see `Terms`.
+    joints, contacts
+        Records of `JOINT`, shape (n,), and `CONTACT`, shape (r,); both changed.
+    controls
+        One record of `CONTROL` with the wrench in it; its frame is filled in.
+
+    Returns
+    -------
+    int
+        NO_NUMBERS if the model gives none, and nothing has changed; otherwise the sum of
+        OPERATIONAL_SPEED, JOINT_SPEED, AMBIGUOUS (the contacts depend on each other, and what
+        they bear has not changed) and TOUCHED (by something before the wrist sensor).
+
+    """
+    control, frame = controls[0], controls[0].frame
     for j in range(joints.shape[0]):
         if not np.isfinite(bias_torque[j]):
             return NO_NUMBERS
@@ -166,41 +188,6 @@ def fill_arm(
         turn += frame.twist[3 + k] ** 2
     if speed > frame.speed_limit ** 2 or turn > frame.turn_limit ** 2:
         found += OPERATIONAL_SPEED
-    return found
-
-
-@compiled
-def see_arm(
-    motion: Matrix, mass_matrix: Matrix, bias_torque: Vector, jacobian: Matrix, placements: Any,
-    joints: Any, controls: Any, contacts: Any,
-) -> int:
-    """
-    Take in all that is known of a sample before anything is asked for.
-
-    Parameters
-    ----------
-    motion
-        q [rad] and v [rad/s], shape (2, n).
-    mass_matrix, bias_torque, jacobian, placements
-        Of the arm there; see `Terms`.
-    joints, contacts
-        Records of `JOINT`, shape (n,), and `CONTACT`, shape (r,); both changed.
-    controls
-        One record of `CONTROL` with the wrench in it; its frame is filled in.
-
-    Returns
-    -------
-    int
-        NO_NUMBERS if the model gives none, and nothing has changed; otherwise the sum of
-        OPERATIONAL_SPEED, JOINT_SPEED, AMBIGUOUS (the contacts depend on each other, and what
-        they bear has not changed) and TOUCHED (by something before the wrist sensor).
-
-    """
-    control = controls[0]
-    found = fill_arm(
-        motion, mass_matrix, bias_torque, jacobian, placements, joints, control.frame)
-    if found == NO_NUMBERS:
-        return found
     if control.momentum.bandwidth > 0.0:
         if observe_momentum(control, joints, mass_matrix, jacobian):
             found += TOUCHED

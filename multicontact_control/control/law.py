@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from multicontact_control.algebra import multiply
+from multicontact_control.algebra import multiply, solve_cholesky
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.contact.projections import (
-    active_rows,
     allocate,
     compose_acceleration,
-    coordinates,
     factorise_contacts,
 )
 from multicontact_control.contact.surfaces import follow_surfaces
@@ -88,7 +86,8 @@ def force_law(
             if contacts[i].answer.active:
                 alpha_star[i] -= contacts[i].surface_speed + contacts[i].surface_speed_est
     else:
-        coordinates(rows, factor, twist, alpha_star)
+        multiply(rows, twist, alpha_star)
+        solve_cholesky(factor, alpha_star)
     for i in range(inputs.shape[0]):
         alpha_star[i] = inputs[i] - law.K_2 * alpha_star[i]
     allocate(rows, factor, alpha_star, law.decoupled, f_c)
@@ -213,7 +212,9 @@ def control_law(
         return SINGULAR
     rows = np.empty((count, 6))
     factor = np.empty((count, count))
-    active_rows(contacts, False, rows)
+    for i in range(count):
+        for k in range(6):
+            rows[i, k] = contacts[i].N[k] if contacts[i].answer.active else 0.0
     if not factorise_contacts(contacts, False, rows, rows, factor):
         return DEPENDENT
     weighted_rows, weighted_factor = rows, factor

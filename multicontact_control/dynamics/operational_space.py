@@ -38,22 +38,17 @@ def mobility_and_inertia(
 
     Parameters
     ----------
-    mass_matrix
-        M, shape (n, n), only its upper triangle is read [kg m^2].
-    jacobian
-        J, shape (6, n).
-    max_condition
-        Largest accepted condition number of Lambda^-1.
-    singular_mobility
-        Eigenvalue of Lambda^-1 up to which it is damped, 0 for not at all [1/kg].
+    mass_matrix, jacobian
+        M, shape (n, n), of which the upper triangle is read [kg m^2], and J, shape (6, n).
+    max_condition, singular_mobility
+        Largest accepted condition number of Lambda^-1, and e_0, 0 for no damping [1/kg].
     L, Y, mobility, Lambda
         Filled, shapes (n, n) (lower triangle), (n, 6), (6, 6), (6, 6).
 
     Returns
     -------
     float
-        What was added to the diagonal of Lambda^-1, -1 if the arm cannot accelerate the
-        operational point in every direction.
+        d, -1 if the arm cannot accelerate the operational point in every direction.
 
     """
     n = mass_matrix.shape[0]
@@ -111,17 +106,6 @@ def bias_acceleration(
 
     This is P04 eq. 23 with J_bar^T = Lambda J M^-1.
 
-    Parameters
-    ----------
-    joints
-        Records of `JOINT`, shape (n,): their velocity and bias torque are used.
-    L, Y
-        From `mobility_and_inertia`.
-    jacobian_rate
-        dJ/dt, shape (6, n).
-    acceleration
-        Filled, shape (6,) [m/s^2, rad/s^2].
-
     """
     n = joints.shape[0]
     reduced = np.empty(n)
@@ -146,15 +130,8 @@ def add_nullspace_torque(
     from a stop at a distance x below the margin m. J M^-1 of what is added is 0, gravity and
     Coriolis' part aside.
 
-    Parameters
-    ----------
-    joints
-        Records of `JOINT`, shape (n,); their torque is added to.
-    mass_matrix, jacobian, L, Y, Lambda
-        As for `mobility_and_inertia`.
-    law
-        Record of `LAW`: d, k_q, and what keeps joints off their stops.
-
+    The torque of `joints`, records of `JOINT`, shape (n,), is added to; d, k_q and k_s are in
+    `law`, a record of `LAW`; see `mobility_and_inertia` for the rest.
     """
     n = joints.shape[0]
     free, pull = np.empty(n), np.empty(n)

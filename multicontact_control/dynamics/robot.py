@@ -20,58 +20,30 @@ class Terms:
     """
     What compiled code needs of the arm, in arrays that the next `compute` overwrites.
 
-    Attributes
-    ----------
-    mass_matrix
-        M with armature, only its upper triangle, shape (n, n) [kg m^2].
-    bias_torque, gravity
-        C(q, v) v + g(q) and g(q), shape (n,) [N m].
-    jacobian, jacobian_rate
-        J of the operational point and dJ/dt, world axes, linear rows first, shape (6, n).
-    placements
-        Position, shape (3,) [m], and rotation, shape (3, 3), of the operational frame, then of
-        the wrist sensor's.
-
+    Axes are the world's, linear rows come first.
     """
 
-    mass_matrix: Matrix
-    bias_torque: Vector
-    gravity: Vector
-    jacobian: Matrix
-    jacobian_rate: Matrix
+    mass_matrix: Matrix  # M with armature, its upper triangle, shape (n, n) [kg m^2]
+    bias_torque: Vector  # C(q, v) v + g(q), shape (n,) [N m]
+    gravity: Vector  # g(q), shape (n,) [N m]
+    jacobian: Matrix  # J of the operational point, shape (6, n)
+    jacobian_rate: Matrix  # dJ/dt, shape (6, n)
+    # Position, shape (3,) [m], and rotation, shape (3, 3), of operational and sensor frame.
     placements: tuple[Vector, Matrix, Vector, Matrix]
 
 
 @dataclass(frozen=True, slots=True)
 class RobotState:
-    """
-    The same in arrays of its own, and what follows from it.
+    """The same in arrays of its own, and what follows from it."""
 
-    Attributes
-    ----------
-    mass_matrix
-        Joint inertia M with armature, shape (n, n) [kg m^2].
-    coriolis, gravity
-        C(q, v) v and g(q), shape (n,) [N m].
-    jacobian
-        J of the operational point, world axes, linear rows first, shape (6, n).
-    jacobian_drift
-        dJ/dt v, shape (6,) [m/s^2, rad/s^2].
-    pose, sensor_pose
-        Of the operational frame and of the wrist sensor's.
-    twist_world, velocity
-        J v, shape (6,) [m/s, rad/s], and v, shape (n,) [rad/s].
-
-    """
-
-    mass_matrix: Matrix
-    coriolis: Vector
-    gravity: Vector
-    jacobian: Matrix
-    jacobian_drift: Vector
-    pose: Pose
-    twist_world: Vector
-    velocity: Vector
+    mass_matrix: Matrix  # M with armature, shape (n, n) [kg m^2]
+    coriolis: Vector  # C(q, v) v, shape (n,) [N m]
+    gravity: Vector  # g(q), shape (n,) [N m]
+    jacobian: Matrix  # J of the operational point, shape (6, n)
+    jacobian_drift: Vector  # dJ/dt v, shape (6,) [m/s^2, rad/s^2]
+    pose: Pose  # of the operational frame
+    twist_world: Vector  # J v, shape (6,) [m/s, rad/s]
+    velocity: Vector  # v, shape (n,) [rad/s]
     sensor_pose: Pose
 
 
@@ -82,8 +54,7 @@ class RobotModel:
     Parameters
     ----------
     config
-        Names and armature of the arm; without a wrist sensor, the operational frame is in its
-        place.
+        Names and armature; without a wrist sensor, the operational frame is in its place.
     base_dir
         Folder that a relative ``config.urdf`` is relative to.
 
@@ -225,16 +196,15 @@ def load_model(
     """
     Read an arm from a URDF as its vendor ships it.
 
-    Joints that turn without end (`continuous`) are revolute ones without limits, so that each
-    joint has one coordinate; a joint that is locked is rigid, what it carries goes with its link.
+    Continuous joints are revolute ones without limits, so that each joint has one coordinate; a
+    locked joint is rigid.
 
     Parameters
     ----------
     urdf
         Path of the file, or the text itself.
     locked_joints
-        Positions of the joints that are no part of the arm, by name, e.g. the fingers of a
-        gripper [rad or m].
+        Positions of joints that are no part of the arm, by name, e.g. of a gripper [rad or m].
 
     Raises
     ------

@@ -88,14 +88,8 @@ def make_force_laws(config: ControllerConfig, stiffnesses: Vector) -> Records:
     """
     Return the force law of every contact, which knows nothing yet.
 
-    Parameters
-    ----------
-    config
-        Contacts and force laws.
-    stiffnesses
-        That the loops are designed for, shape (r,) [N/m]; adaptive ones start from the largest
-        of their range.
-
+    Designed for stiffnesses of shape (r,) [N/m]; adaptive laws start from the largest of their
+    range.
     """
     laws: Any = np.zeros(len(stiffnesses), dtype=FORCE_LAW)
     names, force = list(LAWS), config.force
@@ -211,23 +205,10 @@ def start_linear(law: Any, force: float, disturbance: float) -> None:
 @compiled
 def step_linear(law: Any, contact: Any, speed: float) -> float:
     """
-    Take one sample into a linear force law.
+    Take one sample into a record of `LINEAR_LAW`; return u [m/s^2].
 
-    Parameters
-    ----------
-    law
-        Record of `LINEAR_LAW`, changed.
-    contact
-        Record of `CONTACT`; its estimates are filled in. A force that was not measured is the
-        one before.
-    speed
-        Of the contact point INTO the surface [m/s].
-
-    Returns
-    -------
-    float
-        u, the acceleration along the contact normal without the damping K_2 [m/s^2].
-
+    `speed` is that of the contact point INTO the surface [m/s]. A force that was not measured is
+    the one before.
     """
     if not law.running:
         start_linear(law, contact.alpha_meas, 0.0)
@@ -265,14 +246,6 @@ def force_to_feed(law: Any, contact: Any, mobility: Matrix) -> float:
     surface lets it act before the loop does, g = min(1, K_2^2 / (2 k N^T Lambda^-1 N)). The
     measured one if the contact is `guarded`: what a surface that has gone does not bear would go
     to the other contacts.
-
-    Parameters
-    ----------
-    law, contact
-        Records of `FORCE_LAW` and `CONTACT`.
-    mobility
-        Lambda^-1, shape (6, 6).
-
     """
     if contact.guarded or law.fed == MEASURED:
         return contact.alpha_meas if contact.kind != FORCE else max(contact.alpha_meas, 0.0)

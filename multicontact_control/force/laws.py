@@ -49,20 +49,10 @@ class LinearLaw:
     A force law x_(k+1) = A x_k + B y_k + E extra_k, outputs = C x_k + D y_k.
 
     Its inputs y are the measured force alpha [N], the desired one [N] and the speed of the contact
-    point INTO the surface [m/s]; `extra` is what acts beyond the answer [m/s^2]. Its outputs are
-    the acceleration u [m/s^2], without the damping K_2, the estimate of alpha [N], and that of
-    the disturbance p that it compensates [m/s^2].
-
-    Attributes
-    ----------
-    A, B, C, D
-        Shapes (n, n), (n, 3), (3, n), (3, 3).
-    E
-        Shape (n,).
-    start_force, start_disturbance
-        State at a touch, for a felt force of 1 N and for a known disturbance of 1 m/s^2, shape
-        (n,).
-
+    point INTO the surface [m/s]; `extra` acts beyond the answer [m/s^2]. Its outputs are the
+    acceleration u [m/s^2], without the damping K_2, the estimate of alpha [N], and that of the
+    disturbance p that it compensates [m/s^2]. The state at a touch is `start_force` for a felt
+    force of 1 N, `start_disturbance` for a known disturbance of 1 m/s^2.
     """
 
     A: Matrix
@@ -134,15 +124,8 @@ def steady_law(observer: ObserverDesign, gain: Vector) -> LinearLaw:
     Return an observer whose gain no longer changes as a linear law, its state the prediction x_1.
 
     u = L_1 alpha_des - [L_r 1] x_est with x_est = x_1 + K (alpha - C x_1), and the next
-    prediction is Phi_c x_est + Gamma (L_1 alpha_des + extra) (P04 eqs 36-39).
-
-    Parameters
-    ----------
-    observer
-        Its design.
-    gain
-        K, shape (n,), as from `steady_gain`.
-
+    prediction is Phi_c x_est + Gamma (L_1 alpha_des + extra) (P04 eqs 36-39); K as from
+    `steady_gain`.
     """
     n = len(observer.Gamma)
     correction = np.eye(n)

@@ -37,17 +37,15 @@ class LinearArmPlant:
     Attributes
     ----------
     mobility
-        B = N^T Lambda^-1 N: acceleration of the contact points along their normals for a unit
-        of contact force, shape (r, r) [1/kg].
+        B = N^T Lambda^-1 N, shape (r, r) [1/kg].
     stiffness, damping
-        k and c of the surfaces, shape (r,) [N/m], [N s/m].
+        k and c, shape (r,) [N/m], [N s/m].
     tool_inertia
-        M_t: what the sensor reads along the normals for a unit of acceleration of the contact
-        points, shape (r, r) [kg].
+        M_t, shape (r, r) [kg].
     delay
-        T, from a sample to the torque that answers it [s]: the actuator's ticks and all else.
+        T, from a sample to the torque that answers it [s].
     damping_rate
-        K, damping of the motion that is there without being commanded [1/s].
+        K, which is there without being commanded [1/s].
 
     """
 
@@ -71,21 +69,12 @@ def closed_loop(
 
     Parameters
     ----------
-    plant
-        What the loops meet.
-    law
-        The force law of every contact; for an active observer `steady_law`.
-    damping_rate
-        K_2 on the measured motion [1/s]; 0 where the plant itself has it.
-    period
-        h [s].
+    plant, law
+        What the loops meet, and the force law of every contact.
+    damping_rate, period
+        K_2 on the measured motion [1/s], 0 where the plant itself has it, and h [s].
     fed_share
         g, the share of the desired force in what is fed forward.
-
-    Returns
-    -------
-    Matrix
-        Square; the loops are stable if all its eigenvalues are inside the unit circle.
 
     """
     r, n = len(plant.stiffness), law.states
@@ -169,15 +158,13 @@ class Margins:
     Attributes
     ----------
     gain
-        Factor by which the loop's gain may grow; infinite if any.
-    phase
-        Lag that may be added [rad].
-    delay
-        Delay that may be added [s].
+        Factor by which the loop's gain may grow.
+    phase, delay
+        That may be added [rad], [s].
     crossover
         Frequency at which the loop's gain is 1 [rad/s].
     softest, stiffest
-        Between which true stiffnesses the loop is stable, over that of the model.
+        True over modelled stiffness between which the loop is stable.
 
     """
 
@@ -283,30 +270,14 @@ FASTER: Mapping[str, Callable[[ForceConfig, float], dict[str, Any]]] = {
 
 @dataclass(frozen=True)
 class DesignedLaw:
-    """
-    Gains, and what they lead to.
+    """Gains, and what they lead to."""
 
-    Attributes
-    ----------
-    values
-        Of `force` in a controller's configuration that differ from the defaults.
-    stiffness
-        Of the model [N/m].
-    margins
-        On the stiffest surface.
-    rise_softest, rise_stiffest
-        Of a step, on either end of the range [s].
-    input_rms
-        Of u on the stiffest surface under the noise [m/s^2].
-
-    """
-
-    values: dict[str, Any]
-    stiffness: float
-    margins: Margins
-    rise_softest: float
+    values: dict[str, Any]  # of `force` in a controller's configuration, beside the defaults
+    stiffness: float  # of the model [N/m]
+    margins: Margins  # on the stiffest surface
+    rise_softest: float  # of a step, on either end of the range [s]
     rise_stiffest: float
-    input_rms: float
+    input_rms: float  # of u on the stiffest surface under the noise [m/s^2]
 
 
 def design_for_range(
@@ -320,16 +291,14 @@ def design_for_range(
     ----------
     name
         Of the law, as in `LAWS`.
-    input_delay
-        T_d [s].
+    input_delay, period
+        T_d and h [s].
     softest, stiffest
         Range of the true stiffness [N/m]; the model is in the middle of it, by ratio.
     noise_variance
-        Of the measured force [N^2]; that of the steady observer of `aob` and `lqg`, too.
+        Of the measured force, and R of `aob` and `lqg` [N^2].
     damping_rate
         K_2 [1/s].
-    period
-        h [s].
 
     Raises
     ------

@@ -22,33 +22,16 @@ class ObserverDesign:
 
     x_r is the state of the delayed plant; p adds to its input.
 
-    Attributes
-    ----------
-    loop
-        The plant and its state feedback.
-    order
-        Number of active states.
-    Phi_n, Phi_c
-        Transition of the open loop (P04 eq. 41) and of the closed one (eq. 37), shape (n, n).
-    Gamma
-        Input vector, shape (n,).
-    feedback
-        [L_r 1] of P04 eq. 36, shape (n,).
-    Q
-        Diagonal of the process noise's covariance, shape (n,).
-    P_0
-        Initial variance of every state.
-
     """
 
-    loop: ForceLoop
-    order: int
-    Phi_n: Matrix
-    Phi_c: Matrix
-    Gamma: Vector
-    feedback: Vector
-    Q: Vector
-    P_0: float
+    loop: ForceLoop  # plant and state feedback
+    order: int  # number of active states
+    Phi_n: Matrix  # transition of the open loop (P04 eq. 41), shape (n, n)
+    Phi_c: Matrix  # of the closed one (eq. 37), shape (n, n)
+    Gamma: Vector  # input vector, shape (n,)
+    feedback: Vector  # [L_r 1] of P04 eq. 36, shape (n,)
+    Q: Vector  # diagonal of the process noise's covariance, shape (n,)
+    P_0: float  # initial variance of every state
 
 
 def design_observer(
@@ -208,15 +191,7 @@ def correct(observer: Any, innovation: float, noise_variance: float) -> None:
     difference of two nearly equal numbers: the variance of the measured state stays positive
     however far R drops. Where the model of the surface damps, C = (1, c / k, 0, ...).
 
-    Parameters
-    ----------
-    observer
-        Record of `OBSERVER` after `predict`, changed.
-    innovation
-        y - C x_1 [N].
-    noise_variance
-        R_k [N^2].
-
+    `observer` is a record of `OBSERVER` after `predict`; innovation y - C x_1 [N], R_k [N^2].
     """
     n, tau = observer.states, observer.damping_time
     x_est, P, x_1, covariance = observer.x_est, observer.P, observer.x_1, observer.Phi_n_P[0]
@@ -250,18 +225,7 @@ def command(observer: Any, alpha_des: float) -> float:
     """
     Return u_k = L_1 f_des - [L_r 1] [x_est; p_est] (P04 eq. 36), and keep r = L_1 f_des.
 
-    Parameters
-    ----------
-    observer
-        Record of `OBSERVER`.
-    alpha_des
-        f_des [N].
-
-    Returns
-    -------
-    float
-        Acceleration along the contact normal, without the damping K_2 [m/s^2].
-
+    u is the acceleration along the contact normal, without the damping K_2 [m/s^2].
     """
     feedback, x_est = observer.feedback, observer.x_est
     observer.command = feedback[0] * alpha_des
@@ -273,18 +237,10 @@ def command(observer: Any, alpha_des: float) -> float:
 
 def rescale(observers: Records, factors: Vector) -> None:
     """
-    Redesign observers for other stiffnesses, with the same poles.
+    Redesign observers for stiffnesses that are c times as large, shape (r,), with the same poles.
 
-    A plant whose force is c times as large for the same input is the old one in another unit of
-    force: with T = diag(c, c, 1, ...), Phi, Gamma and L become T Phi T^-1, T Gamma and L T^-1.
-
-    Parameters
-    ----------
-    observers
-        Records of `OBSERVER`, changed, shape (r,); what they know stays.
-    factors
-        New stiffness over old, shape (r,).
-
+    The plant is the old one in another unit of force: with T = diag(c, c, 1, ...), Phi, Gamma and
+    L become T Phi T^-1, T Gamma and L T^-1.
     """
     for observer, factor in zip(observers, factors):
         scale = np.ones(MAX_STATES)

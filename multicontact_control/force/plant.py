@@ -20,13 +20,8 @@ class DelayedPlant:
     """
     x_k = Phi x_{k-1} + Gamma u_{k-1}, y_k = alpha_k (P04 eq. 33).
 
-    x = [alpha, dalpha/dt, v_{k-d}, ..., v_{k-1}], where v = u + p is what acts on the plant.
-
-    Attributes
-    ----------
-    Phi, Gamma
-        Shapes (2 + d, 2 + d) and (2 + d,), d the number of inputs under way.
-
+    x = [alpha, dalpha/dt, v_{k-d}, ..., v_{k-1}], shape (2 + d,), with the inputs v = u + p under
+    way.
     """
 
     Phi: Matrix
@@ -39,19 +34,12 @@ def delayed_plant(
     """
     Discretise G(s) = k e^(-s T_d) / (s (s + K_2)) with a zero-order hold (P04 eqs 32-33).
 
-    With T_d = (d - 1) h + tau', 0 < tau' <= h, the input u_{k-d} acts for tau' of a period and
-    u_{k-d+1} for the rest of it.
-
     Parameters
     ----------
-    stiffness
-        k [N/m]: force rate per speed.
-    damping_rate
-        K_2 [1/s].
-    input_delay
-        T_d [s], at most 10 periods.
-    period
-        h [s].
+    stiffness, damping_rate
+        k [N/m] and K_2 [1/s].
+    input_delay, period
+        T_d, at most 10 periods, and h [s].
 
     Raises
     ------
@@ -77,23 +65,11 @@ def delayed_hold(
     A: Matrix, B: Matrix, input_delay: float, period: float,
 ) -> tuple[Matrix, Matrix]:
     """
-    Discretise dx/dt = A x + B u(t - T_d) with a zero-order hold.
+    Discretise dx/dt = A x + B u(t - T_d), of shapes (n, n) and (n, r), with a zero-order hold.
 
-    Parameters
-    ----------
-    A, B
-        Continuous system, shapes (n, n) and (n, r).
-    input_delay
-        T_d [s].
-    period
-        h [s].
-
-    Returns
-    -------
-    tuple
-        Phi, shape (n + d r, n + d r), and Gamma, shape (n + d r, r), of the state
-        [x, u_{k-d}, ..., u_{k-1}].
-
+    With T_d = (d - 1) h + tau', 0 < tau' <= h, the input u_{k-d} acts for tau' of a period and
+    u_{k-d+1} for the rest of it. Returns Phi, shape (n + d r, n + d r), and Gamma, shape
+    (n + d r, r), of the state [x, u_{k-d}, ..., u_{k-1}].
     """
     n, r = B.shape
     # The tolerance keeps 0.006 / 0.002 at three periods in spite of rounding.
@@ -140,22 +116,10 @@ def _damped_hold(
 
 def ackermann(Phi: Matrix, Gamma: Vector, poles: Sequence[float]) -> Vector:
     """
-    Return the feedback L that places the eigenvalues of Phi - Gamma L.
+    Return the feedback L, shape (n,), that places the eigenvalues of Phi - Gamma L.
 
-    L = [0 ... 0 1] [Gamma, Phi Gamma, ...]^-1 phi_c(Phi), phi_c the wanted characteristic
-    polynomial (Ackermann's formula, P04 eq. 36).
-
-    Parameters
-    ----------
-    Phi, Gamma
-        System of order n, shapes (n, n) and (n,).
-    poles
-        n real poles; repeated ones are allowed.
-
-    Returns
-    -------
-    Vector
-        L, shape (n,).
+    L = [0 ... 0 1] [Gamma, Phi Gamma, ...]^-1 phi_c(Phi) for n real poles (Ackermann's formula,
+    P04 eq. 36).
 
     Raises
     ------
@@ -189,16 +153,9 @@ def ackermann(Phi: Matrix, Gamma: Vector, poles: Sequence[float]) -> Vector:
 @dataclass(frozen=True, slots=True)
 class ForceLoop:
     """
-    A plant with its state feedback u = r - L x - p, r = L_1 f_des (P04 eq. 36).
+    A plant with its state feedback u = r - L x - p, r = L_1 f_des, L of shape (2 + d,).
 
-    Attributes
-    ----------
-    plant
-        The delayed plant.
-    L
-        State feedback L_r, shape (2 + d,). L_1 as the gain of the command gives the loop a DC
-        gain of 1 from desired to real force.
-
+    L_1 gives the loop a DC gain of 1 from desired to real force (P04 eq. 36).
     """
 
     plant: DelayedPlant
@@ -215,19 +172,9 @@ def place_poles(
     plant: DelayedPlant, period: float, *, time_constant: float, second_pole_ratio: float = 1.0,
 ) -> ForceLoop:
     """
-    Design the feedback of a delayed plant.
+    Place poles at exp(-h / tau) and exp(-h ratio / tau), those of the delay states at 0.
 
-    Poles at exp(-h / tau) and exp(-h ratio / tau), the delay states' at 0.
-
-    Parameters
-    ----------
-    plant, period
-        The plant, and h [s].
-    time_constant
-        tau of the dominant pole [s].
-    second_pole_ratio
-        How much faster the second pole is; 1 gives two equal ones.
-
+    h is the period and tau the time constant [s].
     """
     poles = [math.exp(-period / time_constant),
              math.exp(-period * second_pole_ratio / time_constant)]

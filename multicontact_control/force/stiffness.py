@@ -62,34 +62,14 @@ def adopt_band(fit: Any, band: tuple[float, float], period: float, memory: float
 
 
 @compiled
-def begin_fit(fit: Any, alpha: float) -> None:
-    """Let the filters of a fit start at a touch, at a force [N]; its sums stay."""
-    for i in range(4):
-        for j in range(4):
-            fit.stages[i, j] = 0.0
-    fit.stages[3, 0] = alpha
-    fit.speed = 0.0
-
-
-@compiled
 def take_sample(
     fit: Any, sample: Vector, period: float, mass: float, accepted: bool,
 ) -> None:
     """
     Filter a sample, and if it is accepted and large enough, fit k, c and mu anew.
 
-    Parameters
-    ----------
-    fit
-        Record of `STIFFNESS_FIT`, changed.
-    sample
-        Way into the surface [m], its rate [m/s], the friction of the other contacts per mu [N]
-        and the measured force [N], shape (4,).
-    period, mass
-        h [s], and mass of the tool [kg].
-    accepted
-        Whether the sample may count.
-
+    A sample: way into the surface [m], its rate [m/s], the friction of the other contacts per mu
+    [N] and the measured force [N], shape (4,). Period h [s], mass of the tool [kg].
     """
     filtered = np.empty(4)
     for i in range(4):
@@ -173,21 +153,10 @@ def adopt_stiffness(
     tool_mass: float, ratio_limits: Sequence[float],
 ) -> None:
     """
-    Fill in a record of `STIFFNESS`.
+    Fill in a record of `STIFFNESS` whose model starts from a stiffness [N/m] and its plant.
 
-    Parameters
-    ----------
-    record
-        What is filled in.
-    plant, stiffness
-        The plant of the force loop, for that stiffness [N/m], from which the model starts.
-    config
-        The force law.
-    period, tool_mass
-        h [s], and all that hangs on the sensor [kg].
-    ratio_limits
-        True over modelled stiffness up to which the loop is stable, of `model_stiffnesses`.
-
+    Period h [s], mass beyond the sensor [kg], and the true over modelled stiffness up to which
+    the loop is stable, of `model_stiffnesses`.
     """
     adaptive: AdaptiveStiffnessConfig = config.adaptive
     values = {
@@ -218,18 +187,8 @@ def predictor_gains(plant: DelayedPlant, stiffness: float) -> tuple[Matrix, Vect
 
     With eta_k = [alpha, dalpha/dt]_k + sum_j E_j v_{k-j}, eta_{k+1} = Phi_s eta_k + B v_k: the
     feedback L_0 of the undelayed plant gives L = [L_0, L_0 E_d, ..., L_0 E_1] of P04 eq. 36, with
-    the poles of the delay states at 0.
-
-    Parameters
-    ----------
-    plant, stiffness
-        The delayed plant of that stiffness [N/m].
-
-    Returns
-    -------
-    tuple of Matrix and Vector
-        E_d to E_1, shape (d, 2), and B, shape (2,), both per N/m.
-
+    the poles of the delay states at 0. Returns E_d to E_1, shape (d, 2), and B, shape (2,), both
+    per N/m.
     """
     Phi_s, delayed = plant.Phi[:2, :2], plant.Phi[:2, 2:].T / stiffness
     d = len(delayed)
@@ -257,15 +216,7 @@ def use_stiffness(observer: Any, stiffness: Any, k: float, c: float) -> None:
 
     Poles at omega_1 = min(1 / tau, sqrt(0.8 k / m_tool)) and omega_2 = k / c, between 10 /s and
     that of the configuration; see `predictor_gains`. What is known of the rate, x_2 = k dz/dt,
-    goes with k.
-
-    Parameters
-    ----------
-    observer, stiffness
-        Records of `OBSERVER` and `STIFFNESS`, changed.
-    k, c
-        Of the new model [N/m], [N s/m].
-
+    goes with k [N/m]; c [N s/m].
     """
     factor = k / stiffness.k
     n, plain = observer.states, observer.states - observer.order
@@ -306,17 +257,9 @@ def use_stiffness(observer: Any, stiffness: Any, k: float, c: float) -> None:
 @compiled
 def friction_of_others(frame: Any, contacts: Any, which: int) -> float:
     """
-    Return what the friction of the other contacts adds to a measured force, per mu [N].
+    Return what the friction of the other contacts adds to the force of contact i, per mu [N].
 
     The robot drags each surface along its sliding velocity v: sum_j alpha_j v_j . n_i / |v_j|.
-
-    Parameters
-    ----------
-    frame, contacts
-        Record of `FRAME`, and records of `CONTACT`, shape (r,).
-    which
-        i.
-
     """
     normal, twist = contacts[which].normal, frame.twist
     total = 0.0
@@ -344,17 +287,8 @@ def find_stiffness(
     """
     Take a sample into the estimate of a stiffness, whatever law moves the contact.
 
-    The filters begin anew when a force is felt: before, the surface is not there.
-
-    Parameters
-    ----------
-    stiffness
-        Record of `STIFFNESS`, changed.
-    alpha, alpha_des
-        Measured and desired force [N].
-    speed, friction
-        Of the contact point INTO the surface [m/s], and as from `friction_of_others` [N].
-
+    The filters begin anew when a force is felt: before, the surface is not there. Measured and
+    desired force [N], speed of the contact point INTO the surface [m/s], `friction_of_others` [N].
     """
     h = stiffness.period
     stiffness.since += h
@@ -364,8 +298,11 @@ def find_stiffness(
     if not stiffness.felt:
         if alpha <= BEGIN:
             return
-        begin_fit(stiffness.slow, alpha)
-        begin_fit(stiffness.fast, alpha)
+        for i in range(4):
+            for j in range(4):
+                stiffness.slow.stages[i, j] = stiffness.fast.stages[i, j] = 0.0
+        stiffness.slow.stages[3, 0] = stiffness.fast.stages[3, 0] = alpha
+        stiffness.slow.speed = stiffness.fast.speed = 0.0
         stiffness.since = 0.0
         stiffness.depth = 0.0
         stiffness.felt = True

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from multicontact_control.algebra import copy_matrix, copy_vector, cross, dot
+from multicontact_control.algebra import cross, dot
 from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.config import ContactStateConfig, ControllerConfig, validate
@@ -367,7 +367,9 @@ def rotate_by(vector: Vector, rotation: Matrix, turned: Matrix) -> None:
     """Fill in `turned`, a rotation turned by a rotation vector [rad] (Rodrigues), shape (3, 3)."""
     angle = np.sqrt(dot(vector, vector))
     if angle < 1e-12:
-        copy_matrix(rotation, turned)
+        for i in range(3):
+            for j in range(3):
+                turned[i, j] = rotation[i, j]
         return
     axis, column, once, twice = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for i in range(3):
@@ -451,7 +453,8 @@ def leave_to_contacts(columns: Any, gap: Vector, way: Vector) -> None:
         if count == 3 or not columns[i].answer.active or columns[i].leader != i:
             continue
         axis = axes[count]
-        copy_vector(columns[i].normal, axis)
+        for k in range(3):
+            axis[k] = columns[i].normal[k]
         for j in range(count):
             take_off(axis, axes[j])
         length = np.sqrt(dot(axis, axis))

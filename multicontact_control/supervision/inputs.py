@@ -25,7 +25,6 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from multicontact_control.algebra import copy_vector
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.config import ControllerConfig
@@ -212,7 +211,8 @@ def take_wrench(joints: Matrix, kept: Matrix, state: Any, settings: Any) -> int:
     state.fault = SATURATED if saturated else FINE
     if not possible:
         state.faults += int(saturated)
-        copy_vector(state.raw, state.filtered)  # without guards the law finds it
+        for i in range(6):
+            state.filtered[i] = state.raw[i]  # without guards the law finds it
         return SATURATED if saturated else INVALID
     a, b, memory, row = settings.a, settings.b, state.memory, kept[state.kept % kept.shape[0]]
     begins = np.isnan(memory[0, 0])
@@ -275,7 +275,8 @@ def check_inputs(
         if fault != FINE:
             problem[WRENCH] = fault
         if problem[WRENCH] == FINE:
-            copy_vector(state.filtered, wrench)
+            for i in range(6):
+                wrench[i] = state.filtered[i]
             valid[WRENCH], state.known[WRENCH] = stamps[WRENCH], True
         elif problem[WRENCH] == FROZEN:
             valid[WRENCH] = stamps[WRENCH] - h * (state.equal_wrenches - 1)

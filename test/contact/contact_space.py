@@ -1,7 +1,7 @@
 """What the compiled contact functions do, as the matrices that they never form."""
 
 from equations import Projections
-from multicontact_control.algebra import multiply
+from multicontact_control.algebra import multiply, solve_cholesky
 from multicontact_control.contact import projections as executed
 from multicontact_control.contact.geometry import normal_space
 from multicontact_control.records import CONTACT
@@ -19,7 +19,7 @@ def _factorised(N, Lambda=None):
     contacts = np.zeros(N.shape[1], dtype=CONTACT)
     contacts['N'], contacts['answer']['active'] = N.T, True
     rows = np.empty((N.shape[1], 6))
-    executed.active_rows(contacts, False, rows)
+    rows[:] = contacts['N']
     weighted = rows if Lambda is None else np.ascontiguousarray(
         np.linalg.solve(Lambda, rows.T).T)
     factor = np.empty((len(rows), len(rows)))
@@ -50,10 +50,9 @@ def allocate_force(N, alpha_star, allocation):
 def contact_rates(N, twist, allocation):
     rows, _, factor = _factorised(N)
     rates = np.empty(len(rows))
-    if allocation == 'decoupled':
-        multiply(rows, twist, rates)
-    else:
-        executed.coordinates(rows, factor, twist, rates)
+    multiply(rows, twist, rates)
+    if allocation == 'paper':
+        solve_cholesky(factor, rates)
     return rates
 
 

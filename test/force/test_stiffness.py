@@ -5,7 +5,6 @@ from multicontact_control.config import ForceConfig
 from multicontact_control.force.observer import design_observer, make_observers
 from multicontact_control.force.stiffness import (
     adopt_stiffness,
-    begin_fit,
     find_stiffness,
     follow_stiffness,
     take_sample,
@@ -63,7 +62,6 @@ def signals(k, c, mu, mass, seed=1, count=150, noise=0.0):
 def test_fit_finds_what_the_signals_were_made_with(k, c, mu):
     record, _ = stiffness_of()
     fit = record['slow']
-    begin_fit(fit, 0.0)
     for sample in signals(k, c, mu, 0.5):
         take_sample(fit, sample, H, 0.5, True)
     assert fit['k'] == pytest.approx(k, rel=0.03)
@@ -76,7 +74,6 @@ def test_friction_of_the_others_is_told_from_stiffness():
     errors = []
     for known in (True, False):
         record, _ = stiffness_of()
-        begin_fit(record['slow'], 0.0)
         for sample in signals(300.0, 30.0, 0.2, 0.5):
             sample[2] *= known
             take_sample(record['slow'], sample, H, 0.5, True)
@@ -88,7 +85,6 @@ def test_standard_error_is_that_of_repeated_fits():
     found = []
     for seed in range(60):
         record, _ = stiffness_of()
-        begin_fit(record['slow'], 0.0)
         for sample in signals(6000.0, 30.0, 0.1, 0.5, seed=seed, noise=0.3):
             take_sample(record['slow'], sample, H, 0.5, True)
         found.append((float(record['slow']['k']), float(record['slow']['k_std'])))

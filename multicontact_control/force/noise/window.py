@@ -17,19 +17,11 @@ Normalisation = Literal['dc', 'hf']
 
 @dataclass(frozen=True, slots=True)
 class LeadFilter:
-    """
-    alpha_f,k = a alpha_f,k-1 + b (alpha_k - c alpha_k-1): G_f of P04 eq. 42, matched z.
+    """alpha_f,k = a alpha_f,k-1 + b (alpha_k - c alpha_k-1): G_f of P04 eq. 42, matched z."""
 
-    Attributes
-    ----------
-    pole, zero, gain
-        a, c and b.
-
-    """
-
-    pole: float
-    zero: float
-    gain: float
+    pole: float  # a
+    zero: float  # c
+    gain: float  # b
 
     def variance_factor(self) -> float:
         """Variance of the output for white noise of unit variance at the input."""
@@ -51,15 +43,7 @@ def lead_filter(
     With a DC gain of 1, as the paper says, a zero below the pole makes it a lead, which amplifies
     noise by `variance_factor`. With a gain of 1 at half the rate it is a high-pass filter.
 
-    Parameters
-    ----------
-    zero_frequency, pole_frequency
-        Of the continuous filter, mapped by z = exp(-2 pi f h) [Hz].
-    rate
-        1/h [Hz].
-    normalisation
-        Where the gain is 1: at DC or at half the rate.
-
+    Frequencies of the continuous filter [Hz] are mapped by z = exp(-2 pi f h), h = 1 / rate.
     """
     zero = math.exp(-2.0 * math.pi * zero_frequency / rate)
     pole = math.exp(-2.0 * math.pi * pole_frequency / rate)
@@ -75,26 +59,9 @@ def take_into_window(
     Filter one sample per contact, and estimate R once the window is full (P04 eqs 42-44).
 
     alpha_f,k = a alpha_f,k-1 + b (alpha_k - c alpha_k-1), from the steady state of the first
-    sample; R is the variance of the filtered samples.
-
-    Parameters
-    ----------
-    alpha
-        Forces, shape (r,) [N].
-    windows
-        One record of `NOISE_WINDOW`; its count is raised.
-    states
-        Records of `FILTER_STATE`, changed, shape (r,).
-    samples
-        Window of filtered forces, overwritten in turn, shape (N, r).
-    variance
-        R, overwritten once the window is full, shape (r,) [N^2].
-
-    Returns
-    -------
-    bool
-        Whether the forces could be used; if not, nothing has changed.
-
+    sample; R is the variance of the filtered samples, shape (N, r). Returns False, nothing
+    changed, for forces that cannot be used. Forces [N] and variance [N^2] are of shape (r,),
+    `windows` is one record of `NOISE_WINDOW`, `states` are records of `FILTER_STATE`.
     """
     window = windows[0]
     length, contacts = samples.shape
