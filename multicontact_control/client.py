@@ -239,7 +239,8 @@ class MultiContactClient:
 
     def read(self) -> ArmState:
         """Return the state of a sample that comes from now on."""
-        forces, estimated, desired, pose, pose_desired = self._link.fresh_sample(*STATE_TOPICS)
+        forces, estimated, desired, pose, pose_desired = self._link.fresh(
+            *STATE_TOPICS, one_stamp=True)
         variance = self._link.newest(topics.NOISE_VARIANCE)
         (position, rotation), (position_desired, rotation_desired) = (
             _pose_of(pose), _pose_of(pose_desired))

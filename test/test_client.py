@@ -15,7 +15,7 @@ from multicontact_control.client import (
 from multicontact_control.errors import RunError
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.graph import create_publisher
-from multicontact_control.nodes.link import CLEAN_UP, DEACTIVATE, GuestNode, LifecycleDriver
+from multicontact_control.nodes.link import CLEAN_UP, DEACTIVATE, GuestNode
 from multicontact_control.nodes.status import ACCEPTED, identifier_of
 import numpy as np
 import pytest
@@ -140,7 +140,7 @@ def test_client_tares_where_nothing_touches_only(arm, domain_id):
     arm.set_forces({'table': 0.0, 'board': 0.0})
     arm.move(state.position_world + [0.0, -0.02, 0.02], duration=1.0)
     reached(arm)  # free of both
-    with LifecycleDriver(domain_id, namespace='arm') as driver:
+    with GuestNode('driver', domain_id, 'arm') as driver:
         before = get_parameter(driver, 'controller_node', 'tool.bias_sensor')
         wait_for(lambda: stands_still(arm), 'a tare at rest')
         bias = get_parameter(driver, 'controller_node', 'tool.bias_sensor')
@@ -152,7 +152,7 @@ def test_client_tares_where_nothing_touches_only(arm, domain_id):
 def test_client_deactivates_and_activates_a_real_controller(arm, domain_id):
     arm.set_forces({'table': 5.0, 'board': 5.0})
     reached(arm)
-    with LifecycleDriver(domain_id, namespace='arm') as driver, MultiContactClient(
+    with GuestNode('driver', domain_id, 'arm') as driver, MultiContactClient(
             'arm', domain_id=domain_id, timeout=1.0) as impatient:
         for _ in range(2):  # once more makes no difference
             arm.deactivate()

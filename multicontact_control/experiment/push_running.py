@@ -29,7 +29,7 @@ def push_running(
     # Queued: of several nodes that report at once the newest need not be the controller.
     with ControllerLink((), queued=(topics.DIAGNOSTICS,), namespace=namespace,
                         domain_id=domain_id, timeout=timeout) as link:
-        state = link.state(topics.CONTROLLER, timeout)
+        state = link.state(topics.CONTROLLER)
         if state != 'active':
             raise RunError(f'{topics.CONTROLLER}: expected an active controller, found it {state}')
         answer = link.call(topics.CONTROLLER, Trigger, 'push_test', Trigger.Request())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
+from functools import partial
 import gc
 import sys
 import time
@@ -17,6 +18,7 @@ from multicontact_control.nodes.graph import Refusals, StartupConfig, StartupGat
 from multicontact_control.nodes.parameters import ParameterSet
 from multicontact_control.nodes.runtime import Spinner
 from multicontact_control.process import settle_process
+from rclpy._rclpy_pybind11 import RCLError
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
 UNCONFIGURED, INACTIVE, ACTIVE, FINALIZED = 'unconfigured', 'inactive', 'active', 'finalized'
@@ -59,7 +61,8 @@ class ManagedNode(LifecycleNode):
         self._gate: StartupGate | None = None
         self._gate_passed = False
         self._failure: MulticontactError | None = None
-        self._survive_impossible_transitions()
+        service = self._service_change_state
+        service.callback = partial(self._change_if_possible, service.callback)
         self._lasting: list[Any] = [*self.publishers, *self.subscriptions, *self.services]
 
     @abstractmethod
@@ -146,10 +149,8 @@ class ManagedNode(LifecycleNode):
 
     def on_deactivate(self, _state: LifecycleState) -> TransitionCallbackReturn:
         """Implement `LifecycleNode`."""
-        def work() -> None:
-            self.working = False
-            self.deactivate()
-        return self._attempt('deactivate', work, INACTIVE)
+        self.working = False
+        return self._attempt('deactivate', self.deactivate, INACTIVE)
 
     def on_cleanup(self, _state: LifecycleState) -> TransitionCallbackReturn:
         """Implement `LifecycleNode`."""
@@ -197,20 +198,11 @@ class ManagedNode(LifecycleNode):
         self.get_logger().info(goal)
         return SUCCESS
 
-    def _survive_impossible_transitions(self) -> None:
-        """Answer a transition that is not possible now with no; rclpy would raise."""
-        service = self._service_change_state
-        change = service.callback
-
-        def change_if_possible(request: Any, response: Any) -> Any:
-            wanted = request.transition
-            possible = dict(x[:2] for x in self._state_machine.available_transitions)
-            if wanted.label in possible.values() if wanted.label else wanted.id in possible:
-                return change(request, response)
-            self.get_logger().error(
-                f'change_state: expected one of {", ".join(possible.values())} while '
-                f'{self.state}, found {wanted.label or wanted.id}')
+    def _change_if_possible(self, change: Callable[..., Any], request: Any, response: Any) -> Any:
+        """Answer a transition that is not possible now with no: rclpy raises."""
+        try:
+            return change(request, response)
+        except RCLError as error:
+            self.get_logger().error(f'change_state while {self.state}: {error}')
             response.success = False
             return response
-
-        service.callback = change_if_possible

@@ -22,7 +22,7 @@ from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-Check = Callable[[Sequence[Any]], None]
+Use = Callable[[Sequence[Any]], None]
 
 NAMES_OF_MAPPINGS = 'contact_names'
 SET_BY_ROS = ('use_sim_time', 'start_type_description_service', 'qos_overrides')
@@ -30,17 +30,17 @@ LOCKED = 'can be changed only before the node is configured'
 BOUNDS = {'gt': 'above', 'ge': 'at least', 'lt': 'below', 'le': 'at most'}
 
 
-class ParameterSpec(NamedTuple):
-    """A ROS parameter: its default (None without), whether it is live, and its description."""
+class _Spec(NamedTuple):
+    """A ROS parameter; without a default it is None."""
 
     default: Any
     live: bool
     descriptor: ParameterDescriptor
 
 
-def parameter_specs(
+def _specs(
     model: type[Config], overrides: Mapping[str, Any], prefix: str = '',
-) -> Iterator[tuple[str, ParameterSpec]]:
+) -> Iterator[tuple[str, _Spec]]:
     """Yield the parameters of a model; `overrides` by name say which entries a mapping has."""
     for key, field in model.model_fields.items():
         name, annotation = prefix + key, _bare(field.annotation)
@@ -50,9 +50,9 @@ def parameter_specs(
             entries = [(f'{name}.{x}', value_type) for x in _mapping_names(name, overrides)]
         for entry, kind in entries:
             if isinstance(kind, type) and issubclass(kind, Config):
-                yield from parameter_specs(kind, overrides, f'{entry}.')
+                yield from _specs(kind, overrides, f'{entry}.')
             else:
-                yield entry, _leaf_spec(entry, kind, field)
+                yield entry, _leaf(entry, kind, field)
 
 
 def _mapping_names(name: str, overrides: Mapping[str, Any]) -> list[str]:
@@ -63,7 +63,7 @@ def _mapping_names(name: str, overrides: Mapping[str, Any]) -> list[str]:
     return sorted(found, key=lambda x: listed.index(x) if x in listed else len(listed)) or listed
 
 
-def _leaf_spec(name: str, kind: Any, field: FieldInfo) -> ParameterSpec:
+def _leaf(name: str, kind: Any, field: FieldInfo) -> _Spec:
     extra = field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
     unit, live = extra.get('unit'), bool(extra.get('live'))
     limits = [f'{words} {getattr(bound, key):g}' for bound in field.metadata
@@ -73,7 +73,7 @@ def _leaf_spec(name: str, kind: Any, field: FieldInfo) -> ParameterSpec:
     default = None if field.is_required() else field.get_default(call_default_factory=True)
     if isinstance(default, Mapping):
         default = default.get(name.rsplit('.', 1)[-1])
-    return ParameterSpec(_plain(default), live, ParameterDescriptor(
+    return _Spec(_plain(default), live, ParameterDescriptor(
         name=name, dynamic_typing=True,
         description=(field.description or '') + (f' [{unit}]' if unit else ''),
         # Not read-only: `lock` decides that, and a descriptor cannot be unlocked.
@@ -84,13 +84,11 @@ def _bare(annotation: Any) -> Any:
     """Return an annotation without what is beside its type: `Annotated`, or a None."""
     while typing.get_origin(annotation) is typing.Annotated:
         annotation = typing.get_args(annotation)[0]
-    arguments = typing.get_args(annotation)
-    if NoneType in arguments:
-        return _bare(next(argument for argument in arguments if argument is not NoneType))
-    return annotation
+    kinds = typing.get_args(annotation)
+    return _bare(next(x for x in kinds if x is not NoneType)) if NoneType in kinds else annotation
 
 
-def nested(values: Mapping[str, Any]) -> dict[str, Any]:
+def _nested(values: Mapping[str, Any]) -> dict[str, Any]:
     """Return values by dotted name as nested mappings."""
     result: dict[str, Any] = {}
     for name, value in values.items():
@@ -108,9 +106,7 @@ class ParameterSet:
     """
     Declares the parameters of some models, and turns their values into configurations.
 
-    Once `lock` has been called, a change must be of a live parameter, lead to valid
-    configurations and pass the node's own check; only then the whole new configurations are
-    handed to the node. `refused` is called with name and error of a change that is not taken.
+    `refused` is called with name and error of a change that is not taken once they are locked.
     """
 
     def __init__(self, node: Node, *models: type[Config]) -> None:
@@ -120,33 +116,29 @@ class ParameterSet:
         overrides: dict[str, Parameter] = getattr(node, '_parameter_overrides')  # noqa: B009
         given = {name: parameter.value for name, parameter in overrides.items()
                  if name.split('.')[0] not in SET_BY_ROS}
-        self._specs = {
-            name: spec for model in models for name, spec in parameter_specs(model, given)}
+        self._specs = {name: spec for model in models for name, spec in _specs(model, given)}
         self._unknown = {name: x for name, x in given.items() if name not in self._specs}
         for name, spec in self._specs.items():
             value = given.get(name, spec.default)
             node.declare_parameter(
                 name, [] if value is None and name in given else value, spec.descriptor,
                 ignore_override=True)
-        self._check: Check | None = None
-        self._apply: Check | None = None
-        self._pending: list[Any] | None = None
+        self._uses: tuple[Use, ...] | None = None
         self.refused: Callable[[str, Exception], None] = lambda name, error: None
         node.add_on_set_parameters_callback(self._on_set)
-        node.add_post_set_parameters_callback(self._on_applied)
 
-    def lock(self, check: Check, apply: Check) -> None:
+    def lock(self, *uses: Use) -> None:
         """
-        Let only live parameters change from now on.
+        Let only live parameters change from now on, to what is valid as a whole.
 
-        New configurations go to `check`, which raises `MulticontactError` if they cannot be
-        used, and to `apply` once they are in force.
+        Each use is called with the new configurations; the first ones may raise
+        `MulticontactError` to refuse them.
         """
-        self._check, self._apply = check, apply
+        self._uses = uses
 
     def unlock(self) -> None:
         """Let every parameter change, to be validated when it is used."""
-        self._check = self._apply = None
+        self._uses = None
 
     def configurations(self, changes: Mapping[str, Any] | None = None) -> list[Any]:
         """
@@ -155,21 +147,18 @@ class ParameterSet:
         ConfigError names every parameter that is unknown, missing or not acceptable.
         """
         present = {name: self.value(name) for name in self._specs} | dict(changes or {})
-        values = nested({**self._unknown, **{
+        values = _nested({**self._unknown, **{
             name: value for name, value in present.items() if value is not None}})
-        known = {key for model in self._models for key in model.model_fields}
+        known = sorted(key for model in self._models for key in model.model_fields)
 
-        def refuse_unknown() -> None:
-            errors = [ConfigError(key, f'a known parameter ({", ".join(sorted(known))})',
-                                  f"unknown '{key}'") for key in values if key not in known]
-            if errors:
-                raise ConfigError.of(errors)
+        def refuse_unknown(key: str) -> None:
+            raise ConfigError(key, f'a known parameter ({", ".join(known)})', f"unknown '{key}'")
 
-        _, *configurations = check_all(refuse_unknown, *(
-            partial(validate, model, {
+        return check_all(
+            *(partial(refuse_unknown, key) for key in values if key not in known),
+            *(partial(validate, model, {
                 key: value for key, value in values.items() if key in model.model_fields})
-            for model in self._models))
-        return configurations
+              for model in self._models))
 
     def value(self, name: str) -> Any:
         """Return the present value of one parameter, None if it has none."""
@@ -182,28 +171,22 @@ class ParameterSet:
             raise ConfigError(name, 'an acceptable value', f'{value} ({result.reason})')
 
     def _on_set(self, parameters: Sequence[Parameter]) -> SetParametersResult:
-        self._pending = None
         changes = {x.name: _plain(x.value) for x in parameters if x.name in self._specs}
-        if self._check is None or not changes:
+        if self._uses is None or not changes:
             return SetParametersResult(successful=True)
         try:
             for name, value in changes.items():
                 if value is None or not self._specs[name].live and value != self.value(name):
                     raise ConfigError(name, f'{self.value(name)}: it {LOCKED}', value)
             configurations = self.configurations(changes)
-            self._check(configurations)
+            for use in self._uses:
+                use(configurations)
         except Exception as error:
             if not isinstance(error, MulticontactError):  # a mistake here: not for the arm to pay
                 self._node.get_logger().error(traceback.format_exc())
             self.refused(next(iter(changes)), error)
             return SetParametersResult(successful=False, reason=str(error) or repr(error))
-        self._pending = configurations
         return SetParametersResult(successful=True)
-
-    def _on_applied(self, _parameters: Sequence[Parameter]) -> None:
-        if self._pending is not None and self._apply is not None:
-            configurations, self._pending = self._pending, None
-            self._apply(configurations)
 
 
 def _plain(value: Any) -> Any:
@@ -215,5 +198,5 @@ def load_parameters(node: Node, *models: type[Config]) -> list[Any]:
     """Declare the parameters of models, which stay as they are; return the configurations."""
     parameters = ParameterSet(node, *models)
     configurations = parameters.configurations()
-    parameters.lock(lambda configurations: None, lambda configurations: None)
+    parameters.lock()
     return configurations

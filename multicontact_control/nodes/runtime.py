@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 import contextlib
+from functools import cache
 import gc
 import os
 import signal
 import sys
 import time
 import traceback
-from types import FrameType
 from typing import Any
 
 from multicontact_control.errors import ConfigError, MulticontactError
@@ -19,11 +19,11 @@ from multicontact_control.process import settle_process
 import rclpy
 from rclpy.context import Context
 from rclpy.duration import Duration
-from rclpy.event_handler import EventHandler
 from rclpy.exceptions import InvalidHandle
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
 EXIT_OK, EXIT_ERROR, EXIT_CONFIG = 0, 1, 2
 SPIN_TIMEOUT = 0.1  # s
 ACKNOWLEDGE_TIMEOUT = 5.0  # s; the last acknowledgement may take long after the data has come
@@ -31,28 +31,26 @@ ACKNOWLEDGE_TIMEOUT = 5.0  # s; the last acknowledgement may take long after the
 
 class StopFlag:
     """
-    Set by SIGINT and SIGTERM; `signal` is the first that came.
+    True once SIGINT or SIGTERM has come.
 
     rclpy's own handling shuts the context down under a node that still has messages to send.
     After SIGTERM there is `hurry`: files are closed, but readers are not waited for.
     """
 
     def __init__(self) -> None:
-        self.signal: int | None = None
-        self.hurry = False
+        self._set = self.hurry = False
 
     def __bool__(self) -> bool:
         """Whether the process has been asked to stop."""
-        return self.signal is not None
+        return self._set
 
     def install(self) -> None:
         """Take over SIGINT and SIGTERM of this process."""
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in SIGNALS:
             signal.signal(number, self._handle)
 
-    def _handle(self, number: int, _frame: FrameType | None) -> None:
-        self.signal = number if self.signal is None else self.signal
-        self.hurry = self.hurry or number == signal.SIGTERM
+    def _handle(self, number: int, _frame: object) -> None:
+        self._set, self.hurry = True, self.hurry or number == signal.SIGTERM
 
 
 class Spinner:
@@ -68,14 +66,10 @@ class Spinner:
         if self._executor is None:  # made late: it empties the subscriptions that a node takes
             self._executor = make_executor(self._node.context)
             self._executor.add_node(self._node)
-        try:
+        # The events executor raises for an event of a topic's end that has been destroyed (rclpy
+        # issue 1644).
+        with contextlib.suppress(InvalidHandle):
             self._executor.spin_once(timeout_sec=timeout)
-        except InvalidHandle as error:
-            # The events executor raises what the standard one ignores: an event of a topic's end
-            # that has been destroyed (rclpy issue 1644).
-            *_, (last, _) = traceback.walk_tb(error.__traceback__)
-            if last.f_code is not EventHandler.take_data.__code__:
-                raise
 
     def drain(self, duration: float = SPIN_TIMEOUT) -> None:
         """Run the callbacks of what has arrived or is on its way, for `duration` [s]."""
@@ -133,26 +127,18 @@ def run_node(make_node: Callable[[], Any], args: Sequence[str] | None = None) ->
     """
     Run a node in this process until it has ended or is asked to stop.
 
-    Parameters
-    ----------
-    make_node
-        Returns a node with `run(spinner)`, which returns when the work is done or the process
-        should stop, and `close()`, which is called however `run` ended.
-    args
-        Command line, that of the process by default.
-
-    Returns
-    -------
-    int
-        Exit code: 0 after a clean end or a signal, 2 for a bad configuration, 1 for the rest.
-
+    `make_node` returns a node with `run(spinner)`, which returns when the work is done or the
+    process should stop, and `close()`, which is called however `run` ended. Returns the exit
+    code: 0 after a clean end or a signal, 2 for a bad configuration, 1 for the rest.
     """
     program = os.path.basename(sys.argv[0])
     stop = StopFlag()
     stop.install()
     try:
         start_ros(args)
-        with _compilations_reported(program):
+        kernels = loaded_kernels()
+        with kernels.compilations_told(lambda kernel: _tell_of_compilation(program)) if (
+                kernels) else contextlib.nullcontext():
             _run(make_node(), stop)
         return EXIT_OK
     except ExternalShutdownException:
@@ -165,7 +151,7 @@ def run_node(make_node: Callable[[], Any], args: Sequence[str] | None = None) ->
         return EXIT_ERROR
     finally:
         # A signal that comes while interpreter and middleware shut down would end it with -15.
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in SIGNALS:
             signal.signal(number, signal.SIG_IGN)
         sys.stderr.flush()
         # A life cycle holds its node in a circle; only without it is shared memory given back.
@@ -179,17 +165,10 @@ def loaded_kernels() -> Any:
     return sys.modules.get('multicontact_control.compiled')
 
 
-def _compilations_reported(program: str) -> contextlib.AbstractContextManager[None]:
-    """Print, at the first kernel, that this process has to compile."""
-    def report(kernel: str, told: list[str] = []) -> None:  # noqa: B006 - once a process
-        if not told:
-            print(f'{program}: compiling the numerical kernels, beginning with {kernel}: '
-                  'this takes a while, once; `multicontact compile` does it beforehand',
-                  file=sys.stderr, flush=True)
-        told.append(kernel)
-
-    compiled = loaded_kernels()
-    return compiled.compilations_told(report) if compiled else contextlib.nullcontext()
+@cache
+def _tell_of_compilation(program: str) -> None:
+    print(f'{program}: compiling the numerical kernels: this takes a while, once; `multicontact '
+          'compile` does it beforehand', file=sys.stderr, flush=True)
 
 
 def _run(node: Any, stop: StopFlag) -> None:

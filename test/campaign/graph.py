@@ -58,8 +58,8 @@ class Graph(link.GuestNode):
 
     def __init__(self, setup, folder, domain_id):
         super().__init__('fault_campaign', domain_id)
-        self._driver = link.LifecycleDriver(
-            domain_id, lambda what: self.poll())
+        self._driver = link.GuestNode(
+            'lifecycle_driver', domain_id, keep_waiting=lambda what: self.poll())
         self.setup = setup
         self.spec = spec.GraphSpec(
             out=folder, ticks=0, rate=setup.controller.rate, seed=setup.seed, free_running=True,

@@ -4,7 +4,7 @@ from contextlib import contextmanager
 
 from multicontact_control.experiment.graph.domain import reserve_domain
 from multicontact_control.nodes import diagnostics, lifecycle
-from multicontact_control.nodes.link import GuestNode, LifecycleDriver
+from multicontact_control.nodes.link import GuestNode
 from multicontact_control.nodes.runtime import Spinner, StopFlag
 import pytest
 from ros_graph import Middleware, own_domain
@@ -36,7 +36,7 @@ def middleware(domain_id, tmp_path):
 
 @pytest.fixture
 def driver(domain_id, middleware):
-    with LifecycleDriver(domain_id) as handle:
+    with GuestNode('driver', domain_id) as handle:
         yield handle
 
 

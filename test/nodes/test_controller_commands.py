@@ -7,7 +7,7 @@ from fake_arm import FakeArm, PARAMETERS
 from geometry_msgs.msg import Transform
 from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.nodes.graph import ignore, take
-from multicontact_control.nodes.link import LifecycleDriver
+from multicontact_control.nodes.link import GuestNode
 from multicontact_control.nodes.status import ControllerStatus
 from multicontact_control.paths import config_dir
 import numpy as np
@@ -29,7 +29,7 @@ def graph(domain_id, tmp_path_factory):
         patch.setenv('ROS_DOMAIN_ID', str(domain_id))
         patch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
         patch.setenv('ROS_LOG_DIR', str(tmp_path_factory.mktemp('ros')))
-        with Middleware(domain_id) as middleware, LifecycleDriver(domain_id) as driver:
+        with Middleware(domain_id) as middleware, GuestNode('driver', domain_id) as driver:
             middleware.start(
                 'multicontact_control.nodes.controller_node', 'autostart:=true',
                 *PARAMETERS, f'transition.torque_rate:={RATE}', 'transition.blend_time:=0.02',

@@ -12,7 +12,6 @@ from multicontact_control.nodes.link import (
     ACTIVATE,
     CONFIGURE,
     GuestNode,
-    LifecycleDriver,
     TransitionError,
 )
 import pytest
@@ -52,7 +51,7 @@ def test_transition_that_takes_long_is_waited_for(domain_id, monkeypatch):
         response.current_state.label = states[-1]
         return response
 
-    with GuestNode('slow', domain_id) as slow, LifecycleDriver(domain_id) as driver:
+    with GuestNode('slow', domain_id) as slow, GuestNode('driver', domain_id) as driver:
         slow.node.create_service(GetState, '~/get_state', get)
         slow.node.create_service(ChangeState, '~/change_state', change)
         executor = SingleThreadedExecutor(context=slow.context)

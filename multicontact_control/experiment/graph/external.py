@@ -39,7 +39,7 @@ from multicontact_control.nodes.link import (
     ACTIVATE,
     CONFIGURE,
     DEACTIVATE,
-    LifecycleDriver,
+    GuestNode,
 )
 
 FIRST_TELL = 1.0  # s, before anything is said of what is missing
@@ -199,8 +199,8 @@ class _Session:
         """Let the robot have the safe behaviour, as far as the controller still lives."""
         if CONTROLLER not in self.processes.names or self.processes.ended(CONTROLLER):
             return
-        with contextlib.suppress(RunError), LifecycleDriver(
-                self._domain_id, namespace=self._spec.namespace, patience=DEACTIVATION_TIMEOUT,
-                name='run_end') as driver:
+        with contextlib.suppress(RunError), GuestNode(
+                'run_end', self._domain_id, self._spec.namespace,
+                patience=DEACTIVATION_TIMEOUT) as driver:
             driver.change(CONTROLLER, DEACTIVATE)
             time.sleep(SAFE_TIME)

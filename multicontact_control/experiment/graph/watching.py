@@ -18,7 +18,7 @@ from multicontact_control.experiment.graph.spec import MANAGED
 from multicontact_control.nodes.link import (
     ACTIVATE,
     CONFIGURE,
-    LifecycleDriver,
+    GuestNode,
     TransitionError,
 )
 
@@ -119,7 +119,8 @@ def bring_up(
     transitions: Sequence[str] = (CONFIGURE, ACTIVATE),
 ) -> None:
     """Configure and activate the managed nodes."""
-    with LifecycleDriver(domain_id, supervision.wait, namespace) as driver:
+    with GuestNode('lifecycle_driver', domain_id, namespace,
+                   keep_waiting=supervision.wait) as driver:
         for transition in transitions:
             for name in MANAGED:
                 try:
