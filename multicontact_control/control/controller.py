@@ -194,7 +194,8 @@ class Controller:
             Whether the model gives finite numbers there; if not, the arm stays where it was.
 
         """
-        return self.arm.refresh()
+        self.robot.compute(self.arm.q, self.arm.velocity)
+        return self.arm.look()
 
     def start(self) -> Pose:
         """

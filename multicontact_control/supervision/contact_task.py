@@ -78,7 +78,11 @@ class ContactTask:
         self._source, self._guarded = source, guarded
         self._leaders = np.array(config.leaders)
         self._controls, self._columns = controller.controls, controller.contacts
-        self._wanted, self._frame = (self._controls[name][0] for name in ('task', 'frame'))
+        wanted, self._frame = (self._controls[name][0] for name in ('task', 'frame'))
+        # Views are kept: to look up a field takes as long as to copy its numbers.
+        self._places = tuple(wanted[name] for name in (
+            'position', 'rotation', 'twist', 'acceleration')) + tuple(
+            self._columns['answer'][name] for name in ('active', 'alpha_des'))
         self.states: Any = np.zeros(len(config.columns), dtype=CONTACT_STATE)
         self._no_contact = np.zeros(len(config.columns), dtype=bool), np.zeros(len(config.columns))
         self._limits: Any = np.zeros(1, dtype=TASK_LIMITS)
@@ -131,16 +135,15 @@ class ContactTask:
         else:
             self._lost_time += time - self._time
         self._time = time
-        wanted, columns = self._wanted, self._columns
-        wanted['position'], wanted['rotation'] = task.pose_des
-        wanted['twist'], wanted['acceleration'] = task.twist_des, task.acceleration_des
-        answer = columns['answer']
-        answer['active'], answer['alpha_des'] = task.active, task.alpha_des
+        position, rotation, twist, acceleration, active, alpha_des = self._places
+        position[:], rotation[:] = task.pose_des
+        twist[:], acceleration[:] = task.twist_des, task.acceleration_des
+        active[:], alpha_des[:] = task.active, task.alpha_des
         if self._guarded:
             if self._catching_up:
                 self._catch_up(task)
             self._asked = task.pose_des
-            self.limited = limit_task(self._limits, self._controls, columns, self.states)
+            self.limited = limit_task(self._limits, self._controls, self._columns, self.states)
 
     @property
     def begun(self) -> bool:
