@@ -40,8 +40,11 @@ def design(
                 'stiffness', 'two numbers with a comma between', f"'{stiffness}'") from None
         if not rate > 0.0:
             raise ConfigError('rate', 'a positive number', rate)
-        from multicontact_control.experiment.law_report import show_design, write_design
-        from multicontact_control.force.margins import design_for_range
+        from multicontact_control.experiment.law_report import (
+            design_for_range,
+            show_design,
+            write_design,
+        )
 
         found = design_for_range(
             law, input_delay=input_delay, softest=softest, stiffest=stiffest,

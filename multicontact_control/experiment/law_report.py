@@ -1,17 +1,222 @@
-"""Designed and tuned force laws, as text and as parameter files."""
+"""The fastest gains of a force law that leave a margin, as text and as parameter files."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 import math
 from pathlib import Path
 from typing import Any
 
+from multicontact_control.arrays import Matrix
+from multicontact_control.config import ForceConfig, validate
+from multicontact_control.errors import ConfigError
 from multicontact_control.files import write_text
-from multicontact_control.force.margins import DesignedLaw
+from multicontact_control.force.laws import LAWS, LinearLaw, LoopModel, steady_law
+from multicontact_control.force.margins import last_stable, spectral_radius
+from multicontact_control.force.observer import steady_gain
+import numpy as np
+from scipy.linalg import solve_discrete_lyapunov
 import yaml
 
 NODES = {'controller': '/**/controller_node', 'noise_estimator': '/**/noise_estimator_node'}
+POINTS = 4000  # of the frequency response
+LOWEST = 0.1  # rad/s
+LONGEST_RISE = 5.0  # s
+READ = [0, 2]  # of a law's inputs: alpha, and the speed
+RATIOS = tuple(np.geomspace(1.0, 1000.0, 121).tolist())
+
+
+@dataclass(frozen=True)
+class Margins:
+    """
+    Margins of a force loop, cut open at the input of P04 eq. 32.
+
+    Attributes
+    ----------
+    gain
+        Factor by which the loop's gain may grow.
+    phase, delay
+        That may be added [rad], [s].
+    crossover
+        Frequency at which the loop's gain is 1 [rad/s].
+    softest, stiffest
+        True over modelled stiffness between which the loop is stable.
+
+    """
+
+    gain: float
+    phase: float
+    delay: float
+    crossover: float
+    softest: float
+    stiffest: float
+
+
+def _readings(model: LoopModel) -> Matrix:
+    """Return what of a plant's state a law reads: alpha, and the speed dalpha/dt / k."""
+    outputs = np.zeros((2, len(model.plant.Gamma)))
+    outputs[0, 0], outputs[1, 1] = 1.0, 1.0 / model.stiffness
+    return outputs
+
+
+def contact_loop(law: LinearLaw, model: LoopModel, ratio: float = 1.0) -> Matrix:
+    """
+    Return the matrix of one period of a law on a contact of P04 eq. 32, with no command.
+
+    Of the state [x of the plant, x of the law]; `ratio` is true over modelled stiffness.
+    """
+    real = replace(model, stiffness=ratio * model.stiffness)
+    plant, rows = real.plant, _readings(real)
+    return np.block([
+        [plant.Phi + np.outer(plant.Gamma, law.D[0, READ] @ rows),
+         np.outer(plant.Gamma, law.C[0])],
+        [law.B[:, READ] @ rows, law.A]])
+
+
+def input_rms(law: LinearLaw, model: LoopModel, noise_variance: float) -> float:
+    """Return the rms of u that white noise of a variance [N^2] in alpha causes [m/s^2]."""
+    loop, plant = contact_loop(law, model), model.plant
+    entering = np.concatenate([plant.Gamma * law.D[0, 0], law.B[:, 0]])
+    if not entering.any():
+        return 0.0
+    P = solve_discrete_lyapunov(loop, noise_variance * np.outer(entering, entering))
+    output = np.concatenate([law.D[0, READ] @ _readings(model), law.C[0]])
+    return math.sqrt(float(output @ P @ output) + noise_variance * law.D[0, 0] ** 2)
+
+
+def rise_time(law: LinearLaw, model: LoopModel, ratio: float = 1.0) -> float:
+    """Return when the force first passes 63 % of a step of the command [s]; infinite if never."""
+    loop = contact_loop(law, model, ratio)
+    plant = replace(model, stiffness=ratio * model.stiffness).plant
+    entering = np.concatenate([plant.Gamma * law.D[0, 1], law.B[:, 1]])
+    state = np.zeros(len(loop))
+    for tick in range(round(LONGEST_RISE / model.period)):
+        if state[0] > 0.63:
+            return tick * model.period
+        state = loop @ state + entering
+    return math.inf
+
+
+def margins_of(law: LinearLaw, model: LoopModel) -> Margins:
+    """Return the margins of a force law, of an active observer's `steady_law`, on its model."""
+    import control  # takes a second
+
+    plant = control.ss(
+        model.plant.Phi, model.plant.Gamma[:, None], _readings(model), np.zeros((2, 1)),
+        model.period)
+    feedback = control.ss(law.A, law.B[:, READ], law.C[:1], law.D[:1, READ], model.period)
+    frequencies = np.geomspace(LOWEST, math.pi / model.period, POINTS)
+    response = control.frequency_response(-1.0 * feedback * plant, frequencies)
+    gain, phase, _, _, crossover, _ = control.stability_margins(response)
+    phase = math.radians(float(phase)) if np.isfinite(phase) else math.inf
+    crossover = float(crossover) if np.isfinite(crossover) else 0.0
+
+    softest, stiffest = stable_ratios(law, model)
+    return Margins(
+        gain=float(gain), phase=phase, delay=phase / crossover if crossover else math.inf,
+        crossover=crossover, softest=softest, stiffest=stiffest)
+
+
+def stable_ratios(law: LinearLaw, model: LoopModel) -> tuple[float, float]:
+    """Return from which to which true over modelled stiffness a force law is stable."""
+    def stable(ratio: float) -> bool:
+        return spectral_radius(contact_loop(law, model, ratio)) < 1.0 + 1e-9
+
+    down = last_stable(lambda ratio: stable(1.0 / ratio), RATIOS, 1e-3)[0]
+    return 1.0 / down if down else math.inf, last_stable(stable, RATIOS, 1e-3)[0]
+
+
+SPEEDS = tuple(np.geomspace(8.0, 1.0 / 64.0, 73).tolist())  # of the usual gains
+GAIN_MARGIN = 2.0  # left on the stiffest surface
+
+# What makes a law s times as fast as it usually is.
+FASTER: Mapping[str, Callable[[ForceConfig, float], dict[str, Any]]] = {
+    'aob': lambda force, s: {'time_constant': force.time_constant / s},
+    'pi': lambda force, s: {'pi': {'bandwidth': force.pi.bandwidth * s}},
+    'dob': lambda force, s: {'dob': {
+        'bandwidth': force.dob.bandwidth * s,
+        'observer_bandwidth': force.dob.observer_bandwidth * s}},
+    'lqg': lambda force, s: {'lqg': {'input_weight': force.lqg.input_weight / s ** 2}},
+    'admittance': lambda force, s: {'admittance': {
+        'bandwidth': force.admittance.bandwidth * s}},
+    'impedance': lambda force, s: {'impedance': {
+        'natural_frequency': force.impedance.natural_frequency * s}},
+    'feedforward': lambda force, s: {}}
+
+
+@dataclass(frozen=True)
+class DesignedLaw:
+    """Gains, and what they lead to."""
+
+    values: dict[str, Any]  # of `force` in a controller's configuration, beside the defaults
+    stiffness: float  # of the model [N/m]
+    margins: Margins  # on the stiffest surface
+    rise_softest: float  # of a step, on either end of the range [s]
+    rise_stiffest: float
+    input_rms: float  # of u on the stiffest surface under the noise [m/s^2]
+
+
+def design_for_range(
+    name: str, *, input_delay: float, softest: float, stiffest: float, noise_variance: float,
+    damping_rate: float = 100.0, period: float = 0.002,
+) -> DesignedLaw:
+    """
+    Return the fastest gains with a gain margin of 2 and a period's delay left on every surface.
+
+    Parameters
+    ----------
+    name
+        Of the law, as in `LAWS`.
+    input_delay, period
+        T_d and h [s].
+    softest, stiffest
+        Range of the true stiffness [N/m]; the model is in the middle of it, by ratio.
+    noise_variance
+        Of the measured force, and R of `aob` and `lqg` [N^2].
+    damping_rate
+        K_2 [1/s].
+
+    Raises
+    ------
+    ConfigError
+        If a value is out of range, or no gains have these margins.
+
+    """
+    if name not in LAWS:
+        raise ConfigError('law', f'one of {", ".join(LAWS)}', f"'{name}'")
+    if not 0.0 < softest <= stiffest:
+        raise ConfigError('stiffness', 'softest and stiffest, above 0, in this order',
+                          f'{softest:g}, {stiffest:g}')
+    if not noise_variance > 0.0:
+        raise ConfigError('noise_variance', 'a positive number', noise_variance)
+
+    def model(stiffness: float) -> LoopModel:
+        return LoopModel(stiffness, damping_rate, input_delay, period)
+
+    middle = math.sqrt(softest * stiffest)
+    usual = validate(ForceConfig, {'law': name, 'damping_rate': damping_rate})
+    for speed in SPEEDS:
+        values = FASTER[name](usual, speed)
+        if name == 'lqg':
+            values['lqg']['noise_variance'] = noise_variance
+        force = validate(ForceConfig, {**values, 'law': name, 'damping_rate': damping_rate})
+        law = LAWS[name](model(middle), force)
+        if not isinstance(law, LinearLaw):
+            law = steady_law(law, steady_gain(law, noise_variance))
+        low, high = stable_ratios(law, model(stiffest))
+        if low > softest / stiffest or high < GAIN_MARGIN:
+            continue  # before the frequency response, which takes ten times as long
+        margins = margins_of(law, model(stiffest))
+        if margins.delay >= period:
+            return DesignedLaw(
+                {'law': name, 'damping_rate': damping_rate, 'input_delay': input_delay, **values},
+                middle, margins, rise_time(law, model(softest)), rise_time(law, model(stiffest)),
+                input_rms(law, model(stiffest), noise_variance))
+    raise ConfigError(
+        'stiffness', f'a range that `{name}` can be stable on with a gain margin of '
+        f'{GAIN_MARGIN:g} and a period of delay left', f'{softest:g} to {stiffest:g} N/m')
+
 
 
 def show_design(found: DesignedLaw) -> str:

@@ -5,8 +5,12 @@ import re
 import shlex
 
 from multicontact_control.cli.options import resolve_settings
-from multicontact_control.experiment.law_report import show_design, write_design
-from multicontact_control.force.margins import DesignedLaw, Margins
+from multicontact_control.experiment.law_report import (
+    DesignedLaw,
+    Margins,
+    show_design,
+    write_design,
+)
 
 
 def test_parameter_file_says_which_stiffness_it_goes_with(tmp_path):

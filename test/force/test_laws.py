@@ -10,6 +10,14 @@ from multicontact_control.config import (
     read_yaml,
 )
 from multicontact_control.errors import ConfigError
+from multicontact_control.experiment.law_report import (
+    contact_loop,
+    design_for_range,
+    FASTER,
+    input_rms,
+    margins_of,
+    rise_time,
+)
 from multicontact_control.experiment.scenario import law_presets, resolve
 from multicontact_control.force.force_law import (
     act_beyond,
@@ -22,15 +30,7 @@ from multicontact_control.force.force_law import (
     step_linear,
 )
 from multicontact_control.force.laws import LAWS, LinearLaw, sampled, steady_law
-from multicontact_control.force.margins import (
-    contact_loop,
-    design_for_range,
-    FASTER,
-    input_rms,
-    margins_of,
-    rise_time,
-    spectral_radius,
-)
+from multicontact_control.force.margins import spectral_radius
 from multicontact_control.force.observer import steady_gain
 from multicontact_control.force.plant import delayed_plant
 from multicontact_control.paths import config_dir
