@@ -46,10 +46,10 @@ class NotReachedError(RunError):
 @dataclass(frozen=True, slots=True)
 class ArmState:
     """
-    What the controller says of one sample: its stamp [s], forces by contact name, and poses.
+    One sample: its stamp [s], forces by contact name, and poses in world axes (x, y, z, w).
 
     Estimated and desired forces are 0 where none is controlled; R is the newest, empty if no
-    estimator runs. Positions [m] are in world axes, quaternions in the order x, y, z, w.
+    estimator runs.
     """
 
     time: float
@@ -57,7 +57,7 @@ class ArmState:
     forces_estimated: dict[str, float]
     forces_desired: dict[str, float]
     noise_variance: dict[str, float]  # N^2
-    position_world: Vector
+    position_world: Vector  # m
     quaternion_xyzw: Vector
     position_desired: Vector
     quaternion_desired: Vector
@@ -65,12 +65,10 @@ class ArmState:
 
 class MultiContactClient:
     """
-    Commands a running controller and reads its state; to be used in a with statement.
+    Commands a running controller and reads its state, in a with statement and one thread.
 
-    The clock of everything is that of the samples, so a simulation in lockstep or with a pause
-    is no different from a robot. Only timeouts look at the wall clock. Not for use by several
-    threads at once. Every method raises `RunError` if what it waits for does not come, and where
-    the controller refuses.
+    The clock is that of the samples; only timeouts look at the wall clock. Every method raises
+    `RunError` if what it waits for does not come, and where the controller refuses.
 
     Parameters
     ----------
@@ -102,11 +100,7 @@ class MultiContactClient:
         self._link.close()
 
     def activate(self) -> None:
-        """
-        Configure and activate estimator and controller, as far as they are not.
-
-        A controller that is activated knows of no command from before.
-        """
+        """Configure and activate estimator and controller; they know of no command from before."""
         if self._link.has_lifecycle(topics.ESTIMATOR, OPTIONAL_WAIT):
             self._link.bring_up(topics.ESTIMATOR)
         if self._link.bring_up(topics.CONTROLLER):
@@ -144,9 +138,7 @@ class MultiContactClient:
         self, forces: Mapping[str, float], centres: Mapping[str, float] | None = None,
     ) -> None:
         """
-        Command contact forces; contacts that are not named keep theirs.
-
-        Returns when the controller has accepted them; what it refuses changes nothing.
+        Command contact forces, and return when they are accepted; other contacts keep theirs.
 
         Parameters
         ----------
@@ -154,13 +146,13 @@ class MultiContactClient:
             Desired force by contact name [N]; 0 gives the contact back to motion control. The
             couples of an edge or plane have names of their own, e.g. ``blade/along``.
         centres
-            Where the centre of pressure is to be instead, by the couple's name: how far from the
-            middle of the contact [m].
+            Where the centre of pressure is to be, by the couple's name: from the middle of the
+            contact [m].
 
         Raises
         ------
         CommandRefusedError
-            If the controller refuses, with its reason; centres are commanded after the forces.
+            If the controller refuses: nothing changes; centres are commanded after the forces.
         MessageError
             If a force is not finite.
 
@@ -181,11 +173,10 @@ class MultiContactClient:
         quaternion_xyzw: ArrayLike | None = None,
     ) -> None:
         """
-        Move the operational point, and return when the command has got there.
+        Move the desired operational point to a goal, and return when it has got there.
 
-        From where it should be now to the goal along a straight line, with a quintic in time:
-        at rest and without acceleration at both ends. Controlled contacts keep their force;
-        along their normals the motion has no effect.
+        Along a straight line with a quintic in time, at rest at both ends; without effect along
+        the normals of controlled contacts.
 
         Parameters
         ----------
@@ -198,8 +189,6 @@ class MultiContactClient:
         ------
         CommandRefusedError
             If the controller does not obey; the arm stays where it got to.
-        RunError
-            If samples stop coming or begin anew.
         MessageError
             If a number is not finite, or the duration is not above 0.
 
@@ -208,21 +197,17 @@ class MultiContactClient:
             raise messages.MessageError('duration', 'above 0 s', f'{duration:g} s')
         goal = messages.finite_array(position_world, 3, 'position_world')
         # All that takes time comes first: the motion runs from the sample that it starts at.
-        position, turn = _pose_of(*self._link.fresh(topics.POSE_DESIRED))
+        _, position, turn = self._desired_pose()
         self._link.command(topics.MOTION_COMMAND, messages.motion_message(
             position, turn.as_quat(), np.zeros(6), np.zeros(6)))
-        start, = self._link.fresh(topics.POSE_DESIRED)
-        position, turn = _pose_of(start)
+        start, position, turn = self._desired_pose()
         last = turn if quaternion_xyzw is None else Rotation.from_quat(
             messages.finite_array(quaternion_xyzw, 4, 'quaternion_xyzw'))
         rotation_vector = (last * turn.inv()).as_rotvec()
         change = np.concatenate([goal - position, rotation_vector])
-        first_stamp, elapsed = messages.stamp_to_ns(start.header.stamp), 0.0
-        identifier = new_identifier()
+        elapsed, identifier = 0.0, new_identifier()
         while elapsed < duration:
-            sample, = self._link.fresh(topics.POSE_DESIRED)
-            before = elapsed
-            elapsed = (messages.stamp_to_ns(sample.header.stamp) - first_stamp) * 1e-9
+            before, elapsed = elapsed, (self._desired_pose()[0] - start) * 1e-9
             if elapsed < before:
                 raise RunError(f'{topics.POSE_DESIRED.name}: expected stamps that go on, found '
                                f'one {before - elapsed:.3g} s before the last: samples begin anew')
@@ -237,24 +222,28 @@ class MultiContactClient:
         self._link.command(topics.MOTION_COMMAND, point)
         self._link.fresh(topics.POSE_DESIRED)
 
+    def _desired_pose(self) -> tuple[int, Vector, Rotation]:
+        """Return stamp [ns] and desired pose of a sample that comes from now on."""
+        message, = self._link.fresh(topics.POSE_DESIRED)
+        return messages.stamp_to_ns(message.header.stamp), *_pose_of(message)
+
     def read(self) -> ArmState:
         """Return the state of a sample that comes from now on."""
         forces, estimated, desired, pose, pose_desired = self._link.fresh(
             *STATE_TOPICS, one_stamp=True)
-        variance = self._link.newest(topics.NOISE_VARIANCE)
-        (position, rotation), (position_desired, rotation_desired) = (
-            _pose_of(pose), _pose_of(pose_desired))
+        variance = self._link.newest(topics.NOISE_VARIANCE) or JointState()
+        position, rotation = _pose_of(pose)
+        position_desired, rotation_desired = _pose_of(pose_desired)
         return ArmState(
             messages.stamp_to_ns(forces.header.stamp) * 1e-9, _by_name(forces),
-            _by_name(estimated), _by_name(desired),
-            {} if variance is None else _by_name(variance), position, rotation.as_quat(),
-            position_desired, rotation_desired.as_quat())
+            _by_name(estimated), _by_name(desired), _by_name(variance),
+            position, rotation.as_quat(), position_desired, rotation_desired.as_quat())
 
     def wait_until_reached(
         self, force_tolerance: float = 0.5, timeout: float = 20.0, *, settle_time: float = 0.2,
     ) -> ArmState:
         """
-        Wait until the measured forces are what this client commanded, as far as it was accepted.
+        Wait until the measured forces are what this client commanded; return the state then.
 
         Parameters
         ----------
@@ -262,11 +251,6 @@ class MultiContactClient:
             Largest difference between a command and the mean measured force [N].
         timeout, settle_time
             Longest wait, and the time of the samples that the mean is taken over [s].
-
-        Returns
-        -------
-        ArmState
-            The state then.
 
         Raises
         ------
@@ -290,13 +274,13 @@ class MultiContactClient:
             if settled and (off <= force_tolerance).all():
                 return self.read()
             if time.monotonic() > give_up:
+                far = [f'{name} is off by {value:.3g} N' for name, value
+                       in zip(self._commanded, off) if value > force_tolerance]
                 status = self.status()
-                raise NotReachedError(f'not within {force_tolerance:g} N after {timeout:g} s: ' + (
-                    ', '.join(f'{name} is off by {value:.3g} N' for name, value
-                              in zip(self._commanded, off) if value > force_tolerance)
-                    or 'too few samples') + ('' if status is None else (
-                        f'; the controller: {status.text} '
-                        f'(contacts: {status.contacts or "unknown"})')))
+                doing = '' if status is None else (
+                    f'; the controller: {status.text} (contacts: {status.contacts or "unknown"})')
+                raise NotReachedError(f'not within {force_tolerance:g} N after {timeout:g} s: '
+                                      f'{", ".join(far) or "too few samples"}{doing}')
 
 
 def _by_name(message: JointState) -> dict[str, float]:

@@ -26,9 +26,8 @@ def push_running(
     verdict; `timeout` is the longest wait for an answer, and without diagnostics [s]. Raises
     RunError if no controller answers, it is not active, or it is silent.
     """
-    # Queued: of several nodes that report at once the newest need not be the controller.
-    with ControllerLink((), queued=(topics.DIAGNOSTICS,), namespace=namespace,
-                        domain_id=domain_id, timeout=timeout) as link:
+    with ControllerLink((topics.DIAGNOSTICS,), namespace=namespace, domain_id=domain_id,
+                        timeout=timeout) as link:
         state = link.state(topics.CONTROLLER)
         if state != 'active':
             raise RunError(f'{topics.CONTROLLER}: expected an active controller, found it {state}')

@@ -27,7 +27,6 @@ from rclpy.validate_full_topic_name import validate_full_topic_name
 from std_msgs.msg import Empty
 
 GATE_POLL, REPORT_PERIOD = 0.02, 5.0  # s
-NAMED = 3  # connections that a line names
 
 
 class StartupConfig(Config):
@@ -58,8 +57,8 @@ def full_topic_name(field: str, name: str, node: Node | None = None) -> str:
         full = str(expand_topic_name(name, *whose))
         validate_full_topic_name(full)
     except (NameValidationException, ValueError) as error:
-        why = str(error).splitlines()[0].split(', at /')[0].split(': ', 1)[1]
-        raise ConfigError(field, 'a name of a topic', f"'{name}' ({why.rstrip(':')})") from None
+        raise ConfigError(field, 'a name of a topic',
+                          f"'{name}' ({str(error).splitlines()[0]})") from None
     return full
 
 
@@ -124,9 +123,8 @@ class StartupGate:
     """
     Holds a node back until the graph is connected, so that no message is lost to discovery.
 
-    A writer that sees its reader cannot know that the reader sees it, too, and takes what is
-    sent. So each node looks at both ends of its own, then says that it is ready by creating a
-    (hidden) publisher that is never used, and the gate opens when all peers have said so.
+    A writer that sees its reader cannot know that the reader sees it, too. So each node looks at
+    its own ends, then creates a hidden publisher; the gate opens when all peers have one.
     """
 
     def __init__(self, node: Node, config: StartupConfig) -> None:
@@ -136,8 +134,7 @@ class StartupGate:
             [(ends[x.topic_name], x) for x in found if x.topic_name in ends]
             for found in (node.publishers, node.subscriptions))
         self.marker: Publisher | None = None
-        self._next_poll = time.monotonic()
-        self._next_report = self._next_poll + REPORT_PERIOD
+        self._next_poll, self._next_report = 0.0, time.monotonic() + REPORT_PERIOD
         self.open = not self._peers
         # By now all memory is there, and the threads of the middleware keep their own priority.
         for problem in claim_processor(
@@ -154,8 +151,7 @@ class StartupGate:
         self.open = not missing
         if missing and now > self._next_report:
             self._next_report = now + REPORT_PERIOD
-            more = f' and {len(missing) - NAMED} more' if len(missing) > NAMED else ''
-            self._node.get_logger().info(f'waiting for {"; ".join(missing[:NAMED])}{more}')
+            self._node.get_logger().info(f'waiting for {"; ".join(missing)}')
         return self.open
 
     def _missing(self) -> list[str]:

@@ -23,7 +23,7 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 
 UNCONFIGURED, INACTIVE, ACTIVE, FINALIZED = 'unconfigured', 'inactive', 'active', 'finalized'
 AUTOSTART = '--autostart'
-SPIN_TIMEOUT, GATED_SPIN_TIMEOUT = 0.1, 0.01
+SPIN_TIMEOUT = 0.02  # s, between two looks at the gate and at what is due
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 FATAL = TransitionCallbackReturn.ERROR
 
@@ -40,15 +40,9 @@ class ManagedNode(LifecycleNode):
     What the managed nodes of the graph share: transitions, parameters, gate, diagnostics.
 
     A transition that fails says why in one line and leaves the node where it was. rclpy calls
-    callbacks in every state: they look at `state`. The last of the `models` is a `ManagedConfig`.
-
-    Attributes
-    ----------
-    state, working
-        Of the life cycle, and whether the node is active and its peers are there.
-    due
-        When `look` is to be called at the latest, monotonic time [ns]; 0 for now and then.
-
+    callbacks in every state: they look at `state`. A node is `working` once it is active and its
+    peers are there. `look` is called at `due` at the latest, monotonic time [ns]; 0 for now and
+    then. The last of the `models` is a `ManagedConfig`.
     """
 
     def __init__(self, name: str, *models: type[Config], **options: Any) -> None:
@@ -109,10 +103,8 @@ class ManagedNode(LifecycleNode):
 
     def spin_once(self, spinner: Spinner) -> None:
         """Run what comes next, and what is due between two callbacks."""
-        gated = self.state == ACTIVE and not self.working
-        longest = GATED_SPIN_TIMEOUT if gated else SPIN_TIMEOUT
-        left = (self.due - time.monotonic_ns()) * 1e-9 if self.due else longest
-        spinner.spin_once(min(longest, max(0.0, left)))
+        left = (self.due - time.monotonic_ns()) * 1e-9 if self.due else SPIN_TIMEOUT
+        spinner.spin_once(min(SPIN_TIMEOUT, max(0.0, left)))
         if self.state == ACTIVE and not self.working and self._gate is not None:
             self.working = self._gate_passed = self._gate.poll()
         if self.working or self.state == INACTIVE:
@@ -125,8 +117,8 @@ class ManagedNode(LifecycleNode):
             self.clean_up()
 
     def _all_statuses(self) -> list[Status]:
-        state = Status('life cycle', {'state': self.state})
-        return [state, *self.statuses()] if self.state in (ACTIVE, INACTIVE) else [state]
+        return [Status('life cycle', {'state': self.state}),
+                *(self.statuses() if self.state in (ACTIVE, INACTIVE) else ())]
 
     def on_configure(self, _state: LifecycleState) -> TransitionCallbackReturn:
         """Implement `LifecycleNode`."""

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import atexit
 from collections import deque
 from collections.abc import Callable, Sequence
+from contextlib import suppress
+from functools import cache
 import os
-import threading
 import time
 from typing import Any, Self, TypeVar
 
@@ -28,13 +30,12 @@ GOALS = {CONFIGURE: 'inactive', ACTIVATE: 'active', DEACTIVATE: 'inactive',
 PATIENCE = 300.0  # s, until a node is there, and has done its work
 FIRST_TIMEOUT = 5.0  # s; an answer may be lost: then the state tells
 ASK_PERIOD = 1.0  # s
+QUEUED = (topics.STATUS, topics.DIAGNOSTICS)  # of which no message may be missed
 RESEND_PERIOD = 0.2  # s, of a command that is not answered
 WAIT_PERIOD = 0.02  # s, for services
 POLL_PERIOD = 0.001  # s, for messages
 
 T = TypeVar('T')
-_lock = threading.Lock()
-_shared: dict[int | None, list[Node]] = {}
 
 
 class CommandRefusedError(RunError):
@@ -49,40 +50,37 @@ class TransitionError(RunError):
     """A node refused a transition; its log says why."""
 
 
+@cache
+def _context(domain_id: int) -> Context:
+    """Return the context of all guests of a domain, a participant as long as it has nodes."""
+    # Fast DDS 2.14 can wait for itself for ever when one leaves while others come and go.
+    prepare_environment()
+    context = Context()
+    context.init(args=[], domain_id=domain_id)
+    atexit.register(context.try_shutdown)
+    return context
+
+
 class GuestNode:
     """
     A node without parameters and logs, which calls services and transitions of others.
 
-    Fast DDS 2.14 can wait for itself for ever when a participant leaves while others come and go:
-    all guests of a domain share one context, which leaves with the last.
-
-    Parameters
-    ----------
-    domain_id
-        That of the environment by default.
-    patience
-        Longest wait for a node to appear, and to do its work [s].
-    keep_waiting
-        Called with what is waited for meanwhile; what it raises ends the waiting.
-
+    The domain is that of the environment by default. `patience` is the longest wait for a node to
+    appear, and to do its work [s]; `keep_waiting` is called with what is waited for meanwhile,
+    and may raise.
     """
 
     def __init__(
         self, name: str, domain_id: int | None = None, namespace: str = '', *,
         patience: float = PATIENCE, keep_waiting: Callable[[str], None] = lambda what: None,
     ) -> None:
-        prepare_environment()
-        self._domain_id, self._patience, self._keep_waiting = domain_id, patience, keep_waiting
+        self._patience, self._keep_waiting = patience, keep_waiting
         self._clients: dict[tuple[str, str], Any] = {}
-        with _lock:
-            guests = _shared.setdefault(domain_id, [])
-            self.context = guests[0].context if guests else Context()
-            if not guests:
-                self.context.init(args=[], domain_id=domain_id)
-            self.node = Node(
-                name, namespace=namespace, context=self.context, use_global_arguments=False,
-                start_parameter_services=False, enable_rosout=False)
-            guests.append(self.node)
+        self.context = _context(
+            int(os.environ.get('ROS_DOMAIN_ID') or 0) if domain_id is None else domain_id)
+        self.node = Node(
+            name, namespace=namespace, context=self.context, use_global_arguments=False,
+            start_parameter_services=False, enable_rosout=False)
         self._executor = SingleThreadedExecutor(context=self.context)
         self._executor.add_node(self.node)
 
@@ -95,15 +93,9 @@ class GuestNode:
         self.close()
 
     def close(self) -> None:
-        """Leave the graph; nothing if that is done."""
-        with _lock:
-            guests = _shared[self._domain_id]
-            if self.node in guests:
-                self._executor.shutdown()
-                guests.remove(self.node)
-                self.node.destroy_node()
-                if not guests:
-                    self.context.try_shutdown()
+        """Leave the graph."""
+        self._executor.shutdown()
+        self.node.destroy_node()
 
     def bring_up(self, node_name: str) -> bool:
         """Configure and activate a node, as far as it is not; return whether it was not active."""
@@ -115,19 +107,11 @@ class GuestNode:
     def change(self, node_name: str, transition: str) -> None:
         """Lead a node to where a transition goes; TransitionError if it refuses, NoAnswerError."""
         request = ChangeState.Request(transition=Transition(label=transition))
-        give_up, answered = time.monotonic() + self._patience, False
-        while not answered:
-            try:
-                answer = self.call(node_name, ChangeState, 'change_state', request, FIRST_TIMEOUT)
-                answered = True
-                if answer.success:
-                    return
-            except NoAnswerError:  # it is lost, or the node is at work and answers later
-                if time.monotonic() > give_up:
-                    raise
-            if self.state(node_name) == GOALS[transition]:
+        with suppress(NoAnswerError):  # it is lost, or the node is at work and answers later
+            if self.call(node_name, ChangeState, 'change_state', request, FIRST_TIMEOUT).success:
                 return
-        raise TransitionError(f'{node_name} refused to {transition}; its log says why')
+        if self.state(node_name) != GOALS[transition]:
+            raise TransitionError(f'{node_name} refused to {transition}; its log says why')
 
     def state(self, node_name: str) -> str:
         """Return the state of a node; NoAnswerError."""
@@ -186,20 +170,13 @@ class ControllerLink(GuestNode):
     """
     One end of a connection to a running controller, without a thread.
 
-    Parameters
-    ----------
-    newest, queued
-        Topics of which the newest message is kept, and of which all are, until they are looked at.
-    namespace, domain_id, timeout
-        Where the controller is, and longest wait for anything [s].
-    on_status
-        Called with each status of the controller that `look` takes; `status` is the last.
-
+    Of the topics that it hears, and the controller's status, the newest message is kept, or all
+    that are `QUEUED`. `timeout` is the longest wait for anything [s]; `on_status` is called with
+    each status that `look` takes, of which `status` is the last.
     """
 
     def __init__(
-        self, newest: Sequence[Topic], *, queued: Sequence[Topic] = (), namespace: str,
-        domain_id: int | None, timeout: float,
+        self, heard: Sequence[Topic], *, namespace: str, domain_id: int | None, timeout: float,
         on_status: Callable[[ControllerStatus], None] = lambda status: None,
     ) -> None:
         super().__init__(f'multicontact_client_{os.getpid()}', domain_id, namespace,
@@ -207,8 +184,8 @@ class ControllerLink(GuestNode):
         self._on_status = on_status
         self.status: ControllerStatus | None = None
         self._kept: dict[Topic, deque[Any]] = {
-            topic: deque(maxlen=1 if topic in newest else None)
-            for topic in (*newest, *queued, topics.STATUS)}
+            topic: deque(maxlen=None if topic in QUEUED else 1)
+            for topic in (*heard, topics.STATUS)}
         self._subscriptions = {
             topic: self.node.create_subscription(
                 topic.message, topic.name,

@@ -9,7 +9,7 @@ import time
 from typing import Any
 
 from multicontact_control.config import NoiseEstimatorConfig
-from multicontact_control.force.noise import Innovation, make_noise_estimator, NoiseEstimator
+from multicontact_control.force.noise import Innovation, make_noise_estimator
 from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.nodes.diagnostics import (
     Inputs,
@@ -42,17 +42,9 @@ class NoiseEstimatorNode(ManagedNode):
     the window anew. Inactive it is silent, and whoever needs R holds the last one.
     """
 
-    _config: NoiseEstimatorConfig  # these are made by `configure`
-    _estimator: NoiseEstimator
-    _measured: MessageReader[NamedReading]
-    _innovation: MessageReader[InnovationReading]
-    _watch: LoopStatistics
-
     def __init__(self, **options: Any) -> None:
         super().__init__(topics.ESTIMATOR, NoiseEstimatorConfig, ManagedConfig, **options)
         self._samples = 0
-        self._waiting: deque[NamedReading] = deque()
-        self._innovations: deque[InnovationReading] = deque(maxlen=MAX_INNOVATIONS)
 
     def configure(self, configurations: Sequence[Any]) -> None:
         """Make the estimator and its ends of the topics."""
@@ -74,8 +66,8 @@ class NoiseEstimatorNode(ManagedNode):
     def activate(self) -> ManagedConfig:
         """Start with an empty window."""
         self._estimator.reset()
-        self._waiting.clear()
-        self._innovations.clear()
+        self._waiting: deque[NamedReading] = deque()
+        self._innovations: deque[InnovationReading] = deque(maxlen=MAX_INNOVATIONS)
         self._last_stamp, self._last_answer = -1, b''
         self._inputs.restart()
         return self._node_config

@@ -1,9 +1,9 @@
 """
 ROS parameters from configuration models, and back.
 
-Every value of a model of `multicontact_control.config` becomes a ROS parameter: nested fields get
-dotted names, a mapping such as ``contacts`` one set per name in ``contact_names``. ROS holds
-values of any type; the models alone say what is acceptable, so that all errors are found at once.
+Nested fields of a model get dotted names, a mapping such as ``contacts`` one set per name in
+``contact_names``. ROS holds values of any type; the models alone say what is acceptable, so that
+all errors are found at once.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from functools import partial
 import traceback
 from types import NoneType
 import typing
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 from multicontact_control.config import Config, validate
 from multicontact_control.errors import check_all, ConfigError, MulticontactError
@@ -30,18 +30,10 @@ LOCKED = 'can be changed only before the node is configured'
 BOUNDS = {'gt': 'above', 'ge': 'at least', 'lt': 'below', 'le': 'at most'}
 
 
-class _Spec(NamedTuple):
-    """A ROS parameter; without a default it is None."""
-
-    default: Any
-    live: bool
-    descriptor: ParameterDescriptor
-
-
-def _specs(
+def _leaves(
     model: type[Config], overrides: Mapping[str, Any], prefix: str = '',
-) -> Iterator[tuple[str, _Spec]]:
-    """Yield the parameters of a model; `overrides` by name say which entries a mapping has."""
+) -> Iterator[tuple[str, Any, FieldInfo]]:
+    """Yield name, type and field of all values; `overrides` by name say what a mapping has."""
     for key, field in model.model_fields.items():
         name, annotation = prefix + key, _bare(field.annotation)
         entries = [(name, annotation)]
@@ -50,9 +42,9 @@ def _specs(
             entries = [(f'{name}.{x}', value_type) for x in _mapping_names(name, overrides)]
         for entry, kind in entries:
             if isinstance(kind, type) and issubclass(kind, Config):
-                yield from _specs(kind, overrides, f'{entry}.')
+                yield from _leaves(kind, overrides, f'{entry}.')
             else:
-                yield entry, _leaf(entry, kind, field)
+                yield entry, kind, field
 
 
 def _mapping_names(name: str, overrides: Mapping[str, Any]) -> list[str]:
@@ -63,21 +55,25 @@ def _mapping_names(name: str, overrides: Mapping[str, Any]) -> list[str]:
     return sorted(found, key=lambda x: listed.index(x) if x in listed else len(listed)) or listed
 
 
-def _leaf(name: str, kind: Any, field: FieldInfo) -> _Spec:
-    extra = field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
-    unit, live = extra.get('unit'), bool(extra.get('live'))
+def _default(name: str, field: FieldInfo) -> Any:
+    """Return the default of a value, of a mapping that of its entry; None without one."""
+    default = None if field.is_required() else field.get_default(call_default_factory=True)
+    if isinstance(default, Mapping):
+        default = default.get(name.rsplit('.', 1)[-1])
+    return _plain(default)
+
+
+def _descriptor(name: str, kind: Any, field: FieldInfo) -> ParameterDescriptor:
+    extra: Any = field.json_schema_extra or {}
+    unit = f' [{extra["unit"]}]' if extra.get('unit') else ''
     limits = [f'{words} {getattr(bound, key):g}' for bound in field.metadata
               for key, words in BOUNDS.items() if getattr(bound, key, None) is not None]
     if typing.get_origin(kind) is Literal:
         limits = [f'one of {", ".join(map(str, typing.get_args(kind)))}']
-    default = None if field.is_required() else field.get_default(call_default_factory=True)
-    if isinstance(default, Mapping):
-        default = default.get(name.rsplit('.', 1)[-1])
-    return _Spec(_plain(default), live, ParameterDescriptor(
-        name=name, dynamic_typing=True,
-        description=(field.description or '') + (f' [{unit}]' if unit else ''),
-        # Not read-only: `lock` decides that, and a descriptor cannot be unlocked.
-        additional_constraints='; '.join(limits + ([] if live else [LOCKED]))))
+    # Not read-only: `lock` decides that, and a descriptor cannot be unlocked.
+    return ParameterDescriptor(
+        name=name, dynamic_typing=True, description=f'{field.description or ""}{unit}',
+        additional_constraints='; '.join(limits + ([] if extra.get('live') else [LOCKED])))
 
 
 def _bare(annotation: Any) -> Any:
@@ -116,24 +112,21 @@ class ParameterSet:
         overrides: dict[str, Parameter] = getattr(node, '_parameter_overrides')  # noqa: B009
         given = {name: parameter.value for name, parameter in overrides.items()
                  if name.split('.')[0] not in SET_BY_ROS}
-        self._specs = {name: spec for model in models for name, spec in _specs(model, given)}
-        self._unknown = {name: x for name, x in given.items() if name not in self._specs}
-        for name, spec in self._specs.items():
-            value = given.get(name, spec.default)
+        self._live: dict[str, bool] = {}
+        for name, kind, field in (x for model in models for x in _leaves(model, given)):
+            value = given.get(name, _default(name, field))
             node.declare_parameter(
-                name, [] if value is None and name in given else value, spec.descriptor,
-                ignore_override=True)
+                name, [] if value is None and name in given else value,
+                _descriptor(name, kind, field), ignore_override=True)
+            extra: Any = field.json_schema_extra or {}
+            self._live[name] = bool(extra.get('live'))
+        self._unknown = {name: x for name, x in given.items() if name not in self._live}
         self._uses: tuple[Use, ...] | None = None
         self.refused: Callable[[str, Exception], None] = lambda name, error: None
         node.add_on_set_parameters_callback(self._on_set)
 
     def lock(self, *uses: Use) -> None:
-        """
-        Let only live parameters change from now on, to what is valid as a whole.
-
-        Each use is called with the new configurations; the first ones may raise
-        `MulticontactError` to refuse them.
-        """
+        """Let only live parameters change from now on; the uses take or refuse what is new."""
         self._uses = uses
 
     def unlock(self) -> None:
@@ -141,12 +134,8 @@ class ParameterSet:
         self._uses = None
 
     def configurations(self, changes: Mapping[str, Any] | None = None) -> list[Any]:
-        """
-        Return one configuration per model, of the present values and of changes by name.
-
-        ConfigError names every parameter that is unknown, missing or not acceptable.
-        """
-        present = {name: self.value(name) for name in self._specs} | dict(changes or {})
+        """Return a configuration per model, with changes by name; ConfigError of all at once."""
+        present = {name: self.value(name) for name in self._live} | dict(changes or {})
         values = _nested({**self._unknown, **{
             name: value for name, value in present.items() if value is not None}})
         known = sorted(key for model in self._models for key in model.model_fields)
@@ -171,12 +160,12 @@ class ParameterSet:
             raise ConfigError(name, 'an acceptable value', f'{value} ({result.reason})')
 
     def _on_set(self, parameters: Sequence[Parameter]) -> SetParametersResult:
-        changes = {x.name: _plain(x.value) for x in parameters if x.name in self._specs}
+        changes = {x.name: _plain(x.value) for x in parameters if x.name in self._live}
         if self._uses is None or not changes:
             return SetParametersResult(successful=True)
         try:
             for name, value in changes.items():
-                if value is None or not self._specs[name].live and value != self.value(name):
+                if value is None or not self._live[name] and value != self.value(name):
                     raise ConfigError(name, f'{self.value(name)}: it {LOCKED}', value)
             configurations = self.configurations(changes)
             for use in self._uses:

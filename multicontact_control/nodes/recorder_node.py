@@ -1,9 +1,8 @@
 """
 The recorder as a ROS 2 node: every message of the graph into a bag, as it came.
 
-The subscriptions are raw, and emptied fifty times a second without an executor: the middleware
-keeps what arrives meanwhile, with its time and its number in the publisher's stream. A recorder
-that is killed leaves a bag that `report` and `view` read up to half a second before the end.
+The subscriptions are raw, and emptied fifty times a second without an executor. A recorder that
+is killed leaves a bag that `report` and `view` read up to half a second before the end.
 """
 
 from __future__ import annotations
@@ -15,11 +14,11 @@ import os
 from pathlib import Path
 import sys
 import time
+from typing import Any
 
 from multicontact_control.config import parameter
 from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.nodes import qos
-from multicontact_control.nodes.bag import Bag
 from multicontact_control.nodes.diagnostics import Diagnostics, Status
 from multicontact_control.nodes.graph import (
     compatible,
@@ -35,10 +34,14 @@ from multicontact_control.nodes.topics import message_class, RECORDER, Topic, TO
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.subscription import Subscription
+from rosbags import interfaces
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer, WriterError
+from rosbags.typesys import get_typestore, Stores
 
 NICENESS = 10  # the nodes that control go first; ten seconds of messages can wait
 POLL_PERIOD, FLUSH_PERIOD = 0.02, 0.5  # s
 QUIET_TIME, DRAIN_TIMEOUT = 0.2, 3.0  # s without a message that end a recording, at most this long
+INFINITE = interfaces.QosTime(9223372036, 854775807)  # as rosbag2 writes that there is no limit
 
 
 class RecorderConfig(StartupConfig):
@@ -67,6 +70,54 @@ class Stream:
         self.last_number = number
 
 
+class Bag:
+    """One recording, in a folder to create; RunError if it exists, or cannot be written to."""
+
+    def __init__(self, folder: Path) -> None:
+        self._types = get_typestore(Stores.ROS2_JAZZY)
+        self._connections: dict[str, interfaces.Connection] = {}
+        try:
+            self._writer = Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP)
+            self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+            self._writer.open()
+        except WriterError:
+            raise RunError(f'{folder}: expected a folder that does not exist yet') from None
+        except OSError as error:
+            raise RunError(f'{folder}: {error.strerror}') from None
+
+    def add_topic(self, name: str, type_name: str, profile: QoSProfile) -> None:
+        """Announce a topic; RunError if the definition of its type is not known."""
+        if type_name not in self._types.fielddefs:
+            raise RunError(f'{type_name}: expected a message type of ROS 2 Jazzy')
+        offered = interfaces.Qos(
+            interfaces.QosHistory(profile.history), profile.depth,
+            interfaces.QosReliability(profile.reliability),
+            interfaces.QosDurability(profile.durability), INFINITE, INFINITE,
+            interfaces.QosLiveliness(profile.liveliness), INFINITE, False)
+        self._connections[name] = self._writer.add_connection(
+            name, type_name, typestore=self._types, offered_qos_profiles=[offered])
+
+    def write(self, topic: str, data: bytes, time: int) -> None:
+        """Write a message as CDR with its encapsulation header; `time` in ns since the epoch."""
+        self._writer.write(self._connections[topic], time, data)
+
+    def flush(self) -> None:
+        """Hand all messages to the operating system: a process that is killed then loses none."""
+        storage: Any = self._writer.storage
+        if storage.chunk.msgs:
+            storage.close_chunk()
+            storage.bio.flush()
+
+    def counts(self) -> dict[str, int]:
+        """Return the number of messages by topic."""
+        return {name: self._writer.counts[x.id] for name, x in self._connections.items()}
+
+    def close(self) -> None:
+        """Complete the file and write metadata.yaml; calling it again does nothing."""
+        if self._writer.storage is not None:
+            self._writer.close()
+
+
 class RecorderNode(Node):
     """Writes raw messages to a bag until asked to stop, then what still comes, then closes it."""
 
@@ -84,31 +135,31 @@ class RecorderNode(Node):
             latched = topic.profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
             self._streams[name] = Stream(topic, self._subscribe(
                 topic, qos.RECORDING_LATCHED if latched else qos.RECORDING))
-        self._messages, self._next_flush = 0, 0.0
+        self._next_flush = 0.0
         self._diagnostics = Diagnostics(self, self._statuses)
         self._gate = StartupGate(self, self._config)
 
     def _chosen_topics(self) -> list[Topic]:
         """Return the topics to record; ConfigError if one is not known, or is there twice."""
         ours = {topic.name: topic for topic in TOPICS}
-        unknown = [name for name in self._config.topics if name not in ours]
-        if unknown:
-            raise ConfigError('topics', f'names among {", ".join(ours)}', f"'{unknown[0]}'")
-        chosen = [ours[name] for name in self._config.topics or ours]
+        for name in self._config.topics:
+            if name not in ours:
+                raise ConfigError('topics', f'names among {", ".join(ours)}', f"'{name}'")
+        chosen = {self.resolve_topic_name(name): ours[name]
+                  for name in self._config.topics or ours}
         taken = {self.resolve_topic_name(name) for name in ours}
         for text in self._config.extra_topics:
             name, _, type_name = text.strip().partition(' ')
             full = full_topic_name('extra_topics', name, self)
-            if not type_name or full in taken:
+            if not type_name or full in taken or full in chosen:
                 raise ConfigError('extra_topics', 'NAME TYPE of other topics, each once',
                                   f"'{text}'")
-            taken.add(full)
             try:
                 message = message_class(type_name.strip())
             except RunError as error:
                 raise ConfigError('extra_topics', 'types that are installed', error) from None
-            chosen.append(Topic(name, message, USER, (RECORDER,), qos.STREAM, 'event'))
-        return chosen
+            chosen[full] = Topic(name, message, USER, (RECORDER,), qos.STREAM, 'event')
+        return list(chosen.values())
 
     def _subscribe(self, topic: Topic, profile: QoSProfile) -> Subscription:
         return self.create_subscription(topic.message, topic.name, ignore, profile, raw=True)
@@ -122,12 +173,9 @@ class RecorderNode(Node):
             self._drain()
             self._diagnostics.poll()
             time.sleep(POLL_PERIOD)
-        quiet_since = time.monotonic()
-        give_up = quiet_since + DRAIN_TIMEOUT
-        while (now := time.monotonic()) < min(give_up, quiet_since + QUIET_TIME):
-            if self._drain():
-                quiet_since = now
-            time.sleep(POLL_PERIOD)
+        give_up = time.monotonic() + DRAIN_TIMEOUT
+        while time.monotonic() < give_up and self._drain():
+            time.sleep(QUIET_TIME)
 
     def _drain(self) -> bool:
         """Write what has arrived, in the order of publication; return whether anything has."""
@@ -139,10 +187,8 @@ class RecorderNode(Node):
                 arrived.append((sent, name, data))
                 if stream.topic.rate == 'control':
                     stream.count(info['publication_sequence_number'])
-        arrived.sort(key=itemgetter(0))
-        for sent, name, data in arrived:
+        for sent, name, data in sorted(arrived, key=itemgetter(0)):
             self._bag.write(name, data, sent)
-        self._messages += len(arrived)
         if time.monotonic() >= self._next_flush:
             self._bag.flush()
             self._next_flush = time.monotonic() + FLUSH_PERIOD
@@ -163,10 +209,10 @@ class RecorderNode(Node):
     def close(self) -> None:
         """Close the bag, and write the counts of this run, if asked to."""
         self._bag.close()
-        lost = self._lost()
+        counts, lost = self._bag.counts(), self._lost()
         self._config.write_counts({
-            'messages': self._messages, 'counts': self._bag.counts(),
-            'lost': sum(lost.values()), 'lost_by_topic': lost})
+            'messages': sum(counts.values()), 'counts': counts, 'lost': sum(lost.values()),
+            'lost_by_topic': lost})
 
     def _lost(self) -> dict[str, int]:
         return {name: x.lost for name, x in self._streams.items() if x.lost}
@@ -175,12 +221,11 @@ class RecorderNode(Node):
         if self._gate.open:  # which looks at the ends that there are now
             self._meet_publishers()
         lost = self._lost()
+        warning = f'messages lost on {", ".join(lost)}' if lost else ''
         return [
-            Status('loop', {'messages': self._messages}),
-            Status('messages', {
-                'dropped': sum(lost.values()),
-                **{f'dropped {name}': number for name, number in lost.items()}},
-                warning=f'messages lost on {", ".join(lost)}' if lost else '')]
+            Status('loop', {'messages': sum(self._bag.counts().values())}),
+            Status('messages', {'dropped': sum(lost.values()), **{
+                f'dropped {name}': number for name, number in lost.items()}}, warning)]
 
 
 def main() -> int:

@@ -20,7 +20,7 @@ import rclpy
 from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.exceptions import InvalidHandle
-from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -31,9 +31,8 @@ ACKNOWLEDGE_TIMEOUT = 5.0  # s; the last acknowledgement may take long after the
 
 class StopFlag:
     """
-    True once SIGINT or SIGTERM has come.
+    True once SIGINT or SIGTERM has come; rclpy's own handling would end a node that still sends.
 
-    rclpy's own handling shuts the context down under a node that still has messages to send.
     After SIGTERM there is `hurry`: files are closed, but readers are not waited for.
     """
 
@@ -96,12 +95,7 @@ def prepare_environment() -> None:
 
 
 def make_executor(context: Context | None = None) -> Executor:
-    """
-    Return the fastest executor there is.
-
-    The events executor takes 3/4 of the time and half the CPU of the standard one. Its `spin()`
-    hangs: only `spin_once` with a timeout may be used.
-    """
+    """Return the fastest executor there is; only its `spin_once` with a timeout may be used."""
     try:
         from rclpy.experimental import EventsExecutor
     except ImportError:
@@ -140,8 +134,6 @@ def run_node(make_node: Callable[[], Any], args: Sequence[str] | None = None) ->
         with kernels.compilations_told(lambda kernel: _tell_of_compilation(program)) if (
                 kernels) else contextlib.nullcontext():
             _run(make_node(), stop)
-        return EXIT_OK
-    except ExternalShutdownException:
         return EXIT_OK
     except MulticontactError as error:
         print(f'{program}: {_one_line(error)}', file=sys.stderr)

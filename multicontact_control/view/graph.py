@@ -55,7 +55,7 @@ KEPT = round(2.0 * RATE)
 LISTENED = (
     topics.JOINT_STATES, topics.MEASURED_FORCES, topics.ESTIMATED_FORCES, topics.DESIRED_FORCES,
     topics.INNOVATION, topics.NOISE_VARIANCE, topics.EFFORT_COMMAND, topics.POSE,
-    topics.POSE_DESIRED, topics.SURFACE_MARKERS, topics.CONTACT_MARKERS)
+    topics.POSE_DESIRED, topics.SURFACE_MARKERS, topics.CONTACT_MARKERS, topics.DIAGNOSTICS)
 LOOP = f'{topics.CONTROLLER}: loop'
 SIMULATOR = f'{topics.SIM}: loop'
 CEILING = 'command.force_ceiling'
@@ -84,8 +84,8 @@ class GraphSource:
     def __init__(self, setup: Setup, *, namespace: str = '', domain_id: int | None = None) -> None:
         config = self._config = setup.controller
         self._link = ControllerLink(
-            LISTENED, queued=(topics.DIAGNOSTICS,), namespace=namespace, domain_id=domain_id,
-            timeout=PATIENCE, on_status=self._note)
+            LISTENED, namespace=namespace, domain_id=domain_id, timeout=PATIENCE,
+            on_status=self._note)
         try:
             message, = self._link.fresh(topics.MEASURED_FORCES)
             *gains, ceiling, joints = self._read((*GAINS, CEILING, JOINTS))

@@ -4,7 +4,7 @@ from contextlib import closing
 
 from multicontact_control.errors import RunError
 from multicontact_control.nodes import messages, qos
-from multicontact_control.nodes.bag import Bag
+from multicontact_control.nodes.recorder_node import Bag
 import pytest
 from rclpy.serialization import serialize_message
 from rosbags.interfaces import QosDurability, QosReliability
