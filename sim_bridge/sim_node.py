@@ -108,7 +108,7 @@ class SimNode(Node):
         self._period = np.inf if config.lockstep else NANOSECONDS / config.rate
         self._saturated = self._misses = self._slips = self._timeouts = self._on_time = 0
         self._due = 0  # when the newest sample was due [ns]
-        self._latency, self._step_times = DurationLog(), DurationLog()
+        self._step_times = DurationLog()
         self._start = time.monotonic_ns()
         self._wall = 0
         self._published = np.zeros(REMEMBERED, dtype=np.int64)
@@ -168,8 +168,8 @@ class SimNode(Node):
             'lockstep': self._config.lockstep, 'deadline_misses': self._misses,
             'pace_slips': self._slips, 'command_timeouts': self._timeouts,
             'wall_s': self._wall * 1e-9, 'on_time_share': self._on_time / samples,
-            'latency_us': self._latency.percentiles(),
-            'latency_histogram': histogram(self._latency.microseconds),
+            'latency_us': self._watch.latencies.percentiles(),
+            'latency_histogram': histogram(self._watch.latencies.microseconds()),
             'plant_us': self._step_times.percentiles(),
             'saturated_ticks': self._saturated, 'saturated_fraction':
             self._saturated / samples, 'refused': dict(self._refusals.counts)})
@@ -350,7 +350,6 @@ class SimNode(Node):
                 self._answered = tick
                 if tick > 0:  # the answer to the first sample waits for everything to start
                     latency = received - int(self._published[tick % REMEMBERED])
-                    self._latency.add(latency)
                     self._watch.add_latency(latency)
                     # The node may have been late itself, so that nobody saw the deadline pass.
                     if tick == self._tick and latency > self._period:

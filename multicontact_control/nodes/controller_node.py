@@ -9,6 +9,7 @@ import sys
 import time
 from typing import Any
 
+from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.errors import (
     ContactGeometryError,
@@ -20,11 +21,7 @@ from multicontact_control.loop import ControlLoop
 from multicontact_control.nodes import qos, topics
 from multicontact_control.nodes.controller_config import ControllerNodeConfig, SAFE_TIME
 from multicontact_control.nodes.controller_report import ControllerReport
-from multicontact_control.nodes.controller_topics import (
-    Command,
-    CommandInterface,
-    ControllerOutputs,
-)
+from multicontact_control.nodes.controller_topics import CommandInterface, ControllerOutputs
 from multicontact_control.nodes.diagnostics import Status
 from multicontact_control.nodes.lifecycle import ACTIVE, INACTIVE, ManagedNode
 from multicontact_control.nodes.runtime import run_node, Spinner
@@ -60,7 +57,7 @@ class ControllerNode(ManagedNode):
         super().__init__(
             topics.CONTROLLER, ControllerConfig, ControllerNodeConfig, **options)
         self._node_config = ControllerNodeConfig()
-        self._last_command: Command | None = None
+        self._last_command: tuple[bytes, Vector] | None = None
         self._heard = 0  # messages of whatever use
 
     def configure(self, configurations: Sequence[Any]) -> None:
@@ -89,10 +86,7 @@ class ControllerNode(ManagedNode):
             topics.JOINT_STATES:
                 f'position and velocity [rad, rad/s] of {", ".join(joints)}, stamped'}
         if wrench is not None:
-            self._inputs[wrench] = (
-                wrench_reader(frame, lambda: report.warn_once('frame', (
-                    f'{wrench.name}: header.frame_id is empty: it is taken for {frame} '
-                    '(robot.sensor_frame)'))), timing.add)
+            self._inputs[wrench] = wrench_reader(frame), timing.add
             expected[wrench] = f'force [N] and torque [N m] in the axes of {frame}, stamped'
         self._outputs = ControllerOutputs(self, config, node_config)
         report = ControllerReport(self, loop, timing, expected, node_config.pair_tolerance)
@@ -128,14 +122,15 @@ class ControllerNode(ManagedNode):
         end = time.monotonic_ns() + SAFE_TIME * NANOSECONDS
         # A robot that has been silent for as long is gone already.
         while time.monotonic_ns() < min(
-                end, self._report.last_sample + SAFE_TIME * NANOSECONDS):
+                end, self._report.watch.last + SAFE_TIME * NANOSECONDS):
             self.spin_once(spinner)
 
     def clean_up(self) -> None:
         """Write the counts of this run, if asked to."""
         report = self._report
         self._node_config.write_counts({
-            'steps': report.ticks.count, 'tick_us': report.ticks.percentiles(),
+            'steps': report.watch.latencies.count,
+            'tick_us': report.watch.latencies.percentiles(),
             'refused': dict(self.refusals.counts), 'unpaired': self._timing.unpaired,
             'restarts': report.restarts, 'events': self._loop.events.events})
 
@@ -171,8 +166,6 @@ class ControllerNode(ManagedNode):
 
     def look(self, spinner: Spinner) -> None:
         """Answer what has waited for the gate; go on with half a sample or none if it is time."""
-        if self.state == ACTIVE:
-            self._report.inputs.poll()
         now, heard = time.monotonic_ns(), -1
         late = 0 < self.due <= now
         while late and heard != self._heard and not spinner.stop:
@@ -195,7 +188,7 @@ class ControllerNode(ManagedNode):
             self.refusals.refuse(topics.JOINT_STATES.name, MessageError(
                 'stamp', 'one after that of the last sample', 'an older one'))
         elif action is Action.REPEAT and self._last_command is not None:
-            self._outputs.send(self._last_command)
+            self._outputs.send(*self._last_command)
         if inputs is not None:
             self._last_command = None
             try:
@@ -204,12 +197,13 @@ class ControllerNode(ManagedNode):
                 self.get_logger().error(  # only bare: a supervisor would have answered
                     f'{error}; going over to the safe behaviour, until activated anew')
                 torque = loop.stop()
-            self._last_command = self._outputs.command(timing.expected_stamp, torque)
-            self._outputs.send(self._last_command)
-            self._report.ticks.add(time.monotonic_ns() - start)
+            command = self._outputs.command(timing.expected_stamp, torque)
+            self._outputs.send(command, torque)
+            self._last_command = command, torque
+            self._report.watch.add_latency(time.monotonic_ns() - start)
             self._report.look()
         if action in WHOLE:
-            self._report.add_sample(start, time.monotonic_ns())
+            self._report.watch.add_period(start)
         if action in SHOWN and loop.output is not None:
             self._outputs.show(timing.expected_stamp, timing.tick, loop.output)
 

@@ -12,7 +12,6 @@ from multicontact_control.contact.geometry import misread_friction
 from multicontact_control.loop import ControlLoop
 from multicontact_control.nodes import topics
 from multicontact_control.nodes.diagnostics import (
-    DurationLog,
     Inputs,
     LoopStatistics,
     message_status,
@@ -26,11 +25,13 @@ from multicontact_control.nodes.topics import Topic
 from multicontact_control.sampling import NANOSECONDS, SampleTiming
 from multicontact_control.supervision.contacts import GIVEN_UP, LOST, NAMES, RETRACTING
 from multicontact_control.supervision.reactions import INFLATE, NONE, SEVERITY
+import numpy as np
 
 REPEAT_TIME = 5_000_000_000  # ns, in which a line is logged once
 STATE_INTERVAL = 20_000_000  # ns, between two messages on a state that changes
 ANSWER_INTERVAL = 100_000_000  # ns, between two equal answers: motions come at the control rate
 TROUBLED = tuple(NAMES[code] for code in (LOST, RETRACTING, GIVEN_UP))
+STIFFNESS_VALUES = ('stiffness', 'stiffness_est', 'stiffness_std', 'ratio_bound', 'margin')
 # Samples from which on a rate is known, and the factor from which on it is a wrong one.
 FEWEST, WRONG_RATE = 10, 1.3
 
@@ -43,19 +44,12 @@ class ControllerReport:
     command with an identifier is answered; one without is told of if it is refused. The state is
     repeated once a second.
 
-    Parameters
-    ----------
-    node, loop, timing
-        The controller's node, what it steps, and what says when.
-    inputs, pair_tolerance
-        What is expected in each input, and how far the stamps of a pair may differ [periods].
-
     Attributes
     ----------
     inputs, restarts
         When each input came last, and how often samples have begun anew.
-    ticks
-        From the last message of a sample to its command sent.
+    watch
+        Its turns are samples, its latencies from the last message of a sample to its command.
 
     """
 
@@ -64,25 +58,16 @@ class ControllerReport:
         inputs: Mapping[Topic, str], pair_tolerance: float,
     ) -> None:
         self._node, self._loop, self._timing = node, loop, timing
-        self.inputs, self._pair_tolerance = Inputs(node, inputs), pair_tolerance
+        self.inputs, self.watch = Inputs(node, inputs), LoopStatistics(loop.config.rate)
         self._pair = [topic for topic in inputs if topic is not topics.NOISE_VARIANCE]
+        self._pair_tolerance = pair_tolerance  # periods
         self._publisher = create_publisher(node, topics.STATUS)
-        self._watch = LoopStatistics(loop.config.rate)
-        self.ticks, self.restarts = DurationLog(), 0
+        self.restarts = self._refused = 0
         self._log_due: dict[str, int] = {}
-        self._warned: set[str] = set()
         self._before: tuple[Any, ...] = ((NONE, (), ()), '')
         self._next_state = self._next_answer = 0
         self._answered: tuple[str, str, bool] | None = None
-        self._refused = 0  # commands
-        self._samples, self.last_sample = 0, 0  # and when the last was complete
-        self._reported_at = (0, -1)
-
-    def add_sample(self, received: int, sent: int) -> None:
-        """Take note of a sample, and of when its command was sent, monotonic times [ns]."""
-        self._samples, self.last_sample = self._samples + 1, received
-        self._watch.add_period(received)
-        self._watch.add_latency(sent - received)
+        self._reported_at = (0, -1)  # number and stamp of the newest sample
 
     def answer(self, source: str, identifier: str, error: Exception | None) -> None:
         """Tell whether a command on a topic or of a service is accepted, or why it is refused."""
@@ -105,9 +90,8 @@ class ControllerReport:
         now: tuple[Any, ...] = (
             did, loop.push_gate.instruction, loop.safe, loop.held, self._node.state,
             *loop.commanded_forces.values())
-        if status is not None and status.rejected:
-            for name in status.rejected:
-                self._warn(name, f'a reading is not used: {name}')
+        for name in status.rejected if status else ():
+            self._warn(name, f'a reading is not used: {name}')
         if now == self._before or time.monotonic_ns() < self._next_state:
             return
         before, self._before = self._before, now
@@ -117,17 +101,11 @@ class ControllerReport:
             self._node.get_logger().info(f'push test: {now[1]}')
         self._repeat()
 
-    def _warn(self, kind: str, text: str) -> None:
-        """Log what may happen at every tick, each kind of it once in `REPEAT_TIME`."""
+    def _warn(self, kind: str, text: str) -> str:
+        """Log what may happen at every tick, each kind of it once in `REPEAT_TIME`; return it."""
         now = time.monotonic_ns()
         if now >= self._log_due.get(kind, 0):
             self._log_due[kind] = now + REPEAT_TIME
-            self._node.get_logger().warning(text)
-
-    def warn_once(self, kind: str, text: str) -> str:
-        """Log a warning, unless one of that kind has been; return it."""
-        if kind not in self._warned:
-            self._warned.add(kind)
             self._node.get_logger().warning(text)
         return text
 
@@ -152,96 +130,88 @@ class ControllerReport:
 
     def statuses(self, slow: int) -> list[Status]:
         """Return what diagnostics report; `slow` is how many messages were read slowly."""
-        loop, timing = self._loop, self._timing
+        loop, timing, active = self._loop, self._timing, self._node.state == ACTIVE
         self._repeat()
-        self._watch.missed, timing.skipped = timing.skipped, 0
-        values = {**self._watch.report(), 'steps': self.ticks.count, 'restarts': self.restarts,
-                  'safe_behaviour': loop.safe, 'supervised': loop.supervised}
-        missed = values['deadline_misses']
-        active = self._node.state == ACTIVE
+        missed, timing.skipped = timing.skipped, 0
+        self.watch.missed = missed
         warnings = [f'{missed} samples without a command' if missed else '',
                     *((self._without_pairs(), self._at_another_rate()) if active else ())]
+        stale = STALE_PERIODS * loop.config.period
+        held = self.inputs.age(topics.NOISE_VARIANCE) > stale
         return [
-            Status('loop', values, warning='; '.join(filter(None, warnings))),
-            self.inputs.status(STALE_PERIODS * loop.config.period, needed=active,
-                               consequence=self._without_variance()),
+            Status('loop', {
+                **self.watch.report(), 'steps': self.watch.latencies.count,
+                'restarts': self.restarts, 'safe_behaviour': loop.safe,
+                'supervised': loop.supervised}, warning='; '.join(filter(None, warnings))),
+            self.inputs.status(
+                stale, needed=active, consequence=': the last R is held' if held else ''),
             self._contacts(), self._sensor(),
             message_status(self._node.refusals, unpaired=timing.unpaired, slow=slow),
             *([self._supervisor()] if loop.supervised else [])]
 
     def _at_another_rate(self) -> str:
         """Say at what rate samples have come since this was asked last, if it is a wrong one."""
-        newest = self._timing.last_stamp
-        (samples, stamp), self._reported_at = self._reported_at, (self._samples, newest)
-        count, elapsed = self._samples - samples, (newest - stamp) / NANOSECONDS
+        (samples, stamp), now = self._reported_at, (
+            self.watch.intervals.count, self._timing.last_stamp)
+        self._reported_at = now
+        count, elapsed = now[0] - samples, (now[1] - stamp) / NANOSECONDS
         if stamp < 0 or count < FEWEST or elapsed < 0.0:
             return ''
         rate, expected = count / elapsed if elapsed else math.inf, self._loop.config.rate
-        return '' if expected / WRONG_RATE < rate < expected * WRONG_RATE else self.warn_once(
+        return '' if expected / WRONG_RATE < rate < expected * WRONG_RATE else self._warn(
             'rate', f'samples come at {rate:.4g} Hz by their stamps: expected {expected:g} Hz')
 
     def _without_pairs(self) -> str:
         """Return how far joint states and wrenches are apart if none of them is a pair."""
-        since = (time.monotonic_ns() - self.last_sample) / NANOSECONDS
+        since = (time.monotonic_ns() - self.watch.last) / NANOSECONDS
         if since < 1.0 or not self._timing.apart or any(
                 self.inputs.age(topic) > 1.0 for topic in self._pair):
             return ''
-        return self.warn_once('apart', (
+        return self._warn('apart', (
             f'{" and ".join(topic.name for topic in self._pair)} come, but their stamps are '
             f'{abs(self._timing.apart) * 1e-6:.6g} ms apart: expected at most '
             f'{self._pair_tolerance:g} periods of {1e3 * self._loop.config.period:g} ms '
             '(pair_tolerance), of one clock'))
 
-    def _without_variance(self) -> str:
-        """Return what is done about an R that is not renewed, nothing if it is."""
-        if self.inputs.age(topics.NOISE_VARIANCE) <= STALE_PERIODS * self._loop.config.period:
-            return ''
-        inflated = self._loop.supervised and self._timing.variance is not None
-        return ': the last R is held' + (' and inflated' if inflated else '')
-
     def _supervisor(self) -> Status:
         """Return what the supervisor does, and in how many ticks it did something else."""
-        loop, status = self._loop, self._loop.status
+        status, log = self._loop.status, self._loop.events
         if status is None:
             return Status('supervisor', {'reaction': NONE})
-        text = reaction_text(loop)
+        text = reaction_text(self._loop)
         severe = SEVERITY.index(status.reaction) > SEVERITY.index(INFLATE)
-        log = loop.events
         return Status('supervisor', {
             'reaction': status.reaction, 'causes': ' '.join(status.causes) or 'none',
             'task_time_s': status.task_time, 'events': len(log.events), **log.collisions,
-            **{f'ticks with {name}': n for name, n in log.reactions.items() if name != NONE},
-            **{f'rejected {name}': n for name, n in log.rejected.items()},
-            **{f'limited {name}': n for name, n in log.limited.items()}},
-            error=text if severe else '', warning='' if severe else text)
+            **{f'{what} {name}': count for what, counts in (
+                ('ticks with', log.reactions), ('rejected', log.rejected),
+                ('limited', log.limited)) for name, count in counts.items() if name != NONE}},
+            **{'error' if severe else 'warning': text})
 
     def _contacts(self) -> Status:
         """Return the states and forces of the contacts, and R [N^2]."""
-        loop, output, variance = self._loop, self._loop.output, self._timing.variance
-        config, status = loop.config, loop.status
+        loop, output, config = self._loop, self._loop.output, self._loop.config
         values: dict[str, Any] = {'held': loop.held}
         if output is None:
             return Status('contacts', values)
+        variance = np.full(len(config.column_names), config.initial_noise_variance) if (
+            self._timing.variance is None) else self._timing.variance
+        for key, numbers in (
+                ('measured_n', output.alpha_meas), ('estimated_n', output.alpha_est),
+                ('desired_n', output.alpha_des), ('noise_variance_n2', variance)):
+            values |= {f'{name} {key}': x
+                       for name, x in zip(config.column_names, numbers.tolist())}
+        if config.force.stiffness == 'adaptive':
+            values |= {f'{name} {key}': float(output.contacts[i][key])
+                       for i, name in zip(config.leaders, config.contact_names)
+                       for key in STIFFNESS_VALUES}
+        states = dict(zip(config.contact_names, loop.status.contact_states if loop.status else [
+            'force' if output.active[i] else 'motion' for i in config.leaders]))
         trouble = [f'1 N of friction at {where} is read as {gain:.1f} N at {what}: give '
-                   f'contacts.{where}.friction_std'
-                   for where, what, gain in misread_friction(
-                   config, output.contacts, output.pose.rotation_world)]
-        for i, name in enumerate(config.column_names):
-            values |= {
-                f'{name} measured_n': float(output.alpha_meas[i]),
-                f'{name} estimated_n': float(output.alpha_est[i]),
-                f'{name} desired_n': float(output.alpha_des[i]),
-                f'{name} noise_variance_n2': float(
-                    config.initial_noise_variance if variance is None else variance[i])}
-        for contact, (i, name) in enumerate(zip(config.leaders, config.contact_names)):
-            values[name] = status.contact_states[contact] if status else (
-                'force' if output.active[i] else 'motion')
-            if config.force.stiffness == 'adaptive':
-                values |= {f'{name} {key}': float(output.contacts[i][key]) for key in (
-                    'stiffness', 'stiffness_est', 'stiffness_std', 'ratio_bound', 'margin')}
-            if values[name] in TROUBLED:
-                trouble.append(f'{name} is {values[name]}')
-        return Status('contacts', values, warning='; '.join(trouble))
+                   f'contacts.{where}.friction_std' for where, what, gain in misread_friction(
+                       config, output.contacts, output.pose.rotation_world)]
+        trouble += [f'{name} is {state}' for name, state in states.items() if state in TROUBLED]
+        return Status('contacts', values | states, warning='; '.join(trouble))
 
     def _sensor(self) -> Status:
         """Return the health of the wrist sensor, and what is still to be proved of it."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 from multicontact_control.arrays import Vector
@@ -47,19 +48,13 @@ def _seven(pose: Pose) -> Vector:
     return np.concatenate((pose.position_world, pose.quaternion_xyzw))
 
 
-class Command(NamedTuple):
-    """A command as it is sent, and its torques, shape (n,) [N m]."""
-
-    data: bytes
-    torque: Vector
-
-
 class ControllerOutputs:
     """
     Publishes the command, the state of each tick, and arrows for viewers.
 
     The bare efforts, if asked for, are what ros2_control's `forward_command_controller` and
     `joint_group_effort_controller` subscribe to, in the order of the controller's joints.
+    `command` makes the bytes of a command from a stamp [ns] and torques, or raises `MessageError`.
     """
 
     def __init__(
@@ -71,6 +66,7 @@ class ControllerOutputs:
         zeros, build = np.zeros(len(contacts)), messages.joint_state_message
         self._commands = StreamPublisher(
             node, topics.EFFORT_COMMAND, build(0, joints, effort=np.zeros(len(joints))))
+        self.command = self._commands.write
         self._shown: list[tuple[StreamPublisher, Numbers]] = []
         for topic, (fields, numbers) in SHOWN.items():
             values: Any = dict.fromkeys(fields, zeros)
@@ -82,15 +78,11 @@ class ControllerOutputs:
         self._markers_publisher = create_publisher(node, topics.CONTACT_MARKERS)
         self._markers = ContactMarkers(config)
 
-    def command(self, stamp: int, torque: Vector) -> Command:
-        """Return a command; raise `MessageError` if a torque is not finite."""
-        return Command(self._commands.write(stamp, torque), torque)
-
-    def send(self, command: Command) -> None:
+    def send(self, command: bytes, torque: Vector) -> None:
         """Publish a command, and its bare efforts too if asked to."""
-        self._commands.publish(command.data)
+        self._commands.publish(command)
         if self._bare is not None:
-            self._bare.publish(Float64MultiArray(data=command.torque))
+            self._bare.publish(Float64MultiArray(data=torque))
 
     def show(self, stamp: int, tick: int, output: ControlOutput) -> None:
         """Publish forces, innovations, poses and markers of a tick with a stamp [ns]."""
@@ -134,19 +126,9 @@ class CommandInterface:
     """
     Hands commands to a control loop, and answers.
 
-    Parameters
-    ----------
-    node, loop
-        The controller's node, and what obeys.
-    refusals
-        Counts what is refused.
-    answer
-        Called with source, identifier and refusal, if it is one, of each command.
-    settings
-        Returns the configuration of tare and push test.
-    set_bias
-        Makes a bias of the wrist sensor the one in force; may raise `MulticontactError`.
-
+    Each is answered by a call with its source, its identifier, and its refusal if it is one.
+    `settings` returns the configuration of tare and push test; `set_bias` makes a bias of the
+    wrist sensor the one in force.
     """
 
     def __init__(
@@ -155,31 +137,41 @@ class CommandInterface:
     ) -> None:
         self._loop, self._refusals, self._answer = loop, refusals, answer
         self._settings, self._set_bias = settings, set_bias
-        for topic, callback in ((topics.FORCE_COMMAND, self._on_forces),
-                                (topics.MOTION_COMMAND, self._on_motion)):
-            node.create_subscription(topic.message, topic.name, callback, qos.COMMAND)
+        for topic, obey in ((topics.FORCE_COMMAND, self._forces),
+                            (topics.MOTION_COMMAND, self._motion)):
+            node.create_subscription(
+                topic.message, topic.name, partial(self._on_command, topic, obey), qos.COMMAND)
         for service, work in ((TARE, self._tare), (HOLD, self._hold),
                               (RETRY, lambda _: loop.retry()), (PUSH_TEST, self._push_test)):
-            node.create_service(service.kind, f'~/{service.name}', self._served(service, work))
+            node.create_service(
+                service.kind, f'~/{service.name}', partial(self._on_request, service, work))
 
-    def _on_forces(self, message: Any) -> None:
-        self._obey(topics.FORCE_COMMAND.name, identifier_of(message), lambda: (
-            self._loop.set_forces(
-                *messages.read_force_command(message, self._loop.config.column_names))))
+    def _on_command(self, topic: topics.Topic, obey: Callable[[Any], Any], message: Any) -> None:
+        self._obey(topic.name, identifier_of(message), obey, message)
 
-    def _on_motion(self, message: Any) -> None:
-        self._obey(topics.MOTION_COMMAND.name, identifier_of(message),
-                   lambda: self._loop.set_motion(messages.read_motion(message)))
+    def _on_request(
+        self, service: Service, work: Callable[[Any], Any], request: Any, response: Any,
+    ) -> Any:
+        found = self._obey(f'~/{service.name}', '', work, request)
+        response.message, response.success = str(found), not isinstance(found, MulticontactError)
+        return response
 
-    def _obey(self, source: str, identifier: str, work: Callable[[], Any]) -> Any:
-        """Return what some work does, or why it is refused."""
+    def _obey(self, source: str, identifier: str, work: Callable[[Any], Any], wish: Any) -> Any:
+        """Return what some work says, or why it is refused."""
         try:
-            found, refusal = work(), None
+            found, refusal = work(wish), None
         except MulticontactError as error:
             self._refusals.refuse(source, error)
             found = refusal = error
         self._answer(source, identifier, refusal)
         return found
+
+    def _forces(self, message: Any) -> None:
+        self._loop.set_forces(
+            *messages.read_force_command(message, self._loop.config.column_names))
+
+    def _motion(self, message: Any) -> None:
+        self._loop.set_motion(messages.read_motion(message))
 
     def _tare(self, _request: Any) -> str:
         bias = self._loop.tare(self._settings().tare)
@@ -193,12 +185,3 @@ class CommandInterface:
     def _push_test(self, _request: Any) -> str:
         config = self._settings()
         return self._loop.push_test(config.push_test, config.push_point_sensor)
-
-    def _served(self, service: Service, work: Callable[[Any], str]) -> Callable[[Any, Any], Any]:
-        """Return a service that answers with the words of some work, or with its refusal."""
-        def answer(request: Any, response: Any) -> Any:
-            found = self._obey(f'~/{service.name}', '', lambda: work(request))
-            response.message = str(found)
-            response.success = not isinstance(found, MulticontactError)
-            return response
-        return answer

@@ -22,7 +22,6 @@ STALE_PERIODS = 25  # from which an input at the control rate is stale
 MISSING_AGE = NANOSECONDS  # without a message, from which on a topic is missing
 REMINDER_PERIOD = 30 * NANOSECONDS
 CAPACITY = 1 << 18  # durations: 8 minutes at 500 Hz
-REPORTED = 1 << 12  # turns that a report is made of, at most
 PERCENTILES = {'p50': 50.0, 'p99': 99.0, 'p999': 99.9, 'max': 100.0}
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
@@ -50,7 +49,7 @@ class Diagnostics:
         self._next = time.monotonic_ns() + PERIOD
 
     def poll(self) -> None:
-        """Publish if a second has passed; costs next to nothing otherwise."""
+        """Publish if a second has passed."""
         now = time.monotonic_ns()
         if now >= self._next:
             self._next = max(self._next + PERIOD, now + PERIOD // 2)  # no burst after a pause
@@ -72,25 +71,25 @@ def _text(value: Any) -> str:
 
 
 class DurationLog:
-    """The newest durations, `capacity` at most."""
+    """The newest durations, 8 minutes of them at 500 Hz."""
 
-    def __init__(self, capacity: int = CAPACITY) -> None:
-        self._nanoseconds = np.zeros(capacity, dtype=np.int64)
+    def __init__(self) -> None:
+        self._nanoseconds = np.zeros(CAPACITY, dtype=np.int64)
         self.count = 0
 
     def add(self, nanoseconds: int) -> None:
         """Keep one duration [ns]."""
-        self._nanoseconds[self.count % self._nanoseconds.size] = nanoseconds
+        self._nanoseconds[self.count % CAPACITY] = nanoseconds
         self.count += 1
 
-    @property
-    def microseconds(self) -> Vector:
-        """Return those that are kept [us]."""
-        return np.asarray(1e-3 * self._nanoseconds[:self.count], dtype=np.float64)
+    def microseconds(self, since: int = 0) -> Vector:
+        """Return those that are kept, and came after the first `since` [us]."""
+        first = max(since, self.count - CAPACITY)
+        return np.asarray(1e-3 * self._nanoseconds[np.arange(first, self.count) % CAPACITY])
 
     def percentiles(self) -> dict[str, float | None]:
         """Return median, tails and maximum [us]; None without any duration."""
-        return _percentiles(self.microseconds)
+        return _percentiles(self.microseconds())
 
 
 def _percentiles(microseconds: Vector) -> dict[str, float | None]:
@@ -101,42 +100,39 @@ def _percentiles(microseconds: Vector) -> dict[str, float | None]:
 
 class LoopStatistics:
     """
-    Rate, jitter and latency since the last report.
+    Rate, jitter and latency of a loop that should run at `rate` [Hz].
 
-    The loop should run at `rate` [Hz]; the node counts deadlines as `missed`.
+    The node counts the deadlines that are `missed` since the last report; `last` is the newest
+    turn, monotonic time [ns].
     """
 
     def __init__(self, rate: float) -> None:
-        self._rate, self._last = rate, 0
-        self._begin()
-
-    def _begin(self) -> None:
-        self._intervals, self._latencies = DurationLog(REPORTED), DurationLog(REPORTED)
-        self._report_start = time.monotonic_ns()
-        self.missed = 0
+        self._rate = rate
+        self.intervals, self.latencies = DurationLog(), DurationLog()
+        self.add_latency = self.latencies.add
+        self._reported = (time.monotonic_ns(), 0, 0)
+        self.missed = self.last = 0
 
     def add_period(self, now: int) -> None:
         """Take note of a turn of the loop at a monotonic time [ns]."""
-        if self._last:
-            self._intervals.add(now - self._last)
-        self._last = now
-
-    def add_latency(self, latency: int) -> None:
-        """Take note of the time from a sample to its answer [ns]."""
-        self._latencies.add(latency)
+        if self.last:
+            self.intervals.add(now - self.last)
+        self.last = now
 
     def report(self) -> dict[str, float | int | None]:
         """Return what was seen since the last call; jitter is the deviation from the period."""
-        elapsed = max(1, time.monotonic_ns() - self._report_start)
-        jitter = _percentiles(np.abs(self._intervals.microseconds - 1e6 / self._rate))
-        latency = self._latencies.percentiles()
-        values = {
-            'rate_hz': round(self._intervals.count * NANOSECONDS / elapsed, 2),
-            'deadline_misses': self.missed,
+        now, missed = time.monotonic_ns(), self.missed
+        start, intervals, latencies = self._reported
+        turns = self.intervals.count - intervals
+        jitter = _percentiles(np.abs(self.intervals.microseconds(intervals) - 1e6 / self._rate))
+        latency = _percentiles(self.latencies.microseconds(latencies))
+        self._reported = (now, self.intervals.count, self.latencies.count)
+        self.missed = 0
+        return {
+            'rate_hz': round(turns * NANOSECONDS / max(1, now - start), 2),
+            'deadline_misses': missed,
             **{f'jitter_us_{name}': jitter[name] for name in ('p50', 'p99')},
             **{f'latency_us_{name}': latency[name] for name in ('p50', 'p99', 'max')}}
-        self._begin()
-        return values
 
 
 class Inputs:
@@ -150,13 +146,11 @@ class Inputs:
         """Wait for all of them from now on."""
         self._last = dict.fromkeys((topic.name for topic in self._expected), 0)
         self._since = time.monotonic_ns()
-        self._next = self._since + MISSING_AGE
         self._reminders: dict[Topic, int] = {}  # when those that are missing are due again
 
     def note(self, topic: Topic) -> int:
         """Take note of an input; return the monotonic time [ns]."""
-        now = time.monotonic_ns()
-        self._last[topic.name] = now
+        self._last[topic.name] = now = time.monotonic_ns()
         return now
 
     def age(self, topic: Topic) -> float:
@@ -169,28 +163,27 @@ class Inputs:
         ages = {topic.name: self.age(topic) for topic in self._expected}
         stale = [f'{name} for {age:.3g} s' if age < math.inf else f'{name} ever'
                  for name, age in ages.items() if age > max_age]
+        if needed:
+            for topic in self._expected:
+                self._look_for(topic)
         text = f'no {", no ".join(stale)}{consequence}' if stale and needed else ''
         return Status('inputs', {
             f'age_s {name}': age if age < math.inf else None for name, age in ages.items()},
             warning=text)
 
-    def poll(self) -> None:
-        """Look once a second; costs next to nothing otherwise."""
+    def _look_for(self, topic: Topic) -> None:
+        """Log that a topic is missing, or that it comes again."""
         now = time.monotonic_ns()
-        if now < self._next:
-            return
-        self._next = now + MISSING_AGE
-        for topic, content in self._expected.items():
-            missing = now - (self._last[topic.name] or self._since)
+        missing = now - (self._last[topic.name] or self._since)
+        if missing < MISSING_AGE:
+            if self._reminders.pop(topic, 0):
+                self._node.get_logger().info(f'{topic.name} comes')
+        elif now >= self._reminders.get(topic, 0):
+            self._reminders[topic] = now + REMINDER_PERIOD
             name = str(self._node.resolve_topic_name(topic.name))
-            if missing < MISSING_AGE:
-                if self._reminders.pop(topic, 0):
-                    self._node.get_logger().info(f'{name} comes')
-            elif now >= self._reminders.get(topic, 0):
-                self._reminders[topic] = now + REMINDER_PERIOD
-                self._node.get_logger().warning(
-                    f'no message on {name} for {missing / NANOSECONDS:.1f} s: expected '
-                    f'{topic.type_name} with {content}; {self._found(topic, name)}')
+            self._node.get_logger().warning(
+                f'no message on {name} for {missing / NANOSECONDS:.1f} s: expected '
+                f'{topic.type_name} with {self._expected[topic]}; {self._found(topic, name)}')
 
     def _found(self, topic: Topic, name: str) -> str:
         """Return what there is of a topic instead."""

@@ -16,7 +16,7 @@ from geometry_msgs.msg import WrenchStamped
 from multicontact_control.arrays import Vector
 from multicontact_control.errors import counted, MessageError
 from multicontact_control.nodes.graph import create_publisher
-from multicontact_control.nodes.messages import LAST_SECOND, stamp_to_ns
+from multicontact_control.nodes.messages import LAST_SECOND
 from multicontact_control.nodes.topics import Topic
 from multicontact_control.sampling import JointReading, NANOSECONDS, WrenchReading
 import numpy as np
@@ -50,42 +50,25 @@ class InnovationReading(NamedTuple):
 
 class MessageTemplate:
     """
-    A message whose stamp and numbers are read and written where they stand in its bytes.
+    The bytes of a message, with the places of its stamp and of its numbers.
 
-    It is a time, or a header and then names and numbers; `runs` are slices of its numbers, of
-    each list, or of all where there are none.
+    A message is a time, or a header and then names and numbers; `runs` are slices of its numbers,
+    of each list, or of all where there are none.
     """
 
     def __init__(self, message: Any) -> None:
-        constants, runs, size = _lay_out(message)
+        self.constants, runs = _lay_out(message)
         # From the first number on all are at multiples of 8 bytes from each other, so that one
         # array covers them; what is between two runs is a length and means nothing as a number.
-        self._first = next((start for start, count in runs if count), size)
-        self._covered = (size - self._first) // 8
-        self.runs = [slice((start - self._first) // 8, (start - self._first) // 8 + count)
+        self.first = next((start for start, count in runs if count), self.constants.size)
+        self.covered = (self.constants.size - self.first) // 8
+        self.runs = [slice((start - self.first) // 8, (start - self.first) // 8 + count)
                      for start, count in runs]
-        data, text, at = serialize_message(message), '<', 0
-        self._bytes = bytearray(size)  # padding is 0
-        for start, end in constants:
-            self._bytes[start:end] = data[start:end]
-            text += f'{start - at}x{end - start}s'
-            at = end
-        self._constants = struct.Struct(text)
-        self._expected = self._constants.unpack_from(self._bytes)
-        self._numbers = np.frombuffer(self._bytes, '<f8', self._covered, self._first) if (
-            self._covered) else np.zeros(0)
+        self.expected = self.constants.unpack_from(serialize_message(message))
+        self._bytes = bytearray(self.constants.size)
+        self.constants.pack_into(self._bytes, 0, *self.expected)
+        self._numbers: Vector = np.ndarray(self.covered, '<f8', self._bytes, self.first)
         self._views = [self._numbers[run] for run in self.runs if run.stop > run.start]
-
-    def read(self, data: bytes) -> tuple[int, Vector] | None:
-        """Return stamp [ns] and numbers of a message, None if anything else is different."""
-        if len(data) < len(self._bytes) or self._constants.unpack_from(data) != self._expected:
-            return None
-        sec, nanosec = STAMP.unpack_from(data, HEADER)
-        if nanosec >= NANOSECONDS:
-            return None
-        # A copy: bytes need not begin at a multiple of 8 in memory, which numba asks for.
-        numbers = np.frombuffer(data, '<f8', self._covered, self._first).copy()
-        return sec * NANOSECONDS + nanosec, numbers
 
     def write(self, stamp: int, *runs: Vector) -> bytes:
         """
@@ -104,25 +87,20 @@ class MessageTemplate:
         return bytes(self._bytes)
 
 
-def _lay_out(message: Any) -> tuple[list[tuple[int, int]], list[tuple[int, int]], int]:
-    """
-    Return strings and lengths by first and last byte, exclusive; runs by first byte and count.
+def _lay_out(message: Any) -> tuple[struct.Struct, list[tuple[int, int]]]:
+    """Return what all messages have in common, and first byte and count of each run."""
+    text, at, runs = f'<2s{2 + STAMP.size}x', HEADER + STAMP.size, []
 
-    And the size of the message. Alignment counts from the end of the encapsulation.
-    """
-    constants, runs, at = [(0, 2)], [], HEADER + STAMP.size
-
-    def add(size: int) -> None:
-        nonlocal at
-        start = at + -at % 4
-        at = start + size
-        constants.append((start, at))
+    def add(size: int, kind: str = 's', align: int = 4) -> None:
+        nonlocal text, at
+        padding = (HEADER - at) % align  # counts from the end of the encapsulation
+        text += f'{padding}x{size}{kind}'
+        at += padding + size
 
     def add_run(count: int) -> None:
-        nonlocal at
-        at += (HEADER - at) % 8 if count else 0
-        runs.append((at, count))
-        at += 8 * count
+        if count:
+            add(8 * count, 'x', 8)
+        runs.append((at - 8 * count, count))
 
     if hasattr(message, 'header'):
         add(5 + len(message.header.frame_id.encode()))
@@ -135,7 +113,7 @@ def _lay_out(message: Any) -> tuple[list[tuple[int, int]], list[tuple[int, int]]
             add_run(len(getattr(message, field)))
     elif hasattr(message, 'header'):
         add_run(6 if isinstance(message, WrenchStamped) else 7)
-    return constants, runs, at
+    return struct.Struct(text), runs
 
 
 class MessageReader(Generic[Reading]):
@@ -143,20 +121,10 @@ class MessageReader(Generic[Reading]):
     Reads the messages of one topic from their bytes.
 
     Frame, names and lengths are checked by way of the message class, again when they change
-    (`slow` counts that); stamp and numbers are taken from where they stand.
-
-    Parameters
-    ----------
-    class_
-        Of the topic.
-    fields, optional
-        Names of the vectors of a reading; that of one which is None where it is not finite.
-    arrange
-        Returns where these vectors are among the numbers of a message, from it and the runs of
-        its template; raises `MessageError` if it cannot be used.
-    make
-        Makes the reading of a stamp and these vectors, or raises `MessageError`.
-
+    (`slow` counts that); stamp and numbers are taken from where they stand. `arrange` returns
+    where the vectors called `fields` are among the numbers, from a message and the runs of its
+    template; `make` makes a reading of the stamp and these vectors, of which the `optional` one
+    is None where it is not finite. Both raise `MessageError` if a message cannot be used.
     """
 
     def __init__(
@@ -172,8 +140,15 @@ class MessageReader(Generic[Reading]):
 
     def read(self, data: bytes) -> Reading:
         """Return the reading in a message; MessageError if it is none, or cannot be used."""
-        found = self._template.read(data) if self._template is not None else None
-        stamp, numbers = found or self._learn(data)
+        known = self._template
+        if known is None or len(data) < known.constants.size or (
+                known.constants.unpack_from(data) != known.expected):
+            known, data = self._learn(data)
+        sec, nanosec = STAMP.unpack_from(data, HEADER)
+        if nanosec >= NANOSECONDS:
+            raise MessageError('stamp.nanosec', f'below {NANOSECONDS}', nanosec)
+        # A copy: bytes need not begin at a multiple of 8 in memory, which numba asks for.
+        numbers: Vector = np.ndarray(known.covered, '<f8', data, known.first).copy()
         vectors: list[Vector | None] = []
         for field, place in zip(self._fields, self._places):
             vector = numbers[place]
@@ -181,19 +156,19 @@ class MessageReader(Generic[Reading]):
             if not finite and field != self._optional:
                 raise MessageError(field, 'finite numbers', vector.tolist())
             vectors.append(vector if finite else None)
-        return self._make(stamp, *vectors)
+        return self._make(sec * NANOSECONDS + nanosec, *vectors)
 
-    def _learn(self, data: bytes) -> tuple[int, Vector]:
+    def _learn(self, data: bytes) -> tuple[MessageTemplate, bytes]:
         """Check a message by way of its class, and take its layout for that of the next."""
         self.slow += 1
         try:
             message = deserialize_message(data, self._class)
+            data = serialize_message(message)  # it may have come in another representation
+            template = MessageTemplate(message)
         except Exception as error:  # of whatever kind the middleware raises
             raise MessageError('data', f'a {self._class.__name__}', error) from None
-        stamp, template = stamp_to_ns(message.header.stamp), MessageTemplate(message)
         self._places, self._template = self._arrange(message, template.runs), template
-        # Written anew: it may have come in another representation.
-        return template.read(serialize_message(message)) or (stamp, np.zeros(0))
+        return template, data
 
 
 def _named_reader(
@@ -246,21 +221,13 @@ def innovation_reader(names: Sequence[str]) -> MessageReader[InnovationReading]:
     return _named_reader(names, JOINT_FIELDS, InnovationReading)
 
 
-def wrench_reader(
-    frame: str = '', on_nameless: Callable[[], object] = lambda: None,
-) -> MessageReader[WrenchReading]:
-    """
-    Return a reader of wrenches, force first, in a frame; empty for any.
-
-    A message that names no frame is taken for it; `on_nameless` is called when these begin.
-    """
+def wrench_reader(frame: str = '') -> MessageReader[WrenchReading]:
+    """Return a reader of wrenches, force first, in a frame or in none; empty for any."""
     def arrange(message: WrenchStamped, runs: list[slice]) -> Sequence[Any]:
         found = message.header.frame_id.lstrip('/')
         if frame and found not in ('', frame):
             raise MessageError('header.frame_id', f"'{frame}' (robot.sensor_frame), or none",
                                f"'{found}'")
-        if frame and not found:
-            on_nameless()
         return runs
 
     return MessageReader(WrenchStamped, ('wrench',), arrange, WrenchReading)
