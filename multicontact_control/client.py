@@ -143,11 +143,10 @@ class MultiContactClient:
         Parameters
         ----------
         forces
-            Desired force by contact name [N]; 0 gives the contact back to motion control. The
-            couples of an edge or plane have names of their own, e.g. ``blade/along``.
+            Desired force by contact name, or couple, e.g. ``blade/along`` [N, N m]; 0 gives the
+            contact back to motion control.
         centres
-            Where the centre of pressure is to be, by the couple's name: from the middle of the
-            contact [m].
+            Centre of pressure by the couple's name, from the middle of the contact [m].
 
         Raises
         ------

@@ -13,7 +13,7 @@ from multicontact_control.config import Config, parameter
 from multicontact_control.errors import ConfigError, MulticontactError
 from multicontact_control.files import write_json
 from multicontact_control.nodes import qos
-from multicontact_control.nodes.runtime import loaded_kernels
+from multicontact_control.nodes.runtime import loaded_kernels, one_line
 from multicontact_control.nodes.topics import Topic, TOPICS
 from multicontact_control.process import claim_processor, describe_claim
 from rclpy.exceptions import NameValidationException
@@ -57,8 +57,7 @@ def full_topic_name(field: str, name: str, node: Node | None = None) -> str:
         full = str(expand_topic_name(name, *whose))
         validate_full_topic_name(full)
     except (NameValidationException, ValueError) as error:
-        raise ConfigError(field, 'a name of a topic',
-                          f"'{name}' ({str(error).splitlines()[0]})") from None
+        raise ConfigError(field, 'a name of a topic', f"'{name}' ({one_line(error)})") from None
     return full
 
 

@@ -55,7 +55,7 @@ class RecorderConfig(StartupConfig):
 
 
 @dataclass
-class Stream:
+class _Stream:
     """One topic being recorded, and how many messages since the first one have not come."""
 
     topic: Topic
@@ -128,12 +128,12 @@ class RecorderNode(Node):
         self._config, = load_parameters(self, RecorderConfig)
         chosen = self._chosen_topics()
         self._bag = Bag(Path(self._config.folder))
-        self._streams: dict[str, Stream] = {}
+        self._streams: dict[str, _Stream] = {}
         for topic in chosen:
             name = self.resolve_topic_name(topic.name)
             self._bag.add_topic(name, topic.type_name, topic.profile)
             latched = topic.profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
-            self._streams[name] = Stream(topic, self._subscribe(
+            self._streams[name] = _Stream(topic, self._subscribe(
                 topic, qos.RECORDING_LATCHED if latched else qos.RECORDING))
         self._next_flush = 0.0
         self._diagnostics = Diagnostics(self, self._statuses)

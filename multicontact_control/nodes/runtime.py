@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 import contextlib
-from functools import cache
 import gc
 import os
 import signal
@@ -110,10 +109,11 @@ def start_ros(args: Sequence[str] | None) -> None:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:
         hint = 'readable ROS arguments and parameter files, numbers of a list all with a point'
-        raise ConfigError('--ros-args', hint, _one_line(error)) from None
+        raise ConfigError('--ros-args', hint, one_line(error)) from None
 
 
-def _one_line(error: BaseException) -> str:
+def one_line(error: BaseException) -> str:
+    """Return an error of ROS without the place in its sources."""
     return ' '.join(str(error).split(', at /')[0].split())
 
 
@@ -131,12 +131,14 @@ def run_node(make_node: Callable[[], Any], args: Sequence[str] | None = None) ->
     try:
         start_ros(args)
         kernels = loaded_kernels()
-        with kernels.compilations_told(lambda kernel: _tell_of_compilation(program)) if (
-                kernels) else contextlib.nullcontext():
-            _run(make_node(), stop)
+        kept = kernels.cache_folder() if kernels else None
+        if kernels and not (kept and os.listdir(kept)):
+            print(f'{program}: compiling the numerical kernels: this takes a while, once; '
+                  '`multicontact compile` does it beforehand', file=sys.stderr, flush=True)
+        _run(make_node(), stop)
         return EXIT_OK
     except MulticontactError as error:
-        print(f'{program}: {_one_line(error)}', file=sys.stderr)
+        print(f'{program}: {one_line(error)}', file=sys.stderr)
         return EXIT_CONFIG if isinstance(error, ConfigError) else EXIT_ERROR
     except Exception:
         traceback.print_exc()
@@ -155,12 +157,6 @@ def run_node(make_node: Callable[[], Any], args: Sequence[str] | None = None) ->
 def loaded_kernels() -> Any:
     """Return the module `compiled` where the process has kernels; numba takes 0.3 s to import."""
     return sys.modules.get('multicontact_control.compiled')
-
-
-@cache
-def _tell_of_compilation(program: str) -> None:
-    print(f'{program}: compiling the numerical kernels: this takes a while, once; `multicontact '
-          'compile` does it beforehand', file=sys.stderr, flush=True)
 
 
 def _run(node: Any, stop: StopFlag) -> None:
