@@ -22,9 +22,9 @@ STEPPED = 'multicontact_control.supervision.supervisor'
 SLACK = 1.1
 TOP, LOOP = 'top', 'loop and sampling'
 BUDGETS = {
-    TOP: (1000, 1380), 'dynamics': (600, 0), 'contact': (650, 0), 'force': (1950, 0),
+    TOP: (1000, 1250), 'dynamics': (600, 0), 'contact': (650, 0), 'force': (1950, 0),
     'control': (1100, 1900), LOOP: (450, 650), 'supervision': (2050, 2850), 'sensor': (500, 560),
-    'config': (850, 0), 'nodes': (2600, 3400)}
+    'config': (850, 0), 'nodes': (2600, 3220)}
 MOST_COMPILED = 118  # functions; 80 are enough
 
 

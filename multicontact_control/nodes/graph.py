@@ -27,6 +27,7 @@ from rclpy.validate_full_topic_name import validate_full_topic_name
 from std_msgs.msg import Empty
 
 GATE_POLL, REPORT_PERIOD = 0.02, 5.0  # s
+READY = '_ready/'  # and the name of a node: topic whose publisher says that it is ready
 
 
 class StartupConfig(Config):
@@ -89,11 +90,6 @@ def ignore(_message: object) -> None:
     """Stand in for the callback of a subscription whose messages are taken."""
 
 
-def ready_topic(node_name: str) -> str:
-    """Return the topic whose publisher says that a node is ready."""
-    return f'_ready/{node_name}'
-
-
 class Refusals:
     """Counts what was refused by cause, and logs it once."""
 
@@ -103,8 +99,8 @@ class Refusals:
 
     def refuse(self, source: str, error: Exception) -> None:
         """Take note of what came from a topic, service or parameter and cannot be used."""
-        cause = getattr(error, 'cause', '') or str(error).split(', found ')[0]
-        cause = f'{source}: {cause}'
+        why = getattr(error, 'cause', '') or str(error).split(', found ')[0]
+        cause = f'{source}: {why}'
         self.counts[cause] += 1
         if self.counts[cause] == 1:
             self._logger.error(f'{source}: refused: {error} (further ones are only counted)')
@@ -170,6 +166,6 @@ class StartupGate:
                     f'{topic.name} to {", ".join(sorted(wanted - present or wanted))}')
         if not missing and self.marker is None:
             self.marker = self._node.create_publisher(
-                Empty, ready_topic(self._node.get_name()), qos.LATCHED)
+                Empty, READY + self._node.get_name(), qos.LATCHED)
         return missing or [f'{peer} to be ready' for peer in self._peers
-                           if self._node.count_publishers(ready_topic(peer)) == 0]
+                           if self._node.count_publishers(READY + peer) == 0]

@@ -133,11 +133,7 @@ class GuestNode:
     def call(
         self, node_name: str, service: Any, name: str, request: Any, timeout: float = PATIENCE,
     ) -> Any:
-        """
-        Return the response of a service of a node.
-
-        Raises NoAnswerError without one within `timeout`, or the patience if that is shorter [s].
-        """
+        """Return the response of a service; NoAnswerError without one within `timeout` [s]."""
         client, timeout = self._client(node_name, service, name), min(timeout, self._patience)
         if not self._wait(client.service_is_ready, self._patience, f'{node_name} to appear'):
             raise NoAnswerError(f'{client.service_name}: expected this service within '

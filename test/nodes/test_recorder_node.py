@@ -12,7 +12,7 @@ from multicontact_control.config import ControllerConfig, read_parameters, valid
 from multicontact_control.errors import ConfigError, MulticontactError
 from multicontact_control.experiment.bag import read_bag
 from multicontact_control.nodes import messages, qos, topics
-from multicontact_control.nodes.graph import ready_topic
+from multicontact_control.nodes.graph import READY
 from multicontact_control.nodes.recorder_node import RecorderNode
 from multicontact_control.paths import config_dir
 import pytest
@@ -46,7 +46,7 @@ def start_recorder(middleware, folder, chosen, *parameters):
     process = middleware.start(
         RECORDER, f'folder:={folder}', f'topics:={names}', 'startup_peers:=[sim_node]',
         *parameters)
-    ready = ready_topic(topics.RECORDER)
+    ready = READY + topics.RECORDER
     wait_for(lambda: process.poll() is not None or middleware.node.count_publishers(ready),
              'recorder connected')
     assert process.poll() is None, process.communicate()[1]
