@@ -24,7 +24,7 @@ TOP, LOOP = 'top', 'loop and sampling'
 BUDGETS = {
     TOP: (1000, 1250), 'dynamics': (600, 0), 'contact': (650, 0), 'force': (1950, 0),
     'control': (1100, 1900), LOOP: (450, 650), 'supervision': (2050, 2850), 'sensor': (500, 560),
-    'config': (850, 0), 'nodes': (2600, 3220)}
+    'config': (850, 0), 'nodes': (2600, 3130)}
 MOST_COMPILED = 118  # functions; 80 are enough
 
 
