@@ -31,9 +31,6 @@ import numpy as np
 GUARD_SHARE = 0.3  # of the force held; below it the measured force is fed forward, so that the
 # other contacts are not pressed with what a surface that has gone does not bear
 GUARD_TIME = 0.3  # s after holding has begun; before, a guard would prolong bounces
-NEAR = 2e-4  # m of displacement without a contact, that count as none
-CLOSE, ALIGNED = 1e-6, 1e-5  # m and rad from the task, that count as none
-NEW_TURN = 1e-3  # rad in one period beyond its twist: an orientation that is commanded anew
 RETURN_RATE = 2.0  # 1/s, of the way left, at which the task is caught up with after a pause
 RETURN_SHARE = 0.2  # of the largest speeds, at which it is at most
 PARALLEL = 1e-6  # length that is left of a normal that the others span already
@@ -45,8 +42,8 @@ class ContactTask:
 
     Contacts that the task wants are approached along their normals, handed to the force law from
     touch to loss, and sought again; see `supervision.contacts`. Position and twist stay within
-    the limits; see `limit_task`. A hold keeps the arm where it is and pressing as it does, a lock
-    keeps it where it is without contact; the time of the source stands still meanwhile.
+    the limits. A hold keeps the arm where it is and pressing as it does, a lock keeps it where it
+    is without contact; the time of the source stands still meanwhile.
 
     Parameters
     ----------
@@ -78,12 +75,14 @@ class ContactTask:
         self._source, self._guarded = source, guarded
         self._leaders = np.array(config.leaders)
         self._controls, self._columns = controller.controls, controller.contacts
-        wanted, self._frame = (self._controls[name][0] for name in ('task', 'frame'))
-        # Views are kept: to look up a field takes as long as to copy its numbers.
-        self._places = tuple(wanted[name] for name in (
-            'position', 'rotation', 'twist', 'acceleration')) + tuple(
+        self._frame, task = self._controls['frame'][0], self._controls['task'][0]
+        self._position, self._rotation = task['position'], task['rotation']
+        self._twist, self._acceleration = task['twist'], task['acceleration']
+        self._active, self._alpha_des = (
             self._columns['answer'][name] for name in ('active', 'alpha_des'))
         self.states: Any = np.zeros(len(config.columns), dtype=CONTACT_STATE)
+        self._codes, self._named = self.states['state'], b''
+        self._names: tuple[str, ...] = ()
         self._no_contact = np.zeros(len(config.columns), dtype=bool), np.zeros(len(config.columns))
         self._limits: Any = np.zeros(1, dtype=TASK_LIMITS)
         self._offset: Vector = self._limits['offset'][0]
@@ -95,15 +94,13 @@ class ContactTask:
                                config.limits.workspace_upper or [np.inf] * 3]
         self.retune(config)
         self.locked = config.sensor.require_push_test
-        self.reset()
         # No tick waits for numba.
         let_go(self.states[0], 0.0, 0.0)
-        limit_task(self._limits, self._controls, self._columns, self.states)
+        _limit_task(self._limits, self._controls, self._columns, self.states)
         self.reset()
 
     def retune(self, config: ControllerConfig) -> None:
         """Let the task be so far ahead of the arm that the motion law asks for its limits."""
-        self._config = config
         lead = 2.0 * config.motion.damping_ratio / config.motion.natural_frequency  # k_v / k_p
         self._limits['lead'] = lead
         self._limits['reach'] = lead * config.limits.operational_speed
@@ -113,10 +110,10 @@ class ContactTask:
         """Let all contacts start anew, free; a hold ends."""
         self.states[:] = FREE_CONTACT
         self._offset[:] = self._turned[:] = 0.0
-        self.limited = self._catching_up = False
+        self.limited = self._holds = False
         self._last: Task | None = None  # of the source
-        self._held: Task | None = None  # while it is held
-        self._rest: Task | None = None  # while it is locked
+        self._rest: Task | None = None  # while it is held or locked
+        self._kept: Mask | None = None  # contacts, from the end of a pause to the next tick
         self._time = self._lost_time = 0.0
 
     def start(self, pose: Pose) -> None:
@@ -124,26 +121,25 @@ class ContactTask:
         self.reset()
         self._source.start(pose, self._columns['normal'].copy())
         if self.locked:
-            self._rest = _still(pose, *self._no_contact)
+            self._rest = _standing(pose, *self._no_contact)
 
     def ask(self, time: float) -> None:
         """Write what is wanted at a time since the start [s] into the controller's records."""
-        task = self._held if self._rest is None else self._rest
+        task = self._rest
         if task is None:
             task = self._last = self._source.task(
                 time - self._lost_time, None if self._guarded else self._columns['alpha_meas'])
         else:
             self._lost_time += time - self._time
         self._time = time
-        position, rotation, twist, acceleration, active, alpha_des = self._places
-        position[:], rotation[:] = task.pose_des
-        twist[:], acceleration[:] = task.twist_des, task.acceleration_des
-        active[:], alpha_des[:] = task.active, task.alpha_des
+        pose = task.pose_des
+        self._position[:], self._rotation[:] = pose
+        self._twist[:], self._acceleration[:] = task.twist_des, task.acceleration_des
+        self._active[:], self._alpha_des[:] = task.active, task.alpha_des
         if self._guarded:
-            if self._catching_up:
-                self._catch_up(task)
-            self._asked = task.pose_des
-            self.limited = limit_task(self._limits, self._controls, self._columns, self.states)
+            if self._kept is not None:
+                self._return_to(pose, self._kept)
+            self.limited = _limit_task(self._limits, self._controls, self._columns, self.states)
 
     @property
     def begun(self) -> bool:
@@ -153,33 +149,32 @@ class ContactTask:
     @property
     def held(self) -> bool:
         """Whether it is held on command."""
-        return self._held is not None and not self.locked
+        return self._holds and not self.locked
 
     def hold(self) -> None:
         """Stay where the arm is and press as it does; not before it has begun."""
         if self._last is not None:
-            pressed = self.pressed
-            self._held = _still(
+            pressed, self._holds = self.pressed, True
+            self._rest = _standing(
                 self._stand(), pressed, np.where(pressed, self._last.alpha_des, 0.0))
 
     def release(self) -> None:
         """End a hold: go on with the source from where the arm is."""
         if self.held:
-            self._held = None
+            self._holds, self._rest = False, None
             self.resume()
 
     def lock(self) -> None:
         """Stay where the arm is, or at the pose of the next start, without contact."""
         self.locked = True
         if self.begun or self._rest is not None:
-            self._rest = _still(self._stand(), *self._no_contact)
-            if self._held is not None:
-                self._held = self._rest
+            self._rest = _standing(self._stand(), *self._no_contact)
 
     def unlock(self) -> None:
         """End a lock: go on with the source, or, if it was held before, stay without contact."""
-        self.locked, self._rest = False, None
-        if self._held is None:
+        self.locked = False
+        if not self._holds:
+            self._rest = None
             self.resume()
 
     def _stand(self) -> Pose:
@@ -190,40 +185,54 @@ class ContactTask:
             position -= state['displacement'] * normal
         self.states[~pressed] = FREE_CONTACT
         self._offset[:] = self._turned[:] = 0.0
-        self._catching_up = False
+        self._kept = None
         return Pose(position, rotation)
 
     def resume(self) -> Mask:
         """Go on from where the arm is; return which contacts are kept: pressed and felt, (r,)."""
-        self._offset[:] = self._turned[:] = np.nan  # set at the next tick
-        self._catching_up = True
         felt = self._columns['alpha_meas'] > self._limits['contacts']['contact_threshold']
-        self._kept: Mask = (self.pressed & felt)[self._columns['leader']]
+        self._kept = (self.pressed & felt)[self._columns['leader']]
         return self._kept
+
+    def _return_to(self, pose: Pose, kept: Mask) -> None:
+        """Go from where the arm is back to a pose: along the normals by means of the contacts."""
+        self._kept, normals = None, self._columns['normal']
+        gap = self._frame['position'] - pose.position_world
+        along = np.linalg.lstsq(normals.T, gap, rcond=None)[0]
+        for state, place, is_kept in zip(self.states, along.tolist(), kept):
+            if is_kept:
+                state['displacement'] = place
+            else:
+                let_go(state, place, 0.0)
+        self._offset[:] = gap - along @ normals
+        self._turned[:] = turn_between(self._frame['rotation'], pose.rotation_world)
 
     @property
     def pressed(self) -> Mask:
         """Which forces and couples the force law drives, also while a reaction acts, (r,)."""
         if not self._guarded:
             return self._columns['answer']['active'].astype(bool)
-        codes = self.states['state']
-        pressed: Mask = (codes == IMPACT) | (codes == HOLDING)
+        pressed: Mask = (self._codes == IMPACT) | (self._codes == HOLDING)
         return pressed
 
     @property
     def state_names(self) -> tuple[str, ...]:
         """State of each contact, which is that of its normal force."""
-        return tuple(NAMES[code] for code in self.states['state'][self._leaders].tolist())
+        codes = self._codes.tobytes()
+        if codes != self._named:
+            self._named = codes
+            self._names = tuple(NAMES[code] for code in self._codes[self._leaders].tolist())
+        return self._names
 
     def sought_normals(self) -> Matrix:
         """Return the normals of the contacts that are sought or held, shape (k, 3)."""
-        sought = [i for i in self._leaders if self.states['state'][i] != FREE]
-        normals: Matrix = self._columns['normal'][sought]
+        normals: Matrix = self._columns['normal'][
+            self._leaders[self._codes[self._leaders] != FREE]]
         return normals
 
     def seek_again(self) -> bool:
         """Seek the contacts that were given up; return whether there are any."""
-        given_up = self.states['state'] == GIVEN_UP
+        given_up = self._codes == GIVEN_UP
         self.states['again'] |= given_up
         return bool(given_up.any())
 
@@ -231,78 +240,26 @@ class ContactTask:
         """Leave the contacts that are pressed: they lead the arm out of its workspace."""
         self.states['left'] |= self.pressed
 
-    def _catch_up(self, task: Task) -> None:
-        """Let what a pause has left go to zero, from where the arm is."""
-        # A pose that is commanded anew is a jump; the way that the task goes is none.
-        moved = self._config.period * task.twist_des
-        jump = task.pose_des.position_world - self._asked.position_world - moved[:3]
-        normals, offset, turned = self._columns['normal'], self._offset, self._turned
-        if np.isnan(offset[0]):
-            # What lies along the normals belongs to the contacts, only the rest is caught up.
-            gap = self._frame['position'] - task.pose_des.position_world
-            along = np.linalg.lstsq(normals.T, gap, rcond=None)[0]
-            for state, place, kept in zip(self.states, along, self._kept):
-                if kept:
-                    state['displacement'] = place
-                else:
-                    let_go(state, float(place), 0.0)
-            offset[:] = gap - along @ normals
-            jump = np.zeros(3)
-        elif jump.any():
-            # A jump towards where the arm is takes as much off what is left: the arm goes from
-            # there to what is commanded, not by the whole offset beyond it.
-            along = np.linalg.lstsq(normals.T, jump, rcond=None)[0]
-            for state, step in zip(self.states, along.tolist()):
-                if state['state'] == FREE:
-                    state['displacement'] = _closer(float(state['displacement']), step)
-            jump = jump - along @ normals
-        rotation = task.pose_des.rotation_world
-        turn = turn_between(rotation, self._asked.rotation_world) - moved[3:]
-        if np.isnan(turned[0]) or turned.any() and float(np.abs(turn).max()) > NEW_TURN:
-            turned[:] = turn_between(self._frame['rotation'], rotation)
-        limits = self._config.limits
-        self._fade(offset, jump, limits.operational_speed, CLOSE)
-        self._fade(turned, np.zeros(3), limits.operational_turn, ALIGNED)
-        free = self.states['displacement'][self.states['state'] == FREE]
-        self._catching_up = bool(offset.any() or turned.any() or (np.abs(free) > NEAR).any())
 
-    def _fade(self, gap: Vector, jump: Vector, fastest: float, least: float) -> None:
-        """Shorten a gap by a period's way and by a jump of its far end."""
-        length = float(np.sqrt(gap @ gap))
-        if length < least:
-            gap[:] = 0.0
-            return
-        left = _closer(length, float(jump @ gap) / length)
-        speed = min(RETURN_RATE * left, RETURN_SHARE * fastest)
-        gap *= max(left - speed * self._config.period, 0.0) / length
-
-
-def _still(pose: Pose, active: Mask, alpha_des: Vector) -> Task:
+def _standing(pose: Pose, active: Mask, alpha_des: Vector) -> Task:
     """Return the task to stand still at a pose and to press."""
     return Task(pose, np.zeros(6), np.zeros(6), active, alpha_des)
 
 
-def _closer(gap: float, step: float) -> float:
-    """Return what is left of a gap when its far end comes towards the near one by a step."""
-    return gap - min(max(step, min(gap, 0.0)), max(gap, 0.0))
-
-
 @compiled
-def limit_task(limits: Any, controls: Any, columns: Any, states: Any) -> bool:
+def _limit_task(limits: Any, controls: Any, columns: Any, states: Any) -> bool:
     """
     Bring a task that is wanted to one that may be followed; return whether a limit was enforced.
 
-    Parameters
-    ----------
-    limits, controls
-        One record of `TASK_LIMITS` and one of `CONTROL`, the task of which is changed.
-    columns, states
-        Records of `CONTACT` and `CONTACT_STATE`, shape (r,): `active` and `alpha_des` say what is
-        wanted, and then what the force law is to do.
-
+    `active` and `alpha_des` of the columns say what is wanted, and then what the force law does.
     """
     limit, frame, task = limits[0], controls[0].frame, controls[0].task
-    follow_contacts(limit, frame, task, columns, states)
+    for gap, largest in ((limit.offset, limit.reach), (limit.turned, limit.turn)):
+        fastest = RETURN_SHARE * largest / limit.lead
+        length = np.sqrt(dot(gap, gap))
+        for k in range(3):
+            gap[k] *= 1.0 - limit.contacts.period * min(RETURN_RATE, fastest / length)
+    _follow_contacts(limit, frame, task, columns, states)
     for i in range(columns.shape[0]):
         column, state = columns[i], states[i]
         column.answer.active = is_active(state)
@@ -317,8 +274,7 @@ def limit_task(limits: Any, controls: Any, columns: Any, states: Any) -> bool:
             column.answer.alpha_des = min(state.asked, state.force_limit)
         if not column.answer.active:
             column.answer.alpha_des = 0.0
-    # What a pause has left, and the displacements of the contacts.
-    rotate_by(limit.turned, task.rotation, task.rotation)
+    _rotate_by(limit.turned, task.rotation, task.rotation)
     for k in range(3):
         shift, velocity, change = limit.offset[k], 0.0, 0.0
         for i in range(columns.shape[0]):
@@ -329,12 +285,12 @@ def limit_task(limits: Any, controls: Any, columns: Any, states: Any) -> bool:
         task.position[k] += shift
         task.twist[k] += velocity
         task.acceleration[k] += change
-    return bound_task(limit, frame, columns, task)
+    return _bound_task(limit, frame, columns, task)
 
 
 @compiled
-def follow_contacts(limit: Any, frame: Any, task: Any, columns: Any, states: Any) -> None:
-    """Advance the state machine of every contact; the records are those of `limit_task`."""
+def _follow_contacts(limit: Any, frame: Any, task: Any, columns: Any, states: Any) -> None:
+    """Advance the state machine of every contact."""
     count, twist = columns.shape[0], frame.twist
     moved = np.empty(count)
     for i in range(count):
@@ -366,7 +322,7 @@ def follow_contacts(limit: Any, frame: Any, task: Any, columns: Any, states: Any
 
 
 @compiled
-def rotate_by(vector: Vector, rotation: Matrix, turned: Matrix) -> None:
+def _rotate_by(vector: Vector, rotation: Matrix, turned: Matrix) -> None:
     """Fill in `turned`, a rotation turned by a rotation vector [rad] (Rodrigues), shape (3, 3)."""
     angle = np.sqrt(dot(vector, vector))
     if angle < 1e-12:
@@ -374,12 +330,11 @@ def rotate_by(vector: Vector, rotation: Matrix, turned: Matrix) -> None:
             for j in range(3):
                 turned[i, j] = rotation[i, j]
         return
-    axis, column, once, twice = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    for i in range(3):
-        axis[i] = vector[i] / angle
+    axis, once, twice = np.empty(3), np.empty(3), np.empty(3)
+    for k in range(3):
+        axis[k] = vector[k] / angle
     for j in range(3):
-        for i in range(3):
-            column[i] = rotation[i, j]
+        column = rotation[:, j].copy()
         cross(axis, column, once)
         cross(axis, once, twice)
         for i in range(3):
@@ -387,13 +342,12 @@ def rotate_by(vector: Vector, rotation: Matrix, turned: Matrix) -> None:
 
 
 @compiled
-def bound_task(limit: Any, frame: Any, columns: Any, task: Any) -> bool:
+def _bound_task(limit: Any, frame: Any, columns: Any, task: Any) -> bool:
     """
     Bring a task within the box and within reach of the arm; return whether it was changed.
 
     The motion law makes the arm go at v_des + (k_p / k_v) (x_des - x), which is the limit's speed
-    for an error of one reach. A twist with which it is more does not count. What lies along the
-    normals of active contacts is left to these: the motion law does not go there.
+    for an error of one reach. What lies along the normals of active contacts is left to these.
     """
     limited = False
     position = task.position
@@ -408,48 +362,35 @@ def bound_task(limit: Any, frame: Any, columns: Any, task: Any) -> bool:
     for k in range(3):
         gap[k] = position[k] - frame.position[k]
         way[k] = limit.lead * task.twist[k]
-    leave_to_contacts(columns, gap, way)
-    share = share_within(gap, way, limit.reach)
-    if share <= 1.0:
-        stop(task, 0)
-        limited = True
-    if share < 1.0:
-        for k in range(3):
-            position[k] -= gap[k] * (1.0 - share)
-    rotation_vector(task.rotation, frame.rotation, turn)
+    _leave_to_contacts(columns, gap, way)
+    share = _share_within(gap, way, limit.reach, task, 0)
     for k in range(3):
+        position[k] -= gap[k] * (1.0 - min(share, 1.0))
         way[k] = limit.lead * task.twist[3 + k]
-    share = share_within(turn, way, limit.turn)
-    if share <= 1.0:
-        stop(task, 3)
-        limited = True
-    if share < 1.0:
+    rotation_vector(task.rotation, frame.rotation, turn)
+    turn_share = _share_within(turn, way, limit.turn, task, 3)
+    if turn_share < 1.0:
         for k in range(3):
-            turn[k] *= share
-        rotate_by(turn, frame.rotation, task.rotation)
-    return limited
+            turn[k] *= turn_share
+        _rotate_by(turn, frame.rotation, task.rotation)
+    return limited or share <= 1.0 or turn_share <= 1.0
 
 
 @compiled
-def share_within(gap: Vector, way: Vector, reach: float) -> float:
-    """Return which share of a gap is within reach, 1 if its way leads beyond, 2 if all is well."""
+def _share_within(gap: Vector, way: Vector, reach: float, task: Any, first: int) -> float:
+    """Return the share of a gap in reach, 2 if all is well; a twist beyond does not count."""
     length = np.sqrt(dot(gap, gap))
-    if length > reach:
-        return reach / length
     together = dot(gap, gap) + 2.0 * dot(gap, way) + dot(way, way)
-    return 1.0 if together > reach * reach else 2.0
-
-
-@compiled
-def stop(task: Any, first: int) -> None:
-    """Let the twist and the acceleration of a task not count, from an axis on."""
+    if not (length > reach or together > reach * reach):
+        return 2.0
     for k in range(first, 6):
         task.twist[k] = 0.0
         task.acceleration[k] = 0.0
+    return min(reach / length, 1.0)
 
 
 @compiled
-def leave_to_contacts(columns: Any, gap: Vector, way: Vector) -> None:
+def _leave_to_contacts(columns: Any, gap: Vector, way: Vector) -> None:
     """Take off two vectors what lies along the normals of the active contacts (Gram-Schmidt)."""
     axes, count = np.empty((3, 3)), 0
     for i in range(columns.shape[0]):
@@ -459,19 +400,16 @@ def leave_to_contacts(columns: Any, gap: Vector, way: Vector) -> None:
         for k in range(3):
             axis[k] = columns[i].normal[k]
         for j in range(count):
-            take_off(axis, axes[j])
+            along = dot(axis, axes[j])
+            for k in range(3):
+                axis[k] -= along * axes[j, k]
         length = np.sqrt(dot(axis, axis))
         if length > PARALLEL:
+            count += 1
             for k in range(3):
                 axis[k] /= length
-            take_off(gap, axis)
-            take_off(way, axis)
-            count += 1
-
-
-@compiled
-def take_off(vector: Vector, axis: Vector) -> None:
-    """Take off a vector what lies along a unit vector."""
-    along = dot(vector, axis)
-    for k in range(3):
-        vector[k] -= along * axis[k]
+    for vector in (gap, way):
+        for j in range(count):
+            along = dot(vector, axes[j])
+            for k in range(3):
+                vector[k] -= along * axes[j, k]

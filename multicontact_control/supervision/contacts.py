@@ -69,27 +69,19 @@ def is_active(contact: Any) -> bool:
 
 
 @compiled
-def leave_surface(contact: Any, place: float, speed: float) -> None:
-    """Give a contact back to the motion law, that is to lead it to where the surface was."""
-    contact.displacement = place
-    contact.speed = speed
-    contact.start = place if np.isnan(contact.origin) else contact.origin
-    contact.target = contact.start
-
-
-@compiled
 def let_go(contact: Any, place: float, speed: float) -> None:
-    """Give a contact back to the motion law, from where the tip is."""
+    """Give a contact back to the motion law, which leads the tip to where the surface was."""
+    contact.displacement, contact.speed = place, 0.0
     if is_active(contact):
         contact.losses += 1
-        leave_surface(contact, place, speed)
+        contact.speed = speed
+        contact.start = place if np.isnan(contact.origin) else contact.origin
+        contact.target = contact.start
         contact.state, contact.in_state = LOST, 0.0
-    else:
-        contact.displacement, contact.speed = place, 0.0
 
 
 @compiled
-def watch_search(contact: Any, settings: Any, alpha: float) -> None:
+def _watch_search(contact: Any, settings: Any, alpha: float) -> None:
     """Touch, or give up, or begin to look for a lost surface."""
     threshold = settings.contact_threshold
     if contact.state == LOST:  # a tool that is being braked reads its own inertia
@@ -113,7 +105,7 @@ def watch_search(contact: Any, settings: Any, alpha: float) -> None:
 
 
 @compiled
-def watch_hold(
+def _watch_hold(
     contact: Any, settings: Any, alpha: float, place: float, speed: float, escape: float,
 ) -> None:
     """Notice a loss, or that a touch has lasted."""
@@ -140,9 +132,7 @@ def watch_hold(
     step = abs(min(contact.asked, contact.force_limit) - contact.level)
     fastest = ESCAPE_SPEED + step / (contact.stiffness * STEP_TIME)
     if contact.below > patience + 1e-9 or escape > fastest:
-        contact.losses += 1
-        leave_surface(contact, place, speed)
-        contact.state = LOST
+        let_go(contact, place, speed)
     elif contact.state == IMPACT and contact.below == 0.0 and (
             contact.in_state >= IMPACT_TIME):
         contact.searches = 0
@@ -150,7 +140,7 @@ def watch_hold(
 
 
 @compiled
-def switch_state(
+def _switch_state(
     contact: Any, settings: Any, alpha: float, place: float, speed: float, escape: float,
 ) -> None:
     """Go to another state if it is time; see `advance_contact`."""
@@ -169,7 +159,7 @@ def switch_state(
         contact.state = RETRACTING
     elif not contact.wanted and not stays_away:
         if is_active(contact):
-            leave_surface(contact, place, speed)
+            let_go(contact, place, speed)
         contact.state = FREE
         contact.left = False
         contact.searches = 0
@@ -180,7 +170,7 @@ def switch_state(
         contact.start = contact.displacement
         contact.state = APPROACHING
     elif is_active(contact):
-        watch_hold(contact, settings, alpha, place, speed, escape)
+        _watch_hold(contact, settings, alpha, place, speed, escape)
     elif contact.state == RETRACTING:
         if has_retracted:
             contact.state = GIVEN_UP
@@ -193,26 +183,7 @@ def switch_state(
             contact.start = contact.origin if met_before else contact.target
             contact.state = APPROACHING
     else:
-        watch_search(contact, settings, alpha)
-
-
-@compiled
-def move(contact: Any, settings: Any) -> None:
-    """Advance the displacement by one period, its speed and acceleration bounded."""
-    h = settings.period
-    if contact.state == APPROACHING:
-        wanted = settings.approach_speed
-        change = settings.approach_speed / settings.approach_ramp_time
-    else:
-        limit = RETRACT_SPEED if contact.state == RETRACTING else settings.approach_speed
-        wanted = min(max(
-            POSITION_RATE * (contact.target - contact.displacement), -limit), limit)
-        change = BRAKING
-    if abs(contact.speed) > settings.approach_speed:
-        change = max(change, BRAKING)
-    contact.acceleration = min(max((wanted - contact.speed) / h, -change), change)
-    contact.speed += contact.acceleration * h
-    contact.displacement += contact.speed * h
+        _watch_search(contact, settings, alpha)
 
 
 @compiled
@@ -220,24 +191,34 @@ def advance_contact(
     contact: Any, settings: Any, alpha: float, place: float, speed: float, escape: float,
 ) -> None:
     """
-    Take one tick into the state machine of a contact.
+    Take one tick into the state machine of a contact, and bound the force or the way it goes.
 
     `wanted` and `asked` of the contact say what the task wants; `escape` is the speed into the
     surface, less that of the surface, by which a contact is known to be lost [m/s].
     """
-    contact.in_state += settings.period
+    h = settings.period
+    contact.in_state += h
     contact.again = contact.again and contact.state == GIVEN_UP
     before = contact.state
-    switch_state(contact, settings, alpha, place, speed, escape)
+    _switch_state(contact, settings, alpha, place, speed, escape)
     if contact.state != before:
         contact.in_state = 0.0
-    if not is_active(contact):
-        move(contact, settings)
+    if is_active(contact):
+        contact.acceleration = 0.0
+        # It has what is asked for once it holds; after a loss at a bounded rate.
+        if contact.state == HOLDING and contact.losses == 0:
+            contact.force_limit = max(contact.force_limit, contact.asked)
+        elif contact.state == HOLDING or not np.isnan(contact.origin) and contact.losses > 0:
+            contact.force_limit += min(max(
+                contact.asked - contact.force_limit, -FORCE_RATE * h), FORCE_RATE * h)
         return
-    contact.acceleration = 0.0
-    # It has what is asked for once it holds; after a loss at a bounded rate.
-    if contact.state == HOLDING and contact.losses == 0:
-        contact.force_limit = max(contact.force_limit, contact.asked)
-    elif contact.state == HOLDING or not np.isnan(contact.origin) and contact.losses > 0:
-        step = FORCE_RATE * settings.period
-        contact.force_limit += min(max(contact.asked - contact.force_limit, -step), step)
+    wanted, change = settings.approach_speed, BRAKING
+    if contact.state != APPROACHING:
+        limit = RETRACT_SPEED if contact.state == RETRACTING else wanted
+        wanted = min(max(
+            POSITION_RATE * (contact.target - contact.displacement), -limit), limit)
+    elif abs(contact.speed) <= settings.approach_speed:
+        change = settings.approach_speed / settings.approach_ramp_time
+    contact.acceleration = min(max((wanted - contact.speed) / h, -change), change)
+    contact.speed += contact.acceleration * h
+    contact.displacement += contact.speed * h
