@@ -139,6 +139,8 @@ class CollisionWatch:
         self._period, self._names = config.period, config.robot.joint_names
         self._feels = config.wrench_input != 'momentum'
         self._joints, self._momentum = controller.arm.joints, controller.controls['momentum']
+        self._elapsed: Vector = self._momentum['elapsed']
+        self._adds_gravity = config.robot.adds_gravity
         self.residual: Vector = self._joints['residual']
         self._joints['threshold'] = collision_thresholds(config, controller.robot) if (
             self._feels) else np.inf
@@ -152,7 +154,7 @@ class CollisionWatch:
     def reset(self) -> None:
         """Forget the past."""
         self._forget_collision()
-        self._momentum['elapsed'], self._joints['doubt'], self._stamp = 0.0, 0.0, np.nan
+        self._elapsed[0], self._joints['doubt'], self._stamp = 0.0, 0.0, np.nan
         self._commands.clear()
         self._farthest, self._unknown = -1, 0
 
@@ -166,17 +168,20 @@ class CollisionWatch:
     def look(self, inputs: Inputs, *, measured: bool) -> None:
         """Get ready for the newest sample of an input stage, which has a valid wrench or not."""
         joints, commands, acted = self._joints, self._commands, inputs.acted
-        joints['doubt'] = 0.0
+        if self._by_command:
+            joints['doubt'] = 0.0
         if acted:
-            joints['effort'] += joints['added']
+            if self._adds_gravity:
+                joints['effort'] += joints['added']
         elif self._by_command and len(commands) == self._needed:
             before, last, after = commands[0], commands[1], commands[min(2, self._needed - 1)]
             joints['doubt'] = np.maximum(np.abs(last - before), np.abs(after - last))
             joints['effort'], acted = last, True
-        elapsed, self._stamp = inputs.joint_stamp - self._stamp, inputs.joint_stamp
+        stamp = inputs.joint_stamp
+        elapsed, self._stamp = stamp - self._stamp, stamp
         follows = abs(elapsed - self._period) < UNEVEN * self._period
         known = follows and acted and (measured or not self._feels)
-        self._momentum['elapsed'] = elapsed if known else 0.0
+        self._elapsed[0] = elapsed if known else 0.0
         self._unknown = 0 if known else self._unknown + 1
         if self._unknown * self._period > FORGOTTEN and self._momentum['collided'].any():
             self._forget_collision()  # it would block the arm for good

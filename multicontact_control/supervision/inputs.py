@@ -38,6 +38,7 @@ PROBLEMS = (
     '', 'invalid', 'jump', 'frozen', 'saturated', 'stamp', 'order', 'late', 'backwards', 'rate')
 FINE, INVALID, JUMP, FROZEN, SATURATED, STAMP, ORDER, LATE, BACKWARDS, RATE = range(10)
 ABSENT = -1
+WELL, ACTS = 1, 2  # of what `check_inputs` returns
 
 KEPT = 100  # wrenches, for a tare
 LONGEST_GAP = 0.1  # s between two wrenches; after it the low-pass and the tare begin anew
@@ -242,11 +243,12 @@ def check_inputs(
     stages: Any, joints: Matrix, new_variance: Vector, kept: Matrix, motion: Matrix,
     wrench: Vector, noise_variance: Vector, effort: Vector, time: float, stamps: Any,
     contents: Any,
-) -> bool:
+) -> int:
     """
-    Check the inputs of a tick, keep what is valid in its places, and return whether all is well.
+    Check the inputs of a tick, and keep what is valid in its places.
 
-    Then every input is known and valid, or young enough to go on with, and the wrench is new.
+    Returns WELL if every input is known and valid, or young enough to go on with, and the wrench
+    is new; and ACTS, added to it, if the efforts are torques that acted.
     Arguments are what `Inputs` has: one record of `INPUT_STAGE`; q, v, those of the reading
     before and the largest v, shape (5, n); the new R, shape (r,); the ring for a tare, shape
     (k, 6 + n); the places; and the time of the tick, and of joints, wrench and R the stamps [s]
@@ -301,12 +303,11 @@ def check_inputs(
     for j in range(effort.shape[0]):
         moved = moved or effort[j] != 0.0
         total += effort[j]
-    verdict.acts = moved and np.isfinite(total)
     verdict.blind = state.blind_ticks > 1
     well = not verdict.blind and problem[WRENCH] == FINE
     for i in range(4):
         well = well and not verdict.stale[i] and problem[i] <= FINE
-    return bool(well)
+    return (WELL if well else 0) + (ACTS if moved and np.isfinite(total) else 0)
 
 
 class Inputs:
@@ -403,22 +404,23 @@ class Inputs:
                 joints is not None and self.estimate_known) else None
         torques = joints is not None and joints.effort is not None and (
             _put(joints.effort, self.effort) == FINE)
-        stamps = tuple(math.nan if reading is None else _number(reading.stamp)
-                       for reading in (joints, wrench, variance))
+        stamps = (math.nan if joints is None else _number(joints.stamp),
+                  math.nan if wrench is None else _number(wrench.stamp),
+                  math.nan if variance is None else _number(variance.stamp))
         contents = (
             ABSENT if joints is None else max(
                 _put(joints.q, self._joints[0]), _put(joints.qd, self._joints[1])),
             ABSENT if wrench is None else _put(wrench.wrench, self.raw),
             ABSENT if variance is None else _put(variance.variance, self._new_variance))
-        well = check_inputs(*self._arguments, _number(time), stamps, contents)
-        verdict = self._verdict[0]
-        self.acted = torques and bool(verdict['acts'])
-        if well:
+        found = check_inputs(*self._arguments, _number(time), stamps, contents)
+        self.acted = torques and found >= ACTS
+        if found & WELL:
             return self._all_well
-        found = list(zip(PARTS, map(PROBLEMS.__getitem__, verdict['problem'].clip(FINE)),
+        verdict = self._verdict[0]
+        problems = list(zip(PARTS, map(PROBLEMS.__getitem__, verdict['problem'].clip(FINE)),
                          verdict['stale']))
-        causes = [f"{part}_{problem or 'stale'}" for part, problem, stale in found if stale]
-        rejected = [f'{part}_{problem}' for part, problem, _ in found[:CLOCK] if problem]
+        causes = [f"{part}_{problem or 'stale'}" for part, problem, stale in problems if stale]
+        rejected = [f'{part}_{problem}' for part, problem, _ in problems[:CLOCK] if problem]
         known = self._state['known'][0].astype(bool).tolist()
         return Seen(tuple(causes), tuple(rejected), known[JOINTS], known[WRENCH],
                     bool(verdict['blind']), bool(verdict['problem'][WRENCH] == FINE))
@@ -427,10 +429,10 @@ class Inputs:
 def _put(values: Any, place: Vector) -> int:
     """Copy numbers to their place: FINE, or INVALID if they are none, or of another shape."""
     try:
-        if np.shape(values) == place.shape:
+        if values.shape == place.shape:
             place[:] = values
             return FINE
-    except (TypeError, ValueError, OverflowError):
+    except (AttributeError, TypeError, ValueError, OverflowError):
         pass
     return INVALID
 
