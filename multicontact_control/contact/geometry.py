@@ -65,7 +65,7 @@ def fill_normal_space(contacts: Any, rotation: Matrix) -> None:
 
 def normal_space(contacts: Records, rotation_world: Matrix) -> Matrix:
     """Fill in and return N of records of `CONTACT`, world axes, shape (6, r) (P04 eq. 5)."""
-    fill_normal_space(contacts, np.ascontiguousarray(rotation_world))
+    fill_normal_space(contacts, np.array(rotation_world))  # what is read-only is another type
     N: Matrix = contacts['N'].T.copy()
     return N
 

@@ -429,10 +429,11 @@ class Inputs:
 def _put(values: Any, place: Vector) -> int:
     """Copy numbers to their place: FINE, or INVALID if they are none, or of another shape."""
     try:
+        values = np.asarray(values)
         if values.shape == place.shape:
             place[:] = values
             return FINE
-    except (AttributeError, TypeError, ValueError, OverflowError):
+    except (TypeError, ValueError, OverflowError):
         pass
     return INVALID
 
