@@ -264,8 +264,10 @@ class ControlLoop:
             self.supervisor.try_again()
         if wanted or self.held:
             self.supervisor.go_over()
-            task = self.supervisor.task
-            (task.hold if wanted else task.release)()
+            if wanted:
+                self.supervisor.task.hold()
+            else:
+                self.supervisor.task.release()
 
     def retry(self) -> str:
         """Resume control that is latched, and seek contacts given up; return what happens now."""
