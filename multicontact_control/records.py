@@ -55,7 +55,7 @@ JOINT = np.dtype([
     ('speed_limit', F),  # beyond which it is too fast [rad/s]
     ('torque', F),  # Gamma, what the law answers [N m]
     ('unlimited', F),  # the same before it is brought within its limits [N m]
-    ('priority', F),  # of that, what goes before the rest at a limit: see `limit_torque` [N m]
+    ('priority', F),  # of that, what goes before the rest at a limit: see `finish_torque` [N m]
     ('effort', F),  # torque that acted since the sample before [N m]
     ('last_velocity', F), ('last_bias', F),  # of that sample [rad/s], [N m]
     ('residual', F),  # what touches the arm before the wrist sensor takes of it [N m]

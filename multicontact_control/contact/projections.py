@@ -1,5 +1,5 @@
 """
-Contact coordinates, projections and the force allocation (P04 eqs 7-15, 27-30), as executed.
+Contact coordinates and projections (P04 eqs 7-15, 27), as executed.
 
 Contacts come and go, so matrices have a row per contact, which is zero for one that is left out;
 neither Omega_f nor Omega_m is formed, only what they make of vectors.
@@ -9,12 +9,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from multicontact_control.algebra import (
-    cholesky,
-    multiply,
-    multiply_transposed,
-    solve_cholesky,
-)
+from multicontact_control.algebra import cholesky, multiply, solve_cholesky
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 
@@ -79,20 +74,3 @@ def compose_acceleration(
         for i in range(count):
             total -= weighted_rows[i, k] * beta[i]
         acceleration[k] = total
-
-
-@compiled
-def allocate(
-    rows: Matrix, factor: Matrix, alpha_star: Vector, decoupled: bool, f_c: Vector,
-) -> None:
-    """
-    Fill in the acceleration that serves the force loops.
-
-    N alpha* is the paper's (P04 eq. 30): the contact points then accelerate by N^T N alpha*,
-    which couples the loops unless N^T N is diagonal. N (N^T N)^-1 alpha*, if `decoupled`, lets
-    contact point i accelerate by alpha*_i whatever the geometry. `alpha_star`, shape (r,)
-    [m/s^2], is overwritten, `f_c`, shape (6,) [m/s^2, rad/s^2], filled.
-    """
-    if decoupled:
-        solve_cholesky(factor, alpha_star)
-    multiply_transposed(rows, alpha_star, f_c)

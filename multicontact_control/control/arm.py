@@ -27,17 +27,6 @@ RELEASE = 0.5  # share of its threshold that a residual must fall below to count
 
 
 @compiled
-def tool_velocity(control: Any, lever: Vector, velocity: Vector) -> None:
-    """Fill in the lever to the tool's centre of mass, world axes, and its velocity."""
-    frame, tool = control.frame, control.tool
-    for i in range(3):
-        lever[i] = frame.sensor_position[i] - frame.position[i]
-        for j in range(3):
-            lever[i] += frame.sensor_rotation[i, j] * tool.com_sensor[j]
-    velocity_at(frame.twist, lever, velocity)
-
-
-@compiled
 def observe_momentum(control: Any, joints: Any, mass_matrix: Matrix, jacobian: Matrix) -> bool:
     """
     Update the residual of every joint; return whether something touches the arm.
@@ -57,16 +46,21 @@ def observe_momentum(control: Any, joints: Any, mass_matrix: Matrix, jacobian: M
         M (upper triangle), shape (n, n), and J, shape (6, n).
 
     """
-    momentum, law, n = control.momentum, control.law, joints.shape[0]
+    momentum, law, frame, tool = control.momentum, control.law, control.frame, control.tool
+    n = joints.shape[0]
     lever, velocity, inertia, moment = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    for i in range(3):  # to the tool's centre of mass
+        lever[i] = frame.sensor_position[i] - frame.position[i]
+        for j in range(3):
+            lever[i] += frame.sensor_rotation[i, j] * tool.com_sensor[j]
+    velocity_at(frame.twist, lever, velocity)
     if momentum.elapsed > 0.0:
         wrench, taken, inertial = np.zeros(6), np.empty(n), np.empty(n)
         if not momentum.is_input:
             # Of what the sensor feels, the arm's model has the tool's inertia already.
             operational_wrench(control, wrench)
-            tool_velocity(control, lever, velocity)
             for k in range(3):
-                inertia[k] = control.tool.mass * (
+                inertia[k] = tool.mass * (
                     velocity[k] - momentum.com_velocity[k]) / momentum.elapsed
             cross(lever, inertia, moment)
             for k in range(3):
@@ -97,7 +91,6 @@ def observe_momentum(control: Any, joints: Any, mass_matrix: Matrix, jacobian: M
             limit = joint.threshold + joint.slack
             touched = touched or abs(joint.residual) > factor * limit
         momentum.collided = touched
-    tool_velocity(control, lever, velocity)
     for k in range(3):
         momentum.com_velocity[k] = velocity[k]
     return bool(momentum.collided)

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from typing import Any
 
-from multicontact_control.algebra import multiply, solve_cholesky
+from multicontact_control.algebra import (
+    multiply,
+    multiply_transposed,
+    solve_cholesky,
+    solve_lower,
+)
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.contact.projections import (
-    allocate,
     compose_acceleration,
     factorise_contacts,
 )
 from multicontact_control.contact.surfaces import follow_surfaces
 from multicontact_control.dynamics.operational_space import (
     add_nullspace_torque,
-    bias_acceleration,
     mobility_and_inertia,
 )
 from multicontact_control.dynamics.rotations import rotation_vector
@@ -59,9 +62,12 @@ def force_law(
     """
     Fill in f_c*, the acceleration that serves the force loops with damping K_2 (P04 eq. 30).
 
-    The damping acts on the rates along the coordinates that the allocation drives: N^+ theta
-    where theta_c,i multiplies N_i (P04 eq. 16), N^T theta, the speeds of the contact points along
-    their normals relative to what is known of the surfaces' speeds, if `decoupled`.
+    N alpha* is the paper's: the contact points then accelerate by N^T N alpha*, which couples the
+    loops unless N^T N is diagonal. N (N^T N)^-1 alpha*, if `decoupled`, lets contact point i
+    accelerate by alpha*_i whatever the geometry. The damping acts on the rates along the
+    coordinates that are driven: N^+ theta where theta_c,i multiplies N_i (P04 eq. 16), or N^T
+    theta, the speeds of the contact points along their normals, less what is known of the
+    surfaces' speeds.
 
     Parameters
     ----------
@@ -80,27 +86,34 @@ def force_law(
 
     """
     alpha_star = np.empty(inputs.shape[0])
-    if law.decoupled:
-        multiply(rows, twist, alpha_star)
-        for i in range(inputs.shape[0]):
-            if contacts[i].answer.active:
-                alpha_star[i] -= contacts[i].surface_speed + contacts[i].surface_speed_est
-    else:
-        multiply(rows, twist, alpha_star)
+    multiply(rows, twist, alpha_star)
+    if not law.decoupled:
         solve_cholesky(factor, alpha_star)
     for i in range(inputs.shape[0]):
+        if law.decoupled and contacts[i].answer.active:
+            alpha_star[i] -= contacts[i].surface_speed + contacts[i].surface_speed_est
         alpha_star[i] = inputs[i] - law.K_2 * alpha_star[i]
-    allocate(rows, factor, alpha_star, law.decoupled, f_c)
+    if law.decoupled:
+        solve_cholesky(factor, alpha_star)
+    multiply_transposed(rows, alpha_star, f_c)
 
 
 @compiled
 def finish_torque(law: Any, joints: Any) -> bool:
     """
-    Add the expected friction, Gamma += F_c tanh(v / v_0) + F_v v, then keep to the limits.
+    Add the expected friction, then keep to the limits without turning what the task asks for.
 
-    Returns whether these were enforced.
+    Gamma += F_c tanh(v / v_0) + F_v v, then Gamma_p + s (Gamma - Gamma_p) with the largest s in
+    [s_0, 1] within all limits. The priority Gamma_p carries the arm, overcomes its friction and
+    presses with the forces that are fed forward; cut joint by joint, the rest would accelerate the
+    arm in another direction, into its contacts. What still exceeds is cut: in a joint that Gamma_p
+    alone takes beyond its limit, and in one, of the wrist say, for whose sake less than s_0 of the
+    task would be left. What is not a number stays that.
+
+    `law` is a record of `LAW`, `joints` are records of `JOINT`, shape (n,), changed. Returns
+    whether a limit was enforced.
     """
-    n = joints.shape[0]
+    n, share, exceeded = joints.shape[0], 1.0, False
     for j in range(n):
         joint = joints[j]
         if joint.coulomb != 0.0:
@@ -110,39 +123,6 @@ def finish_torque(law: Any, joints: Any) -> bool:
         joint.torque += joint.viscous * joint.velocity
         joint.priority += joint.viscous * joint.velocity
         joint.unlimited = joint.torque
-    return limit_torque(joints, law.least_share)
-
-
-@compiled
-def limit_torque(joints: Any, least_share: float) -> bool:
-    """
-    Bring the torque of the joints within their limits without turning what the task asks for.
-
-    Gamma = Gamma_p + s (Gamma - Gamma_p) with the largest s in [s_0, 1] within all limits. The
-    priority Gamma_p carries the arm, overcomes its friction and presses with the forces that are
-    fed forward; cut joint by joint, the rest would accelerate the arm in another direction, into
-    its contacts. What still exceeds is cut: in a joint that Gamma_p alone takes beyond its limit,
-    and in one, of the wrist say, for whose sake less than s_0 of the task would be left.
-
-    Parameters
-    ----------
-    joints
-        Records of `JOINT`, shape (n,), whose torque is changed if need be; what is not a number
-        stays that. Used are also the limit of the command, what the drives add to it, and the
-        priority.
-    least_share
-        s_0; 1 to cut joint by joint.
-
-    Returns
-    -------
-    bool
-        Whether it was.
-
-    """
-    n = joints.shape[0]
-    share, exceeded = 1.0, False
-    for j in range(n):
-        joint = joints[j]
         upper, lower = joint.added + joint.torque_limit, joint.added - joint.torque_limit
         first = joint.priority
         if joint.torque > upper:
@@ -155,7 +135,7 @@ def limit_torque(joints: Any, least_share: float) -> bool:
                 share = min(share, (first - lower) / (first - joint.torque))
     if not exceeded:
         return False
-    share = max(share, least_share)
+    share = max(share, law.least_share)
     for j in range(n):
         joint = joints[j]
         upper, lower = joint.added + joint.torque_limit, joint.added - joint.torque_limit
@@ -228,7 +208,7 @@ def control_law(
     f_t = np.empty(6)
     f_c = np.empty(6)
     acceleration = np.empty(6)
-    bias = np.empty(6)
+    bias, reduced = np.empty(6), np.empty(n)
     force = np.empty(6)
     inputs = np.empty(count)
     motion_law(law, task, frame, f_t)
@@ -236,8 +216,13 @@ def control_law(
     force_law(law, rows, factor, frame.twist, contacts, inputs, f_c)
     follow_surfaces(frame, contacts)
     compose_acceleration(rows, weighted_rows, weighted_factor, f_t, f_c, acceleration)
-    bias_acceleration(joints, L, Y, jacobian_rate, bias)
+    for j in range(n):  # mu + p = Lambda (J M^-1 (C v + g) - dJ/dt v)
+        reduced[j] = joints[j].bias_torque
+    solve_lower(L, reduced)
+    multiply_transposed(Y, reduced, bias)
     for i in range(6):
+        for j in range(n):
+            bias[i] -= jacobian_rate[i, j] * joints[j].velocity
         acceleration[i] += bias[i]
     multiply(Lambda, acceleration, force)
     held = np.zeros(6)

@@ -12,7 +12,7 @@ from multicontact_control.algebra import (
     solve_lower,
     solve_lower_columns,
 )
-from multicontact_control.arrays import Matrix, require_shape, Vector
+from multicontact_control.arrays import Matrix, require_shape
 from multicontact_control.compiled import compiled
 from multicontact_control.errors import SingularTaskError
 import numpy as np
@@ -95,27 +95,6 @@ def _invert(A: Matrix, inverse: Matrix) -> float:
         for j in range(6):
             total += inverse[i, j] * inverse[i, j]
     return total
-
-
-@compiled
-def bias_acceleration(
-    joints: Any, L: Matrix, Y: Matrix, jacobian_rate: Matrix, acceleration: Vector,
-) -> None:
-    """
-    Fill in the acceleration whose force is mu + p = Lambda (J M^-1 (C v + g) - dJ/dt v).
-
-    This is P04 eq. 23 with J_bar^T = Lambda J M^-1.
-
-    """
-    n = joints.shape[0]
-    reduced = np.empty(n)
-    for j in range(n):
-        reduced[j] = joints[j].bias_torque
-    solve_lower(L, reduced)
-    multiply_transposed(Y, reduced, acceleration)
-    for i in range(6):
-        for j in range(n):
-            acceleration[i] -= jacobian_rate[i, j] * joints[j].velocity
 
 
 @compiled

@@ -35,12 +35,10 @@ from multicontact_control.force.observer import (
 from multicontact_control.force.stiffness import (
     adopt_stiffness,
     APPROACH_LIMIT,
-    friction_of_others,
     INPUT_LIMIT,
     keep_stiffness,
     learn_stiffness,
     model_stiffnesses,
-    share_stiffness,
 )
 from multicontact_control.records import FORCE_LAW, Records
 import numpy as np
@@ -291,12 +289,8 @@ def answer_forces(
         # Of the contact point into the surface, as far as it is known how that moves itself.
         speed = dot(contact.N, control.frame.twist) - (
             contact.surface_speed + contact.surface_speed_est)
-        if law.stiffness.adaptive and contact.kind == FORCE:
-            learn_stiffness(law.observer, law.stiffness, contact, control.measured, speed,
-                            friction_of_others(control.frame, contacts, i))
-        elif law.stiffness.adaptive:
-            share_stiffness(law.observer, law.stiffness, contact, contacts[contact.leader],
-                            laws[contact.leader].stiffness)
+        if law.stiffness.adaptive:
+            learn_stiffness(laws, contacts, i, control, speed)
         if not answer.active:
             law.observer.running = False
             law.linear.running = False

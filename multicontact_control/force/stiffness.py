@@ -320,8 +320,29 @@ def find_stiffness(
 
 
 @compiled
-def follow_stiffness(observer: Any, stiffness: Any) -> None:
-    """Let the model of an observer follow what has been found, at a bounded rate."""
+def learn_stiffness(laws: Any, contacts: Any, which: int, control: Any, speed: float) -> None:
+    """
+    Take a sample into the model of a contact's surface, which follows at a bounded rate.
+
+    That of a couple follows the normal force of its contact. Of records of `FORCE_LAW` and
+    `CONTACT`, shape (r,), those of number `which` are changed; `control` is a record of `CONTROL`,
+    the speed of the contact point is that INTO the surface [m/s].
+    """
+    contact, observer, stiffness = contacts[which], laws[which].observer, laws[which].stiffness
+    if contact.kind != FORCE:
+        leader, whole = contacts[contact.leader], laws[contact.leader].stiffness
+        share = stiffness.share
+        k = min(max(share * whole.k, stiffness.lowest), stiffness.highest)
+        if k != stiffness.k:
+            use_stiffness(observer, stiffness, k, share * whole.c)
+        contact.stiffness = k
+        contact.stiffness_est = share * leader.stiffness_est
+        contact.stiffness_std = share * leader.stiffness_std
+        contact.ratio_bound, contact.margin = leader.ratio_bound, leader.margin
+        return
+    alpha = contact.alpha_meas if control.measured else contact.answer.alpha_est
+    find_stiffness(stiffness, alpha, contact.answer.alpha_des, speed,
+                   friction_of_others(control.frame, contacts, which))
     slow, fast = stiffness.slow, stiffness.fast
     k, c = stiffness.k, stiffness.c
     target = k
@@ -336,16 +357,6 @@ def follow_stiffness(observer: Any, stiffness: Any) -> None:
     change = min(max(np.log(target / k), -stiffness.down), stiffness.up)
     if change != 0.0 or c != stiffness.c:
         use_stiffness(observer, stiffness, k * np.exp(change), c)
-
-
-@compiled
-def learn_stiffness(
-    observer: Any, stiffness: Any, contact: Any, measured: bool, speed: float, friction: float,
-) -> None:
-    """Take a sample into the model of a contact's surface."""
-    alpha = contact.alpha_meas if measured else contact.answer.alpha_est
-    find_stiffness(stiffness, alpha, contact.answer.alpha_des, speed, friction)
-    follow_stiffness(observer, stiffness)
     contact.stiffness = stiffness.k
     contact.stiffness_est = stiffness.k_est
     contact.stiffness_std = stiffness.k_std
@@ -358,16 +369,3 @@ def learn_stiffness(
         i = min(int(place), limits.shape[0] - 2)
         contact.margin = (limits[i] + (place - i) * (limits[i + 1] - limits[i])) / (
             contact.ratio_bound)
-
-
-@compiled
-def share_stiffness(observer: Any, stiffness: Any, contact: Any, leader: Any, whole: Any) -> None:
-    """Let the model of a couple follow the normal force of its contact, `leader` and `whole`."""
-    share = stiffness.share
-    k = min(max(share * whole.k, stiffness.lowest), stiffness.highest)
-    if k != stiffness.k:
-        use_stiffness(observer, stiffness, k, share * whole.c)
-    contact.stiffness = k
-    contact.stiffness_est = share * leader.stiffness_est
-    contact.stiffness_std = share * leader.stiffness_std
-    contact.ratio_bound, contact.margin = leader.ratio_bound, leader.margin

@@ -4,7 +4,8 @@ from equations import Projections
 from multicontact_control.algebra import multiply, solve_cholesky
 from multicontact_control.contact import projections as executed
 from multicontact_control.contact.geometry import normal_space
-from multicontact_control.records import CONTACT
+from multicontact_control.control.law import force_law
+from multicontact_control.records import CONTACT, LAW
 import numpy as np
 
 
@@ -42,8 +43,10 @@ def projections(N, Lambda=None):
 
 def allocate_force(N, alpha_star, allocation):
     rows, _, factor = _factorised(N)
-    f_c = np.empty(6)
-    executed.allocate(rows, factor, np.array(alpha_star), allocation == 'decoupled', f_c)
+    law, f_c = np.zeros(1, dtype=LAW), np.empty(6)
+    law['decoupled'] = allocation == 'decoupled'
+    contacts = np.zeros(len(rows), dtype=CONTACT)
+    force_law(law[0], rows, factor, np.zeros(6), contacts, np.array(alpha_star), f_c)
     return f_c
 
 

@@ -2,11 +2,11 @@
 
 from hypothesis import given
 from hypothesis import strategies as st
-from multicontact_control.control.law import limit_torque
+from multicontact_control.control.law import finish_torque
 from multicontact_control.control.tasks import MotionReading
 from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.scenario import resolve
-from multicontact_control.records import JOINT
+from multicontact_control.records import JOINT, LAW
 import numpy as np
 import pytest
 
@@ -17,7 +17,9 @@ def limited(torque, priority, limit, least_share=0.0, added=0.0):
     joints = np.zeros(len(torque), dtype=JOINT)
     joints['torque'], joints['priority'], joints['torque_limit'] = torque, priority, limit
     joints['added'] = added
-    was_limited = limit_torque(joints, least_share)
+    law = np.zeros(1, dtype=LAW)
+    law['least_share'] = least_share
+    was_limited = finish_torque(law[0], joints)
     return joints['torque'], was_limited
 
 

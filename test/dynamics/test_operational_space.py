@@ -3,16 +3,12 @@
 from arms import controller_config, HOME, seven_joint_config, seven_joint_urdf
 import equations
 from multicontact_control.control.arm import ArmState
-from multicontact_control.dynamics.operational_space import (
-    add_nullspace_torque,
-    bias_acceleration,
-    mobility_and_inertia,
-    task_inertia,
-)
+from multicontact_control.control.law import control_law, OK
+from multicontact_control.dynamics.operational_space import task_inertia
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import SingularTaskError
 from multicontact_control.paths import config_dir
-from multicontact_control.records import LAW
+from multicontact_control.records import CONTACT, CONTROL, FORCE_LAW, LAW
 import numpy as np
 import pytest
 
@@ -30,22 +26,16 @@ def _acceleration(state, torque):
 
 def torque_for(model, q, v, acceleration, **nullspace):
     """Return J^T Lambda (a + bias), with the null space as records of `LAW` and `JOINT` say it."""
-    arm = ArmState(model)
+    controls = np.zeros(1, dtype=CONTROL)
+    arm, law, terms = ArmState(model, controls), controls['law'], model.terms
+    law['max_condition'], arm.joints['torque_limit'] = 1e8, np.inf
+    controls['task']['acceleration'] = acceleration
+    for name, value in nullspace.items():
+        (law if name in LAW.names else arm.joints)[name] = value
     arm.update(q, v)
-    terms, n = model.terms, len(q)
-    L, Y = np.empty((n, n)), np.empty((n, 6))
-    mobility, Lambda, bias = np.empty((6, 6)), np.empty((6, 6)), np.empty(6)
-    assert mobility_and_inertia(
-        terms.mass_matrix, terms.jacobian, 1e8, 0.0, L, Y, mobility, Lambda) == 0.0
-    np.testing.assert_allclose(mobility @ Lambda, np.eye(6), atol=1e-9)
-    bias_acceleration(arm.joints, L, Y, terms.jacobian_rate, bias)
-    arm.joints['torque'] = terms.jacobian.T @ (Lambda @ (acceleration + bias))
-    if nullspace:
-        law = np.zeros(1, dtype=LAW)
-        for name, value in nullspace.items():
-            (law if name in LAW.names else arm.joints)[name] = value
-        add_nullspace_torque(
-            arm.joints, terms.mass_matrix, terms.jacobian, L, Y, Lambda, law[0])
+    assert control_law(
+        controls, arm.joints, terms.mass_matrix, terms.jacobian, terms.jacobian_rate,
+        np.zeros(0, dtype=CONTACT), np.zeros(0, dtype=FORCE_LAW)) == OK
     return arm.joints['torque'].copy()
 
 
