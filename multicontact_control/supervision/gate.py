@@ -31,12 +31,8 @@ FADED = 1e-6  # N m in every joint, below which such a difference counts as gone
 
 
 @compiled
-def brake_joints(joints: Any, limits: Any, torque: Vector) -> bool:
-    """
-    Bound a torque such that no joint passes a stop or its speed limit; return whether it was.
-
-    A joint may have the speed v_max = sqrt(2 a d) at a distance d from its stop.
-    """
+def _brake_joints(joints: Any, limits: Any, torque: Vector) -> bool:
+    """Bound a torque such that v <= sqrt(2 a d) at a distance d from a stop; return if it was."""
     n = torque.shape[0]
     fastest, slowest = np.empty(n), np.empty(n)
     slow = True
@@ -67,18 +63,10 @@ def gate_torque(
     torque: Vector, joints: Any, limits: Any, known: bool, seen: bool, begun: bool,
 ) -> int:
     """
-    Bring a torque within its limits; return the sum of those that were enforced.
+    Bring a torque, shape (n,), within its limits; return the sum of those that were enforced.
 
-    Parameters
-    ----------
-    torque
-        Changed, shape (n,) [N m].
-    joints, limits
-        Records of `JOINT` and of `JOINT_LIMITS`, shape (n,); `last` of these is overwritten.
-    known, seen, begun
-        Whether the joints were ever known, whether they are known now, and whether there was a
-        torque before.
-
+    Of records of `JOINT_LIMITS` `last` is overwritten. `known` and `seen` say whether the joints
+    were ever known, and are known now, `begun` whether there was a torque before.
     """
     enforced, n = 0, torque.shape[0]
     finite = True
@@ -89,7 +77,7 @@ def gate_torque(
         for j in range(n):
             carried = joints[j].bias_torque
             torque[j] = carried if known and np.isfinite(carried) else 0.0
-    if seen and brake_joints(joints, limits, torque):
+    if seen and _brake_joints(joints, limits, torque):
         enforced |= JOINT_STOP
     for j in range(n):
         joint, limit = joints[j], limits[j]
@@ -111,10 +99,9 @@ class TorqueGate:
     """
     Blends and bounds the torque of every tick.
 
-    A torque goes over to that of another law in one of two ways. What is commanded (a start, other
-    gains, a hold) acts with all its gain at once; what it lacks of the torque before fades by the
-    `quintic`, as `transition` says. What happens by itself (a contact that comes or goes, a
-    reaction) fades with a time constant of 3 ms.
+    What is commanded (a start, other gains, a hold) acts with all its gain at once; what it lacks
+    of the torque before fades by the `quintic`, as `transition` says. What happens by itself (a
+    contact that comes or goes, a reaction) fades with a time constant of 3 ms.
 
     Then, in turn: a torque that is not finite is replaced by the one that carries the arm; near a
     stop, or above its speed, a joint brakes; the torque is clipped to its limits, and to their
@@ -132,20 +119,22 @@ class TorqueGate:
 
     Attributes
     ----------
-    last
-        The torque that acts, shape (n,) [N m]; its start is taken for it before the first tick.
     begun
-        Whether there is one.
+        Whether there is a torque that acts, from `begin` or the first tick on.
 
     """
 
     def __init__(self, config: ControllerConfig, joints: Records, *, guarded: bool = True) -> None:
         self._joints: Any = joints
         self._guarded = guarded
-        self._limits: Any = joint_limits(config, len(joints))
-        if not guarded:
-            self._limits['step'] = np.inf
-        self.last: Vector = self._limits['last']
+        limits: Any = np.zeros(len(joints), dtype=JOINT_LIMITS)
+        rate = config.limits.torque_rate if guarded else ()
+        limits['step'] = np.array(rate or np.inf) * config.period
+        limits['lower'] = np.array(config.limits.joint_lower or -np.inf) + JOINT_MARGIN
+        limits['upper'] = np.array(config.limits.joint_upper or np.inf) - JOINT_MARGIN
+        limits['speed'] = config.limits.joint_speed or np.inf
+        limits['braking'] = JOINT_BRAKING
+        self._limits, self._last = limits, limits['last']
         self._period = config.period
         self._keep = math.exp(-config.period / BLEND_TIME)
         self.adopt(config)
@@ -161,35 +150,32 @@ class TorqueGate:
         """Forget the torque that acts."""
         self.begun = False
         self._joints['added'] = 0.0
-        self._law: object = None
         self._end_blend()
 
     def _end_blend(self) -> None:
-        self._pending, self._tick, self._ticks = False, 0, 0
+        self._law: object = None
+        self._pending = False  # whether the next torque is to be the one that acts
         self._slow: Vector | None = None  # what a commanded torque lacks, before it fades
         self._fast: Vector | None = None  # what is left of any other difference
 
     def begin(self, torque: Vector) -> None:
-        """Take a torque, shape (n,) [N m], for the one that acts, if there was none before."""
-        if not self.begun:
-            limit, added = self._joints['torque_limit'], self._joints['added']
-            self.last[:] = np.clip(torque, added - limit, added + limit)
-            self.begun = True
+        """Take a torque, shape (n,) [N m], for the one that acts before the first tick."""
+        limit, added = self._joints['torque_limit'], self._joints['added']
+        self._last[:] = np.clip(torque, added - limit, added + limit)
+        self.begun = True
 
     def go_over(self) -> None:
         """Let the next torque be the one that acts: what is commanded is about to jump."""
-        self._end_blend()
-        self._pending = self.begun
+        self._pending, self._slow, self._fast = self.begun, None, None
 
     def hurry(self) -> None:
         """Leave what has still to fade slowly to the fast way."""
         if self._pending or self._slow is not None:
             self._end_blend()
-            self._law = None
 
     def allow_for(self, added: Vector) -> None:
         """Take in what the drives add to a command [N m], which changes the torque that acts."""
-        self.last += added - self._joints['added']
+        self._last += added - self._joints['added']
         self._joints['added'] = added
 
     def apply(
@@ -226,56 +212,33 @@ class TorqueGate:
         return torque, ENFORCED[enforced | TORQUE if limited else enforced]
 
     def carry(self, known: bool) -> Vector:
-        """Return what carries the arm, within limit and rate, by numpy alone; 0 if unknown."""
-        limit, added, bias = (self._joints[x] for x in ('torque_limit', 'added', 'bias_torque'))
-        carried: Vector = np.clip(bias if known else 0.0 * bias, added - limit, added + limit)
-        if self.begun:
-            carried = np.clip(
-                carried, self.last - self._limits['step'], self.last + self._limits['step'])
-        self.begun, self._law = True, None
+        """Return what carries the arm, 0 if it was never known, within limits, without a blend."""
         self._end_blend()
-        self.last[:] = carried
-        return carried
+        carrying = np.full(len(self._joints), np.nan)
+        gate_torque(carrying, self._joints, self._limits, known, False, self.begun)
+        self.begun = True
+        return carrying
 
     def _blend(self, law: object, torque: Vector) -> Vector:
         """Return a torque with what is left of the differences from the ones before."""
-        torque = self._fade_slowly(torque)
+        if not np.isfinite(torque).all():
+            return torque  # for the limits; a blend waits for a torque that is finite
+        if self._pending:
+            self._pending, self._slow = False, self._last - torque
+            steepest = STEEPEST * float(np.abs(self._slow).max())
+            duration = max(self._pace.blend_time, steepest / self._pace.torque_rate)
+            self._tick, self._ticks = 0, np.ceil(duration / self._period)
+            torque = self._last.copy()
+        elif self._slow is not None:
+            self._tick += 1
+            torque = torque + (1.0 - quintic(self._tick, self._ticks)[0]) * self._slow
+            if self._tick >= self._ticks:
+                self._slow = None
         if law != self._law and self.begun:
-            self._fast = self.last - torque
+            self._fast = self._last - torque
         elif self._fast is not None:
             self._fast = self._fast * self._keep
             if np.abs(self._fast).max() < FADED:
                 self._fast = None
         self._law = law
         return torque if self._fast is None else torque + self._fast
-
-    def _fade_slowly(self, torque: Vector) -> Vector:
-        if self._pending:
-            difference, pace = self.last - torque, self._pace
-            largest = float(np.abs(difference).max())
-            periods = max(pace.blend_time, STEEPEST * largest / pace.torque_rate) / self._period
-            if not math.isfinite(periods):
-                return torque  # for the gate; the blend waits for a torque that is finite
-            self._pending, self._slow = False, difference
-            self._tick, self._ticks = 0, math.ceil(periods)
-            return self.last.copy()
-        if self._slow is None:
-            return torque
-        self._tick += 1
-        if self._tick >= self._ticks:
-            self._slow = None
-            return torque
-        faded, _, _ = quintic(self._tick, self._ticks)
-        blended: Vector = torque + (1.0 - faded) * self._slow
-        return blended
-
-
-def joint_limits(config: ControllerConfig, joints: int) -> Records:
-    """Return the limits as records of `JOINT_LIMITS`, shape (n,)."""
-    limits, records = config.limits, np.zeros(joints, dtype=JOINT_LIMITS)
-    records['step'] = np.array(limits.torque_rate or np.inf) * config.period
-    records['lower'] = np.array(limits.joint_lower or -np.inf) + JOINT_MARGIN
-    records['upper'] = np.array(limits.joint_upper or np.inf) - JOINT_MARGIN
-    records['speed'] = limits.joint_speed or np.inf
-    records['braking'] = JOINT_BRAKING
-    return records

@@ -126,3 +126,17 @@ def test_change_of_law_is_continuous_and_decays_at_its_declared_rate():
     np.testing.assert_allclose(out[-1], TORQUE, atol=1e-5)
     steps = np.abs(np.diff(out, axis=0))
     assert (steps <= np.abs(START - TORQUE) * CONFIG.period / 0.003 + 1e-12).all()
+
+
+@pytest.mark.parametrize('bad', [np.nan, np.inf])
+def test_blend_waits_for_a_torque_that_is_finite(bad):
+    """Neither a commanded change nor another law lets what is not finite into those after it."""
+    for law in ('old', 'new'):
+        gate = blending()
+        gate.apply('old', START.copy())
+        if law == 'old':
+            gate.go_over()
+        before, _ = gate.apply(law, np.full(6, bad))
+        after, limits = gate.apply(law, TORQUE.copy())
+        np.testing.assert_allclose(after, before, atol=1e-9)
+        assert limits == ()
