@@ -20,7 +20,7 @@ def cholesky(A: Matrix, L: Matrix, smallest_pivot: float) -> bool:
         pivot = A[j, j]
         for k in range(j):
             pivot -= L[j, k] * L[j, k]
-        if not pivot > smallest_pivot * A[j, j]:  # nor is it if it is not a number
+        if not pivot > smallest_pivot * A[j, j]:  # or it is not a number
             return False
         L[j, j] = np.sqrt(pivot)
         scale = 1.0 / L[j, j]

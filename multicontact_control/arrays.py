@@ -7,18 +7,9 @@ from numpy.typing import NDArray
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-Codes = NDArray[np.int64]
 
 
 def require_shape(name: str, array: NDArray[np.generic], expected: tuple[int, ...]) -> None:
-    """
-    Check the shape of an array.
-
-    Raises
-    ------
-    ShapeError
-        Naming the array, the expected shape and the one found.
-
-    """
+    """Raise a ShapeError with the name of an array that has another shape."""
     if array.shape != expected:
         raise ShapeError(name, expected, array.shape)

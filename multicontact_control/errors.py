@@ -16,14 +16,13 @@ class FieldError(MulticontactError):
     A value is not acceptable.
 
     Named are its dotted field, e.g. ``contacts.table.normal_world``, what was expected, with its
-    unit, what was found, and the file it came from, if any. `cause`, without what was found, is
-    equal for equal reasons.
+    unit, what was found, and the file it came from, if any.
     """
 
     def __init__(self, field: str, expected: str, found: object, source: str = '') -> None:
         self.field, self.expected, self.found, self.source = field, expected, found, source
-        self.cause = f'{field}: expected {expected}'
-        super().__init__(f'{f"{source}: " if source else ""}{self.cause}, found {found}')
+        where = f'{source}: {field}' if source else field
+        super().__init__(f'{where}: expected {expected}, found {found}')
 
 
 class CommandError(FieldError):
@@ -52,7 +51,6 @@ class ConfigError(FieldError):
             return first
         whole = cls(first.field, first.expected, first.found, first.source)
         whole._all = (first, *others)
-        whole.cause = '; '.join(error.cause for error in whole._all)
         whole.args = ('\n'.join(map(str, whole._all)),)
         return whole
 
@@ -86,26 +84,17 @@ class RunError(MulticontactError):
 
 
 @contextmanager
-def importing_ros(*others: str) -> Iterator[None]:
-    """Turn an `ImportError` into a `RunError` that names remedies, among them `others`."""
+def importing_ros() -> Iterator[None]:
+    """Turn an `ImportError` into a `RunError` that names remedies."""
     try:
         yield
     except ImportError as error:
-        *ways, last = 'install the extra [ros]', 'source a ROS 2 Jazzy', *others
-        raise RunError(f'ROS 2 (rclpy) cannot be loaded: {error}; '
-                       f'{", ".join(ways)} or {last}') from None
+        raise RunError(f'ROS 2 (rclpy) cannot be loaded: {error}; install the extra [ros], source '
+                       'a ROS 2 Jazzy or use `multicontact simulate`') from None
 
 
 def check_all(*checks: Callable[[], object]) -> list[Any]:
-    """
-    Call every check and return their results.
-
-    Raises
-    ------
-    ConfigError
-        With the errors of all checks, a line for each.
-
-    """
+    """Call every check, return their results; ConfigError with the errors of all of them."""
     results, errors = [], []
     for check in checks:
         try:

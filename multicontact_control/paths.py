@@ -13,16 +13,10 @@ PACKAGE_DIR = Path(__file__).resolve().parent
 
 def config_dir(package_dir: Path = PACKAGE_DIR) -> Path:
     """
-    Return the folder of the configuration files that come with the package.
+    Return the folder of the configuration files; ConfigError with those looked in if none exists.
 
     In a checkout it is ``config/``, so that edited files take effect. An installed package has it
     in the share folder of its prefix, of the environment, or of an ament workspace.
-
-    Raises
-    ------
-    ConfigError
-        Naming the folders looked in, if none of them exists.
-
     """
     root = package_dir.parent
     candidates = [root / 'config'] if (root / 'package.xml').is_file() else []
@@ -31,20 +25,14 @@ def config_dir(package_dir: Path = PACKAGE_DIR) -> Path:
     prefixes += filter(None, os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep))
     candidates += [
         Path(prefix) / 'share' / 'multicontact_control' / 'config' for prefix in prefixes]
-    for candidate in candidates:
-        if candidate.is_dir():
-            return candidate
-    looked_in = ', '.join(dict.fromkeys(map(str, candidates)))
-    raise ConfigError(
-        'config', 'the configuration folder of the package', f'none of {looked_in}')
+    if found := next(filter(Path.is_dir, candidates), None):
+        return found
+    raise ConfigError('config', 'the configuration folder of the package',
+                      f'none of {", ".join(dict.fromkeys(map(str, candidates)))}')
 
 
 def named_file(kind: str, folder: str, name: str) -> Path:
-    """
-    Return a YAML file in a folder of ``config/`` by its name, or any file by its path.
-
-    ConfigError of a `kind` of file, with the known names, if there is neither.
-    """
+    """Return a YAML file in a folder of ``config/`` by its name, or any file by its path."""
     there = config_dir() / folder
     for path in (there / f'{name}.yaml', Path(name)):
         if path.is_file():

@@ -9,7 +9,7 @@ import os
 from pathlib import Path
 import re
 
-# Read by the libraries of numpy's linear algebra when they are loaded.
+# Read by numpy's libraries when they are loaded. Threads only delay products of 6 x 6 matrices.
 THREAD_VARIABLES = (
     'OPENBLAS_NUM_THREADS', 'OMP_NUM_THREADS', 'MKL_NUM_THREADS', 'NUMBA_NUM_THREADS')
 PR_SET_TIMERSLACK = 29
@@ -17,27 +17,17 @@ MCL_CURRENT, MCL_FUTURE = 1, 2
 
 
 def limit_threads() -> None:
-    """
-    Limit linear algebra to one thread, unless the environment says otherwise.
-
-    Call it before numpy is imported. Matrices here are 6 x 6: further threads only add the
-    millisecond that it takes to wake them.
-    """
+    """Limit linear algebra to one thread by default; call it before numpy is imported."""
     for name in THREAD_VARIABLES:
         os.environ.setdefault(name, '1')
 
 
 def settle_process() -> None:
-    """
-    Prepare this process for short, regular work; call it when everything is set up.
-
-    A full garbage collection takes several control periods, and the default timer slack
-    prolongs every wait by 50 us.
-    """
-    gc.collect()
+    """Prepare this process for short, regular work; call it when everything is set up."""
+    gc.collect()  # a full collection takes several control periods
     gc.freeze()
     gc.disable()
-    with contextlib.suppress(AttributeError, OSError):  # Linux only
+    with contextlib.suppress(AttributeError, OSError):  # Linux: waits are 50 us too long else
         ctypes.CDLL(None).prctl(PR_SET_TIMERSLACK, 1, 0, 0, 0)
 
 
@@ -45,10 +35,9 @@ def claim_processor(
     *, fifo_priority: int = 0, cpus: tuple[int, ...] = (), lock_memory: bool = False,
 ) -> list[str]:
     """
-    Request SCHED_FIFO, processors for all threads, and memory that is not paged out.
+    Request SCHED_FIFO (0 for none), processors for all threads, and memory that stays.
 
-    A priority is 1 to 99, or 0 to keep the scheduler. Returns one line for each request that
-    failed, with a remedy.
+    Returns one line for each request that failed, with a remedy.
     """
     problems = []
     if cpus:

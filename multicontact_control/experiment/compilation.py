@@ -21,8 +21,7 @@ import sys
 import time
 
 from llvmlite import binding as llvm
-from multicontact_control import compiled
-from multicontact_control.compiled import cache_folder, compilations_told
+from multicontact_control.compiled import cache_folder, compiled_here
 from multicontact_control.experiment.terminal import moving_bar, terminal
 import numpy as np
 from rich.console import Console
@@ -87,23 +86,16 @@ def _complete_file(folder: Path) -> Path:
 def _compile_all(folder: Path, console: Console) -> int:
     """Do everything once, then note which files that took or made."""
     columns = (TextColumn('{task.description}'), BarColumn(), MofNCompleteColumn(),
-               TimeElapsedColumn(), TextColumn('{task.fields[kernel]}'))
+               TimeElapsedColumn())
+    before = compiled_here()
     with moving_bar(*columns, console=console, refresh_per_second=5) as progress:
-        bar = progress.add_task('loading', total=None, kernel='')
+        bar = progress.add_task('loading', total=None)
         exercises = _exercises()
-        seen: set[str] = set()
-
-        def tell(name: str) -> None:
-            seen.add(name)
-            progress.update(bar, completed=len(seen), kernel=name.rpartition('.')[2])
-
-        progress.update(bar, total=len(compiled.kernels), description='compiling')
-        with compilations_told(tell):
-            for title, exercise in exercises.items():
-                progress.update(bar, description=f'compiling: {title}')
-                exercise()
-        progress.update(bar, total=len(seen), completed=len(seen), description='compiled',
-                        kernel='')
+        for done, (title, exercise) in enumerate(exercises.items()):
+            progress.update(bar, total=len(exercises), completed=done,
+                            description=f'compiling: {title}')
+            exercise()
+        progress.update(bar, completed=len(exercises), description='compiled')
     found = [path.relative_to(folder).as_posix() for path in sorted(folder.rglob('*.nb[ic]'))]
     complete = _complete_file(folder)
     unfinished = complete.with_suffix(f'.{os.getpid()}')
@@ -112,7 +104,7 @@ def _compile_all(folder: Path, console: Console) -> int:
     alike = folder.parent.glob(f'{folder.name.rpartition("-")[0]}-*')
     for outdated in sorted(alike, key=os.path.getmtime)[:-KEPT]:
         shutil.rmtree(outdated, ignore_errors=True)
-    return len(seen)
+    return compiled_here() - before
 
 
 def _exercises() -> Mapping[str, Callable[[], object]]:

@@ -138,7 +138,7 @@ def run_real_time(
 
     """
     console = console or terminal()
-    with importing_ros('use `multicontact simulate`'):
+    with importing_ros():
         from multicontact_control.experiment.graph.run import GraphSpec
     config = folder / CONFIG_FOLDER
     refuse_push_test(setup)
