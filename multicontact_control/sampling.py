@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from multicontact_control.arrays import Vector
 from multicontact_control.supervision.inputs import (
@@ -63,6 +63,9 @@ class Decision(NamedTuple):
     inputs: TickInputs | None = None
 
 
+NOTHING = Decision(Action.WAIT)
+
+
 class SampleTiming:
     """
     Pairs the readings of one time, and decides what each message, or its absence, leads to.
@@ -91,27 +94,27 @@ class SampleTiming:
 
     Parameters
     ----------
-    rate
-        1 / h [Hz].
-    supervised, lockstep, feels
-        Whether a supervisor is around the law, R is waited for, and there is a wrist sensor;
-        without one joint states alone are whole samples.
+    rate, supervised, lockstep, feels
+        1 / h [Hz]; whether a supervisor is around the law, R is waited for, and there is a wrist
+        sensor, without which joint states alone are whole samples.
     patience, pair_tolerance
         How long the next sample is waited for, 0 for ever, and the largest difference between
         the stamps of a pair [periods].
 
     Attributes
     ----------
-    last_stamp, expected_stamp
-        Of the newest sample, and of the one that should have come by now [ns]; -1 for none.
-    tick, variance
-        Number of the newest sample, from 0, and the newest R, shape (r,) [N^2], or None.
+    last_stamp, expected_stamp, tick
+        Of the newest sample, and of the one that should have come by now [ns], -1 for none; its
+        number, from 0.
+    variance
+        The newest R, shape (r,) [N^2], or None.
     due
         When `late` is to be asked, monotonic time [ns]; 0 for never.
     unpaired, skipped
         Readings without their other half, and samples that never came or were overtaken.
-    apart
-        By how much the stamps of the newest two readings differ if they are no pair [ns].
+    apart, tolerance
+        By how much the stamps of the newest two readings differ if they are no pair, and may
+        differ if they are one [ns].
 
     """
 
@@ -123,47 +126,39 @@ class SampleTiming:
         self._supervised, self._lockstep, self._feels = supervised, lockstep, feels
         self._period_ns = self._period * NANOSECONDS
         self._patience_ns = patience * self._period_ns if supervised and not lockstep else 0.0
-        self._tolerance = round(pair_tolerance * self._period_ns)
-        self._joints: JointReading | None = None
-        self._wrench: WrenchReading | None = None
-        self._waiting: tuple[JointReading, WrenchReading | None] | None = None
+        self.tolerance = round(pair_tolerance * self._period_ns)
+        self._halves: dict[type, Any] = {}
+        self._waiting: tuple[int, JointReading | None, WrenchReading | None] | None = None
         self._came_again = False
         self.unpaired = self.apart = 0
         self.restart()
 
     def restart(self) -> None:
         """Forget the past: the next sample is the first. In lockstep a sample that waits stays."""
-        self._forget()
         if not self._lockstep:  # it may be old
             self._waiting = None
-
-    def _forget(self) -> None:
         self._first_stamp: int | None = None
         self._older_stamp: int | None = None
         self._variance_stamp = self.last_stamp = self.expected_stamp = -1
         self.variance: Vector | None = None
         self._inputs = TickInputs(0.0)
-        self._time = self._shift = 0.0
-        self._counted_on = False
-        self._missed = self._repeats = self.tick = self.skipped = 0
-        self._since, self._late, self.due = 0.0, 0, 0
+        self._time = self._shift = self._since = 0.0
+        # Periods without a sample since the newest one, and how often that one has come again.
+        self._late = self._repeats = 0
+        self.tick = self.skipped = self.due = 0
 
     def add(self, reading: JointReading | WrenchReading) -> None:
         """Take in a reading; with its other half it is a sample that waits."""
-        if isinstance(reading, JointReading):
-            self.unpaired += self._joints is not None
-            self._joints = reading
-        else:
-            self.unpaired += self._wrench is not None
-            self._wrench = reading
-        joints, wrench = self._joints, self._wrench
+        self.unpaired += type(reading) in self._halves
+        self._halves[type(reading)] = reading
+        joints, wrench = self._halves.get(JointReading), self._halves.get(WrenchReading)
         if joints is None or (wrench is None and self._feels):
             return
         self.apart = 0 if wrench is None else wrench.stamp - joints.stamp
-        if abs(self.apart) <= self._tolerance:
-            self._came_again = (
-                self._waiting is not None and self._waiting[0].stamp == joints.stamp)
-            self._waiting, self._joints, self._wrench, self.apart = (joints, wrench), None, None, 0
+        if abs(self.apart) <= self.tolerance:
+            self._came_again = self._waiting is not None and self._waiting[0] == joints.stamp
+            self._waiting = joints.stamp, joints, wrench
+            self._halves, self.apart = {}, 0
 
     def add_variance(self, stamp: int, variance: Vector) -> None:
         """Use an R [N^2] from the next tick on; its stamp is that of a sample [ns]."""
@@ -172,86 +167,73 @@ class SampleTiming:
             time = (stamp - (self._first_stamp or 0)) * 1e-9 + self._shift
             self._inputs = self._inputs._replace(variance=VarianceInput(time, variance))
 
-    def what_now(self, now: int, *, safe: bool = False) -> Decision:
-        """Decide after a message that came `now` [ns], in the safe behaviour if `safe`."""
+    def what_now(self, now: float, *, safe: bool = False) -> Decision:
+        """
+        Decide after a message that came `now` [ns], in the safe behaviour if `safe`.
+
+        A step takes the newest of each input, at the time of the sample.
+        """
         if self._waiting is None:
-            return Decision(Action.WAIT)
-        joints, wrench = self._waiting
+            return NOTHING
+        stamp, joints, wrench = self._waiting
         came_again, self._came_again = self._came_again, False
         action = Action.STEP
-        if joints.stamp == self.last_stamp:
+        if stamp == self.last_stamp:
             self._waiting = None
             self._repeats += 1
             return Decision(Action.REPEAT if self._supervised or self._lockstep or (
                 self._repeats <= BARE_REPEATS) else Action.STALE)
-        if joints.stamp < self.last_stamp:
+        if stamp < self.last_stamp:
             if self._lockstep or not self._supervised:
-                self._forget()
+                self.restart()
                 action = Action.ANEW
-            elif self._older_stamp is None or joints.stamp < self._older_stamp:
-                self._older_stamp, self._waiting = joints.stamp, None
+            elif self._older_stamp is None or stamp < self._older_stamp:
+                self._older_stamp, self._waiting = stamp, None
                 return Decision(Action.REFUSE)
         elif self._lockstep and not safe and self._variance_stamp != self.last_stamp:
             return Decision(Action.SHOW if came_again else Action.WAIT)
-        self._waiting = self._older_stamp = None
-        self._repeats = 0
-        return Decision(action, self._begin(now, joints, wrench))
-
-    def late(self, now: int) -> Decision:
-        """Decide if `due` has passed `now` [ns] and everything that has come is taken in."""
-        if not 0 < self.due <= now:
-            return Decision(Action.WAIT)
-        halves = [half for half in (self._joints, self._wrench) if half is not None
-                  and half.stamp > self.last_stamp + self._tolerance]
-        if halves:
-            newest = max(halves, key=lambda half: half.stamp)
-            self.unpaired += 1
-            since = max(self._since + self._period_ns, now - self._period_ns)
-            if isinstance(newest, JointReading):
-                self._joints = None
-                return Decision(Action.HALF, self._begin(since, newest, None))
-            self._wrench = None
-            return Decision(Action.HALF, self._begin(since, None, newest))
-        periods_late = int((now - self._since - self._patience_ns) // self._period_ns)
-        passed = int((now - self._since) // self._period_ns) if periods_late else 0
-        ticks, self._late = passed - self._late, passed
-        self.due = int(self._since + self._patience_ns + (periods_late + 1) * self._period_ns)
-        if not ticks:  # what is only late is waited for one more period
-            return Decision(Action.WAIT)
-        self._missed += ticks
-        self.expected_stamp = self.last_stamp + round(self._missed * self._period * 1e9)
-        self._counted_on = True
-        self._time += ticks * self._period
-        self._inputs = self._inputs._replace(time=self._time)
-        return Decision(Action.WITHOUT, self._inputs)
-
-    def _begin(
-        self, since: float, joints: JointReading | None, wrench: WrenchReading | None,
-    ) -> TickInputs:
-        """
-        Begin the tick of a sample, and wait for the next `since` then, monotonic [ns].
-
-        Returns the newest of each input, at the time of the sample.
-        """
-        stamp = joints.stamp if joints is not None else wrench.stamp if wrench is not None else 0
         if self._first_stamp is None:
             self._first_stamp = stamp
         tick = round((stamp - self._first_stamp) * 1e-9 * self._rate)
         missed = tick - self.tick - 1
         if 0 < missed <= LONGEST_PAUSE * self._rate:
             self.skipped += missed
-        self.tick, self.last_stamp, self.expected_stamp = tick, stamp, stamp
         time = (stamp - self._first_stamp) * 1e-9 + self._shift
-        if self._counted_on and time <= self._time:
+        if self._late and time <= self._time:
             self._shift += self._time + self._period - time
             time = self._time + self._period
-        self._counted_on, self._missed, self._time = False, 0, time
-        self._since, self._late = since, 0
-        self.due = int(since + self._patience_ns) if self._patience_ns else 0
+        self._waiting = self._older_stamp = None
+        self.tick, self.last_stamp, self.expected_stamp = tick, stamp, stamp
+        self._time, self._since, self._late, self._repeats = time, now, 0, 0
+        self.due = int(now + self._patience_ns) if self._patience_ns else 0
+        before = self._inputs
         self._inputs = TickInputs(
             time if self._supervised else tick * self._period,
-            self._inputs.joints if joints is None else JointInput(
+            before.joints if joints is None else JointInput(
                 time, joints.q, joints.qd, joints.effort),
-            self._inputs.wrench if wrench is None else WrenchInput(time, wrench.wrench_sensor),
-            self._inputs.variance)
-        return self._inputs
+            before.wrench if wrench is None else WrenchInput(time, wrench.wrench_sensor),
+            before.variance)
+        return Decision(action, self._inputs)
+
+    def late(self, now: int) -> Decision:
+        """Decide if `due` has passed `now` [ns] and everything that has come is taken in."""
+        if not 0 < self.due <= now:
+            return NOTHING
+        newest = max(self._halves.values(), key=lambda half: half.stamp, default=None)
+        if newest is not None and newest.stamp > self.last_stamp + self.tolerance:
+            del self._halves[type(newest)]
+            self.unpaired += 1
+            self._waiting = newest.stamp, *(
+                (newest, None) if isinstance(newest, JointReading) else (None, newest))
+            since = max(self._since + self._period_ns, now - self._period_ns)
+            return Decision(Action.HALF, self.what_now(since).inputs)
+        periods_late = int((now - self._since - self._patience_ns) // self._period_ns)
+        passed = int((now - self._since) // self._period_ns) if periods_late else 0
+        ticks, self._late = passed - self._late, passed
+        self.due = int(self._since + self._patience_ns + (periods_late + 1) * self._period_ns)
+        if not ticks:  # what is only late is waited for one more period
+            return NOTHING
+        self.expected_stamp = self.last_stamp + round(passed * self._period * 1e9)
+        self._time += ticks * self._period
+        self._inputs = self._inputs._replace(time=self._time)
+        return Decision(Action.WITHOUT, self._inputs)

@@ -120,7 +120,7 @@ class SimNode(Node):
         self._reader = effort_reader(self._plant.joint_names)
         subscribe(self, topics.EFFORT_COMMAND, self._on_command, qos.INPUT)
         self._watch = LoopStatistics(config.rate)
-        self._inputs = Inputs(self, {topics.EFFORT_COMMAND: 'a torque [N m] for each joint'})
+        self._inputs = Inputs(self, topics.EFFORT_COMMAND)
         self._diagnostics = Diagnostics(self, self._statuses)
         # Kept by the publisher for whoever comes late.
         description.publish(String(data=self._plant.description.urdf))
@@ -332,7 +332,7 @@ class SimNode(Node):
         return self._origin + stamp_of(tick, self._config.rate)
 
     def _on_command(self, data: bytes) -> None:
-        received = self._inputs.note(topics.EFFORT_COMMAND)
+        received = self._inputs.last[topics.EFFORT_COMMAND] = time.monotonic_ns()
         with self._refusals.guard(topics.EFFORT_COMMAND):
             command = self._reader.read(data)
             tick = round((command.stamp - self._origin) * 1e-9 * self._config.rate)

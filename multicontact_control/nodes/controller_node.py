@@ -35,6 +35,7 @@ from multicontact_control.nodes.streams import (
 from multicontact_control.sampling import Action, Decision, NANOSECONDS, SampleTiming
 from multicontact_control.supervision.inputs import JointInput, TickInputs, WrenchInput
 import numpy as np
+from std_msgs.msg import Float64MultiArray
 
 WHOLE = (Action.STEP, Action.ANEW, Action.REPEAT, Action.STALE)
 SHOWN = (Action.STEP, Action.ANEW, Action.HALF, Action.SHOW)
@@ -57,7 +58,7 @@ class ControllerNode(ManagedNode):
         super().__init__(
             topics.CONTROLLER, ControllerConfig, ControllerNodeConfig, **options)
         self._node_config = ControllerNodeConfig()
-        self._last_command: tuple[bytes, Vector] | None = None
+        self._command: tuple[bytes, Vector] | None = None  # the last one
         self._heard = 0  # messages of whatever use
 
     def configure(self, configurations: Sequence[Any]) -> None:
@@ -65,51 +66,41 @@ class ControllerNode(ManagedNode):
         config: ControllerConfig
         node_config: ControllerNodeConfig
         config, node_config = configurations
-        feels = config.wrench_input != 'momentum'
         loop = ControlLoop(
             config, node_config.scenario(config), node_config.command, node_config.folder,
             supervised=node_config.supervised)
-        warm_up(loop)
+        _warm_up(loop)
         timing = SampleTiming(
             config.rate, supervised=node_config.supervised, lockstep=node_config.lockstep,
-            feels=feels, patience=node_config.patience,
+            feels=config.wrench_input != 'momentum', patience=node_config.patience,
             pair_tolerance=node_config.pair_tolerance)
-        joints, columns = config.robot.joint_names, config.column_names
-        frame, wrench = config.robot.sensor_frame, topics.WRENCHES.get(config.wrench_input)
+        wrench = topics.WRENCHES.get(config.wrench_input)
         self._inputs = {
             topics.NOISE_VARIANCE: (
-                variance_reader(columns), lambda found: timing.add_variance(*found)),
-            topics.JOINT_STATES: (joint_state_reader(joints), timing.add)}
-        expected = {
-            topics.NOISE_VARIANCE:
-                f'an effort [N^2] for each of {", ".join(columns)}; the last R is held',
-            topics.JOINT_STATES:
-                f'position and velocity [rad, rad/s] of {", ".join(joints)}, stamped'}
+                variance_reader(config.column_names), lambda found: timing.add_variance(*found)),
+            topics.JOINT_STATES: (joint_state_reader(config.robot.joint_names), timing.add)}
         if wrench is not None:
-            self._inputs[wrench] = wrench_reader(frame), timing.add
-            expected[wrench] = f'force [N] and torque [N m] in the axes of {frame}, stamped'
+            self._inputs[wrench] = wrench_reader(config.robot.sensor_frame), timing.add
         self._outputs = ControllerOutputs(self, config, node_config)
-        report = ControllerReport(self, loop, timing, expected, node_config.pair_tolerance)
-        CommandInterface(
-            self, loop, self.refusals, report.answer, lambda: self._node_config,
-            lambda bias: self.parameter_set.assign('tool.bias_sensor', bias))
+        self._loop, self._timing = loop, timing
+        self._report = ControllerReport(self, loop, timing, [*self._inputs])
+        CommandInterface(self, loop, self._report.answer, lambda: self._node_config)
         for topic in self._inputs:
             subscribe(self, topic, partial(self._on_message, topic),
                       qos.INPUT if node_config.lockstep else qos.SENSOR)
-        self._loop, self._timing, self._report = loop, timing, report
-        self._node_config, self._last_command = node_config, None
+        self._node_config, self._command = node_config, None
 
     def activate(self) -> ControllerNodeConfig:
         """Start with the next sample, as if there had been none."""
         self._loop.restart()
         self._timing.restart()
         self._report.inputs.restart()
-        self._last_command, self.due = None, 0
+        self._command, self.due = None, 0
         return self._node_config
 
     def deactivate(self) -> None:
         """Go over to the safe behaviour."""
-        self._last_command = None
+        self._command = None
         self._loop.supervisor.stop()
         kind = self._loop.config.safe_behaviour.replace('_', ' ')
         self.get_logger().info(f'deactivated: commanding {kind} from the next sample on')
@@ -158,9 +149,10 @@ class ControllerNode(ManagedNode):
         reader, take_in = self._inputs[topic]
         try:
             take_in(reader.read(data))
-            if self.working or self._loop.safe:
-                self._do(self._timing.what_now(start, safe=self._loop.safe), start)
-            self._report.inputs.note(topic)
+            safe = self._loop.supervisor.safe
+            if self.working or safe:
+                self._do(self._timing.what_now(start, safe=safe), start)
+            self._report.inputs.last[topic] = start
         except MulticontactError as error:
             self.refusals.refuse(topic.name, error)
 
@@ -171,14 +163,16 @@ class ControllerNode(ManagedNode):
         while late and heard != self._heard and not spinner.stop:
             heard = self._heard  # what waits in a queue has come: it goes first
             spinner.spin_once(0.0)
-        if self.working or self._loop.safe:
+        safe = self._loop.supervisor.safe
+        if self.working or safe:
             now = time.monotonic_ns()
-            self._do(self._timing.late(now) if late else self._timing.what_now(
-                now, safe=self._loop.safe), now)
+            self._do(self._timing.late(now) if late else self._timing.what_now(now, safe=safe),
+                     now)
 
     def _do(self, decision: Decision, start: int) -> None:
         """Do what is due after a message that came at a monotonic time [ns], command first."""
-        (action, inputs), loop, timing = decision, self._loop, self._timing
+        action, inputs = decision
+        loop, timing, outputs = self._loop, self._timing, self._outputs
         self.due = timing.due
         if action is Action.ANEW:
             self.get_logger().warning('samples start anew: the controller starts anew')
@@ -187,28 +181,30 @@ class ControllerNode(ManagedNode):
         elif action is Action.REFUSE:
             self.refusals.refuse(topics.JOINT_STATES.name, MessageError(
                 'stamp', 'one after that of the last sample', 'an older one'))
-        elif action is Action.REPEAT and self._last_command is not None:
-            self._outputs.send(*self._last_command)
         if inputs is not None:
-            self._last_command = None
+            self._command = None
             try:
                 torque = loop.step(inputs)
             except (SingularTaskError, ContactGeometryError) as error:
                 self.get_logger().error(  # only bare: a supervisor would have answered
                     f'{error}; going over to the safe behaviour, until activated anew')
                 torque = loop.stop()
-            command = self._outputs.command(timing.expected_stamp, torque)
-            self._outputs.send(command, torque)
-            self._last_command = command, torque
+            self._command = outputs.command(timing.expected_stamp, torque), torque
+        if self._command is not None and (inputs is not None or action is Action.REPEAT):
+            command, torque = self._command
+            outputs.publish(command)
+            if outputs.publish_bare is not None:
+                outputs.publish_bare(Float64MultiArray(data=torque))
+        if inputs is not None:
             self._report.watch.add_latency(time.monotonic_ns() - start)
             self._report.look()
         if action in WHOLE:
             self._report.watch.add_period(start)
         if action in SHOWN and loop.output is not None:
-            self._outputs.show(timing.expected_stamp, timing.tick, loop.output)
+            outputs.show(timing.expected_stamp, timing.tick, loop.output)
 
 
-def warm_up(loop: ControlLoop) -> None:
+def _warm_up(loop: ControlLoop) -> None:
     """Take a step that is not sent: the first one takes a hundred times as long."""
     joints = np.linspace(0.4, 1.0, len(loop.config.robot.joint_names))
     with contextlib.suppress(MulticontactError):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 import math
 import time
 from typing import Any
@@ -21,7 +21,6 @@ from multicontact_control.nodes.diagnostics import (
 from multicontact_control.nodes.graph import create_publisher
 from multicontact_control.nodes.lifecycle import ACTIVE, INACTIVE, ManagedNode
 from multicontact_control.nodes.status import ACCEPTED, ControllerStatus, REFUSED, STATE
-from multicontact_control.nodes.topics import Topic
 from multicontact_control.sampling import NANOSECONDS, SampleTiming
 from multicontact_control.supervision.contacts import GIVEN_UP, LOST, NAMES, RETRACTING
 from multicontact_control.supervision.reactions import INFLATE, NONE, SEVERITY
@@ -42,25 +41,17 @@ class ControllerReport:
 
     Each answer to a command and each change of state is a `ControllerStatus` on ~/status. A
     command with an identifier is answered; one without is told of if it is refused. The state is
-    repeated once a second.
-
-    Attributes
-    ----------
-    inputs, restarts
-        When each input came last, and how often samples have begun anew.
-    watch
-        Its turns are samples, its latencies from the last message of a sample to its command.
-
+    repeated once a second. `restarts` counts how often samples have begun anew; the turns of
+    `watch` are samples, its latencies last from the newest message of a sample to its command.
     """
 
     def __init__(
         self, node: ManagedNode, loop: ControlLoop, timing: SampleTiming,
-        inputs: Mapping[Topic, str], pair_tolerance: float,
+        inputs: Sequence[topics.Topic],
     ) -> None:
         self._node, self._loop, self._timing = node, loop, timing
-        self.inputs, self.watch = Inputs(node, inputs), LoopStatistics(loop.config.rate)
+        self.inputs, self.watch = Inputs(node, *inputs), LoopStatistics(loop.config.rate)
         self._pair = [topic for topic in inputs if topic is not topics.NOISE_VARIANCE]
-        self._pair_tolerance = pair_tolerance  # periods
         self._publisher = create_publisher(node, topics.STATUS)
         self.restarts = self._refused = 0
         self._log_due: dict[str, int] = {}
@@ -87,16 +78,15 @@ class ControllerReport:
         status = loop.status
         did = (NONE, (), ()) if status is None else (
             status.reaction, status.causes, status.contact_states)
-        now: tuple[Any, ...] = (
-            did, loop.push_gate.instruction, loop.safe, loop.held, self._node.state,
-            *loop.commanded_forces.values())
+        now = (did, loop.push_gate.instruction, loop.safe, loop.held, self._node.state,
+               *loop.commanded_forces.values())
         for name in status.rejected if status else ():
             self._warn(name, f'a reading is not used: {name}')
         if now == self._before or time.monotonic_ns() < self._next_state:
             return
         before, self._before = self._before, now
-        if now[0][:2] != before[0][:2]:
-            self._warn(f'{now[0]}', reaction_text(loop) or 'control goes on')
+        if did[:2] != before[0][:2]:
+            self._warn(f'{did}', _reaction_text(loop) or 'control goes on')
         if now[1] not in ('', before[1]):
             self._node.get_logger().info(f'push test: {now[1]}')
         self._repeat()
@@ -114,7 +104,7 @@ class ControllerReport:
         self._publish(STATE, '', '')
 
     def _publish(self, event: str, identifier: str, refusal: str) -> None:
-        loop, status, reaction = self._loop, self._loop.status, reaction_text(self._loop)
+        loop, status, reaction = self._loop, self._loop.status, _reaction_text(self._loop)
         text = refusal or reaction or loop.push_gate.instruction or (
             'safe behaviour' if loop.safe else 'held' if loop.held else 'ok')
         states = zip(loop.config.contact_names, status.contact_states) if status else ()
@@ -151,10 +141,10 @@ class ControllerReport:
 
     def _at_another_rate(self) -> str:
         """Say at what rate samples have come since this was asked last, if it is a wrong one."""
-        (samples, stamp), now = self._reported_at, (
-            self.watch.intervals.count, self._timing.last_stamp)
-        self._reported_at = now
-        count, elapsed = now[0] - samples, (now[1] - stamp) / NANOSECONDS
+        samples, stamp = self._reported_at
+        self._reported_at = self.watch.intervals.count, self._timing.last_stamp
+        count = self._reported_at[0] - samples
+        elapsed = (self._timing.last_stamp - stamp) / NANOSECONDS
         if stamp < 0 or count < FEWEST or elapsed < 0.0:
             return ''
         rate, expected = count / elapsed if elapsed else math.inf, self._loop.config.rate
@@ -170,15 +160,13 @@ class ControllerReport:
         return self._warn('apart', (
             f'{" and ".join(topic.name for topic in self._pair)} come, but their stamps are '
             f'{abs(self._timing.apart) * 1e-6:.6g} ms apart: expected at most '
-            f'{self._pair_tolerance:g} periods of {1e3 * self._loop.config.period:g} ms '
-            '(pair_tolerance), of one clock'))
+            f'{self._timing.tolerance * 1e-6:g} ms (pair_tolerance), of one clock'))
 
     def _supervisor(self) -> Status:
         """Return what the supervisor does, and in how many ticks it did something else."""
         status, log = self._loop.status, self._loop.events
         if status is None:
             return Status('supervisor', {'reaction': NONE})
-        text = reaction_text(self._loop)
         severe = SEVERITY.index(status.reaction) > SEVERITY.index(INFLATE)
         return Status('supervisor', {
             'reaction': status.reaction, 'causes': ' '.join(status.causes) or 'none',
@@ -186,7 +174,7 @@ class ControllerReport:
             **{f'{what} {name}': count for what, counts in (
                 ('ticks with', log.reactions), ('rejected', log.rejected),
                 ('limited', log.limited)) for name, count in counts.items() if name != NONE}},
-            **{'error' if severe else 'warning': text})
+            **{'error' if severe else 'warning': _reaction_text(self._loop)})
 
     def _contacts(self) -> Status:
         """Return the states and forces of the contacts, and R [N^2]."""
@@ -224,7 +212,7 @@ class ControllerReport:
                       warning=gate.instruction if gate.running or not gate.open else '')
 
 
-def reaction_text(loop: ControlLoop) -> str:
+def _reaction_text(loop: ControlLoop) -> str:
     """Return what the supervisor does instead of control, and why; empty if nothing."""
     status = loop.status
     if status is None or status.reaction == NONE:

@@ -15,7 +15,8 @@ from multicontact_control.loop import ControlLoop
 from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.nodes.contact_markers import ContactMarkers
 from multicontact_control.nodes.controller_config import ControllerNodeConfig
-from multicontact_control.nodes.graph import create_publisher, full_topic_name, Refusals
+from multicontact_control.nodes.graph import create_publisher, full_topic_name
+from multicontact_control.nodes.lifecycle import ManagedNode
 from multicontact_control.nodes.status import identifier_of
 from multicontact_control.nodes.streams import JOINT_FIELDS, StreamPublisher
 import numpy as np
@@ -52,9 +53,9 @@ class ControllerOutputs:
     """
     Publishes the command, the state of each tick, and arrows for viewers.
 
-    The bare efforts, if asked for, are what ros2_control's `forward_command_controller` and
-    `joint_group_effort_controller` subscribe to, in the order of the controller's joints.
-    `command` makes the bytes of a command from a stamp [ns] and torques, or raises `MessageError`.
+    `command` makes the bytes of a command from a stamp [ns] and torques, or raises `MessageError`;
+    `publish` sends them. `publish_bare`, None unless asked for, sends the efforts that
+    ros2_control's forward and effort controllers subscribe to, in the order of the joints.
     """
 
     def __init__(
@@ -64,9 +65,11 @@ class ControllerOutputs:
         name = full_topic_name('effort_output_topic', bare, node) if bare else ''
         joints, contacts = config.robot.joint_names, config.column_names
         zeros, build = np.zeros(len(contacts)), messages.joint_state_message
-        self._commands = StreamPublisher(
+        commands = StreamPublisher(
             node, topics.EFFORT_COMMAND, build(0, joints, effort=np.zeros(len(joints))))
-        self.command = self._commands.write
+        self.command, self.publish = commands.write, commands.publish
+        self.publish_bare = node.create_publisher(
+            Float64MultiArray, name, qos.STREAM).publish if bare else None
         self._shown: list[tuple[StreamPublisher, Numbers]] = []
         for topic, (fields, numbers) in SHOWN.items():
             values: Any = dict.fromkeys(fields, zeros)
@@ -74,15 +77,8 @@ class ControllerOutputs:
                 messages.pose_message(0, np.zeros(3), np.zeros(4), topics.WORLD_FRAME)))
             if config.force.stiffness == 'adaptive' or topic not in OF_STIFFNESS:
                 self._shown.append((publisher, numbers))
-        self._bare = node.create_publisher(Float64MultiArray, name, qos.STREAM) if bare else None
         self._markers_publisher = create_publisher(node, topics.CONTACT_MARKERS)
         self._markers = ContactMarkers(config)
-
-    def send(self, command: bytes, torque: Vector) -> None:
-        """Publish a command, and its bare efforts too if asked to."""
-        self._commands.publish(command)
-        if self._bare is not None:
-            self._bare.publish(Float64MultiArray(data=torque))
 
     def show(self, stamp: int, tick: int, output: ControlOutput) -> None:
         """Publish forces, innovations, poses and markers of a tick with a stamp [ns]."""
@@ -100,11 +96,6 @@ class Service(NamedTuple):
     name: str
     kind: Any
     content: str
-
-    @property
-    def type_name(self) -> str:
-        """Return the type as ROS tools write it, e.g. ``std_srvs/srv/Trigger``."""
-        return '/'.join([*self.kind.__module__.split('.')[:2], self.kind.__name__])
 
 
 TARE = Service(
@@ -124,44 +115,44 @@ Answer = Callable[[str, str, Exception | None], None]
 
 class CommandInterface:
     """
-    Hands commands to a control loop, and answers.
+    Hands commands to a control loop.
 
-    Each is answered by a call with its source, its identifier, and its refusal if it is one.
-    `settings` returns the configuration of tare and push test; `set_bias` makes a bias of the
-    wrist sensor the one in force.
+    `answer` is called with the source of each, its identifier, and its refusal if it is one;
+    `settings` returns the configuration of tare and push test.
     """
 
     def __init__(
-        self, node: Node, loop: ControlLoop, refusals: Refusals, answer: Answer,
-        settings: Callable[[], ControllerNodeConfig], set_bias: Callable[[list[float]], None],
+        self, node: ManagedNode, loop: ControlLoop, answer: Answer,
+        settings: Callable[[], ControllerNodeConfig],
     ) -> None:
-        self._loop, self._refusals, self._answer = loop, refusals, answer
-        self._settings, self._set_bias = settings, set_bias
+        self._node, self._loop, self._answer, self._settings = node, loop, answer, settings
         for topic, obey in ((topics.FORCE_COMMAND, self._forces),
                             (topics.MOTION_COMMAND, self._motion)):
             node.create_subscription(
-                topic.message, topic.name, partial(self._on_command, topic, obey), qos.COMMAND)
+                topic.message, topic.name, partial(self._on_command, topic.name, obey),
+                qos.COMMAND)
         for service, work in ((TARE, self._tare), (HOLD, self._hold),
                               (RETRY, lambda _: loop.retry()), (PUSH_TEST, self._push_test)):
-            node.create_service(
-                service.kind, f'~/{service.name}', partial(self._on_request, service, work))
+            name = f'~/{service.name}'
+            node.create_service(service.kind, name, partial(self._on_request, name, work))
 
-    def _on_command(self, topic: topics.Topic, obey: Callable[[Any], Any], message: Any) -> None:
-        self._obey(topic.name, identifier_of(message), obey, message)
+    def _on_command(self, source: str, work: Callable[[Any], Any], message: Any) -> None:
+        self._obey(source, identifier_of(message), work, message)
 
     def _on_request(
-        self, service: Service, work: Callable[[Any], Any], request: Any, response: Any,
+        self, source: str, work: Callable[[Any], Any], request: Any, response: Any,
     ) -> Any:
-        found = self._obey(f'~/{service.name}', '', work, request)
+        found = self._obey(source, '', work, request)
         response.message, response.success = str(found), not isinstance(found, MulticontactError)
         return response
 
     def _obey(self, source: str, identifier: str, work: Callable[[Any], Any], wish: Any) -> Any:
-        """Return what some work says, or why it is refused."""
+        """Return what some work returns, or why it is refused."""
+        refusal = None
         try:
-            found, refusal = work(wish), None
+            found = work(wish)
         except MulticontactError as error:
-            self._refusals.refuse(source, error)
+            self._node.refusals.refuse(source, error)
             found = refusal = error
         self._answer(source, identifier, refusal)
         return found
@@ -175,7 +166,7 @@ class CommandInterface:
 
     def _tare(self, _request: Any) -> str:
         bias = self._loop.tare(self._settings().tare)
-        self._set_bias(bias.tolist())
+        self._node.parameter_set.assign('tool.bias_sensor', bias.tolist())
         return 'bias [N, N m]: ' + ', '.join(f'{x:.4g}' for x in bias)
 
     def _hold(self, request: Any) -> str:

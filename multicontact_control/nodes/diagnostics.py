@@ -87,15 +87,12 @@ class DurationLog:
         first = max(since, self.count - CAPACITY)
         return np.asarray(1e-3 * self._nanoseconds[np.arange(first, self.count) % CAPACITY])
 
-    def percentiles(self) -> dict[str, float | None]:
-        """Return median, tails and maximum [us]; None without any duration."""
-        return _percentiles(self.microseconds())
-
-
-def _percentiles(microseconds: Vector) -> dict[str, float | None]:
-    found = np.percentile(microseconds, list(PERCENTILES.values())).round(3).tolist() if (
-        microseconds.size) else [None] * len(PERCENTILES)
-    return dict(zip(PERCENTILES, found))
+    def percentiles(self, since: int = 0, expected: float = 0.0) -> dict[str, float | None]:
+        """Return median, tails and maximum of what is not as `expected` [us]; None without any."""
+        off = np.abs(self.microseconds(since) - expected)
+        found = np.percentile(off, list(PERCENTILES.values())).round(3).tolist() if (
+            off.size) else [None] * len(PERCENTILES)
+        return dict(zip(PERCENTILES, found))
 
 
 class LoopStatistics:
@@ -124,8 +121,8 @@ class LoopStatistics:
         now, missed = time.monotonic_ns(), self.missed
         start, intervals, latencies = self._reported
         turns = self.intervals.count - intervals
-        jitter = _percentiles(np.abs(self.intervals.microseconds(intervals) - 1e6 / self._rate))
-        latency = _percentiles(self.latencies.microseconds(latencies))
+        jitter = self.intervals.percentiles(intervals, 1e6 / self._rate)
+        latency = self.latencies.percentiles(latencies)
         self._reported = (now, self.intervals.count, self.latencies.count)
         self.missed = 0
         return {
@@ -136,65 +133,56 @@ class LoopStatistics:
 
 
 class Inputs:
-    """When each input of a node last came, by what is `expected` in it; logs what is missing."""
+    """When each input of a node came `last`, monotonic time [ns]; logs what is missing."""
 
-    def __init__(self, node: Node, expected: Mapping[Topic, str]) -> None:
-        self._node, self._expected = node, expected
+    def __init__(self, node: Node, *inputs: Topic) -> None:
+        self._node = node
+        self.last = dict.fromkeys(inputs, 0)
         self.restart()
 
     def restart(self) -> None:
         """Wait for all of them from now on."""
-        self._last = dict.fromkeys((topic.name for topic in self._expected), 0)
+        self.last = dict.fromkeys(self.last, 0)
         self._since = time.monotonic_ns()
         self._reminders: dict[Topic, int] = {}  # when those that are missing are due again
 
-    def note(self, topic: Topic) -> int:
-        """Take note of an input; return the monotonic time [ns]."""
-        self._last[topic.name] = now = time.monotonic_ns()
-        return now
-
     def age(self, topic: Topic) -> float:
         """Return how long ago an input came last [s], infinity if it never has."""
-        last = self._last[topic.name]
+        last = self.last[topic]
         return (time.monotonic_ns() - last) * 1e-9 if last else math.inf
 
     def status(self, max_age: float, *, needed: bool, consequence: str = '') -> Status:
         """Return ages; if `needed`, which are above `max_age` [s], and what is done about it."""
-        ages = {topic.name: self.age(topic) for topic in self._expected}
-        stale = [f'{name} for {age:.3g} s' if age < math.inf else f'{name} ever'
-                 for name, age in ages.items() if age > max_age]
+        ages = {topic.name: self.age(topic) for topic in self.last}
+        stale = [f'no {name} for {age:.3g} s' if age < math.inf else f'no {name} ever'
+                 for name, age in ages.items() if age > max_age and needed]
         if needed:
-            for topic in self._expected:
+            for topic in self.last:
                 self._look_for(topic)
-        text = f'no {", no ".join(stale)}{consequence}' if stale and needed else ''
         return Status('inputs', {
             f'age_s {name}': age if age < math.inf else None for name, age in ages.items()},
-            warning=text)
+            warning=', '.join(stale) + (consequence if stale else ''))
 
     def _look_for(self, topic: Topic) -> None:
-        """Log that a topic is missing, or that it comes again."""
-        now = time.monotonic_ns()
-        missing = now - (self._last[topic.name] or self._since)
+        """Log that a topic is missing and what there is instead, or that it comes again."""
+        now, logger = time.monotonic_ns(), self._node.get_logger()
+        missing = now - (self.last[topic] or self._since)
         if missing < MISSING_AGE:
             if self._reminders.pop(topic, 0):
-                self._node.get_logger().info(f'{topic.name} comes')
+                logger.info(f'{topic.name} comes')
         elif now >= self._reminders.get(topic, 0):
             self._reminders[topic] = now + REMINDER_PERIOD
-            name = str(self._node.resolve_topic_name(topic.name))
-            self._node.get_logger().warning(
-                f'no message on {name} for {missing / NANOSECONDS:.1f} s: expected '
-                f'{topic.type_name} with {self._expected[topic]}; {self._found(topic, name)}')
-
-    def _found(self, topic: Topic, name: str) -> str:
-        """Return what there is of a topic instead."""
-        publishers = self._node.get_publishers_info_by_topic(name)
-        types = {x.topic_type for x in publishers} - {topic.type_name}
-        if not publishers:
+            name = self._node.resolve_topic_name(topic.name)
+            publishers = self._node.get_publishers_info_by_topic(name)
+            types = {x.topic_type for x in publishers} - {topic.type_name}
             source = 'the driver of the robot' if topic.publisher == SIM else topic.publisher
-            return (f'it has no publisher: start {source}, or give its topic, -r '
-                    f'{topic.name}:=/its/topic')
-        return f'it is published as {", ".join(sorted(types))}' if types else (
-            f'publishers: {len(publishers)}, but nothing is sent that can be read')
+            found = (
+                f'it has no publisher: start {source}, or give its topic, -r '
+                f'{topic.name}:=/its/topic' if not publishers else
+                f'it is published as {", ".join(sorted(types))}' if types else
+                f'publishers: {len(publishers)}, but nothing is sent that can be read')
+            logger.warning(f'no message on {name} for {missing / NANOSECONDS:.1f} s: expected '
+                           f'{topic.type_name}: {topic.content} Found: {found}')
 
 
 def message_status(refusals: Refusals, **dropped: int) -> Status:

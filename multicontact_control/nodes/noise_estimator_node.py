@@ -56,12 +56,12 @@ class NoiseEstimatorNode(ManagedNode):
         self._measured, self._innovation = effort_reader(names), innovation_reader(names)
         self._publisher = StreamPublisher(self, topics.NOISE_VARIANCE, (
             messages.joint_state_message(0, names, effort=np.zeros(len(names)))))
-        expected = {topics.MEASURED_FORCES: 'an effort [N] for each contact'}
+        inputs = [topics.MEASURED_FORCES]
         subscribe(self, topics.MEASURED_FORCES, self._on_measured, qos.INPUT)
         if self._estimator.uses_innovation:
-            expected[topics.INNOVATION] = 'innovations [N] and their variances [N^2]'
+            inputs.append(topics.INNOVATION)
             subscribe(self, topics.INNOVATION, self._on_innovation, qos.INPUT)
-        self._inputs = Inputs(self, expected)
+        self._inputs = Inputs(self, *inputs)
 
     def activate(self) -> ManagedConfig:
         """Start with an empty window."""
@@ -94,7 +94,7 @@ class NoiseEstimatorNode(ManagedNode):
         if self.state == ACTIVE:
             with self.refusals.guard(topic):
                 queue.append(reader.read(data))
-                self._inputs.note(topic)
+                self._inputs.last[topic] = time.monotonic_ns()
                 self._answer()
 
     def look(self, spinner: Spinner) -> None:

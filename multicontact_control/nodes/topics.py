@@ -46,8 +46,7 @@ class Topic:
     @property
     def type_name(self) -> str:
         """Return the type as ROS tools write it, e.g. ``sensor_msgs/msg/JointState``."""
-        package = self.message.__module__.split('.', 1)[0]
-        return f'{package}/msg/{self.message.__name__}'
+        return type_name(self.message)
 
 
 JOINT_STATES = Topic(
@@ -132,6 +131,11 @@ CLOCK = Topic(
     'Time of the newest sample.')
 
 TOPICS = tuple(topic for topic in globals().values() if isinstance(topic, Topic))
+
+
+def type_name(kind: Any) -> str:
+    """Return the type of a message or service class as ROS tools write it."""
+    return '/'.join([*kind.__module__.split('.')[:2], kind.__name__])
 
 
 def message_class(type_name: str) -> Any:

@@ -1,6 +1,7 @@
 """Rates, jitter, ages and refusals from what is known."""
 
 import math
+import time
 
 from multicontact_control.errors import MessageError, RunError, ShapeError
 from multicontact_control.nodes.diagnostics import Inputs, LoopStatistics
@@ -28,8 +29,8 @@ def test_report_gives_jitter_latency_and_misses_since_the_last():
 
 
 def test_inputs_know_what_never_came():
-    inputs = Inputs(None, {JOINT_STATES: '', WRENCH: ''})
-    inputs.note(JOINT_STATES)
+    inputs = Inputs(None, JOINT_STATES, WRENCH)
+    inputs.last[JOINT_STATES] = time.monotonic_ns()
     assert 0.0 <= inputs.age(JOINT_STATES) < inputs.age(WRENCH) == math.inf
     status = inputs.status(60.0, needed=True, consequence=': it is held')
     assert status.values['age_s ft_sensor/wrench'] is None
