@@ -29,11 +29,10 @@ KINDS = (('', FELT), ('/estimated', ESTIMATED), ('/desired', DESIRED))
 
 class ContactMarkers:
     """
-    Turns contact forces into arrows, three per contact, a few times a second.
+    Turns contact forces into arrows into the surface, three per contact.
 
-    That of the measured force ends at the contact's tip; those of the estimated and the desired
-    one stand beside it. All point into the surface. The measured one is orange where the force is
-    controlled and grey where it is only felt.
+    That of the measured force ends at the contact's tip, orange where the force is controlled and
+    grey where it is only felt; those of the estimated and the desired one stand beside it.
     """
 
     def __init__(self, config: ControllerConfig) -> None:
@@ -54,17 +53,9 @@ class ContactMarkers:
         normals_world: Matrix,
     ) -> MarkerArray:
         """
-        Return the arrows of one sample; the next call changes them.
+        Return the arrows of a sample at a time [ns]; the next call changes them.
 
-        Parameters
-        ----------
-        stamp, pose
-            Time of the sample [ns], and pose of the operational frame.
-        forces
-            Measured, estimated and desired, each of shape (r,) [N].
-        active, normals_world
-            Which of them are controlled, shape (r,), and their normals, shape (r, 3).
-
+        `forces` are measured, estimated and desired [N], `active` those that are controlled.
         """
         normals = normals_world[self._leaders]
         feet = pose.position_world + self._points_operational @ pose.rotation_world.T
@@ -76,14 +67,14 @@ class ContactMarkers:
         beside = along / np.linalg.norm(along, axis=1, keepdims=True)
         tips = feet + np.arange(len(forces))[:, None, None] * BESIDE * beside
         tails = tips - SCALE * alpha * normals
-        messages.finite(np.ravel((tips, tails)), 'points')
-        shown = (alpha > SMALLEST_FORCE).ravel().tolist()
+        ends = messages.finite_array(
+            np.ravel(np.stack((tails, tips), axis=-2)), 6 * len(self._arrows), 'points')
         time = messages.ns_to_stamp(stamp)
-        for arrow, tail, tip, is_shown in zip(
-                self._arrows, tails.reshape(-1, 3).tolist(), tips.reshape(-1, 3).tolist(), shown):
+        for arrow, points, force in zip(
+                self._arrows, ends.reshape(-1, 2, 3).tolist(), alpha.ravel().tolist()):
             arrow.header.stamp = time
-            arrow.action = Marker.ADD if is_shown else Marker.DELETE
-            for point, values in zip(arrow.points, (tail, tip)):
+            arrow.action = Marker.ADD if force > SMALLEST_FORCE else Marker.DELETE
+            for point, values in zip(arrow.points, points):
                 point.x, point.y, point.z = values
         for arrow, leader in zip(self._arrows, self._leaders):
             arrow.color = CONTROLLED if active[leader] else FELT
@@ -91,7 +82,6 @@ class ContactMarkers:
 
 
 def _arrow(namespace: str, number: int, colour: ColorRGBA) -> Marker:
-    """Return an arrow of the controller, without time and place."""
     marker = Marker(ns=namespace, id=number, type=Marker.ARROW, color=colour,
                     points=[Point(), Point()], lifetime=Duration(seconds=LIFETIME).to_msg())
     marker.header.frame_id = topics.WORLD_FRAME

@@ -125,16 +125,12 @@ class ControllerNode(ManagedNode):
             'refused': dict(self.refusals.counts), 'unpaired': self._timing.unpaired,
             'restarts': report.restarts, 'events': self._loop.events.events})
 
-    def check(self, configurations: Sequence[Any]) -> None:
-        """Raise if the controller cannot go on with new configurations."""
-        self._loop.supervisor.check(configurations[0])
-
     def reconfigure(self, configurations: Sequence[Any]) -> None:
-        """Go on with new configurations from the next sample on."""
-        config, self._node_config = configurations
-        self._loop.limits = self._node_config.command
+        """Go on with new configurations from the next sample on; raise if that cannot be."""
+        config, node_config = configurations
         if config != self._loop.config:
             self._loop.supervisor.reconfigure(config)
+        self._node_config, self._loop.limits = node_config, node_config.command
 
     def statuses(self) -> list[Status]:
         """Return what diagnostics report."""

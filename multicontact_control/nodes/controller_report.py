@@ -56,8 +56,8 @@ class ControllerReport:
         self.restarts = self._refused = 0
         self._log_due: dict[str, int] = {}
         self._before: tuple[Any, ...] = ((NONE, (), ()), '')
+        self._answered: tuple[Any, ...] = ()
         self._next_state = self._next_answer = 0
-        self._answered: tuple[str, str, bool] | None = None
         self._reported_at = (0, -1)  # number and stamp of the newest sample
 
     def answer(self, source: str, identifier: str, error: Exception | None) -> None:
@@ -69,13 +69,12 @@ class ControllerReport:
         if (identifier or error is not None) and (
                 answer != self._answered or now >= self._next_answer):
             self._answered, self._next_answer = answer, now + ANSWER_INTERVAL
-            self._publish(ACCEPTED if error is None else REFUSED, identifier,
-                          '' if error is None else f'{source}: {error}')
+            self._publish(*(ACCEPTED, identifier) if error is None else (
+                REFUSED, identifier, f'{source}: {error}'))
 
     def look(self) -> None:
         """Tell what has changed with the newest tick, if anything has."""
-        loop = self._loop
-        status = loop.status
+        loop, status = self._loop, self._loop.status
         did = (NONE, (), ()) if status is None else (
             status.reaction, status.causes, status.contact_states)
         now = (did, loop.push_gate.instruction, loop.safe, loop.held, self._node.state,
@@ -89,7 +88,8 @@ class ControllerReport:
             self._warn(f'{did}', _reaction_text(loop) or 'control goes on')
         if now[1] not in ('', before[1]):
             self._node.get_logger().info(f'push test: {now[1]}')
-        self._repeat()
+        self._next_state = time.monotonic_ns() + STATE_INTERVAL
+        self._publish(STATE)
 
     def _warn(self, kind: str, text: str) -> str:
         """Log what may happen at every tick, each kind of it once in `REPEAT_TIME`; return it."""
@@ -99,11 +99,7 @@ class ControllerReport:
             self._node.get_logger().warning(text)
         return text
 
-    def _repeat(self) -> None:
-        self._next_state = time.monotonic_ns() + STATE_INTERVAL
-        self._publish(STATE, '', '')
-
-    def _publish(self, event: str, identifier: str, refusal: str) -> None:
+    def _publish(self, event: str, identifier: str = '', refusal: str = '') -> None:
         loop, status, reaction = self._loop, self._loop.status, _reaction_text(self._loop)
         text = refusal or reaction or loop.push_gate.instruction or (
             'safe behaviour' if loop.safe else 'held' if loop.held else 'ok')
@@ -121,10 +117,9 @@ class ControllerReport:
     def statuses(self, slow: int) -> list[Status]:
         """Return what diagnostics report; `slow` is how many messages were read slowly."""
         loop, timing, active = self._loop, self._timing, self._node.state == ACTIVE
-        self._repeat()
-        missed, timing.skipped = timing.skipped, 0
-        self.watch.missed = missed
-        warnings = [f'{missed} samples without a command' if missed else '',
+        self._publish(STATE)
+        self.watch.missed, timing.skipped = timing.skipped, 0
+        warnings = [f'{self.watch.missed} samples without a command' if self.watch.missed else '',
                     *((self._without_pairs(), self._at_another_rate()) if active else ())]
         stale = STALE_PERIODS * loop.config.period
         held = self.inputs.age(topics.NOISE_VARIANCE) > stale
@@ -132,9 +127,9 @@ class ControllerReport:
             Status('loop', {
                 **self.watch.report(), 'steps': self.watch.latencies.count,
                 'restarts': self.restarts, 'safe_behaviour': loop.safe,
-                'supervised': loop.supervised}, warning='; '.join(filter(None, warnings))),
-            self.inputs.status(
-                stale, needed=active, consequence=': the last R is held' if held else ''),
+                'supervised': loop.supervised}, '; '.join(filter(None, warnings))),
+            self.inputs.status(stale, needed=active,
+                               consequence=': the last R is held' if held else ''),
             self._contacts(), self._sensor(),
             message_status(self._node.refusals, unpaired=timing.unpaired, slow=slow),
             *([self._supervisor()] if loop.supervised else [])]
@@ -187,8 +182,7 @@ class ControllerReport:
         for key, numbers in (
                 ('measured_n', output.alpha_meas), ('estimated_n', output.alpha_est),
                 ('desired_n', output.alpha_des), ('noise_variance_n2', variance)):
-            values |= {f'{name} {key}': x
-                       for name, x in zip(config.column_names, numbers.tolist())}
+            values |= zip((f'{name} {key}' for name in config.column_names), numbers.tolist())
         if config.force.stiffness == 'adaptive':
             values |= {f'{name} {key}': float(output.contacts[i][key])
                        for i, name in zip(config.leaders, config.contact_names)
@@ -199,17 +193,17 @@ class ControllerReport:
                    f'contacts.{where}.friction_std' for where, what, gain in misread_friction(
                        config, output.contacts, output.pose.rotation_world)]
         trouble += [f'{name} is {state}' for name, state in states.items() if state in TROUBLED]
-        return Status('contacts', values | states, warning='; '.join(trouble))
+        return Status('contacts', values | states, '; '.join(trouble))
 
     def _sensor(self) -> Status:
         """Return the health of the wrist sensor, and what is still to be proved of it."""
         gate, fault = self._loop.push_gate, self._loop.sensor_fault
-        values = {'fault': fault or 'none', 'push_test': gate.instruction or 'none',
-                  'force_control': 'allowed' if gate.open else 'disabled'}
         failed = gate.result is not None and not gate.result.passed and not gate.running
-        error = f'the readings are {fault}' if fault else gate.instruction if failed else ''
-        return Status('sensor', values, error=error,
-                      warning=gate.instruction if gate.running or not gate.open else '')
+        return Status(
+            'sensor', {'fault': fault or 'none', 'push_test': gate.instruction or 'none',
+                       'force_control': 'allowed' if gate.open else 'disabled'},
+            gate.instruction if gate.running or not gate.open else '',
+            f'the readings are {fault}' if fault else gate.instruction if failed else '')
 
 
 def _reaction_text(loop: ControlLoop) -> str:

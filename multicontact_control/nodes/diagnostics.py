@@ -37,11 +37,7 @@ class Status:
 
 
 class Diagnostics:
-    """
-    Publishes what `collect` returns of a node, once a second.
-
-    Not on a timer: the node's loop knows when it has time, and a second is one of the wall clock.
-    """
+    """Publishes what `collect` returns of a node, once a second of the wall clock."""
 
     def __init__(self, node: Node, collect: Callable[[], Sequence[Status]]) -> None:
         self._node, self._collect = node, collect
@@ -49,7 +45,7 @@ class Diagnostics:
         self._next = time.monotonic_ns() + PERIOD
 
     def poll(self) -> None:
-        """Publish if a second has passed."""
+        """Publish if a second has passed; called by the node's loop, which knows when it can."""
         now = time.monotonic_ns()
         if now >= self._next:
             self._next = max(self._next + PERIOD, now + PERIOD // 2)  # no burst after a pause
@@ -57,17 +53,12 @@ class Diagnostics:
             message = DiagnosticArray(status=[DiagnosticStatus(
                 name=f'{name}: {status.part}', level=ERROR if status.error else
                 WARN if status.warning else OK, message=status.error or status.warning or 'ok',
-                values=[KeyValue(key=key, value=_text(x))
-                        for key, x in status.values.items()])
+                values=[KeyValue(key=key, value=(
+                    'none' if x is None else f'{x:.6g}' if isinstance(x, float) else str(x)))
+                    for key, x in status.values.items()])
                 for status in self._collect()])
             message.header.stamp = self._node.get_clock().now().to_msg()
             self._publisher.publish(message)
-
-
-def _text(value: Any) -> str:
-    if value is None:
-        return 'none'
-    return f'{value:.6g}' if isinstance(value, float) else str(value)
 
 
 class DurationLog:
@@ -99,8 +90,8 @@ class LoopStatistics:
     """
     Rate, jitter and latency of a loop that should run at `rate` [Hz].
 
-    The node counts the deadlines that are `missed` since the last report; `last` is the newest
-    turn, monotonic time [ns].
+    The node counts deadlines `missed` since the last report; `last` is the newest turn, monotonic
+    time [ns].
     """
 
     def __init__(self, rate: float) -> None:
@@ -120,11 +111,10 @@ class LoopStatistics:
         """Return what was seen since the last call; jitter is the deviation from the period."""
         now, missed = time.monotonic_ns(), self.missed
         start, intervals, latencies = self._reported
-        turns = self.intervals.count - intervals
+        self._reported, self.missed = (now, self.intervals.count, self.latencies.count), 0
         jitter = self.intervals.percentiles(intervals, 1e6 / self._rate)
         latency = self.latencies.percentiles(latencies)
-        self._reported = (now, self.intervals.count, self.latencies.count)
-        self.missed = 0
+        turns = self.intervals.count - intervals
         return {
             'rate_hz': round(turns * NANOSECONDS / max(1, now - start), 2),
             'deadline_misses': missed,
@@ -165,11 +155,11 @@ class Inputs:
 
     def _look_for(self, topic: Topic) -> None:
         """Log that a topic is missing and what there is instead, or that it comes again."""
-        now, logger = time.monotonic_ns(), self._node.get_logger()
+        now = time.monotonic_ns()
         missing = now - (self.last[topic] or self._since)
         if missing < MISSING_AGE:
             if self._reminders.pop(topic, 0):
-                logger.info(f'{topic.name} comes')
+                self._node.get_logger().info(f'{topic.name} comes')
         elif now >= self._reminders.get(topic, 0):
             self._reminders[topic] = now + REMINDER_PERIOD
             name = self._node.resolve_topic_name(topic.name)
@@ -181,8 +171,9 @@ class Inputs:
                 f'{topic.name}:=/its/topic' if not publishers else
                 f'it is published as {", ".join(sorted(types))}' if types else
                 f'publishers: {len(publishers)}, but nothing is sent that can be read')
-            logger.warning(f'no message on {name} for {missing / NANOSECONDS:.1f} s: expected '
-                           f'{topic.type_name}: {topic.content} Found: {found}')
+            self._node.get_logger().warning(
+                f'no message on {name} for {missing / NANOSECONDS:.1f} s: expected '
+                f'{topic.type_name}: {topic.content} Found: {found}')
 
 
 def message_status(refusals: Refusals, **dropped: int) -> Status:

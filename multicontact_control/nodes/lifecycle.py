@@ -50,7 +50,6 @@ class ManagedNode(LifecycleNode):
         self.state, self.working, self.due = UNCONFIGURED, False, 0
         self.refusals = Refusals(self.get_logger())
         self.parameter_set = ParameterSet(self, *models)
-        self.parameter_set.refused = self.refusals.refuse
         self.diagnostics = Diagnostics(self, self._all_statuses)
         self._gate: StartupGate | None = None
         self._gate_passed = False
@@ -78,11 +77,8 @@ class ManagedNode(LifecycleNode):
     def deactivate(self) -> None:
         """Stop the node's work; by itself it gives no more answers."""
 
-    def check(self, configurations: Sequence[Any]) -> None:
-        """Raise `MulticontactError` if new configurations cannot be used."""
-
     def reconfigure(self, configurations: Sequence[Any]) -> None:
-        """Go on with new configurations."""
+        """Go on with new configurations, or raise `MulticontactError` and change nothing."""
 
     def look(self, spinner: Spinner) -> None:
         """Do what is due; called after each callback, at `due`, and when the gate has opened."""
@@ -124,7 +120,7 @@ class ManagedNode(LifecycleNode):
         """Implement `LifecycleNode`."""
         def work() -> None:
             self.configure(self.parameter_set.configurations())
-            self.parameter_set.lock(self.check, self.reconfigure)
+            self.parameter_set.lock(self.reconfigure, self.refusals.refuse)
             settle_process()
         result = self._attempt('configure', work, INACTIVE)
         if result != SUCCESS:

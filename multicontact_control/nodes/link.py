@@ -23,8 +23,7 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
-CONFIGURE, ACTIVATE = 'configure', 'activate'
-DEACTIVATE, CLEAN_UP = 'deactivate', 'cleanup'
+CONFIGURE, ACTIVATE, DEACTIVATE, CLEAN_UP = 'configure', 'activate', 'deactivate', 'cleanup'
 GOALS = {CONFIGURE: 'inactive', ACTIVATE: 'active', DEACTIVATE: 'inactive',
          CLEAN_UP: 'unconfigured'}
 PATIENCE = 300.0  # s, until a node is there, and has done its work
@@ -52,7 +51,7 @@ class TransitionError(RunError):
 
 @cache
 def _context(domain_id: int) -> Context:
-    """Return the context of all guests of a domain, a participant as long as it has nodes."""
+    """Return the context of all guests of a domain: one participant, as long as it has nodes."""
     # Fast DDS 2.14 can wait for itself for ever when one leaves while others come and go.
     prepare_environment()
     context = Context()
@@ -65,9 +64,8 @@ class GuestNode:
     """
     A node without parameters and logs, which calls services and transitions of others.
 
-    The domain is that of the environment by default. `patience` is the longest wait for a node to
-    appear, and to do its work [s]; `keep_waiting` is called with what is waited for meanwhile,
-    and may raise.
+    The domain is that of the environment by default. It waits up to `patience` [s] for a node to
+    appear or work; `keep_waiting` is called with what is waited for meanwhile, and may raise.
     """
 
     def __init__(
@@ -75,12 +73,13 @@ class GuestNode:
         patience: float = PATIENCE, keep_waiting: Callable[[str], None] = lambda what: None,
     ) -> None:
         self._patience, self._keep_waiting = patience, keep_waiting
-        self._clients: dict[tuple[str, str], Any] = {}
         self.context = _context(
             int(os.environ.get('ROS_DOMAIN_ID') or 0) if domain_id is None else domain_id)
-        self.node = Node(
+        self.node = node = Node(
             name, namespace=namespace, context=self.context, use_global_arguments=False,
             start_parameter_services=False, enable_rosout=False)
+        self._client = cache(lambda server, service, name: node.create_client(
+            service, f'{server}/{name}'))
         self._executor = SingleThreadedExecutor(context=self.context)
         self._executor.add_node(self.node)
 
@@ -116,8 +115,7 @@ class GuestNode:
     def state(self, node_name: str) -> str:
         """Return the state of a node; NoAnswerError."""
         give_up = time.monotonic() + self._patience
-        while True:
-            # One that is killed and started again seems to listen meanwhile, and never answers.
+        while True:  # one that is killed and started again seems to listen, and never answers
             try:
                 return str(self.call(node_name, GetState, 'get_state', GetState.Request(),
                                      ASK_PERIOD).current_state.label)
@@ -145,12 +143,6 @@ class GuestNode:
                 f'{client.service_name}: expected an answer within {timeout:g} s, found none')
         return future.result()
 
-    def _client(self, node_name: str, service: Any, name: str) -> Any:
-        if (node_name, name) not in self._clients:
-            self._clients[node_name, name] = self.node.create_client(
-                service, f'{node_name}/{name}')
-        return self._clients[node_name, name]
-
     def _wait(self, condition: Callable[[], Any], timeout: float, what: str) -> bool:
         """Return whether a condition came true in time; errors of `keep_waiting` go through."""
         give_up = time.monotonic() + timeout
@@ -166,9 +158,9 @@ class ControllerLink(GuestNode):
     """
     One end of a connection to a running controller, without a thread.
 
-    Of the topics that it hears, and the controller's status, the newest message is kept, or all
-    that are `QUEUED`. `timeout` is the longest wait for anything [s]; `on_status` is called with
-    each status that `look` takes, of which `status` is the last.
+    It keeps the newest message of each topic that it hears, all of those `QUEUED`, and waits for
+    nothing longer than `timeout` [s]. `on_status` is called with each status that `look` takes,
+    of which `status` is the last.
     """
 
     def __init__(
@@ -213,10 +205,9 @@ class ControllerLink(GuestNode):
         """Return messages that come from now on, all of one stamp if asked to; RunError."""
         def found() -> list[Any] | None:
             messages: list[Any] = [self.newest(topic) for topic in wanted]
-            if any(x is None for x in messages):
-                return None
-            stamps = [x.header.stamp for x in messages]
-            return messages if not one_stamp or stamps.count(stamps[0]) == len(stamps) else None
+            stamps = [x and x.header.stamp for x in messages]
+            return None if None in stamps or (
+                one_stamp and stamps.count(stamps[0]) < len(stamps)) else messages
 
         for topic in wanted:
             self._taken(topic).clear()

@@ -43,33 +43,20 @@ def ns_to_stamp(nanoseconds: int) -> Time:
     return Time(sec=sec, nanosec=nanosec)
 
 
-def finite(numbers: Vector, field: str) -> Vector:
-    """Return numbers, which must be finite, and whose sum must be."""
+def finite_array(values: ArrayLike, length: int, field: str) -> Vector:
+    """Return so many numbers as an array; they must be finite, and so must be their sum."""
+    numbers = np.array(values, dtype=np.float64)
+    if numbers.shape != (length,):
+        raise MessageError(field, counted(length, 'values'), f'{numbers.size}')
     if not math.isfinite(sum(numbers.tolist())):
         raise MessageError(field, 'finite numbers', numbers.tolist())
     return numbers
 
 
-def finite_array(values: ArrayLike, length: int, field: str) -> Vector:
-    """Return so many numbers as an array."""
-    numbers = np.array(values, dtype=np.float64)
-    if numbers.shape != (length,):
-        raise MessageError(field, counted(length, 'values'), f'{numbers.size}')
-    return finite(numbers, field)
-
-
 def read_force_command(
     message: JointState, names: Sequence[str],
 ) -> tuple[dict[str, float], dict[str, float]]:
-    """
-    Read a command for some of the names: efforts or positions.
-
-    Returns
-    -------
-    forces, centres : dict
-        Forces and couples [N], or else centres of pressure by couple [m].
-
-    """
+    """Read forces and couples by name [N], or else centres of pressure by couple [m]."""
     found = list(message.name)
     if not found or len(set(found)) != len(found) or not set(found) <= set(names):
         raise MessageError('name', f'distinct names among {list(names)}', found)

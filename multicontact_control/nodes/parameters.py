@@ -23,6 +23,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 Use = Callable[[Sequence[Any]], None]
+Refuse = Callable[[str, Exception], None]
 
 NAMES_OF_MAPPINGS = 'contact_names'
 SET_BY_ROS = ('use_sim_time', 'start_type_description_service', 'qos_overrides')
@@ -56,7 +57,7 @@ def _mapping_names(name: str, overrides: Mapping[str, Any]) -> list[str]:
 
 
 def _default(name: str, field: FieldInfo) -> Any:
-    """Return the default of a value, of a mapping that of its entry; None without one."""
+    """Return a default, of a mapping that of an entry; None without one."""
     default = None if field.is_required() else field.get_default(call_default_factory=True)
     if isinstance(default, Mapping):
         default = default.get(name.rsplit('.', 1)[-1])
@@ -102,13 +103,13 @@ class ParameterSet:
     """
     Declares the parameters of some models, and turns their values into configurations.
 
-    `refused` is called with name and error of a change that is not taken once they are locked.
+    Once they are locked, only live parameters can change.
     """
 
     def __init__(self, node: Node, *models: type[Config]) -> None:
         self._node, self._models = node, models
-        # What the command line and its parameter files set; None for an empty list. The public
-        # ways hide unknown names.
+        # What the command line and its files set, None for an empty list; public ways hide
+        # unknown names.
         overrides: dict[str, Parameter] = getattr(node, '_parameter_overrides')  # noqa: B009
         given = {name: parameter.value for name, parameter in overrides.items()
                  if name.split('.')[0] not in SET_BY_ROS}
@@ -121,17 +122,19 @@ class ParameterSet:
             extra: Any = field.json_schema_extra or {}
             self._live[name] = bool(extra.get('live'))
         self._unknown = {name: x for name, x in given.items() if name not in self._live}
-        self._uses: tuple[Use, ...] | None = None
-        self.refused: Callable[[str, Exception], None] = lambda name, error: None
+        self._use: Use | None = None
+        self._refuse: Refuse
         node.add_on_set_parameters_callback(self._on_set)
 
-    def lock(self, *uses: Use) -> None:
-        """Let only live parameters change from now on; the uses take or refuse what is new."""
-        self._uses = uses
+    def lock(
+        self, use: Use = lambda configurations: None, refuse: Refuse = lambda name, error: None,
+    ) -> None:
+        """Let `use` take changes or raise; `refuse` hears the name and error of one not taken."""
+        self._use, self._refuse = use, refuse
 
     def unlock(self) -> None:
         """Let every parameter change, to be validated when it is used."""
-        self._uses = None
+        self._use = None
 
     def configurations(self, changes: Mapping[str, Any] | None = None) -> list[Any]:
         """Return a configuration per model, with changes by name; ConfigError of all at once."""
@@ -161,19 +164,17 @@ class ParameterSet:
 
     def _on_set(self, parameters: Sequence[Parameter]) -> SetParametersResult:
         changes = {x.name: _plain(x.value) for x in parameters if x.name in self._live}
-        if self._uses is None or not changes:
+        if self._use is None or not changes:
             return SetParametersResult(successful=True)
         try:
             for name, value in changes.items():
                 if value is None or not self._live[name] and value != self.value(name):
                     raise ConfigError(name, f'{self.value(name)}: it {LOCKED}', value)
-            configurations = self.configurations(changes)
-            for use in self._uses:
-                use(configurations)
+            self._use(self.configurations(changes))
         except Exception as error:
             if not isinstance(error, MulticontactError):  # a mistake here: not for the arm to pay
                 self._node.get_logger().error(traceback.format_exc())
-            self.refused(next(iter(changes)), error)
+            self._refuse(next(iter(changes)), error)
             return SetParametersResult(successful=False, reason=str(error) or repr(error))
         return SetParametersResult(successful=True)
 

@@ -23,17 +23,12 @@ from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-EXIT_OK, EXIT_ERROR, EXIT_CONFIG = 0, 1, 2
 SPIN_TIMEOUT = 0.1  # s
 ACKNOWLEDGE_TIMEOUT = 5.0  # s; the last acknowledgement may take long after the data has come
 
 
 class StopFlag:
-    """
-    True once SIGINT or SIGTERM has come; rclpy's own handling would end a node that still sends.
-
-    After SIGTERM there is `hurry`: files are closed, but readers are not waited for.
-    """
+    """True once SIGINT or SIGTERM has come; after SIGTERM readers are not waited for: `hurry`."""
 
     def __init__(self) -> None:
         self._set = self.hurry = False
@@ -43,7 +38,7 @@ class StopFlag:
         return self._set
 
     def install(self) -> None:
-        """Take over SIGINT and SIGTERM of this process."""
+        """Take over both signals: rclpy's own way would end a node that still sends."""
         for number in SIGNALS:
             signal.signal(number, self._handle)
 
@@ -82,13 +77,9 @@ class Spinner:
 
 
 def prepare_environment() -> None:
-    """
-    Set what rclpy and Fast DDS read from the environment, unless the user has.
-
-    The wheels keep their ament index in the Python environment; without a discovery range the
-    graph would announce itself to the whole network.
-    """
-    os.environ.setdefault('AMENT_PREFIX_PATH', sys.prefix)
+    """Set what rclpy and Fast DDS read from the environment, unless the user has."""
+    os.environ.setdefault('AMENT_PREFIX_PATH', sys.prefix)  # where wheels keep their index
+    # Without it the graph would announce itself to the whole network.
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     os.environ.setdefault('FASTRTPS_DEFAULT_PROFILES_FILE', str(config_dir() / 'fastdds.xml'))
 
@@ -117,32 +108,30 @@ def one_line(error: BaseException) -> str:
     return ' '.join(str(error).split(', at /')[0].split())
 
 
-def run_node(make_node: Callable[[], Any], args: Sequence[str] | None = None) -> int:
+def run_node(make_node: Callable[[], Any]) -> int:
     """
-    Run a node in this process until it has ended or is asked to stop.
+    Run a node in this process until it has ended or is asked to stop; return the exit code.
 
-    `make_node` returns a node with `run(spinner)`, which returns when the work is done or the
-    process should stop, and `close()`, which is called however `run` ended. Returns the exit
-    code: 0 after a clean end or a signal, 2 for a bad configuration, 1 for the rest.
+    Of the node, `run(spinner)` returns when the work is done or the process should stop; `close()`
+    is called however it ended. The code is 2 for a bad configuration, 1 for other errors.
     """
-    program = os.path.basename(sys.argv[0])
-    stop = StopFlag()
+    program, stop = os.path.basename(sys.argv[0]), StopFlag()
     stop.install()
     try:
-        start_ros(args)
+        start_ros(None)
         kernels = loaded_kernels()
         kept = kernels.cache_folder() if kernels else None
         if kernels and not (kept and os.listdir(kept)):
             print(f'{program}: compiling the numerical kernels: this takes a while, once; '
                   '`multicontact compile` does it beforehand', file=sys.stderr, flush=True)
         _run(make_node(), stop)
-        return EXIT_OK
+        return 0
     except MulticontactError as error:
         print(f'{program}: {one_line(error)}', file=sys.stderr)
-        return EXIT_CONFIG if isinstance(error, ConfigError) else EXIT_ERROR
+        return 2 if isinstance(error, ConfigError) else 1
     except Exception:
         traceback.print_exc()
-        return EXIT_ERROR
+        return 1
     finally:
         # A signal that comes while interpreter and middleware shut down would end it with -15.
         for number in SIGNALS:

@@ -71,11 +71,7 @@ class MessageTemplate:
         self._views = [self._numbers[run] for run in self.runs if run.stop > run.start]
 
     def write(self, stamp: int, *runs: Vector) -> bytes:
-        """
-        Return the message with another stamp [ns], and other numbers in its runs.
-
-        Raises `MessageError` if the numbers are not finite, or ROS cannot hold the stamp.
-        """
+        """Return the message with another stamp [ns], and other numbers in its runs."""
         for view, values in zip(self._views, runs):
             view[:] = values
         if not math.isfinite(sum(self._numbers.tolist())):
@@ -122,9 +118,9 @@ class MessageReader(Generic[Reading]):
 
     Frame, names and lengths are checked by way of the message class, again when they change
     (`slow` counts that); stamp and numbers are taken from where they stand. `arrange` returns
-    where the vectors called `fields` are among the numbers, from a message and the runs of its
-    template; `make` makes a reading of the stamp and these vectors, of which the `optional` one
-    is None where it is not finite. Both raise `MessageError` if a message cannot be used.
+    where the vectors called `fields` are, from a message and the runs of its template; `make`
+    makes a reading of the stamp and these vectors, of which the `optional` one is None where it
+    is not finite. Both raise `MessageError` if a message cannot be used.
     """
 
     def __init__(
@@ -193,11 +189,7 @@ def _named_reader(
 
 
 def joint_state_reader(names: Sequence[str]) -> MessageReader[JointReading]:
-    """
-    Return a reader of positions and velocities of joints, which may be among others.
-
-    The effort is None where it is not there or not finite: not every robot measures it.
-    """
+    """Return a reader of joints, which may be among others; the effort is None if not measured."""
     return _named_reader(names, JOINT_FIELDS, JointReading, optional='effort')
 
 

@@ -116,7 +116,7 @@ def test_parameter_set_refuses_what_is_wrong_until_it_is_repaired(make_node):
 def test_parameter_set_changes_only_live_parameters_once_locked(make_node):
     node, applied = make_node('size:=1.0'), []
     parameters = ParameterSet(node, Whole)
-    parameters.lock(lambda configs: None, applied.extend)
+    parameters.lock(applied.extend)
     result = change(node, 'size', 2.0)
     assert not result.successful and result.reason.startswith('size: expected 1.0')
     assert change(node, 'size', 1.0).successful  # no change
@@ -137,14 +137,14 @@ def test_parameter_set_applies_changes_that_pass_the_check_as_a_whole(make_node)
     node, applied, refused = make_node('size:=1.0'), [], []
     parameters = ParameterSet(node, Whole)
 
-    def check(configs):
+    def use(configs):
         if configs[0].gains.soft > configs[0].gains.stiff:
             raise ConfigError('gains.soft', 'less than stiff', configs[0].gains.soft)
         if configs[0].gains.soft == 0.0:
             raise ArithmeticError('no solution')
+        applied.extend(configs)
 
-    parameters.lock(check, applied.extend)
-    parameters.refused = lambda name, error: refused.append((name, str(error)))
+    parameters.lock(use, lambda name, error: refused.append((name, str(error))))
     for value, reason in ((5.0, 'gains.soft: expected less than stiff, found 5.0'),
                           (0.0, 'no solution')):
         result = change(node, 'gains.soft', value)
