@@ -19,11 +19,11 @@ from typing import Any
 
 from geometry_msgs.msg import PoseStamped
 from multicontact_control.arrays import Vector
+from multicontact_control.control.tasks import quintic
 from multicontact_control.errors import RunError
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.link import CommandRefusedError, ControllerLink, DEACTIVATE
 from multicontact_control.nodes.status import ControllerStatus, new_identifier
-from multicontact_control.quintic import quintic
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation

@@ -21,7 +21,7 @@ from multicontact_control.errors import CommandError, ConfigError
 from multicontact_control.sensor.push_test import PushGate, PushTestConfig
 from multicontact_control.sensor.tool import MAX_JOINT_SPEED, tare_bias, TareConfig
 from multicontact_control.supervision.command_limits import (
-    check_position,
+    check_motion,
     CommandLimits,
     offset_shares,
 )
@@ -224,7 +224,7 @@ class ControlLoop:
     def set_motion(self, motion: MotionReading) -> None:
         """Obey a commanded motion, as far as it is not along a contact that is sought or held."""
         task = self._commandable()
-        check_position(motion.position_world, self.config.limits)
+        check_motion(motion, self.config.limits)
         task.set_motion(
             motion, self.supervisor.task.sought_normals(), self.limits.motion_timeout)
 

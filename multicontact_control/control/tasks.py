@@ -11,45 +11,25 @@ from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.config import Config, parameter, Real, UnitVector3
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import ConfigError
-from multicontact_control.quintic import quintic
 import numpy as np
 from pydantic import model_validator
 
+STILL = np.zeros(6)  # twist and acceleration
+STILL.flags.writeable = False
+
 
 class Task(NamedTuple):
-    """
-    What is wanted at one tick.
+    """What is wanted at one tick, in world axes; forces and couples of shape (r,)."""
 
-    Attributes
-    ----------
-    pose_des
-        Desired pose of the operational frame.
-    twist_des, acceleration_des
-        World axes, linear first, shape (6,) [m/s, rad/s; m/s^2, rad/s^2].
-    active
-        Which forces and couples are to be controlled, shape (r,).
-    alpha_des
-        Desired forces and couples, shape (r,) [N].
-
-    """
-
-    pose_des: Pose
-    twist_des: Vector
-    acceleration_des: Vector
-    active: Mask
-    alpha_des: Vector
+    pose_des: Pose  # of the operational frame
+    twist_des: Vector  # linear first, shape (6,) [m/s, rad/s]
+    acceleration_des: Vector  # shape (6,) [m/s^2, rad/s^2]
+    active: Mask  # which forces and couples are to be controlled
+    alpha_des: Vector  # [N]
 
 
 class TaskSource(Protocol):
-    """
-    Where tasks come from.
-
-    Attributes
-    ----------
-    contact_state
-        Fields of `ContactStateConfig` that the tasks set.
-
-    """
+    """Where tasks come from; `contact_state` are fields of `ContactStateConfig` that they set."""
 
     contact_state: Mapping[str, float]
 
@@ -59,27 +39,21 @@ class TaskSource(Protocol):
 
     def task(self, time: float, alpha_meas: Vector | None = None) -> Task:
         """
-        Return the task of one tick.
+        Return the task at a time since the start [s].
 
-        Parameters
-        ----------
-        time
-            Since the start [s].
-        alpha_meas
-            Measured forces, shape (r,) [N], of which the source makes the contacts; None where
-            contact states do.
-
+        Of measured forces `alpha_meas`, shape (r,) [N], the source makes the contacts; without
+        them contact states do.
         """
         ...
 
 
 class MotionReading(NamedTuple):
-    """A commanded pose, twist and acceleration of the operational point, in world axes."""
+    """A commanded motion of the operational point, in world axes."""
 
-    position_world: Vector
+    position_world: Vector  # [m]
     quaternion_xyzw: Vector
-    twist_world: Vector
-    acceleration_world: Vector
+    twist_world: Vector  # [m/s, rad/s]
+    acceleration_world: Vector  # [m/s^2, rad/s^2]
 
 
 class ApproachConfig(Config):
@@ -126,12 +100,18 @@ class ReferenceConfig(Config):
         return self
 
 
-def sine_motion(config: SineConfig, time: float) -> tuple[float, float, float]:
-    """
-    Return displacement [m], speed [m/s] and acceleration [m/s^2] of the blended sinusoid.
+def quintic(elapsed: float, duration: float) -> tuple[float, float, float]:
+    """Return b = 10 x^3 - 15 x^4 + 6 x^5, x = elapsed / duration, and its two derivatives."""
+    if elapsed >= duration:
+        return 1.0, 0.0, 0.0
+    x = max(0.0, elapsed / duration)
+    return (x ** 3 * (10.0 + x * (-15.0 + 6.0 * x)),
+            30.0 * x ** 2 * (1.0 - x) ** 2 / duration,
+            60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / duration ** 2)
 
-    s = A b(tau / t_b) sin(2 pi tau / T), b the `quintic`.
-    """
+
+def sine_motion(config: SineConfig, time: float) -> tuple[float, float, float]:
+    """Return s = A b(tau / t_b) sin(2 pi tau / T) [m], b the `quintic`, and its derivatives."""
     tau = time - config.start_time
     if tau <= 0.0:
         return 0.0, 0.0, 0.0
@@ -147,26 +127,24 @@ class ScenarioTask:
     """
     The paper's experiment: approach, preload, force steps, sinusoid (P04 sec. 5.2).
 
+    A contact is wanted from the start of the approach on, while its desired force is above 0.
+    Where the source makes the contacts, each is approached until it is felt, then active. A force
+    step of an unknown contact is a ConfigError.
+
     Parameters
     ----------
     config
         Times and sizes.
     rate
         Control rate [Hz].
-    names
-        Forces and couples in the order of every contact vector.
-    leader_of
-        For each of them the index of the normal force of its contact; its own if not given.
+    names, leader_of
+        Forces and couples in the order of every contact vector, and for each the index of the
+        normal force of its contact; its own if not given.
 
     Attributes
     ----------
     forces
-        Desired forces and couples before the first and after every force step, (steps + 1, r) [N].
-
-    Raises
-    ------
-    ConfigError
-        If a force step names an unknown contact.
+        Desired ones before the first and after every force step, shape (steps + 1, r) [N].
 
     """
 
@@ -175,7 +153,9 @@ class ScenarioTask:
         leader_of: Sequence[int] | None = None,
     ) -> None:
         self._approach, self._motion, self._period = config.approach, config.motion, 1.0 / rate
-        self._direction = np.array(config.motion.direction_world if config.motion else [0.0] * 3)
+        self._direction = np.zeros(6)  # of the sinusoid, as a twist
+        if config.motion:
+            self._direction[:3] = config.motion.direction_world
         self.contact_state: Mapping[str, float] = {
             'approach_speed': config.approach.speed,
             'approach_ramp_time': config.approach.ramp_time,
@@ -184,10 +164,9 @@ class ScenarioTask:
         self._leader_of = np.array(range(len(names)) if leader_of is None else leader_of)
         rows = [np.where(self._leader_of == np.arange(len(names)), config.approach.preload, 0.0)]
         for index, step in enumerate(config.force_steps):
-            for name in step.forces:
-                if name not in names:
-                    raise ConfigError(f'reference.force_steps.{index}.forces',
-                                      f'contacts among {", ".join(names)}', f"'{name}'")
+            if unknown := set(step.forces) - set(names):
+                raise ConfigError(f'reference.force_steps.{index}.forces',
+                                  f'contacts among {", ".join(names)}', f"'{min(unknown)}'")
             rows.append(np.array([
                 step.forces.get(name, force) for name, force in zip(names, rows[-1].tolist())]))
         self.forces: Matrix = np.array(rows)
@@ -197,67 +176,54 @@ class ScenarioTask:
 
     def start(self, pose: Pose, normals_world: Matrix) -> None:
         """Begin from a pose at rest; see `TaskSource.start`."""
-        self._pose, self._normals = pose, normals_world
+        self._pose, self._normals, self._position = pose, normals_world, pose.position_world
         self._touched: Mask = np.zeros(len(normals_world), dtype=bool)
         self._advance = np.zeros(len(normals_world))
 
     def task(self, time: float, alpha_meas: Vector | None = None) -> Task:
-        """
-        Return the task of one tick; see `TaskSource.task`.
-
-        A contact is wanted from the start of the approach on, while its desired force is above
-        0. Given `alpha_meas` it is approached until it is touched, and active from then on.
-        """
+        """Return the task of one tick; see `TaskSource.task`."""
         since = time - self._approach.start_time
         done = bisect_right(self._step_times, time + 1e-9) if since >= 0.0 else -1
         active, alpha_des = self._wanted[done]
-        position, twist, acceleration = self._pose.position_world, np.zeros(6), np.zeros(6)
+        twist = acceleration = STILL
         if alpha_meas is not None:
-            position, twist[:3], acceleration[:3] = self._seek(since, alpha_meas)
-            active, alpha_des = self._touched, np.where(self._touched, alpha_des, 0.0)
-        motion = self._motion
+            if not self._touched.all():
+                twist, acceleration = self._seek(since, alpha_meas)
+                alpha_des = np.where(self._touched, alpha_des, 0.0)
+            active = self._touched
+        position, motion = self._position, self._motion
         if motion is not None and time > motion.start_time:
             s, ds, dds = sine_motion(motion, time)
-            position = position + s * self._direction
-            twist[:3] += ds * self._direction
-            acceleration[:3] += dds * self._direction
+            position = position + s * self._direction[:3]
+            twist = twist + ds * self._direction
+            acceleration = acceleration + dds * self._direction
         return Task(
             Pose(position, self._pose.rotation_world), twist, acceleration, active, alpha_des)
 
-    def _seek(self, since: float, alpha_meas: Vector) -> tuple[Vector, Vector, Vector]:
-        """Return position, velocity and acceleration of the way to the surfaces not touched."""
-        approach, direction, speed, rate = self._approach, np.zeros(3), 0.0, 0.0
+    def _seek(self, since: float, alpha_meas: Vector) -> tuple[Vector, Vector]:
+        """Go on to the surfaces that are not touched; return twist and acceleration."""
+        approach, direction = self._approach, np.zeros(6)
         if since >= 0.0:
             felt = alpha_meas > approach.contact_threshold
             self._touched = self._touched | felt[self._leader_of]
         free = ~self._touched
-        if since > 0.0 and free.any():
-            speed = approach.speed
-            if since < approach.ramp_time:
-                speed, rate = speed * since / approach.ramp_time, speed / approach.ramp_time
-            self._advance[free] += speed * self._period
-            direction = self._normals[free].sum(axis=0)
-        return (self._pose.position_world + self._advance @ self._normals, speed * direction,
-                rate * direction)
+        if since <= 0.0 or not free.any():
+            return STILL, STILL
+        speed, rate = approach.speed, 0.0
+        if since < approach.ramp_time:
+            speed, rate = speed * since / approach.ramp_time, speed / approach.ramp_time
+        self._advance[free] += speed * self._period
+        self._position = self._pose.position_world + self._advance @ self._normals
+        direction[:3] = self._normals[free].sum(axis=0)
+        return speed * direction, rate * direction
 
 
 class CommandedTask:
     """
-    The task that a user sets, over topics or from a program.
+    The task that a user sets, over topics or from a program; `CommandLimits` checks the commands.
 
-    Until a motion is commanded the arm stays at its start. A contact with a commanded force above
-    0 is force controlled.
-
-    Parameters
-    ----------
-    names, leader_of
-        As for a `ScenarioTask`.
-
-    Attributes
-    ----------
-    pose
-        The commanded pose, None before the start.
-
+    Names and leaders are those of a `ScenarioTask`. Until a motion is commanded the arm stays at
+    its start, until then there is no `pose`. A contact with a force above 0 is force controlled.
     """
 
     contact_state: Mapping[str, float] = {}
@@ -269,7 +235,7 @@ class CommandedTask:
         self._forget()
 
     def _forget(self) -> None:
-        self._twist, self._acceleration = np.zeros(6), np.zeros(6)
+        self._twist = self._acceleration = STILL
         self._lasting = self._until = math.inf  # of these two [s]; NaN until the next tick
         self._alpha_des = np.zeros(len(self._names))
         self._shares = np.full(len(self._names), math.nan)
@@ -283,62 +249,30 @@ class CommandedTask:
         self, forces: Mapping[str, float], shares: Mapping[str, float] | None = None,
     ) -> bool:
         """
-        Command contact forces; contacts that are not named keep theirs.
+        Command forces and couples by name [N], the others stay; return whether any is new.
 
-        Parameters
-        ----------
-        forces
-            Desired force per contact [N]; 0 gives the contact back to motion control. Couples
-            have either sign, and act while their contact does.
-        shares
-            Couples relative to the force of their contact, which they follow: the centre of
-            pressure in half lengths.
-
-        Returns
-        -------
-        bool
-            Whether the command differs from the one before.
-
-        Raises
-        ------
-        ConfigError
-            If a name is unknown or a force is negative or not finite; nothing is changed then.
-
+        A force of 0 gives the contact back to motion control. Couples act while their contact
+        does; those among `shares` follow its force: the centre of pressure in half lengths.
         """
-        desired, followed = self._alpha_des.copy(), self._shares.copy()
+        before = self._alpha_des
+        desired, followed, index = before.copy(), self._shares.copy(), self._names.index
         for name, force in forces.items():
-            index = self._index(name)
-            couple = self._leader_of[index] != index
-            if not (math.isfinite(force) and (couple or force >= 0.0)):
-                raise ConfigError(f'contact_forces/command.{name}', 'a finite couple' if couple
-                                  else 'a force >= 0 N', force)
-            desired[index], followed[index] = force, math.nan
+            desired[index(name)], followed[index(name)] = force, math.nan
         for name, share in (shares or {}).items():
-            index = self._index(name)
-            if self._leader_of[index] == index or not math.isfinite(share):
-                raise ConfigError(f'contact_forces/command.{name}',
-                                  'a finite share of a couple', share)
-            followed[index] = share
+            followed[index(name)] = share
         known = ~np.isnan(followed)
         desired[known] = followed[known] * desired[self._leader_of][known]
-        changed = bool((desired != self._alpha_des).any())
         self._alpha_des, self._shares = desired, followed
-        return changed
-
-    def _index(self, name: str) -> int:
-        if name not in self._names:
-            raise ConfigError('contact_forces/command',
-                              f'contacts among {", ".join(self._names)}', f"'{name}'")
-        return self._names.index(name)
+        return bool((desired != before).any())
 
     @property
     def forces(self) -> dict[str, float]:
-        """Return the commanded forces and couples by name [N]."""
+        """Commanded forces and couples by name [N]."""
         return dict(zip(self._names, self._alpha_des.tolist()))
 
     @property
     def shares(self) -> dict[str, float]:
-        """Return the couples that follow the force of their contact, relative to it, by name."""
+        """Couples that follow the force of their contact, relative to it, by name."""
         return {name: share for name, share in zip(self._names, self._shares.tolist())
                 if not math.isnan(share)}
 
@@ -346,29 +280,12 @@ class CommandedTask:
         self, motion: MotionReading, taken_normals: Matrix, lasting: float = math.inf,
     ) -> None:
         """
-        Command the motion of the operational point.
+        Command a pose, and a twist and acceleration that count for so long [s].
 
-        Parameters
-        ----------
-        motion
-            Pose, twist, acceleration.
-        taken_normals
-            Normals of the contacts that are sought or held, shape (k, 3): along them the contacts
-            place the tip, and the command has no effect, now or later.
-        lasting
-            How long twist and acceleration count without another command [s].
-
-        Raises
-        ------
-        ConfigError
-            If a number is not finite or the quaternion has no length; nothing is changed then.
-
+        Along `taken_normals`, shape (k, 3), of the contacts that are sought or held, these place
+        the tip: the command has no effect, now or later.
         """
         position, quaternion, twist, acceleration = (np.array(x, dtype=float) for x in motion)
-        numbers = np.concatenate([position, quaternion, twist, acceleration])
-        if not (np.isfinite(numbers).all() and np.linalg.norm(quaternion) > 1e-6):
-            raise ConfigError('motion/command', 'finite numbers and a quaternion of unit length',
-                              numbers.tolist())
         if len(taken_normals) and self.pose is not None:
             N = taken_normals.T
             across = np.eye(3) - N @ np.linalg.pinv(N)
@@ -386,6 +303,6 @@ class CommandedTask:
         if math.isnan(self._until):
             self._until = time + self._lasting
         if time > self._until:
-            self._twist, self._acceleration = np.zeros(6), np.zeros(6)
+            self._twist = self._acceleration = STILL
         return Task(self.pose, self._twist, self._acceleration,
                     (self._alpha_des > 0.0)[self._leader_of], self._alpha_des)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from multicontact_control.arrays import Vector
+from multicontact_control.control.tasks import quintic
 from multicontact_control.dynamics.robot import RobotModel, RobotState
 from multicontact_control.experiment.scenario import Setup
-from multicontact_control.quintic import quintic
 import numpy as np
 from sim_bridge.actuator_delay import ActuatorDelay
 from sim_bridge.plant import Plant, Sample

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+import math
 
 from multicontact_control.arrays import Vector
 from multicontact_control.config import Config, ControllerConfig, LimitsConfig, parameter, Real
 from multicontact_control.config.contact import LARGEST_OFFSET
+from multicontact_control.control.tasks import MotionReading
 from multicontact_control.errors import CommandError
+import numpy as np
 
 START_EXCESS = 1e-3  # m or rad beyond a limit, from where control may start all the same
 NOTHING: Mapping[str, float] = {}
@@ -28,33 +31,20 @@ class CommandLimits(Config):
         before: Mapping[str, float] = NOTHING, shares: Mapping[str, float] = NOTHING,
     ) -> None:
         """
-        Refuse forces, couples and centres of pressure out of limits.
+        Refuse forces, couples and centres of pressure that are unknown or out of limits.
 
-        Parameters
-        ----------
-        config
-            Contacts.
-        forces, before
-            Commanded forces and couples by name, new and until now [N].
-        shares
-            Couples relative to the normal force of their contact, by name, in their place.
-
-        Raises
-        ------
-        CommandError
-            Naming the first that is out of limits.
-
+        All are by name: new forces and couples, in place of those `before` [N], and `shares`:
+        couples relative to the force of their contact. CommandError names the first refused.
         """
-        smallest, halves = config.contact_state.smallest_force, half_lengths(config)
+        ceiling, halves = self.force_ceiling, _half_lengths(config)
         for name, force in forces.items():
-            if name in halves:
-                if not abs(force) <= self.force_ceiling:
-                    raise CommandError(f'couple {name}', f'at most {self.force_ceiling:g} N',
-                                       f'{force:g} N')
-            elif force != 0.0 and not smallest <= force <= self.force_ceiling:
+            if name not in config.column_names:
+                raise CommandError('contact', f'one of {", ".join(config.column_names)}',
+                                   f"'{name}'")
+            lowest = -ceiling if name in halves else config.contact_state.smallest_force
+            if force != 0.0 and not lowest <= force <= ceiling:
                 raise CommandError(
-                    f'force on {name}', f'0 or {smallest:g} to {self.force_ceiling:g} N',
-                    f'{force:g} N')
+                    f'force on {name}', f'0 or {lowest:g} to {ceiling:g} N', f'{force:g} N')
         commanded = {**before, **forces}
         for column in config.columns:
             pressed = commanded.get(config.columns[column.leader].name, 0.0)
@@ -68,24 +58,31 @@ class CommandLimits(Config):
                     f'{share * column.half_length:.3g} m')
 
 
-def half_lengths(config: ControllerConfig) -> dict[str, float]:
+def offset_shares(config: ControllerConfig, centres: Mapping[str, float]) -> dict[str, float]:
+    """
+    Return couples, relative to the normal force, for centres of pressure by the couple's name [m].
+
+    A name that is not that of a couple, or a number that is not finite, is a CommandError.
+    """
+    halves = _half_lengths(config)
+    for name, centre in centres.items():
+        if name not in halves or not math.isfinite(centre):
+            raise CommandError('centre of pressure', f'a finite one of {", ".join(halves)}'
+                               if halves else 'an edge or plane', f"'{name}': {centre:g} m")
+    return {name: centre / halves[name] for name, centre in centres.items()}
+
+
+def _half_lengths(config: ControllerConfig) -> dict[str, float]:
     """Return how far from the middle of its contact a couple of 1 N per 1 N presses, by name."""
     return {column.name: column.half_length for column in config.columns
             if column.half_length > 0.0}
 
 
-def offset_shares(config: ControllerConfig, centres: Mapping[str, float]) -> dict[str, float]:
-    """
-    Return couples, relative to the normal force, for centres of pressure by the couple's name [m].
-
-    A name that is not that of a couple is a CommandError.
-    """
-    halves = half_lengths(config)
-    for name in centres:
-        if name not in halves:
-            raise CommandError('centre of pressure', f'one of {", ".join(halves)}'
-                               if halves else 'an edge or plane', f"'{name}'")
-    return {name: centre / halves[name] for name, centre in centres.items()}
+def check_motion(motion: MotionReading, limits: LimitsConfig) -> None:
+    """Refuse a commanded motion that is not of finite numbers, or leaves the workspace box."""
+    check_position(motion.position_world, limits)
+    if not all(np.isfinite(part).all() for part in motion):
+        raise CommandError('motion', 'finite numbers', [np.array(x).tolist() for x in motion])
 
 
 def check_position(position_world: Vector, limits: LimitsConfig) -> None:

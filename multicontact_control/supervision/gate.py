@@ -12,7 +12,7 @@ from typing import Any
 from multicontact_control.arrays import Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.config import ControllerConfig
-from multicontact_control.quintic import quintic
+from multicontact_control.control.tasks import quintic
 from multicontact_control.records import JOINT_LIMITS, Records
 import numpy as np
 

@@ -293,12 +293,7 @@ class GraphSource:
     # ------------------------------------------------------------------------------ commands
 
     def _set_forces(self, **forces: float) -> str:
-        config = self._config
-        unknown = set(forces) - set(config.column_names)
-        if unknown:
-            raise CommandError('contact', f'one of {", ".join(config.column_names)}',
-                               ', '.join(sorted(unknown)))
-        self._limits.check_forces(config, forces)
+        self._limits.check_forces(self._config, forces)
         self._link.command(topics.FORCE_COMMAND, messages.joint_state_message(
             0, list(forces), effort=list(forces.values())))
         return ', '.join(f'{name} {force:g} N' for name, force in forces.items())

@@ -7,9 +7,8 @@ import math
 
 from multicontact_control.arrays import Vector
 from multicontact_control.config import LimitsConfig
-from multicontact_control.control.tasks import MotionReading
+from multicontact_control.control.tasks import MotionReading, quintic
 from multicontact_control.errors import CommandError
-from multicontact_control.quintic import quintic
 from multicontact_control.supervision.command_limits import check_position
 import numpy as np
 

@@ -16,6 +16,7 @@ import time
 from campaign.relay import INPUTS, PREFIX
 from campaign.soak import oscillating
 from geometry_msgs.msg import Transform, Twist, Vector3
+from multicontact_control.control.tasks import quintic
 from multicontact_control.errors import RunError
 from multicontact_control.experiment.faults import judge
 from multicontact_control.experiment.faults.fault import Command, GRAPH, NodeChange
@@ -25,7 +26,6 @@ from multicontact_control.experiment.graph.processes import NodeProcesses
 from multicontact_control.nodes import link, messages, qos, topics
 from multicontact_control.nodes.graph import create_publisher, ignore, take
 from multicontact_control.nodes.topics import CONTROLLER, ESTIMATOR, RECORDER, SIM
-from multicontact_control.quintic import quintic
 from multicontact_control.supervision.command_limits import CommandLimits
 from multicontact_control.supervision.reactions import SEVERITY
 import numpy as np

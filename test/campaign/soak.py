@@ -17,7 +17,7 @@ from pathlib import Path
 import sys
 import time
 
-from multicontact_control.control.tasks import MotionReading
+from multicontact_control.control.tasks import MotionReading, quintic
 from multicontact_control.errors import CommandError
 from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.display import count_bar
@@ -28,7 +28,6 @@ from multicontact_control.experiment.faults.situation import with_obstacles
 from multicontact_control.experiment.faults.vocabulary import faults_of
 from multicontact_control.experiment.oscillation import oscillations
 from multicontact_control.experiment.scenario import plants_of
-from multicontact_control.quintic import quintic
 from multicontact_control.supervision.contacts import HOLDING, NAMES
 import numpy as np
 import psutil

@@ -11,7 +11,6 @@ from multicontact_control.control.tasks import (
     SineConfig,
 )
 from multicontact_control.dynamics.rotations import Pose
-from multicontact_control.errors import ConfigError
 import numpy as np
 import pytest
 
@@ -72,28 +71,6 @@ def test_sine_motion_derivatives_agree_with_differences():
 def test_commanded_task_has_no_pose_and_no_forces_before_its_start():
     source = CommandedTask(('table', 'board'))
     assert (source.pose, source.forces, source.shares) == (None, {'table': 0.0, 'board': 0.0}, {})
-
-
-@pytest.mark.parametrize(('forces', 'message'), [
-    ({'wall': 1.0}, "expected contacts among table, board, found 'wall'"),
-    ({'table': 3.0, 'board': float('nan')}, 'contact_forces/command.board: expected a force'),
-    ({'table': 3.0, 'board': -1.0}, 'contact_forces/command.board: expected a force')])
-def test_commanded_task_refuses_bad_forces_and_changes_nothing(forces, message):
-    source = CommandedTask(('table', 'board'))
-    source.start(POSE, NORMALS)
-    with pytest.raises(ConfigError, match=message):
-        source.set_forces(forces)
-    np.testing.assert_array_equal(source.task(0.0).alpha_des, 0.0)
-
-
-@pytest.mark.parametrize('bad', [
-    (np.full(3, np.inf), np.array([0, 0, 0, 1.0])), (np.zeros(3), np.zeros(4))])
-def test_commanded_task_refuses_bad_motions_and_changes_nothing(bad):
-    source = CommandedTask(('table', 'board'))
-    source.start(POSE, NORMALS)
-    with pytest.raises(ConfigError, match='motion/command: expected'):
-        source.set_motion(MotionReading(*bad, np.zeros(6), np.zeros(6)), FREE)
-    assert source.task(0.0).pose_des is POSE
 
 
 def test_twist_of_a_motion_that_stops_coming_counts_for_a_while_only():

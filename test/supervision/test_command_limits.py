@@ -2,8 +2,14 @@
 
 from arms import controller_config
 from multicontact_control.config import LimitsConfig
+from multicontact_control.control.tasks import MotionReading
 from multicontact_control.errors import CommandError
-from multicontact_control.supervision.command_limits import check_position, CommandLimits
+from multicontact_control.supervision.command_limits import (
+    check_motion,
+    check_position,
+    CommandLimits,
+    offset_shares,
+)
 import numpy as np
 import pytest
 
@@ -30,6 +36,32 @@ def test_check_forces_refuses_a_centre_of_pressure_outside_the_contact(forces, b
 def test_check_forces_names_the_contact(force):
     with pytest.raises(CommandError, match='force on board: expected 0 or 3 to 10 N'):
         CommandLimits(force_ceiling=10.0).check_forces(EDGE, {'table': 3.0, 'board': force})
+
+
+@pytest.mark.parametrize(('forces', 'found'), [
+    ({'wall': 5.0}, "contact: expected one of table, table/along, board, found 'wall'"),
+    ({'table/along': -31.0}, 'force on table/along: expected 0 or -30 to 30 N'),
+    ({'table/along': float('nan')}, 'force on table/along')])
+def test_check_forces_refuses_unknown_contacts_and_couples_beyond_the_ceiling(forces, found):
+    with pytest.raises(CommandError, match=found):
+        CommandLimits().check_forces(EDGE, forces)
+
+
+@pytest.mark.parametrize(('centres', 'found'), [
+    ({'table': 0.01}, 'a finite one of table/along'), ({'table/along': float('nan')}, 'nan m')])
+def test_offset_shares_refuses_what_is_no_centre_of_pressure(centres, found):
+    assert offset_shares(EDGE, {'table/along': 0.01}) == {'table/along': 0.5}
+    with pytest.raises(CommandError, match=found):
+        offset_shares(EDGE, centres)
+
+
+@pytest.mark.parametrize('part', range(4))
+def test_check_motion_refuses_numbers_that_are_not_finite(part):
+    motion = [np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(6), np.zeros(6)]
+    check_motion(MotionReading(*motion), LimitsConfig())
+    motion[part] = motion[part] + np.inf
+    with pytest.raises(CommandError, match='motion: expected finite numbers'):
+        check_motion(MotionReading(*motion), LimitsConfig())
 
 
 def test_check_position_names_the_axis():

@@ -80,7 +80,7 @@ def test_hold_refuses_motion_until_it_is_released(simulation):
 
 
 @pytest.mark.parametrize(('name', 'values', 'field'), [
-    (source.FORCES, {'table': 1.0}, 'force on table'), (source.FORCES, {'floor': 5.0}, 'contacts'),
+    (source.FORCES, {'table': 1.0}, 'force on table'), (source.FORCES, {'floor': 5.0}, 'contact'),
     (source.GO_TO, {'position': [0.0, 0.5, 0.0]}, 'position z'),
     (source.GO_TO, {'position': [0.0, 0.5]}, 'position'),
     (source.GAINS, {'natural_frequency': -1.0, 'time_constant': 0.02, 'damping_rate': 60.0},
