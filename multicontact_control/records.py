@@ -318,6 +318,7 @@ INPUT_SETTINGS = np.dtype([
     ('max_age', F, 3),  # [s]
     ('recovery_ticks', I),  # for which joints are refused after a jump
     ('frozen_joint_ticks', I), ('frozen_ticks', I),  # equal readings that are frozen, 0 for never
+    ('by_command', B), ('adds_gravity', B),  # see `collision.command_delay`, `robot`
     ('full_scale', F, 6),  # from where on an axis is saturated [N, N m]
     ('order', I),  # of the low-pass, 0 for none
     ('b', F, 3), ('a', F, 3),  # its coefficients, highest power of z first
@@ -328,6 +329,8 @@ INPUT_STATE = np.dtype([
     ('time', F),  # of the newest tick, NaN before the first [s]
     ('seen', F, 3),  # newest stamp, NaN for none [s]
     ('valid', F, 3),  # stamp of the newest valid reading, NaN for none [s]
+    ('skipped', I), ('commands', I),  # samples missing before this tick; commands so far
+    ('unknown', I),  # ticks in a row without the torques that acted
     ('odd_periods', I),  # in a row that are too long or too short
     ('known', np.uint8, 2),  # whether any joints and any wrench were valid
     ('blind_ticks', I),  # in a row without valid joints

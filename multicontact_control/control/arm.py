@@ -245,7 +245,7 @@ class ArmState:
         compile_for(
             see_arm, self.motion, terms.mass_matrix, terms.bias_torque, terms.jacobian,
             terms.placements, self.joints, self._controls, self._contacts)
-        self.look()
+        self.refresh()
 
     @property
     def finite(self) -> bool:
@@ -281,12 +281,7 @@ class ArmState:
 
     def refresh(self) -> bool:
         """Take in what has been written into `motion`; see `update`."""
-        self.robot.compute(self.q, self.velocity)
-        return self.look()
-
-    def look(self) -> bool:
-        """Take in what the robot's model has computed; see `update`."""
-        terms = self.robot.terms
+        terms = self.robot.compute(self.q, self.velocity)
         self.found = see_arm(
             self.motion, terms.mass_matrix, terms.bias_torque, terms.jacobian,
             terms.placements, self.joints, self._controls, self._contacts)

@@ -46,8 +46,8 @@ class Controller:
 
     F = Lambda (Omega_m f_t* + Omega_f f_c*) + mu + p + f_c_hat, Gamma = J^T F (eqs 24-26).
 
-    A tick writes a sample into `measured`, calls `see`, writes the task into `controls` and
-    `contacts`, and calls `answer`; before the first answer it calls `start`. All kernels are
+    A tick writes a sample into `measured`, calls `arm.refresh`, writes the task into `controls`
+    and `contacts`, and calls `answer`; before the first answer it calls `start`. All kernels are
     compiled when a controller is made.
 
     Parameters
@@ -62,8 +62,8 @@ class Controller:
     arm
         Where the arm is.
     measured
-        Places of a sample: q and v, shape (2, n) [rad, rad/s], wrench, shape (6,) [N, N m], R,
-        shape (r,) [N^2], and the torques that acted, shape (n,) [N m].
+        Places of a sample: q and v, shape (2, n) [rad, rad/s], wrench, shape (6,) [N, N m], and R,
+        shape (r,) [N^2].
     controls, contacts, laws
         One record of `CONTROL`, records of `CONTACT` and `FORCE_LAW`, shape (r,).
     active, torque
@@ -89,7 +89,7 @@ class Controller:
         self.active: Mask = self.contacts['answer']['active']
         joints = self.arm.joints
         self.measured = (self.arm.motion, self.controls['wrench'][0],
-                         self.contacts['noise_variance'], joints['effort'])
+                         self.contacts['noise_variance'])
         self.torque: Vector = joints['torque']
         # numpy copies a structured array field by field, which takes five times as long.
         self._contact_bytes = self.contacts.view(np.uint8)
@@ -177,25 +177,12 @@ class Controller:
             If an array is not of the robot's size.
 
         """
-        (own_q, own_qd), wrench, _, _ = self.measured
+        (own_q, own_qd), wrench, _ = self.measured
         for name, values, place in (
                 ('q', q, own_q), ('qd', qd, own_qd), ('wrench_sensor', wrench_sensor, wrench)):
             require_shape(name, values, place.shape)
             place[:] = values
-        self.see()
-
-    def see(self) -> bool:
-        """
-        Compute the arm's model and the measured contact forces of the sample in `measured`.
-
-        Returns
-        -------
-        bool
-            Whether the model gives finite numbers there; if not, the arm stays where it was.
-
-        """
-        self.robot.compute(self.arm.q, self.arm.velocity)
-        return self.arm.look()
+        self.arm.refresh()
 
     def start(self) -> Pose:
         """

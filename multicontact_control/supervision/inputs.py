@@ -32,13 +32,12 @@ from multicontact_control.records import INPUT_STAGE, Records
 import numpy as np
 
 PARTS = ('joints', 'wrench', 'variance', 'clock')
-JOINTS, WRENCH, VARIANCE, CLOCK = range(4)
+JOINTS, WRENCH, VARIANCE, CLOCK, TORQUES = range(5)
 # What is wrong; FINE: nothing, ABSENT: no reading has come.
 PROBLEMS = (
     '', 'invalid', 'jump', 'frozen', 'saturated', 'stamp', 'order', 'late', 'backwards', 'rate')
 FINE, INVALID, JUMP, FROZEN, SATURATED, STAMP, ORDER, LATE, BACKWARDS, RATE = range(10)
 ABSENT = -1
-WELL, ACTS = 1, 2  # of what `check_inputs` returns
 
 KEPT = 100  # wrenches, for a tare
 LONGEST_GAP = 0.1  # s between two wrenches; after it the low-pass and the tare begin anew
@@ -54,6 +53,9 @@ LONGEST_STEP = 0.1  # s, over which speeds are extrapolated
 VARIANCE_FLOOR, VARIANCE_CEILING = 0.1, 1e3  # N^2; with less the observer outruns the drives
 VARIANCE_GROWTH = 1.1  # per period, of an R that is not renewed
 LATEST = 1e12  # s; no time is beyond it
+LONGEST_SKIP = 0.1  # s; the task's time does not follow a clock that has been set
+FORGOTTEN = 1.0  # s without known torques, after which a collision is forgotten
+UNEVEN = 0.5  # periods that a sample may be early or late and still be the next one
 AGE_TOLERANCE = 1e-3  # periods
 
 
@@ -110,6 +112,8 @@ class Seen(NamedTuple):
         Whether the joint state is neither of this tick nor of the one before.
     measured
         Whether the wrench is of this tick.
+    skipped
+        Samples that are missing before this tick.
 
     """
 
@@ -119,12 +123,13 @@ class Seen(NamedTuple):
     wrench: bool = True
     blind: bool = False
     measured: bool = True
+    skipped: int = 0
 
 
 @compiled
-def check_clock(time: float, state: Any, settings: Any) -> int:
+def _check_clock(time: float, state: Any, settings: Any) -> int:
     """Check and keep the time of a tick [s]; one that is not finite is a period after the last."""
-    before = state.time
+    before, state.skipped = state.time, 0
     if not abs(time) <= LATEST:
         state.time = 0.0 if np.isnan(before) else before + settings.period
         return INVALID
@@ -134,13 +139,16 @@ def check_clock(time: float, state: Any, settings: Any) -> int:
             state.seen[i] = state.valid[i] = np.nan
         state.odd_periods = 0
         return BACKWARDS
+    skipped = time - before - settings.period
+    if 0.5 * settings.period < skipped <= LONGEST_SKIP:
+        state.skipped = round(skipped / settings.period)
     odd = time - before < settings.shortest or time - before > settings.longest
     state.odd_periods = state.odd_periods + 1 if odd else 0
     return RATE if state.odd_periods >= 2 else FINE
 
 
 @compiled
-def check_stamp(part: int, stamp: float, content: int, state: Any, settings: Any) -> int:
+def _check_stamp(part: int, stamp: float, content: int, state: Any, settings: Any) -> int:
     """Check the stamp of a reading [s]; return its content if that is in order and new."""
     before = state.seen[part]
     if content == ABSENT:
@@ -160,7 +168,7 @@ def check_stamp(part: int, stamp: float, content: int, state: Any, settings: Any
 
 
 @compiled
-def check_joints(
+def _check_joints(
     joints: Matrix, motion: Matrix, elapsed: float, state: Any, settings: Any,
 ) -> int:
     """
@@ -198,7 +206,7 @@ def check_joints(
 
 
 @compiled
-def take_wrench(joints: Matrix, kept: Matrix, state: Any, settings: Any) -> int:
+def _take_wrench(joints: Matrix, kept: Matrix, state: Any, settings: Any) -> int:
     """
     Check a wrench, low-pass it, and keep it with the posture as a row of a ring for a tare.
 
@@ -239,41 +247,82 @@ def take_wrench(joints: Matrix, kept: Matrix, state: Any, settings: Any) -> int:
 
 
 @compiled
+def _supply_torques(
+    joints: Any, momentum: Any, commands: Matrix, acts: bool, elapsed: float, measured: bool,
+    state: Any, settings: Any,
+) -> None:
+    """
+    Give the momentum observer the torques that acted since the sample before, if they are known.
+
+    They are those measured, or else the command of `collision.command_delay` periods before. That
+    may be one period off, so the change of the command is added to the thresholds then.
+    """
+    by_command, needed = settings.by_command, commands.shape[0]
+    known = acts or (by_command and state.commands >= needed)
+    for j in range(joints.shape[0]):
+        joint = joints[j]
+        if by_command:
+            joint.doubt = 0.0
+        if acts:
+            if settings.adds_gravity:
+                joint.effort += joint.added
+        elif known:
+            before = commands[state.commands % needed, j]
+            last = commands[(state.commands + 1) % needed, j]
+            after = commands[(state.commands + min(2, needed - 1)) % needed, j]
+            joint.doubt = max(abs(last - before), abs(after - last))
+            joint.effort = last
+    known = known and measured and abs(elapsed - settings.period) < UNEVEN * settings.period
+    momentum.elapsed = elapsed if known else 0.0
+    state.unknown = 0 if known else state.unknown + 1
+    if state.unknown * settings.period > FORGOTTEN and momentum.collided:
+        momentum.collided = False  # it would block the arm for good
+        for j in range(joints.shape[0]):
+            joints[j].residual = joints[j].slack = 0.0
+
+
+@compiled
 def check_inputs(
-    stages: Any, joints: Matrix, new_variance: Vector, kept: Matrix, motion: Matrix,
-    wrench: Vector, noise_variance: Vector, effort: Vector, time: float, stamps: Any,
-    contents: Any,
-) -> int:
+    stages: Any, readings: Matrix, new_variance: Vector, kept: Matrix, commands: Matrix,
+    motion: Matrix, wrench: Vector, noise_variance: Vector, joints: Any, momenta: Any,
+    last: Vector, commanded: bool, stamps: Any, contents: Any,
+) -> bool:
     """
     Check the inputs of a tick, and keep what is valid in its places.
 
-    Returns WELL if every input is known and valid, or young enough to go on with, and the wrench
-    is new; and ACTS, added to it, if the efforts are torques that acted.
+    Returns whether every input is known and valid, or young enough to go on with, the wrench is
+    new, and no sample is missing before.
     Arguments are what `Inputs` has: one record of `INPUT_STAGE`; q, v, those of the reading
     before and the largest v, shape (5, n); the new R, shape (r,); the ring for a tare, shape
-    (k, 6 + n); the places; and the time of the tick, and of joints, wrench and R the stamps [s]
-    and contents: FINE, INVALID if they cannot be read, or ABSENT.
+    (k, 6 + n), and that of commands; the places; the last command and whether there is one; and
+    of each input the stamp [s], or the time of the tick, and the content: FINE, INVALID if it
+    cannot be read, or ABSENT.
     """
     stage = stages[0]
     settings, state, verdict = stage.settings, stage.state, stage.verdict
     valid, problem, h = state.valid, verdict.problem, settings.period
-    problem[CLOCK] = check_clock(time, state, settings)
+    joint_stamp = valid[JOINTS]
+    if commanded:
+        for j in range(last.shape[0]):
+            commands[state.commands % commands.shape[0], j] = last[j]
+        state.commands += 1
+    problem[CLOCK] = _check_clock(stamps[CLOCK], state, settings)
     for i in range(3):
-        problem[i] = check_stamp(i, stamps[i], contents[i], state, settings)
+        problem[i] = _check_stamp(i, stamps[i], contents[i], state, settings)
     state.blind_ticks += 1
     if problem[JOINTS] == FINE:
         # The stamps before a fault of the clock are of no use: ticks are counted then.
         elapsed = stamps[JOINTS] - valid[JOINTS]
         if np.isnan(elapsed):
             elapsed = h * state.blind_ticks
-        problem[JOINTS] = check_joints(joints, motion, elapsed, state, settings)
+        problem[JOINTS] = _check_joints(readings, motion, elapsed, state, settings)
         if problem[JOINTS] == FINE:
             valid[JOINTS], state.blind_ticks, state.known[JOINTS] = stamps[JOINTS], 0, True
         elif problem[JOINTS] == FROZEN:  # as old as its value
             valid[JOINTS] = stamps[JOINTS] - h * (state.equal_joints - 1)
     verdict.fresh = problem[WRENCH] == FINE or problem[WRENCH] == LATE
     if verdict.fresh:
-        fault = take_wrench(joints, kept, state, settings)
+        fault = _take_wrench(readings, kept, state, settings)
         if fault != FINE:
             problem[WRENCH] = fault
         if problem[WRENCH] == FINE:
@@ -300,14 +349,17 @@ def check_inputs(
         for i in range(new_variance.shape[0]):
             noise_variance[i] = min(noise_variance[i] * VARIANCE_GROWTH, VARIANCE_CEILING)
     moved, total = False, 0.0  # a driver that measures no torque may say 0, or NaN
-    for j in range(effort.shape[0]):
-        moved = moved or effort[j] != 0.0
-        total += effort[j]
+    for j in range(joints.shape[0]):
+        moved = moved or joints[j].effort != 0.0
+        total += joints[j].effort
+    verdict.acts = contents[TORQUES] == FINE and moved and np.isfinite(total)
+    _supply_torques(joints, momenta[0], commands, verdict.acts, valid[JOINTS] - joint_stamp,
+                    problem[WRENCH] == FINE or momenta[0].is_input, state, settings)
     verdict.blind = state.blind_ticks > 1
-    well = not verdict.blind and problem[WRENCH] == FINE
+    well = not verdict.blind and problem[WRENCH] == FINE and state.skipped == 0
     for i in range(4):
         well = well and not verdict.stale[i] and problem[i] <= FINE
-    return (WELL if well else 0) + (ACTS if moved and np.isfinite(total) else 0)
+    return bool(well)
 
 
 class Inputs:
@@ -320,57 +372,58 @@ class Inputs:
         Limits, ages, low-pass.
     places
         Where what is valid goes: q and v, shape (2, n) [rad, rad/s], wrench, shape (6,) [N, N m],
-        R, shape (r,) [N^2], and the torques that came with the joints, shape (n,) [N m].
+        and R, shape (r,) [N^2].
+    joints, momenta
+        Records of `JOINT`, shape (n,), and one of `MOMENTUM`, for the torques that acted.
 
     Attributes
     ----------
-    effort, acted
-        Those torques, and whether they came with the newest joint state and say anything.
     raw, filtered
         The newest wrench as it came in, and behind the low-pass, shape (6,) [N, N m].
-    estimate_known
-        Without a wrist sensor: whether the momentum observer has left the wrench of the sample
-        before in its place.
 
     """
 
     def __init__(
-        self, config: ControllerConfig, places: tuple[Matrix, Vector, Vector, Vector],
+        self, config: ControllerConfig, places: tuple[Matrix, Vector, Vector], joints: Any,
+        momenta: Any,
     ) -> None:
-        _, self._wrench, self._variance, self.effort = places
-        n, r = len(self.effort), len(self._variance)
+        _, self._wrench, self._variance = places
+        n, r = len(joints), len(self._variance)
         self._estimated = config.wrench_input == 'momentum'
-        joints = np.full((5, n), math.nan)
-        joints[4] = np.minimum(
+        readings = np.full((5, n), math.nan)
+        readings[4] = np.minimum(
             SPEED_EXCESS * np.array(config.limits.joint_speed or np.inf), np.finfo(float).max)
         variance = np.clip(config.initial_noise_variance, VARIANCE_FLOOR, VARIANCE_CEILING)
-        self._initial: Any = stage_record(config), joints, variance
+        self._initial: Any = stage_record(config), readings, variance
         self._stage: Any = np.zeros(1, dtype=INPUT_STAGE)
-        self._joints, self._new_variance = np.zeros((5, n)), np.zeros(r)
+        self._readings, self._new_variance = np.zeros((5, n)), np.zeros(r)
+        self._effort: Vector = joints['effort']
         self._kept: Matrix = np.zeros((KEPT, 6 + n))
-        self._arguments = self._stage, self._joints, self._new_variance, self._kept, *places
+        self._commands: Matrix = np.zeros((max(config.collision.command_delay, 0) + 2, n))
+        self._arguments = (self._stage, self._readings, self._new_variance, self._kept,
+                           self._commands, *places, joints, momenta)
+        self._momenta, self._joints = momenta, joints
         self._state, self._verdict = self._stage['state'], self._stage['verdict']
         self.raw: Vector = self._state['raw'][0]
         self.filtered: Vector = self._state['filtered'][0]
-        self._all_well = Seen()
+        # Where the numbers of a reading are put.
+        self._places = ((self._readings[0], self._readings[1]), (self.raw,), (self._new_variance,),
+                        (), (self._effort,))
+        self._no_command, self._all_well = np.zeros(n), Seen()
         self.reset()
         self.validate(TickInputs(0.0))  # no tick is to wait for numba
         self.reset()
 
     def reset(self) -> None:
         """Forget everything; the next tick is the first."""
-        self._stage[:], self._joints[:], self._variance[:] = self._initial
-        self.estimate_known, self.acted = True, False
+        self._stage[:], self._readings[:], self._variance[:] = self._initial
+        self._joints['residual'] = self._joints['slack'] = self._joints['doubt'] = 0.0
+        self._momenta['elapsed'], self._momenta['collided'] = 0.0, False
 
     @property
-    def now(self) -> float:
-        """Time of the newest tick [s]; NaN before the first."""
-        return float(self._state['time'][0])
-
-    @property
-    def joint_stamp(self) -> float:
-        """Stamp of the newest valid joint state [s]; NaN if there is none."""
-        return float(self._state['valid'][0, JOINTS])
+    def effort(self) -> Vector | None:
+        """The torques that came with the newest joint state, if they say anything [N m]."""
+        return self._effort if self._verdict['acts'][0] else None
 
     @property
     def fresh(self) -> bool:
@@ -391,59 +444,55 @@ class Inputs:
         newest is 0.1 s old.
         """
         count = int(self._state['kept'][0])
-        if not self.now - self._state['seen'][0, WRENCH] <= LONGEST_GAP:
+        if not self._state['time'][0] - self._state['seen'][0, WRENCH] <= LONGEST_GAP:
             count = 0
         rows = np.roll(self._kept, -count, axis=0) if count > KEPT else self._kept[:count]
         return rows[:, :6].copy(), rows[:, 6:].copy()
 
-    def validate(self, inputs: TickInputs) -> Seen:
-        """Take in what is known at a tick and say what of it is valid."""
+    def validate(self, inputs: TickInputs, command: Vector | None = None) -> Seen:
+        """
+        Take in what is known at a tick and say what of it is valid.
+
+        Parameters
+        ----------
+        inputs
+            The newest readings, of whatever content.
+        command
+            What has been commanded at the tick before, shape (n,) [N m]; None for nothing.
+
+        """
         time, joints, wrench, variance = inputs
-        if self._estimated:
-            wrench = WrenchInput(joints.stamp, self._wrench) if (
-                joints is not None and self.estimate_known) else None
-        torques = joints is not None and joints.effort is not None and (
-            _put(joints.effort, self.effort) == FINE)
-        stamps = (math.nan if joints is None else _number(joints.stamp),
-                  math.nan if wrench is None else _number(wrench.stamp),
-                  math.nan if variance is None else _number(variance.stamp))
-        contents = (
-            ABSENT if joints is None else max(
-                _put(joints.q, self._joints[0]), _put(joints.qd, self._joints[1])),
-            ABSENT if wrench is None else _put(wrench.wrench, self.raw),
-            ABSENT if variance is None else _put(variance.variance, self._new_variance))
-        found = check_inputs(*self._arguments, _number(time), stamps, contents)
-        self.acted = torques and found >= ACTS
-        if found & WELL:
+        if self._estimated:  # by the momentum observer, which takes some samples to begin
+            known = self._state['unknown'][0] <= len(self._commands) + 1
+            wrench = WrenchInput(joints.stamp, self._wrench) if joints and known else None
+        effort = None if joints is None or joints.effort is None else (0.0, joints.effort)
+        stamps, contents = [math.nan] * 5, [ABSENT] * 5
+        for part, reading in enumerate((joints, wrench, variance, (time,), effort)):
+            if reading is None:
+                continue
+            try:
+                stamps[part] = float(reading[0])
+                for values, place in zip(reading[1:], self._places[part]):
+                    numbers = np.asarray(values)
+                    if numbers.shape != place.shape:
+                        raise ValueError('shape')
+                    place[:] = numbers
+                contents[part] = FINE
+            except (TypeError, ValueError, OverflowError):
+                contents[part] = INVALID
+        if check_inputs(
+                *self._arguments, self._no_command if command is None else command,
+                command is not None, tuple(stamps), tuple(contents)):
             return self._all_well
-        verdict = self._verdict[0]
+        verdict, state = self._verdict[0], self._state[0]
         problems = list(zip(PARTS, map(PROBLEMS.__getitem__, verdict['problem'].clip(FINE)),
-                         verdict['stale']))
+                            verdict['stale']))
         causes = [f"{part}_{problem or 'stale'}" for part, problem, stale in problems if stale]
         rejected = [f'{part}_{problem}' for part, problem, _ in problems[:CLOCK] if problem]
-        known = self._state['known'][0].astype(bool).tolist()
+        known = state['known'].astype(bool).tolist()
         return Seen(tuple(causes), tuple(rejected), known[JOINTS], known[WRENCH],
-                    bool(verdict['blind']), bool(verdict['problem'][WRENCH] == FINE))
-
-
-def _put(values: Any, place: Vector) -> int:
-    """Copy numbers to their place: FINE, or INVALID if they are none, or of another shape."""
-    try:
-        values = np.asarray(values)
-        if values.shape == place.shape:
-            place[:] = values
-            return FINE
-    except (TypeError, ValueError, OverflowError):
-        pass
-    return INVALID
-
-
-def _number(value: Any) -> float:
-    """Return a number, NaN if it is not one."""
-    try:
-        return float(value)
-    except (TypeError, ValueError, OverflowError):
-        return math.nan
+                    bool(verdict['blind']), bool(verdict['problem'][WRENCH] == FINE),
+                    int(state['skipped']))
 
 
 def stage_record(config: ControllerConfig) -> Records:
@@ -457,6 +506,8 @@ def stage_record(config: ControllerConfig) -> Records:
         [watch.joint_max_age, watch.wrench_max_age, watch.variance_max_age]))
     settings['recovery_ticks'] = round(watch.recovery_time * config.rate)
     settings['frozen_joint_ticks'] = watch.frozen_joint_ticks
+    settings['by_command'] = config.collision.command_delay >= 0
+    settings['adds_gravity'] = config.robot.adds_gravity
     settings['full_scale'] = np.inf
     if config.wrench_input != 'momentum':
         settings['frozen_ticks'] = sensor.frozen_ticks

@@ -49,13 +49,6 @@ class SupervisorStatus(NamedTuple):
     task_time: float
 
 
-class TickOutput(NamedTuple):
-    """The answer to one tick, and its status, None without guards."""
-
-    output: ControlOutput
-    status: SupervisorStatus | None
-
-
 def no_answer(joints: int, contacts: int) -> ControlOutput:
     """Return the answer before anything is known."""
     controls = np.zeros(1, dtype=CONTROL)

@@ -12,17 +12,17 @@ from multicontact_control.control.arm import (
     ArmState,
     JOINT_SPEED,
     OPERATIONAL_SPEED,
+    TOUCHED,
 )
 from multicontact_control.control.controller import Controller
 from multicontact_control.control.tasks import TaskSource
+from multicontact_control.control.tick import ControlOutput
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import CommandError, ConfigError, SingularTaskError
 from multicontact_control.force.force_law import continue_laws_at
 from multicontact_control.supervision.checks import (
     check_plausibility,
     COLLISION,
-    CollisionWatch,
-    limit_speeds,
     NOT_FINITE,
     OUTSIDE,
     plausibility_limits,
@@ -30,6 +30,7 @@ from multicontact_control.supervision.checks import (
     reactions_of,
     SIDEWAYS,
     TOO_FAST,
+    watch_arm,
 )
 from multicontact_control.supervision.command_limits import outside_limits
 from multicontact_control.supervision.contact_task import ContactTask
@@ -48,12 +49,11 @@ from multicontact_control.supervision.reactions import (
     SAFE,
     SEVERITY,
 )
-from multicontact_control.supervision.report import no_answer, SupervisorStatus, TickOutput
+from multicontact_control.supervision.report import no_answer, SupervisorStatus
 import numpy as np
 
 CONTRADICTIONS = 2  # samples in a row that contradict the contacts, for the wrench to be refused
 SEEN_TIME = 0.05  # s, after which an arm that was not seen is held again
-LONGEST_SKIP = 0.1  # s; the task's time does not follow a clock that has been set
 CONTROLLED = (NONE, INFLATE)  # what the control law answers
 FIXED = ('torque_limit', 'sensor', 'contact_state', 'limits', 'watchdog', 'collision')
 LIVE_OF_CONTACTS = {
@@ -85,8 +85,8 @@ class Supervisor:
     ----------
     config
         The configuration in force.
-    inputs, controller, task, collisions
-        The input stage, the control law, what it is asked for, and what touches the arm.
+    inputs, controller, task
+        The input stage, the control law, and what it is asked for.
     safe
         Whether ticks are answered by the declared safe behaviour, see `stop`.
     started
@@ -102,34 +102,30 @@ class Supervisor:
     ) -> None:
         self.guarded = guarded
         self._robot, self._period = robot, config.period
-        self.controller = Controller(config, robot)
-        self.task = ContactTask(config, source, self.controller, guarded=guarded)
-        arm = self.controller.arm
-        self._joints, self._controls = arm.joints, self.controller.controls
-        self.inputs = Inputs(config, self.controller.measured)
-        self._gate = TorqueGate(config, arm.joints, guarded=guarded)
-        self._reactions = Reactions(config, self.controller)
+        self.controller = controller = Controller(config, robot)
+        self._joints, self._controls = controller.arm.joints, controller.controls
+        self.task = ContactTask(config, source, controller, guarded=guarded)
+        self.inputs = Inputs(
+            config, controller.measured, self._joints, self._controls['momentum'])
+        self._gate = TorqueGate(config, self._joints, guarded=guarded)
+        self._reactions = Reactions(config, controller)
         self._recovery = Recovery(config.watchdog.recovery_time, config.period)
-        self.collisions = CollisionWatch(config, self.controller)
         if guarded:
-            limit_speeds(arm.joints, arm.frames, config)
-        else:
-            self._controls['momentum']['bandwidth'] = 0.0  # what touches the arm is not asked
+            watch_arm(config, controller)
         self._adopt(config)
-        compile_for(check_plausibility, self._bounds, self._controls, arm.joints,
-                    self.controller.contacts, self.task.states)
+        compile_for(check_plausibility, *self._answered)
         self.reset()
 
     def reset(self) -> None:
         """Forget everything measured and commanded; the next tick starts anew."""
         self._restart_law()
         self.inputs.reset()
-        self.collisions.reset()
         self._gate.reset()
         self.safe = False
         self.outside: tuple[str, ...] = ()
         self._arm: ArmState | None = None  # once it was seen
         self._found = 0  # of it; see `see_arm`
+        self._touched = -1  # joint beyond which nothing is touched
         self._alarms: tuple[str, ...] = ()
         self._seen, self._wrench_known = Seen(), False
         self._reaction = NONE
@@ -155,7 +151,7 @@ class Supervisor:
             self.safe = True
             self._gate.go_over()
 
-    def step(self, inputs: TickInputs) -> TickOutput:
+    def step(self, inputs: TickInputs) -> tuple[ControlOutput, SupervisorStatus | None]:
         """
         Answer one tick, whatever came in.
 
@@ -166,8 +162,10 @@ class Supervisor:
 
         Returns
         -------
-        TickOutput
+        output : ControlOutput
             A torque that may be commanded, and how it came about.
+        status : SupervisorStatus or None
+            What was done, and why; None without guards.
 
         Raises
         ------
@@ -175,73 +173,88 @@ class Supervisor:
             Without guards, if a reading is missing or there is no torque for this posture.
 
         """
-        part, reaction = 'internal', NONE
+        part, reaction = 'internal', NONE  # the part at work, for an error in it
         try:
-            seen = self._validate(inputs)
-            causes = self._see(seen)
-            if causes or self._paused or self.safe or not self.started:
+            seen = self.inputs.validate(inputs, self._gate.last if self._gate.begun else None)
+            causes = self._see(inputs, seen)
+            if causes or self.safe or self._paused or not self.started:
                 reaction, causes = self._decide(causes)
                 if reaction not in CONTROLLED:
                     return self._react(reaction, causes)
-            part = 'law'
-            if self._paused or not self.started:
+                part = 'law'
                 self._resume()
+            part = 'law'
             self.task.ask(self._task_ticks * self._period)
             limited = self.controller.answer()
             part = 'internal'
-            if refused := self._check():
+            found = self.guarded and check_plausibility(*self._answered)
+            if not found:
+                self._contradictions = 0
+            elif refused := self._object(found):
                 return self._refuse(refused)
-            torque, limits = self._pass(limited)
-            return self._report(torque, reaction, causes, limits)
+            if self._paused or not self.started:
+                self._take_over()
+            torque, limits = self._gate.apply(
+                self.controller.active.tobytes() if self.guarded else None,
+                self.controller.torque.copy(), limited=limited)
+            if limits:
+                self._account_for(torque, limits)
+            self._task_ticks += 1
+            return self._report(
+                torque, reaction, causes, ('reference', *limits) if self.task.limited else limits)
         except Exception as error:
             if not self.guarded:
                 raise
             return self._survive(part, error)
 
-    def _validate(self, inputs: TickInputs) -> Seen:
-        """Return what is valid, or, without guards, all; the task's time follows the stamps."""
-        before = self.inputs.now
-        seen = self.inputs.validate(inputs)
-        if not self.guarded:
-            return self._as_it_came(inputs)
-        skipped = self.inputs.now - before - self._period
-        if self.started and not self._paused and 0.5 * self._period < skipped <= LONGEST_SKIP:
-            self._task_ticks += round(skipped / self._period)
-        return seen
-
-    def _as_it_came(self, inputs: TickInputs) -> Seen:
-        """Hand over the inputs of a tick, valid or not; raise if joints or wrench are missing."""
-        joints, variance = inputs.joints, inputs.variance
-        if joints is None or inputs.wrench is None:
-            raise not_supervised()
-        (q, qd), wrench, own_variance, _ = self.controller.measured
-        q[:], qd[:], wrench[:] = joints.q, joints.qd, self.inputs.filtered
-        own_variance[:] = (
-            self.config.initial_noise_variance if variance is None else variance.variance)
-        self._task_ticks = round(inputs.time / self._period)
-        return Seen()
-
-    def _see(self, seen: Seen) -> tuple[str, ...]:
+    def _see(self, inputs: TickInputs, seen: Seen) -> tuple[str, ...]:
         """Compute where the arm is and what its contacts bear; return what is wrong."""
-        arm, own = self.controller.arm, self.config.robot.adds_gravity
+        if not self.guarded:
+            seen = self._as_it_came(inputs)
+        elif self.started and not self._paused:
+            self._task_ticks += seen.skipped
+        arm = self.controller.arm
         self._seen, self._wrench_known = seen, seen.measured
-        if self.guarded:
-            self.collisions.look(self.inputs, measured=seen.measured)
-        if seen.joints and self.controller.see():
+        if seen.joints and arm.refresh():
             self._arm = arm
             if arm.found or self._found:
                 self._alarms = TOO_FAST[arm.found & (OPERATIONAL_SPEED | JOINT_SPEED)]
-                touched = self.collisions.cause(arm.found)
-                # The wrench is not to be believed before the pushes that prove it.
-                if touched and not self.task.locked:
-                    self._alarms += (touched,)
-            if own:
+                self._alarms += self._touch(arm.found)
+            if self.config.robot.adds_gravity:
                 self._gate.allow_for(self._own_weight())
             self._found = arm.found
         if self._found & AMBIGUOUS:  # what the contacts bear is of some time before
             self._wrench_known = False
         self._controls['measured'] = self._wrench_known
         return seen.causes + self._alarms
+
+    def _as_it_came(self, inputs: TickInputs) -> Seen:
+        """Hand over the inputs of a tick, valid or not; raise if joints or wrench are missing."""
+        joints, variance = inputs.joints, inputs.variance
+        if joints is None or inputs.wrench is None:
+            raise not_supervised()
+        (q, qd), wrench, own_variance = self.controller.measured
+        q[:], qd[:], wrench[:] = joints.q, joints.qd, self.inputs.filtered
+        own_variance[:] = (
+            self.config.initial_noise_variance if variance is None else variance.variance)
+        self._task_ticks = round(inputs.time / self._period)
+        return Seen()
+
+    def _touch(self, found: int) -> tuple[str, ...]:
+        """
+        Name the joint where something touches the arm, if anything does.
+
+        What touches a link loads no joint beyond it: it is at, or beyond, the last joint whose
+        residual has been above its threshold since it began.
+        """
+        if not found & TOUCHED:
+            self._touched = -1
+            return ()
+        beyond = np.flatnonzero(np.abs(self._joints['residual']) > self._joints['threshold'])
+        self._touched = max(self._touched, *beyond.tolist(), 0)
+        # The wrench is not to be believed before the pushes that prove it.
+        return () if self.task.locked else (
+            f'{COLLISION}_{self.config.robot.joint_names[self._touched]}',)
 
     def _own_weight(self) -> Vector:
         """Return the torque by which the drives carry the arm where it is seen, shape (n,)."""
@@ -265,8 +278,9 @@ class Supervisor:
         if reaction in CONTROLLED:
             self._good_ticks += 1
             missing = self._recovery.missing(self._good_ticks) if self._paused else ()
-            if missing:
-                return self._waiting(), missing
+            if missing:  # joints that come and go are not held
+                floats = self._reaction == FLOAT and self._good_ticks * self._period < SEEN_TIME
+                return FLOAT if self._seen.blind or floats else self._waiting_reaction, missing
             if arm is None or not self._seen.wrench:
                 return DAMP, ('joints_stale',)
         return reaction, causes
@@ -276,15 +290,11 @@ class Supervisor:
         found = [reactions[cause.split('_')[0]] for cause in causes]
         return max(found, key=SEVERITY.index, default=NONE)
 
-    def _waiting(self) -> str:
-        """Return what is done while control waits; joints that come and go are not held."""
-        floats = self._reaction == FLOAT
-        seen = self._good_ticks * self._period
-        return FLOAT if self._seen.blind or floats and seen < SEEN_TIME else self._waiting_reaction
-
     def _resume(self) -> None:
-        """Start the control law, or go on with it after a reaction."""
+        """Start the control law, or go on with it after a reaction, if it does not act."""
         controller = self.controller
+        if self.started and not self._paused:
+            return
         if self._found & AMBIGUOUS:
             controller.refuse()
         if self._paused and self.started:
@@ -295,13 +305,8 @@ class Supervisor:
         if not controller.started:
             self.task.start(controller.start())
 
-    def _check(self) -> str:
+    def _object(self, found: int) -> str:
         """Return what speaks against the answer of the law, nothing if it may be commanded."""
-        if not self.guarded:
-            return ''
-        found = check_plausibility(
-            self._bounds, self._controls, self._joints, self.controller.contacts,
-            self.task.states)
         if found & NOT_FINITE:
             return 'law_not_finite'
         contradicted = found & (PULL | SIDEWAYS) and not self.task.locked
@@ -312,8 +317,8 @@ class Supervisor:
             self.task.lead_back()
         return ''
 
-    def _pass(self, limited: bool) -> tuple[Vector, tuple[str, ...]]:
-        """Let the law's torque through the gate; return it and the limits that were enforced."""
+    def _take_over(self) -> None:
+        """Let the law act from now on."""
         if not self._gate.begun:
             self._begin()
         if self._paused:
@@ -321,34 +326,35 @@ class Supervisor:
             if self.started:
                 self._recovery.resumed(self._task_ticks)
         self.started, self._paused = True, False
-        self._task_ticks += 1
-        law = self.controller.active.tobytes() if self.guarded else None
-        torque, limits = self._gate.apply(
-            law, self.controller.torque.copy(), limited=limited)
-        if not self.guarded and 'not_finite' in limits:
-            raise SingularTaskError('the torque: expected finite numbers, found others')
+
+    def _account_for(self, torque: Vector, limits: tuple[str, ...]) -> None:
+        """Tell the law what acts in place of its answer."""
+        if not self.guarded:
+            if 'not_finite' in limits:
+                raise SingularTaskError('the torque: expected finite numbers, found others')
         # A blend passes in a moment, and a limited rate is caught up with: they are left out.
-        if self.guarded and ('torque' in limits or 'joint' in limits):
+        elif 'torque' in limits or 'joint' in limits:
             self.controller.account_for(torque)
-        return torque, ('reference', *limits) if self.task.limited else limits
 
     def _begin(self) -> None:
         """Let the torque start from the one that acts before any command."""
-        acting = np.zeros(self._robot.joint_count)
-        if self.inputs.acted:
-            acting = self.inputs.effort + self._joints['added']
+        effort, acting = self.inputs.effort, np.zeros(self._robot.joint_count)
+        if effort is not None:
+            acting = effort + self._joints['added']
         elif self._arm is not None:
             acting = self._robot.update(self._arm.q, acting).gravity
         self._gate.begin(acting)
         self._gate.go_over()
 
-    def _refuse(self, cause: str) -> TickOutput:
+    def _refuse(self, cause: str) -> tuple[ControlOutput, SupervisorStatus | None]:
         """Answer without the control law because of what it says."""
         if self._paused:
             self._recovery.relapsed((cause,))
         return self._react(self._reaction_to((cause,)), (cause,))
 
-    def _react(self, reaction: str, causes: tuple[str, ...]) -> TickOutput:
+    def _react(
+        self, reaction: str, causes: tuple[str, ...],
+    ) -> tuple[ControlOutput, SupervisorStatus | None]:
         """Answer without the control law."""
         arm, blind = self._arm, self._seen.blind
         if blind and arm is not None and reaction in (HOLD, DAMP):
@@ -384,7 +390,9 @@ class Supervisor:
                        if cause.split('_')[0] not in ('joints', 'internal'))
         return reaction == FLOAT and self._reaction_to(others) != FLOAT
 
-    def _survive(self, part: str, error: Exception) -> TickOutput:
+    def _survive(
+        self, part: str, error: Exception,
+    ) -> tuple[ControlOutput, SupervisorStatus | None]:
         """Answer after an exception, in the law or in what is around it."""
         try:
             if part == 'law':
@@ -406,9 +414,8 @@ class Supervisor:
     def _report(
         self, torque: Vector, reaction: str, causes: tuple[str, ...], limits: tuple[str, ...], *,
         controlled: bool = True,
-    ) -> TickOutput:
+    ) -> tuple[ControlOutput, SupervisorStatus | None]:
         """Return the answer of the tick; of contacts that no law controls nothing is known."""
-        self.collisions.commanded(torque)
         self._reaction = reaction
         if self.config.robot.adds_gravity:
             torque = torque - self._joints['added']
@@ -417,11 +424,10 @@ class Supervisor:
             contacts = output.contacts.copy()
             contacts['answer'] = 0
             output = output._replace(torque=torque, contacts=contacts)
-        status = SupervisorStatus(
+        self._output = output
+        return output, SupervisorStatus(
             reaction, causes, self._seen.rejected, limits, self.task.state_names,
             self._task_ticks * self._period) if self.guarded else None
-        self._output = output
-        return TickOutput(output, status)
 
     def check(self, config: ControllerConfig) -> None:
         """
@@ -463,7 +469,9 @@ class Supervisor:
         self._gate.adopt(config)
         self._reactions.adopt(config)
         self.task.retune(config)
-        self._bounds: Any = plausibility_limits(config)
+        self._answered = (  # what an answer is checked by
+            plausibility_limits(config), self._controls, self._joints, self.controller.contacts,
+            self.task.states)
 
     def go_over(self) -> None:
         """Let the next command be the last one again: what is asked for is about to jump."""

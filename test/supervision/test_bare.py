@@ -46,12 +46,12 @@ def gravity(controller):
 def test_first_command_is_the_measured_effort_or_gravity_compensation(effort):
     controller, _ = make()
     for k in range(5):
-        output = controller.step(sample(controller, k, effort=effort)).output
+        output = controller.step(sample(controller, k, effort=effort))[0]
         if k == 0:
             np.testing.assert_array_equal(
                 output.torque, EFFORT if effort is EFFORT else gravity(controller))
     controller.reset()
-    output = controller.step(sample(controller, effort=-EFFORT)).output
+    output = controller.step(sample(controller, effort=-EFFORT))[0]
     np.testing.assert_array_equal(output.torque, -EFFORT)
 
 
@@ -59,7 +59,7 @@ def test_torque_is_that_of_the_law_after_the_blend():
     controller, _ = make(transition={'blend_time': 0.02, 'torque_rate': 1e5})
     law = Law(controller.config, CommandedTask(controller.config.contact_names))
     for k in range(12):
-        output = controller.step(sample(controller, k, effort=EFFORT)).output
+        output = controller.step(sample(controller, k, effort=EFFORT))[0]
         joints, wrench = sample(controller, k)[1:3]
         expected = law.step(Measurement(joints.stamp, joints.q, joints.qd, wrench.wrench), R)
         equal = np.array_equal(output.torque, expected.torque)
@@ -71,11 +71,11 @@ def test_reconfigure_repeats_the_last_command_and_then_keeps_to_the_rate():
     away = HOME + 0.01  # from the pose at the start, which is held
     controller.step(sample(controller))
     for k in range(1, 300):
-        before = controller.step(sample(controller, k, q=away)).output
+        before = controller.step(sample(controller, k, q=away))[0]
     stiffer = controller_config(
         transition={'torque_rate': 50.0, 'blend_time': 0.0}, motion={'natural_frequency': 60.0})
     controller.reconfigure(stiffer)
-    after = [controller.step(sample(controller, k, q=away)).output.torque
+    after = [controller.step(sample(controller, k, q=away))[0].torque
              for k in range(300, 2300)]
     np.testing.assert_array_equal(after[0], before.torque)
     steps = np.abs(np.diff([before.torque, *after], axis=0))
@@ -107,9 +107,9 @@ def test_reconfigure_keeps_what_the_observers_know():
 @pytest.mark.parametrize('kind', ['gravity_compensation', 'zero_torque', 'hold_position'])
 def test_stop_goes_from_the_last_command_to_the_declared_behaviour(kind):
     controller, _ = make(safe_behaviour=kind)
-    last = controller.step(sample(controller, effort=EFFORT)).output.torque
+    last = controller.step(sample(controller, effort=EFFORT))[0].torque
     controller.stop()
-    torques = [controller.step(sample(controller, k)).output.torque for k in range(1, 1200)]
+    torques = [controller.step(sample(controller, k))[0].torque for k in range(1, 1200)]
     np.testing.assert_array_equal(torques[0], last)
     rate = controller.config.transition.torque_rate
     assert np.abs(np.diff(torques, axis=0)).max() <= rate * 0.002 * (1.0 + 1e-9)
@@ -125,11 +125,11 @@ def test_safe_behaviour_answers_a_push_as_declared():
         for k in range(3):
             controller.step(sample(controller, k))
         moved = HOME + np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.05])
-        back = controller.step(sample(controller, 3, q=moved)).output.torque[5]
+        back = controller.step(sample(controller, 3, q=moved))[0].torque[5]
         weight = controller.controller.robot.update(moved, REST).gravity[5]
         assert (back < weight - 0.1) == pulls
         moving = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
-        assert controller.step(sample(controller, 4, qd=moving)).output.torque[5] < -0.1
+        assert controller.step(sample(controller, 4, qd=moving))[0].torque[5] < -0.1
 
 
 def of_table(**changes):

@@ -4,6 +4,7 @@ from arms import controller_config, HOME, Law, Measurement
 from multicontact_control.config import SensorFrontEndConfig
 from multicontact_control.control.tasks import CommandedTask
 from multicontact_control.errors import ConfigError
+from multicontact_control.records import JOINT, MOMENTUM
 from multicontact_control.supervision.inputs import (
     Inputs,
     JointInput,
@@ -26,7 +27,8 @@ SOURCES = ('joints', 'wrench', 'variance')
 def make(config=CONFIG):
     """Return a stage whose places are its attributes."""
     motion, wrench, variance = np.zeros((2, 6)), np.zeros(6), np.zeros(CONTACTS)
-    stage = Inputs(config, (motion, wrench, variance, np.zeros(6)))
+    stage = Inputs(config, (motion, wrench, variance), np.zeros(6, dtype=JOINT),
+                   np.zeros(1, dtype=MOMENTUM))
     stage.q, stage.wrench, stage.variance = motion[0], wrench, variance
     return stage
 

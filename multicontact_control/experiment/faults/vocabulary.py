@@ -50,7 +50,7 @@ JUMP = 0.1  # m
 SIDE_WALL, ELBOW_WALL = -2, -1  # numbers of surfaces that are no contacts: the last ones
 FAR = 10.0  # m, where they are not in the way
 # What a tick calls of a supervisor, one after the other.
-PARTS = ('inputs.validate', 'controller.see', 'task.ask', 'controller.answer', '_check',
+PARTS = ('inputs.validate', 'controller.arm.refresh', 'task.ask', 'controller.answer',
          '_reactions.torque', '_gate.apply')
 
 
