@@ -119,8 +119,9 @@ class TorqueGate:
 
     Attributes
     ----------
-    begun
-        Whether there is a torque that acts, from `begin` or the first tick on.
+    last, begun
+        The torque that acts, shape (n,) [N m], and whether there is one, from `begin` or the
+        first tick on.
 
     """
 
@@ -134,7 +135,7 @@ class TorqueGate:
         limits['upper'] = np.array(config.limits.joint_upper or np.inf) - JOINT_MARGIN
         limits['speed'] = config.limits.joint_speed or np.inf
         limits['braking'] = JOINT_BRAKING
-        self._limits, self._last = limits, limits['last']
+        self._limits, self.last = limits, limits['last']
         self._period = config.period
         self._keep = math.exp(-config.period / BLEND_TIME)
         self.adopt(config)
@@ -161,7 +162,7 @@ class TorqueGate:
     def begin(self, torque: Vector) -> None:
         """Take a torque, shape (n,) [N m], for the one that acts before the first tick."""
         limit, added = self._joints['torque_limit'], self._joints['added']
-        self._last[:] = np.clip(torque, added - limit, added + limit)
+        self.last[:] = np.clip(torque, added - limit, added + limit)
         self.begun = True
 
     def go_over(self) -> None:
@@ -175,7 +176,7 @@ class TorqueGate:
 
     def allow_for(self, added: Vector) -> None:
         """Take in what the drives add to a command [N m], which changes the torque that acts."""
-        self._last += added - self._joints['added']
+        self.last += added - self._joints['added']
         self._joints['added'] = added
 
     def apply(
@@ -224,18 +225,18 @@ class TorqueGate:
         if not np.isfinite(torque).all():
             return torque  # for the limits; a blend waits for a torque that is finite
         if self._pending:
-            self._pending, self._slow = False, self._last - torque
+            self._pending, self._slow = False, self.last - torque
             steepest = STEEPEST * float(np.abs(self._slow).max())
             duration = max(self._pace.blend_time, steepest / self._pace.torque_rate)
             self._tick, self._ticks = 0, np.ceil(duration / self._period)
-            torque = self._last.copy()
+            torque = self.last.copy()
         elif self._slow is not None:
             self._tick += 1
             torque = torque + (1.0 - quintic(self._tick, self._ticks)[0]) * self._slow
             if self._tick >= self._ticks:
                 self._slow = None
         if law != self._law and self.begun:
-            self._fast = self._last - torque
+            self._fast = self.last - torque
         elif self._fast is not None:
             self._fast = self._fast * self._keep
             if np.abs(self._fast).max() < FADED:
