@@ -330,10 +330,9 @@ INPUT_STATE = np.dtype([
     ('seen', F, 3),  # newest stamp, NaN for none [s]
     ('valid', F, 3),  # stamp of the newest valid reading, NaN for none [s]
     ('skipped', I), ('commands', I),  # samples missing before this tick; commands so far
-    ('unknown', I),  # ticks in a row without the torques that acted
     ('odd_periods', I),  # in a row that are too long or too short
     ('known', np.uint8, 2),  # whether any joints and any wrench were valid
-    ('blind_ticks', I),  # in a row without valid joints
+    ('blind_ticks', I), ('unknown', I),  # in a row without valid joints; without their torques
     ('distrust', I),  # joint states to be refused after a jump
     ('equal_joints', I), ('equal_wrenches', I),  # readings in a row, the newest counted
     ('fault', I), ('faults', I),  # of the newest wrench; frozen or saturated ones in a row
