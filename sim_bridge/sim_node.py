@@ -41,7 +41,12 @@ from multicontact_control.nodes.graph import (
 )
 from multicontact_control.nodes.parameters import load_parameters
 from multicontact_control.nodes.runtime import run_node, Spinner
-from multicontact_control.nodes.streams import effort_reader, StreamPublisher, subscribe
+from multicontact_control.nodes.streams import (
+    named_reader,
+    NamedReading,
+    StreamPublisher,
+    subscribe,
+)
 from multicontact_control.sampling import NANOSECONDS
 import numpy as np
 from rclpy.node import Node
@@ -117,7 +122,7 @@ class SimNode(Node):
         self._surface_publisher = create_publisher(self, topics.SURFACE_MARKERS)
         self.streams = {topic: StreamPublisher(self, topic, example)
                                for topic, example in self._examples().items()}
-        self._reader = effort_reader(self._plant.joint_names)
+        self._reader = named_reader(self._plant.joint_names, ('effort',), NamedReading)
         subscribe(self, topics.EFFORT_COMMAND, self._on_command, qos.INPUT)
         self._watch = LoopStatistics(config.rate)
         self._inputs = Inputs(self, topics.EFFORT_COMMAND)

@@ -21,7 +21,7 @@ from multicontact_control.loop import ControlLoop
 from multicontact_control.nodes import qos, topics
 from multicontact_control.nodes.controller_config import ControllerNodeConfig, SAFE_TIME
 from multicontact_control.nodes.controller_report import ControllerReport
-from multicontact_control.nodes.controller_topics import CommandInterface, ControllerOutputs
+from multicontact_control.nodes.controller_topics import ControllerOutputs, serve_commands
 from multicontact_control.nodes.diagnostics import Status
 from multicontact_control.nodes.lifecycle import ACTIVE, INACTIVE, ManagedNode
 from multicontact_control.nodes.runtime import run_node, Spinner
@@ -84,7 +84,7 @@ class ControllerNode(ManagedNode):
         self._outputs = ControllerOutputs(self, config, node_config)
         self._loop, self._timing = loop, timing
         self._report = ControllerReport(self, loop, timing, [*self._inputs])
-        CommandInterface(self, loop, self._report.answer, lambda: self._node_config)
+        serve_commands(self, loop, self._report.answer, lambda: self._node_config)
         for topic in self._inputs:
             subscribe(self, topic, partial(self._on_message, topic),
                       qos.INPUT if node_config.lockstep else qos.SENSOR)

@@ -110,69 +110,55 @@ PUSH_TEST = Service(
     'push the tool.')
 SERVICES = (TARE, HOLD, RETRY, PUSH_TEST)
 
-Answer = Callable[[str, str, Exception | None], None]
 
-
-class CommandInterface:
+def serve_commands(
+    node: ManagedNode, loop: ControlLoop, answer: Callable[[str, str, Exception | None], None],
+    settings: Callable[[], ControllerNodeConfig],
+) -> None:
     """
-    Hands commands to a control loop.
+    Hand commands on topics and requests of services to a control loop.
 
     `answer` is called with the source of each, its identifier, and its refusal if it is one;
     `settings` returns the configuration of tare and push test.
     """
-
-    def __init__(
-        self, node: ManagedNode, loop: ControlLoop, answer: Answer,
-        settings: Callable[[], ControllerNodeConfig],
-    ) -> None:
-        self._node, self._loop, self._answer, self._settings = node, loop, answer, settings
-        for topic, obey in ((topics.FORCE_COMMAND, self._forces),
-                            (topics.MOTION_COMMAND, self._motion)):
-            node.create_subscription(
-                topic.message, topic.name, partial(self._on_command, topic.name, obey),
-                qos.COMMAND)
-        for service, work in ((TARE, self._tare), (HOLD, self._hold),
-                              (RETRY, lambda _: loop.retry()), (PUSH_TEST, self._push_test)):
-            name = f'~/{service.name}'
-            node.create_service(service.kind, name, partial(self._on_request, name, work))
-
-    def _on_command(self, source: str, work: Callable[[Any], Any], message: Any) -> None:
-        self._obey(source, identifier_of(message), work, message)
-
-    def _on_request(
-        self, source: str, work: Callable[[Any], Any], request: Any, response: Any,
-    ) -> Any:
-        found = self._obey(source, '', work, request)
-        response.message, response.success = str(found), not isinstance(found, MulticontactError)
-        return response
-
-    def _obey(self, source: str, identifier: str, work: Callable[[Any], Any], wish: Any) -> Any:
-        """Return what some work returns, or why it is refused."""
+    def obey(source: str, work: Callable[[Any], Any], wish: Any, identifier: str = '') -> Any:
         refusal = None
         try:
             found = work(wish)
         except MulticontactError as error:
-            self._node.refusals.refuse(source, error)
+            node.refusals.refuse(source, error)
             found = refusal = error
-        self._answer(source, identifier, refusal)
+        answer(source, identifier, refusal)
         return found
 
-    def _forces(self, message: Any) -> None:
-        self._loop.set_forces(
-            *messages.read_force_command(message, self._loop.config.column_names))
+    def serve(source: str, work: Callable[[Any], Any], request: Any, response: Any) -> Any:
+        found = obey(source, work, request)
+        response.message, response.success = str(found), not isinstance(found, MulticontactError)
+        return response
 
-    def _motion(self, message: Any) -> None:
-        self._loop.set_motion(messages.read_motion(message))
+    def forces(message: Any) -> None:
+        loop.set_forces(*messages.read_force_command(message, loop.config.column_names))
 
-    def _tare(self, _request: Any) -> str:
-        bias = self._loop.tare(self._settings().tare)
-        self._node.parameter_set.assign('tool.bias_sensor', bias.tolist())
+    def motion(message: Any) -> None:
+        loop.set_motion(messages.read_motion(message))
+
+    def tare(_request: Any) -> str:
+        bias = loop.tare(settings().tare).tolist()
+        node.parameter_set.assign('tool.bias_sensor', bias)
         return 'bias [N, N m]: ' + ', '.join(f'{x:.4g}' for x in bias)
 
-    def _hold(self, request: Any) -> str:
-        self._loop.hold(request.data)
+    def hold(request: Any) -> str:
+        loop.hold(request.data)
         return 'held' if request.data else 'released'
 
-    def _push_test(self, _request: Any) -> str:
-        config = self._settings()
-        return self._loop.push_test(config.push_test, config.push_point_sensor)
+    def push_test(_request: Any) -> str:
+        return loop.push_test(settings().push_test, settings().push_point_sensor)
+
+    for topic, command in ((topics.FORCE_COMMAND, forces), (topics.MOTION_COMMAND, motion)):
+        node.create_subscription(
+            topic.message, topic.name, lambda message, source=topic.name, work=command: obey(
+                source, work, message, identifier_of(message)), qos.COMMAND)
+    for service, work in ((TARE, tare), (HOLD, hold), (RETRY, lambda _: loop.retry()),
+                          (PUSH_TEST, push_test)):
+        name = f'~/{service.name}'
+        node.create_service(service.kind, name, partial(serve, name, work))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
+from functools import partial
 import sys
 import time
 from typing import Any
@@ -21,10 +22,9 @@ from multicontact_control.nodes.diagnostics import (
 from multicontact_control.nodes.lifecycle import ACTIVE, ManagedConfig, ManagedNode
 from multicontact_control.nodes.runtime import run_node, Spinner
 from multicontact_control.nodes.streams import (
-    effort_reader,
-    innovation_reader,
-    InnovationReading,
+    JOINT_FIELDS,
     MessageReader,
+    named_reader,
     NamedReading,
     StreamPublisher,
     subscribe,
@@ -53,21 +53,23 @@ class NoiseEstimatorNode(ManagedNode):
         self._estimator = make_noise_estimator(self._config)
         self._estimator.update(np.zeros(len(names)))  # the first one takes a while
         self._watch = LoopStatistics(self._config.rate)
-        self._measured, self._innovation = effort_reader(names), innovation_reader(names)
         self._publisher = StreamPublisher(self, topics.NOISE_VARIANCE, (
             messages.joint_state_message(0, names, effort=np.zeros(len(names)))))
-        inputs = [topics.MEASURED_FORCES]
-        subscribe(self, topics.MEASURED_FORCES, self._on_measured, qos.INPUT)
+        self._readers: dict[topics.Topic, MessageReader[Any]] = {
+            topics.MEASURED_FORCES: named_reader(names, ('effort',), NamedReading)}
         if self._estimator.uses_innovation:
-            inputs.append(topics.INNOVATION)
-            subscribe(self, topics.INNOVATION, self._on_innovation, qos.INPUT)
-        self._inputs = Inputs(self, *inputs)
+            self._readers[topics.INNOVATION] = named_reader(
+                names, JOINT_FIELDS, lambda stamp, variance_used, prior_variance, innovation: (
+                    stamp, Innovation(innovation, prior_variance, variance_used)))
+        for topic in self._readers:
+            subscribe(self, topic, partial(self._on_message, topic), qos.INPUT)
+        self._inputs = Inputs(self, *self._readers)
 
     def activate(self) -> ManagedConfig:
         """Start with an empty window."""
         self._estimator.reset()
         self._waiting: deque[NamedReading] = deque()
-        self._innovations: deque[InnovationReading] = deque(maxlen=MAX_INNOVATIONS)
+        self._innovations: deque[tuple[int, Innovation]] = deque(maxlen=MAX_INNOVATIONS)
         self._last_stamp, self._last_answer = -1, b''
         self._inputs.restart()
         return self._node_config
@@ -77,25 +79,20 @@ class NoiseEstimatorNode(ManagedNode):
         self._node_config.write_counts({
             'samples': self._samples, 'refused': dict(self.refusals.counts)})
 
-    def _on_measured(self, data: bytes) -> None:
+    def _on_message(self, topic: topics.Topic, data: bytes) -> None:
+        """Take in a message; answer what can be answered with it."""
         received, answered = time.monotonic_ns(), self._samples
-        self._watch.add_period(received)
-        self._receive(topics.MEASURED_FORCES, self._measured, self._waiting, data)
+        if topic is topics.MEASURED_FORCES:
+            self._watch.add_period(received)
+        if self.state == ACTIVE:
+            queue: deque[Any] = (
+                self._innovations if topic is topics.INNOVATION else self._waiting)
+            with self.refusals.guard(topic):
+                queue.append(self._readers[topic].read(data))
+                self._inputs.last[topic] = received
+                self._answer()
         if self._samples != answered:
             self._watch.add_latency(time.monotonic_ns() - received)
-
-    def _on_innovation(self, data: bytes) -> None:
-        self._receive(topics.INNOVATION, self._innovation, self._innovations, data)
-
-    def _receive(
-        self, topic: topics.Topic, reader: MessageReader[Any], queue: deque[Any], data: bytes,
-    ) -> None:
-        """Take in a message; answer what can be answered with it."""
-        if self.state == ACTIVE:
-            with self.refusals.guard(topic):
-                queue.append(reader.read(data))
-                self._inputs.last[topic] = time.monotonic_ns()
-                self._answer()
 
     def look(self, spinner: Spinner) -> None:
         """Answer what has waited for the gate."""
@@ -105,20 +102,20 @@ class NoiseEstimatorNode(ManagedNode):
     def _answer(self) -> None:
         """Answer everything that waits and has all it needs, in order."""
         while self.working and self._waiting:
-            stamp = self._waiting[0].stamp
+            stamp, values = self._waiting[0]
             if self._estimator.uses_innovation and (
-                    not self._innovations or self._innovations[-1].stamp < stamp):
+                    not self._innovations or self._innovations[-1][0] < stamp):
                 return
-            found = next((x for x in self._innovations if x.stamp == stamp), None)  # or lost
-            sample = self._waiting.popleft()
+            self._waiting.popleft()
             if stamp != self._last_stamp:
                 if stamp < self._last_stamp:
                     self._estimator.reset()
                 self._last_stamp, self._last_answer = stamp, b''
                 self._samples += 1
-                variance = self._estimator.update(sample.values, None if found is None else (
-                    Innovation(found.innovation, found.prior_variance, found.variance_used)))
-                self._last_answer = self._publisher.write(stamp, variance)
+                # It may be lost.
+                found = next((x for when, x in self._innovations if when == stamp), None)
+                self._last_answer = self._publisher.write(
+                    stamp, self._estimator.update(values, found))
             if self._last_answer:
                 self._publisher.publish(self._last_answer)
 
@@ -128,7 +125,7 @@ class NoiseEstimatorNode(ManagedNode):
             Status('loop', {**self._watch.report(), 'samples': self._samples}),
             self._inputs.status(STALE_PERIODS / self._config.rate, needed=self.state == ACTIVE),
             message_status(self.refusals, dropped=self._estimator.dropped,
-                           slow=self._measured.slow + self._innovation.slow)]
+                           slow=sum(reader.slow for reader in self._readers.values()))]
 
 
 def main() -> int:

@@ -39,15 +39,6 @@ class NamedReading(NamedTuple):
     values: Vector
 
 
-class InnovationReading(NamedTuple):
-    """R that was used, C P_1 C^T [N^2] and innovation [N] at a time [ns], each of shape (r,)."""
-
-    stamp: int
-    variance_used: Vector
-    prior_variance: Vector
-    innovation: Vector
-
-
 class MessageTemplate:
     """
     The bytes of a message, with the places of its stamp and of its numbers.
@@ -167,7 +158,7 @@ class MessageReader(Generic[Reading]):
         return template, data
 
 
-def _named_reader(
+def named_reader(
     names: Sequence[str], fields: Sequence[str], make: Callable[..., Reading], optional: str = '',
 ) -> MessageReader[Reading]:
     """Return a reader of these fields of a JointState, by name, in the order of `names`."""
@@ -190,12 +181,7 @@ def _named_reader(
 
 def joint_state_reader(names: Sequence[str]) -> MessageReader[JointReading]:
     """Return a reader of joints, which may be among others; the effort is None if not measured."""
-    return _named_reader(names, JOINT_FIELDS, JointReading, optional='effort')
-
-
-def effort_reader(names: Sequence[str]) -> MessageReader[NamedReading]:
-    """Return a reader of one effort per name: torques [N m] or forces [N]."""
-    return _named_reader(names, ('effort',), NamedReading)
+    return named_reader(names, JOINT_FIELDS, JointReading, optional='effort')
 
 
 def variance_reader(names: Sequence[str]) -> MessageReader[NamedReading]:
@@ -205,12 +191,7 @@ def variance_reader(names: Sequence[str]) -> MessageReader[NamedReading]:
             raise MessageError('effort', 'variances above 0', values.tolist())
         return NamedReading(stamp, values)
 
-    return _named_reader(names, ('effort',), make)
-
-
-def innovation_reader(names: Sequence[str]) -> MessageReader[InnovationReading]:
-    """Return a reader of effort r [N], velocity C P_1 C^T and position R used [N^2] per name."""
-    return _named_reader(names, JOINT_FIELDS, InnovationReading)
+    return named_reader(names, ('effort',), make)
 
 
 def wrench_reader(frame: str = '') -> MessageReader[WrenchReading]:
