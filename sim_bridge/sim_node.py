@@ -41,12 +41,7 @@ from multicontact_control.nodes.graph import (
 )
 from multicontact_control.nodes.parameters import load_parameters
 from multicontact_control.nodes.runtime import run_node, Spinner
-from multicontact_control.nodes.streams import (
-    named_reader,
-    NamedReading,
-    StreamPublisher,
-    subscribe,
-)
+from multicontact_control.nodes.streams import named_reader, NamedReading, StreamPublisher
 from multicontact_control.sampling import NANOSECONDS
 import numpy as np
 from rclpy.node import Node
@@ -123,7 +118,9 @@ class SimNode(Node):
         self.streams = {topic: StreamPublisher(self, topic, example)
                                for topic, example in self._examples().items()}
         self._reader = named_reader(self._plant.joint_names, ('effort',), NamedReading)
-        subscribe(self, topics.EFFORT_COMMAND, self._on_command, qos.INPUT)
+        self.create_subscription(
+            topics.EFFORT_COMMAND.message, topics.EFFORT_COMMAND.name, self._on_command, qos.INPUT,
+            raw=True)
         self._watch = LoopStatistics(config.rate)
         self._inputs = Inputs(self, topics.EFFORT_COMMAND)
         self._diagnostics = Diagnostics(self, self._statuses)

@@ -64,11 +64,7 @@ class ControllerNodeConfig(ManagedConfig):
 
     @property
     def folder(self) -> Path:
-        """
-        Return the folder that relative paths in the parameters start from.
-
-        Without `base_dir` that of the last parameter file, or else the package's configuration.
-        """
+        """Return `base_dir`, or else that of the last parameter file, or of the package's own."""
         if self.base_dir:
             return Path(self.base_dir)
         files = [
@@ -80,7 +76,6 @@ class ControllerNodeConfig(ManagedConfig):
         if not self.reference_file:
             return None
         path = self.folder / self.reference_file
-        values = read_yaml(path)
-        # A scenario file holds more than its reference.
+        values = read_yaml(path)  # of a scenario file more than its reference
         reference = validate(ReferenceConfig, values.get('reference', values), str(path))
         return ScenarioTask(reference, config.rate, config.column_names, config.leader_of)

@@ -28,7 +28,6 @@ from multicontact_control.nodes.runtime import run_node, Spinner
 from multicontact_control.nodes.streams import (
     joint_state_reader,
     MessageReader,
-    subscribe,
     variance_reader,
     wrench_reader,
 )
@@ -48,17 +47,8 @@ class ControllerNode(ManagedNode):
     After a deactivation samples are answered by the declared safe behaviour.
     """
 
-    _loop: ControlLoop  # these are made by `configure`
-    _timing: SampleTiming
-    _outputs: ControllerOutputs
-    _report: ControllerReport
-    _inputs: dict[topics.Topic, tuple[MessageReader[Any], Callable[[Any], None]]]
-
     def __init__(self, **options: Any) -> None:
-        super().__init__(
-            topics.CONTROLLER, ControllerConfig, ControllerNodeConfig, **options)
-        self._node_config = ControllerNodeConfig()
-        self._command: tuple[bytes, Vector] | None = None  # the last one
+        super().__init__(topics.CONTROLLER, ControllerConfig, ControllerNodeConfig, **options)
         self._heard = 0  # messages of whatever use
 
     def configure(self, configurations: Sequence[Any]) -> None:
@@ -66,29 +56,30 @@ class ControllerNode(ManagedNode):
         config: ControllerConfig
         node_config: ControllerNodeConfig
         config, node_config = configurations
-        loop = ControlLoop(
+        self._loop = loop = ControlLoop(
             config, node_config.scenario(config), node_config.command, node_config.folder,
             supervised=node_config.supervised)
         _warm_up(loop)
-        timing = SampleTiming(
+        self._timing = timing = SampleTiming(
             config.rate, supervised=node_config.supervised, lockstep=node_config.lockstep,
             feels=config.wrench_input != 'momentum', patience=node_config.patience,
             pair_tolerance=node_config.pair_tolerance)
         wrench = topics.WRENCHES.get(config.wrench_input)
-        self._inputs = {
+        self._inputs: dict[topics.Topic, tuple[MessageReader[Any], Callable[[Any], None]]] = {
             topics.NOISE_VARIANCE: (
                 variance_reader(config.column_names), lambda found: timing.add_variance(*found)),
             topics.JOINT_STATES: (joint_state_reader(config.robot.joint_names), timing.add)}
         if wrench is not None:
             self._inputs[wrench] = wrench_reader(config.robot.sensor_frame), timing.add
         self._outputs = ControllerOutputs(self, config, node_config)
-        self._loop, self._timing = loop, timing
         self._report = ControllerReport(self, loop, timing, [*self._inputs])
         serve_commands(self, loop, self._report.answer, lambda: self._node_config)
         for topic in self._inputs:
-            subscribe(self, topic, partial(self._on_message, topic),
-                      qos.INPUT if node_config.lockstep else qos.SENSOR)
-        self._node_config, self._command = node_config, None
+            self.create_subscription(
+                topic.message, topic.name, partial(self._on_message, topic),
+                qos.INPUT if node_config.lockstep else qos.SENSOR, raw=True)
+        self._node_config = node_config
+        self._command: tuple[bytes, Vector] | None = None  # the last one
 
     def activate(self) -> ControllerNodeConfig:
         """Start with the next sample, as if there had been none."""
@@ -111,8 +102,7 @@ class ControllerNode(ManagedNode):
             return
         self.trigger_deactivate()
         end = time.monotonic_ns() + SAFE_TIME * NANOSECONDS
-        # A robot that has been silent for as long is gone already.
-        while time.monotonic_ns() < min(
+        while time.monotonic_ns() < min(  # a robot that has been silent for as long is gone
                 end, self._report.watch.last + SAFE_TIME * NANOSECONDS):
             self.spin_once(spinner)
 

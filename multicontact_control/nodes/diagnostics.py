@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 import math
 import time
@@ -19,8 +19,7 @@ from rclpy.node import Node
 
 PERIOD = NANOSECONDS
 STALE_PERIODS = 25  # from which an input at the control rate is stale
-MISSING_AGE = NANOSECONDS  # without a message, from which on a topic is missing
-REMINDER_PERIOD = 30 * NANOSECONDS
+MISSING_AGE, REMINDER_PERIOD = 1.0, 30.0  # s without a message, from which on it is missed
 CAPACITY = 1 << 18  # durations: 8 minutes at 500 Hz
 PERCENTILES = {'p50': 50.0, 'p99': 99.0, 'p999': 99.9, 'max': 100.0}
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
@@ -134,7 +133,6 @@ class Inputs:
         """Wait for all of them from now on."""
         self.last = dict.fromkeys(self.last, 0)
         self._since = time.monotonic_ns()
-        self._reminders: dict[Topic, int] = {}  # when those that are missing are due again
 
     def age(self, topic: Topic) -> float:
         """Return how long ago an input came last [s], infinity if it never has."""
@@ -146,34 +144,28 @@ class Inputs:
         ages = {topic.name: self.age(topic) for topic in self.last}
         stale = [f'no {name} for {age:.3g} s' if age < math.inf else f'no {name} ever'
                  for name, age in ages.items() if age > max_age and needed]
-        if needed:
-            for topic in self.last:
-                self._look_for(topic)
+        if missing := [text for topic in self.last for text in self._missing(topic) if needed]:
+            self._node.get_logger().warning(
+                '; '.join(missing), throttle_duration_sec=REMINDER_PERIOD)
         return Status('inputs', {
             f'age_s {name}': age if age < math.inf else None for name, age in ages.items()},
             warning=', '.join(stale) + (consequence if stale else ''))
 
-    def _look_for(self, topic: Topic) -> None:
-        """Log that a topic is missing and what there is instead, or that it comes again."""
-        now = time.monotonic_ns()
-        missing = now - (self.last[topic] or self._since)
+    def _missing(self, topic: Topic) -> Iterator[str]:
+        """Yield what is expected of a topic that is missing, and what there is instead."""
+        missing = (time.monotonic_ns() - (self.last[topic] or self._since)) / NANOSECONDS
         if missing < MISSING_AGE:
-            if self._reminders.pop(topic, 0):
-                self._node.get_logger().info(f'{topic.name} comes')
-        elif now >= self._reminders.get(topic, 0):
-            self._reminders[topic] = now + REMINDER_PERIOD
-            name = self._node.resolve_topic_name(topic.name)
-            publishers = self._node.get_publishers_info_by_topic(name)
-            types = {x.topic_type for x in publishers} - {topic.type_name}
-            source = 'the driver of the robot' if topic.publisher == SIM else topic.publisher
-            found = (
-                f'it has no publisher: start {source}, or give its topic, -r '
-                f'{topic.name}:=/its/topic' if not publishers else
-                f'it is published as {", ".join(sorted(types))}' if types else
-                f'publishers: {len(publishers)}, but nothing is sent that can be read')
-            self._node.get_logger().warning(
-                f'no message on {name} for {missing / NANOSECONDS:.1f} s: expected '
-                f'{topic.type_name}: {topic.content} Found: {found}')
+            return
+        name = self._node.resolve_topic_name(topic.name)
+        publishers = self._node.get_publishers_info_by_topic(name)
+        types = {x.topic_type for x in publishers} - {topic.type_name}
+        source = 'the driver of the robot' if topic.publisher == SIM else topic.publisher
+        found = (
+            f'it has no publisher: start {source}, or give its topic, -r {topic.name}:=/its/topic'
+            if not publishers else f'it is published as {", ".join(sorted(types))}' if types else
+            f'publishers: {len(publishers)}, but nothing is sent that can be read')
+        yield (f'no message on {name} for {missing:.1f} s: expected {topic.type_name}: '
+               f'{topic.content} Found: {found}')
 
 
 def message_status(refusals: Refusals, **dropped: int) -> Status:

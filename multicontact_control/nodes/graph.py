@@ -118,8 +118,8 @@ class StartupGate:
     """
     Holds a node back until the graph is connected, so that no message is lost to discovery.
 
-    A writer that sees its reader cannot know that the reader sees it, too. So each node looks at
-    its own ends, then creates a hidden publisher; the gate opens when all peers have one.
+    A writer that sees its reader cannot know that the reader sees it, too: each node looks at its
+    own ends, then creates a hidden publisher; the gate opens when all peers have one.
     """
 
     def __init__(self, node: Node, config: StartupConfig) -> None:
@@ -129,8 +129,8 @@ class StartupGate:
             [(ends[x.topic_name], x) for x in found if x.topic_name in ends]
             for found in (node.publishers, node.subscriptions))
         self.marker: Publisher | None = None
-        self._next_poll, self._next_report = 0.0, time.monotonic() + REPORT_PERIOD
         self.open = not self._peers
+        self._next_poll, self._next_report = 0.0, time.monotonic() + REPORT_PERIOD
         # By now all memory is there, and the threads of the middleware keep their own priority.
         for problem in claim_processor(
                 fifo_priority=config.fifo_priority, cpus=config.cpus,

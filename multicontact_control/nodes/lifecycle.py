@@ -50,10 +50,11 @@ class ManagedNode(LifecycleNode):
         self.state, self.working, self.due = UNCONFIGURED, False, 0
         self.refusals = Refusals(self.get_logger())
         self.parameter_set = ParameterSet(self, *models)
-        self.diagnostics = Diagnostics(self, self._all_statuses)
+        self._diagnostics = Diagnostics(self, lambda: [
+            Status('life cycle', {'state': self.state}),
+            *(self.statuses() if self.state in (ACTIVE, INACTIVE) else ())])
         self._gate: StartupGate | None = None
-        self._gate_passed = False
-        self._failure: MulticontactError | None = None
+        self._gate_passed, self._failure = False, MulticontactError('the node cannot be started')
         service = self._service_change_state
         service.callback = partial(self._change_if_possible, service.callback)
         self._lasting: list[Any] = [*self.publishers, *self.subscriptions, *self.services]
@@ -91,7 +92,7 @@ class ManagedNode(LifecycleNode):
         if self.parameter_set.value('autostart') is True or AUTOSTART in sys.argv:
             for trigger in (self.trigger_configure, self.trigger_activate):
                 if trigger() != SUCCESS:
-                    raise self._failure or MulticontactError('the node cannot be started')
+                    raise self._failure
         while not (spinner.stop or self.state == FINALIZED):
             self.spin_once(spinner)
         self.take_leave(spinner)
@@ -105,16 +106,12 @@ class ManagedNode(LifecycleNode):
             self.working = self._gate_passed = self._gate.poll()
         if self.working or self.state == INACTIVE:
             self.look(spinner)
-        self.diagnostics.poll()
+        self._diagnostics.poll()
 
     def close(self) -> None:
         """Leave what a configured node leaves at its end."""
         if self.state in (ACTIVE, INACTIVE):
             self.clean_up()
-
-    def _all_statuses(self) -> list[Status]:
-        return [Status('life cycle', {'state': self.state}),
-                *(self.statuses() if self.state in (ACTIVE, INACTIVE) else ())]
 
     def on_configure(self, _state: LifecycleState) -> TransitionCallbackReturn:
         """Implement `LifecycleNode`."""
@@ -122,10 +119,7 @@ class ManagedNode(LifecycleNode):
             self.configure(self.parameter_set.configurations())
             self.parameter_set.lock(self.reconfigure, self.refusals.refuse)
             settle_process()
-        result = self._attempt('configure', work, INACTIVE)
-        if result != SUCCESS:
-            self._free()
-        return result
+        return self._attempt('configure', work, INACTIVE)
 
     def on_activate(self, _state: LifecycleState) -> TransitionCallbackReturn:
         """Implement `LifecycleNode`."""
@@ -175,13 +169,15 @@ class ManagedNode(LifecycleNode):
         self.get_logger().info(f'asked to {what}')
         try:
             work()
-        except MulticontactError as error:
+        except Exception as error:
+            if self.state == UNCONFIGURED:
+                self._free()
+            if not isinstance(error, MulticontactError):
+                self.get_logger().fatal(f'cannot {what}: {traceback.format_exc()}')
+                return FATAL
             self._failure = error
             self.get_logger().error(f'cannot {what}: {error}')
             return FAILURE
-        except Exception:
-            self.get_logger().fatal(f'cannot {what}: {traceback.format_exc()}')
-            return FATAL
         self.state = goal
         self.get_logger().info(goal)
         return SUCCESS

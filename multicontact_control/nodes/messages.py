@@ -84,11 +84,11 @@ def read_motion(message: MultiDOFJointTrajectoryPoint) -> MotionReading:
         _read_twist(message.accelerations, 'accelerations'))
 
 
-def _read_twist(twists: Sequence[Any], field: str) -> Vector:
+def _read_twist(twists: Sequence[Twist], field: str) -> Vector:
     if len(twists) > 1:
         raise MessageError(field, 'at most one', f'{len(twists)}')
-    return finite_array(_numbers('xyz', twists[0].linear, twists[0].angular), 6, field) if (
-        twists) else np.zeros(6)
+    twist = twists[0] if twists else Twist()
+    return finite_array(_numbers('xyz', twist.linear, twist.angular), 6, field)
 
 
 def _numbers(axes: str, *parts: Any) -> list[float]:
@@ -98,10 +98,10 @@ def _numbers(axes: str, *parts: Any) -> list[float]:
 
 def _fill(values: ArrayLike, field: str, axes: str, *parts: Any) -> None:
     """Put numbers into vectors or quaternions, one after the other."""
-    targets = [(part, axis) for part in parts for axis in axes]
-    numbers = finite_array(values, len(targets), field)
-    for (part, axis), value in zip(targets, numbers.tolist()):
-        setattr(part, axis, value)
+    numbers = iter(finite_array(values, len(axes) * len(parts), field).tolist())
+    for part in parts:
+        for axis in axes:
+            setattr(part, axis, next(numbers))
 
 
 def _stamped(message: Any, stamp: int, frame_id: str) -> Any:

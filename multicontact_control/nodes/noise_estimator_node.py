@@ -27,7 +27,6 @@ from multicontact_control.nodes.streams import (
     named_reader,
     NamedReading,
     StreamPublisher,
-    subscribe,
 )
 import numpy as np
 
@@ -62,7 +61,8 @@ class NoiseEstimatorNode(ManagedNode):
                 names, JOINT_FIELDS, lambda stamp, variance_used, prior_variance, innovation: (
                     stamp, Innovation(innovation, prior_variance, variance_used)))
         for topic in self._readers:
-            subscribe(self, topic, partial(self._on_message, topic), qos.INPUT)
+            self.create_subscription(
+                topic.message, topic.name, partial(self._on_message, topic), qos.INPUT, raw=True)
         self._inputs = Inputs(self, *self._readers)
 
     def activate(self) -> ManagedConfig:

@@ -20,7 +20,8 @@ def profile(depth: int, *, reliable: bool = True, latched: bool = False) -> QoSP
 
 
 STREAM = profile(5000)
-"""Publishers at the control rate: 10 s at 500 Hz for a recorder that gets no processor."""
+"""Publishers at the control rate and the recorder: 10 s at 500 Hz, so that a slow disk or a busy
+machine costs nothing."""
 
 INPUT = profile(10)
 """Readers at the control rate: 20 ms at 500 Hz; what is older than that is of no use to them."""
@@ -37,9 +38,6 @@ QUEUE = profile(1000)
 
 REPORT = profile(10)
 """Diagnostics: one a second and node; a viewer that is late wants the last few of each."""
-
-RECORDING = profile(5000)
-"""The recorder: 10 s at 500 Hz, so that a slow disk or a busy machine costs nothing."""
 
 RECORDING_LATCHED = profile(10, latched=True)
 """The recorder, of descriptions: also what was said before it came."""

@@ -60,14 +60,8 @@ class _Stream:
 
     topic: Topic
     subscription: Subscription
-    last_number: int = 0
+    last_number: int = 0  # of a message in its stream
     lost: int = 0
-
-    def count(self, number: int) -> None:
-        """Take note of a message's number in its stream; of several publishers none is known."""
-        if 0 < self.last_number < number - 1 and self.subscription.get_publisher_count() < 2:
-            self.lost += number - self.last_number - 1
-        self.last_number = number
 
 
 class Bag:
@@ -113,9 +107,8 @@ class Bag:
         return {name: self._writer.counts[x.id] for name, x in self._connections.items()}
 
     def close(self) -> None:
-        """Complete the file and write metadata.yaml; calling it again does nothing."""
-        if self._writer.storage is not None:
-            self._writer.close()
+        """Complete the file and write metadata.yaml."""
+        self._writer.close()
 
 
 class RecorderNode(Node):
@@ -134,7 +127,7 @@ class RecorderNode(Node):
             self._bag.add_topic(name, topic.type_name, topic.profile)
             latched = topic.profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
             self._streams[name] = _Stream(topic, self._subscribe(
-                topic, qos.RECORDING_LATCHED if latched else qos.RECORDING))
+                topic, qos.RECORDING_LATCHED if latched else qos.STREAM))
         self._next_flush = 0.0
         self._diagnostics = Diagnostics(self, self._statuses)
         self._gate = StartupGate(self, self._config)
@@ -145,21 +138,21 @@ class RecorderNode(Node):
         for name in self._config.topics:
             if name not in ours:
                 raise ConfigError('topics', f'names among {", ".join(ours)}', f"'{name}'")
-        chosen = {self.resolve_topic_name(name): ours[name]
-                  for name in self._config.topics or ours}
+        chosen = [ours[name] for name in dict.fromkeys(self._config.topics or ours)]
         taken = {self.resolve_topic_name(name) for name in ours}
         for text in self._config.extra_topics:
             name, _, type_name = text.strip().partition(' ')
             full = full_topic_name('extra_topics', name, self)
-            if not type_name or full in taken or full in chosen:
+            if not type_name or full in taken:
                 raise ConfigError('extra_topics', 'NAME TYPE of other topics, each once',
                                   f"'{text}'")
             try:
                 message = message_class(type_name.strip())
             except RunError as error:
                 raise ConfigError('extra_topics', 'types that are installed', error) from None
-            chosen[full] = Topic(name, message, USER, (RECORDER,), qos.STREAM, 'event')
-        return list(chosen.values())
+            taken.add(full)
+            chosen.append(Topic(name, message, USER, (RECORDER,), qos.STREAM, 'event'))
+        return chosen
 
     def _subscribe(self, topic: Topic, profile: QoSProfile) -> Subscription:
         return self.create_subscription(topic.message, topic.name, ignore, profile, raw=True)
@@ -185,8 +178,11 @@ class RecorderNode(Node):
                 data, info = taken
                 sent = info['source_timestamp'] or info['received_timestamp'] or time.time_ns()
                 arrived.append((sent, name, data))
-                if stream.topic.rate == 'control':
-                    stream.count(info['publication_sequence_number'])
+                number, last = info['publication_sequence_number'], stream.last_number
+                stream.last_number = number
+                if stream.topic.rate == 'control' and 0 < last < number - 1 and (
+                        stream.subscription.get_publisher_count() < 2):  # it counts its own
+                    stream.lost += number - last - 1
         for sent, name, data in sorted(arrived, key=itemgetter(0)):
             self._bag.write(name, data, sent)
         if time.monotonic() >= self._next_flush:

@@ -21,7 +21,6 @@ from multicontact_control.nodes.topics import Topic
 from multicontact_control.sampling import JointReading, NANOSECONDS, WrenchReading
 import numpy as np
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 
@@ -210,18 +209,11 @@ class StreamPublisher:
     """Publishes messages like a pattern but for stamp [ns] and numbers, as bytes."""
 
     def __init__(self, node: Node, topic: Topic, pattern: Any) -> None:
-        self._template, publisher = MessageTemplate(pattern), create_publisher(node, topic)
-        self.write, self.publish = self._template.write, publisher.publish
+        publisher = create_publisher(node, topic)
+        self.write, self.publish = MessageTemplate(pattern).write, publisher.publish
         self._readers = publisher.get_subscription_count
 
     def send(self, stamp: int, *runs: Vector) -> None:
         """Publish a message with numbers in its order, if it is subscribed to."""
         if self._readers():
             self.publish(self.write(stamp, *runs))
-
-
-def subscribe(
-    node: Node, topic: Topic, callback: Callable[[bytes], None], profile: QoSProfile,
-) -> None:
-    """Call back with the bytes of every message of a topic."""
-    node.create_subscription(topic.message, topic.name, callback, profile, raw=True)

@@ -72,7 +72,7 @@ class Graph(link.GuestNode):
         self.processes = NodeProcesses(self.spec, domain_id)
         self.wanted = dict.fromkeys(setup.controller.contact_names, WANTED_FORCE)
         self._subscriptions = {
-            topic: self.node.create_subscription(topic.message, topic.name, ignore, qos.RECORDING)
+            topic: self.node.create_subscription(topic.message, topic.name, ignore, qos.STREAM)
             for topic in (*CHECKED, topics.POSE_DESIRED, topics.DIAGNOSTICS)}
         # When messages were sent [s], and their efforts by name; all until `polled` [s].
         self.heard = {topic: deque(maxlen=REMEMBERED) for topic in CHECKED}

@@ -48,9 +48,9 @@ def two_runs(tmp_path_factory):
         listener = Listener(domain_id)
         heard = {side: {
             'efforts': listener.subscribe(
-                Float64MultiArray, f'/{side}/{EFFORTS}', qos.RECORDING),
+                Float64MultiArray, f'/{side}/{EFFORTS}', qos.STREAM),
             'commands': listener.subscribe(
-                JointState, f'/{side}/joint_effort_command', qos.RECORDING)} for side in SIDES}
+                JointState, f'/{side}/joint_effort_command', qos.STREAM)} for side in SIDES}
         runs = [start_graph(
             folders[side], domain_id, namespace=side, ticks=TICKS, seed=seed, speed=1.0,
             extra_parameters={'controller_node': {'effort_output_topic': EFFORTS}})
