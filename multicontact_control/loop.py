@@ -50,17 +50,13 @@ class ControlLoop:
     base_dir
         Folder that relative paths start from.
     supervised
-        Whether contact states, watchdogs and limits are around the control law; without them it
-        runs bare but for its start.
+        Whether contact states, watchdogs and limits are around the control law.
 
     Attributes
     ----------
-    supervisor
-        The control law and what is around it.
-    output
-        The answer to the newest sample, None before the first and in the safe behaviour.
-    status
-        What the supervisor did at the newest sample, None if not supervised.
+    output, status
+        The answer to the newest sample, None before the first and in the safe behaviour, and what
+        the supervisor did, None if not supervised.
     events
         What it did since the last restart.
     push_gate
@@ -93,11 +89,6 @@ class ControlLoop:
         return self.supervisor.config
 
     @property
-    def supervised(self) -> bool:
-        """Whether contact states, watchdogs and limits are around the control law."""
-        return self.supervisor.guarded
-
-    @property
     def safe(self) -> bool:
         """Whether samples are answered by the declared safe behaviour."""
         return self.supervisor.safe
@@ -107,11 +98,6 @@ class ControlLoop:
         """Whether pose and forces are held."""
         return self.supervisor.task.held
 
-    @property
-    def sensor_fault(self) -> str:
-        """What is wrong with the newest wrench, ``frozen`` or ``saturated``; empty for nothing."""
-        return self.supervisor.inputs.sensor_fault
-
     def restart(self) -> None:
         """Forget the past: the next sample is the first."""
         self.supervisor.reset()
@@ -119,9 +105,7 @@ class ControlLoop:
         self.output: ControlOutput | None = None
         self.status: SupervisorStatus | None = None
         self.events = EventLog(self.config.contact_names)
-        self._inputs = TickInputs(0.0)
-        self.time = 0.0
-        self._commanded_at = -math.inf
+        self._inputs, self.time, self._commanded_at = TickInputs(0.0), 0.0, -math.inf
 
     def step(self, inputs: TickInputs) -> Vector:
         """
@@ -148,7 +132,7 @@ class ControlLoop:
         self.output = None if self.supervisor.safe else output
         if self.status is not None:
             self.events.note(inputs.time, self.status)
-        if self.push_gate.running and self.output is not None and self.supervisor.inputs.fresh:
+        if self.push_gate.phase and self.output is not None:
             self._push(inputs)
         return output.torque
 
@@ -158,13 +142,11 @@ class ControlLoop:
         return self.step(self._inputs)
 
     def _push(self, inputs: TickInputs) -> None:
-        """Lead on with a push test, and obey its verdict."""
-        joints, wrench = inputs.joints, inputs.wrench
-        if joints is None or wrench is None or joints.stamp != wrench.stamp:
-            return
-        ended = self.push_gate.update(
-            joints.q, joints.qd, self.supervisor.inputs.raw, self.config.tool)
-        if ended and self.push_gate.open:
+        """Lead on with a push test by a sample with a new wrench, and obey its verdict."""
+        joints, wrench, stage = inputs.joints, inputs.wrench, self.supervisor.inputs
+        if stage.fresh and joints and wrench and joints.stamp == wrench.stamp and (
+                self.push_gate.update(joints.q, joints.qd, stage.raw, self.config.tool)) and (
+                self.push_gate.open):
             self.supervisor.go_over()
             self.supervisor.task.unlock()
 
@@ -178,15 +160,7 @@ class ControlLoop:
             raise CommandError('contacts', f'none pressed by a reaction for {purpose}', 'some')
 
     def push_test(self, config: PushTestConfig, point_sensor: tuple[float, ...]) -> str:
-        """
-        Begin a push test of a wrist sensor; the arm stays where it is meanwhile.
-
-        Returns
-        -------
-        str
-            What the user should do now.
-
-        """
+        """Begin a push test, for which the arm stays where it is; return what to do now."""
         self._require_rest('a push test')
         self.push_gate.start(config, point_sensor)
         self.supervisor.go_over()
@@ -199,8 +173,7 @@ class ControlLoop:
         """
         Obey commanded forces.
 
-        Other forces than before, the first in a second, also seek contacts again that were given
-        up, and resume control that is latched.
+        A change after a second or more also tries again; see `retry`.
 
         Parameters
         ----------
@@ -230,15 +203,16 @@ class ControlLoop:
 
     @property
     def commanded_pose(self) -> Pose | None:
-        """Return the pose that is obeyed, without what contacts add to it; None in a scenario."""
+        """The commanded pose of the operational point; None in a scenario."""
         return None if self._commanded is None else self._commanded.pose
 
     @property
     def commanded_forces(self) -> dict[str, float]:
-        """Return the forces and couples that are obeyed, by name [N]; none in a scenario."""
+        """The commanded forces and couples by name [N]; none in a scenario."""
         return {} if self._commanded is None else self._commanded.forces
 
     def _commandable(self) -> CommandedTask:
+        """Return the task that obeys commands now."""
         if self._commanded is None:
             raise CommandError('reference_file', 'none, to obey commands', 'a scenario')
         self._require_running()
@@ -247,6 +221,7 @@ class ControlLoop:
         return self._commanded
 
     def _require_running(self) -> None:
+        """Refuse a command unless the law has begun with the task."""
         if self.output is None:
             raise CommandError('controller', 'active, with samples coming', 'not so')
         if self.supervisor.task.locked:
@@ -271,7 +246,7 @@ class ControlLoop:
 
     def retry(self) -> str:
         """Resume control that is latched, and seek contacts given up; return what happens now."""
-        if not self.supervised:
+        if not self.supervisor.guarded:
             raise not_supervised()
         if not self.supervisor.try_again():
             raise CommandError('~/retry', 'contacts that were given up, or control that is '
@@ -282,23 +257,14 @@ class ControlLoop:
         """
         Return the bias by which the compensated wrench would read zero now.
 
-        Returns
-        -------
-        Vector
-            Sensor axes, force first, shape (6,) [N, N m].
-
-        Raises
-        ------
-        CommandError
-            If the arm presses on something or moves (both would be taken for bias), or if there
-            is no wrist sensor, or something is wrong with it.
-        CalibrationError
-            If there are too few readings, or they are restless.
-
+        Sensor axes, force first, shape (6,) [N, N m]. CommandError if the arm presses on something
+        or moves (both would be taken for bias), or if there is no sensor, or a fault of it;
+        CalibrationError if there are too few readings, or they are restless.
         """
         self._require_rest('a tare')
         rejected = () if self.status is None else self.status.rejected
-        fault = self.sensor_fault or next((x for x in rejected if x.startswith('wrench')), '')
+        fault = self.supervisor.inputs.sensor_fault or next(
+            (cause for cause in rejected if cause.startswith('wrench')), '')
         if fault:
             raise CommandError('wrench', 'nothing wrong with it, for a tare', fault)
         joints = self._inputs.joints

@@ -249,7 +249,7 @@ def test_fault_of_the_sensor_holds_the_arm(fault, changes):
         bench.step(wrench=reading if fault == 'frozen' else (
             bench.wrench() + [0.0, 0.0, 220.0, 0.0, 0.0, 0.0]))
     assert f'wrench_{fault}' in bench.loop.status.causes and bench.reaction == 'hold'
-    assert bench.loop.sensor_fault == fault
+    assert bench.loop.supervisor.inputs.sensor_fault == fault
 
 
 def test_bias_of_the_sensor_is_not_taken_for_a_sideways_force():

@@ -127,12 +127,12 @@ class ControllerReport:
             Status('loop', {
                 **self.watch.report(), 'steps': self.watch.latencies.count,
                 'restarts': self.restarts, 'safe_behaviour': loop.safe,
-                'supervised': loop.supervised}, '; '.join(filter(None, warnings))),
+                'supervised': loop.supervisor.guarded}, '; '.join(filter(None, warnings))),
             self.inputs.status(stale, needed=active,
                                consequence=': the last R is held' if held else ''),
             self._contacts(), self._sensor(),
             message_status(self._node.refusals, unpaired=timing.unpaired, slow=slow),
-            *([self._supervisor()] if loop.supervised else [])]
+            *([self._supervisor()] if loop.supervisor.guarded else [])]
 
     def _at_another_rate(self) -> str:
         """Say at what rate samples have come since this was asked last, if it is a wrong one."""
@@ -197,7 +197,7 @@ class ControllerReport:
 
     def _sensor(self) -> Status:
         """Return the health of the wrist sensor, and what is still to be proved of it."""
-        gate, fault = self._loop.push_gate, self._loop.sensor_fault
+        gate, fault = self._loop.push_gate, self._loop.supervisor.inputs.sensor_fault
         failed = gate.result is not None and not gate.result.passed and not gate.running
         return Status(
             'sensor', {'fault': fault or 'none', 'push_test': gate.instruction or 'none',
