@@ -63,8 +63,7 @@ class JointInput(NamedTuple):
     """
     A joint state as it came in, sampled at `stamp` [s], in the order of `robot.joint_names`.
 
-    Positions q [rad], velocities qd [rad/s], and the measured torques over the period that ends
-    here [N m], None where the robot measures none.
+    q [rad], qd [rad/s], and the torques measured over the period before [N m], None for none.
     """
 
     stamp: float
@@ -174,7 +173,7 @@ def _check_joints(
     """
     Check a joint state, `elapsed` after the newest valid one [s]; keep it if it is fine.
 
-    After a jump each is compared with the one before it, and refused for the recovery time.
+    After a jump each is compared with the reading before, and refused for the recovery time.
     """
     distrusted = state.distrust > 0
     span = settings.period if distrusted else elapsed
@@ -252,10 +251,9 @@ def _supply_torques(
     state: Any, settings: Any,
 ) -> None:
     """
-    Give the momentum observer the torques that acted since the sample before, if they are known.
+    Give the momentum observer the torques, measured or commanded, that acted since a sample ago.
 
-    They are those measured, or else the command of `collision.command_delay` periods before. That
-    may be one period off, so the change of the command is added to the thresholds then.
+    A command may act one period sooner or later, so its change is added to the thresholds.
     """
     by_command, needed = settings.by_command, commands.shape[0]
     known = acts or (by_command and state.commands >= needed)
@@ -288,15 +286,11 @@ def check_inputs(
     last: Vector, commanded: bool, stamps: Any, contents: Any,
 ) -> bool:
     """
-    Check the inputs of a tick, and keep what is valid in its places.
+    Check the inputs of a tick, and keep what is valid in its places; return whether all is well.
 
-    Returns whether every input is known and valid, or young enough to go on with, the wrench is
-    new, and no sample is missing before.
-    Arguments are what `Inputs` has: one record of `INPUT_STAGE`; q, v, those of the reading
-    before and the largest v, shape (5, n); the new R, shape (r,); the ring for a tare, shape
-    (k, 6 + n), and that of commands; the places; the last command and whether there is one; and
-    of each input the stamp [s], or the time of the tick, and the content: FINE, INVALID if it
-    cannot be read, or ABSENT.
+    Arguments are what `Inputs` has; `readings` are q, v, those of the reading before and the
+    largest v, shape (5, n). Stamps [s] and contents (FINE, INVALID if it cannot be read, ABSENT)
+    are of joints, wrench, R, the tick and torques.
     """
     stage = stages[0]
     settings, state, verdict = stage.settings, stage.state, stage.verdict
@@ -376,11 +370,7 @@ class Inputs:
     joints, momenta
         Records of `JOINT`, shape (n,), and one of `MOMENTUM`, for the torques that acted.
 
-    Attributes
-    ----------
-    raw, filtered
-        The newest wrench as it came in, and behind the low-pass, shape (6,) [N, N m].
-
+    `raw` and `filtered` are the newest wrench before and behind the low-pass, shape (6,) [N, N m].
     """
 
     def __init__(
@@ -394,7 +384,7 @@ class Inputs:
         readings[4] = np.minimum(
             SPEED_EXCESS * np.array(config.limits.joint_speed or np.inf), np.finfo(float).max)
         variance = np.clip(config.initial_noise_variance, VARIANCE_FLOOR, VARIANCE_CEILING)
-        self._initial: Any = stage_record(config), readings, variance
+        self._initial: Any = _stage_record(config), readings, variance
         self._stage: Any = np.zeros(1, dtype=INPUT_STAGE)
         self._readings, self._new_variance = np.zeros((5, n)), np.zeros(r)
         self._effort: Vector = joints['effort']
@@ -438,10 +428,9 @@ class Inputs:
     @property
     def kept(self) -> tuple[Matrix, Matrix]:
         """
-        Return the newest wrenches as they came in, at most 100, and the posture at each.
+        The newest 100 wrenches as they came in, and the posture at each, oldest first.
 
-        Sensor axes, shape (k, 6) [N, N m], and shape (k, n) [rad], oldest first; none once the
-        newest is 0.1 s old.
+        Sensor axes, shape (k, 6) [N, N m], and (k, n) [rad]; none once the newest is 0.1 s old.
         """
         count = int(self._state['kept'][0])
         if not self._state['time'][0] - self._state['seen'][0, WRENCH] <= LONGEST_GAP:
@@ -450,17 +439,7 @@ class Inputs:
         return rows[:, :6].copy(), rows[:, 6:].copy()
 
     def validate(self, inputs: TickInputs, command: Vector | None = None) -> Seen:
-        """
-        Take in what is known at a tick and say what of it is valid.
-
-        Parameters
-        ----------
-        inputs
-            The newest readings, of whatever content.
-        command
-            What has been commanded at the tick before, shape (n,) [N m]; None for nothing.
-
-        """
+        """Take in what came at a tick, and the command before it [N m]; say what is valid."""
         time, joints, wrench, variance = inputs
         if self._estimated:  # by the momentum observer, which takes some samples to begin
             known = self._state['unknown'][0] <= len(self._commands) + 1
@@ -495,7 +474,7 @@ class Inputs:
                     int(state['skipped']))
 
 
-def stage_record(config: ControllerConfig) -> Records:
+def _stage_record(config: ControllerConfig) -> Records:
     """Return one record of `INPUT_STAGE` as configured, before the first tick."""
     sensor, watch, h = config.sensor, config.watchdog, config.period
     record = np.zeros(1, dtype=INPUT_STAGE)

@@ -21,32 +21,14 @@ LIMITS = ('reference', *(name for name, _ in NAMES))
 
 
 class SupervisorStatus(NamedTuple):
-    """
-    What the supervisor did in a tick, and why.
+    """What the supervisor did in a tick, and why."""
 
-    Attributes
-    ----------
-    reaction
-        ``none``, ``inflate`` (R), or instead of the control law ``hold``, ``float``, ``damp``.
-    causes
-        What called for it.
-    rejected
-        What was wrong with readings, whether it called for a reaction or not.
-    limits
-        Limits that were enforced.
-    contact_states
-        State of each contact.
-    task_time
-        Time of the task, which stands still during a reaction [s].
-
-    """
-
-    reaction: str
-    causes: tuple[str, ...]
-    rejected: tuple[str, ...]
-    limits: tuple[str, ...]
+    reaction: str  # ``none``, ``inflate`` (R), or in place of the law ``hold``, ``float``, ``damp``
+    causes: tuple[str, ...]  # what called for it
+    rejected: tuple[str, ...]  # what was wrong with readings, whether it called for it or not
+    limits: tuple[str, ...]  # that were enforced
     contact_states: tuple[str, ...]
-    task_time: float
+    task_time: float  # which stands still during a reaction [s]
 
 
 def no_answer(joints: int, contacts: int) -> ControlOutput:
@@ -134,12 +116,7 @@ class EventLog:
             ', '.join(status.contact_states)])))
 
     def _count(self, states: tuple[str, ...]) -> None:
-        """
-        Count what has gone over into another state.
-
-        A reaction that becomes more severe counts for the way back, too, which may take several
-        steps, from `float` over `hold`.
-        """
+        """Count changes of state; a reaction that becomes more severe counts for its way back."""
         for name, before, state in zip(self.names, self._states, states):
             if name != REACTION:
                 self._changes[name].extend([self._passed] * (state != before))

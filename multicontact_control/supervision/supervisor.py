@@ -59,6 +59,7 @@ FIXED = ('torque_limit', 'sensor', 'contact_state', 'limits', 'watchdog', 'colli
 LIVE_OF_CONTACTS = {
     'friction_coefficient', 'normal_world', 'normal_turn_rate', 'normal_range', 'surface_speed',
     'surface_speed_limit'}
+Answer = tuple[ControlOutput, SupervisorStatus | None]
 
 
 class Supervisor:
@@ -71,12 +72,8 @@ class Supervisor:
 
     Parameters
     ----------
-    config
-        Everything tunable.
-    robot
-        The arm.
-    source
-        What to do.
+    config, robot, source
+        Everything tunable, the arm, and what to do.
     guarded
         Whether inputs, contacts, speeds and answers are supervised. If not, the law answers every
         sample as it is, and `step` raises where it cannot; torques are still limited.
@@ -151,7 +148,7 @@ class Supervisor:
             self.safe = True
             self._gate.go_over()
 
-    def step(self, inputs: TickInputs) -> tuple[ControlOutput, SupervisorStatus | None]:
+    def step(self, inputs: TickInputs) -> Answer:
         """
         Answer one tick, whatever came in.
 
@@ -182,7 +179,8 @@ class Supervisor:
                 if reaction not in CONTROLLED:
                     return self._react(reaction, causes)
                 part = 'law'
-                self._resume()
+                if self._paused or not self.started:
+                    self._resume()
             part = 'law'
             self.task.ask(self._task_ticks * self._period)
             limited = self.controller.answer()
@@ -241,12 +239,7 @@ class Supervisor:
         return Seen()
 
     def _touch(self, found: int) -> tuple[str, ...]:
-        """
-        Name the joint where something touches the arm, if anything does.
-
-        What touches a link loads no joint beyond it: it is at, or beyond, the last joint whose
-        residual has been above its threshold since it began.
-        """
+        """Name the joint where something touches the arm: the last that it has loaded."""
         if not found & TOUCHED:
             self._touched = -1
             return ()
@@ -291,10 +284,8 @@ class Supervisor:
         return max(found, key=SEVERITY.index, default=NONE)
 
     def _resume(self) -> None:
-        """Start the control law, or go on with it after a reaction, if it does not act."""
+        """Start the control law, or go on with it after a reaction."""
         controller = self.controller
-        if self.started and not self._paused:
-            return
         if self._found & AMBIGUOUS:
             controller.refuse()
         if self._paused and self.started:
@@ -346,15 +337,13 @@ class Supervisor:
         self._gate.begin(acting)
         self._gate.go_over()
 
-    def _refuse(self, cause: str) -> tuple[ControlOutput, SupervisorStatus | None]:
+    def _refuse(self, cause: str) -> Answer:
         """Answer without the control law because of what it says."""
         if self._paused:
             self._recovery.relapsed((cause,))
         return self._react(self._reaction_to((cause,)), (cause,))
 
-    def _react(
-        self, reaction: str, causes: tuple[str, ...],
-    ) -> tuple[ControlOutput, SupervisorStatus | None]:
+    def _react(self, reaction: str, causes: tuple[str, ...]) -> Answer:
         """Answer without the control law."""
         arm, blind = self._arm, self._seen.blind
         if blind and arm is not None and reaction in (HOLD, DAMP):
@@ -390,9 +379,7 @@ class Supervisor:
                        if cause.split('_')[0] not in ('joints', 'internal'))
         return reaction == FLOAT and self._reaction_to(others) != FLOAT
 
-    def _survive(
-        self, part: str, error: Exception,
-    ) -> tuple[ControlOutput, SupervisorStatus | None]:
+    def _survive(self, part: str, error: Exception) -> Answer:
         """Answer after an exception, in the law or in what is around it."""
         try:
             if part == 'law':
@@ -414,7 +401,7 @@ class Supervisor:
     def _report(
         self, torque: Vector, reaction: str, causes: tuple[str, ...], limits: tuple[str, ...], *,
         controlled: bool = True,
-    ) -> tuple[ControlOutput, SupervisorStatus | None]:
+    ) -> Answer:
         """Return the answer of the tick; of contacts that no law controls nothing is known."""
         self._reaction = reaction
         if self.config.robot.adds_gravity:
@@ -430,15 +417,7 @@ class Supervisor:
             self._task_ticks * self._period) if self.guarded else None
 
     def check(self, config: ControllerConfig) -> None:
-        """
-        Find out whether `reconfigure` would take a configuration.
-
-        Raises
-        ------
-        ConfigError
-            If not.
-
-        """
+        """Raise a ConfigError if `reconfigure` would refuse a configuration."""
         if self.guarded:
             now, then = _fixed_values(self.config), _fixed_values(config)
             for name in now:
@@ -452,11 +431,7 @@ class Supervisor:
         """
         Go on with another configuration from the next sample on, without a jump of the torque.
 
-        Raises
-        ------
-        ConfigError
-            If that cannot be done; everything is as it was then.
-
+        If that cannot be done it is a ConfigError, and everything is as it was.
         """
         self.check(config)
         self.controller.reconfigure(config)
