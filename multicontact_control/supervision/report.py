@@ -23,7 +23,7 @@ LIMITS = ('reference', *(name for name, _ in NAMES))
 class SupervisorStatus(NamedTuple):
     """What the supervisor did in a tick, and why."""
 
-    reaction: str  # ``none``, ``inflate`` (R), or in place of the law ``hold``, ``float``, ``damp``
+    reaction: str  # ``none``, ``inflate`` (R), or ``hold``, ``float``, ``damp`` for the law
     causes: tuple[str, ...]  # what called for it
     rejected: tuple[str, ...]  # what was wrong with readings, whether it called for it or not
     limits: tuple[str, ...]  # that were enforced
