@@ -148,7 +148,7 @@ class ControlLoop:
                 self.push_gate.update(joints.q, joints.qd, stage.raw, self.config.tool)) and (
                 self.push_gate.open):
             self.supervisor.go_over()
-            self.supervisor.task.unlock()
+            self.supervisor.task.lock(False)
 
     def _require_rest(self, purpose: str) -> None:
         """Refuse what is only possible with a wrist sensor that nothing presses on."""
@@ -164,7 +164,7 @@ class ControlLoop:
         self._require_rest('a push test')
         self.push_gate.start(config, point_sensor)
         self.supervisor.go_over()
-        self.supervisor.task.lock()
+        self.supervisor.task.lock(True)
         return self.push_gate.instruction
 
     def set_forces(
@@ -227,7 +227,7 @@ class ControlLoop:
         if self.supervisor.task.locked:
             raise CommandError('~/push_test', 'passed, to obey commands',
                                f"'{self.push_gate.instruction}'")
-        if not (self.supervisor.task.begun and self.supervisor.started):
+        if not self.supervisor.started:
             causes = () if self.status is None else self.status.causes
             raise CommandError(
                 'control', 'begun, to obey commands', ', '.join(causes) or 'not yet')
@@ -239,10 +239,7 @@ class ControlLoop:
             self.supervisor.try_again()
         if wanted or self.held:
             self.supervisor.go_over()
-            if wanted:
-                self.supervisor.task.hold()
-            else:
-                self.supervisor.task.release()
+            self.supervisor.task.hold(wanted)
 
     def retry(self) -> str:
         """Resume control that is latched, and seek contacts given up; return what happens now."""

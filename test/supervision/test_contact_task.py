@@ -89,9 +89,9 @@ def test_contact_that_a_hold_lets_go_is_sought_again_for_the_same_task():
     for _ in range(2):
         asked.ask(0.0)
         assert asked.task.state_names == ('approaching', 'free')
-        asked.task.hold()
+        asked.task.hold(True)
         assert asked.task.state_names == ('free', 'free')
-        asked.task.release()
+        asked.task.hold(False)
 
 
 @pytest.mark.parametrize(('away', 'speed'), [
@@ -156,13 +156,13 @@ def test_hold_stands_still_and_release_goes_on_where_the_scenario_was():
         asked.ask(k * H)
     here = Pose(np.array([0.1, 0.2, 0.3]), np.eye(3))
     asked.stay(here)
-    asked.task.hold()
+    asked.task.hold(True)
     assert asked.task.held
     for k in range(500, 800):
         held = asked.ask(k * H)
         np.testing.assert_array_equal(held.pose.position_world, here.position_world)
         assert not held.twist.any() and not held.acceleration.any()
-    asked.task.release()
+    asked.task.hold(False)
     np.testing.assert_allclose(
         asked.ask(800 * H).pose.position_world, other.task(500 * H).pose_des.position_world,
         atol=1e-12)
@@ -172,7 +172,7 @@ def test_hold_keeps_the_desired_forces():
     asked = Asked(guarded=False)
     asked.source.set_forces({'table': 7.0})
     asked.ask(0.0)
-    asked.task.hold()
+    asked.task.hold(True)
     asked.source.set_forces({'table': 0.0})
     held = asked.ask(H)
     assert held.alpha_des == pytest.approx([7.0, 0.0])
@@ -186,9 +186,9 @@ def test_a_locked_task_stands_still_until_it_is_unlocked_and_then_begins():
         task = asked.ask(k * H)
         np.testing.assert_array_equal(task.pose.position_world, POSE.position_world)
         assert not task.active.any() and not task.alpha_des.any()
-    asked.task.release()  # only a hold is released
+    asked.task.hold(False)  # only a hold is released
     np.testing.assert_array_equal(asked.ask(300 * H).pose.position_world, POSE.position_world)
-    asked.task.unlock()
+    asked.task.lock(False)
     np.testing.assert_allclose(
         asked.ask(800 * H).pose.position_world, other.task(500 * H).pose_des.position_world,
         atol=1e-12)
