@@ -1,9 +1,8 @@
 """
 The records that compiled code works on: every field with its shape and unit.
 
-What belongs together is one record of a structured type, and records are handed over as arrays,
-one element per joint or contact, or a single element: numba takes an array of records in a third
-of the time of as many separate arrays, and a lone record in ten times that.
+Records are handed over as arrays, one element per joint or contact, or a single element: numba
+takes an array of records in a tenth of the time of a lone record.
 """
 
 from __future__ import annotations
@@ -17,8 +16,7 @@ Records = NDArray[np.void]
 F, I, B = np.float64, np.int64, np.bool_
 
 MAX_ORDER = 3  # of an observer's active state
-# The most states an observer has: force, its rate, delayed inputs, active states.
-MAX_STATES = 2 + MAX_DELAY_PERIODS + MAX_ORDER
+MAX_STATES = 2 + MAX_DELAY_PERIODS + MAX_ORDER  # force, its rate, delayed inputs, active states
 LIMITS = 8  # points of the curve of what stiffness a force loop is stable up to
 
 # What is set for the control law and for taking the measured wrench apart; one.
@@ -120,9 +118,8 @@ FORCE_ANSWER = np.dtype([
     ('variance_used', F),  # R the observer worked with, 0 there as well [N^2]
 ], align=True)
 
-# One column of N, as the force law sees it: the normal force of a contact, or one of its couples,
-# which are counted in newtons as `ContactConfig` says. Configuration, then what is measured and
-# learnt of the surface, then the answer.
+# One column of N: the normal force of a contact, or one of its couples, counted in newtons.
+# Configuration, then what is measured and learnt of the surface, then the answer.
 CONTACT = np.dtype([
     ('kind', I),  # FORCE, ALONG or ACROSS, see `config.contact`
     ('leader', I),  # index of the normal force of the same contact
@@ -130,7 +127,6 @@ CONTACT = np.dtype([
     ('point', F, 3),  # contact point, or centre, in the operational frame [m]
     ('direction', F, 3),  # of an edge, or of a plane's first side, in the operational frame
     ('half_length', F),  # unit of a couple's lever, 0 for a force [m]
-    ('largest_offset', F),  # of the centre of pressure, of half lengths
     ('friction_std', F),  # of friction that is allowed for, 0 for couples [N]
     ('torsion_std', F),  # of its torque about the normal [N m]
     ('friction_coefficient', F),  # that is expected while sliding, 0 for couples
@@ -155,8 +151,7 @@ CONTACT = np.dtype([
     ('answer', FORCE_ANSWER),
 ], align=True)
 
-# The active observer of one contact: its design, and what it knows. Of the matrices the first
-# `states` rows and columns are used.
+# The active observer of one contact. The first `states` rows and columns of matrices are used.
 OBSERVER = np.dtype([
     ('states', I),  # n
     ('order', I),  # how many of them are active states
@@ -172,12 +167,10 @@ OBSERVER = np.dtype([
     ('x_est', F, MAX_STATES),  # state estimate; the first is the force [N], then its rate [N/s]
     ('P', F, (MAX_STATES, MAX_STATES)),  # its covariance
     ('x_1', F, MAX_STATES),  # prediction of the state
-    ('Phi_n_P', F, (MAX_STATES, MAX_STATES)),  # Phi_n P, on the way to P_1
 ], align=True)
 
-# A force law that is linear and does not change with time: its design, and what it remembers. Of
-# the matrices the first `states` rows and columns are used; inputs are alpha_meas, alpha_des and
-# the speed of the contact point, outputs u, alpha_est and p_est.
+# A linear force law; of matrices as above. Inputs: alpha_meas, alpha_des and the speed of the
+# contact point; outputs: u, alpha_est and p_est.
 LINEAR_LAW = np.dtype([
     ('states', I),  # n
     ('A', F, (MAX_STATES, MAX_STATES)), ('B', F, (MAX_STATES, 3)),  # x_(k+1) = A x_k + B y_k
@@ -187,7 +180,7 @@ LINEAR_LAW = np.dtype([
     ('start_disturbance', F, MAX_STATES),  # and for a known disturbance of 1 m/s^2
     ('extra', F),  # acceleration that acted beyond the answer of the sample before [m/s^2]
     ('running', B),  # whether there was a sample before
-    ('x', F, MAX_STATES), ('x_next', F, MAX_STATES),
+    ('x', F, MAX_STATES),  # state
     ('alpha', F),  # estimated force [N]
     ('p_est', F),  # disturbance that the law compensates [m/s^2]
 ], align=True)
@@ -215,10 +208,7 @@ STIFFNESS = np.dtype([
     ('fastest_pole', F),  # 1 / tau [1/s]
     ('pole_ratio', F),  # of the second pole to the first
     ('transition', F, 2),  # of the undelayed plant: of speed to force over k [s], and of speed
-    ('down', F), ('up', F),  # how much ln k may change in a sample
-    ('settle', F),  # share of the way that c goes in a sample
-    ('ratio_limit', F, LIMITS),  # true over modelled stiffness up to which the loop is stable,
-    # of models of `lowest` to `highest`, in even steps of ln k
+    ('ratio_limit', F, LIMITS),  # k over a model's at which the loop is stable, `lowest` on
     ('delay_gain', F, (MAX_STATES, 2)),  # E_j, what inputs under way add to the state, per k
     ('input_gain', F, 2),  # B of the undelayed plant, per k
     ('slow', STIFFNESS_FIT), ('fast', STIFFNESS_FIT),
@@ -236,15 +226,12 @@ FORCE_LAW = np.dtype([
     ('kind', I),  # number of the law in the registry, see `force.laws`
     ('is_linear', B),  # whether `linear` is at work, or `observer`
     ('fed', I),  # what is fed forward, see `force.force_law`
-    ('K_2', F),  # [1/s]
     ('observer', OBSERVER), ('linear', LINEAR_LAW), ('stiffness', STIFFNESS),
 ], align=True)
 
 # What is set for an estimator over a window (P04 eqs 42-44); one.
 NOISE_WINDOW = np.dtype([
     ('pole', F), ('zero', F), ('gain', F),  # a, c and b of the filter
-    ('dc_gain', F),  # of the filter
-    ('largest', F),  # what magnitudes of samples must be below [N]
     ('scale', F),  # of the variances
     ('count', I),  # samples so far
 ], align=True)
@@ -304,10 +291,8 @@ PLAUSIBILITY = np.dtype([
 # Limits of one joint at the last gate.
 JOINT_LIMITS = np.dtype([
     ('step', F),  # of the torque, per period [N m]
-    ('lower', F),  # position not to be passed [rad]
-    ('upper', F),  # [rad]
+    ('lower', F), ('upper', F),  # positions not to be passed [rad]
     ('speed', F),  # [rad/s]
-    ('braking', F),  # deceleration before a stop [rad/s^2]
     ('last', F),  # what was commanded last and what was added [N m]
 ])
 

@@ -100,7 +100,7 @@ def make_force_laws(config: ControllerConfig, stiffnesses: Vector) -> Records:
         if adaptive:
             stiffness = force.adaptive.highest
         design = design_law(name, force, loop_model(config, stiffness))
-        law['kind'], law['K_2'] = names.index(name), force.damping_rate
+        law['kind'] = names.index(name)
         law['fed'] = get_args(FedForward).index(force.fed_forward)
         law['stiffness']['k'] = stiffness
         if isinstance(design, LinearLaw):
@@ -211,7 +211,7 @@ def step_linear(law: Any, contact: Any, speed: float) -> float:
     if not law.running:
         start_linear(law, contact.alpha_meas, 0.0)
     n, A, B, C, D = law.states, law.A, law.B, law.C, law.D
-    x, x_next, E = law.x, law.x_next, law.E
+    x, x_next, E = law.x, np.empty(law.states), law.E
     alpha, desired, extra = contact.alpha_meas, contact.answer.alpha_des, law.extra
     for i in range(n):
         x[i] += E[i] * extra
@@ -236,7 +236,7 @@ def step_linear(law: Any, contact: Any, speed: float) -> float:
 
 
 @compiled
-def force_to_feed(law: Any, contact: Any, mobility: Matrix) -> float:
+def force_to_feed(law: Any, contact: Any, K_2: float, mobility: Matrix) -> float:
     """
     Return the contact force that is fed forward in P04 eq. 24 [N].
 
@@ -256,7 +256,7 @@ def force_to_feed(law: Any, contact: Any, mobility: Matrix) -> float:
     along = 0.0
     for i in range(6):
         along += N[i] * dot(mobility[i], N)
-    share = min(law.K_2 * law.K_2 / (2.0 * law.stiffness.k * along), 1.0)
+    share = min(K_2 * K_2 / (2.0 * law.stiffness.k * along), 1.0)
     return contact.answer.alpha_est + share * (desired - contact.answer.alpha_est)
 
 
@@ -319,4 +319,4 @@ def answer_forces(
         else:
             observe(observer, contact, control.measured, 0.0)
             inputs[i] = command(observer, answer.alpha_des)
-        answer.alpha_fed = force_to_feed(law, contact, mobility)
+        answer.alpha_fed = force_to_feed(law, contact, control.law.K_2, mobility)

@@ -157,7 +157,7 @@ def predict(observer: Any) -> None:
     the open one (eqs 40-41); P becomes P_1, its upper triangle mirrored.
     """
     n = observer.states
-    Phi_c, Phi_n, P, half = observer.Phi_c, observer.Phi_n, observer.P, observer.Phi_n_P
+    Phi_c, Phi_n, P, half = observer.Phi_c, observer.Phi_n, observer.P, np.empty((n, n))
     x_est, x_1, Gamma, Q = observer.x_est, observer.x_1, observer.Gamma, observer.Q
     for i in range(n):
         total = Gamma[i] * observer.command
@@ -194,7 +194,7 @@ def correct(observer: Any, innovation: float, noise_variance: float) -> None:
     `observer` is a record of `OBSERVER` after `predict`; innovation y - C x_1 [N], R_k [N^2].
     """
     n, tau = observer.states, observer.damping_time
-    x_est, P, x_1, covariance = observer.x_est, observer.P, observer.x_1, observer.Phi_n_P[0]
+    x_est, P, x_1, covariance = observer.x_est, observer.P, observer.x_1, np.empty(n)
     if tau != 0.0:
         for i in range(n):
             covariance[i] = P[0, i] + tau * P[1, i]

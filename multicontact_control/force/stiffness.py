@@ -163,10 +163,7 @@ def adopt_stiffness(
         'adaptive': True, 'period': period, 'tool_mass': tool_mass,
         'lowest': adaptive.lowest, 'highest': adaptive.highest,
         'fastest_pole': 1.0 / config.time_constant, 'pole_ratio': config.second_pole_ratio,
-        # A model changes once a period: e times its value in less would be a jump.
-        'down': min(period / FALL_TIME, 1.0), 'up': min(period / RISE_TIME, 1.0),
-        'settle': period / DAMPING_TIME, 'ratio_limit': ratio_limits, 'k': stiffness,
-        'c': 0.0}
+        'ratio_limit': ratio_limits, 'k': stiffness, 'c': 0.0}
     for name, value in values.items():
         record[name] = value
     record['transition'] = plant.Phi[0, 1], plant.Phi[1, 1]
@@ -344,17 +341,18 @@ def learn_stiffness(laws: Any, contacts: Any, which: int, control: Any, speed: f
     find_stiffness(stiffness, alpha, contact.answer.alpha_des, speed,
                    friction_of_others(control.frame, contacts, which))
     slow, fast = stiffness.slow, stiffness.fast
-    k, c = stiffness.k, stiffness.c
+    h, k, c = stiffness.period, stiffness.k, stiffness.c
     target = k
     if slow.k > 0.0 and slow.share > SLOW_SHARE:
         target = slow.k + 2.0 * slow.k_std
         damping = min(max(slow.c, 0.0), LARGEST_DAMPING)
-        c += stiffness.settle * (damping - c)
+        c += h / DAMPING_TIME * (damping - c)
     # Against what the slow fit says, and not against k in use, which it would drive up and down.
     if fast.share > FAST_SHARE and fast.k - fast.k_std > FAST_EXCESS * target:
         target = fast.k
     target = min(max(target, stiffness.lowest), stiffness.highest)
-    change = min(max(np.log(target / k), -stiffness.down), stiffness.up)
+    # A model changes once a period: e times its value in less would be a jump.
+    change = min(max(np.log(target / k), -min(h / FALL_TIME, 1.0)), min(h / RISE_TIME, 1.0))
     if change != 0.0 or c != stiffness.c:
         use_stiffness(observer, stiffness, k * np.exp(change), c)
     contact.stiffness = stiffness.k

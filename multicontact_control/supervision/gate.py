@@ -38,8 +38,8 @@ def _brake_joints(joints: Any, limits: Any, torque: Vector) -> bool:
     slow = True
     for j in range(n):
         q, speed, limit = joints[j].q, joints[j].velocity, limits[j]
-        ahead = np.sqrt(2.0 * limit.braking * np.maximum(limit.upper - q, 0.0))
-        behind = np.sqrt(2.0 * limit.braking * np.maximum(q - limit.lower, 0.0))
+        ahead = np.sqrt(2.0 * JOINT_BRAKING * np.maximum(limit.upper - q, 0.0))
+        behind = np.sqrt(2.0 * JOINT_BRAKING * np.maximum(q - limit.lower, 0.0))
         fastest[j] = np.minimum(ahead, limit.speed)
         slowest[j] = -np.minimum(behind, limit.speed)
         slow = slow and speed < BRAKING_SHARE * fastest[j] and speed > BRAKING_SHARE * slowest[j]
@@ -134,7 +134,6 @@ class TorqueGate:
         limits['lower'] = np.array(config.limits.joint_lower or -np.inf) + JOINT_MARGIN
         limits['upper'] = np.array(config.limits.joint_upper or np.inf) - JOINT_MARGIN
         limits['speed'] = config.limits.joint_speed or np.inf
-        limits['braking'] = JOINT_BRAKING
         self._limits, self.last = limits, limits['last']
         self._period = config.period
         self._keep = math.exp(-config.period / BLEND_TIME)

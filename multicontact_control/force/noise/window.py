@@ -28,11 +28,6 @@ class LeadFilter:
         a, c, b = self.pole, self.zero, self.gain
         return b * b * (1.0 + (a - c) ** 2 / (1.0 - a * a))
 
-    @property
-    def dc_gain(self) -> float:
-        """Gain for a constant force."""
-        return self.gain * (1.0 - self.zero) / (1.0 - self.pole)
-
 
 def lead_filter(
     zero_frequency: float, pole_frequency: float, rate: float, normalisation: Normalisation = 'dc',
@@ -71,7 +66,7 @@ def take_into_window(
     if window.count == 0:
         for i in range(contacts):
             states[i].alpha = alpha[i]
-            states[i].filtered = window.dc_gain * alpha[i]
+            states[i].filtered = window.gain * (1.0 - window.zero) / (1.0 - window.pole) * alpha[i]
     for i in range(contacts):
         state = states[i]
         state.filtered = window.pole * state.filtered + window.gain * (
@@ -98,7 +93,7 @@ class Window(NoiseEstimator):
     def _forget(self) -> None:
         config, design = self.config, self._design()
         self._window = np.zeros(1, dtype=NOISE_WINDOW)
-        for name in ('pole', 'zero', 'gain', 'dc_gain'):
+        for name in ('pole', 'zero', 'gain'):
             self._window[name] = getattr(design, name)
         self._window['scale'] = config.variance_scale
         self._states = np.zeros(self._contacts, dtype=FILTER_STATE)

@@ -19,7 +19,6 @@ def test_lead_filter_has_the_papers_gains(normalisation, at_dc, at_nyquist, fact
         -np.log([f.zero, f.pole]) * RATE / (2 * np.pi), [3.0, 60.0], rtol=1e-12)
     _, response = freqz(numerator, denominator, worN=[0.0, np.pi])
     np.testing.assert_allclose(np.abs(response), [at_dc, at_nyquist], rtol=0.01)
-    assert f.dc_gain == pytest.approx(abs(response[0]), rel=1e-12)
     _, (impulse,) = dimpulse((numerator, denominator, 1.0), n=400)
     assert f.variance_factor() == pytest.approx(float((impulse ** 2).sum()), rel=1e-12)
     assert f.variance_factor() == pytest.approx(factor, rel=0.01)
