@@ -11,8 +11,8 @@ from multicontact_control.algebra import (
     solve_lower,
     velocity_at,
 )
-from multicontact_control.arrays import Matrix, require_shape, Vector
-from multicontact_control.compiled import compile_for, compiled
+from multicontact_control.arrays import Matrix, Vector
+from multicontact_control.compiled import compiled
 from multicontact_control.contact.wrench import measure_contacts, operational_wrench
 from multicontact_control.dynamics.operational_space import mobility_and_inertia
 from multicontact_control.dynamics.robot import RobotModel
@@ -34,17 +34,8 @@ def observe_momentum(control: Any, joints: Any, mass_matrix: Matrix, jacobian: M
     dr/dt = K (Gamma - M dv/dt - C v - g - F_c tanh(v / v_0) - F_v v - J^T f - r), the
     generalised-momentum observer, one sample at a time. f is the wrench at the wrist sensor (0
     where the residual is the input), so that r is J_i^T f_i of the contacts before it. They count
-    from the threshold of a residual until it falls below half of that.
-
-    Parameters
-    ----------
-    control
-        Record of `CONTROL`; the momentum in it is changed.
-    joints
-        Records of `JOINT`, shape (n,), changed.
-    mass_matrix, jacobian
-        M (upper triangle), shape (n, n), and J, shape (6, n).
-
+    from the threshold of a residual until it falls below half of that. `control.momentum` and
+    `joints` are changed.
     """
     momentum, law, frame, tool = control.momentum, control.law, control.frame, control.tool
     n = joints.shape[0]
@@ -103,8 +94,7 @@ def wrench_of_residual(
     """
     Fill in the wrench that explains the residual, as a sensor at the operational point reads it.
 
-    f = J_bar^T r, J_bar = M^-1 J^T Lambda. In a singular posture the wrench of `control`, a record
-    of `CONTROL`, stays as it was; the other arguments are those of `observe_momentum`.
+    f = J_bar^T r, J_bar = M^-1 J^T Lambda. In a singular posture `control.wrench` stays as it was.
     """
     n = joints.shape[0]
     L, Y = np.empty((n, n)), np.empty((n, 6))
@@ -139,11 +129,10 @@ def see_arm(
     motion
         q [rad] and v [rad/s], shape (2, n).
     mass_matrix, bias_torque, jacobian, placements
-        Of the arm there; see `Terms`.
-    joints, contacts
-        Records of `JOINT`, shape (n,), and `CONTACT`, shape (r,); both changed.
-    controls
-        One record of `CONTROL` with the wrench in it; its frame is filled in.
+        What `RobotModel.compute` gives there: M, upper triangle, C v + g, J, and of `Terms`.
+    joints, controls, contacts
+        Records of `JOINT`, shape (n,), one of `CONTROL` with the wrench in it, and records of
+        `CONTACT`, shape (r,); all changed.
 
     Returns
     -------
@@ -193,7 +182,7 @@ def see_arm(
 
 class ArmState:
     """
-    The arm when its joints were last given, in arrays that the next `update` overwrites.
+    The arm when its joints were last given, in arrays that the next sample overwrites.
 
     Parameters
     ----------
@@ -205,17 +194,13 @@ class ArmState:
 
     Attributes
     ----------
-    motion
-        Joint positions and velocities, shape (2, n), the rows of which are
-    q, velocity
-        [rad] and [rad/s], shape (n,).
-    joints
-        Records of `JOINT`, shape (n,).
-    frames
-        One record of `FRAME`.
+    motion, q, velocity
+        Joint positions and velocities, shape (2, n) [rad, rad/s], and its rows.
+    joints, frames
+        Records of `JOINT`, shape (n,), and one of `FRAME`.
     inertia, bias_torque
         Diagonal of M [kg m^2] and C v + g [N m], in `joints`, shape (n,).
-    pose, twist_world
+    pose
         Of the operational frame, in `frames`.
     found
         What is unusual about it; see `see_arm`.
@@ -226,25 +211,17 @@ class ArmState:
         self, robot: RobotModel, controls: Any = None, contacts: Any = None,
     ) -> None:
         self.robot = robot
-        self._shape = (robot.joint_count,)
         self.motion: Matrix = np.zeros((2, robot.joint_count))
         self.q, self.velocity = self.motion
-        self.joints: Any = np.zeros(self._shape, dtype=JOINT)
+        self.joints: Any = np.zeros(robot.joint_count, dtype=JOINT)
         self._controls = np.zeros(1, dtype=CONTROL) if controls is None else controls
         self._contacts = np.zeros(0, dtype=CONTACT) if contacts is None else contacts
         self.frames: Any = self._controls['frame']
-        for limited, name in ((self.joints, 'speed_limit'), (self.frames, 'speed_limit'),
-                              (self.frames, 'turn_limit')):
-            limited[name] = np.inf
+        self.joints['speed_limit'] = np.inf
+        self.frames['speed_limit'] = self.frames['turn_limit'] = np.inf
         self.inertia: Vector = self.joints['inertia']
         self.bias_torque: Vector = self.joints['bias_torque']
-        frame = self.frames[0]
-        self.pose = Pose(frame['position'], frame['rotation'])
-        self.twist_world: Vector = frame['twist']
-        terms = robot.compute(self.q, self.velocity)
-        compile_for(
-            see_arm, self.motion, terms.mass_matrix, terms.bias_torque, terms.jacobian,
-            terms.placements, self.joints, self._controls, self._contacts)
+        self.pose = Pose(self.frames['position'][0], self.frames['rotation'][0])
         self.refresh()
 
     @property
@@ -253,34 +230,12 @@ class ArmState:
         return self.found != NO_NUMBERS
 
     def update(self, q: Vector, velocity: Vector) -> bool:
-        """
-        Take in where the arm is, and what the wrench in `controls` says of the contacts there.
-
-        Parameters
-        ----------
-        q, velocity
-            Joint positions [rad] and velocities [rad/s], shape (n,).
-
-        Returns
-        -------
-        bool
-            Whether the model gives finite numbers there; if not, the arm stays where it was.
-
-        Raises
-        ------
-        ShapeError
-            If an array is not of the robot's size.
-
-        """
-        if q.shape != self._shape or velocity.shape != self._shape:
-            require_shape('q', q, self._shape)
-            require_shape('qd', velocity, self._shape)
-        self.q[:] = q  # whatever its layout
-        self.velocity[:] = velocity
+        """Take in joint positions [rad] and velocities [rad/s], shape (n,); see `refresh`."""
+        self.q[:], self.velocity[:] = q, velocity
         return self.refresh()
 
     def refresh(self) -> bool:
-        """Take in what has been written into `motion`; see `update`."""
+        """Take in what has been written into `motion`; return whether the model is `finite`."""
         terms = self.robot.compute(self.q, self.velocity)
         self.found = see_arm(
             self.motion, terms.mass_matrix, terms.bias_torque, terms.jacobian,

@@ -35,15 +35,8 @@ def motion_law(law: Any, task: Any, frame: Any, f_t: Vector) -> None:
     Fill in f_t*, the acceleration that leads the operational point to its reference.
 
     f_t* = a_des + k_v (theta_des - theta) + k_p (x_des - x), k_p = omega_n^2 and
-    k_v = 2 zeta omega_n (P04 sec. 3.1; sec. 5.2: critically damped, 30 rad/s).
-
-    Parameters
-    ----------
-    law, task, frame
-        Records of `LAW`, `TASK` and `FRAME`.
-    f_t
-        Filled, world axes, shape (6,) [m/s^2, rad/s^2].
-
+    k_v = 2 zeta omega_n (P04 sec. 3.1; sec. 5.2: critically damped, 30 rad/s); world axes, shape
+    (6,) [m/s^2, rad/s^2].
     """
     turn = np.empty(3)
     rotation_vector(task.rotation, frame.rotation, turn)
@@ -69,21 +62,8 @@ def force_law(
     theta, the speeds of the contact points along their normals, less what is known of the
     surfaces' speeds.
 
-    Parameters
-    ----------
-    law
-        Record of `LAW`.
-    rows, factor
-        N^T of the active contacts, shape (r, 6), and the factor of N^T N, shape (r, r).
-    twist
-        Of the operational point, shape (6,).
-    contacts
-        Records of `CONTACT`, shape (r,).
-    inputs
-        u of the force laws, shape (r,) [m/s^2].
-    f_c
-        Filled, shape (6,) [m/s^2, rad/s^2].
-
+    N^T of the active contacts is in `rows`, shape (r, 6), N^T N is factorised in `factor`, shape
+    (r, r); `inputs` are u of the force laws, shape (r,) [m/s^2].
     """
     alpha_star = np.empty(inputs.shape[0])
     multiply(rows, twist, alpha_star)
@@ -156,22 +136,18 @@ def control_law(
     Work out the joint torque of one tick.
 
     F = Lambda (Omega_m f_t* + Omega_c f_c*) + mu + p + N alpha_fed, Gamma = J^T F (P04
-    eqs 23-27), then null space, friction and limits. As published
-    alpha_fed is the estimate; see `force_to_feed`.
+    eqs 23-27), then null space, friction and limits. As published alpha_fed is the estimate; see
+    `force_to_feed`.
 
     Parameters
     ----------
-    controls
-        One record of `CONTROL`.
-    joints
-        Records of `JOINT`, shape (n,); their torque is filled in.
+    controls, joints
+        One record of `CONTROL`, and records of `JOINT`, shape (n,), whose torque is filled in.
     mass_matrix, jacobian, jacobian_rate
         M (upper triangle), J and dJ/dt.
-    contacts
-        Records of `CONTACT`, shape (r,), with `N` and `alpha_meas` filled in; what the force laws
-        say is.
-    laws
-        Records of `FORCE_LAW`, shape (r,), changed.
+    contacts, laws
+        Records of `CONTACT`, with `N` and `alpha_meas`, and of `FORCE_LAW`, both changed, shape
+        (r,).
 
     Returns
     -------

@@ -35,7 +35,7 @@ def test_speeds_and_plausibility_equal_numpy(seed, scale):
     arm, limits = SUPERVISOR.controller.arm, CONFIG.limits
     assert arm.update(q, v)
     state = ROBOT.update(q, v)
-    np.testing.assert_allclose(arm.twist_world, state.twist_world, atol=1e-12)
+    np.testing.assert_allclose(arm.frames['twist'][0], state.twist_world, atol=1e-12)
     np.testing.assert_allclose(arm.inertia, np.diagonal(state.mass_matrix), atol=1e-12)
     np.testing.assert_allclose(arm.bias_torque, state.coriolis + state.gravity, atol=1e-11)
     too_fast = []
