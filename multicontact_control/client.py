@@ -15,7 +15,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 import math
 import time
-from typing import Any
 
 from geometry_msgs.msg import PoseStamped
 from multicontact_control.arrays import Vector
@@ -45,30 +44,26 @@ class NotReachedError(RunError):
 
 @dataclass(frozen=True, slots=True)
 class ArmState:
-    """
-    One sample: its stamp [s], forces by contact name, and poses in world axes (x, y, z, w).
+    """One sample: forces by contact name, and poses in world axes."""
 
-    Estimated and desired forces are 0 where none is controlled; R is the newest, empty if no
-    estimator runs.
-    """
-
-    time: float
+    time: float  # its stamp [s]
     forces: dict[str, float]  # N
-    forces_estimated: dict[str, float]
-    forces_desired: dict[str, float]
-    noise_variance: dict[str, float]  # N^2
+    forces_estimated: dict[str, float]  # 0 where none is controlled
+    forces_desired: dict[str, float]  # the same
+    noise_variance: dict[str, float]  # the newest R [N^2], empty if no estimator runs
     position_world: Vector  # m
     quaternion_xyzw: Vector
     position_desired: Vector
     quaternion_desired: Vector
 
 
-class MultiContactClient:
+class MultiContactClient(ControllerLink):
     """
     Commands a running controller and reads its state, in a with statement and one thread.
 
     The clock is that of the samples; only timeouts look at the wall clock. Every method raises
-    `RunError` if what it waits for does not come, and where the controller refuses.
+    `RunError` if what it waits for does not come, and where the controller refuses. At the end,
+    or by `close`, the client leaves; the controller goes on with its last commands.
 
     Parameters
     ----------
@@ -82,57 +77,39 @@ class MultiContactClient:
     def __init__(
         self, namespace: str = '', *, domain_id: int | None = None, timeout: float = 10.0,
     ) -> None:
-        self._link = ControllerLink(
-            (*STATE_TOPICS, topics.NOISE_VARIANCE), namespace=namespace, domain_id=domain_id,
-            timeout=timeout)
+        super().__init__((*STATE_TOPICS, topics.NOISE_VARIANCE), namespace=namespace,
+                         domain_id=domain_id, timeout=timeout)
         self._commanded: dict[str, float] = {}
-
-    def __enter__(self) -> MultiContactClient:
-        """Return the client itself."""
-        return self
-
-    def __exit__(self, *_error: object) -> None:
-        """Leave the graph; the controller goes on with its last commands."""
-        self.close()
-
-    def close(self) -> None:
-        """Leave the graph; the controller goes on with its last commands."""
-        self._link.close()
 
     def activate(self) -> None:
         """Configure and activate estimator and controller; they know of no command from before."""
-        if self._link.has_lifecycle(topics.ESTIMATOR, OPTIONAL_WAIT):
-            self._link.bring_up(topics.ESTIMATOR)
-        if self._link.bring_up(topics.CONTROLLER):
+        if self.has_lifecycle(topics.ESTIMATOR, OPTIONAL_WAIT):
+            self.bring_up(topics.ESTIMATOR)
+        if self.bring_up(topics.CONTROLLER):
             self._commanded.clear()
 
     def deactivate(self) -> None:
         """Let the controller command its safe behaviour and obey no more."""
-        if self._link.state(topics.CONTROLLER) == 'active':
-            self._link.change(topics.CONTROLLER, DEACTIVATE)
+        if self.state(topics.CONTROLLER) == 'active':
+            self.change(topics.CONTROLLER, DEACTIVATE)
         self._commanded.clear()
 
     def status(self) -> ControllerStatus | None:
         """Return what the controller has said of itself last, None if nothing so far."""
-        self._link.look()
-        return self._link.status
+        self.look()
+        return self.last_status
 
     def hold(self, on: bool = True) -> None:
         """Hold the arm where it is and obey no motion, or let go of it again."""
-        self._ask('hold', SetBool, SetBool.Request(data=on))
+        self.ask('hold', SetBool, SetBool.Request(data=on))
 
     def tare(self) -> None:
         """Take what the wrist sensor reads now for its zero; nothing may touch the tool."""
-        self._ask('tare', Trigger, Trigger.Request())
+        self.ask('tare', Trigger, Trigger.Request())
 
     def retry(self) -> None:
         """Resume control that waits for an operator, and seek contacts that were given up."""
-        self._ask('retry', Trigger, Trigger.Request())
-
-    def _ask(self, what: str, service: Any, request: Any) -> None:
-        answer = self._link.call(topics.CONTROLLER, service, what, request)
-        if not answer.success:
-            raise RunError(f'{topics.CONTROLLER}: {what} refused: {answer.message}')
+        self.ask('retry', Trigger, Trigger.Request())
 
     def set_forces(
         self, forces: Mapping[str, float], centres: Mapping[str, float] | None = None,
@@ -156,16 +133,16 @@ class MultiContactClient:
             If a force is not finite.
 
         """
-        self._link.fresh(topics.DESIRED_FORCES)  # before its first sample it refuses
+        self.fresh(topics.DESIRED_FORCES)  # before its first sample it refuses
         if forces:
-            self._link.command(topics.FORCE_COMMAND, messages.joint_state_message(
+            self.command(topics.FORCE_COMMAND, messages.joint_state_message(
                 0, list(forces), effort=list(forces.values())))
             self._commanded.update(forces)
-        if centres:
-            self._link.command(topics.FORCE_COMMAND, messages.joint_state_message(
+        if centres:  # couples that follow the forces of their contacts
+            self.command(topics.FORCE_COMMAND, messages.joint_state_message(
                 0, list(centres), position=list(centres.values())))
-            for name in centres:  # it follows the force of its contact
-                self._commanded.pop(name, None)
+            self._commanded = {name: force for name, force in self._commanded.items()
+                               if name not in centres}
 
     def move(
         self, position_world: ArrayLike, duration: float, *,
@@ -197,7 +174,7 @@ class MultiContactClient:
         goal = messages.finite_array(position_world, 3, 'position_world')
         # All that takes time comes first: the motion runs from the sample that it starts at.
         _, position, turn = self._desired_pose()
-        self._link.command(topics.MOTION_COMMAND, messages.motion_message(
+        self.command(topics.MOTION_COMMAND, messages.motion_message(
             position, turn.as_quat(), np.zeros(6), np.zeros(6)))
         start, position, turn = self._desired_pose()
         last = turn if quaternion_xyzw is None else Rotation.from_quat(
@@ -215,22 +192,22 @@ class MultiContactClient:
                 position + s * change[:3],
                 (Rotation.from_rotvec(s * rotation_vector) * turn).as_quat(),
                 ds * change, dds * change)
-            self._link.accepted(identifier)  # what it refuses of the way ends the motion
+            self.accepted(identifier)  # what it refuses of the way ends the motion
             if elapsed < duration:
-                self._link.send(topics.MOTION_COMMAND, point, identifier)
-        self._link.command(topics.MOTION_COMMAND, point)
-        self._link.fresh(topics.POSE_DESIRED)
+                self.send(topics.MOTION_COMMAND, point, identifier)
+        self.command(topics.MOTION_COMMAND, point)
+        self.fresh(topics.POSE_DESIRED)
 
     def _desired_pose(self) -> tuple[int, Vector, Rotation]:
         """Return stamp [ns] and desired pose of a sample that comes from now on."""
-        message, = self._link.fresh(topics.POSE_DESIRED)
+        message, = self.fresh(topics.POSE_DESIRED)
         return messages.stamp_to_ns(message.header.stamp), *_pose_of(message)
 
     def read(self) -> ArmState:
         """Return the state of a sample that comes from now on."""
-        forces, estimated, desired, pose, pose_desired = self._link.fresh(
+        forces, estimated, desired, pose, pose_desired = self.fresh(
             *STATE_TOPICS, one_stamp=True)
-        variance = self._link.newest(topics.NOISE_VARIANCE) or JointState()
+        variance = self.newest(topics.NOISE_VARIANCE) or JointState()
         position, rotation = _pose_of(pose)
         position_desired, rotation_desired = _pose_of(pose_desired)
         return ArmState(
@@ -261,7 +238,7 @@ class MultiContactClient:
         seen: deque[tuple[float, Vector]] = deque()
         give_up = time.monotonic() + timeout
         while True:
-            message, = self._link.fresh(topics.MEASURED_FORCES)
+            message, = self.fresh(topics.MEASURED_FORCES)
             now, forces = messages.stamp_to_ns(message.header.stamp) * 1e-9, _by_name(message)
             if seen and now < seen[-1][0]:
                 seen.clear()  # their clock was set back
@@ -276,10 +253,10 @@ class MultiContactClient:
                 far = [f'{name} is off by {value:.3g} N' for name, value
                        in zip(self._commanded, off) if value > force_tolerance]
                 status = self.status()
-                doing = '' if status is None else (
-                    f'; the controller: {status.text} (contacts: {status.contacts or "unknown"})')
-                raise NotReachedError(f'not within {force_tolerance:g} N after {timeout:g} s: '
-                                      f'{", ".join(far) or "too few samples"}{doing}')
+                raise NotReachedError(
+                    f'not within {force_tolerance:g} N after {timeout:g} s: '
+                    f'{", ".join(far) or "too few samples"}; the controller: '
+                    f'{"says nothing" if status is None else status.text}')
 
 
 def _by_name(message: JointState) -> dict[str, float]:

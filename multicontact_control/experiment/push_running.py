@@ -31,10 +31,7 @@ def push_running(
         state = link.state(topics.CONTROLLER)
         if state != 'active':
             raise RunError(f'{topics.CONTROLLER}: expected an active controller, found it {state}')
-        answer = link.call(topics.CONTROLLER, Trigger, 'push_test', Trigger.Request())
-        if not answer.success:
-            raise RunError(f'{topics.CONTROLLER}: push_test refused: {answer.message}')
-        said = answer.message
+        said = link.ask('push_test', Trigger, Trigger.Request())
         on_instruction(said)
         link.queue(topics.DIAGNOSTICS)  # of before the test
         heard = time.monotonic()

@@ -160,7 +160,7 @@ class ControllerLink(GuestNode):
 
     It keeps the newest message of each topic that it hears, all of those `QUEUED`, and waits for
     nothing longer than `timeout` [s]. `on_status` is called with each status that `look` takes,
-    of which `status` is the last.
+    of which `last_status` is the last.
     """
 
     def __init__(
@@ -170,7 +170,7 @@ class ControllerLink(GuestNode):
         super().__init__(f'multicontact_client_{os.getpid()}', domain_id, namespace,
                          patience=timeout)
         self._on_status = on_status
-        self.status: ControllerStatus | None = None
+        self.last_status: ControllerStatus | None = None
         self._kept: dict[Topic, deque[Any]] = {
             topic: deque(maxlen=None if topic in QUEUED else 1)
             for topic in (*heard, topics.STATUS)}
@@ -226,9 +226,16 @@ class ControllerLink(GuestNode):
     def look(self) -> list[ControllerStatus]:
         """Return what the controller has said of itself and of commands since the last look."""
         found = [ControllerStatus.of(message) for message in self.queue(topics.STATUS)]
-        for self.status in found:
-            self._on_status(self.status)
+        for self.last_status in found:
+            self._on_status(self.last_status)
         return found
+
+    def ask(self, name: str, service: Any, request: Any) -> str:
+        """Call a service of the controller; return what it says, RunError where it refuses."""
+        answer = self.call(topics.CONTROLLER, service, name, request)
+        if not answer.success:
+            raise RunError(f'{topics.CONTROLLER}: {name} refused: {answer.message}')
+        return str(answer.message)
 
     def send(self, topic: Topic, command: Any, identifier: str) -> None:
         """Publish a command once, without waiting for an answer."""

@@ -251,13 +251,13 @@ class GraphSource:
 
     def _obeyed(self, desired: Vector) -> dict[str, float]:
         """Return the forces that are obeyed: commanded ones, or those of a scenario [N]."""
-        told = {} if self._link.status is None else self._link.status.forces
+        told = {} if self._link.last_status is None else self._link.last_status.forces
         return dict(told) or {
             name: force for name, force in zip(self._config.column_names, desired.tolist())
             if np.isfinite(force)}
 
     def _show(self) -> None:
-        config, status = self._config, self._link.status
+        config, status = self._config, self._link.last_status
         pose, wanted = (self._link.newest(topic) for topic in (topics.POSE, topics.POSE_DESIRED))
         if pose is None or wanted is None:
             return
@@ -305,7 +305,7 @@ class GraphSource:
 
     def _move(self, motion: Callable[..., str], /, **values: Any) -> str:
         """Begin a motion from where the point should be, or go on from the one being made."""
-        if self._link.status is not None and self._link.status.held:
+        if self._link.last_status is not None and self._link.last_status.held:
             raise CommandError('~/hold', 'released, to obey commands', 'held')
         if not self._motion.what:
             self._motion_identifier = new_identifier()
