@@ -134,15 +134,7 @@ class Controller:
         self.contacts['surface_speed_est'] = 0.0
 
     def check(self, config: ControllerConfig) -> None:
-        """
-        Raise if `reconfigure` cannot take a configuration.
-
-        Raises
-        ------
-        ConfigError
-            If it is not for the same arm, contacts and rate, or its contacts cannot be told apart.
-
-        """
+        """Raise a ConfigError for another arm, contacts or rate, and for dependent contacts."""
         for name in ('rate', 'robot', 'contact_names', 'column_names'):
             if getattr(config, name) != getattr(self.config, name):
                 raise ConfigError(name, f'{getattr(self.config, name)} while in use',
@@ -185,15 +177,7 @@ class Controller:
         self.arm.refresh()
 
     def start(self) -> Pose:
-        """
-        Design the force laws for where the arm is.
-
-        Returns
-        -------
-        Pose
-            That of the operational frame, from which a task starts.
-
-        """
+        """Design the force laws for where the arm is; return the pose from which a task starts."""
         self.laws = self._design(self.config)
         joints = self.arm.joints
         joints['posture'] = np.clip(  # what lies beyond a stop would be fought over
@@ -247,18 +231,12 @@ class Controller:
 
     def account_for(self, torque: Vector) -> None:
         """
-        Tell the force laws that another torque acts than the one that was answered.
+        Tell the force laws that another torque, shape (n,) [N m], acts than the one answered.
 
         It accelerates the contact points by N^T J M^-1 Delta Gamma more (the coordinates along
         N_i, by `paper` allocation), and so does what is fed forward beyond the estimate, which a
         force that cannot be reached never makes good. So much is added to the input that they
         predict with.
-
-        Parameters
-        ----------
-        torque
-            What is commanded, blended and within all limits, shape (n,) [N m].
-
         """
         terms, active = self.robot.terms, self.active
         if not active.any():
