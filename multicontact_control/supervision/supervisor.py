@@ -121,7 +121,7 @@ class Supervisor:
         self.safe = False
         self.outside: tuple[str, ...] = ()
         self._arm: ArmState | None = None  # once it was seen
-        self._found = 0  # of it; see `see_arm`
+        self._flags = 0  # of it; see `see_arm`
         self._touched = -1  # joint beyond which nothing is touched
         self._alarms: tuple[str, ...] = ()
         self._seen, self._wrench_known = Seen(), False
@@ -174,23 +174,23 @@ class Supervisor:
         try:
             seen = self.inputs.validate(inputs, self._gate.last if self._gate.begun else None)
             causes = self._see(inputs, seen)
-            if causes or self.safe or self._paused or not self.started:
+            resumes = self._paused or not self.started
+            if causes or self.safe or resumes:
                 reaction, causes = self._decide(causes)
                 if reaction not in CONTROLLED:
                     return self._react(reaction, causes)
-                part = 'law'
-                if self._paused or not self.started:
-                    self._resume()
             part = 'law'
+            if resumes:
+                self._resume()
             self.task.ask(self._task_ticks * self._period)
             limited = self.controller.answer()
             part = 'internal'
-            found = self.guarded and check_plausibility(*self._answered)
-            if not found:
+            doubts = self.guarded and check_plausibility(*self._answered)
+            if not doubts:
                 self._contradictions = 0
-            elif refused := self._object(found):
+            elif refused := self._weigh(doubts):
                 return self._refuse(refused)
-            if self._paused or not self.started:
+            if resumes:
                 self._take_over()
             torque, limits = self._gate.apply(
                 self.controller.active.tobytes() if self.guarded else None,
@@ -215,13 +215,13 @@ class Supervisor:
         self._seen, self._wrench_known = seen, seen.measured
         if seen.joints and arm.refresh():
             self._arm = arm
-            if arm.found or self._found:
+            if arm.found or self._flags:
                 self._alarms = TOO_FAST[arm.found & (OPERATIONAL_SPEED | JOINT_SPEED)]
                 self._alarms += self._touch(arm.found)
             if self.config.robot.adds_gravity:
                 self._gate.allow_for(self._own_weight())
-            self._found = arm.found
-        if self._found & AMBIGUOUS:  # what the contacts bear is of some time before
+            self._flags = arm.found
+        if self._flags & AMBIGUOUS:  # what the contacts bear is of some time before
             self._wrench_known = False
         self._controls['measured'] = self._wrench_known
         return seen.causes + self._alarms
@@ -280,13 +280,13 @@ class Supervisor:
 
     def _reaction_to(self, causes: tuple[str, ...]) -> str:
         reactions = reactions_of(self.config)
-        found = [reactions[cause.split('_')[0]] for cause in causes]
-        return max(found, key=SEVERITY.index, default=NONE)
+        called_for = [reactions[cause.split('_')[0]] for cause in causes]
+        return max(called_for, key=SEVERITY.index, default=NONE)
 
     def _resume(self) -> None:
         """Start the control law, or go on with it after a reaction."""
         controller = self.controller
-        if self._found & AMBIGUOUS:
+        if self._flags & AMBIGUOUS:
             controller.refuse()
         if self._paused and self.started:
             held = self.task.resume()
@@ -296,15 +296,15 @@ class Supervisor:
         if not controller.started:
             self.task.start(controller.start())
 
-    def _object(self, found: int) -> str:
-        """Return what speaks against the answer of the law, nothing if it may be commanded."""
-        if found & NOT_FINITE:
+    def _weigh(self, doubts: int) -> str:
+        """Return the cause to refuse the answer of the law, nothing if it may be commanded."""
+        if doubts & NOT_FINITE:
             return 'law_not_finite'
-        contradicted = found & (PULL | SIDEWAYS) and not self.task.locked
+        contradicted = doubts & (PULL | SIDEWAYS) and not self.task.locked
         self._contradictions = self._contradictions + 1 if contradicted else 0
         if contradicted and (self._contradictions >= CONTRADICTIONS or self._paused):
-            return 'wrench_pull' if found & PULL else 'wrench_sideways'
-        if found & OUTSIDE:  # the contacts have led there
+            return 'wrench_pull' if doubts & PULL else 'wrench_sideways'
+        if doubts & OUTSIDE:  # the contacts have led there
             self.task.lead_back()
         return ''
 
