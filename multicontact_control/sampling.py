@@ -63,9 +63,6 @@ class Decision(NamedTuple):
     inputs: TickInputs | None = None
 
 
-NOTHING = Decision(Action.WAIT)
-
-
 class SampleTiming:
     """
     Pairs the readings of one time, and decides what each message, or its absence, leads to.
@@ -106,10 +103,9 @@ class SampleTiming:
     last_stamp, expected_stamp, tick
         Of the newest sample, and of the one that should have come by now [ns], -1 for none; its
         number, from 0.
-    variance
-        The newest R, shape (r,) [N^2], or None.
-    due
-        When `late` is to be asked, monotonic time [ns]; 0 for never.
+    variance, due
+        The newest R, shape (r,) [N^2], or None; when to ask `late`, monotonic time [ns], 0 for
+        never.
     unpaired, skipped
         Readings without their other half, and samples that never came or were overtaken.
     apart, tolerance
@@ -168,13 +164,9 @@ class SampleTiming:
             self._inputs = self._inputs._replace(variance=VarianceInput(time, variance))
 
     def what_now(self, now: float, *, safe: bool = False) -> Decision:
-        """
-        Decide after a message that came `now` [ns], in the safe behaviour if `safe`.
-
-        A step takes the newest of each input, at the time of the sample.
-        """
+        """Decide after a message that came `now` [ns], in the safe behaviour if `safe`."""
         if self._waiting is None:
-            return NOTHING
+            return Decision(Action.WAIT)
         stamp, joints, wrench = self._waiting
         came_again, self._came_again = self._came_again, False
         action = Action.STEP
@@ -206,19 +198,17 @@ class SampleTiming:
         self.tick, self.last_stamp, self.expected_stamp = tick, stamp, stamp
         self._time, self._since, self._late, self._repeats = time, now, 0, 0
         self.due = int(now + self._patience_ns) if self._patience_ns else 0
-        before = self._inputs
+        _, joints_before, wrench_before, variance = self._inputs
         self._inputs = TickInputs(
             time if self._supervised else tick * self._period,
-            before.joints if joints is None else JointInput(
-                time, joints.q, joints.qd, joints.effort),
-            before.wrench if wrench is None else WrenchInput(time, wrench.wrench_sensor),
-            before.variance)
+            JointInput(time, joints.q, joints.qd, joints.effort) if joints else joints_before,
+            WrenchInput(time, wrench.wrench_sensor) if wrench else wrench_before, variance)
         return Decision(action, self._inputs)
 
     def late(self, now: int) -> Decision:
         """Decide if `due` has passed `now` [ns] and everything that has come is taken in."""
         if not 0 < self.due <= now:
-            return NOTHING
+            return Decision(Action.WAIT)
         newest = max(self._halves.values(), key=lambda half: half.stamp, default=None)
         if newest is not None and newest.stamp > self.last_stamp + self.tolerance:
             del self._halves[type(newest)]
@@ -232,7 +222,7 @@ class SampleTiming:
         ticks, self._late = passed - self._late, passed
         self.due = int(self._since + self._patience_ns + (periods_late + 1) * self._period_ns)
         if not ticks:  # what is only late is waited for one more period
-            return NOTHING
+            return Decision(Action.WAIT)
         self.expected_stamp = self.last_stamp + round(passed * self._period * 1e9)
         self._time += ticks * self._period
         self._inputs = self._inputs._replace(time=self._time)

@@ -30,7 +30,6 @@ from multicontact_control.nodes.diagnostics import (
     Inputs,
     LoopStatistics,
     message_status,
-    STALE_PERIODS,
     Status,
 )
 from multicontact_control.nodes.graph import (
@@ -122,7 +121,7 @@ class SimNode(Node):
             topics.EFFORT_COMMAND.message, topics.EFFORT_COMMAND.name, self._on_command, qos.INPUT,
             raw=True)
         self._watch = LoopStatistics(config.rate)
-        self._inputs = Inputs(self, topics.EFFORT_COMMAND)
+        self._inputs = Inputs(self, config.rate, topics.EFFORT_COMMAND)
         self._diagnostics = Diagnostics(self, self._statuses)
         # Kept by the publisher for whoever comes late.
         description.publish(String(data=self._plant.description.urdf))
@@ -352,7 +351,7 @@ class SimNode(Node):
                 self._answered = tick
                 if tick > 0:  # the answer to the first sample waits for everything to start
                     latency = received - int(self._published[tick % REMEMBERED])
-                    self._watch.add_latency(latency)
+                    self._watch.latencies.add(latency)
                     # The node may have been late itself, so that nobody saw the deadline pass.
                     if tick == self._tick and latency > self._period:
                         self._miss()
@@ -367,7 +366,7 @@ class SimNode(Node):
         return [
             Status('loop', loop, warning=f'{missed} deadlines missed' if missed else ''),
             self._inputs.status(
-                STALE_PERIODS / self._config.rate, needed=self._tick > 0,
+                needed=self._tick > 0,
                 consequence=': the drives hold their position' if self._hold.holding
                 else ': the last torque is held'),
             Status('contacts', {

@@ -61,8 +61,7 @@ class ContactMarkers:
         feet = pose.position_world + self._points_operational @ pose.rotation_world.T
         alpha = np.array(forces)[:, self._leaders, None]
         # Beside each other in the surface: up, or along world -y where it is about level.
-        level = np.abs(normals[:, 2:]) >= 0.8
-        axes = np.where(level, (0.0, -1.0, 0.0), (0.0, 0.0, 1.0))
+        axes = np.where(np.abs(normals[:, 2:]) >= 0.8, (0.0, -1.0, 0.0), (0.0, 0.0, 1.0))
         along = axes - normals * np.sum(normals * axes, axis=1, keepdims=True)
         beside = along / np.linalg.norm(along, axis=1, keepdims=True)
         tips = feet + np.arange(len(forces))[:, None, None] * BESIDE * beside

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 import contextlib
 from functools import partial
 import sys
@@ -18,20 +18,14 @@ from multicontact_control.errors import (
     SingularTaskError,
 )
 from multicontact_control.loop import ControlLoop
-from multicontact_control.nodes import qos, topics
+from multicontact_control.nodes import qos, streams, topics
 from multicontact_control.nodes.controller_config import ControllerNodeConfig, SAFE_TIME
 from multicontact_control.nodes.controller_report import ControllerReport
 from multicontact_control.nodes.controller_topics import ControllerOutputs, serve_commands
 from multicontact_control.nodes.diagnostics import Status
 from multicontact_control.nodes.lifecycle import ACTIVE, INACTIVE, ManagedNode
 from multicontact_control.nodes.runtime import run_node, Spinner
-from multicontact_control.nodes.streams import (
-    joint_state_reader,
-    MessageReader,
-    variance_reader,
-    wrench_reader,
-)
-from multicontact_control.sampling import Action, Decision, NANOSECONDS, SampleTiming
+from multicontact_control.sampling import Action, Decision, JointReading, SampleTiming
 from multicontact_control.supervision.inputs import JointInput, TickInputs, WrenchInput
 import numpy as np
 from std_msgs.msg import Float64MultiArray
@@ -65,12 +59,14 @@ class ControllerNode(ManagedNode):
             feels=config.wrench_input != 'momentum', patience=node_config.patience,
             pair_tolerance=node_config.pair_tolerance)
         wrench = topics.WRENCHES.get(config.wrench_input)
-        self._inputs: dict[topics.Topic, tuple[MessageReader[Any], Callable[[Any], None]]] = {
-            topics.NOISE_VARIANCE: (
-                variance_reader(config.column_names), lambda found: timing.add_variance(*found)),
-            topics.JOINT_STATES: (joint_state_reader(config.robot.joint_names), timing.add)}
+        self._inputs: dict[topics.Topic, tuple[streams.MessageReader[Any], Any]] = {
+            topics.NOISE_VARIANCE: (streams.variance_reader(config.column_names),
+                                    lambda found: timing.add_variance(*found)),
+            topics.JOINT_STATES: (streams.named_reader(  # not every robot measures its torques
+                config.robot.joint_names, streams.JOINT_FIELDS, JointReading, 'effort'),
+                timing.add)}
         if wrench is not None:
-            self._inputs[wrench] = wrench_reader(config.robot.sensor_frame), timing.add
+            self._inputs[wrench] = streams.wrench_reader(config.robot.sensor_frame), timing.add
         self._outputs = ControllerOutputs(self, config, node_config)
         self._report = ControllerReport(self, loop, timing, [*self._inputs])
         serve_commands(self, loop, self._report.answer, lambda: self._node_config)
@@ -101,9 +97,9 @@ class ControllerNode(ManagedNode):
         if not self.working:
             return
         self.trigger_deactivate()
-        end = time.monotonic_ns() + SAFE_TIME * NANOSECONDS
+        end = time.monotonic_ns() + SAFE_TIME
         while time.monotonic_ns() < min(  # a robot that has been silent for as long is gone
-                end, self._report.watch.last + SAFE_TIME * NANOSECONDS):
+                end, self._report.watch.last + SAFE_TIME):
             self.spin_once(spinner)
 
     def clean_up(self) -> None:
@@ -182,7 +178,7 @@ class ControllerNode(ManagedNode):
             if outputs.publish_bare is not None:
                 outputs.publish_bare(Float64MultiArray(data=torque))
         if inputs is not None:
-            self._report.watch.add_latency(time.monotonic_ns() - start)
+            self._report.watch.latencies.add(time.monotonic_ns() - start)
             self._report.look()
         if action in WHOLE:
             self._report.watch.add_period(start)
@@ -201,10 +197,7 @@ def _warm_up(loop: ControlLoop) -> None:
     loop.restart()
 
 
-def main() -> int:
-    """Run the controller node."""
-    return run_node(ControllerNode)
-
+main = partial(run_node, ControllerNode)
 
 if __name__ == '__main__':
     sys.exit(main())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 import math
 import time
 from typing import Any
@@ -11,19 +11,14 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from multicontact_control.contact.geometry import misread_friction
 from multicontact_control.loop import ControlLoop
 from multicontact_control.nodes import topics
-from multicontact_control.nodes.diagnostics import (
-    Inputs,
-    LoopStatistics,
-    message_status,
-    STALE_PERIODS,
-    Status,
-)
+from multicontact_control.nodes.diagnostics import Inputs, LoopStatistics, message_status, Status
 from multicontact_control.nodes.graph import create_publisher
 from multicontact_control.nodes.lifecycle import ACTIVE, INACTIVE, ManagedNode
 from multicontact_control.nodes.status import ACCEPTED, ControllerStatus, REFUSED, STATE
 from multicontact_control.sampling import NANOSECONDS, SampleTiming
 from multicontact_control.supervision.contacts import GIVEN_UP, LOST, NAMES, RETRACTING
 from multicontact_control.supervision.reactions import INFLATE, NONE, SEVERITY
+from multicontact_control.supervision.report import SupervisorStatus
 import numpy as np
 
 REPEAT_TIME = 5_000_000_000  # ns, in which a line is logged once
@@ -33,6 +28,7 @@ TROUBLED = tuple(NAMES[code] for code in (LOST, RETRACTING, GIVEN_UP))
 STIFFNESS_VALUES = ('stiffness', 'stiffness_est', 'stiffness_std', 'ratio_bound', 'margin')
 # Samples from which on a rate is known, and the factor from which on it is a wrong one.
 FEWEST, WRONG_RATE = 10, 1.3
+QUIET = SupervisorStatus(NONE, (), (), (), (), 0.0)  # before the first sample, and bare
 
 
 class ControllerReport:
@@ -50,14 +46,13 @@ class ControllerReport:
         inputs: Sequence[topics.Topic],
     ) -> None:
         self._node, self._loop, self._timing = node, loop, timing
-        self.inputs, self.watch = Inputs(node, *inputs), LoopStatistics(loop.config.rate)
-        self._pair = [topic for topic in inputs if topic is not topics.NOISE_VARIANCE]
+        self.inputs = Inputs(node, loop.config.rate, *inputs)
+        self.watch = LoopStatistics(loop.config.rate)
         self._publisher = create_publisher(node, topics.STATUS)
-        self.restarts = self._refused = 0
+        self.restarts = self._refused = self._next_state = self._next_answer = 0
         self._log_due: dict[str, int] = {}
-        self._before: tuple[Any, ...] = ((NONE, (), ()), '')
+        self._before: tuple[Any, ...] = (NONE, (), '')
         self._answered: tuple[Any, ...] = ()
-        self._next_state = self._next_answer = 0
         self._reported_at = (0, -1)  # number and stamp of the newest sample
 
     def answer(self, source: str, identifier: str, error: Exception | None) -> None:
@@ -69,25 +64,26 @@ class ControllerReport:
         if (identifier or error is not None) and (
                 answer != self._answered or now >= self._next_answer):
             self._answered, self._next_answer = answer, now + ANSWER_INTERVAL
-            self._publish(*(ACCEPTED, identifier) if error is None else (
-                REFUSED, identifier, f'{source}: {error}'))
+            if error is None:
+                self._publish(ACCEPTED, identifier)
+            else:
+                self._publish(REFUSED, identifier, f'{source}: {error}')
 
     def look(self) -> None:
         """Tell what has changed with the newest tick, if anything has."""
-        loop, status = self._loop, self._loop.status
-        did = (NONE, (), ()) if status is None else (
-            status.reaction, status.causes, status.contact_states)
-        now = (did, loop.push_gate.instruction, loop.safe, loop.held, self._node.state,
-               *loop.commanded_forces.values())
-        for name in status.rejected if status else ():
+        loop, status = self._loop, self._loop.status or QUIET
+        instruction = loop.push_gate.instruction
+        now = (status.reaction, status.causes, instruction, status.contact_states, loop.safe,
+               loop.held, self._node.state, *loop.commanded_forces.values())
+        for name in status.rejected:
             self._warn(name, f'a reading is not used: {name}')
         if now == self._before or time.monotonic_ns() < self._next_state:
             return
         before, self._before = self._before, now
-        if did[:2] != before[0][:2]:
-            self._warn(f'{did}', _reaction_text(loop) or 'control goes on')
-        if now[1] not in ('', before[1]):
-            self._node.get_logger().info(f'push test: {now[1]}')
+        if now[:2] != before[:2]:
+            self._warn(f'{now[:2]}', self._reaction() or 'control goes on')
+        if instruction not in ('', before[2]):
+            self._node.get_logger().info(f'push test: {instruction}')
         self._next_state = time.monotonic_ns() + STATE_INTERVAL
         self._publish(STATE)
 
@@ -100,15 +96,14 @@ class ControllerReport:
         return text
 
     def _publish(self, event: str, identifier: str = '', refusal: str = '') -> None:
-        loop, status, reaction = self._loop, self._loop.status, _reaction_text(self._loop)
+        loop, status, reaction = self._loop, self._loop.status or QUIET, self._reaction()
         text = refusal or reaction or loop.push_gate.instruction or (
             'safe behaviour' if loop.safe else 'held' if loop.held else 'ok')
-        states = zip(loop.config.contact_names, status.contact_states) if status else ()
         self._publisher.publish(ControllerStatus(
             event=event, command=identifier, text=text, life_cycle=self._node.state,
-            reaction=status.reaction if status else NONE,
-            causes=' '.join(status.causes) if status else '',
-            contacts=', '.join(f'{name} {state}' for name, state in states),
+            reaction=status.reaction, causes=' '.join(status.causes),
+            contacts=', '.join(f'{name} {state}' for name, state in zip(
+                loop.config.contact_names, status.contact_states)),
             held=loop.held, refused=self._refused, push_test=loop.push_gate.instruction,
             forces=loop.commanded_forces).message(
                 f'{self._node.get_name()}: status',
@@ -119,49 +114,43 @@ class ControllerReport:
         loop, timing, active = self._loop, self._timing, self._node.state == ACTIVE
         self._publish(STATE)
         self.watch.missed, timing.skipped = timing.skipped, 0
-        warnings = [f'{self.watch.missed} samples without a command' if self.watch.missed else '',
-                    *((self._without_pairs(), self._at_another_rate()) if active else ())]
-        stale = STALE_PERIODS * loop.config.period
-        held = self.inputs.age(topics.NOISE_VARIANCE) > stale
+        warnings = [f'{self.watch.missed} samples without a command'] if self.watch.missed else []
+        if active:
+            warnings += self._wrong_stamps()
+        held = self.inputs.age(topics.NOISE_VARIANCE) > self.inputs.max_age
         return [
             Status('loop', {
                 **self.watch.report(), 'steps': self.watch.latencies.count,
                 'restarts': self.restarts, 'safe_behaviour': loop.safe,
-                'supervised': loop.supervisor.guarded}, '; '.join(filter(None, warnings))),
-            self.inputs.status(stale, needed=active,
-                               consequence=': the last R is held' if held else ''),
+                'supervised': loop.supervisor.guarded}, '; '.join(warnings)),
+            self.inputs.status(
+                needed=active, consequence=': the last R is held' if held else ''),
             self._contacts(), self._sensor(),
             message_status(self._node.refusals, unpaired=timing.unpaired, slow=slow),
             *([self._supervisor()] if loop.supervisor.guarded else [])]
 
-    def _at_another_rate(self) -> str:
-        """Say at what rate samples have come since this was asked last, if it is a wrong one."""
+    def _wrong_stamps(self) -> Iterator[str]:
+        """Yield that no readings are a pair, and that their rate since the last call is wrong."""
+        timing, config, now = self._timing, self._loop.config, time.monotonic_ns()
+        pair = [topic for topic in self.inputs.last if topic is not topics.NOISE_VARIANCE]
+        if timing.apart and now - self.watch.last >= NANOSECONDS and all(
+                self.inputs.age(topic) <= 1.0 for topic in pair):
+            yield self._warn('apart', (
+                f'{" and ".join(topic.name for topic in pair)} come, but their stamps are '
+                f'{abs(timing.apart) * 1e-6:.6g} ms apart: expected at most '
+                f'{timing.tolerance * 1e-6:g} ms (pair_tolerance), of one clock'))
         samples, stamp = self._reported_at
-        self._reported_at = self.watch.intervals.count, self._timing.last_stamp
-        count = self._reported_at[0] - samples
-        elapsed = (self._timing.last_stamp - stamp) / NANOSECONDS
-        if stamp < 0 or count < FEWEST or elapsed < 0.0:
-            return ''
-        rate, expected = count / elapsed if elapsed else math.inf, self._loop.config.rate
-        return '' if expected / WRONG_RATE < rate < expected * WRONG_RATE else self._warn(
-            'rate', f'samples come at {rate:.4g} Hz by their stamps: expected {expected:g} Hz')
-
-    def _without_pairs(self) -> str:
-        """Return how far joint states and wrenches are apart if none of them is a pair."""
-        since = (time.monotonic_ns() - self.watch.last) / NANOSECONDS
-        if since < 1.0 or not self._timing.apart or any(
-                self.inputs.age(topic) > 1.0 for topic in self._pair):
-            return ''
-        return self._warn('apart', (
-            f'{" and ".join(topic.name for topic in self._pair)} come, but their stamps are '
-            f'{abs(self._timing.apart) * 1e-6:.6g} ms apart: expected at most '
-            f'{self._timing.tolerance * 1e-6:g} ms (pair_tolerance), of one clock'))
+        self._reported_at = self.watch.intervals.count, timing.last_stamp
+        count, elapsed = self._reported_at[0] - samples, (timing.last_stamp - stamp) / NANOSECONDS
+        if stamp >= 0 and count >= FEWEST and elapsed >= 0.0:
+            rate = count / elapsed if elapsed else math.inf
+            if not config.rate / WRONG_RATE < rate < config.rate * WRONG_RATE:
+                yield self._warn('rate', f'samples come at {rate:.4g} Hz by their stamps: '
+                                 f'expected {config.rate:g} Hz')
 
     def _supervisor(self) -> Status:
         """Return what the supervisor does, and in how many ticks it did something else."""
-        status, log = self._loop.status, self._loop.events
-        if status is None:
-            return Status('supervisor', {'reaction': NONE})
+        status, log = self._loop.status or QUIET, self._loop.events
         severe = SEVERITY.index(status.reaction) > SEVERITY.index(INFLATE)
         return Status('supervisor', {
             'reaction': status.reaction, 'causes': ' '.join(status.causes) or 'none',
@@ -169,7 +158,16 @@ class ControllerReport:
             **{f'{what} {name}': count for what, counts in (
                 ('ticks with', log.reactions), ('rejected', log.rejected),
                 ('limited', log.limited)) for name, count in counts.items() if name != NONE}},
-            **{'error' if severe else 'warning': _reaction_text(self._loop)})
+            **{'error' if severe else 'warning': self._reaction()})
+
+    def _reaction(self) -> str:
+        """Return what the supervisor does instead of control, and why; empty if nothing."""
+        status, outside = self._loop.status or QUIET, self._loop.supervisor.outside
+        causes = ', '.join(status.causes)
+        if status.reaction in (NONE, INFLATE):
+            return f'R is inflated: {causes}' if status.reaction == INFLATE else ''
+        return f'{status.reaction} instead of control: {causes}' + (
+            f', until the arm is inside its limits: {"; ".join(outside)}' if outside else '')
 
     def _contacts(self) -> Status:
         """Return the states and forces of the contacts, and R [N^2]."""
@@ -204,16 +202,3 @@ class ControllerReport:
                        'force_control': 'allowed' if gate.open else 'disabled'},
             gate.instruction if gate.running or not gate.open else '',
             f'the readings are {fault}' if fault else gate.instruction if failed else '')
-
-
-def _reaction_text(loop: ControlLoop) -> str:
-    """Return what the supervisor does instead of control, and why; empty if nothing."""
-    status = loop.status
-    if status is None or status.reaction == NONE:
-        return ''
-    causes = ', '.join(status.causes)
-    if status.reaction == INFLATE:
-        return f'R is inflated: {causes}'
-    outside = '; '.join(loop.supervisor.outside)
-    return f'{status.reaction} instead of control: {causes}' + (
-        f', until the arm is inside its limits: {outside}' if outside else '')

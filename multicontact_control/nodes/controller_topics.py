@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
@@ -45,7 +45,6 @@ OF_STIFFNESS = (topics.STIFFNESS, topics.STABILITY_MARGIN)
 
 
 def _seven(pose: Pose) -> Vector:
-    """Return the numbers of a pose message: position and quaternion, shape (7,)."""
     return np.concatenate((pose.position_world, pose.quaternion_xyzw))
 
 
@@ -90,25 +89,15 @@ class ControllerOutputs:
                 output.active, output.contacts['normal']))
 
 
-class Service(NamedTuple):
-    """A service of the controller's node: its name in it, class, and content for the reference."""
-
-    name: str
-    kind: Any
-    content: str
-
-
-TARE = Service(
-    'tare', Trigger, 'Takes the present reading of the wrist sensor for its bias; refused while '
-    'a contact is under force control, or pressed by a reaction.')
-HOLD = Service('hold', SetBool, 'Holds the present pose and forces, or lets go of them.')
-RETRY = Service(
-    'retry', Trigger, 'Resumes control that waits for an operator (cause `latched`), and seeks '
-    'contacts that were given up.')
-PUSH_TEST = Service(
-    'push_test', Trigger, 'Begins the push test: log, diagnostics and `~/status` say where to '
-    'push the tool.')
-SERVICES = (TARE, HOLD, RETRY, PUSH_TEST)
+# The services of the controller's node: class, and content for the reference.
+SERVICES = {
+    'tare': (Trigger, 'Takes the present reading of the wrist sensor for its bias; refused while '
+             'a contact is under force control, or pressed by a reaction.'),
+    'hold': (SetBool, 'Holds the present pose and forces, or lets go of them.'),
+    'retry': (Trigger, 'Resumes control that waits for an operator (cause `latched`), and seeks '
+              'contacts that were given up.'),
+    'push_test': (Trigger, 'Begins the push test: log, diagnostics and `~/status` say where to '
+                  'push the tool.')}
 
 
 def serve_commands(
@@ -158,7 +147,6 @@ def serve_commands(
         node.create_subscription(
             topic.message, topic.name, lambda message, source=topic.name, work=command: obey(
                 source, work, message, identifier_of(message)), qos.COMMAND)
-    for service, work in ((TARE, tare), (HOLD, hold), (RETRY, lambda _: loop.retry()),
-                          (PUSH_TEST, push_test)):
-        name = f'~/{service.name}'
-        node.create_service(service.kind, name, partial(serve, name, work))
+    works = {'tare': tare, 'hold': hold, 'retry': lambda _: loop.retry(), 'push_test': push_test}
+    for name, (kind, _) in SERVICES.items():
+        node.create_service(kind, f'~/{name}', partial(serve, f'~/{name}', works[name]))

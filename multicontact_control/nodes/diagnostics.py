@@ -86,19 +86,13 @@ class DurationLog:
 
 
 class LoopStatistics:
-    """
-    Rate, jitter and latency of a loop that should run at `rate` [Hz].
-
-    The node counts deadlines `missed` since the last report; `last` is the newest turn, monotonic
-    time [ns].
-    """
+    """Rate, jitter and latency of a loop that should run at `rate` [Hz], since the last report."""
 
     def __init__(self, rate: float) -> None:
         self._rate = rate
         self.intervals, self.latencies = DurationLog(), DurationLog()
-        self.add_latency = self.latencies.add
         self._reported = (time.monotonic_ns(), 0, 0)
-        self.missed = self.last = 0
+        self.missed = self.last = 0  # deadlines, by the node; the last turn, monotonic time [ns]
 
     def add_period(self, now: int) -> None:
         """Take note of a turn of the loop at a monotonic time [ns]."""
@@ -107,7 +101,7 @@ class LoopStatistics:
         self.last = now
 
     def report(self) -> dict[str, float | int | None]:
-        """Return what was seen since the last call; jitter is the deviation from the period."""
+        """Return what was seen; jitter is the deviation from the period."""
         now, missed = time.monotonic_ns(), self.missed
         start, intervals, latencies = self._reported
         self._reported, self.missed = (now, self.intervals.count, self.latencies.count), 0
@@ -122,28 +116,27 @@ class LoopStatistics:
 
 
 class Inputs:
-    """When each input of a node came `last`, monotonic time [ns]; logs what is missing."""
+    """When each input came `last`, monotonic time [ns]; logs what is missing."""
 
-    def __init__(self, node: Node, *inputs: Topic) -> None:
-        self._node = node
+    def __init__(self, node: Node, rate: float, *inputs: Topic) -> None:
+        self._node, self.max_age = node, STALE_PERIODS / rate  # s
         self.last = dict.fromkeys(inputs, 0)
         self.restart()
 
     def restart(self) -> None:
         """Wait for all of them from now on."""
-        self.last = dict.fromkeys(self.last, 0)
-        self._since = time.monotonic_ns()
+        self.last, self._since = dict.fromkeys(self.last, 0), time.monotonic_ns()
 
     def age(self, topic: Topic) -> float:
         """Return how long ago an input came last [s], infinity if it never has."""
         last = self.last[topic]
         return (time.monotonic_ns() - last) * 1e-9 if last else math.inf
 
-    def status(self, max_age: float, *, needed: bool, consequence: str = '') -> Status:
-        """Return ages; if `needed`, which are above `max_age` [s], and what is done about it."""
+    def status(self, *, needed: bool, consequence: str = '') -> Status:
+        """Return ages; if `needed`, which are above `max_age`, and what is done about it."""
         ages = {topic.name: self.age(topic) for topic in self.last}
         stale = [f'no {name} for {age:.3g} s' if age < math.inf else f'no {name} ever'
-                 for name, age in ages.items() if age > max_age and needed]
+                 for name, age in ages.items() if age > self.max_age and needed]
         if missing := [text for topic in self.last for text in self._missing(topic) if needed]:
             self._node.get_logger().warning(
                 '; '.join(missing), throttle_duration_sec=REMINDER_PERIOD)

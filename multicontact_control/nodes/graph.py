@@ -21,7 +21,7 @@ from rclpy.expand_topic_name import expand_topic_name
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 from rclpy.validate_full_topic_name import validate_full_topic_name
 from std_msgs.msg import Empty
@@ -69,19 +69,16 @@ def create_publisher(node: Node, topic: Topic) -> Publisher:
 
 def compatible(offered: QoSProfile, requested: QoSProfile) -> bool:
     """Return whether a publisher offers the reliability and durability that a reader requests."""
-    # rclpy's own check takes the endless deadline of a discovered reader for one that is set.
-    return not (
-        (offered.reliability, requested.reliability) == (
-            ReliabilityPolicy.BEST_EFFORT, ReliabilityPolicy.RELIABLE)
-        or (offered.durability, requested.durability) == (
-            DurabilityPolicy.VOLATILE, DurabilityPolicy.TRANSIENT_LOCAL))
+    # The stronger policy has the lower number. rclpy's own check takes the endless deadline of a
+    # discovered reader for one that is set.
+    return bool(offered.reliability <= requested.reliability
+                and offered.durability <= requested.durability)
 
 
 def take(subscription: Subscription) -> tuple[Any, dict[str, Any]] | None:
     """Return the next message that waits, and what is known of it; no executor is needed."""
-    handle = subscription.handle
-    with handle:
-        taken: tuple[Any, dict[str, Any]] | None = handle.take_message(
+    with subscription.handle:
+        taken: tuple[Any, dict[str, Any]] | None = subscription.handle.take_message(
             subscription.msg_type, subscription.raw)
     return taken
 
@@ -140,13 +137,12 @@ class StartupGate:
     def poll(self) -> bool:
         """Return whether the gate is open; log now and then what is missing."""
         now = time.monotonic()
-        if self.open or now < self._next_poll:
-            return self.open
-        self._next_poll, missing = now + GATE_POLL, self._missing()
-        self.open = not missing
-        if missing and now > self._next_report:
-            self._next_report = now + REPORT_PERIOD
-            self._node.get_logger().info(f'waiting for {"; ".join(missing)}')
+        if not self.open and now >= self._next_poll:
+            self._next_poll, missing = now + GATE_POLL, self._missing()
+            self.open = not missing
+            if missing and now > self._next_report:
+                self._next_report = now + REPORT_PERIOD
+                self._node.get_logger().info(f'waiting for {"; ".join(missing)}')
         return self.open
 
     def _missing(self) -> list[str]:

@@ -113,7 +113,7 @@ class ManagedNode(LifecycleNode):
         if self.state in (ACTIVE, INACTIVE):
             self.clean_up()
 
-    def on_configure(self, _state: LifecycleState) -> TransitionCallbackReturn:
+    def on_configure(self, _state: LifecycleState) -> Any:
         """Implement `LifecycleNode`."""
         def work() -> None:
             self.configure(self.parameter_set.configurations())
@@ -121,7 +121,7 @@ class ManagedNode(LifecycleNode):
             settle_process()
         return self._attempt('configure', work, INACTIVE)
 
-    def on_activate(self, _state: LifecycleState) -> TransitionCallbackReturn:
+    def on_activate(self, _state: LifecycleState) -> Any:
         """Implement `LifecycleNode`."""
         def work() -> None:
             self._gate = StartupGate(self, self.activate())
@@ -129,16 +129,16 @@ class ManagedNode(LifecycleNode):
             self.working = self._gate.open or self._gate_passed
         return self._attempt('activate', work, ACTIVE)
 
-    def on_deactivate(self, _state: LifecycleState) -> TransitionCallbackReturn:
+    def on_deactivate(self, _state: LifecycleState) -> Any:
         """Implement `LifecycleNode`."""
         self.working = False
         return self._attempt('deactivate', self.deactivate, INACTIVE)
 
-    def on_cleanup(self, _state: LifecycleState) -> TransitionCallbackReturn:
+    def on_cleanup(self, _state: LifecycleState) -> Any:
         """Implement `LifecycleNode`."""
         return self._attempt('clean up', self._end, UNCONFIGURED)
 
-    def on_shutdown(self, _state: LifecycleState) -> TransitionCallbackReturn:
+    def on_shutdown(self, _state: LifecycleState) -> Any:
         """Implement `LifecycleNode`."""
         return self._attempt('shut down', self._end, FINALIZED)
 
@@ -162,9 +162,7 @@ class ManagedNode(LifecycleNode):
         gc.unfreeze()  # what `settle_process` froze
         gc.collect()
 
-    def _attempt(
-        self, what: str, work: Callable[[], None], goal: str,
-    ) -> TransitionCallbackReturn:
+    def _attempt(self, what: str, work: Callable[[], None], goal: str) -> Any:
         """Do the work of a transition; rclpy would swallow what it raises."""
         self.get_logger().info(f'asked to {what}')
         try:

@@ -244,11 +244,11 @@ class ControllerLink(GuestNode):
 
     def accepted(self, identifier: str) -> bool | None:
         """Return True if a command was accepted since the last look; CommandRefusedError."""
-        answers = [status for status in self.look() if status.command == identifier]
-        for answer in answers:
-            if answer.event == REFUSED:
-                raise CommandRefusedError(answer.text)
-        return True if answers else None
+        found = [status for status in self.look() if status.command == identifier]
+        for status in found:
+            if status.event == REFUSED:
+                raise CommandRefusedError(status.text)
+        return bool(found) or None
 
     def command(self, topic: Topic, command: Any) -> None:
         """Publish a command until it is accepted; CommandRefusedError, RunError without answer."""

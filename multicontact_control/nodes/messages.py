@@ -21,6 +21,7 @@ from multicontact_control.sampling import NANOSECONDS
 import numpy as np
 from numpy.typing import ArrayLike
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Header
 from trajectory_msgs.msg import MultiDOFJointTrajectoryPoint
 
 LAST_SECOND = 2 ** 31 - 1
@@ -104,17 +105,13 @@ def _fill(values: ArrayLike, field: str, axes: str, *parts: Any) -> None:
             setattr(part, axis, next(numbers))
 
 
-def _stamped(message: Any, stamp: int, frame_id: str) -> Any:
-    message.header.stamp, message.header.frame_id = ns_to_stamp(stamp), frame_id
-    return message
-
-
 def joint_state_message(
     stamp: int, names: Sequence[str], *, position: ArrayLike | None = None,
     velocity: ArrayLike | None = None, effort: ArrayLike | None = None, frame_id: str = '',
 ) -> JointState:
     """Build a named list of numbers."""
-    message = _stamped(JointState(name=list(names)), stamp, frame_id)
+    message = JointState(name=list(names))
+    message.header = Header(stamp=ns_to_stamp(stamp), frame_id=frame_id)
     for field, values in (('position', position), ('velocity', velocity), ('effort', effort)):
         if values is not None:
             numbers = finite_array(values, len(names), field)
@@ -124,7 +121,7 @@ def joint_state_message(
 
 def wrench_message(stamp: int, wrench: ArrayLike, frame_id: str) -> WrenchStamped:
     """Build a wrench, force first."""
-    message = _stamped(WrenchStamped(), stamp, frame_id)
+    message = WrenchStamped(header=Header(stamp=ns_to_stamp(stamp), frame_id=frame_id))
     _fill(wrench, 'wrench', 'xyz', message.wrench.force, message.wrench.torque)
     return message
 
@@ -133,7 +130,7 @@ def pose_message(
     stamp: int, position_world: ArrayLike, quaternion_xyzw: ArrayLike, frame_id: str,
 ) -> PoseStamped:
     """Build a pose."""
-    message = _stamped(PoseStamped(), stamp, frame_id)
+    message = PoseStamped(header=Header(stamp=ns_to_stamp(stamp), frame_id=frame_id))
     _fill(position_world, 'position', 'xyz', message.pose.position)
     _fill(quaternion_xyzw, 'orientation', 'xyzw', message.pose.orientation)
     return message

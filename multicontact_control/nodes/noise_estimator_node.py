@@ -11,23 +11,10 @@ from typing import Any
 
 from multicontact_control.config import NoiseEstimatorConfig
 from multicontact_control.force.noise import Innovation, make_noise_estimator
-from multicontact_control.nodes import messages, qos, topics
-from multicontact_control.nodes.diagnostics import (
-    Inputs,
-    LoopStatistics,
-    message_status,
-    STALE_PERIODS,
-    Status,
-)
+from multicontact_control.nodes import messages, qos, streams, topics
+from multicontact_control.nodes.diagnostics import Inputs, LoopStatistics, message_status, Status
 from multicontact_control.nodes.lifecycle import ACTIVE, ManagedConfig, ManagedNode
 from multicontact_control.nodes.runtime import run_node, Spinner
-from multicontact_control.nodes.streams import (
-    JOINT_FIELDS,
-    MessageReader,
-    named_reader,
-    NamedReading,
-    StreamPublisher,
-)
 import numpy as np
 
 MAX_INNOVATIONS = 8
@@ -38,7 +25,7 @@ class NoiseEstimatorNode(ManagedNode):
     Publishes R_k for every measured force.
 
     A sample that comes again gets the same answer again; one that is older than the last starts
-    the window anew. Inactive it is silent, and whoever needs R holds the last one.
+    the window anew. Inactive it is silent: the controller holds the last R.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -52,23 +39,23 @@ class NoiseEstimatorNode(ManagedNode):
         self._estimator = make_noise_estimator(self._config)
         self._estimator.update(np.zeros(len(names)))  # the first one takes a while
         self._watch = LoopStatistics(self._config.rate)
-        self._publisher = StreamPublisher(self, topics.NOISE_VARIANCE, (
+        self._publisher = streams.StreamPublisher(self, topics.NOISE_VARIANCE, (
             messages.joint_state_message(0, names, effort=np.zeros(len(names)))))
-        self._readers: dict[topics.Topic, MessageReader[Any]] = {
-            topics.MEASURED_FORCES: named_reader(names, ('effort',), NamedReading)}
+        self._readers: dict[topics.Topic, streams.MessageReader[Any]] = {
+            topics.MEASURED_FORCES: streams.named_reader(names, ('effort',), streams.NamedReading)}
         if self._estimator.uses_innovation:
-            self._readers[topics.INNOVATION] = named_reader(
-                names, JOINT_FIELDS, lambda stamp, variance_used, prior_variance, innovation: (
-                    stamp, Innovation(innovation, prior_variance, variance_used)))
+            self._readers[topics.INNOVATION] = streams.named_reader(
+                names, streams.JOINT_FIELDS, lambda stamp, variance, prior, innovation: (
+                    stamp, Innovation(innovation, prior, variance)))
         for topic in self._readers:
             self.create_subscription(
                 topic.message, topic.name, partial(self._on_message, topic), qos.INPUT, raw=True)
-        self._inputs = Inputs(self, *self._readers)
+        self._inputs = Inputs(self, self._config.rate, *self._readers)
 
     def activate(self) -> ManagedConfig:
         """Start with an empty window."""
         self._estimator.reset()
-        self._waiting: deque[NamedReading] = deque()
+        self._waiting: deque[streams.NamedReading] = deque()
         self._innovations: deque[tuple[int, Innovation]] = deque(maxlen=MAX_INNOVATIONS)
         self._last_stamp, self._last_answer = -1, b''
         self._inputs.restart()
@@ -90,48 +77,40 @@ class NoiseEstimatorNode(ManagedNode):
             with self.refusals.guard(topic):
                 queue.append(self._readers[topic].read(data))
                 self._inputs.last[topic] = received
-                self._answer()
+                self.look()
         if self._samples != answered:
-            self._watch.add_latency(time.monotonic_ns() - received)
+            self._watch.latencies.add(time.monotonic_ns() - received)
 
-    def look(self, spinner: Spinner) -> None:
-        """Answer what has waited for the gate."""
+    def look(self, _spinner: Spinner | None = None) -> None:
+        """Answer everything that waits, in order; an innovation that is lost is not waited for."""
         with self.refusals.guard(topics.MEASURED_FORCES):
-            self._answer()
-
-    def _answer(self) -> None:
-        """Answer everything that waits and has all it needs, in order."""
-        while self.working and self._waiting:
-            stamp, values = self._waiting[0]
-            if self._estimator.uses_innovation and (
-                    not self._innovations or self._innovations[-1][0] < stamp):
-                return
-            self._waiting.popleft()
-            if stamp != self._last_stamp:
-                if stamp < self._last_stamp:
-                    self._estimator.reset()
-                self._last_stamp, self._last_answer = stamp, b''
-                self._samples += 1
-                # It may be lost.
-                found = next((x for when, x in self._innovations if when == stamp), None)
-                self._last_answer = self._publisher.write(
-                    stamp, self._estimator.update(values, found))
-            if self._last_answer:
-                self._publisher.publish(self._last_answer)
+            while self.working and self._waiting:
+                stamp, values = self._waiting[0]
+                if self._estimator.uses_innovation and (
+                        not self._innovations or self._innovations[-1][0] < stamp):
+                    return
+                self._waiting.popleft()
+                if stamp != self._last_stamp:
+                    if stamp < self._last_stamp:
+                        self._estimator.reset()
+                    self._last_stamp, self._last_answer = stamp, b''
+                    self._samples += 1
+                    found = next((x for at, x in self._innovations if at == stamp), None)
+                    self._last_answer = self._publisher.write(
+                        stamp, self._estimator.update(values, found))
+                if self._last_answer:
+                    self._publisher.publish(self._last_answer)
 
     def statuses(self) -> list[Status]:
         """Return what diagnostics report."""
         return [
             Status('loop', {**self._watch.report(), 'samples': self._samples}),
-            self._inputs.status(STALE_PERIODS / self._config.rate, needed=self.state == ACTIVE),
+            self._inputs.status(needed=self.state == ACTIVE),
             message_status(self.refusals, dropped=self._estimator.dropped,
                            slow=sum(reader.slow for reader in self._readers.values()))]
 
 
-def main() -> int:
-    """Run the noise estimator node."""
-    return run_node(NoiseEstimatorNode)
-
+main = partial(run_node, NoiseEstimatorNode)
 
 if __name__ == '__main__':
     sys.exit(main())

@@ -56,14 +56,6 @@ def _mapping_names(name: str, overrides: Mapping[str, Any]) -> list[str]:
     return sorted(found, key=lambda x: listed.index(x) if x in listed else len(listed)) or listed
 
 
-def _default(name: str, field: FieldInfo) -> Any:
-    """Return a default, of a mapping that of an entry; None without one."""
-    default = None if field.is_required() else field.get_default(call_default_factory=True)
-    if isinstance(default, Mapping):
-        default = default.get(name.rsplit('.', 1)[-1])
-    return _plain(default)
-
-
 def _descriptor(name: str, kind: Any, field: FieldInfo) -> ParameterDescriptor:
     extra: Any = field.json_schema_extra or {}
     unit = f' [{extra["unit"]}]' if extra.get('unit') else ''
@@ -100,11 +92,7 @@ def _nested(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 class ParameterSet:
-    """
-    Declares the parameters of some models, and turns their values into configurations.
-
-    Once they are locked, only live parameters can change.
-    """
+    """Declares the parameters of models; once locked, only those that are live can change."""
 
     def __init__(self, node: Node, *models: type[Config]) -> None:
         self._node, self._models = node, models
@@ -115,12 +103,15 @@ class ParameterSet:
                  if name.split('.')[0] not in SET_BY_ROS}
         self._live: dict[str, bool] = {}
         for name, kind, field in (x for model in models for x in _leaves(model, given)):
-            value = given.get(name, _default(name, field))
-            node.declare_parameter(
-                name, [] if value is None and name in given else value,
-                _descriptor(name, kind, field), ignore_override=True)
+            value = None if field.is_required() else field.get_default(call_default_factory=True)
+            if isinstance(value, Mapping):
+                value = value.get(name.rsplit('.', 1)[-1])
+            if name in given:
+                value = [] if given[name] is None else given[name]
             extra: Any = field.json_schema_extra or {}
             self._live[name] = bool(extra.get('live'))
+            node.declare_parameter(
+                name, _plain(value), _descriptor(name, kind, field), ignore_override=True)
         self._unknown = {name: x for name, x in given.items() if name not in self._live}
         self._use: Use | None = None
         self._refuse: Refuse
@@ -143,17 +134,17 @@ class ParameterSet:
             name: value for name, value in present.items() if value is not None}})
         known = sorted(key for model in self._models for key in model.model_fields)
 
-        def refuse_unknown(key: str) -> None:
+        def configuration(model: type[Config]) -> Config:
+            return validate(model, {x: values[x] for x in model.model_fields if x in values})
+
+        def refuse(key: str) -> None:
             raise ConfigError(key, f'a known parameter ({", ".join(known)})', f"unknown '{key}'")
 
-        return check_all(
-            *(partial(refuse_unknown, key) for key in values if key not in known),
-            *(partial(validate, model, {
-                key: value for key, value in values.items() if key in model.model_fields})
-              for model in self._models))
+        return check_all(*(partial(refuse, key) for key in values if key not in known),
+                         *(partial(configuration, model) for model in self._models))
 
     def value(self, name: str) -> Any:
-        """Return the present value of one parameter, None if it has none."""
+        """Return the present value of a parameter, None if it has none."""
         return _plain(self._node.get_parameter_or(name).value)
 
     def assign(self, name: str, value: Any) -> None:

@@ -20,8 +20,7 @@ def profile(depth: int, *, reliable: bool = True, latched: bool = False) -> QoSP
 
 
 STREAM = profile(5000)
-"""Publishers at the control rate and the recorder: 10 s at 500 Hz, so that a slow disk or a busy
-machine costs nothing."""
+"""Publishers at the control rate, and the recorder: 10 s at 500 Hz, for a busy machine."""
 
 INPUT = profile(10)
 """Readers at the control rate: 20 ms at 500 Hz; what is older than that is of no use to them."""

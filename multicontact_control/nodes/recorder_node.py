@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import contextlib
 from dataclasses import dataclass
+from functools import partial
+from importlib import import_module
 from operator import itemgetter
 import os
 from pathlib import Path
@@ -18,19 +20,11 @@ from typing import Any
 
 from multicontact_control.config import parameter
 from multicontact_control.errors import ConfigError, RunError
-from multicontact_control.nodes import qos
+from multicontact_control.nodes import graph, qos
 from multicontact_control.nodes.diagnostics import Diagnostics, Status
-from multicontact_control.nodes.graph import (
-    compatible,
-    full_topic_name,
-    ignore,
-    StartupConfig,
-    StartupGate,
-    take,
-)
 from multicontact_control.nodes.parameters import load_parameters
 from multicontact_control.nodes.runtime import run_node, Spinner
-from multicontact_control.nodes.topics import message_class, RECORDER, Topic, TOPICS, USER
+from multicontact_control.nodes.topics import RECORDER, Topic, TOPICS, USER
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.subscription import Subscription
@@ -44,7 +38,7 @@ QUIET_TIME, DRAIN_TIMEOUT = 0.2, 3.0  # s without a message that end a recording
 INFINITE = interfaces.QosTime(9223372036, 854775807)  # as rosbag2 writes that there is no limit
 
 
-class RecorderConfig(StartupConfig):
+class RecorderConfig(graph.StartupConfig):
     """What to record, and where to."""
 
     folder: str = parameter(..., 'Folder of the bag, to be created.')
@@ -119,18 +113,19 @@ class RecorderNode(Node):
         super().__init__(RECORDER, start_parameter_services=False)
         self._config: RecorderConfig
         self._config, = load_parameters(self, RecorderConfig)
-        chosen = self._chosen_topics()
+        chosen = self._chosen_topics()  # before a folder is made
         self._bag = Bag(Path(self._config.folder))
         self._streams: dict[str, _Stream] = {}
         for topic in chosen:
             name = self.resolve_topic_name(topic.name)
             self._bag.add_topic(name, topic.type_name, topic.profile)
             latched = topic.profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
-            self._streams[name] = _Stream(topic, self._subscribe(
-                topic, qos.RECORDING_LATCHED if latched else qos.STREAM))
+            self._streams[name] = _Stream(topic, self.create_subscription(
+                topic.message, topic.name, graph.ignore,
+                qos.RECORDING_LATCHED if latched else qos.STREAM, raw=True))
         self._next_flush = 0.0
         self._diagnostics = Diagnostics(self, self._statuses)
-        self._gate = StartupGate(self, self._config)
+        self._gate = graph.StartupGate(self, self._config)
 
     def _chosen_topics(self) -> list[Topic]:
         """Return the topics to record; ConfigError if one is not known, or is there twice."""
@@ -142,20 +137,18 @@ class RecorderNode(Node):
         taken = {self.resolve_topic_name(name) for name in ours}
         for text in self._config.extra_topics:
             name, _, type_name = text.strip().partition(' ')
-            full = full_topic_name('extra_topics', name, self)
+            full = graph.full_topic_name('extra_topics', name, self)
             if not type_name or full in taken:
                 raise ConfigError('extra_topics', 'NAME TYPE of other topics, each once',
                                   f"'{text}'")
+            package, _, kind = type_name.strip().partition('/msg/')
             try:
-                message = message_class(type_name.strip())
-            except RunError as error:
-                raise ConfigError('extra_topics', 'types that are installed', error) from None
+                message = getattr(import_module(f'{package}.msg'), kind)
+            except (ImportError, AttributeError, TypeError, ValueError):
+                raise ConfigError('extra_topics', 'types that are installed', text) from None
             taken.add(full)
             chosen.append(Topic(name, message, USER, (RECORDER,), qos.STREAM, 'event'))
         return chosen
-
-    def _subscribe(self, topic: Topic, profile: QoSProfile) -> Subscription:
-        return self.create_subscription(topic.message, topic.name, ignore, profile, raw=True)
 
     def run(self, spinner: Spinner) -> None:
         """Record until asked to stop and nothing comes any more."""
@@ -174,7 +167,7 @@ class RecorderNode(Node):
         """Write what has arrived, in the order of publication; return whether anything has."""
         arrived = []
         for name, stream in self._streams.items():
-            while (taken := take(stream.subscription)) is not None:
+            while (taken := graph.take(stream.subscription)) is not None:
                 data, info = taken
                 sent = info['source_timestamp'] or info['received_timestamp'] or time.time_ns()
                 arrived.append((sent, name, data))
@@ -194,12 +187,13 @@ class RecorderNode(Node):
         """Ask for no more than is given where one of a topic's publishers gives less."""
         for name, stream in self._streams.items():
             asked = stream.subscription.qos_profile
-            if not all(compatible(x.qos_profile, asked)
+            if not all(graph.compatible(x.qos_profile, asked)
                        for x in self.get_publishers_info_by_topic(name)):
                 self._drain()
                 self.destroy_subscription(stream.subscription)
-                stream.subscription = self._subscribe(
-                    stream.topic, qos.profile(asked.depth, reliable=False))
+                stream.subscription = self.create_subscription(
+                    stream.topic.message, name, graph.ignore,
+                    qos.profile(asked.depth, reliable=False), raw=True)
                 self.get_logger().info(f'{name}: recorded best effort, as published')
 
     def close(self) -> None:
@@ -224,10 +218,7 @@ class RecorderNode(Node):
                 f'dropped {name}': number for name, number in lost.items()}}, warning)]
 
 
-def main() -> int:
-    """Run the recorder node."""
-    return run_node(RecorderNode)
-
+main = partial(run_node, RecorderNode)
 
 if __name__ == '__main__':
     sys.exit(main())

@@ -59,8 +59,7 @@ class Spinner:
         if self._executor is None:  # made late: it empties the subscriptions that a node takes
             self._executor = make_executor(self._node.context)
             self._executor.add_node(self._node)
-        # The events executor raises for an event of a topic's end that has been destroyed (rclpy
-        # issue 1644).
+        # The events executor raises for events of ends that are destroyed (rclpy issue 1644).
         with contextlib.suppress(InvalidHandle):
             self._executor.spin_once(timeout_sec=timeout)
 

@@ -18,7 +18,7 @@ from multicontact_control.errors import counted, MessageError
 from multicontact_control.nodes.graph import create_publisher
 from multicontact_control.nodes.messages import LAST_SECOND
 from multicontact_control.nodes.topics import Topic
-from multicontact_control.sampling import JointReading, NANOSECONDS, WrenchReading
+from multicontact_control.sampling import NANOSECONDS, WrenchReading
 import numpy as np
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
@@ -176,11 +176,6 @@ def named_reader(
         return chosen
 
     return MessageReader(JointState, fields, arrange, make, optional)
-
-
-def joint_state_reader(names: Sequence[str]) -> MessageReader[JointReading]:
-    """Return a reader of joints, which may be among others; the effort is None if not measured."""
-    return named_reader(names, JOINT_FIELDS, JointReading, optional='effort')
 
 
 def variance_reader(names: Sequence[str]) -> MessageReader[NamedReading]:

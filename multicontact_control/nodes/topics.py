@@ -7,12 +7,10 @@ All names are relative, so that a namespace moves the whole graph.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from importlib import import_module
 from typing import Any, Literal
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, WrenchStamped
-from multicontact_control.errors import RunError
 from multicontact_control.nodes import qos
 from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
@@ -136,12 +134,3 @@ TOPICS = tuple(topic for topic in globals().values() if isinstance(topic, Topic)
 def type_name(kind: Any) -> str:
     """Return the type of a message or service class as ROS tools write it."""
     return '/'.join([*kind.__module__.split('.')[:2], kind.__name__])
-
-
-def message_class(type_name: str) -> Any:
-    """Return the class of a type, e.g. ``sensor_msgs/msg/JointState``; RunError if it is none."""
-    package, _, name = type_name.partition('/msg/')
-    try:
-        return getattr(import_module(f'{package}.msg'), name)
-    except (ImportError, AttributeError, ValueError):
-        raise RunError(f'{type_name}: this message type is not installed') from None

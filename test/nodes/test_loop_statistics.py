@@ -17,7 +17,7 @@ def test_report_gives_jitter_latency_and_misses_since_the_last():
     watch = LoopStatistics(500.0)
     for k in range(101):
         watch.add_period(1 + k * 2 * MS + (k % 2) * MS // 10)  # 0.1 ms early and late in turn
-        watch.add_latency(300_000 + k * 1000)
+        watch.latencies.add(300_000 + k * 1000)
     watch.missed = 3
     values = watch.report()
     assert values['jitter_us_p50'] == pytest.approx(100.0)
@@ -29,10 +29,10 @@ def test_report_gives_jitter_latency_and_misses_since_the_last():
 
 
 def test_inputs_know_what_never_came():
-    inputs = Inputs(None, JOINT_STATES, WRENCH)
+    inputs = Inputs(None, 500.0, JOINT_STATES, WRENCH)
     inputs.last[JOINT_STATES] = time.monotonic_ns()
     assert 0.0 <= inputs.age(JOINT_STATES) < inputs.age(WRENCH) == math.inf
-    status = inputs.status(60.0, needed=True, consequence=': it is held')
+    status = inputs.status(needed=True, consequence=': it is held')
     assert status.values['age_s ft_sensor/wrench'] is None
     assert status.warning == 'no ft_sensor/wrench ever: it is held'
 

@@ -11,7 +11,6 @@ from multicontact_control.errors import MessageError
 from multicontact_control.nodes import messages
 from multicontact_control.nodes.streams import (
     JOINT_FIELDS,
-    joint_state_reader,
     MessageTemplate,
     named_reader,
     NamedReading,
@@ -47,6 +46,10 @@ def joint_states(draw):
     header = Header(stamp=messages.ns_to_stamp(draw(STAMPS)), frame_id=draw(TEXT))
     return JointState(
         header=header, name=names, position=position, velocity=velocity, effort=effort)
+
+
+def joint_state_reader(names):
+    return named_reader(names, JOINT_FIELDS, JointReading, 'effort')
 
 
 def effort_reader(names):
