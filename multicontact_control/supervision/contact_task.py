@@ -210,31 +210,20 @@ def _limit_task(limits: Any, controls: Any, columns: Any, states: Any) -> bool:
     `active` and `alpha_des` of the columns say what is wanted, and then what the force law does.
     """
     limit, frame, task = limits[0], controls[0].frame, controls[0].task
-    position, twist, acceleration = task.position, task.twist, task.acceleration
     for gap, largest in ((limit.offset, limit.reach), (limit.turned, limit.turn)):
         fastest = RETURN_SHARE * largest / limit.lead / np.sqrt(dot(gap, gap))
         gap *= 1.0 - limit.contacts.period * min(RETURN_RATE, fastest)
     _follow_contacts(limit, frame, task, columns, states)
     _rotate_by(limit.turned, task.rotation)
-    shift, velocity, change = limit.offset.copy(), np.zeros(3), np.zeros(3)
-    for i in range(columns.shape[0]):
-        normal, state = columns[i].normal, states[i]
-        shift += state.displacement * normal
-        if not is_active(state):
-            velocity += state.speed * normal
-            change += state.acceleration * normal
-    position += shift
-    twist[:3] += velocity
-    acceleration[:3] += change
-    return _bound_task(limit, frame, columns, task)
+    return _bound_task(limit, frame, task, columns)
 
 
 @compiled
 def _follow_contacts(limit: Any, frame: Any, task: Any, columns: Any, states: Any) -> None:
-    """Advance the state machine of every contact, and say what the force law is to do."""
-    moved = states['displacement'].copy()
-    away = frame.position - task.position - limit.offset
-    rate = frame.twist[:3] - task.twist[:3]
+    """Advance all contacts: say what the force law does, move the task by their displacements."""
+    position, twist, acceleration = task.position, task.twist, task.acceleration
+    away, rate = frame.position - position - limit.offset, frame.twist[:3] - twist[:3]
+    moved, shift = states['displacement'].copy(), limit.offset.copy()
     for i in range(columns.shape[0]):
         column, state = columns[i], states[i]
         answer, normal = column.answer, column.normal
@@ -261,9 +250,13 @@ def _follow_contacts(limit: Any, frame: Any, task: Any, columns: Any, states: An
             answer.alpha_des = min(state.asked, state.force_limit)
             column.guarded = state.state == HOLDING and state.in_state > GUARD_TIME and (
                 column.alpha_meas < GUARD_SHARE * min(state.level, state.asked))
+        shift += state.displacement * normal
         answer.active = is_active(state)
         if not answer.active:
             answer.alpha_des = 0.0
+            twist[:3] += state.speed * normal
+            acceleration[:3] += state.acceleration * normal
+    position += shift
 
 
 @compiled
@@ -281,7 +274,7 @@ def _rotate_by(vector: Vector, rotation: Matrix) -> None:
 
 
 @compiled
-def _bound_task(limit: Any, frame: Any, columns: Any, task: Any) -> bool:
+def _bound_task(limit: Any, frame: Any, task: Any, columns: Any) -> bool:
     """
     Bring a task within the box and within reach of the arm; return whether it was changed.
 
@@ -295,7 +288,18 @@ def _bound_task(limit: Any, frame: Any, columns: Any, task: Any) -> bool:
         if inside != position[k]:
             position[k], twist[k], acceleration[k], limited = inside, 0.0, 0.0, True
     gap, way, turn = position - frame.position, limit.lead * twist[:3], np.empty(3)
-    _leave_to_contacts(columns, gap, way)
+    axes, count = np.empty((columns.shape[0], 3)), 0
+    for i in range(columns.shape[0]):
+        axis = columns[i].normal.copy()  # made orthogonal to those before (Gram-Schmidt)
+        for j in range(count):
+            axis -= dot(axis, axes[j]) * axes[j]
+        length = np.sqrt(dot(axis, axis))
+        if columns[i].answer.active and length > PARALLEL:
+            axis /= length
+            axes[count] = axis
+            count += 1
+            gap -= dot(gap, axis) * axis
+            way -= dot(way, axis) * axis
     share = _share_within(gap, way, limit.reach, twist, acceleration)
     position -= gap * (1.0 - min(share, 1.0))
     rotation_vector(task.rotation, frame.rotation, turn)
@@ -320,23 +324,3 @@ def _share_within(
     twist[:] = 0.0
     acceleration[:] = 0.0
     return min(reach / length, 1.0)
-
-
-@compiled
-def _leave_to_contacts(columns: Any, gap: Vector, way: Vector) -> None:
-    """Take off two vectors what lies along the normals of the active contacts (Gram-Schmidt)."""
-    axes, count = np.empty((3, 3)), 0
-    for i in range(columns.shape[0]):
-        if count == 3 or not columns[i].answer.active or columns[i].leader != i:
-            continue
-        axis = axes[count]
-        axis[:] = columns[i].normal
-        for j in range(count):
-            axis -= dot(axis, axes[j]) * axes[j]
-        length = np.sqrt(dot(axis, axis))
-        if length > PARALLEL:
-            axis /= length
-            count += 1
-    for vector in (gap, way):
-        for j in range(count):
-            vector -= dot(vector, axes[j]) * axes[j]

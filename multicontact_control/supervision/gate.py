@@ -31,31 +31,18 @@ FADED = 1e-6  # N m in every joint, below which such a difference counts as gone
 
 
 @compiled
-def _brake_joints(joints: Any, limits: Any, torque: Vector) -> bool:
-    """Bound a torque such that v <= sqrt(2 a d) at a distance d from a stop; return if it was."""
-    n = torque.shape[0]
-    fastest, slowest = np.empty(n), np.empty(n)
-    slow = True
-    for j in range(n):
-        q, speed, limit = joints[j].q, joints[j].velocity, limits[j]
-        ahead = np.sqrt(2.0 * JOINT_BRAKING * np.maximum(limit.upper - q, 0.0))
-        behind = np.sqrt(2.0 * JOINT_BRAKING * np.maximum(q - limit.lower, 0.0))
-        fastest[j] = np.minimum(ahead, limit.speed)
-        slowest[j] = -np.minimum(behind, limit.speed)
-        slow = slow and speed < BRAKING_SHARE * fastest[j] and speed > BRAKING_SHARE * slowest[j]
-    if slow:
-        return False
-    braked = False
-    for j in range(n):
-        joint = joints[j]
-        gain = SPEED_GAIN * joint.inertia
-        highest = joint.bias_torque + gain * (fastest[j] - joint.velocity)
-        lowest = joint.bias_torque + gain * (slowest[j] - joint.velocity)
-        bounded = np.minimum(np.maximum(torque[j], lowest), highest)
-        if bounded != torque[j]:  # also if it is not a number
-            torque[j] = bounded if np.isfinite(bounded) else 0.0
-            braked = True
-    return braked
+def _brake(joint: Any, limit: Any, torque: float) -> float:
+    """Bound the torque of a joint such that v <= sqrt(2 a d) at a distance d from its stops."""
+    q, v = joint.q, joint.velocity
+    ahead = np.sqrt(2.0 * JOINT_BRAKING * np.maximum(limit.upper - q, 0.0))
+    behind = np.sqrt(2.0 * JOINT_BRAKING * np.maximum(q - limit.lower, 0.0))
+    fastest, slowest = np.minimum(ahead, limit.speed), -np.minimum(behind, limit.speed)
+    if BRAKING_SHARE * slowest < v < BRAKING_SHARE * fastest:
+        return torque
+    gain = SPEED_GAIN * joint.inertia
+    bounded = np.minimum(np.maximum(torque, joint.bias_torque + gain * (slowest - v)),
+                         joint.bias_torque + gain * (fastest - v))
+    return bounded if np.isfinite(bounded) else 0.0
 
 
 @compiled
@@ -77,10 +64,13 @@ def gate_torque(
         for j in range(n):
             carried = joints[j].bias_torque
             torque[j] = carried if known and np.isfinite(carried) else 0.0
-    if seen and _brake_joints(joints, limits, torque):
-        enforced |= JOINT_STOP
     for j in range(n):
         joint, limit = joints[j], limits[j]
+        if seen:
+            braked = _brake(joint, limit, torque[j])
+            if braked != torque[j]:
+                enforced |= JOINT_STOP
+            torque[j] = braked
         clipped = min(max(torque[j], joint.added - joint.torque_limit),
                       joint.added + joint.torque_limit)
         if clipped != torque[j]:
@@ -183,26 +173,11 @@ class TorqueGate:
         seen: bool = True,
     ) -> tuple[Vector, tuple[str, ...]]:
         """
-        Let a torque through as far as continuity and the limits allow.
+        Let a torque through as far as continuity and the limits allow; name those enforced.
 
-        Parameters
-        ----------
-        law
-            Anything that differs from one law to another.
-        torque
-            What is wanted, overwritten, shape (n,) [N m].
-        limited
-            Whether it was brought within the torque limits already.
-        known, seen
-            Whether the joints were ever known, and whether they are known now.
-
-        Returns
-        -------
-        torque : Vector
-            That may be commanded: finite and within limits, whatever came in, shape (n,) [N m].
-        limits : tuple of str
-            Names of the limits that had to be enforced for it.
-
+        The torque, shape (n,) [N m], is overwritten by a finite one within all limits. A `law` is
+        anything that differs from others; `limited` says that it was brought within the torque
+        limits already, `known` and `seen` that the joints were ever known, and are known now.
         """
         if self._pending or self._slow is not None or self._fast is not None or law != self._law:
             torque = self._blend(law, torque)

@@ -14,6 +14,7 @@ import numpy as np
 NONE, INFLATE, HOLD, FLOAT, DAMP = 'none', 'inflate', 'hold', 'float', 'damp'
 SEVERITY = (NONE, INFLATE, HOLD, FLOAT, DAMP)
 SAFE = 'safe'  # the safe behaviour after a deactivation, which is no reaction to a fault
+SAFE_BEHAVIOURS = {'hold_position': HOLD, 'gravity_compensation': DAMP, 'zero_torque': SAFE}
 COAST_TIME = 0.1  # s, in which an arm that cannot be seen any more is brought to rest
 DAMPING_RATE = 5.0  # 1/s, of `damp` and gravity compensation: joint damping over inertia
 HOLD_FREQUENCY = 10.0  # rad/s, of the critically damped joints that are held
@@ -44,14 +45,6 @@ class Reactions:
     An arm that lets go of what it presses on is pushed away by it, so `hold` and `float` add
     J^T N alpha of the contacts that were held. Each keeps its force while it is felt; the force
     of one that is not felt any more is dropped within 20 ms; it fades while the wrench is unknown.
-
-    Parameters
-    ----------
-    config
-        Release threshold of contacts, the safe behaviour.
-    controller
-        The law whose place they take, for its arm and its contacts.
-
     """
 
     def __init__(self, config: ControllerConfig, controller: Controller) -> None:
@@ -64,7 +57,7 @@ class Reactions:
 
     def adopt(self, config: ControllerConfig) -> None:
         """Take the safe behaviour of another configuration."""
-        self._safe = config.safe_behaviour
+        self._safe = SAFE_BEHAVIOURS[config.safe_behaviour]
 
     def end(self) -> None:
         """Control has resumed: the next reaction begins anew."""
@@ -89,50 +82,32 @@ class Reactions:
 
     def torque(self, reaction: str, arm: ArmState | None, wrench_known: bool) -> Vector:
         """
-        Return the torque that takes the place of the law's, shape (n,) [N m].
+        Return what `HOLD`, `FLOAT`, `DAMP` or `SAFE` answer instead of the law, shape (n,) [N m].
 
-        Parameters
-        ----------
-        reaction
-            `HOLD`, `FLOAT`, `DAMP` or `SAFE`.
-        arm
-            At its last valid state; None if there was none.
-        wrench_known
-            Whether the wrench is of this tick, and tells which contacts are felt.
-
+        The arm is at its last valid state, None if there was none; a wrench that is known is of
+        this tick, and says which contacts are felt.
         """
         self._coasting = self._coasting + 1 if reaction == FLOAT else 0
         if arm is None:
             return np.zeros(self._robot.joint_count)
-        if reaction == SAFE:
-            return self._behave_safely(arm)
-        if reaction == DAMP:
+        does = self._safe if reaction == SAFE else reaction
+        if does in (DAMP, SAFE):
             self.end()  # it may be moved away
-            return damped(arm, DAMPING_RATE)
+            # Zero is what is commanded: what the drives add goes on acting.
+            return _damped(arm, DAMPING_RATE) if does == DAMP else self._added.copy()
         pressing = self._press(wrench_known)
-        if reaction == HOLD:
-            return self._hold(arm) + pressing
+        if does == HOLD:
+            if self._posture is None:
+                self._posture = arm.q.copy()
+            held: Vector = _damped(arm, 2.0 * HOLD_FREQUENCY) + arm.inertia * (
+                HOLD_FREQUENCY ** 2 * (self._posture - arm.q))
+            return held + pressing
         self._posture = None  # wherever it has gone meanwhile
         fade = math.exp(-self._coasting * self._period / COAST_TIME)
         state = self._robot.update(arm.q, arm.velocity)
         braking = state.mass_matrix @ state.velocity * (fade / COAST_TIME)
         floating: Vector = state.gravity - braking + pressing
         return floating
-
-    def _behave_safely(self, arm: ArmState) -> Vector:
-        if self._safe == 'hold_position':
-            return self._hold(arm)
-        self._posture = None  # the arm may be moved away before a posture is to be held
-        # Zero is what is commanded: what the drives add goes on acting.
-        return self._added.copy() if self._safe == 'zero_torque' else damped(arm, DAMPING_RATE)
-
-    def _hold(self, arm: ArmState) -> Vector:
-        """Return what springs the joints, critically damped, to where they were at first."""
-        if self._posture is None:
-            self._posture = arm.q.copy()
-        held: Vector = damped(arm, 2.0 * HOLD_FREQUENCY) + arm.inertia * (
-            HOLD_FREQUENCY ** 2 * (self._posture - arm.q))
-        return held
 
     def _press(self, wrench_known: bool) -> Vector | float:
         """Return what is left of the contacts' forces at the next tick, shape (n,) [N m]."""
@@ -148,7 +123,7 @@ class Reactions:
         return total
 
 
-def damped(arm: ArmState, rate: float) -> Vector:
+def _damped(arm: ArmState, rate: float) -> Vector:
     """Return Gamma = C v + g - c diag(M) v, shape (n,) [N m], with c in [1/s]."""
     torque: Vector = arm.bias_torque - rate * arm.inertia * arm.velocity
     return torque
@@ -158,22 +133,11 @@ class Recovery:
     """
     Counts relapses, so that holding and resuming do not alternate for ever.
 
-    Control resumes once all inputs have been good for `recovery_time`. A reaction within 5 s after
-    that (within 1 s if readings are missing) is a relapse, as is a law that cannot resume: each
-    makes the time three times as long, up to 2 s. After three in a row of what the arm does or
-    meets (a side wall, a collision, a speed, a posture without a torque) it is latched: the
+    Control resumes once all inputs have been good for `recovery_time` [s]. A reaction within 5 s
+    after that (within 1 s if readings are missing) is a relapse, as is a law that cannot resume:
+    each makes the time three times as long, up to 2 s. After three in a row of what the arm does
+    or meets (a side wall, a collision, a speed, a posture without a torque) it is `latched`: the
     posture is held until an operator resumes it. Missing readings are never latched.
-
-    Parameters
-    ----------
-    recovery_time, period
-        How long all must be well at first, and h [s].
-
-    Attributes
-    ----------
-    latched
-        Whether control waits for an operator.
-
     """
 
     def __init__(self, recovery_time: float, period: float) -> None:
@@ -196,7 +160,7 @@ class Recovery:
 
     def stopped(self, causes: tuple[str, ...], tick: int) -> None:
         """Take note that a reaction has begun at a tick of control's count."""
-        since, soon = self._resumed_at, RELAPSE_TIME if is_physical(causes) else SOON
+        since, soon = self._resumed_at, RELAPSE_TIME if _is_physical(causes) else SOON
         if since is None or (tick - since) * self._period > soon:
             self._relapses, self._wait = 0, self._shortest
         else:
@@ -205,7 +169,7 @@ class Recovery:
     def relapsed(self, causes: tuple[str, ...]) -> None:
         """Take note that control has stopped too soon, or could not even resume."""
         self._wait = min(GROWTH * self._wait, max(LONGEST_RECOVERY, self._shortest))
-        if is_physical(causes):
+        if _is_physical(causes):
             self._relapses += 1
             self.latched = self._relapses >= RELAPSES
 
@@ -216,6 +180,6 @@ class Recovery:
         return (RECOVERING,) if good_ticks * self._period < self._wait else ()
 
 
-def is_physical(causes: tuple[str, ...]) -> bool:
+def _is_physical(causes: tuple[str, ...]) -> bool:
     """Return whether a reaction comes from what the arm does or meets."""
     return any(cause.startswith(PHYSICAL) for cause in causes)
