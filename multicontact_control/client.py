@@ -10,7 +10,6 @@ The controller from a Python program.
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 import math
@@ -235,20 +234,19 @@ class MultiContactClient(ControllerLink):
 
         """
         wanted = np.array(list(self._commanded.values()))
-        seen: deque[tuple[float, Vector]] = deque()
-        give_up = time.monotonic() + timeout
+        seen: list[Vector] = []
+        start, give_up = 0.0, time.monotonic() + timeout
         while True:
             message, = self.fresh(topics.MEASURED_FORCES)
             now, forces = messages.stamp_to_ns(message.header.stamp) * 1e-9, _by_name(message)
-            if seen and now < seen[-1][0]:
-                seen.clear()  # their clock was set back
-            seen.append((now, np.array([forces[name] for name in self._commanded])))
-            settled = now - seen[0][0] >= settle_time
-            while len(seen) > 1 and now - seen[1][0] >= settle_time:
-                seen.popleft()
-            off = np.abs(np.mean([values for _, values in seen], axis=0) - wanted)
-            if settled and (off <= force_tolerance).all():
-                return self.read()
+            if not seen or now < start:  # or their clock was set back
+                start, seen = now, []
+            seen.append(np.array([forces[name] for name in self._commanded]))
+            off = np.abs(np.mean(seen, axis=0) - wanted)
+            if now - start >= settle_time:
+                if (off <= force_tolerance).all():
+                    return self.read()
+                seen = []
             if time.monotonic() > give_up:
                 far = [f'{name} is off by {value:.3g} N' for name, value
                        in zip(self._commanded, off) if value > force_tolerance]

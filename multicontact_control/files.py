@@ -40,10 +40,8 @@ def read_json(path: Path) -> Any:
     """Read JSON; ConfigError if the file cannot be read or is not JSON."""
     try:
         return json.loads(path.read_text(encoding='utf-8'))
-    except OSError as error:
-        raise ConfigError(str(path), 'a readable file', error.strerror or error) from None
-    except ValueError as error:
-        raise ConfigError(str(path), 'valid JSON', error) from None
+    except (OSError, ValueError) as error:
+        raise ConfigError(str(path), 'a readable file of JSON', error) from None
 
 
 def finite(value: Any) -> Any:

@@ -29,7 +29,6 @@ LAW = np.dtype([
     ('posture_stiffness', F),  # k_q of the posture in the null space, 0 for none [1/s^2]
     ('stop_stiffness', F),  # k_s by which joints are kept off their stops there [1/s^2]
     ('least_share', F),  # s_0 of what goes beyond the priority, at a torque limit
-    ('max_condition', F),  # largest accepted condition number of Lambda^-1
     ('singular_mobility', F),  # eigenvalue up to which Lambda^-1 is damped, 0 for none [1/kg]
     ('inertia_metric', B),  # whether motion is kept off the contacts in the metric of Lambda
     ('decoupled', B),  # whether the contact points are driven, or the coordinates along N_i
@@ -263,8 +262,7 @@ CONTACT_STATE = np.dtype([
     ('surface_speed', F),  # along the normal, as far as it is known [m/s]
 ], align=True)
 
-# What is set for all contacts: the fields of `ContactStateConfig` of the same name, h, and times
-# of at least some periods; one.
+# What is set for all contacts: `ContactStateConfig`, h, and times of at least some periods; one.
 CONTACT_SETTINGS = np.dtype([(name, F) for name in (
     'period', 'loss_time', 'bounce_time', 'approach_speed', 'approach_ramp_time',
     'approach_distance', 'contact_threshold', 'release_threshold', 'preload', 'force_ceiling',

@@ -100,8 +100,8 @@ def wrench_of_residual(
     L, Y = np.empty((n, n)), np.empty((n, 6))
     mobility, Lambda = np.empty((6, 6)), np.empty((6, 6))
     law, rotation = control.law, control.frame.sensor_rotation
-    if mobility_and_inertia(mass_matrix, jacobian, law.max_condition, law.singular_mobility, L, Y,
-                            mobility, Lambda) < 0.0:
+    if mobility_and_inertia(
+            mass_matrix, jacobian, law.singular_mobility, L, Y, mobility, Lambda) < 0.0:
         return
     reduced, acceleration, wrench = np.empty(n), np.empty(6), np.empty(6)
     for j in range(n):

@@ -16,11 +16,7 @@ from multicontact_control.contact.wrench import tool_record
 from multicontact_control.control.arm import AMBIGUOUS, ArmState
 from multicontact_control.control.law import control_law, DEPENDENT, LIMITED
 from multicontact_control.control.tick import ControlOutput
-from multicontact_control.dynamics.operational_space import (
-    MAX_CONDITION,
-    STOP_MARGIN,
-    task_inertia,
-)
+from multicontact_control.dynamics.operational_space import STOP_MARGIN, task_inertia
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import (
@@ -281,7 +277,6 @@ def law_record(config: ControllerConfig) -> Records:
         law['nullspace_damping'] = max(config.nullspace_damping, 2.0 * w)
         law['posture_stiffness'], law['stop_stiffness'] = w ** 2, (STOP_RATIO * w) ** 2
     law['least_share'] = LEAST_TASK_SHARE
-    law['max_condition'] = MAX_CONDITION
     law['singular_mobility'] = SINGULAR_MOBILITY
     law['inertia_metric'] = force.projection == 'inertia'
     law['decoupled'] = force.allocation == 'decoupled'

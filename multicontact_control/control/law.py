@@ -163,7 +163,7 @@ def control_law(
     mobility = np.empty((6, 6))
     Lambda = np.empty((6, 6))
     damping = mobility_and_inertia(
-        mass_matrix, jacobian, law.max_condition, law.singular_mobility, L, Y, mobility, Lambda)
+        mass_matrix, jacobian, law.singular_mobility, L, Y, mobility, Lambda)
     if damping < 0.0:
         return SINGULAR
     rows = np.empty((count, 6))

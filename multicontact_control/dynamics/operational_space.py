@@ -17,14 +17,14 @@ from multicontact_control.compiled import compiled
 from multicontact_control.errors import SingularTaskError
 import numpy as np
 
-MAX_CONDITION = 1e8
+MAX_CONDITION = 1e8  # of Lambda^-1, from which on a posture is singular
 STOP_MARGIN = 0.1  # rad, from how far before its stop on a joint is pushed away from it
 
 
 @compiled
 def mobility_and_inertia(
-    mass_matrix: Matrix, jacobian: Matrix, max_condition: float, singular_mobility: float,
-    L: Matrix, Y: Matrix, mobility: Matrix, Lambda: Matrix,
+    mass_matrix: Matrix, jacobian: Matrix, singular_mobility: float, L: Matrix, Y: Matrix,
+    mobility: Matrix, Lambda: Matrix,
 ) -> float:
     """
     Work out Lambda = (J M^-1 J^T)^-1 (P04 eq. 23) and what leads to it.
@@ -40,8 +40,8 @@ def mobility_and_inertia(
     ----------
     mass_matrix, jacobian
         M, shape (n, n), of which the upper triangle is read [kg m^2], and J, shape (6, n).
-    max_condition, singular_mobility
-        Largest accepted condition number of Lambda^-1, and e_0, 0 for no damping [1/kg].
+    singular_mobility
+        e_0, 0 for no damping [1/kg].
     L, Y, mobility, Lambda
         Filled, shapes (n, n) (lower triangle), (n, 6), (6, 6), (6, 6).
 
@@ -75,10 +75,10 @@ def mobility_and_inertia(
     for i in range(6):
         for j in range(6):
             of_mobility += mobility[i, j] * mobility[i, j]
-    if np.sqrt(of_mobility * squared) < max_condition:
+    if np.sqrt(of_mobility * squared) < MAX_CONDITION:
         return damping
     eigenvalues = np.linalg.eigvalsh(mobility)
-    return damping if eigenvalues[0] * max_condition > eigenvalues[-1] else -1.0
+    return damping if eigenvalues[0] * MAX_CONDITION > eigenvalues[-1] else -1.0
 
 
 @compiled
@@ -143,10 +143,7 @@ def add_nullspace_torque(
             joints[j].torque -= jacobian[i, j] * force[i]
 
 
-def task_inertia(
-    mass_matrix: Matrix, jacobian: Matrix, *, max_condition: float = MAX_CONDITION,
-    singular_mobility: float = 0.0,
-) -> Matrix:
+def task_inertia(mass_matrix: Matrix, jacobian: Matrix) -> Matrix:
     """
     Return Lambda = (J M^-1 J^T)^-1 (P04 eq. 23), shape (6, 6) [kg, kg m, kg m^2].
 
@@ -158,18 +155,18 @@ def task_inertia(
     ShapeError
         If `jacobian` is not of shape (6, n).
     SingularTaskError
-        If J M^-1 J^T is conditioned worse than `max_condition`.
+        If J M^-1 J^T is conditioned worse than `MAX_CONDITION`.
 
     """
     n = mass_matrix.shape[0]
     require_shape('jacobian', jacobian, (6, n))
     mobility, Lambda = np.empty((6, 6)), np.empty((6, 6))
     damping = mobility_and_inertia(
-        np.asfortranarray(mass_matrix), np.asfortranarray(jacobian), max_condition,
-        singular_mobility, np.empty((n, n)), np.empty((n, 6)), mobility, Lambda)
+        np.asfortranarray(mass_matrix), np.asfortranarray(jacobian), 0.0, np.empty((n, n)),
+        np.empty((n, 6)), mobility, Lambda)
     if damping < 0.0:
         eigenvalues = np.linalg.eigvalsh(jacobian @ np.linalg.solve(mass_matrix, jacobian.T))
         raise SingularTaskError(
-            f'J M^-1 J^T: expected a condition number below {max_condition:g}, found '
+            f'J M^-1 J^T: expected a condition number below {MAX_CONDITION:g}, found '
             f'eigenvalues from {eigenvalues[0]:.3g} to {eigenvalues[-1]:.3g}')
     return Lambda

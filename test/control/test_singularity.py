@@ -66,7 +66,7 @@ def test_damping_is_smooth_bounded_and_absent_away_from_singularities():
     for i, smallest in enumerate(e):
         J = np.diag(np.sqrt([smallest, 1.0, 1.0, 1.0, 1.0, 1.0]))
         assert mobility_and_inertia(
-            np.asfortranarray(np.eye(6)), np.asfortranarray(J), 1e8, 0.01, *room) >= 0.0
+            np.asfortranarray(np.eye(6)), np.asfortranarray(J), 0.01, *room) >= 0.0
         damped[i] = 1.0 / room[3][0, 0]
     assert (1.0 / damped).max() <= 2.0 / 0.01 + 1e-9
     np.testing.assert_allclose(damped[e >= 0.01], e[e >= 0.01], rtol=1e-12)

@@ -28,7 +28,7 @@ def torque_for(model, q, v, acceleration, **nullspace):
     """Return J^T Lambda (a + bias), with the null space as records of `LAW` and `JOINT` say it."""
     controls = np.zeros(1, dtype=CONTROL)
     arm, law, terms = ArmState(model, controls), controls['law'], model.terms
-    law['max_condition'], arm.joints['torque_limit'] = 1e8, np.inf
+    arm.joints['torque_limit'] = np.inf
     controls['task']['acceleration'] = acceleration
     for name, value in nullspace.items():
         (law if name in LAW.names else arm.joints)[name] = value
