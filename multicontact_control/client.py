@@ -1,12 +1,4 @@
-"""
-The controller from a Python program.
-
->>> from multicontact_control.client import MultiContactClient
->>> with MultiContactClient() as arm:  # doctest: +SKIP
-...     arm.set_forces({'table': 10.0, 'board': 5.0})
-...     state = arm.wait_until_reached(force_tolerance=1.0, timeout=20.0)
-...     arm.move(state.position_world + [0.05, 0.0, 0.0], duration=2.0)
-"""
+"""The controller from a Python program."""
 
 from __future__ import annotations
 
@@ -184,8 +176,8 @@ class MultiContactClient(ControllerLink):
         while elapsed < duration:
             before, elapsed = elapsed, (self._desired_pose()[0] - start) * 1e-9
             if elapsed < before:
-                raise RunError(f'{topics.POSE_DESIRED.name}: expected stamps that go on, found '
-                               f'one {before - elapsed:.3g} s before the last: samples begin anew')
+                raise RunError(f'{topics.POSE_DESIRED.name}: samples begin anew, '
+                               f'{before - elapsed:.3g} s before the last')
             s, ds, dds = quintic(min(elapsed, duration), duration)
             point = messages.motion_message(
                 position + s * change[:3],
@@ -200,19 +192,19 @@ class MultiContactClient(ControllerLink):
     def _desired_pose(self) -> tuple[int, Vector, Rotation]:
         """Return stamp [ns] and desired pose of a sample that comes from now on."""
         message, = self.fresh(topics.POSE_DESIRED)
-        return messages.stamp_to_ns(message.header.stamp), *_pose_of(message)
+        position, quaternion = _pose_of(message)
+        return (messages.stamp_to_ns(message.header.stamp), position,
+                Rotation.from_quat(quaternion))
 
     def read(self) -> ArmState:
         """Return the state of a sample that comes from now on."""
         forces, estimated, desired, pose, pose_desired = self.fresh(
             *STATE_TOPICS, one_stamp=True)
-        variance = self.newest(topics.NOISE_VARIANCE) or JointState()
-        position, rotation = _pose_of(pose)
-        position_desired, rotation_desired = _pose_of(pose_desired)
         return ArmState(
             messages.stamp_to_ns(forces.header.stamp) * 1e-9, _by_name(forces),
-            _by_name(estimated), _by_name(desired), _by_name(variance),
-            position, rotation.as_quat(), position_desired, rotation_desired.as_quat())
+            _by_name(estimated), _by_name(desired),
+            _by_name(self.newest(topics.NOISE_VARIANCE) or JointState()),
+            *_pose_of(pose), *_pose_of(pose_desired))
 
     def wait_until_reached(
         self, force_tolerance: float = 0.5, timeout: float = 20.0, *, settle_time: float = 0.2,
@@ -261,6 +253,6 @@ def _by_name(message: JointState) -> dict[str, float]:
     return dict(zip(message.name, message.effort))
 
 
-def _pose_of(message: PoseStamped) -> tuple[Vector, Rotation]:
+def _pose_of(message: PoseStamped) -> tuple[Vector, Vector]:
     p, q = message.pose.position, message.pose.orientation
-    return np.array([p.x, p.y, p.z]), Rotation.from_quat([q.x, q.y, q.z, q.w])
+    return np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w])

@@ -61,12 +61,6 @@ def compiled(function: FunctionT) -> FunctionT:
     return cast(FunctionT, kernel)
 
 
-def compile_for(kernel: Callable[..., Any], *arguments: Any) -> None:
-    """Compile a kernel for arguments of these types, so that no call has to wait for it."""
-    if hasattr(kernel, 'compile'):  # not where numba is told not to compile
-        kernel.compile(tuple(numba.typeof(argument) for argument in arguments))
-
-
 def compiled_here() -> int:
     """Return how often this process had to compile, because nothing on disk served."""
     return sum(sum(kernel.stats.cache_misses.values()) for kernel in _kernels

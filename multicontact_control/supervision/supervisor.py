@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 from multicontact_control.arrays import Vector
-from multicontact_control.compiled import compile_for
 from multicontact_control.config import ControllerConfig
 from multicontact_control.control.arm import (
     AMBIGUOUS,
@@ -110,7 +109,7 @@ class Supervisor:
         if guarded:
             watch_arm(config, controller)
         self._adopt(config)
-        compile_for(check_plausibility, *self._answered)
+        check_plausibility(*self._answered)  # compiled here, so that no sample waits for it
         self.reset()
 
     def reset(self) -> None:

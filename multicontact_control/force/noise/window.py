@@ -7,7 +7,7 @@ import math
 from typing import Any, Literal
 
 from multicontact_control.arrays import Matrix, Vector
-from multicontact_control.compiled import compile_for, compiled
+from multicontact_control.compiled import compiled
 from multicontact_control.force.noise.base import Innovation, MAX_MAGNITUDE, NoiseEstimator
 from multicontact_control.records import FILTER_STATE, NOISE_WINDOW
 import numpy as np
@@ -98,9 +98,9 @@ class Window(NoiseEstimator):
         self._window['scale'] = config.variance_scale
         self._states = np.zeros(self._contacts, dtype=FILTER_STATE)
         self._samples: Matrix = np.zeros((config.window, self._contacts))
-        compile_for(
-            take_into_window, self._alpha, self._window, self._states, self._samples,
-            self._variance)
+        take_into_window(  # so that no sample waits for it to be compiled
+            self._alpha, self._window.copy(), self._states.copy(), self._samples.copy(),
+            self._variance.copy())
 
     def _design(self) -> LeadFilter:
         return LeadFilter(pole=0.0, zero=0.0, gain=1.0)  # what comes in goes out
