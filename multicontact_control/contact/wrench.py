@@ -70,22 +70,23 @@ def measure_contacts(control: Any, contacts: Any) -> bool:
     Work out the contact forces; return whether the columns of N are independent.
 
     alpha = (N^T N)^-1 N^T f_c (P04 eqs 2, 5, 7), or as `allow_for_friction` says, of all contacts
-    together. `N` and `alpha_meas` of the contacts, records of `CONTACT`, shape (r,), are filled
-    in.
+    together. To the friction that is expected of each the likeliest other is added,
+    s^2 T^T W^-1 (f_c - N alpha). `N`, `alpha_meas` and `friction` of the contacts, records of
+    `CONTACT`, shape (r,), are filled in.
     """
-    count, law = contacts.shape[0], control.law
+    count, law, frame = contacts.shape[0], control.law, control.frame
     wrench = np.empty(6)
     rows = np.empty((count, 6))
     factor = np.empty((count, count))
     alpha = np.empty(count)
     operational_wrench(control, wrench)
-    fill_normal_space(contacts, control.frame.rotation)
+    fill_normal_space(contacts, frame.rotation)
     for i in range(count):
         for k in range(6):
             rows[i, k] = contacts[i].N[k]
-    W = np.empty((6, 6))
+    W, lever, column = np.empty((6, 6)), np.empty(3), np.empty(6)
     if law.separated:
-        expect_friction(control.frame, contacts, rows)
+        expect_friction(frame, contacts, rows)
         allow_for_friction(control, contacts, rows, wrench, W)
     if not factorise_contacts(contacts, True, rows, rows, factor):
         return False
@@ -93,8 +94,21 @@ def measure_contacts(control: Any, contacts: Any) -> bool:
     solve_cholesky(factor, alpha)
     for i in range(count):
         contacts[i].alpha_meas = alpha[i]
-    if law.separated:
-        find_friction(control, contacts, rows, wrench, W)
+    if not law.separated:
+        return True
+    for i in range(count):
+        for k in range(6):
+            wrench[k] -= rows[i, k] * contacts[i].alpha_meas
+    for k in range(3):
+        lever[k] = frame.sensor_position[k] - frame.position[k]
+    for i in range(count):
+        contact = contacts[i]
+        for axis in range(3):
+            contact.friction[axis] *= contact.alpha_meas
+            if contact.friction_std > 0.0:
+                fill_friction(law, frame, contact, axis, lever, column)
+                solve_lower(W, column)
+                contact.friction[axis] += contact.friction_std ** 2 * dot(column, wrench)
     return True
 
 
@@ -163,33 +177,6 @@ def allow_for_friction(
     for i in range(contacts.shape[0]):
         weigh_at_sensor(law, lever, rows[i])
         solve_lower(factor, rows[i])
-
-
-@compiled
-def find_friction(
-    control: Any, contacts: Any, rows: Matrix, wrench: Vector, factor: Matrix,
-) -> None:
-    """
-    Add to the expected friction of each contact the likeliest other, s^2 T^T W^-1 (f_c - N alpha).
-
-    `rows`, `wrench` and `factor` are as `allow_for_friction` leaves them, `alpha_meas` is there
-    already; the wrench is overwritten.
-    """
-    law, frame = control.law, control.frame
-    lever, column = np.empty(3), np.empty(6)
-    for i in range(contacts.shape[0]):
-        for k in range(6):
-            wrench[k] -= rows[i, k] * contacts[i].alpha_meas
-    for k in range(3):
-        lever[k] = frame.sensor_position[k] - frame.position[k]
-    for i in range(contacts.shape[0]):
-        contact = contacts[i]
-        for axis in range(3):
-            contact.friction[axis] *= contact.alpha_meas
-            if contact.friction_std > 0.0:
-                fill_friction(law, frame, contact, axis, lever, column)
-                solve_lower(factor, column)
-                contact.friction[axis] += contact.friction_std ** 2 * dot(column, wrench)
 
 
 @compiled

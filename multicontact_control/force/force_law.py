@@ -151,7 +151,8 @@ def continue_laws(laws: Records, others: Records) -> None:
                 for name in ('x', 'extra', 'p_est', 'running'):
                     new[name] = old[name]
             elif taken is not None:
-                start_linear(new[0], *taken)
+                new['alpha'], new['p_est'], new['running'] = *taken, True
+                new['x'] = new['start_force'] * taken[0] + new['start_disturbance'] * taken[1]
         elif same:
             if law['stiffness']['adaptive'][0] and same_states(law['observer'], other['observer']):
                 keep_stiffness(law[0], other[0])  # before the state, which is of that model
@@ -190,17 +191,6 @@ def act_beyond(laws: Records, which: Mask, acceleration: Vector) -> None:
 
 
 @compiled
-def start_linear(law: Any, force: float, disturbance: float) -> None:
-    """Begin with a felt force [N] and a disturbance that is known [m/s^2]."""
-    for i in range(law.states):
-        law.x[i] = law.start_force[i] * force + law.start_disturbance[i] * disturbance
-    law.extra = 0.0
-    law.alpha = force
-    law.p_est = disturbance
-    law.running = True
-
-
-@compiled
 def step_linear(law: Any, contact: Any, speed: float) -> float:
     """
     Take one sample into a record of `LINEAR_LAW`; return u [m/s^2].
@@ -208,10 +198,12 @@ def step_linear(law: Any, contact: Any, speed: float) -> float:
     `speed` is that of the contact point INTO the surface [m/s]. A force that was not measured is
     the one before.
     """
-    if not law.running:
-        start_linear(law, contact.alpha_meas, 0.0)
     n, A, B, C, D = law.states, law.A, law.B, law.C, law.D
     x, x_next, E = law.x, np.empty(law.states), law.E
+    if not law.running:
+        for i in range(n):
+            x[i] = law.start_force[i] * contact.alpha_meas
+        law.extra, law.running = 0.0, True
     alpha, desired, extra = contact.alpha_meas, contact.answer.alpha_des, law.extra
     for i in range(n):
         x[i] += E[i] * extra
