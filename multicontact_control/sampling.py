@@ -106,11 +106,9 @@ class SampleTiming:
     variance, due
         The newest R, shape (r,) [N^2], or None; when to ask `late`, monotonic time [ns], 0 for
         never.
-    unpaired, skipped
-        Readings without their other half, and samples that never came or were overtaken.
-    apart, tolerance
-        By how much the stamps of the newest two readings differ if they are no pair, and may
-        differ if they are one [ns].
+    unpaired, skipped, apart, tolerance
+        Readings without their other half; samples that never came or were overtaken; by how much
+        the stamps of the newest two readings differ if they are no pair, may if they are [ns].
 
     """
 
