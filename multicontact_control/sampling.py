@@ -7,7 +7,6 @@ monotonic clock of this machine [ns].
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import Enum
 from typing import Any, NamedTuple
 
@@ -22,24 +21,6 @@ from multicontact_control.supervision.inputs import (
 NANOSECONDS = 1_000_000_000
 LONGEST_PAUSE = 10.0  # s; stamps that jump farther ahead are of a clock that was set
 BARE_REPEATS = 25
-
-
-@dataclass(frozen=True, slots=True)
-class JointReading:
-    """Positions [rad], velocities [rad/s] and efforts [N m] of the joints at a time [ns]."""
-
-    stamp: int
-    q: Vector
-    qd: Vector
-    effort: Vector | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class WrenchReading:
-    """What a wrist sensor reads [N, N m] at a time [ns], in its own frame."""
-
-    stamp: int
-    wrench_sensor: Vector
 
 
 class Action(Enum):
@@ -122,7 +103,7 @@ class SampleTiming:
         self._patience_ns = patience * self._period_ns if supervised and not lockstep else 0.0
         self.tolerance = round(pair_tolerance * self._period_ns)
         self._halves: dict[type, Any] = {}
-        self._waiting: tuple[int, JointReading | None, WrenchReading | None] | None = None
+        self._waiting: tuple[int, JointInput | None, WrenchInput | None] | None = None
         self._came_again = False
         self.unpaired = self.apart = 0
         self.restart()
@@ -141,11 +122,11 @@ class SampleTiming:
         self._late = self._repeats = 0
         self.tick = self.skipped = self.due = 0
 
-    def add(self, reading: JointReading | WrenchReading) -> None:
+    def add(self, reading: JointInput | WrenchInput) -> None:
         """Take in a reading; with its other half it is a sample that waits."""
         self.unpaired += type(reading) in self._halves
         self._halves[type(reading)] = reading
-        joints, wrench = self._halves.get(JointReading), self._halves.get(WrenchReading)
+        joints, wrench = self._halves.get(JointInput), self._halves.get(WrenchInput)
         if joints is None or (wrench is None and self._feels):
             return
         self.apart = 0 if wrench is None else wrench.stamp - joints.stamp
@@ -199,8 +180,8 @@ class SampleTiming:
         _, joints_before, wrench_before, variance = self._inputs
         self._inputs = TickInputs(
             time if self._supervised else tick * self._period,
-            JointInput(time, joints.q, joints.qd, joints.effort) if joints else joints_before,
-            WrenchInput(time, wrench.wrench_sensor) if wrench else wrench_before, variance)
+            joints._replace(stamp=time) if joints else joints_before,
+            wrench._replace(stamp=time) if wrench else wrench_before, variance)
         return Decision(action, self._inputs)
 
     def late(self, now: int) -> Decision:
@@ -212,7 +193,7 @@ class SampleTiming:
             del self._halves[type(newest)]
             self.unpaired += 1
             self._waiting = newest.stamp, *(
-                (newest, None) if isinstance(newest, JointReading) else (None, newest))
+                (newest, None) if isinstance(newest, JointInput) else (None, newest))
             since = max(self._since + self._period_ns, now - self._period_ns)
             return Decision(Action.HALF, self.what_now(since).inputs)
         periods_late = int((now - self._since - self._patience_ns) // self._period_ns)

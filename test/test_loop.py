@@ -6,12 +6,7 @@ from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import CalibrationError, CommandError, ConfigError
 from multicontact_control.loop import ControlLoop
 from multicontact_control.paths import config_dir
-from multicontact_control.sampling import (
-    Action,
-    JointReading,
-    SampleTiming,
-    WrenchReading,
-)
+from multicontact_control.sampling import Action, SampleTiming
 from multicontact_control.sensor.push_test import PushTestConfig
 from multicontact_control.sensor.tool import TareConfig, weight_reading
 from multicontact_control.supervision.command_limits import CommandLimits
@@ -57,8 +52,8 @@ class Bench:
 
     def step(self, n=1, effort=EFFORT, wrench=None, q=HOME, qd=REST):
         for _ in range(n):
-            self.timing.add(JointReading(self.stamp, q.copy(), qd, effort))
-            self.timing.add(WrenchReading(
+            self.timing.add(JointInput(self.stamp, q.copy(), qd, effort))
+            self.timing.add(WrenchInput(
                 self.stamp, self.wrench() if wrench is None else wrench))
             action, inputs = self.timing.what_now(self.stamp)
             assert action is Action.STEP
@@ -69,9 +64,9 @@ class Bench:
 
     def step_half(self, q=HOME, *, joints=True):
         if joints:
-            self.timing.add(JointReading(self.stamp, q.copy(), REST))
+            self.timing.add(JointInput(self.stamp, q.copy(), REST))
         else:
-            self.timing.add(WrenchReading(self.stamp, self.wrench()))
+            self.timing.add(WrenchInput(self.stamp, self.wrench()))
         action, inputs = self.timing.late(self.timing.due)
         assert action is Action.HALF
         self.k += 1

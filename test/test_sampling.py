@@ -2,7 +2,8 @@
 
 from hypothesis import given
 from hypothesis import strategies as st
-from multicontact_control.sampling import Action, JointReading, SampleTiming, WrenchReading
+from multicontact_control.sampling import Action, SampleTiming
+from multicontact_control.supervision.inputs import JointInput, WrenchInput
 import numpy as np
 import pytest
 
@@ -12,11 +13,11 @@ WAIT, STEP, ANEW, HALF, WITHOUT, REPEAT, STALE, SHOW, REFUSE = Action
 
 
 def joints(stamp):
-    return JointReading(stamp, np.full(2, float(stamp)), np.zeros(2))
+    return JointInput(stamp, np.full(2, float(stamp)), np.zeros(2))
 
 
 def wrench(stamp):
-    return WrenchReading(stamp, np.full(6, float(stamp)))
+    return WrenchInput(stamp, np.full(6, float(stamp)))
 
 
 def timing_of(**options):

@@ -25,7 +25,7 @@ from multicontact_control.nodes.controller_topics import ControllerOutputs, serv
 from multicontact_control.nodes.diagnostics import Status
 from multicontact_control.nodes.lifecycle import ACTIVE, INACTIVE, ManagedNode
 from multicontact_control.nodes.runtime import run_node, Spinner
-from multicontact_control.sampling import Action, Decision, JointReading, SampleTiming
+from multicontact_control.sampling import Action, Decision, SampleTiming
 from multicontact_control.supervision.inputs import JointInput, TickInputs, WrenchInput
 import numpy as np
 from std_msgs.msg import Float64MultiArray
@@ -63,7 +63,7 @@ class ControllerNode(ManagedNode):
             topics.NOISE_VARIANCE: (streams.variance_reader(config.column_names),
                                     lambda found: timing.add_variance(*found)),
             topics.JOINT_STATES: (streams.named_reader(  # not every robot measures its torques
-                config.robot.joint_names, streams.JOINT_FIELDS, JointReading, 'effort'),
+                config.robot.joint_names, streams.JOINT_FIELDS, JointInput, 'effort'),
                 timing.add)}
         if wrench is not None:
             self._inputs[wrench] = streams.wrench_reader(config.robot.sensor_frame), timing.add

@@ -18,7 +18,8 @@ from multicontact_control.errors import counted, MessageError
 from multicontact_control.nodes.graph import create_publisher
 from multicontact_control.nodes.messages import LAST_SECOND
 from multicontact_control.nodes.topics import Topic
-from multicontact_control.sampling import NANOSECONDS, WrenchReading
+from multicontact_control.sampling import NANOSECONDS
+from multicontact_control.supervision.inputs import WrenchInput
 import numpy as np
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
@@ -188,7 +189,7 @@ def variance_reader(names: Sequence[str]) -> MessageReader[NamedReading]:
     return named_reader(names, ('effort',), make)
 
 
-def wrench_reader(frame: str = '') -> MessageReader[WrenchReading]:
+def wrench_reader(frame: str = '') -> MessageReader[WrenchInput]:
     """Return a reader of wrenches, force first, in a frame or in none; empty for any."""
     def arrange(message: WrenchStamped, runs: list[slice]) -> Sequence[Any]:
         found = message.header.frame_id.lstrip('/')
@@ -197,7 +198,7 @@ def wrench_reader(frame: str = '') -> MessageReader[WrenchReading]:
                                f"'{found}'")
         return runs
 
-    return MessageReader(WrenchStamped, ('wrench',), arrange, WrenchReading)
+    return MessageReader(WrenchStamped, ('wrench',), arrange, WrenchInput)
 
 
 class StreamPublisher:

@@ -61,9 +61,10 @@ AGE_TOLERANCE = 1e-3  # periods
 
 class JointInput(NamedTuple):
     """
-    A joint state as it came in, sampled at `stamp` [s], in the order of `robot.joint_names`.
+    A joint state as it came in, in the order of `robot.joint_names`.
 
-    q [rad], qd [rad/s], and the torques measured over the period before [N m], None for none.
+    Sampled at `stamp`: [s] at a tick, whole [ns] before. q [rad], qd [rad/s], and the torques
+    measured over the period before [N m], None for none.
     """
 
     stamp: float
@@ -73,7 +74,7 @@ class JointInput(NamedTuple):
 
 
 class WrenchInput(NamedTuple):
-    """A wrench as the sensor gave it [N, N m], sampled at `stamp` [s]."""
+    """A wrench as the sensor gave it [N, N m], sampled at `stamp`: [s] at a tick, [ns] before."""
 
     stamp: float
     wrench: Any

@@ -16,7 +16,7 @@ from multicontact_control.nodes.streams import (
     NamedReading,
     wrench_reader,
 )
-from multicontact_control.sampling import JointReading
+from multicontact_control.supervision.inputs import JointInput
 import numpy as np
 import pytest
 from rclpy.serialization import deserialize_message, serialize_message
@@ -49,7 +49,7 @@ def joint_states(draw):
 
 
 def joint_state_reader(names):
-    return named_reader(names, JOINT_FIELDS, JointReading, 'effort')
+    return named_reader(names, JOINT_FIELDS, JointInput, 'effort')
 
 
 def effort_reader(names):
@@ -81,7 +81,7 @@ def test_joint_readers_read_by_name_or_refuse(sent, data):
     """One reader for all: what one message has taught it must not spoil the next."""
     names = data.draw(st.permutations(sent[0].name))
     joints, efforts = joint_state_reader(names), effort_reader(names)
-    whole = named_reader(names, JOINT_FIELDS, JointReading)
+    whole = named_reader(names, JOINT_FIELDS, JointInput)
     for message in (*sent, *sent):
         stamp = message.header.stamp.sec * 10 ** 9 + message.header.stamp.nanosec
         q, qd, effort = (by_hand(message, names, x) for x in ('position', 'velocity', 'effort'))
@@ -102,7 +102,7 @@ def test_wrench_reader_reads_every_bit_or_refuses(stamp, frame, numbers):
     force.x, force.y, force.z, torque.x, torque.y, torque.z = numbers
     reader, expected = wrench_reader(), (stamp, numbers) if math.isfinite(sum(numbers)) else None
     for _ in range(3):
-        assert read(reader, message, ('wrench_sensor',)) == expected
+        assert read(reader, message, ('wrench',)) == expected
     if expected is not None:
         assert messages.wrench_message(stamp, numbers, frame) == message
 
@@ -138,7 +138,7 @@ def test_wrench_reader_refuses_another_frame_and_takes_none_for_its_own():
             messages.wrench_message(STAMP, np.arange(6.0), frame)))
 
     for frame in ('ft', '/ft', 'ft', '', '', ''):
-        np.testing.assert_array_equal(send(frame).wrench_sensor, np.arange(6.0))
+        np.testing.assert_array_equal(send(frame).wrench, np.arange(6.0))
     with pytest.raises(MessageError, match='header.frame_id'):
         send('tool0')
 
