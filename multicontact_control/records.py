@@ -117,12 +117,11 @@ FORCE_ANSWER = np.dtype([
     ('variance_used', F),  # R the observer worked with, 0 there as well [N^2]
 ], align=True)
 
-# One column of N: the normal force of a contact, or one of its couples, counted in newtons.
-# Configuration, then what is measured and learnt of the surface, then the answer.
-CONTACT = np.dtype([
+# What is configured of one column of N: the normal force of a contact, or one of its couples.
+CONTACT_CONFIG = np.dtype([
     ('kind', I),  # FORCE, ALONG or ACROSS, see `config.contact`
     ('leader', I),  # index of the normal force of the same contact
-    ('normal_told', F, 3),  # unit normal INTO the surface, world axes; 0 for couples
+    ('normal', F, 3),  # unit normal INTO the surface, world axes; 0 for couples
     ('point', F, 3),  # contact point, or centre, in the operational frame [m]
     ('direction', F, 3),  # of an edge, or of a plane's first side, in the operational frame
     ('half_length', F),  # unit of a couple's lever, 0 for a force [m]
@@ -133,8 +132,14 @@ CONTACT = np.dtype([
     ('turn_limit', F),  # how far it goes per period at most, 0 where it is not estimated [rad]
     ('smallest_cosine', F),  # of the angle between it and the one configured
     ('surface_speed', F),  # of the surface along its normal [m/s]
-    ('surface_gain', F),  # share of the way that the estimate below goes per period
-    ('surface_speed_limit', F),  # its bound, 0 where it is not estimated [m/s]
+    ('surface_gain', F),  # share of the way that its estimate goes per period
+    ('surface_speed_limit', F),  # bound of that, 0 where it is not estimated [m/s]
+], align=True)
+
+# One column of N: what is configured, measured and learnt of the surface, and answered. Couples
+# are counted in newtons.
+CONTACT = np.dtype([
+    ('config', CONTACT_CONFIG),
     ('N', F, 6),  # column of N: the wrench of a unit force, world axes
     ('alpha_meas', F),  # measured force [N]
     ('noise_variance', F),  # R_k [N^2]

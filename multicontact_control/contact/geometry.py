@@ -44,23 +44,23 @@ def fill_normal_space(contacts: Any, rotation: Matrix) -> None:
     """
     lever, moment = np.empty(3), np.empty(3)
     for i in range(contacts.shape[0]):
-        contact = contacts[i]
-        normal = contacts[i if contact.kind == FORCE else contact.leader].normal
-        multiply(rotation, contact.point if contact.kind == FORCE else contact.direction, lever)
-        if contact.kind == FORCE:
+        contact, config = contacts[i], contacts[i].config
+        normal = contacts[i if config.kind == FORCE else config.leader].normal
+        multiply(rotation, config.point if config.kind == FORCE else config.direction, lever)
+        if config.kind == FORCE:
             for k in range(3):
                 lever[k] = -lever[k]
             cross(normal, lever, moment)
-        elif contact.kind == ALONG:
+        elif config.kind == ALONG:
             cross(lever, normal, moment)
         else:
             along = dot(lever, normal)
             for k in range(3):
                 moment[k] = lever[k] - along * normal[k]
         for k in range(3):
-            contact.N[k] = normal[k] if contact.kind == FORCE else 0.0
-            contact.N[3 + k] = moment[k] if contact.kind == FORCE else (
-                contact.half_length * moment[k])
+            contact.N[k] = normal[k] if config.kind == FORCE else 0.0
+            contact.N[3 + k] = moment[k] if config.kind == FORCE else (
+                config.half_length * moment[k])
 
 
 def normal_space(contacts: Records, rotation_world: Matrix) -> Matrix:
@@ -84,7 +84,7 @@ def check_columns(names: Sequence[str], contacts: Records) -> None:
 
     """
     copies = contacts.copy()
-    reach = max(float(np.abs(contacts['point']).max()), 1e-3)
+    reach = max(float(np.abs(contacts['config']['point']).max()), 1e-3)
     units = np.repeat([1.0, 1.0 / reach], 3)  # so that moments count as forces do
     if not any(np.linalg.matrix_rank(
             normal_space(copies, turn) * units[:, None], SMALLEST_SINGULAR_VALUE) == len(contacts)
@@ -104,10 +104,10 @@ def friction_coupling(contacts: Records, rotation_world: Matrix) -> Matrix:
     N_inverse = np.linalg.pinv(normal_space(contacts, rotation_world))
     coupling: Matrix = np.zeros((len(contacts), len(contacts)))
     for j, contact in enumerate(contacts):
-        if contact['kind'] != FORCE:
+        if contact['config']['kind'] != FORCE:
             continue
         across = np.eye(3) - np.outer(contact['normal'], contact['normal'])
-        moments = np.cross(rotation_world @ contact['point'], across.T).T
+        moments = np.cross(rotation_world @ contact['config']['point'], across.T).T
         coupling[:, j] = np.linalg.norm(N_inverse @ np.vstack([across, moments]), axis=1)
     return coupling
 
@@ -133,27 +133,28 @@ def operational_stiffness(k_env: float, normal_world: Vector, lever_world: Vecto
 def place_columns(config: ControllerConfig, columns: Records) -> None:
     """Fill records of `CONTACT`, shape (r,), with the configuration of the columns of N."""
     for record, column in zip(columns, config.columns):
-        contact, is_force = config.contacts[column.contact], column.kind == FORCE
-        record['kind'], record['leader'] = column.kind, column.leader
-        told = contact.normal_world if is_force else (0.0, 0.0, 0.0)
+        known, contact = record['config'], config.contacts[column.contact]
+        is_force = column.kind == FORCE
+        known['kind'], known['leader'] = column.kind, column.leader
+        normal = contact.normal_world if is_force else (0.0, 0.0, 0.0)
         # A normal that has been estimated is kept while its configuration is.
-        if (record['normal_told'] != told).any() or not contact.normal_turn_rate:
-            record['normal'] = record['normal_told'] = told
-        record['normal_gain'] = config.period / (NORMAL_TIME + config.period)
-        record['turn_limit'] = contact.normal_turn_rate * config.period
-        record['smallest_cosine'] = math.cos(contact.normal_range)
-        record['point'] = contact.point_operational
-        record['direction'] = contact.direction_operational
-        record['half_length'] = column.half_length
+        if (known['normal'] != normal).any() or not contact.normal_turn_rate:
+            record['normal'] = known['normal'] = normal
+        known['normal_gain'] = config.period / (NORMAL_TIME + config.period)
+        known['turn_limit'] = contact.normal_turn_rate * config.period
+        known['smallest_cosine'] = math.cos(contact.normal_range)
+        known['point'] = contact.point_operational
+        known['direction'] = contact.direction_operational
+        known['half_length'] = column.half_length
         record['stiffness'] = column.stiffness
         if is_force:
-            record['surface_speed'] = contact.surface_speed
-            record['surface_gain'] = config.period / (SURFACE_SPEED_TIME + config.period)
-            limit = record['surface_speed_limit'] = contact.surface_speed_limit
+            known['surface_speed'] = contact.surface_speed
+            known['surface_gain'] = config.period / (SURFACE_SPEED_TIME + config.period)
+            limit = known['surface_speed_limit'] = contact.surface_speed_limit
             record['surface_speed_est'] = np.clip(record['surface_speed_est'], -limit, limit)
-            record['friction_coefficient'] = contact.friction_coefficient
-            record['friction_std'] = contact.friction_std
-            record['torsion_std'] = 0.0 if contact.type == 'point' else (
+            known['friction_coefficient'] = contact.friction_coefficient
+            known['friction_std'] = contact.friction_std
+            known['torsion_std'] = 0.0 if contact.type == 'point' else (
                 contact.friction_std * contact.half_length)
 
 

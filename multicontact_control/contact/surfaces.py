@@ -36,17 +36,17 @@ def follow_surfaces(frame: Any, contacts: Any) -> None:
 
     """
     for i in range(contacts.shape[0]):
-        contact = contacts[i]
-        limit = contact.surface_speed_limit
+        contact, config = contacts[i], contacts[i].config
+        limit = config.surface_speed_limit
         if limit > 0.0:
             seen = 0.0
             if contact.answer.active:
-                seen = dot(contact.N, frame.twist) - contact.surface_speed - (
+                seen = dot(contact.N, frame.twist) - config.surface_speed - (
                     contact.answer.alpha_rate_est / contact.stiffness)
-            speed = contact.surface_speed_est + contact.surface_gain * (
+            speed = contact.surface_speed_est + config.surface_gain * (
                 seen - contact.surface_speed_est)
             contact.surface_speed_est = min(max(speed, -limit), limit)
-        if contact.kind == FORCE and contact.turn_limit > 0.0 and contact.answer.active:
+        if config.kind == FORCE and config.turn_limit > 0.0 and contact.answer.active:
             follow_normal(frame, contact)
 
 
@@ -60,10 +60,11 @@ def follow_normal(frame: Any, contact: Any) -> None:
     and stays within a declared angle. A velocity steeper than that angle, and than 34 degrees, is
     that of a bounce.
     """
+    config = contact.config
     if contact.alpha_meas < PRESSED:
         return
     point, velocity, seen = np.empty(3), np.empty(3), np.empty(3)
-    multiply(frame.rotation, contact.point, point)
+    multiply(frame.rotation, config.point, point)
     velocity_at(frame.twist, point, velocity)
     speed = 0.0
     for k in range(3):
@@ -71,8 +72,8 @@ def follow_normal(frame: Any, contact: Any) -> None:
         seen[k] = contact.alpha_meas * contact.normal[k] + contact.friction[k]
     if speed < SLIDING_SPEED * SLIDING_SPEED:
         return
-    steep = dot(velocity, contact.normal_told)
-    if steep * steep > max(STEEP, 1.0 - contact.smallest_cosine ** 2) * speed:
+    steep = dot(velocity, config.normal)
+    if steep * steep > max(STEEP, 1.0 - config.smallest_cosine ** 2) * speed:
         return
     along = dot(seen, velocity) / speed
     length = 0.0
@@ -83,21 +84,21 @@ def follow_normal(frame: Any, contact: Any) -> None:
     if length < PRESSED:
         return
     for k in range(3):
-        seen[k] = contact.normal_gain * (seen[k] / length - contact.normal[k])
+        seen[k] = config.normal_gain * (seen[k] / length - contact.normal[k])
     way = np.sqrt(dot(seen, seen))
-    share = min(1.0, contact.turn_limit / way) if way > 0.0 else 0.0
+    share = min(1.0, config.turn_limit / way) if way > 0.0 else 0.0
     for k in range(3):
         seen[k] = contact.normal[k] + share * seen[k]
     length = np.sqrt(dot(seen, seen))
-    cosine = dot(seen, contact.normal_told) / length
-    if cosine >= contact.smallest_cosine:
+    cosine = dot(seen, config.normal) / length
+    if cosine >= config.smallest_cosine:
         for k in range(3):
             contact.normal[k] = seen[k] / length
         return
     side, across = np.empty(3), 0.0
     for k in range(3):
-        side[k] = seen[k] / length - cosine * contact.normal_told[k]
+        side[k] = seen[k] / length - cosine * config.normal[k]
         across += side[k] * side[k]
-    scale = np.sqrt(1.0 - contact.smallest_cosine * contact.smallest_cosine) / np.sqrt(across)
+    scale = np.sqrt(1.0 - config.smallest_cosine * config.smallest_cosine) / np.sqrt(across)
     for k in range(3):
-        contact.normal[k] = contact.smallest_cosine * contact.normal_told[k] + scale * side[k]
+        contact.normal[k] = config.smallest_cosine * config.normal[k] + scale * side[k]

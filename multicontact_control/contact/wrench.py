@@ -105,10 +105,10 @@ def measure_contacts(control: Any, contacts: Any) -> bool:
         contact = contacts[i]
         for axis in range(3):
             contact.friction[axis] *= contact.alpha_meas
-            if contact.friction_std > 0.0:
+            if contact.config.friction_std > 0.0:
                 fill_friction(law, frame, contact, axis, lever, column)
                 solve_lower(W, column)
-                contact.friction[axis] += contact.friction_std ** 2 * dot(column, wrench)
+                contact.friction[axis] += contact.config.friction_std ** 2 * dot(column, wrench)
     return True
 
 
@@ -125,14 +125,14 @@ def expect_friction(frame: Any, contacts: Any, rows: Matrix) -> None:
         contact = contacts[i]
         for k in range(3):
             contact.friction[k] = 0.0
-        if contact.friction_coefficient <= 0.0:
+        if contact.config.friction_coefficient <= 0.0:
             continue
-        multiply(frame.rotation, contact.point, point)
+        multiply(frame.rotation, contact.config.point, point)
         velocity_at(frame.twist, point, velocity)
         into = dot(velocity, contact.normal)
         for k in range(3):
             velocity[k] -= into * contact.normal[k]
-        share = contact.friction_coefficient / np.sqrt(
+        share = contact.config.friction_coefficient / np.sqrt(
             dot(velocity, velocity) + SLIP_SPEED ** 2)
         for k in range(3):
             contact.friction[k] = share * velocity[k]
@@ -163,10 +163,10 @@ def allow_for_friction(
         lever[k] = frame.sensor_position[k] - frame.position[k]
     for i in range(contacts.shape[0]):
         contact = contacts[i]
-        if contact.friction_std <= 0.0:
+        if contact.config.friction_std <= 0.0:
             continue
         for axis in range(4):  # three of the force, then the torque about the normal
-            std = contact.friction_std if axis < 3 else contact.torsion_std
+            std = contact.config.friction_std if axis < 3 else contact.config.torsion_std
             fill_friction(law, frame, contact, axis, lever, friction)
             for j in range(6):
                 for k in range(6):
@@ -189,7 +189,7 @@ def fill_friction(
     Axis 3 stands for 1 N m about the normal.
     """
     point, across, moment = np.empty(3), np.empty(3), np.empty(3)
-    multiply(frame.rotation, contact.point, point)
+    multiply(frame.rotation, contact.config.point, point)
     for k in range(3):
         across[k] = -contact.normal[k] * contact.normal[axis] if axis < 3 else 0.0
     if axis < 3:

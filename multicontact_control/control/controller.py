@@ -126,7 +126,7 @@ class Controller:
     def reset(self) -> None:
         """Forget everything measured; the next sample starts anew."""
         self.started = False
-        self.contacts['normal'] = self.contacts['normal_told']
+        self.contacts['normal'] = self.contacts['config']['normal']
         self.contacts['surface_speed_est'] = 0.0
 
     def check(self, config: ControllerConfig) -> None:

@@ -71,7 +71,7 @@ def force_law(
         solve_cholesky(factor, alpha_star)
     for i in range(inputs.shape[0]):
         if law.decoupled and contacts[i].answer.active:
-            alpha_star[i] -= contacts[i].surface_speed + contacts[i].surface_speed_est
+            alpha_star[i] -= contacts[i].config.surface_speed + contacts[i].surface_speed_est
         alpha_star[i] = inputs[i] - law.K_2 * alpha_star[i]
     if law.decoupled:
         solve_cholesky(factor, alpha_star)

@@ -139,7 +139,7 @@ def contact_signals(
         controller.take(data.q[k], data.qd[k], wrench[k])
         alpha[k] = contacts['alpha_meas']
         frame = controls[0]['frame']
-        twist, levers = frame['twist'], contacts['point'] @ frame['rotation'].T
+        twist, levers = frame['twist'], contacts['config']['point'] @ frame['rotation'].T
         speed[k] = contacts['N'] @ twist
         motion[k] = np.linalg.norm(twist[:3] + np.cross(twist[3:], levers), axis=1)
         friction[k] = [friction_of_others(controls[0]['frame'], contacts, i)

@@ -238,7 +238,7 @@ def force_to_feed(law: Any, contact: Any, K_2: float, mobility: Matrix) -> float
     to the other contacts.
     """
     if contact.guarded or law.fed == MEASURED:
-        return contact.alpha_meas if contact.kind != FORCE else max(contact.alpha_meas, 0.0)
+        return contact.alpha_meas if contact.config.kind != FORCE else max(contact.alpha_meas, 0.0)
     if law.fed == ESTIMATE:
         return contact.answer.alpha_est
     desired = law.stiffness.alpha_ref if law.stiffness.adaptive else contact.answer.alpha_des
@@ -280,7 +280,7 @@ def answer_forces(
         answer.variance_used = 0.0
         # Of the contact point into the surface, as far as it is known how that moves itself.
         speed = dot(contact.N, control.frame.twist) - (
-            contact.surface_speed + contact.surface_speed_est)
+            contact.config.surface_speed + contact.surface_speed_est)
         if law.stiffness.adaptive:
             learn_stiffness(laws, contacts, i, control, speed)
         if not answer.active:

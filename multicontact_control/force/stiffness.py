@@ -263,9 +263,9 @@ def friction_of_others(frame: Any, contacts: Any, which: int) -> float:
     lever, velocity = np.empty(3), np.empty(3)
     for j in range(contacts.shape[0]):
         other = contacts[j]
-        if j == which or other.kind != FORCE or other.alpha_meas <= 0.0:
+        if j == which or other.config.kind != FORCE or other.alpha_meas <= 0.0:
             continue
-        multiply(frame.rotation, other.point, lever)
+        multiply(frame.rotation, other.config.point, lever)
         velocity[0] = twist[0] + twist[4] * lever[2] - twist[5] * lever[1]
         velocity[1] = twist[1] + twist[5] * lever[0] - twist[3] * lever[2]
         velocity[2] = twist[2] + twist[3] * lever[1] - twist[4] * lever[0]
@@ -326,8 +326,8 @@ def learn_stiffness(laws: Any, contacts: Any, which: int, control: Any, speed: f
     the speed of the contact point is that INTO the surface [m/s].
     """
     contact, observer, stiffness = contacts[which], laws[which].observer, laws[which].stiffness
-    if contact.kind != FORCE:
-        leader, whole = contacts[contact.leader], laws[contact.leader].stiffness
+    if contact.config.kind != FORCE:
+        leader, whole = contacts[contact.config.leader], laws[contact.config.leader].stiffness
         share = stiffness.share
         k = min(max(share * whole.k, stiffness.lowest), stiffness.highest)
         if k != stiffness.k:

@@ -65,7 +65,7 @@ def check_plausibility(
                 contact.alpha_meas + answer.alpha_des + answer.alpha_est + answer.alpha_rate_est
                 + answer.innovation + answer.prior_variance + answer.variance_used):
             found |= NOT_FINITE
-        if contact.leader != i:
+        if contact.config.leader != i:
             continue
         pressed += abs(contact.alpha_meas)
         allowance = bounds.inertia if states[i].state == LOST else 0.0

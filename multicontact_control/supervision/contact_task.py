@@ -170,7 +170,7 @@ class ContactTask:
     def resume(self) -> Mask:
         """Go on from where the arm is; return which contacts are kept: pressed and felt, (r,)."""
         felt = self._columns['alpha_meas'] > self._limits['contacts']['contact_threshold']
-        self._kept = (self._active & felt)[self._columns['leader']]
+        self._kept = (self._active & felt)[self._columns['config']['leader']]
         return self._kept
 
     def _return(self, kept: Mask) -> None:
@@ -228,8 +228,9 @@ def _follow_contacts(limit: Any, frame: Any, task: Any, columns: Any, states: An
         column, state = columns[i], states[i]
         answer, normal = column.answer, column.normal
         state.wanted, state.asked = answer.active, answer.alpha_des
-        if column.leader != i:  # a couple is in the state of its normal force, which comes before
-            leader, force = states[column.leader], columns[column.leader]
+        first = column.config.leader
+        if first != i:  # a couple is in the state of its normal force, which comes before
+            leader, force = states[first], columns[first]
             state.state, state.in_state = leader.state, leader.in_state
             bound = LARGEST_OFFSET * force.answer.alpha_des
             answer.alpha_des = min(max(state.asked, -bound), bound)
@@ -237,7 +238,7 @@ def _follow_contacts(limit: Any, frame: Any, task: Any, columns: Any, states: An
         else:
             state.stiffness = column.stiffness
             # Of the surface, as far as it is known: what is as fast does not leave it.
-            state.surface_speed = column.surface_speed + column.surface_speed_est
+            state.surface_speed = column.config.surface_speed + column.surface_speed_est
             others, speed = 0.0, dot(normal, rate)
             for j in range(columns.shape[0]):
                 if j != i:

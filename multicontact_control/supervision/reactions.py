@@ -68,7 +68,8 @@ class Reactions:
     def begin(self, answered: ControlOutput) -> None:
         """Go on pressing with the forces of the contacts that were held at an answer."""
         contacts = answered.contacts
-        answer, couple = contacts['answer'], contacts['leader'] != np.arange(len(contacts))
+        answer = contacts['answer']
+        couple = contacts['config']['leader'] != np.arange(len(contacts))
         most = np.abs(answer['alpha_des'])
         least = np.where(couple, -most, 0.0)
         alpha = np.where(
@@ -116,7 +117,7 @@ class Reactions:
         keep: Any = math.exp(-self._period / FADE_TIME)
         if wrench_known:
             felt: Mask = self._contacts['alpha_meas'] > self._release_threshold
-            felt = felt[self._contacts['leader']]  # a couple is there as long as its contact is
+            felt = felt[self._contacts['config']['leader']]  # a couple with its contact
             keep = np.where(felt, 1.0, math.exp(-self._period / DROP_TIME))
         self._pressing = self._pressing * keep
         total: Vector = self._pressing.sum(axis=1)

@@ -12,7 +12,7 @@ import numpy as np
 def contact_normals(normals_world, levers_world):
     """Return N of contacts a lever away from an operational point with the world's axes."""
     contacts = np.zeros(len(normals_world), dtype=CONTACT)
-    contacts['normal'], contacts['point'] = normals_world, -levers_world
+    contacts['normal'], contacts['config']['point'] = normals_world, -levers_world
     return normal_space(contacts, np.eye(3))
 
 

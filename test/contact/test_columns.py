@@ -16,12 +16,13 @@ HALF = 0.04
 
 def columns(kinds, *, friction=0.0, direction=(0.0, 1.0, 0.0), points=None):
     records = np.zeros(len(kinds), dtype=CONTACT)
-    records['kind'], records['direction'], records['half_length'] = kinds, direction, HALF
+    config = records['config']
+    config['kind'], config['direction'], config['half_length'] = kinds, direction, HALF
     records['normal'] = [NORMAL if kind == FORCE else np.zeros(3) for kind in kinds]
-    records['point'] = POINT if points is None else points
-    records['leader'] = np.arange(len(kinds)) if points is not None else 0
-    records['friction_std'] = [friction if kind == FORCE else 0.0 for kind in kinds]
-    records['torsion_std'] = HALF * records['friction_std']
+    config['point'] = POINT if points is None else points
+    config['leader'] = np.arange(len(kinds)) if points is not None else 0
+    config['friction_std'] = [friction if kind == FORCE else 0.0 for kind in kinds]
+    config['torsion_std'] = HALF * config['friction_std']
     return records
 
 
@@ -47,7 +48,7 @@ def test_a_couple_is_a_difference_of_forces_at_both_ends():
     """Of 1 N: half a newton more at one end, half a newton less at the other."""
     turn = Rotation.from_rotvec([0.3, -0.2, 0.9]).as_matrix()
     records = columns([FORCE, ALONG, ACROSS], direction=turn.T @ [0.0, 1.0, 0.0])
-    records['point'] = POINT @ turn
+    records['config']['point'] = POINT @ turn
     N = normal_space(records, turn)
     along = np.array([0.0, 1.0, 0.0])
     across = np.cross(NORMAL, along)

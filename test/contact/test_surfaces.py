@@ -16,9 +16,10 @@ def follow(velocity, ticks=1):
     frame['rotation'] = np.eye(3)
     frame['twist'][0, :3] = velocity
     told = np.array([0.0, 0.0, -1.0])
-    contacts['normal'] = contacts['normal_told'] = told
-    contacts['answer']['active'], contacts['normal_gain'] = True, 0.1
-    contacts['turn_limit'], contacts['smallest_cosine'] = 0.1, np.cos(0.6)
+    config = contacts['config']
+    contacts['normal'] = config['normal'] = told
+    contacts['answer']['active'], config['normal_gain'] = True, 0.1
+    config['turn_limit'], config['smallest_cosine'] = 0.1, np.cos(0.6)
     for _ in range(ticks):
         normal = contacts['normal'][0]
         force = 10.0 * TRUE_NORMAL + velocity / max(np.linalg.norm(velocity), 1e-9)
