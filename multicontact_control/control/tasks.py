@@ -35,16 +35,13 @@ class TaskSource(Protocol):
 
     def start(self, pose: Pose, normals_world: Matrix) -> None:
         """Begin from a pose at rest, beside contact normals INTO the surfaces, shape (r, 3)."""
-        ...
 
     def task(self, time: float, alpha_meas: Vector | None = None) -> Task:
         """
         Return the task at a time since the start [s].
 
-        Of measured forces `alpha_meas`, shape (r,) [N], the source makes the contacts; without
-        them contact states do.
+        The source makes the contacts of measured forces, shape (r,) [N]; contact states without.
         """
-        ...
 
 
 class MotionReading(NamedTuple):
@@ -133,10 +130,8 @@ class ScenarioTask:
 
     Parameters
     ----------
-    config
-        Times and sizes.
-    rate
-        Control rate [Hz].
+    config, rate
+        Times and sizes; control rate [Hz].
     names, leader_of
         Forces and couples in the order of every contact vector, and for each the index of the
         normal force of its contact; its own if not given.
@@ -152,26 +147,27 @@ class ScenarioTask:
         self, config: ReferenceConfig, rate: float, names: Sequence[str],
         leader_of: Sequence[int] | None = None,
     ) -> None:
-        self._approach, self._motion, self._period = config.approach, config.motion, 1.0 / rate
+        self._approach = approach = config.approach
+        self._motion, self._period = config.motion, 1.0 / rate
         self._direction = np.zeros(6)  # of the sinusoid, as a twist
         if config.motion:
             self._direction[:3] = config.motion.direction_world
         self.contact_state: Mapping[str, float] = {
-            'approach_speed': config.approach.speed,
-            'approach_ramp_time': config.approach.ramp_time,
-            'contact_threshold': config.approach.contact_threshold,
-            'preload': config.approach.preload}
+            'approach_speed': approach.speed, 'approach_ramp_time': approach.ramp_time,
+            'contact_threshold': approach.contact_threshold, 'preload': approach.preload}
         self._leader_of = np.array(range(len(names)) if leader_of is None else leader_of)
-        rows = [np.where(self._leader_of == np.arange(len(names)), config.approach.preload, 0.0)]
+        leads = self._leader_of == np.arange(len(names))
+        forces = dict(zip(names, np.where(leads, approach.preload, 0.0)))
+        rows = [list(forces.values())]
         for index, step in enumerate(config.force_steps):
             if unknown := set(step.forces) - set(names):
                 raise ConfigError(f'reference.force_steps.{index}.forces',
                                   f'contacts among {", ".join(names)}', f"'{min(unknown)}'")
-            rows.append(np.array([
-                step.forces.get(name, force) for name, force in zip(names, rows[-1].tolist())]))
+            forces |= step.forces
+            rows.append(list(forces.values()))
         self.forces: Matrix = np.array(rows)
-        self._wanted: list[tuple[Mask, Vector]] = [
-            ((row > 0.0)[self._leader_of], row) for row in (*rows, np.zeros(len(names)))]
+        rest = np.zeros(len(names))
+        self._wanted = [((row > 0.0)[self._leader_of], row) for row in (*self.forces, rest)]
         self._step_times = [step.time for step in config.force_steps]
 
     def start(self, pose: Pose, normals_world: Matrix) -> None:
@@ -202,19 +198,19 @@ class ScenarioTask:
 
     def _seek(self, since: float, alpha_meas: Vector) -> tuple[Vector, Vector]:
         """Go on to the surfaces that are not touched; return twist and acceleration."""
-        approach, direction = self._approach, np.zeros(6)
+        approach = self._approach
         if since >= 0.0:
             felt = alpha_meas > approach.contact_threshold
             self._touched = self._touched | felt[self._leader_of]
-        free = ~self._touched
-        if since <= 0.0 or not free.any():
+        if since <= 0.0:
             return STILL, STILL
         speed, rate = approach.speed, 0.0
         if since < approach.ramp_time:
             speed, rate = speed * since / approach.ramp_time, speed / approach.ramp_time
+        free = ~self._touched
         self._advance[free] += speed * self._period
         self._position = self._pose.position_world + self._advance @ self._normals
-        direction[:3] = self._normals[free].sum(axis=0)
+        direction = np.append(self._normals[free].sum(axis=0), STILL[:3])
         return speed * direction, rate * direction
 
 
@@ -222,8 +218,8 @@ class CommandedTask:
     """
     The task that a user sets, over topics or from a program; `CommandLimits` checks the commands.
 
-    Names and leaders are those of a `ScenarioTask`. Until a motion is commanded the arm stays at
-    its start, until then there is no `pose`. A contact with a force above 0 is force controlled.
+    Names and leaders are those of a `ScenarioTask`. Until a motion is commanded, `pose` is that
+    of the start, and None before. A contact with a force above 0 is force controlled.
     """
 
     contact_state: Mapping[str, float] = {}
@@ -231,19 +227,15 @@ class CommandedTask:
     def __init__(self, names: Sequence[str], leader_of: Sequence[int] | None = None) -> None:
         self._names = tuple(names)
         self._leader_of = np.array(range(len(names)) if leader_of is None else leader_of)
-        self.pose: Pose | None = None
-        self._forget()
+        self.start(None, np.empty((0, 3)))
 
-    def _forget(self) -> None:
+    def start(self, pose: Pose | None, normals_world: Matrix) -> None:
+        """Forget all commands, and begin from a pose at rest; see `TaskSource.start`."""
+        self.pose = pose
         self._twist = self._acceleration = STILL
         self._lasting = self._until = math.inf  # of these two [s]; NaN until the next tick
         self._alpha_des = np.zeros(len(self._names))
         self._shares = np.full(len(self._names), math.nan)
-
-    def start(self, pose: Pose, normals_world: Matrix) -> None:
-        """Begin from a pose at rest; see `TaskSource.start`."""
-        self._forget()
-        self.pose = pose
 
     def set_forces(
         self, forces: Mapping[str, float], shares: Mapping[str, float] | None = None,

@@ -36,19 +36,19 @@ class CommandLimits(Config):
         All are by name: new forces and couples, in place of those `before` [N], and `shares`:
         couples relative to the force of their contact. CommandError names the first refused.
         """
-        ceiling, halves = self.force_ceiling, _half_lengths(config)
+        ceiling, columns = self.force_ceiling, dict(zip(config.column_names, config.columns))
         for name, force in forces.items():
-            if name not in config.column_names:
-                raise CommandError('contact', f'one of {", ".join(config.column_names)}',
-                                   f"'{name}'")
-            lowest = -ceiling if name in halves else config.contact_state.smallest_force
+            if name not in columns:
+                raise CommandError('contact', f'one of {", ".join(columns)}', f"'{name}'")
+            is_couple = columns[name].half_length > 0.0
+            lowest = -ceiling if is_couple else config.contact_state.smallest_force
             if force != 0.0 and not lowest <= force <= ceiling:
                 raise CommandError(
                     f'force on {name}', f'0 or {lowest:g} to {ceiling:g} N', f'{force:g} N')
         commanded = {**before, **forces}
         for column in config.columns:
             pressed = commanded.get(config.columns[column.leader].name, 0.0)
-            if column.name not in halves or pressed == 0.0:
+            if column.half_length == 0.0 or pressed == 0.0:
                 continue
             share = shares.get(column.name, commanded.get(column.name, 0.0) / pressed)
             if not abs(share) <= LARGEST_OFFSET + 1e-9:
@@ -64,18 +64,12 @@ def offset_shares(config: ControllerConfig, centres: Mapping[str, float]) -> dic
 
     A name that is not that of a couple, or a number that is not finite, is a CommandError.
     """
-    halves = _half_lengths(config)
+    halves = {column.name: column.half_length for column in config.columns if column.half_length}
     for name, centre in centres.items():
         if name not in halves or not math.isfinite(centre):
             raise CommandError('centre of pressure', f'a finite one of {", ".join(halves)}'
                                if halves else 'an edge or plane', f"'{name}': {centre:g} m")
     return {name: centre / halves[name] for name, centre in centres.items()}
-
-
-def _half_lengths(config: ControllerConfig) -> dict[str, float]:
-    """Return how far from the middle of its contact a couple of 1 N per 1 N presses, by name."""
-    return {column.name: column.half_length for column in config.columns
-            if column.half_length > 0.0}
 
 
 def check_motion(motion: MotionReading, limits: LimitsConfig) -> None:

@@ -44,10 +44,8 @@ class ContactTask:
 
     Parameters
     ----------
-    config
-        Contacts, motion law, limits.
-    source
-        What is to be done.
+    config, source
+        Contacts, motion law and limits; what is to be done.
     controller
         Its records of the arm and the contacts are read, and the task is written into them.
     guarded
@@ -80,8 +78,6 @@ class ContactTask:
         self.states: Any = np.zeros(len(config.columns), dtype=CONTACT_STATE)
         self._codes, self._leaders = self.states['state'], np.array(config.leaders)
         self._limits: Any = np.zeros(1, dtype=TASK_LIMITS)
-        self._offset: Vector = self._limits['offset'][0]
-        self._turned: Vector = self._limits['turned'][0]
         self._limits['contacts'] = contact_settings(validate(
             ContactStateConfig, {**config.contact_state.model_dump(), **source.contact_state},
             'reference.approach'), config.period)
@@ -119,7 +115,7 @@ class ContactTask:
         self._task: Task = Task(Pose(position, rotation), STILL, STILL, pressed & pressing, forces)
         self.states[~pressed] = FREE_CONTACT
         self._name_states()
-        self._offset[:] = self._turned[:] = 0.0
+        self._limits['offset'] = self._limits['turned'] = 0.0
         self._kept: Mask | None = None  # contacts, from the end of a pause to the next tick
 
     def start(self, pose: Pose) -> None:
@@ -151,12 +147,11 @@ class ContactTask:
         self.state_names = tuple(NAMES[code] for code in self._codes[self._leaders].tolist())
 
     def hold(self, wanted: bool) -> None:
-        """Stay where the arm is and press as it does, or go on from there if it was held."""
-        ended = self.held and not wanted
+        """Stay where the arm is and press as it does, or go on from there."""
         self.held = wanted
         if wanted:
             self._stand(pressing=True)
-        elif ended:
+        else:
             self.resume()
 
     def lock(self, wanted: bool) -> None:
@@ -183,8 +178,8 @@ class ContactTask:
                 state['displacement'] = place
             else:
                 let_go(state, place, 0.0)
-        self._offset[:] = gap - along @ normals
-        self._turned[:] = turn_between(self._frame['rotation'], pose.rotation_world)
+        self._limits['offset'] = gap - along @ normals
+        self._limits['turned'] = turn_between(self._frame['rotation'], pose.rotation_world)
 
     def sought_normals(self) -> Matrix:
         """Return normals of what is sought or held, couples with 0, shape (k, 3)."""

@@ -1,18 +1,17 @@
 """
 The state of each contact: looked for, touched, held, lost, given up.
 
-One machine per contact decides which law drives the operational point along that contact's
-normal: the force law from touch to loss, the motion law before and after. In the motion law the
-tip advances along the normal by a displacement that is ramped, bounded and braked.
+The force law drives the operational point along a contact's normal from touch to loss, the motion
+law before and after: there the tip advances by a displacement that is ramped, bounded and braked.
 
 free -> approaching -> impact -> holding -> lost -> approaching ..., given up once the tip has
 gone too far without a surface, until it is time for another search. Beyond the force ceiling, and
 where it leads out of the workspace: retracting, then given up until it is commanded again.
 Touch and loss have thresholds apart and least times, so that a bounce or a spike changes nothing.
 
-In every function `contact` is a record of `CONTACT_STATE`, changed, and `settings` one of
-`CONTACT_SETTINGS`; `alpha` is the measured force [N], `place` and `speed` are those of the tip
-along the normal, relative to the task without displacement [m, m/s].
+A `contact` is a record of `CONTACT_STATE`, changed, `settings` are one of `CONTACT_SETTINGS`;
+`alpha` is the measured force [N], `place` and `speed` are those of the tip along the normal,
+relative to the task without displacement [m, m/s].
 """
 
 from __future__ import annotations
@@ -125,16 +124,14 @@ def _watch_hold(
             contact.shaken = REBOUNDS_APART
         contact.below += h
     contact.shaken = max(0.0, contact.shaken - h)
-    patience = settings.loss_time
-    if contact.state == IMPACT:  # a bounce is no loss
-        patience = max(patience, settings.bounce_time)
+    # A bounce is no loss.
+    patience = settings.bounce_time if contact.state == IMPACT else settings.loss_time
     # A step of the force is a motion, too: into a surface that yields as its model.
     step = abs(min(contact.asked, contact.force_limit) - contact.level)
     fastest = ESCAPE_SPEED + step / (contact.stiffness * STEP_TIME)
     if contact.below > patience + 1e-9 or escape > fastest:
         let_go(contact, place, speed)
-    elif contact.state == IMPACT and contact.below == 0.0 and (
-            contact.in_state >= IMPACT_TIME):
+    elif contact.state == IMPACT and contact.below == 0.0 and contact.in_state >= IMPACT_TIME:
         contact.searches = 0
         contact.state = HOLDING
 
