@@ -31,8 +31,7 @@ FIRST_TIMEOUT = 5.0  # s; an answer may be lost: then the state tells
 ASK_PERIOD = 1.0  # s
 QUEUED = (topics.STATUS, topics.DIAGNOSTICS)  # of which no message may be missed
 RESEND_PERIOD = 0.2  # s, of a command that is not answered
-WAIT_PERIOD = 0.02  # s, for services
-POLL_PERIOD = 0.001  # s, for messages
+WAIT_PERIOD, POLL_PERIOD = 0.02, 0.001  # s, for services, and for messages
 
 T = TypeVar('T')
 
@@ -167,8 +166,8 @@ class ControllerLink(GuestNode):
         self, heard: Sequence[Topic], *, namespace: str, domain_id: int | None, timeout: float,
         on_status: Callable[[ControllerStatus], None] = lambda status: None,
     ) -> None:
-        super().__init__(f'multicontact_client_{os.getpid()}', domain_id, namespace,
-                         patience=timeout)
+        super().__init__(
+            f'multicontact_client_{os.getpid()}', domain_id, namespace, patience=timeout)
         self._on_status = on_status
         self.last_status: ControllerStatus | None = None
         self._kept: dict[Topic, deque[Any]] = {

@@ -25,7 +25,6 @@ from rclpy.parameter import Parameter
 Use = Callable[[Sequence[Any]], None]
 Refuse = Callable[[str, Exception], None]
 
-NAMES_OF_MAPPINGS = 'contact_names'
 SET_BY_ROS = ('use_sim_time', 'start_type_description_service', 'qos_overrides')
 LOCKED = 'can be changed only before the node is configured'
 BOUNDS = {'gt': 'above', 'ge': 'at least', 'lt': 'below', 'le': 'at most'}
@@ -50,7 +49,7 @@ def _leaves(
 
 def _mapping_names(name: str, overrides: Mapping[str, Any]) -> list[str]:
     """Return the names that a mapping has values for, or else those in the list of names."""
-    listed = [x for x in overrides.get(NAMES_OF_MAPPINGS) or () if isinstance(x, str)]
+    listed = [x for x in overrides.get('contact_names') or () if isinstance(x, str)]
     start = f'{name}.'
     found = {key[len(start):].split('.')[0]: None for key in overrides if key.startswith(start)}
     return sorted(found, key=lambda x: listed.index(x) if x in listed else len(listed)) or listed

@@ -111,8 +111,7 @@ class RecorderNode(Node):
     def __init__(self) -> None:
         # Parameter services need an executor, which this node has not.
         super().__init__(RECORDER, start_parameter_services=False)
-        self._config: RecorderConfig
-        self._config, = load_parameters(self, RecorderConfig)
+        self._config: RecorderConfig = load_parameters(self, RecorderConfig)[0]
         chosen = self._chosen_topics()  # before a folder is made
         self._bag = Bag(Path(self._config.folder))
         self._streams: dict[str, _Stream] = {}

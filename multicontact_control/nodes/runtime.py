@@ -50,8 +50,7 @@ class Spinner:
     """Runs the callbacks of a node, until the flag `stop` ends everything."""
 
     def __init__(self, node: Any, stop: StopFlag) -> None:
-        self.stop = stop
-        self._node = node
+        self.stop, self._node = stop, node
         self._executor: Executor | None = None
 
     def spin_once(self, timeout: float = SPIN_TIMEOUT) -> None:

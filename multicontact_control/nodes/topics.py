@@ -72,7 +72,6 @@ ESTIMATED_FORCES = Topic(
 DESIRED_FORCES = Topic(
     'contact_forces/desired', JointState, CONTROLLER, (RECORDER,),
     content='effort = desired force [N], as the supervisor passes it on.')
-# Only estimators that work on innovations subscribe to it.
 INNOVATION = Topic(
     'contact_forces/innovation', JointState, CONTROLLER, (RECORDER,),
     content='effort = measured less predicted force [N], velocity = C P_1 C^T, position = the R '
@@ -123,9 +122,8 @@ DIAGNOSTICS = Topic(
     'diagnostics', DiagnosticArray, EVERY_NODE, (RECORDER,), qos.REPORT, 'event',
     'Once a second: rates, jitter, misses, latency, ages of inputs, refusals; of the controller '
     'also reaction and causes, contact states, energies and sensor.')
-# Absolute, as everything that uses simulated time expects it.
 CLOCK = Topic(
-    '/clock', Clock, LOCKSTEP_SIM, (RECORDER,), qos.STREAM, 'event',
+    '/clock', Clock, LOCKSTEP_SIM, (RECORDER,), qos.STREAM, 'event',  # absolute, as expected
     'Time of the newest sample.')
 
 TOPICS = tuple(topic for topic in globals().values() if isinstance(topic, Topic))
