@@ -23,7 +23,6 @@ from std_srvs.srv import SetBool, Trigger
 __all__ = [
     'ArmState', 'CommandRefusedError', 'ControllerStatus', 'MultiContactClient', 'NotReachedError']
 
-OPTIONAL_WAIT = 1.0
 STATE_TOPICS = (
     topics.MEASURED_FORCES, topics.ESTIMATED_FORCES, topics.DESIRED_FORCES, topics.POSE,
     topics.POSE_DESIRED)
@@ -74,7 +73,7 @@ class MultiContactClient(ControllerLink):
 
     def activate(self) -> None:
         """Configure and activate estimator and controller; they know of no command from before."""
-        if self.has_lifecycle(topics.ESTIMATOR, OPTIONAL_WAIT):
+        if self.has_lifecycle(topics.ESTIMATOR, wait=1.0):
             self.bring_up(topics.ESTIMATOR)
         if self.bring_up(topics.CONTROLLER):
             self._commanded.clear()
@@ -164,37 +163,30 @@ class MultiContactClient(ControllerLink):
             raise messages.MessageError('duration', 'above 0 s', f'{duration:g} s')
         goal = messages.finite_array(position_world, 3, 'position_world')
         # All that takes time comes first: the motion runs from the sample that it starts at.
-        _, position, turn = self._desired_pose()
+        start = self.read()
         self.command(topics.MOTION_COMMAND, messages.motion_message(
-            position, turn.as_quat(), np.zeros(6), np.zeros(6)))
-        start, position, turn = self._desired_pose()
+            start.position_desired, start.quaternion_desired, np.zeros(6), np.zeros(6)))
+        start = self.read()
+        turn = Rotation.from_quat(start.quaternion_desired)
         last = turn if quaternion_xyzw is None else Rotation.from_quat(
             messages.finite_array(quaternion_xyzw, 4, 'quaternion_xyzw'))
         rotation_vector = (last * turn.inv()).as_rotvec()
-        change = np.concatenate([goal - position, rotation_vector])
+        change = np.concatenate([goal - start.position_desired, rotation_vector])
         elapsed, identifier = 0.0, new_identifier()
         while elapsed < duration:
-            before, elapsed = elapsed, (self._desired_pose()[0] - start) * 1e-9
+            before, elapsed = elapsed, self.read().time - start.time
             if elapsed < before:
-                raise RunError(f'{topics.POSE_DESIRED.name}: samples begin anew, '
-                               f'{before - elapsed:.3g} s before the last')
+                raise RunError(f'samples begin anew, {before - elapsed:.3g} s before the last')
             s, ds, dds = quintic(min(elapsed, duration), duration)
             point = messages.motion_message(
-                position + s * change[:3],
+                start.position_desired + s * change[:3],
                 (Rotation.from_rotvec(s * rotation_vector) * turn).as_quat(),
                 ds * change, dds * change)
             self.accepted(identifier)  # what it refuses of the way ends the motion
             if elapsed < duration:
                 self.send(topics.MOTION_COMMAND, point, identifier)
         self.command(topics.MOTION_COMMAND, point)
-        self.fresh(topics.POSE_DESIRED)
-
-    def _desired_pose(self) -> tuple[int, Vector, Rotation]:
-        """Return stamp [ns] and desired pose of a sample that comes from now on."""
-        message, = self.fresh(topics.POSE_DESIRED)
-        position, quaternion = _pose_of(message)
-        return (messages.stamp_to_ns(message.header.stamp), position,
-                Rotation.from_quat(quaternion))
+        self.read()
 
     def read(self) -> ArmState:
         """Return the state of a sample that comes from now on."""

@@ -18,8 +18,8 @@ def config_dir(package_dir: Path = PACKAGE_DIR) -> Path:
     In a checkout it is ``config/``, so that edited files take effect. An installed package has it
     in the share folder of its prefix, of the environment, or of an ament workspace.
     """
-    root = package_dir.parent
-    candidates = [root / 'config'] if (root / 'package.xml').is_file() else []
+    checkout = package_dir.parent
+    candidates = [checkout / 'config'] if (checkout / 'package.xml').is_file() else []
     # <prefix>/lib/pythonX.Y/site-packages/multicontact_control
     prefixes = [str(prefix) for prefix in package_dir.parents[3:4]] + [sys.prefix]
     prefixes += filter(None, os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep))

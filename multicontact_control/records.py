@@ -136,8 +136,7 @@ CONTACT_CONFIG = np.dtype([
     ('surface_speed_limit', F),  # bound of that, 0 where it is not estimated [m/s]
 ], align=True)
 
-# One column of N: what is configured, measured and learnt of the surface, and answered. Couples
-# are counted in newtons.
+# One column of N, couples in newtons: what is configured, measured and learnt, and answered.
 CONTACT = np.dtype([
     ('config', CONTACT_CONFIG),
     ('N', F, 6),  # column of N: the wrench of a unit force, world axes

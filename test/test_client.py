@@ -199,8 +199,18 @@ def stand_in(domain_id):
         thread.join()
 
 
-def pose_at(stamp):
-    return messages.pose_message(stamp, [0.0, 0.5, 0.5], [0.0, 0.0, 0.0, 1.0], 'world')
+def samples_of(stand_in):
+    """Return what publishes a sample with a stamp [ns], of an arm that rests and feels nothing."""
+    publishers = {topic: create_publisher(stand_in, topic) for topic in STATE_TOPICS}
+
+    def publish(stamp):
+        for topic, publisher in publishers.items():
+            publisher.publish(
+                messages.pose_message(stamp, [0.0, 0.5, 0.5], [0.0, 0.0, 0.0, 1.0], 'world')
+                if topic in (topics.POSE, topics.POSE_DESIRED)
+                else messages.joint_state_message(stamp, ['table'], effort=[0.0]))
+
+    return publish
 
 
 @pytest.mark.parametrize('duration', [0.0, -1.0, float('nan'), float('inf')])
@@ -212,8 +222,7 @@ def test_move_refuses_a_duration_that_is_none(arm, duration):
 def test_command_is_sent_until_it_is_answered_and_motion_ends_where_samples_begin_anew(
         stand_in, domain_id):
     numbers, heard = itertools.cycle(range(200)), []
-    poses, answers = (
-        create_publisher(stand_in, topic) for topic in (topics.POSE_DESIRED, topics.STATUS))
+    publish, answers = samples_of(stand_in), create_publisher(stand_in, topics.STATUS)
 
     def accept(command):
         heard.append(identifier_of(command))
@@ -224,8 +233,7 @@ def test_command_is_sent_until_it_is_answered_and_motion_ends_where_samples_begi
 
     stand_in.create_subscription(topics.MOTION_COMMAND.message, topics.MOTION_COMMAND.name, accept,
                                  topics.MOTION_COMMAND.profile)
-    stand_in.create_timer(
-        0.005, lambda: poses.publish(pose_at(10**9 + 2_000_000 * next(numbers))))
+    stand_in.create_timer(0.005, lambda: publish(10**9 + 2_000_000 * next(numbers)))
     with MultiContactClient('stand_in', domain_id=domain_id, timeout=PATIENCE) as client, (
             pytest.raises(RunError, match='samples begin anew')):
         client.move([0.0, 0.5, 0.5], 1e6)
@@ -233,18 +241,13 @@ def test_command_is_sent_until_it_is_answered_and_motion_ends_where_samples_begi
 
 
 def test_waiting_goes_on_where_the_clock_is_set_back(stand_in, domain_id):
-    numbers = itertools.count()
-    publishers = {topic: create_publisher(stand_in, topic) for topic in STATE_TOPICS}
+    numbers, publish = itertools.count(), samples_of(stand_in)
 
-    def publish():
+    def publish_next():
         k = next(numbers)
-        stamp = 10**12 + 1000 * k if k < 400 else 2_000_000 * k  # ns
-        for topic, publisher in publishers.items():
-            publisher.publish(
-                pose_at(stamp) if topic in (topics.POSE, topics.POSE_DESIRED)
-                else messages.joint_state_message(stamp, ['table'], effort=[0.0]))
+        publish(10**12 + 1000 * k if k < 400 else 2_000_000 * k)
 
-    stand_in.create_timer(0.005, publish)
+    stand_in.create_timer(0.005, publish_next)
     with MultiContactClient('stand_in', domain_id=domain_id, timeout=PATIENCE) as client:
         assert client.read().time >= 1000.0
         assert client.wait_until_reached(timeout=20.0).time < 1000.0
