@@ -44,20 +44,14 @@ class ConfigError(FieldError):
         return self._all or (self,)
 
     @classmethod
-    def of(cls, errors: Iterable[ConfigError]) -> ConfigError:
-        """Return one error of at least one, with the field of the first."""
-        first, *others = [each for error in errors for each in error.errors]
-        if not others:
-            return first
-        whole = cls(first.field, first.expected, first.found, first.source)
-        whole._all = (first, *others)
-        whole.args = ('\n'.join(map(str, whole._all)),)
-        return whole
-
-    def with_source(self, source: str) -> ConfigError:
-        """Return the same errors, of values from a file."""
-        return ConfigError.of(
-            ConfigError(x.field, x.expected, x.found, source) for x in self.errors)
+    def of(cls, errors: Iterable[ConfigError], source: str = '') -> ConfigError:
+        """Return one error of one or more, with the first field; `source` is their file."""
+        first, *others = [cls(x.field, x.expected, x.found, source or x.source)
+                          for error in errors for x in error.errors]
+        if others:
+            first._all = (cls(first.field, first.expected, first.found, first.source), *others)
+            first.args = ('\n'.join(map(str, first._all)),)
+        return first
 
 
 class ShapeError(MulticontactError):

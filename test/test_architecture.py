@@ -22,8 +22,8 @@ STEPPED = 'multicontact_control.supervision.supervisor'
 SLACK = 1.1
 TOP, LOOP = 'top', 'loop and sampling'
 BUDGETS = {
-    TOP: (1000, 1250), 'dynamics': (600, 0), 'contact': (650, 0), 'force': (1950, 0),
-    'control': (1100, 1360), LOOP: (450, 573), 'supervision': (2050, 2600), 'sensor': (500, 0),
+    TOP: (1000, 0), 'dynamics': (600, 0), 'contact': (650, 0), 'force': (1950, 0),
+    'control': (1100, 0), LOOP: (450, 573), 'supervision': (2050, 2600), 'sensor': (500, 0),
     'config': (850, 0), 'nodes': (2600, 3130)}
 MOST_COMPILED = 80  # functions
 

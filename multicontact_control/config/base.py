@@ -93,7 +93,7 @@ def validate(model: type[ModelT], values: Mapping[str, Any], source: str = '') -
     except ValidationError as error:
         errors[:0] = [_field_error(detail, model) for detail in error.errors(include_url=False)]
     if config is None or errors:
-        raise ConfigError.of(errors).with_source(source) from None
+        raise ConfigError.of(errors, source) from None
     return config
 
 

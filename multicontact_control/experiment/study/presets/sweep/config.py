@@ -210,7 +210,7 @@ def plan_sweep(study: StudyConfig, source: str = '') -> SweepPlan:
                 runs += [SweepRun(len(runs) + i, swept, replace(job, seed=seed))
                          for i, seed in enumerate(study.seeds)]
     except ConfigError as error:
-        raise error.with_source(source) from None
+        raise ConfigError.of([error], source) from None
     return SweepPlan(study, tuple(runs), units)
 
 
