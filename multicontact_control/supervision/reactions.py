@@ -72,8 +72,7 @@ class Reactions:
         couple = contacts['config']['leader'] != np.arange(len(contacts))
         most = np.abs(answer['alpha_des'])
         least = np.where(couple, -most, 0.0)
-        alpha = np.where(
-            answer['active'], np.clip(answer['alpha_est'], least, most), 0.0)
+        alpha = np.where(answer['active'], np.clip(answer['alpha_est'], least, most), 0.0)
         self._pressing = self._robot.terms.jacobian.T @ (contacts['N'].T * alpha)
 
     @property
