@@ -59,8 +59,7 @@ class ContactTask:
     limited
         Whether a limit of the motion was enforced at the last tick.
     held, locked
-        Whether it is held, and whether it is locked; that from the start where a push test is
-        required.
+        Whether it is held, and whether it is locked: at first where a push test is required.
 
     """
 

@@ -30,7 +30,7 @@ RELEASE_SHARE = 0.3  # of the force held or asked for, below which a contact may
 ESCAPE_SPEED = 0.1  # m/s into the surface, beyond the task's, that only a lost contact reaches
 IMPACT_TIME = 0.05  # s in contact from touch to holding, at least
 LOSS_TIME = 0.004  # s below the release threshold until a contact is lost
-BOUNCE_TIME = 0.01  # s, the same between touch and holding
+BOUNCE_TIME = 0.01  # s, the same between touch and holding: a bounce is no loss
 REBOUND_TIME = 0.1  # s, the same of a contact that held and is thrown back
 LOST_TIME = 0.05  # s from loss to a new approach, at least
 BRAKING = 5.0  # m/s^2, of a tip that has lost its surface, or is pulled back
@@ -124,7 +124,6 @@ def _watch_hold(
             contact.shaken = REBOUNDS_APART
         contact.below += h
     contact.shaken = max(0.0, contact.shaken - h)
-    # A bounce is no loss.
     patience = settings.bounce_time if contact.state == IMPACT else settings.loss_time
     # A step of the force is a motion, too: into a surface that yields as its model.
     step = abs(min(contact.asked, contact.force_limit) - contact.level)
