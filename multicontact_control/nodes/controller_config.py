@@ -23,7 +23,7 @@ from multicontact_control.sensor.push_test import PushTestConfig
 from multicontact_control.sensor.tool import TareConfig
 from multicontact_control.supervision.command_limits import CommandLimits
 
-SAFE_TIME = 500_000_000  # ns, in which a robot gets the safe behaviour before it gets nothing
+SAFE_TIME = 0.5  # s, in which a robot gets the safe behaviour before it gets nothing
 
 
 class ControllerNodeConfig(ManagedConfig):

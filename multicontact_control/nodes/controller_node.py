@@ -97,9 +97,9 @@ class ControllerNode(ManagedNode):
         if not self.working:
             return
         self.trigger_deactivate()
-        end = time.monotonic_ns() + SAFE_TIME
-        while time.monotonic_ns() < min(  # a robot that has been silent for as long is gone
-                end, self._report.watch.last + SAFE_TIME):
+        start = time.monotonic_ns()
+        # A robot that has been silent for as long is gone already.
+        while time.monotonic_ns() < min(start, self._report.watch.last) + SAFE_TIME * 1e9:
             self.spin_once(spinner)
 
     def clean_up(self) -> None:
