@@ -25,18 +25,10 @@ def factorise_contacts(
     """
     Factorise N^T D; return whether the active columns of N are independent.
 
-    D is N itself, or Lambda^-1 N. Every contact that is left out has 1 on the diagonal, so that
-    the size stays the same, and its coordinate 0.
-
-    Parameters
-    ----------
-    contacts, everyone
-        Records of `CONTACT`; all count, or those that are active.
-    rows, weighted_rows
-        N^T and D^T, zero for those left out, shape (r, 6).
-    factor
-        Filled with the Cholesky factor, shape (r, r).
-
+    D is N itself, or Lambda^-1 N. All contacts count, or those that are active; every one that is
+    left out has 1 on the diagonal, so that the size stays the same, and its coordinate 0. `rows`
+    and `weighted_rows` are N^T and D^T, zero for those left out, shape (r, 6); `factor`, shape
+    (r, r), is filled with the Cholesky factor.
     """
     count = rows.shape[0]
     for i in range(count):

@@ -25,15 +25,8 @@ def follow_surfaces(frame: Any, contacts: Any) -> None:
     Take a sample into the estimated speeds and normals of the surfaces.
 
     The force changes at k times the speed v of the contact point relative to the surface, so the
-    surface moves at v - (d alpha / dt) / k, low-passed and bounded.
-
-    Parameters
-    ----------
-    frame
-        Record of `FRAME`.
-    contacts
-        Records of `CONTACT`, shape (r,), answered; `surface_speed_est` and `normal` are changed.
-
+    surface moves at v - (d alpha / dt) / k, low-passed and bounded. Of contacts that are answered
+    `surface_speed_est` and `normal` are changed.
     """
     for i in range(contacts.shape[0]):
         contact, config = contacts[i], contacts[i].config

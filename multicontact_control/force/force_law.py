@@ -259,19 +259,9 @@ def answer_forces(
     """
     Let the force law of every active contact answer its sample.
 
-    A contact that has just become active starts from its measured force.
-
-    Parameters
-    ----------
-    laws, contacts
-        Records of `FORCE_LAW` and `CONTACT`, both changed, shape (r,).
-    control
-        Record of `CONTROL`.
-    mobility
-        Lambda^-1, shape (6, 6).
-    inputs
-        Filled with u, 0 where not active, shape (r,) [m/s^2].
-
+    A contact that has just become active starts from its measured force. Records of `FORCE_LAW`
+    and `CONTACT`, shape (r,), are changed, `inputs`, shape (r,), is filled with u, 0 where not
+    active [m/s^2]; `mobility` is Lambda^-1.
     """
     for i in range(contacts.shape[0]):
         contact, law, answer = contacts[i], laws[i], contacts[i].answer

@@ -280,18 +280,8 @@ def observe(observer: Any, contact: Any, measured: bool, rate: float) -> None:
     """
     Take the measured force of an active contact into its observer.
 
-    An observer that has not run starts from that force. Without a measurement it only predicts
-    (R = inf).
-
-    Parameters
-    ----------
-    observer, contact
-        Records of `OBSERVER` and `CONTACT`, both changed.
-    measured
-        Whether the measured force is of this sample.
-    rate
-        x_2 to start with, as uncertain as it is large [N/s].
-
+    An observer that has not run starts from that force, and from a rate x_2 that is as uncertain
+    as it is large [N/s]. Without a measurement of this sample it only predicts (R = inf).
     """
     n, tau, P = observer.states, observer.damping_time, observer.P
     x_est, x_1, answer = observer.x_est, observer.x_1, contact.answer
