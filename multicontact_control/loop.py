@@ -147,7 +147,7 @@ class ControlLoop:
         if stage.fresh and joints and wrench and joints.stamp == wrench.stamp and (
                 self.push_gate.update(joints.q, joints.qd, stage.raw, self.config.tool)) and (
                 self.push_gate.open):
-            self.supervisor.go_over()
+            self.supervisor.gate.go_over()
             self.supervisor.task.lock(False)
 
     def _require_rest(self, purpose: str) -> None:
@@ -156,14 +156,14 @@ class ControlLoop:
             raise CommandError('wrench_input', f'raw or filtered, for {purpose}', 'momentum')
         if self.output is not None and self.output.active.any():
             raise CommandError('contacts', f'none under force control for {purpose}', 'some')
-        if self.supervisor.presses:
+        if self.supervisor.reactions.presses:
             raise CommandError('contacts', f'none pressed by a reaction for {purpose}', 'some')
 
     def push_test(self, config: PushTestConfig, point_sensor: tuple[float, ...]) -> str:
         """Begin a push test, for which the arm stays where it is; return what to do now."""
         self._require_rest('a push test')
         self.push_gate.start(config, point_sensor)
-        self.supervisor.go_over()
+        self.supervisor.gate.go_over()
         self.supervisor.task.lock(True)
         return self.push_gate.instruction
 
@@ -238,7 +238,7 @@ class ControlLoop:
         if not wanted:
             self.supervisor.try_again()
         if wanted or self.held:
-            self.supervisor.go_over()
+            self.supervisor.gate.go_over()
             self.supervisor.task.hold(wanted)
 
     def retry(self) -> str:

@@ -316,18 +316,18 @@ def test_reaction_that_presses_ends_in_a_hold_and_in_the_safe_behaviour():
     bench = Bench()
     make_contact(bench)
     [bench.step_half() for _ in range(40)]
-    assert bench.reaction == 'hold' and bench.loop.supervisor.presses
+    assert bench.reaction == 'hold' and bench.loop.supervisor.reactions.presses
     bench.loop.hold(True)
     bench.step(200)
     assert (bench.reaction, bench.loop.held) == ('none', True)
     assert bench.states == {'table': 'holding', 'board': 'free'}
     np.testing.assert_allclose(bench.loop.output.alpha_des, [6.0, 0.0])
     [bench.step_half() for _ in range(40)]
-    assert bench.loop.supervisor.presses
+    assert bench.loop.supervisor.reactions.presses
     bench.loop.stop()
     bench.push = np.zeros(6)
     bench.step(120)
-    assert not bench.loop.supervisor.presses
+    assert not bench.loop.supervisor.reactions.presses
     assert bench.states == {'table': 'free', 'board': 'free'}
     np.testing.assert_allclose(bench.loop.tare(TareConfig()), 0.0, atol=0.02)
 

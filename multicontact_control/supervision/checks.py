@@ -92,10 +92,9 @@ def plausibility_limits(config: ControllerConfig) -> Records:
     bounds = np.zeros(1, dtype=PLAUSIBILITY)
     bounds['friction_bound'] = config.watchdog.friction_bound
     bounds['inertia'] = config.tool.mass * LOSS_ACCELERATION
-    limits, everywhere = config.limits, np.full(3, np.inf)
-    bounds['box'] = (
-        np.array(limits.workspace_lower or -everywhere) - BOX_EXCESS,
-        np.array(limits.workspace_upper or everywhere) + BOX_EXCESS)
+    limits = config.limits
+    bounds['box'] = (np.array(limits.workspace_lower or [-np.inf] * 3) - BOX_EXCESS,
+                     np.array(limits.workspace_upper or [np.inf] * 3) + BOX_EXCESS)
     return bounds
 
 

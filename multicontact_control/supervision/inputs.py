@@ -5,16 +5,12 @@ A reading of joints, wrench or R is checked for its stamp, its shape, its number
 before it; a wrench is low-passed, too. A reading that fails counts as not received: the newest
 valid one stands in for it, and calls for a reaction (`checks.reactions_of`) once it is too old.
 
-What is wrong is called ``<part>_<problem>``, the part `joints`, `wrench`, `variance` or `clock`:
-
-- `invalid`: no number, not finite, of another shape, or what no arm, sensor or estimator gives;
-- `jump`: a joint is not where its speeds have taken it;
-- `frozen`: identical readings in a row;
-- `saturated`: an axis of the wrist sensor is at full scale;
-- `stamp`: no time, or in the future; `order`: before an earlier one; `late`: of a wrench, more
-  than a period old when it comes;
-- `stale`: too old, and nothing newer has come;
-- `backwards`, `rate`: of the clock; a wrong rate is one twice in a row, also of one that stands.
+A fault is called ``<part>_<problem>``; the parts are `joints`, `wrench`, `variance` and `clock`:
+`invalid` (no number, or one that no arm, sensor or estimator gives), `jump` (a joint is not where
+its speeds have taken it), `frozen` (identical readings in a row), `saturated` (at full scale),
+`stamp` (none, or in the future), `order` (before an earlier one), `late` (a wrench more than a
+period old when it comes), `stale` (too old, and nothing newer has come), and of the clock
+`backwards` and `rate` (a wrong period twice in a row, also of a clock that stands).
 
 A live wrist sensor repeats itself by chance: two readings of all six axes of a 14-bit JR3 with
 0.047 N and 0.004 N m of noise are equal with a probability of 6e-8, three in a row with 4e-15.
@@ -398,8 +394,8 @@ class Inputs:
         self.raw: Vector = self._state['raw'][0]
         self.filtered: Vector = self._state['filtered'][0]
         # Where the numbers of a reading are put.
-        self._places = ((self._readings[0], self._readings[1]), (self.raw,), (self._new_variance,),
-                        (), (self._effort,))
+        self._places = (
+            tuple(self._readings[:2]), (self.raw,), (self._new_variance,), (), (self._effort,))
         self._no_command, self._all_well = np.zeros(n), Seen()
         self.reset()
         self.validate(TickInputs(0.0))  # no tick is to wait for numba

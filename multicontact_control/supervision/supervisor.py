@@ -81,8 +81,9 @@ class Supervisor:
     ----------
     config
         The configuration in force.
-    inputs, controller, task
-        The input stage, the control law, and what it is asked for.
+    inputs, controller, task, reactions, gate
+        The input stage, the control law, what it is asked for, what takes its place, and the last
+        step of a tick.
     safe
         Whether ticks are answered by the declared safe behaviour, see `stop`.
     started
@@ -103,8 +104,8 @@ class Supervisor:
         self.task = ContactTask(config, source, controller, guarded=guarded)
         self.inputs = Inputs(
             config, controller.measured, self._joints, self._controls['momentum'])
-        self._gate = TorqueGate(config, self._joints, guarded=guarded)
-        self._reactions = Reactions(config, controller)
+        self.gate = TorqueGate(config, self._joints, guarded=guarded)
+        self.reactions = Reactions(config, controller)
         self._recovery = Recovery(config.watchdog.recovery_time, config.period)
         if guarded:
             watch_arm(config, controller)
@@ -116,7 +117,7 @@ class Supervisor:
         """Forget everything measured and commanded; the next tick starts anew."""
         self._restart_law()
         self.inputs.reset()
-        self._gate.reset()
+        self.gate.reset()
         self.safe = False
         self.outside: tuple[str, ...] = ()
         self._arm: ArmState | None = None  # once it was seen
@@ -134,18 +135,14 @@ class Supervisor:
         self.started = self._paused = False
         self._waiting_reaction = HOLD
         self._recovery.reset()
-        self._reactions.end()
+        self.reactions.end()
 
     def stop(self) -> None:
-        """
-        Answer by the declared safe behaviour from the next tick on, reached without a jump.
-
-        The control law is forgotten; `reset` ends this.
-        """
+        """Answer by the declared safe behaviour from the next tick on, until a `reset`."""
         if not self.safe:
             self._restart_law()
             self.safe = True
-            self._gate.go_over()
+            self.gate.go_over()
 
     def step(self, inputs: TickInputs) -> Answer:
         """
@@ -171,7 +168,7 @@ class Supervisor:
         """
         part, reaction = 'internal', NONE  # the part at work, for an error in it
         try:
-            seen = self.inputs.validate(inputs, self._gate.last if self._gate.begun else None)
+            seen = self.inputs.validate(inputs, self.gate.last if self.gate.begun else None)
             causes = self._see(inputs, seen)
             resumes = self._paused or not self.started
             if causes or self.safe or resumes:
@@ -191,7 +188,7 @@ class Supervisor:
                 return self._refuse(refused)
             if resumes:
                 self._take_over()
-            torque, limits = self._gate.apply(
+            torque, limits = self.gate.apply(
                 self.controller.active.tobytes() if self.guarded else None,
                 self.controller.torque.copy(), limited=limited)
             if limits:
@@ -218,7 +215,7 @@ class Supervisor:
                 self._alarms = TOO_FAST[arm.found & (OPERATIONAL_SPEED | JOINT_SPEED)]
                 self._alarms += self._touch(arm.found)
             if self.config.robot.adds_gravity:
-                self._gate.allow_for(self._own_weight())
+                self.gate.allow_for(self._own_weight())
             self._flags = arm.found
         if self._flags & AMBIGUOUS:  # what the contacts bear is of some time before
             self._wrench_known = False
@@ -309,10 +306,10 @@ class Supervisor:
 
     def _take_over(self) -> None:
         """Let the law act from now on."""
-        if not self._gate.begun:
+        if not self.gate.begun:
             self._begin()
         if self._paused:
-            self._reactions.end()
+            self.reactions.end()
             if self.started:
                 self._recovery.resumed(self._task_ticks)
         self.started, self._paused = True, False
@@ -333,8 +330,8 @@ class Supervisor:
             acting = effort + self._joints['added']
         elif self._arm is not None:
             acting = self._robot.update(self._arm.q, acting).gravity
-        self._gate.begin(acting)
-        self._gate.go_over()
+        self.gate.begin(acting)
+        self.gate.go_over()
 
     def _refuse(self, cause: str) -> Answer:
         """Answer without the control law because of what it says."""
@@ -357,17 +354,17 @@ class Supervisor:
                 self._waiting_reaction = HOLD
         if self.started and not self._paused:
             self._recovery.stopped(causes, self._task_ticks)
-            self._reactions.begin(self._output)
+            self.reactions.begin(self._output)
         self._paused = True
-        if not self._gate.begun:
+        if not self.gate.begun:
             self._begin()
         if reaction != SAFE:
-            self._gate.hurry()
+            self.gate.hurry()
         with np.errstate(all='ignore'):  # the gate finds numbers that are not finite
             # What blocks the arm may be what the contacts' forces press it against: they fade.
             felt = self._wrench_known and not any(x.startswith(COLLISION) for x in self._alarms)
-            torque, limits = self._gate.apply(
-                reaction, self._reactions.torque(reaction, arm, felt),
+            torque, limits = self.gate.apply(
+                reaction, self.reactions.torque(reaction, arm, felt),
                 known=arm is not None, seen=arm is not None and not blind)
         return self._report(
             torque, NONE if reaction == SAFE else reaction, causes, limits, controlled=False)
@@ -394,7 +391,7 @@ class Supervisor:
             return self._react(reaction, causes)
         except Exception:  # nothing is left but gravity where the arm was seen last
             self._paused, self._good_ticks = True, 0
-            return self._report(self._gate.carry(self._arm is not None), reaction, causes, (),
+            return self._report(self.gate.carry(self._arm is not None), reaction, causes, (),
                                 controlled=False)
 
     def _report(
@@ -427,34 +424,21 @@ class Supervisor:
         self.controller.check(config)
 
     def reconfigure(self, config: ControllerConfig) -> None:
-        """
-        Go on with another configuration from the next sample on, without a jump of the torque.
-
-        If that cannot be done it is a ConfigError, and everything is as it was.
-        """
+        """Go on with another configuration, without a jump; or ConfigError, as it was before."""
         self.check(config)
         self.controller.reconfigure(config)
         self._adopt(config)
-        self.go_over()
+        self.gate.go_over()
 
     def _adopt(self, config: ControllerConfig) -> None:
         """Set what follows from the values that may change while the arm is controlled."""
         self.config = config
-        self._gate.adopt(config)
-        self._reactions.adopt(config)
+        self.gate.adopt(config)
+        self.reactions.adopt(config)
         self.task.retune(config)
         self._answered = (  # what an answer is checked by
             plausibility_limits(config), self._controls, self._joints, self.controller.contacts,
             self.task.states)
-
-    def go_over(self) -> None:
-        """Let the next command be the last one again: what is asked for is about to jump."""
-        self._gate.go_over()
-
-    @property
-    def presses(self) -> bool:
-        """Whether a reaction presses on with what a contact was held with."""
-        return self._reactions.presses
 
     def try_again(self) -> bool:
         """Resume control that is latched, seek contacts given up; return if there was any."""

@@ -51,7 +51,7 @@ SIDE_WALL, ELBOW_WALL = -2, -1  # numbers of surfaces that are no contacts: the 
 FAR = 10.0  # m, where they are not in the way
 # What a tick calls of a supervisor, one after the other.
 PARTS = ('inputs.validate', 'controller.arm.refresh', 'task.ask', 'controller.answer',
-         '_reactions.torque', '_gate.apply')
+         'reactions.torque', 'gate.apply')
 
 
 def _deliveries() -> list[Fault]:
