@@ -192,3 +192,16 @@ def test_a_locked_task_stands_still_until_it_is_unlocked_and_then_begins():
     np.testing.assert_allclose(
         asked.ask(800 * H).pose.position_world, other.task(500 * H).pose_des.position_world,
         atol=1e-12)
+
+
+def test_what_was_held_before_a_lock_is_held_after_it_without_contact():
+    asked = Asked(guarded=False)
+    asked.source.set_forces({'table': 7.0})
+    asked.ask(0.0)
+    asked.task.hold(True)
+    assert asked.ask(H).active.tolist() == [True, False]
+    for locked in (True, False):
+        asked.task.lock(locked)
+        assert asked.task.held and not asked.ask(2 * H).active.any()
+    asked.task.hold(False)
+    assert asked.ask(3 * H).active.tolist() == [True, False]
