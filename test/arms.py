@@ -64,7 +64,7 @@ class Law:
         law = self.controller
         law.contacts['noise_variance'] = noise_variance
         law.take(measurement.q, measurement.qd, measurement.wrench_sensor)
-        if law.arm.found & AMBIGUOUS:
+        if law.arm.flags & AMBIGUOUS:
             law.refuse()
         if not law.started:
             self._task.start(law.start())

@@ -147,14 +147,14 @@ def see_arm(
         if not np.isfinite(bias_torque[j]):
             return NO_NUMBERS
     position, rotation, sensor_position, sensor_rotation = placements
-    found, speed, turn = 0, 0.0, 0.0
+    flags, speed, turn = 0, 0.0, 0.0
     for j in range(joints.shape[0]):
         joint = joints[j]
         joint.last_velocity, joint.last_bias = joint.velocity, joint.bias_torque
         joint.q, joint.velocity = motion[0, j], motion[1, j]
         joint.inertia, joint.bias_torque = mass_matrix[j, j], bias_torque[j]
         if abs(joint.velocity) > joint.speed_limit:
-            found = JOINT_SPEED
+            flags = JOINT_SPEED
     for i in range(3):
         frame.position[i], frame.sensor_position[i] = position[i], sensor_position[i]
         for j in range(3):
@@ -169,15 +169,15 @@ def see_arm(
         speed += frame.twist[k] ** 2
         turn += frame.twist[3 + k] ** 2
     if speed > frame.speed_limit ** 2 or turn > frame.turn_limit ** 2:
-        found += OPERATIONAL_SPEED
+        flags += OPERATIONAL_SPEED
     if control.momentum.bandwidth > 0.0:
         if observe_momentum(control, joints, mass_matrix, jacobian):
-            found += TOUCHED
+            flags += TOUCHED
         if control.momentum.is_input:
             wrench_of_residual(control, joints, mass_matrix, jacobian)
     if not measure_contacts(control, contacts):
-        found += AMBIGUOUS
-    return found
+        flags += AMBIGUOUS
+    return flags
 
 
 class ArmState:
@@ -202,7 +202,7 @@ class ArmState:
         Diagonal of M [kg m^2] and C v + g [N m], in `joints`, shape (n,).
     pose
         Of the operational frame, in `frames`.
-    found
+    flags
         What is unusual about it; see `see_arm`.
 
     """
@@ -227,7 +227,7 @@ class ArmState:
     @property
     def finite(self) -> bool:
         """Whether the model gave finite numbers; if not, the arm is where it was before."""
-        return self.found != NO_NUMBERS
+        return self.flags != NO_NUMBERS
 
     def update(self, q: Vector, velocity: Vector) -> bool:
         """Take in joint positions [rad] and velocities [rad/s], shape (n,); see `refresh`."""
@@ -237,7 +237,7 @@ class ArmState:
     def refresh(self) -> bool:
         """Take in what has been written into `motion`; return whether the model is `finite`."""
         terms = self.robot.compute(self.q, self.velocity)
-        self.found = see_arm(
+        self.flags = see_arm(
             self.motion, terms.mass_matrix, terms.bias_torque, terms.jacobian,
             terms.placements, self.joints, self._controls, self._contacts)
-        return self.found != NO_NUMBERS
+        return self.flags != NO_NUMBERS

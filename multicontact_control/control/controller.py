@@ -200,7 +200,7 @@ class Controller:
             If the contacts' normals are not independent.
 
         """
-        if self.arm.found & AMBIGUOUS:  # which is in NO_NUMBERS, too
+        if self.arm.flags & AMBIGUOUS:  # which is in NO_NUMBERS, too
             self.refuse()
         if self._coordinate_driven:
             self._follow_stiffness()

@@ -393,7 +393,6 @@ class Inputs:
         self._state, self._verdict = self._stage['state'], self._stage['verdict']
         self.raw: Vector = self._state['raw'][0]
         self.filtered: Vector = self._state['filtered'][0]
-        # Where the numbers of a reading are put.
         self._places = (
             tuple(self._readings[:2]), (self.raw,), (self._new_variance,), (), (self._effort,))
         self._no_command, self._all_well = np.zeros(n), Seen()

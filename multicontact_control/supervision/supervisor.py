@@ -211,12 +211,12 @@ class Supervisor:
         self._seen, self._wrench_known = seen, seen.measured
         if seen.joints and arm.refresh():
             self._arm = arm
-            if arm.found or self._flags:
-                self._alarms = TOO_FAST[arm.found & (OPERATIONAL_SPEED | JOINT_SPEED)]
-                self._alarms += self._touch(arm.found)
+            if arm.flags or self._flags:
+                self._alarms = TOO_FAST[arm.flags & (OPERATIONAL_SPEED | JOINT_SPEED)]
+                self._alarms += self._touch(arm.flags)
             if self.config.robot.adds_gravity:
                 self.gate.allow_for(self._own_weight())
-            self._flags = arm.found
+            self._flags = arm.flags
         if self._flags & AMBIGUOUS:  # what the contacts bear is of some time before
             self._wrench_known = False
         self._controls['measured'] = self._wrench_known
@@ -234,9 +234,9 @@ class Supervisor:
         self._task_ticks = round(inputs.time / self._period)
         return Seen()
 
-    def _touch(self, found: int) -> tuple[str, ...]:
+    def _touch(self, flags: int) -> tuple[str, ...]:
         """Name the joint where something touches the arm: the last that it has loaded."""
-        if not found & TOUCHED:
+        if not flags & TOUCHED:
             self._touched = -1
             return ()
         beyond = np.flatnonzero(np.abs(self._joints['residual']) > self._joints['threshold'])

@@ -56,7 +56,7 @@ def test_residual_is_what_touches_the_arm_before_its_sensor_and_nothing_else():
             controls['momentum']['elapsed'] = H if k else 0.0
             arm.update(sample.q, sample.qd)
             residuals.append(arm.joints['residual'].copy())
-            found.append(bool(arm.found & TOUCHED))
+            found.append(bool(arm.flags & TOUCHED))
             state = robot.update(sample.q, sample.qd)
             expected.append(-state.jacobian[:3].T @ PUSH if k * H > 0.55 else np.zeros(6))
             q.append(sample.q), v.append(sample.qd), efforts.append(sample.effort)

@@ -44,7 +44,7 @@ def test_speeds_and_plausibility_equal_numpy(seed, scale):
         too_fast.append('motion_operational_speed')
     if (np.abs(v) > 1.1 * np.array(limits.joint_speed)).any():
         too_fast.append('motion_joint_speed')
-    assert list(TOO_FAST[arm.found & (OPERATIONAL_SPEED | JOINT_SPEED)]) == too_fast
+    assert list(TOO_FAST[arm.flags & (OPERATIONAL_SPEED | JOINT_SPEED)]) == too_fast
 
     alpha, wrench = random.normal(size=CONTACTS) * 5.0, random.normal(size=6) * 10.0
     contacts, controls = SUPERVISOR.controller.contacts, SUPERVISOR.controller.controls
