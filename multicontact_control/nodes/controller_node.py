@@ -93,12 +93,11 @@ class ControllerNode(ManagedNode):
         self.get_logger().info(f'deactivated: commanding {kind} from the next sample on')
 
     def take_leave(self, spinner: Spinner) -> None:
-        """Go over to the safe behaviour, for as long as a robot has to be left with some."""
+        """Go over to the safe behaviour for a while, unless the robot has been silent as long."""
         if not self.working:
             return
         self.trigger_deactivate()
         start = time.monotonic_ns()
-        # A robot that has been silent for as long is gone already.
         while time.monotonic_ns() < min(start, self._report.watch.last) + SAFE_TIME * 1e9:
             self.spin_once(spinner)
 
