@@ -196,7 +196,10 @@ def _warm_up(loop: ControlLoop) -> None:
     loop.restart()
 
 
-main = partial(run_node, ControllerNode)
+def main() -> int:
+    """Run the controller node."""
+    return run_node(ControllerNode)
+
 
 if __name__ == '__main__':
     sys.exit(main())

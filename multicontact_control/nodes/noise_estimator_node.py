@@ -110,7 +110,10 @@ class NoiseEstimatorNode(ManagedNode):
                            slow=sum(reader.slow for reader in self._readers.values()))]
 
 
-main = partial(run_node, NoiseEstimatorNode)
+def main() -> int:
+    """Run the noise estimator node."""
+    return run_node(NoiseEstimatorNode)
+
 
 if __name__ == '__main__':
     sys.exit(main())

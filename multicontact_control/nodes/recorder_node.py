@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 from dataclasses import dataclass
-from functools import partial
 from importlib import import_module
 from operator import itemgetter
 import os
@@ -217,7 +216,10 @@ class RecorderNode(Node):
                 f'dropped {name}': number for name, number in lost.items()}}, warning)]
 
 
-main = partial(run_node, RecorderNode)
+def main() -> int:
+    """Run the recorder node."""
+    return run_node(RecorderNode)
+
 
 if __name__ == '__main__':
     sys.exit(main())
