@@ -203,12 +203,12 @@ class ControlLoop:
 
     @property
     def commanded_pose(self) -> Pose | None:
-        """The commanded pose of the operational point; None in a scenario."""
+        """Return the commanded pose of the operational point; None in a scenario."""
         return None if self._commanded is None else self._commanded.pose
 
     @property
     def commanded_forces(self) -> dict[str, float]:
-        """The commanded forces and couples by name [N]; none in a scenario."""
+        """Return the commanded forces and couples by name [N]; none in a scenario."""
         return {} if self._commanded is None else self._commanded.forces
 
     def _commandable(self) -> CommandedTask:

@@ -115,7 +115,7 @@ class SimNode(Node):
         self._surfaces = SurfaceMarkers(plant_config, rate=config.rate)
         self._surface_publisher = create_publisher(self, topics.SURFACE_MARKERS)
         self.streams = {topic: StreamPublisher(self, topic, example)
-                               for topic, example in self._examples().items()}
+                        for topic, example in self._examples().items()}
         self._reader = named_reader(self._plant.joint_names, ('effort',), NamedReading)
         self.create_subscription(
             topics.EFFORT_COMMAND.message, topics.EFFORT_COMMAND.name, self._on_command, qos.INPUT,

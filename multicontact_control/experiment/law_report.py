@@ -218,7 +218,6 @@ def design_for_range(
         f'{GAIN_MARGIN:g} and a period of delay left', f'{softest:g} to {stiffest:g} N/m')
 
 
-
 def show_design(found: DesignedLaw) -> str:
     """Return gains and margins as a few lines of text."""
     margins = found.margins

@@ -79,7 +79,7 @@ class PushTestResult(NamedTuple):
 
     @property
     def message(self) -> str:
-        """The verdict in one line."""
+        """Return the verdict in one line."""
         if self.passed:
             return f'push test passed: sign and frame right, scale {self.scale:.2f}'
         return f'push test failed: {"; ".join(self.findings)}'
@@ -134,7 +134,7 @@ class PushGate:
 
     @property
     def instruction(self) -> str:
-        """What the user should do now; empty if there is nothing to be done."""
+        """Return what the user should do now; empty if there is nothing to be done."""
         if self.phase == 'push':
             return (f'push the tool along world {self.direction} with {self._config.force:g} N '
                     'and hold')

@@ -186,10 +186,10 @@ class TorqueGate:
         self.begun = True
         return torque, ENFORCED[enforced | TORQUE if limited else enforced]
 
-    def carry(self, known: bool) -> Vector:
-        """Return what carries the arm, 0 if it was never known, within limits, without a blend."""
+    def carry(self, torque: Vector | None, known: bool) -> Vector:
+        """Bring a torque, or for None what carries the arm, within limits, without a blend."""
         self._end_blend()
-        carrying = np.full(len(self._joints), np.nan)
+        carrying = np.full(len(self._joints), np.nan) if torque is None else torque
         gate_torque(carrying, self._joints, self._limits, known, False, self.begun)
         self.begun = True
         return carrying

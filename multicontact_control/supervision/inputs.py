@@ -367,7 +367,11 @@ class Inputs:
     joints, momenta
         Records of `JOINT`, shape (n,), and one of `MOMENTUM`, for the torques that acted.
 
-    `raw` and `filtered` are the newest wrench before and behind the low-pass, shape (6,) [N, N m].
+    Attributes
+    ----------
+    raw, filtered
+        The newest wrench before and behind the low-pass, shape (6,) [N, N m].
+
     """
 
     def __init__(
@@ -408,7 +412,7 @@ class Inputs:
 
     @property
     def effort(self) -> Vector | None:
-        """The torques that came with the newest joint state, if they say anything [N m]."""
+        """Return the torques of the newest joint state, if they say anything [N m]."""
         return self._effort if self._verdict['acts'][0] else None
 
     @property
@@ -424,7 +428,7 @@ class Inputs:
     @property
     def kept(self) -> tuple[Matrix, Matrix]:
         """
-        The newest 100 wrenches as they came in, and the posture at each, oldest first.
+        Return the newest 100 wrenches as they came in, and the posture at each, oldest first.
 
         Sensor axes, shape (k, 6) [N, N m], and (k, n) [rad]; none once the newest is 0.1 s old.
         """

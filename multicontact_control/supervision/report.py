@@ -58,32 +58,16 @@ def read_event(time: float, what: str) -> Event:
 
 
 class EventLog:
-    """
-    Counts what a supervisor does, and notes what changes.
-
-    Attributes
-    ----------
-    events
-        Time [s] and what changed, the first `CAPACITY` of them.
-    dropped
-        How many came after these.
-    names
-        Of what has states: the reaction and the contacts.
-    reactions, rejected, limited
-        In how many ticks there were which.
-    collisions
-        How often something has touched the arm before its wrist sensor, by cause.
-
-    """
+    """Counts what a supervisor does, and notes what changes."""
 
     def __init__(self, contact_names: Sequence[str] = ()) -> None:
-        self.events: list[tuple[float, str]] = []
-        self.dropped = 0
-        self.reactions: Counter[str] = Counter()
-        self.rejected: Counter[str] = Counter()
-        self.limited: Counter[str] = Counter()
-        self.collisions: Counter[str] = Counter()
-        self.names = (REACTION, *contact_names)
+        self.events: list[tuple[float, str]] = []  # time [s] and what changed, the first ones
+        self.dropped = 0  # those that came after `CAPACITY`
+        self.reactions: Counter[str] = Counter()  # ticks with each
+        self.rejected: Counter[str] = Counter()  # ticks with each
+        self.limited: Counter[str] = Counter()  # ticks with each
+        self.collisions: Counter[str] = Counter()  # touches before the wrist sensor, by cause
+        self.names = (REACTION, *contact_names)  # of what has states
         self._before: tuple[object, ...] = ()
         self._touched = False
         self._states: tuple[str, ...] = ()

@@ -126,6 +126,7 @@ class Supervisor:
         self._alarms: tuple[str, ...] = ()
         self._seen, self._wrench_known = Seen(), False
         self._reaction = NONE
+        self._fallback: Vector | None = None  # torque of a reaction, if the gate fails
         self._output = no_answer(self._robot.joint_count, len(self.config.columns))
 
     def _restart_law(self) -> None:
@@ -363,9 +364,10 @@ class Supervisor:
         with np.errstate(all='ignore'):  # the gate finds numbers that are not finite
             # What blocks the arm may be what the contacts' forces press it against: they fade.
             felt = self._wrench_known and not any(x.startswith(COLLISION) for x in self._alarms)
+            wanted = self._fallback = self.reactions.torque(reaction, arm, felt)
             torque, limits = self.gate.apply(
-                reaction, self.reactions.torque(reaction, arm, felt),
-                known=arm is not None, seen=arm is not None and not blind)
+                reaction, wanted.copy(), known=arm is not None,
+                seen=arm is not None and not blind)
         return self._report(
             torque, NONE if reaction == SAFE else reaction, causes, limits, controlled=False)
 
@@ -387,12 +389,13 @@ class Supervisor:
         self._alarms, self._wrench_known, self._seen = (), False, Seen(blind=True)
         reaction, causes = DAMP if self._arm is None else FLOAT, (
             f'internal_{type(error).__name__}',)
+        self._fallback = None
         try:
             return self._react(reaction, causes)
-        except Exception:  # nothing is left but gravity where the arm was seen last
+        except Exception:  # its torque, or gravity where the arm was seen last, without a blend
             self._paused, self._good_ticks = True, 0
-            return self._report(self.gate.carry(self._arm is not None), reaction, causes, (),
-                                controlled=False)
+            return self._report(self.gate.carry(self._fallback, self._arm is not None), reaction,
+                                causes, (), controlled=False)
 
     def _report(
         self, torque: Vector, reaction: str, causes: tuple[str, ...], limits: tuple[str, ...], *,

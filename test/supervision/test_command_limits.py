@@ -16,6 +16,7 @@ import pytest
 EDGE = controller_config(contacts={'table': {
     'type': 'edge', 'direction_operational': [1.0, 0.0, 0.0], 'half_length': 0.02}})
 
+
 def test_check_forces_takes_what_is_within():
     limits = CommandLimits(force_ceiling=10.0)
     assert limits.check_forces(EDGE, {'table': 0.0, 'board': 10.0}) is None
