@@ -245,7 +245,8 @@ def _follow_contacts(limit: Any, frame: Any, task: Any, columns: Any, states: An
             answer.alpha_des = min(state.asked, state.force_limit)
             column.guarded = state.state == HOLDING and state.in_state > GUARD_TIME and (
                 column.alpha_meas < GUARD_SHARE * min(state.level, state.asked))
-        shift += state.displacement * normal
+        for k in range(3):
+            shift[k] += state.displacement * normal[k]
         answer.active = is_active(state)
         if not answer.active:
             answer.alpha_des = 0.0
@@ -285,18 +286,23 @@ def _bound_task(limit: Any, frame: Any, task: Any, columns: Any) -> bool:
     gap, way, turn = position - frame.position, limit.lead * twist[:3], np.empty(3)
     axes, count = np.empty((columns.shape[0], 3)), 0
     for i in range(columns.shape[0]):
-        axis = columns[i].normal.copy()  # made orthogonal to those before (Gram-Schmidt)
+        if not columns[i].answer.active or columns[i].config.leader != i:
+            continue
+        axis = axes[count]  # made orthogonal to those before (Gram-Schmidt)
+        axis[:] = columns[i].normal
         for j in range(count):
             axis -= dot(axis, axes[j]) * axes[j]
         length = np.sqrt(dot(axis, axis))
-        if columns[i].answer.active and length > PARALLEL:
+        if length > PARALLEL:
             axis /= length
-            axes[count] = axis
             count += 1
-            gap -= dot(gap, axis) * axis
-            way -= dot(way, axis) * axis
+            along, ahead = dot(gap, axis), dot(way, axis)
+            for k in range(3):
+                gap[k] -= along * axis[k]
+                way[k] -= ahead * axis[k]
     share = _share_within(gap, way, limit.reach, twist, acceleration)
-    position -= gap * (1.0 - min(share, 1.0))
+    if share < 1.0:
+        position -= gap * (1.0 - share)
     rotation_vector(task.rotation, frame.rotation, turn)
     turn_share = _share_within(
         turn, limit.lead * twist[3:], limit.turn, twist[3:], acceleration[3:])

@@ -99,6 +99,7 @@ class Supervisor:
     ) -> None:
         self.guarded = guarded
         self._robot, self._period = robot, config.period
+        self._adds_gravity = config.robot.adds_gravity
         self.controller = controller = Controller(config, robot)
         self._joints, self._controls = controller.arm.joints, controller.controls
         self.task = ContactTask(config, source, controller, guarded=guarded)
@@ -215,7 +216,7 @@ class Supervisor:
             if arm.flags or self._flags:
                 self._alarms = TOO_FAST[arm.flags & (OPERATIONAL_SPEED | JOINT_SPEED)]
                 self._alarms += self._touch(arm.flags)
-            if self.config.robot.adds_gravity:
+            if self._adds_gravity:
                 self.gate.allow_for(self._own_weight())
             self._flags = arm.flags
         if self._flags & AMBIGUOUS:  # what the contacts bear is of some time before
@@ -403,7 +404,7 @@ class Supervisor:
     ) -> Answer:
         """Return the answer of the tick; of contacts that no law controls nothing is known."""
         self._reaction = reaction
-        if self.config.robot.adds_gravity:
+        if self._adds_gravity:
             torque = torque - self._joints['added']
         output = self._output if self._arm is None else self.controller.output(torque)
         if not controlled:
