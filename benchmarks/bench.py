@@ -177,8 +177,9 @@ def bench_graph(duration):
         def look(_progress, spent=spent):
             now = {'wall': 1e-9 * perf_counter_ns()}
             for process in psutil.Process().children(recursive=True):
-                command = ' '.join(process.cmdline()[:3])
-                now |= {x: sum(process.cpu_times()[:2]) for x in START_ORDER if x in command}
+                command = ' '.join(process.cmdline()).split()[:3]  # python -m MODULE
+                now |= {x: sum(process.cpu_times()[:2]) for x in START_ORDER
+                        if command and command[-1].endswith(x)}
             spent.append(now)
 
         with TemporaryDirectory() as folder:

@@ -73,10 +73,11 @@ def offset_shares(config: ControllerConfig, centres: Mapping[str, float]) -> dic
 
 
 def check_motion(motion: MotionReading, limits: LimitsConfig) -> None:
-    """Refuse a commanded motion that is not of finite numbers, or leaves the workspace box."""
+    """Refuse a motion of numbers that say nothing, or one that leaves the workspace box."""
     check_position(motion.position_world, limits)
-    if not all(np.isfinite(part).all() for part in motion):
-        raise CommandError('motion', 'finite numbers', [np.array(x).tolist() for x in motion])
+    if not (all(np.isfinite(part).all() for part in motion) and np.any(motion.quaternion_xyzw)):
+        raise CommandError('motion', 'finite numbers, and a quaternion that is not 0',
+                           [np.array(x).tolist() for x in motion])
 
 
 def check_position(position_world: Vector, limits: LimitsConfig) -> None:

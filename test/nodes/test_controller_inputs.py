@@ -156,7 +156,7 @@ def test_samples_that_cannot_be_used_are_named(host, controller, joints, wrench,
             arm.send_parts(arm.k * PERIOD + wrench, {'wrench'})
         host.pause()
 
-    report_when(arm, send, lambda x: text in x[part][1])
+    assert text in report_when(arm, send, lambda x: text in x[part][1])[part][1]
 
 
 @pytest.mark.parametrize('supervised', [True, False], ids=['supervised', 'bare'])

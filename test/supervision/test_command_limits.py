@@ -65,6 +65,11 @@ def test_check_motion_refuses_numbers_that_are_not_finite(part):
         check_motion(MotionReading(*motion), LimitsConfig())
 
 
+def test_check_motion_refuses_a_quaternion_without_length():
+    with pytest.raises(CommandError, match='a quaternion that is not 0'):
+        check_motion(MotionReading(*(np.zeros(n) for n in (3, 4, 6, 6))), LimitsConfig())
+
+
 def test_check_position_names_the_axis():
     limits = LimitsConfig(workspace_lower=(-1.0,) * 3, workspace_upper=(1.0, 1.0, 1.5))
     check_position(np.array([0.5, -0.5, 1.0]), limits)

@@ -326,20 +326,3 @@ def pairs_of_faults(count: int, seed: int) -> list[tuple[Fault, Fault]]:
         if one.input != other.input:
             pairs.append((one, other))
     return pairs
-
-
-def general_kind(fault: Fault) -> str:
-    """Return what is done, whatever input it is done to; a node is not like another, though."""
-    if fault.input not in (*STREAMS, CLOCK, *PARTS):
-        return f'{fault.kind} {fault.input}'
-    kind, _, field = fault.kind.rpartition('_')
-    return kind if field in ('q', 'qd') else fault.kind
-
-
-def quick_faults(where: str, seed: int) -> list[Fault]:
-    """Return one fault of every kind: what can befall several inputs befalls one of them."""
-    by_kind: dict[str, list[Fault]] = {}
-    for fault in faults_of(where).values():
-        by_kind.setdefault(general_kind(fault), []).append(fault)
-    return [faults[(seed + number) % len(faults)]
-            for number, faults in enumerate(by_kind.values())]

@@ -210,7 +210,7 @@ def test_nodes_end_when_the_process_that_started_them_is_killed(tmp_path):
     wait_for(lambda: len(node_processes(tmp_path / 'run')) == 4, 'nodes started')
     parent.kill()
     parent.wait()
-    wait_for(lambda: not node_processes(tmp_path / 'run'), 'nodes ended')
+    assert wait_for(lambda: not node_processes(tmp_path / 'run'), 'nodes ended')
 
 
 def test_reserve_domain_gives_two_runs_two_domains(monkeypatch):
