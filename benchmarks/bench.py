@@ -177,9 +177,9 @@ def bench_graph(duration):
         def look(_progress, spent=spent):
             now = {'wall': 1e-9 * perf_counter_ns()}
             for process in psutil.Process().children(recursive=True):
-                command = ' '.join(process.cmdline()).split()[:3]  # python -m MODULE
+                command = ' '.join(process.cmdline()).split()[:3]  # NODE, or python -m MODULE
                 now |= {x: sum(process.cpu_times()[:2]) for x in START_ORDER
-                        if command and command[-1].endswith(x)}
+                        if any(word.endswith(x) for word in command)}
             spent.append(now)
 
         with TemporaryDirectory() as folder:
