@@ -162,12 +162,13 @@ class ControllerReport:
 
     def _reaction(self) -> str:
         """Return what the supervisor does instead of control, and why; empty if nothing."""
-        status, outside = self._loop.status or QUIET, self._loop.supervisor.outside
-        causes = ', '.join(status.causes)
+        status, supervisor = self._loop.status or QUIET, self._loop.supervisor
+        causes, outside = ', '.join(status.causes), '; '.join(supervisor.outside)
         if status.reaction in (NONE, INFLATE):
             return f'R is inflated: {causes}' if status.reaction == INFLATE else ''
-        return f'{status.reaction} instead of control: {causes}' + (
-            f', until the arm is inside its limits: {"; ".join(outside)}' if outside else '')
+        return '; '.join((f'{status.reaction} instead of control: {causes}' + (
+            f', until the arm is inside its limits: {outside}' if outside else ''),
+            *supervisor.findings))
 
     def _contacts(self) -> Status:
         """Return the states and forces of the contacts, and R [N^2]."""

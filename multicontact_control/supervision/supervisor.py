@@ -90,6 +90,8 @@ class Supervisor:
         Whether the control law has answered a sample since it was reset.
     outside
         Where the arm is beyond its limits, so that control cannot start, a line for each.
+    findings
+        What explains the reaction in force, a sentence for each cause that has one.
 
     """
 
@@ -121,6 +123,8 @@ class Supervisor:
         self.gate.reset()
         self.safe = False
         self.outside: tuple[str, ...] = ()
+        self.findings: tuple[str, ...] = ()
+        self._causes: tuple[str, ...] = ()  # that these explain
         self._arm: ArmState | None = None  # once it was seen
         self._flags = 0  # of it; see `see_arm`
         self._touched = -1  # joint beyond which nothing is touched
@@ -312,6 +316,7 @@ class Supervisor:
             self._begin()
         if self._paused:
             self.reactions.end()
+            self._causes = self.findings = ()
             if self.started:
                 self._recovery.resumed(self._task_ticks)
         self.started, self._paused = True, False
@@ -354,6 +359,9 @@ class Supervisor:
                 self._waiting_reaction = reaction
             elif not self._paused:
                 self._waiting_reaction = HOLD
+            if causes != self._causes:
+                self._causes = causes
+                self.findings = tuple(filter(None, map(self._explain, causes)))
         if self.started and not self._paused:
             self._recovery.stopped(causes, self._task_ticks)
             self.reactions.begin(self._output)
@@ -371,6 +379,10 @@ class Supervisor:
                 seen=arm is not None and not blind)
         return self._report(
             torque, NONE if reaction == SAFE else reaction, causes, limits, controlled=False)
+
+    def _explain(self, cause: str) -> str:
+        """Return what the readings say about a cause that has just begun; empty if nothing."""
+        return ''
 
     def _unseen(self, causes: tuple[str, ...], reaction: str) -> bool:
         """Return whether the arm floats only because it is not seen, or a part has failed."""
