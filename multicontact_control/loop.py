@@ -63,6 +63,8 @@ class ControlLoop:
         What allows force control.
     time
         Of the newest tick [s].
+    warnings
+        What is suspicious of the arm's model.
 
     """
 
@@ -77,6 +79,7 @@ class ControlLoop:
         source = scenario or CommandedTask(config.column_names, config.leader_of)
         self._commanded = source if isinstance(source, CommandedTask) else None
         robot = RobotModel(config.robot, base_dir)
+        self.warnings = robot.warnings(config.torque_limit)
         self.supervisor = Supervisor(config, robot, source, guarded=supervised)
         self.push_gate = PushGate(
             required=config.sensor.require_push_test, robot=robot,

@@ -10,6 +10,7 @@ import xml.etree.ElementTree as ElementTree
 
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig, validate
+from multicontact_control.dynamics.robot import check_torques, load_model
 from multicontact_control.errors import ConfigError
 import numpy as np
 import pinocchio as pin
@@ -57,10 +58,11 @@ def new_robot(urdf: Path, sensor: str, tip: str, out: Path) -> NewRobot:
     Raises
     ------
     ConfigError
-        If the URDF is not that of an arm, or has no such links.
+        If the URDF is not that of an arm, has no such links, or has impossible figures.
 
     """
-    root = parse_urdf(read_urdf(urdf))
+    text, suspicious = read_urdf(urdf), list[str]()
+    root = parse_urdf(text)
     joints, locked = _joints(root, sensor)
     if tip not in _links(root):
         raise ConfigError('tip', f'a link of the URDF among {", ".join(_links(root))}',
@@ -77,6 +79,8 @@ def new_robot(urdf: Path, sensor: str, tip: str, out: Path) -> NewRobot:
         missing.append('tool: weigh it (`multicontact calibrate` shows how) and measure the tip')
         arm = read_arm(urdf, joints, Mount(sensor, tool=ToolData.model_validate(
             {**GUESSED_TOOL, 'tips': {tip: GUESSED_TIP}})), locked)
+    load_model(text, locked, suspicious)
+    suspicious += check_torques(arm.model(), np.array(_own(arm, 'torque_limit')))
     home, reached = _home(arm, np.array(arm.tips[tip]))
     if not reached:
         missing.append('home: no posture with the tool straight down was found; this one is the '
@@ -86,7 +90,8 @@ def new_robot(urdf: Path, sensor: str, tip: str, out: Path) -> NewRobot:
     out.write_text(text, encoding='utf-8')
     missing += ['armature: rotor inertia x gear ratio squared of each joint',
                 'contacts: the surfaces your tip really meets, and their stiffness']
-    return NewRobot(out, tuple(missing), _found(out))
+    return NewRobot(out, tuple(missing), (
+        *(f'suspicious: {text}' for text in suspicious), *_found(out)))
 
 
 def write_controller(made: NewRobot, out: Path) -> None:
@@ -228,13 +233,14 @@ def _text(
     lines += [f'armature: {_list([GUESSED_ARMATURE] * n)}  # kg m^2, {MARK}']
     for name, unit, guess in (('torque_limit', 'N m', GUESSED_TORQUE),
                               ('speed_limit', 'rad/s', GUESSED_SPEED)):
-        values = [float(getattr(link, name)) for link in arm.links]
-        good = min(values) > 0.0 and max(values) < 1e6
-        if good:
-            lines.append(f'# {name}: {_list(values)}  # {unit}, those of the URDF')
+        own = _own(arm, name)
+        lacking = ', '.join(joint for joint, value in zip(joints, own) if math.isnan(value))
+        values = _list([guess if math.isnan(value) else value for value in own])
+        if lacking:
+            lines.append(f'{name}: {values}  # {unit}, {MARK} for {lacking}: the URDF has none')
+            missing.append(f'{name} of {lacking}: the URDF has none')
         else:
-            lines.append(f'{name}: {_list([guess] * n)}  # {unit}, {MARK}: the URDF has none')
-            missing.append(f'{name}: the URDF has none')
+            lines.append(f'# {name}: {values}  # {unit}, those of the URDF')
     lines += [
         f'home: {_list([round(float(x), 9) for x in home])}  # rad',
         f'contacts:  # {MARK}: a table 7 mm below the tip at home; the normal points INTO it',
@@ -244,6 +250,12 @@ def _text(
         '#     plant: {drives: flexible, joint_sensing: motor, substep: 2.5e-4, '
         'drive_stiffness: [...], drive_damping: [...]}', '']
     return '\n'.join(lines)
+
+
+def _own(arm: Arm, name: str) -> list[float]:
+    """Return a limit of each joint, nan where the URDF has none."""
+    values = [float(getattr(link, name)) for link in arm.links]
+    return [value if 0.0 < value < 1e6 else math.nan for value in values]
 
 
 def _list(values: Sequence[object]) -> str:

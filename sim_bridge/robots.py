@@ -70,9 +70,9 @@ class Robot:
             coulomb_negative=negative, torque_limit=torque, speed_limit=speed)
             for link, armature, viscous, positive, negative, torque, speed in given)
         for name in ('torque_limit', 'speed_limit'):
-            if min(getattr(link, name) for link in links) <= 0.0:
-                raise ConfigError(name, 'a value above 0, since the URDF has none', 'nothing',
-                                  self.name)
+            if lacking := [link.joint for link in links if getattr(link, name) <= 0.0]:
+                raise ConfigError(name, 'a value above 0, since the URDF has none, for '
+                                  f'{", ".join(lacking)}', 'nothing', self.name)
         return replace(arm, links=links)
 
     def elbow(self) -> tuple[str, Vector]:

@@ -147,16 +147,8 @@ def task_inertia(mass_matrix: Matrix, jacobian: Matrix) -> Matrix:
     """
     Return Lambda = (J M^-1 J^T)^-1 (P04 eq. 23), shape (6, 6) [kg, kg m, kg m^2].
 
-    Of M, shape (n, n), and J, shape (6, n), world axes, linear rows first; see
-    `mobility_and_inertia`.
-
-    Raises
-    ------
-    ShapeError
-        If `jacobian` is not of shape (6, n).
-    SingularTaskError
-        If J M^-1 J^T is conditioned worse than `MAX_CONDITION`.
-
+    Of M, shape (n, n), and J, shape (6, n), world axes, linear rows first; SingularTaskError if
+    J M^-1 J^T is conditioned worse than `MAX_CONDITION`.
     """
     n = mass_matrix.shape[0]
     require_shape('jacobian', jacobian, (6, n))

@@ -2,31 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 import xml.etree.ElementTree as ElementTree
 
 from multicontact_control.arrays import Matrix, require_shape, Vector
 from multicontact_control.config import RobotConfig
+from multicontact_control.dynamics import model_check
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import ConfigError
 import numpy as np
 import pinocchio as pin
 
+POSTURES = 64  # in which gravity is compared with the torque limits
+CROSS = 0.01  # m, between axes that meet, whose link may have no mass
+
 
 @dataclass(slots=True)
 class Terms:
-    """
-    What compiled code needs of the arm, in arrays that the next `compute` overwrites.
-
-    Axes are the world's, linear rows come first.
-    """
+    """What compiled code needs of the arm, in world axes; the next `compute` overwrites it."""
 
     mass_matrix: Matrix  # M with armature, its upper triangle, shape (n, n) [kg m^2]
     bias_torque: Vector  # C(q, v) v + g(q), shape (n,) [N m]
     gravity: Vector  # g(q), shape (n,) [N m]
-    jacobian: Matrix  # J of the operational point, shape (6, n)
+    jacobian: Matrix  # J of the operational point, linear rows first, shape (6, n)
     jacobian_rate: Matrix  # dJ/dt, shape (6, n)
     # Position, shape (3,) [m], and rotation, shape (3, 3), of operational and sensor frame.
     placements: tuple[Vector, Matrix, Vector, Matrix]
@@ -67,7 +67,9 @@ class RobotModel:
     """
 
     def __init__(self, config: RobotConfig, base_dir: Path = Path()) -> None:
-        self._model = load_model(base_dir / config.urdf, config.locked)
+        self._warnings: list[str] = []
+        self._adds_gravity = config.adds_gravity
+        self._model = load_model(base_dir / config.urdf, config.locked, self._warnings)
         names = list(self._model.names)[1:]
         if names != list(config.joint_names):
             others = [name for name in names if name not in config.joint_names]
@@ -97,6 +99,11 @@ class RobotModel:
         limit: Vector = np.array(self._model.effortLimit)
         return np.where(limit > 0.0, limit, np.inf)
 
+    def warnings(self, torque_limit: Sequence[float] = ()) -> tuple[str, ...]:
+        """Return what is suspicious; see `check_torques`, of these limits or the URDF's [N m]."""
+        limit = np.array(torque_limit) if torque_limit else self.torque_limit
+        return (*self._warnings, *check_torques(self._model, limit, self._adds_gravity))
+
     def _require_felt(self, config: RobotConfig) -> None:
         """Refuse contacts that the wrist sensor cannot feel: those of a link before it."""
         joints = [self._model.names[self._model.frames[frame].parentJoint]
@@ -124,11 +131,7 @@ class RobotModel:
                 frame.translation, frame.rotation, sensor.translation, sensor.rotation))
 
     def compute(self, q: Vector, v: Vector) -> Terms:
-        """
-        Return the arm's terms at positions [rad] and velocities [rad/s], shape (n,).
-
-        They are `terms`, valid until the next call of `compute` or `update`.
-        """
+        """Return `terms` at positions [rad] and velocities [rad/s], valid until the next call."""
         model, data, terms = self._model, self._data, self.terms
         pin.computeAllTerms(model, data, q, v)  # M, C v + g, and what the Jacobians need
         pin.updateFramePlacements(model, data)
@@ -139,15 +142,7 @@ class RobotModel:
         return terms
 
     def update(self, q: Vector, v: Vector) -> RobotState:
-        """
-        Return the arm's state at positions [rad] and velocities [rad/s], shape (n,).
-
-        Raises
-        ------
-        ShapeError
-            If `q` or `v` is not of shape (n,).
-
-        """
+        """Return the arm's state at positions [rad] and velocities [rad/s], shape (n,)."""
         require_shape('q', q, (self._model.nv,))
         require_shape('v', v, (self._model.nv,))
         terms, data = self.compute(q, v), self._data
@@ -174,17 +169,7 @@ class RobotModel:
         return torque
 
     def link_poses(self, q: Vector, links: Sequence[str]) -> list[Pose]:
-        """
-        Return where links of the URDF are at joint positions, shape (n,) [rad].
-
-        Raises
-        ------
-        ConfigError
-            If there is no such link.
-        ShapeError
-            If `q` is not of shape (n,).
-
-        """
+        """Return where links are at positions, shape (n,) [rad]; ConfigError for others."""
         require_shape('q', q, (self._model.nv,))
         pin.framesForwardKinematics(self._model, self._data, q)
         return [_pose(self._data.oMf[self._frame_id('link', name)]) for name in links]
@@ -192,12 +177,13 @@ class RobotModel:
 
 def load_model(
     urdf: Path | str, locked_joints: Mapping[str, float] | None = None,
+    warnings: list[str] | None = None,
 ) -> pin.Model:
     """
     Read an arm from a URDF as its vendor ships it.
 
     Continuous joints are revolute ones without limits, so that each joint has one coordinate; a
-    locked joint is rigid.
+    locked joint is rigid; a torque or speed limit that is missing is 0.
 
     Parameters
     ----------
@@ -205,12 +191,14 @@ def load_model(
         Path of the file, or the text itself.
     locked_joints
         Positions of joints that are no part of the arm, by name, e.g. of a gripper [rad or m].
+    warnings
+        Gets a line for each suspicious figure.
 
     Raises
     ------
     ConfigError
         If the file cannot be read, is no URDF, has joints of more than one coordinate that are
-        not locked, or does not have a joint that is.
+        not locked, does not have a joint that is, or has impossible figures (`model_check`).
 
     """
     if isinstance(urdf, Path):
@@ -222,10 +210,11 @@ def load_model(
                               f'{source} ({error.strerror})') from None
     else:
         source, text = 'text', urdf
-    text, endless = _without_continuous(text)
     try:
-        model = pin.buildModelFromXML(text)
-    except (ValueError, RuntimeError) as error:
+        root = ElementTree.fromstring(text)
+        axes, endless = _complete(root)
+        model = pin.buildModelFromXML(ElementTree.tostring(root, encoding='unicode'))
+    except (ElementTree.ParseError, ValueError, RuntimeError) as error:
         reason = str(error).strip().splitlines()[-1] if str(error).strip() else 'not a URDF'
         raise ConfigError('robot.urdf', 'a valid URDF', f'{source} ({reason})') from None
     locked = dict(locked_joints or {})
@@ -241,7 +230,26 @@ def load_model(
     for name in endless - set(locked):
         at = model.joints[model.getJointId(name)].idx_q
         model.lowerPositionLimit[at], model.upperPositionLimit[at] = -np.inf, np.inf
+    (warnings if warnings is not None else []).extend(model_check.judge(_findings(model, axes)))
     return model
+
+
+def _complete(root: ElementTree.Element) -> tuple[dict[str, Vector], set[str]]:
+    """Give joints the limits they lack; return their axes by name, and which are endless."""
+    axes, endless = {}, set()
+    for joint in root.findall('joint'):
+        name, axis, limit = joint.get('name', ''), joint.find('axis'), joint.find('limit')
+        axes[name] = np.array(
+            ('1 0 0' if axis is None else axis.get('xyz', '1 0 0')).split(), dtype=float)
+        if limit is None:
+            limit = ElementTree.SubElement(joint, 'limit')
+        for missing in {'effort', 'velocity'} - set(limit.keys()):
+            limit.set(missing, '0')
+        if joint.get('type') == 'continuous':
+            endless.add(name)
+            joint.set('type', 'revolute')
+            limit.attrib.update(lower='-1e30', upper='1e30')
+    return axes, endless
 
 
 def _locked(model: pin.Model, locked: Mapping[str, float]) -> pin.Model:
@@ -256,31 +264,44 @@ def _locked(model: pin.Model, locked: Mapping[str, float]) -> pin.Model:
     return pin.buildReducedModel(model, [model.getJointId(name) for name in locked], posture)
 
 
-def _without_continuous(text: str) -> tuple[str, set[str]]:
-    """Return a URDF whose endless joints are revolute, and their names; others as they are."""
-    if 'continuous' not in text:
-        return text, set()
-    try:
-        root = ElementTree.fromstring(text)
-    except ElementTree.ParseError:
-        return text, set()  # for pinocchio to refuse
-    endless = [x for x in root.findall('joint') if x.get('type') == 'continuous']
-    for joint in endless:
-        joint.set('type', 'revolute')
-        limit = joint.find('limit')
-        if limit is None:
-            limit = ElementTree.SubElement(joint, 'limit')
-        for name, value in (('lower', '-1e30'), ('upper', '1e30')):
-            limit.set(name, value)
-        for name in ('effort', 'velocity'):
-            limit.set(name, limit.get(name, '1e30'))
-    return ElementTree.tostring(root, encoding='unicode'), {x.get('name', '') for x in endless}
+def _findings(model: pin.Model, axes: Mapping[str, Vector]) -> Iterator[model_check.Finding]:
+    """Yield what is wrong with the joints of an arm and with what they carry."""
+    offsets = [float(np.linalg.norm(each.translation)) for each in model.jointPlacements]
+    for joint, body in enumerate(model.inertias[1:], start=1):
+        name = model.names[joint]
+        yield from model_check.check_joint(name, axes[name], *(limit[joint - 1] for limit in (
+            model.lowerPositionLimit, model.upperPositionLimit)))
+        frames = [frame for frame in model.frames if frame.parentJoint == joint]
+        fixed = [frame for frame in frames if frame.inertia.mass]  # to the link of the joint
+        parts = [frame.inertia.mass for frame in fixed]
+        after = [offsets[i] for i, parent in enumerate(model.parents) if parent == joint]
+        if body.mass or min(after, default=1.0) > CROSS:
+            length = max(offsets[joint], *(after or offsets), *(
+                float(np.linalg.norm(frame.placement.translation)) for frame in frames))
+            yield from model_check.check_body(
+                '+'.join(frame.name for frame in (frames[1], *fixed)), length, body.mass,
+                min(body.mass - sum(parts), *parts, 0.0), body.lever, body.inertia)
+
+
+def check_torques(
+    model: pin.Model, limit: Vector, adds_gravity: bool = False,
+) -> tuple[str, ...]:
+    """Return what is suspicious of torque limits [N m]; ConfigError if the arm cannot be held."""
+    data, random = model.createData(), np.random.default_rng(0)
+    q = np.clip(random.uniform(-np.pi, np.pi, (POSTURES, model.nq)),
+                model.lowerPositionLimit, model.upperPositionLimit)
+    gravity = np.abs([pin.computeGeneralizedGravity(model, data, each) for each in q]).max(axis=0)
+    inertia = np.min([np.diag(pin.crba(model, data, each)) for each in q], axis=0)
+    heaviest = max(range(model.njoints), key=lambda joint: model.inertias[joint].mass)
+    heavy = f'{model.inertias[heaviest].mass:.4g} kg on {model.names[heaviest]}'
+    figures = zip(list(model.names)[1:], (not adds_gravity) * gravity, inertia, limit)
+    return model_check.judge(
+        finding for each in figures for finding in model_check.check_torque(*each, heavy))
 
 
 def turn_between(rotation_des: Matrix, rotation: Matrix) -> Vector:
     """Return log(R_des R^T) in world axes, shape (3,) [rad], of any arrays of shape (3, 3)."""
-    turn: Vector = pin.log3(rotation_des @ rotation.T)
-    return turn
+    return np.asarray(pin.log3(rotation_des @ rotation.T))
 
 
 def _pose(placement: pin.SE3) -> Pose:

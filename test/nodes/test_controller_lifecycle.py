@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+import re
 
 from fake_arm import EFFORT, FakeArm
 from fake_arm import PARAMETERS as STILL
@@ -88,10 +89,14 @@ def test_process_obeys_possible_transitions_and_leaves_the_arm_safely(middleware
     assert not [path for path in opened if 'fastrtps' in path.name and path.exists()]
 
 
-def test_configure_refuses_what_is_wrong_until_it_is_repaired(host):
+def test_configure_refuses_what_is_wrong_until_it_is_repaired(host, tmp_path):
+    weightless = tmp_path / 'weightless.urdf'
+    weightless.write_text(re.sub('<inertial>.*?</inertial>', '', (
+        config_dir() / 'puma560.urdf').read_text(), flags=re.DOTALL))
     node = host.make(ControllerNode, 'robot.urdf:=nowhere.urdf', 'rate:=-500.0',
                      "effort_output_topic:='bare efforts'", file=FILE)
-    for name, value in (('rate', 500.0), ('robot.urdf', 'puma560.urdf'),
+    for name, value in (('rate', 500.0), ('robot.urdf', str(weightless)),
+                        ('robot.urdf', 'puma560.urdf'),
                         ('effort_output_topic', '~/efforts')):
         assert node.trigger_configure() == FAILURE
         assert node.state == UNCONFIGURED

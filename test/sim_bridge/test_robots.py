@@ -108,6 +108,19 @@ def test_controller_and_plant_have_the_same_arm_at_home_before_its_surfaces(name
     assert len(poses) >= 4 and {len(pose) for pose in poses} == {len(plant.home)}
 
 
+# Links whose inertia is a placeholder, or has lost a decimal point, in the file of their vendor.
+WRONG = {'panda': 'link6', 'ur5': 'link5'}
+
+
+@pytest.mark.parametrize('name', ROBOTS)
+def test_published_arms_are_accepted_and_their_wrong_inertias_named(name):
+    robot = find_robot(name)
+    config = validate(ControllerConfig, robot.controller_base())
+    found = RobotModel(config.robot, robot.urdf_dir()).warnings(config.torque_limit)
+    assert [f'robot.urdf.{WRONG.get(name)}.inertia' in text for text in found] == (
+        [True] * (name in WRONG))
+
+
 def test_several_tips_meet_one_plane_each_with_its_own_friction(rng):
     """The force on each is k depth along the normal and friction against its own sliding."""
     feet = [f'face_{i}' for i in (1, 2, 3, 4)]
@@ -187,6 +200,7 @@ def test_new_robot_writes_a_file_that_works_and_says_what_is_missing(tmp_path, w
     tip = frame_pose(model, home, 'tip' if welded else 'wrist_tip').translation
     np.testing.assert_allclose(
         pose.translation - tip, [0.0, 0.0, 0.2 if welded else 0.15], atol=1e-6)
+    assert not any('limit' in text for text in made.missing)
     validate(ControllerConfig, robot.controller_base())
     validate(PlantConfig, robot.plant_values('rigid'))
     write_controller(made, tmp_path / 'controller.yaml')
@@ -196,3 +210,19 @@ def test_new_robot_writes_a_file_that_works_and_says_what_is_missing(tmp_path, w
     assert config.tool.mass == pytest.approx(robot.arm.carried_mass)
     there = RobotModel(config.robot, found.urdf_dir).update(home, np.zeros(len(home))).pose
     np.testing.assert_allclose(there.position_world, pose.translation, atol=1e-9)
+
+
+def test_new_robot_asks_for_the_limits_of_the_joint_that_has_none_and_keeps_the_others(tmp_path):
+    urdf = seven_joint_urdf(tmp_path)
+    limit = '<limit lower="-3" upper="3" effort="100" velocity="3"/>'
+    urdf.write_text(urdf.read_text().replace('</robot>', WELDED).replace(
+        limit, '<limit lower="-3" upper="3"/>', 1))
+    made = new_robot(urdf, 'sensor', 'tip', tmp_path / 'mine.yaml')
+    for name in ('torque_limit', 'speed_limit'):
+        assert sum(name in text and 'j0' in text for text in made.missing) == 1
+    links = find_robot(str(made.path)).arm.links
+    assert [link.torque_limit for link in links[1:]] == [100.0] * 6
+    assert [link.speed_limit for link in links[1:]] == [3.0] * 6
+    made.path.write_text(made.path.read_text().replace('\ntorque_limit', '\n# torque_limit'))
+    with pytest.raises(ConfigError, match='torque_limit: .* for j0, found nothing'):
+        assert find_robot(str(made.path)).arm
