@@ -12,7 +12,7 @@ import numpy as np
 PROCESS, GRAPH = 'process', 'graph'
 TWO = 'two at once'
 BOTH, IN_PROCESS, OVER_GRAPH = (PROCESS, GRAPH), (PROCESS,), (GRAPH,)
-APPROACH, REST, SLIDING = 'approach', 'rest', 'sliding'
+START, APPROACH, REST, SLIDING = 'start', 'approach', 'rest', 'sliding'
 PHASES = (REST, SLIDING, APPROACH)
 
 Random = np.random.Generator
@@ -52,18 +52,36 @@ class Edit:
     change
         Makes the new values of the old ones and of four numbers drawn once, uniform over (0, 1);
         none keeps those of the first reading, while stamps go on.
+    source
+        The field whose values are changed into those of `fields`, in process; empty for their own.
+    age
+        In process, how many readings ago the values without a change were; 0 for those of the
+        first.
+    single
+        Whether one number of each field, in a random place, becomes other, and not all.
 
     """
 
     fields: tuple[str, ...]
     change: Change | None
+    source: str = ''
+    age: int = 0
+    single: bool = False
 
     def values(
         self, now: Mapping[str, Any], first: Mapping[str, Any], choice: Vector,
     ) -> dict[str, Any]:
         """Return what the fields become, from a reading and the first one during the fault."""
-        return {name: first[name] if self.change is None else self.change(now[name], choice)
-                for name in self.fields}
+        values = {}
+        for name in self.fields:
+            values[name] = first[name] if self.change is None else (
+                self.change(now[self.source or name], choice))
+            if self.single:
+                every, vector = values[name], np.array(now[name], dtype=float)
+                place = int(choice[0] * vector.size)
+                vector[place] = every[place]
+                values[name] = vector
+        return values
 
 
 @dataclass(frozen=True)
@@ -143,6 +161,8 @@ class Fault:
         Whether a declared reaction may not wait until the reading has become too old.
     ticks
         How long it lasts in process, at least and less than.
+    from_start
+        Whether it also happens from the first sample on, and the joints' speeds are judged.
     meets
         Number of the obstacle that the arm meets before its wrist sensor, in process: it must
         notice.
@@ -160,6 +180,7 @@ class Fault:
     goes_on: bool = True
     at_once: bool = False
     ticks: tuple[int, int] = (5, 150)
+    from_start: bool = False
     meets: int | None = None
     parts: tuple[Fault, ...] = ()
 

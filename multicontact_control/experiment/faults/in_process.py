@@ -17,6 +17,7 @@ from multicontact_control.experiment.faults.fault import (
     PlantEdit,
     PROCESS,
     Random,
+    START,
     TWO,
 )
 from multicontact_control.experiment.faults.judge import FaultRow, judge, Observation
@@ -53,7 +54,8 @@ class Corruptor:
             delivered: Any = getattr(self._history[-1 - ages[-1]], source) if ages else None
             return inputs._replace(**{source: delivered})
         if isinstance(action, Edit):
-            reading, first = getattr(inputs, source), getattr(self._first, source)
+            before = self._history[-1 - action.age:][0] if action.age else self._first
+            reading, first = getattr(inputs, source), getattr(before, source)
             values = action.values(reading._asdict(), first._asdict(), self.choice)
             return inputs._replace(**{source: reading._replace(**values)})
         return inputs
@@ -125,7 +127,7 @@ def run_fault(
 
     """
     random = fault.random(seed)
-    for _ in range(int(random.integers(5, 60))):
+    for _ in range(int(random.integers(5, 60)) * (phase != START)):
         loop.advance()
     begin, known = loop.tick, loop.control.events.collisions.total()
     found = [Occurrence(fault, random, loop)]
@@ -133,7 +135,7 @@ def run_fault(
         found.append(Occurrence(other, other.random(seed), loop))
     lasted = max(each.lasts for each in found)
     before = loop.command.copy()
-    torques, forces, met, reactions = [], [], [], []
+    torques, forces, met, reactions, speeds = [], [], [], [], []
     problems: set[str] = set()
 
     for _ in range(RUN_TICKS):
@@ -142,6 +144,7 @@ def run_fault(
         forces.append(loop.true_forces)
         met.append(loop.obstacle_forces)
         reactions.append(loop.status.reaction)
+        speeds.append(np.abs(loop.plant.arm.qd).max())
         if any(cause.startswith('internal') for cause in loop.status.causes) and not any(
                 isinstance(each.action, Breakdown) for each in (fault, other) if each):
             problems.add(loop.status.causes[0])
@@ -153,7 +156,7 @@ def run_fault(
         reaction=max(reactions[:lasted], key=SEVERITY.index), reactions=reactions,
         forces=np.array(forces), wanted=loop.setup.commanded(begin * period + time),
         met=np.array(met), noticed=bool(loop.control.events.collisions.total() > known),
-        lasted=lasted, problems=problems), where=PROCESS, phase=phase)
+        speed=max(speeds), lasted=lasted, problems=problems), where=PROCESS, phase=phase)
 
 
 def together(fault: Fault, other: Fault) -> Fault:

@@ -24,6 +24,8 @@ TOLERANCE = 1e-9  # of a limit
 # N on what is in the way, at most: nobody asked for any, so that unlike a contact's an impact may
 # not be above it. Found: 36 N at the elbow of a sliding puma, 11 N on a side wall, in pairs, too.
 MET_FORCE = 40.0
+# rad/s of a joint while its speed or the sensor is wrong: 0.3 beyond a right run of the scenario.
+FASTEST = 0.7
 NOTICED_FORCE = 30.0  # N on what the wrist sensor does not feel, from where it must be told of
 OFF_TIME, OFF_FORCE, OFF_SHARE = 0.02, 2.0, 0.2  # s, N, share of the command: off it beyond both
 BACK_TIME = 0.6  # s after a fault, in which the arm is back: waiting, and five time constants
@@ -112,6 +114,8 @@ class Observation:
     met, noticed
         True forces on what is in the way, shape (ticks, o) [N], and whether a collision was
         told of, in process.
+    speed
+        Largest true speed of a joint, in process [rad/s].
     lasted
         How many ticks the fault lasted, in process.
     silences
@@ -133,6 +137,7 @@ class Observation:
     wanted: Matrix | None = None
     met: Matrix | None = None
     noticed: bool = False
+    speed: float = 0.0
     lasted: int = 0
     silences: Sequence[tuple[float, float]] = ()
     recovered: bool = True
@@ -150,6 +155,8 @@ def judge(
     met = float(seen.met.max(initial=0.0)) if seen.met is not None else 0.0
     if met > MET_FORCE:
         problems.add('obstacle pressed too hard')
+    if fault.from_start and seen.speed > FASTEST:
+        problems.add('joint too fast')
     if seen.met is not None and fault.meets is not None and not seen.noticed and (
             seen.met[:, fault.meets].max() > NOTICED_FORCE):
         problems.add('obstacle not noticed')

@@ -8,6 +8,8 @@ Actions work on numbers, names and times; `in_process` applies them to the readi
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+from itertools import cycle
 import math
 from typing import Any
 
@@ -47,6 +49,8 @@ PERIOD = 0.002  # s, by which clocks are moved
 LOSS = 0.3  # share of messages that an intermittent stream loses
 BURST = 10  # messages that come at once
 JUMP = 0.1  # m
+FULL_SCALE = np.array([100.0, 100.0, 200.0, 5.0, 5.0, 5.0])  # N, N m of the simulated sensor
+LASTING = (300, 600)  # ticks of what is there from the start
 SIDE_WALL, ELBOW_WALL = -2, -1  # numbers of surfaces that are no contacts: the last ones
 FAR = 10.0  # m, where they are not in the way
 # What a tick calls of a supervisor, one after the other.
@@ -307,8 +311,45 @@ def _commands() -> list[Fault]:
         for kind, speed in ends.items()]
 
 
+def _velocities() -> list[Fault]:
+    """Return the faults of speeds beside right positions, of all joints and of one."""
+    edits = {
+        'scaled_x0.02': Edit(('qd',), _scale(0.02)), 'scaled_x0.1': Edit(('qd',), _scale(0.1)),
+        'in_degrees': Edit(('qd',), _scale(180.0 / math.pi)),
+        'scaled_x60': Edit(('qd',), _scale(60.0)), 'sign_flipped': Edit(('qd',), _scale(-1.0)),
+        'zero': Edit(('qd',), _scale(0.0)),
+        'like_position': Edit(('qd',), _scale(1.0), source='q'),
+        'constant': Edit(('qd',), lambda values, choice: np.full(len(values), 0.5)),
+        'delayed': Edit(('qd',), None, age=25), 'frozen': Edit(('qd',), None)}
+    return [Fault(f'{kind}_{which}', 'joints', replace(edit, single=which == 'qd_of_one'),
+                  where=IN_PROCESS, ticks=LASTING, from_start=True)
+            for kind, edit in edits.items() for which in ('qd', 'qd_of_one')
+            if (kind, which) != ('frozen', 'qd')]
+
+
+def _drivers() -> list[Fault]:
+    """Return the faults of what is between an arm and its controller: units, tare, publishers."""
+    def bias(share: float) -> Change:
+        return lambda values, choice: values + FULL_SCALE * _put(share * _sign(choice))(
+            np.zeros(6), choice)
+
+    def command_twice(plant: Any, choice: Vector) -> None:
+        step, mine = plant.step, cycle((True, False))
+        plant.step = lambda torque: step(torque if next(mine) else plant.initial_torque)
+
+    wrenches = {'millinewtons': _scale(1e3), 'kilonewtons': _scale(1e-3),
+                **{f'biased_by_{share:.0%}': bias(share) for share in (0.1, 0.5, 1.0)}}
+    return [
+        *(Fault(kind, 'wrench', Edit(('wrench',), change), where=IN_PROCESS, ticks=LASTING,
+                from_start=True) for kind, change in wrenches.items()),
+        # Of joints that are not continuous.
+        _edit('joints', 'q', 'wrapped_q', _add(2.0 * math.pi), where=IN_PROCESS),
+        Fault('second_publisher', 'plant', PlantEdit(
+            command_twice, lambda plant, choice: delattr(plant, 'step')), where=IN_PROCESS)]
+
+
 FAULTS = (*_nodes(), *_deliveries(), *_numbers(), *_names(), *_frozen(), *_clocks(), *_plants(),
-          *_breakdowns(), *_commands())
+          *_breakdowns(), *_commands(), *_velocities(), *_drivers())
 
 
 def faults_of(where: str) -> dict[tuple[str, str], Fault]:

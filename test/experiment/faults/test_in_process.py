@@ -4,7 +4,7 @@
 from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.faults.fault import PROCESS, REST
 from multicontact_control.experiment.faults.in_process import RUN_TICKS, together
-from multicontact_control.experiment.faults.judge import judge, MET_FORCE, Observation
+from multicontact_control.experiment.faults.judge import FASTEST, judge, MET_FORCE, Observation
 from multicontact_control.experiment.faults.situation import with_obstacles
 from multicontact_control.experiment.faults.vocabulary import ELBOW_WALL, faults_of, SIDE_WALL
 from multicontact_control.experiment.study.presets.faults.jobs import in_fork
@@ -26,7 +26,8 @@ def world():
 @pytest.mark.parametrize(('kind', 'reaction'), [
     (('nan', 'wrench'), 'hold'), (('dropped', 'joints'), 'float'),
     (('delayed', 'variance'), 'inflate'), (('duplicated', 'wrench'), 'none'),
-    (('restarted', 'clock'), 'hold'), (('surface_gone', 'plant'), 'none')])
+    (('restarted', 'clock'), 'hold'), (('surface_gone', 'plant'), 'none'),
+    (('wrapped_q', 'joints'), 'float'), (('second_publisher', 'plant'), 'none')])
 def test_fault_is_answered_as_declared(world, kind, reaction):
     row = in_fork(world, KINDS[kind], 1, 'approach')
     assert (row.reaction, row.safe, row.problems) == (reaction, True, '')
@@ -55,6 +56,14 @@ def test_declared_reaction_that_does_not_come_is_not_safe(world, kind):
     assert not judge(KINDS[kind], 1, world.setup, seen, where=PROCESS, phase=REST).safe
     seen.reactions = [*['none'] * 2, *['float'] * 598]
     assert judge(KINDS[kind], 1, world.setup, seen, where=PROCESS, phase=REST).safe
+
+
+@pytest.mark.parametrize(('speed', 'safe'), [(FASTEST - 0.1, True), (FASTEST + 0.1, False)])
+def test_joint_may_not_be_fast_while_its_speed_is_wrong(world, speed, safe):
+    seen = observed(world.setup, speed=speed)
+    for kind, limited in (('in_degrees_qd', True), ('nan_q', False)):
+        row = judge(KINDS[kind, 'joints'], 1, world.setup, seen, where=PROCESS)
+        assert row.safe == (safe or not limited)
 
 
 @pytest.mark.parametrize(('wall', 'force', 'safe'), [

@@ -11,7 +11,14 @@ import traceback
 from typing import Any
 
 from multicontact_control.experiment.closed_loop import ClosedLoop
-from multicontact_control.experiment.faults.fault import APPROACH, Fault, PROCESS, REST, SLIDING
+from multicontact_control.experiment.faults.fault import (
+    APPROACH,
+    Fault,
+    PROCESS,
+    REST,
+    SLIDING,
+    START,
+)
 from multicontact_control.experiment.faults.in_process import run_fault, together
 from multicontact_control.experiment.faults.judge import FaultRow
 from multicontact_control.experiment.faults.situation import with_obstacles
@@ -20,7 +27,7 @@ from multicontact_control.experiment.scenario import Setup
 from multicontact_control.experiment.study.jobs import content_key, JobResult, setup_content
 
 SCENARIO = 'quick'
-PHASE_TIMES = {APPROACH: 0.65, REST: 4.9, SLIDING: 8.2}  # s
+PHASE_TIMES = {START: 0.0, APPROACH: 0.65, REST: 4.9, SLIDING: 8.2}  # s
 FAULT_TIMEOUT = 60.0  # s
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from multicontact_control.errors import ConfigError, counted
-from multicontact_control.experiment.faults.fault import PHASES, PROCESS, TWO
+from multicontact_control.experiment.faults.fault import PHASES, PROCESS, START, TWO
 from multicontact_control.experiment.faults.judge import FaultRow
 from multicontact_control.experiment.faults.vocabulary import faults_of, pairs_of_faults
 from multicontact_control.experiment.scenario import plants_of
@@ -37,9 +37,11 @@ COLUMNS = (
 SAFE = 11  # place of that column
 
 
-def situation(number: int, plants: Sequence[str]) -> tuple[str, str]:
+def situation(
+    number: int, plants: Sequence[str], phases: Sequence[str] = PHASES,
+) -> tuple[str, str]:
     """Return plant and phase of the number-th seed of a kind: all pairs in turn."""
-    return plants[number % len(plants)], PHASES[number // len(plants) % len(PHASES)]
+    return plants[number % len(plants)], phases[number // len(plants) % len(phases)]
 
 
 @dataclass(frozen=True)
@@ -81,10 +83,11 @@ class FaultStudy(Study[FaultJob, list[FaultRow]]):
         places: dict[tuple[str, str], list[tuple[Any, ...]]] = {
             (plant, phase): [] for phase in sorted(PHASE_TIMES, key=PHASE_TIMES.__getitem__)
             for plant in self.plants}
-        for index, fault in enumerate(faults_of(PROCESS)):
+        for index, (name, fault) in enumerate(faults_of(PROCESS).items()):
+            phases = (START, *PHASES) if fault.from_start else PHASES
             # One of each, yet in every situation.
             for number in (index % self._situations,) if self.quick else range(SEEDS):
-                places[situation(number, self.plants)].append((*fault, self.seed + number))
+                places[situation(number, self.plants, phases)].append((*name, self.seed + number))
         pairs = pairs_of_faults(QUICK_PAIRS if self.quick else PAIRS, self.seed)
         for number, (one, other) in enumerate(pairs):
             places[situation(number, self.plants)].append(

@@ -29,7 +29,7 @@ def test_grid_has_every_fault_once_in_every_situation_and_early_phases_first(qui
         len(KINDS) + QUICK_PAIRS if quick else len(KINDS) * SEEDS + PAIRS)
     assert {(job.plant, job.phase) for job in jobs} == {
         (plant, phase) for plant in ('rigid', 'puma') for phase in PHASE_TIMES} == {
-        situation(number, ('rigid', 'puma')) for number in range(6)}
+        situation(number, ('rigid', 'puma'), tuple(PHASE_TIMES)) for number in range(8)}
     times = [PHASE_TIMES[job.phase] for job in jobs]
     assert times == sorted(times)
 
