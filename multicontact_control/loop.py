@@ -165,7 +165,8 @@ class ControlLoop:
     def push_test(self, config: PushTestConfig, point_sensor: tuple[float, ...]) -> str:
         """Begin a push test, for which the arm stays where it is; return what to do now."""
         self._require_rest('a push test')
-        self.push_gate.start(config, point_sensor)
+        self.push_gate.start(config, point_sensor, {
+            name: np.array(x.point_operational) for name, x in self.config.contacts.items()})
         self.supervisor.gate.go_over()
         self.supervisor.task.lock(True)
         return self.push_gate.instruction

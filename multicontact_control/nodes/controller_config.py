@@ -52,8 +52,8 @@ class ControllerNodeConfig(ManagedConfig):
     tare: TareConfig = TareConfig()
     push_test: PushTestConfig = PushTestConfig()
     push_point_sensor: Vector = parameter(
-        (), 'Where the tool is pushed in the push test, sensor frame, so that the torque channels '
-        'are checked too; empty not to.', unit='m')
+        (), 'Where the tool is pushed in the push test, sensor frame, to 5 cm; empty for anywhere '
+        'near its tips, the operational point and the contacts.', unit='m')
 
     @cross_check
     def _check(self) -> Iterator[ConfigError]:

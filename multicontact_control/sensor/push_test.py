@@ -4,11 +4,12 @@ The push test: a user proves sign, frame and scale of the wrist sensor before fo
 A hand that pushes the tool along d with force F makes a right sensor read -F d, what the robot
 does to the hand. A fit f_i = s Q e_i of the measured forces to the expected names what is wrong;
 the decision is stricter: every push has to be read along its own direction, as large as it is.
+The moments m_i = p x f_i give the point p of the pushes, which has to be where the tool is pushed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 import math
 from typing import Literal, NamedTuple
 
@@ -27,8 +28,9 @@ RELEASE_FORCE = 1.0  # N, change of force below which a push is over
 MAX_ANGLE = 0.35  # rad between a push and its reading; a hand is good for 0.2
 ALIGNED = 0.95  # cosine from which an axis is called x, y or z
 MAX_REST_FORCE = 1.0  # N read with nothing touching the tool
-MOMENT_TOLERANCE = 0.3  # of a moment from that of the force, relative to it
-MIN_MOMENT = 0.5  # N m of a push, from which its torque channels are checked
+LEVER_TOLERANCE = 0.05  # m, of the point of the pushes; a hand is good for 0.03
+MIN_LEVER = 0.08  # m from the sensor to the tip of a tool, from which moments tell of any point
+NEAR_TIP = 0.25  # of that lever, beyond which the tool is pushed if no point is declared
 
 Direction = Literal['+x', '-x', '+y', '-y', '+z', '-z']
 
@@ -67,10 +69,11 @@ class PushTestConfig(Config):
 
 
 class PushTestResult(NamedTuple):
-    """The verdict on a sensor: what is wrong, in words, and the scale of its readings."""
+    """The verdict on a sensor: what is wrong or not checked, in words, and its scale."""
 
     findings: tuple[str, ...]
     scale: float
+    unchecked: str = ''
 
     @property
     def passed(self) -> bool:
@@ -81,7 +84,8 @@ class PushTestResult(NamedTuple):
     def message(self) -> str:
         """Return the verdict in one line."""
         if self.passed:
-            return f'push test passed: sign and frame right, scale {self.scale:.2f}'
+            right = self.unchecked or 'moments right'
+            return f'push test passed: sign and frame right, scale {self.scale:.2f}, {right}'
         return f'push test failed: {"; ".join(self.findings)}'
 
 
@@ -136,17 +140,22 @@ class PushGate:
     def instruction(self) -> str:
         """Return what the user should do now; empty if there is nothing to be done."""
         if self.phase == 'push':
+            where = 'at the declared point' if self._point else 'near its tip'
             return (f'push the tool along world {self.direction} with {self._config.force:g} N '
-                    'and hold')
+                    f'{where} and hold')
         if self.running:
             return 'let go of the tool' if self.phase == 'release' else 'keep off the tool'
         if self.result is not None:
             return self.result.message
         return '' if self.open else NEEDED
 
-    def start(self, config: PushTestConfig, point_sensor: tuple[float, ...]) -> None:
-        """Begin a test; the torque is checked if the tool is pushed at `point_sensor` [m]."""
+    def start(
+        self, config: PushTestConfig, point_sensor: tuple[float, ...] = (),
+        contacts: Mapping[str, Vector] | None = None,
+    ) -> None:
+        """Begin a test at a point [m], or near the `contacts`, in the operational frame [m]."""
         self._config, self._point, self.result = config, point_sensor, None
+        self._contacts = contacts or {}
         self._enter('rest')
         self.restart()
 
@@ -156,6 +165,7 @@ class PushGate:
             self._rest, self._pushes = np.zeros(6), list[Vector]()
             self._rotation: Matrix = np.eye(3)
             self._lever: Vector | None = None
+            self._tips: dict[str, Vector] = {}
             self._enter('rest')
 
     def update(self, q: Vector, qd: Vector, wrench_sensor: Vector, tool: ToolConfig) -> bool:
@@ -166,11 +176,13 @@ class PushGate:
         force first, shape (6,) [N, N m].
         """
         state = self._robot.update(q, qd)
-        sensor, position = state.sensor_pose, state.pose.position_world
-        self._rotation = sensor.rotation_world
-        if self._point:
-            self._lever = sensor.position_world + self._rotation @ self._point - position
-        self.take(contact_wrench(wrench_sensor, sensor, position, tool, self._gravity))
+        sensor, pose = state.sensor_pose, state.pose
+        self._rotation, origin = sensor.rotation_world, sensor.position_world
+        self._lever = self._rotation @ self._point if self._point else None
+        self._tips = {'the operational point': pose.position_world - origin} | {
+            f'contact {name}': pose.position_world + pose.rotation_world @ point - origin
+            for name, point in self._contacts.items()}
+        self.take(contact_wrench(wrench_sensor, sensor, origin, tool, self._gravity))
         return not self.running
 
     def take(self, wrench_world: Vector) -> None:
@@ -215,7 +227,7 @@ class PushGate:
             else:
                 self._finish(judge_pushes(
                     np.array(self._pushes), self._rest, config,
-                    rotation_world=self._rotation, lever_world=self._lever))
+                    rotation_world=self._rotation, lever_world=self._lever, tips=self._tips))
 
     def _enter(self, phase: str) -> None:
         self.phase, self._ticks, self._samples = phase, 0, []
@@ -231,6 +243,7 @@ class PushGate:
 def judge_pushes(
     wrenches: Matrix, rest: Vector, config: PushTestConfig, *,
     rotation_world: Matrix, lever_world: Vector | None = None,
+    tips: Mapping[str, Vector] | None = None,
 ) -> PushTestResult:
     """
     Judge a sensor by its readings under pushes.
@@ -238,26 +251,36 @@ def judge_pushes(
     Parameters
     ----------
     wrenches, rest
-        Compensated mean wrench at the operational point, world axes, of each push, shape (p, 6),
-        and while nothing touches the tool, shape (6,) [N, N m].
+        Compensated mean wrench at the sensor, world axes, of each push, shape (p, 6), and while
+        nothing touches the tool, shape (6,) [N, N m].
     config
         Directions, force and tolerances.
     rotation_world
         Orientation of the sensor, shape (3, 3), to name what is found in its axes.
     lever_world
-        From the operational point to where the tool is pushed, world axes, shape (3,) [m], to
-        check the torque channels too.
+        From the sensor to where the tool is pushed, world axes, shape (3,) [m]; None if that is
+        anywhere near its tips.
+    tips
+        From the sensor to the operational point and the contacts, likewise, by what they are
+        called: ends of the tool, and what moments may be about instead of the sensor.
 
     """
     expected, deltas = -config.force * config.directions_world, wrenches - rest
     sign, rotation, scale = fit_mounting(deltas[:, :3], expected)
     findings = _mounting_findings(
         sign, rotation_world.T @ rotation @ rotation_world, scale, config) or _push_findings(
-        deltas, expected, lever_world, config)
+        deltas[:, :3], expected, config)
+    unchecked, tips = '', tips or {}
+    if not findings:
+        reach = max((float(np.linalg.norm(tip)) for tip in tips.values()), default=0.0)
+        if lever_world is None and reach < MIN_LEVER:
+            unchecked = f'moments not checked: the tool reaches {100.0 * reach:.0f} cm'
+        else:
+            findings = _lever_findings(deltas, rotation_world, lever_world, tips, config)
     offset = float(np.linalg.norm(rest[:3]))
     if offset > MAX_REST_FORCE:
         findings.append(f'{offset:.1f} N read with nothing touching the tool: tare or identify it')
-    return PushTestResult(tuple(findings), scale)
+    return PushTestResult(tuple(findings), scale, unchecked)
 
 
 def fit_mounting(measured: Matrix, expected: Matrix) -> tuple[int, Matrix, float]:
@@ -300,23 +323,50 @@ def _mounting_findings(
     return findings
 
 
-def _push_findings(
-    deltas: Matrix, expected: Matrix, lever_world: Vector | None, config: PushTestConfig,
-) -> list[str]:
-    """Name the pushes that are read off their direction, their size or the moment they make."""
+def _push_findings(forces: Matrix, expected: Matrix, config: PushTestConfig) -> list[str]:
+    """Name the pushes that are read off their direction or their size."""
     findings = []
-    for name, delta, wanted in zip(config.directions, deltas, expected):
-        force = delta[:3]
+    for name, force, wanted in zip(config.directions, forces, expected):
         size, right = float(np.linalg.norm(force)), float(np.linalg.norm(wanted))
         cosine = float(force @ wanted) / (size * right) if size > 0.0 else -1.0
         angle = float(np.degrees(np.arccos(min(max(cosine, -1.0), 1.0))))
-        moment = np.cross(np.zeros(3) if lever_world is None else lever_world, force)
-        strength, error = np.linalg.norm(moment), np.linalg.norm(delta[3:] - moment)
         if not cosine >= np.cos(MAX_ANGLE):  # NaN does not pass
             findings.append(f'push along {name} read {angle:.0f} deg off')
         elif not abs(size / right - 1.0) <= config.scale_tolerance:
             findings.append(f'push along {name} read as {size:.3g} N instead of {right:g} N')
-        elif strength >= MIN_MOMENT and not error <= MOMENT_TOLERANCE * strength:
-            findings.append(f'torque of the push along {name} is {100.0 * error / strength:.0f} % '
-                            'off what its force makes at the point pushed')
     return findings
+
+
+def _lever_findings(
+    deltas: Matrix, rotation_world: Matrix, lever: Vector | None, tips: Mapping[str, Vector],
+    config: PushTestConfig,
+) -> list[str]:
+    """Name moments that are not those of pushes where the tool is pushed, and likely causes."""
+    forces, moments = deltas[:, :3], deltas[:, 3:]
+    point: Vector = np.linalg.lstsq(
+        np.vstack([np.cross(np.eye(3), force).T for force in forces]), moments.ravel())[0]
+    off = np.linalg.norm(
+        moments - np.cross(point, forces), axis=1) / np.linalg.norm(forces, axis=1)
+    farthest = max((float(np.linalg.norm(tip)) for tip in tips.values()), default=0.0)
+
+    def right(point: Vector) -> bool:
+        if lever is not None:
+            return bool(np.linalg.norm(point - lever) <= LEVER_TOLERANCE)
+        return bool(np.linalg.norm(point) <= farthest + LEVER_TOLERANCE) and any(
+            point @ tip >= NEAR_TIP * (tip @ tip) for tip in tips.values()
+            if np.linalg.norm(tip) >= 0.5 * farthest)
+
+    if not (off <= 2.0 * LEVER_TOLERANCE).all():
+        worst = config.directions[int(np.argmax(off))]
+        return [f'torque of the push along {worst} is {100.0 * off.max():.0f} cm off the point '
+                'of the others: torque channels swapped?']
+    if right(point):
+        return []
+    causes = [f'moments about {name} instead of the sensor (a wrench at the TCP)'
+              for name, tip in tips.items() if np.linalg.norm(tip) > LEVER_TOLERANCE and right(
+                  point + tip)][:1]
+    causes += ['sign of the torques flipped'] * right(-point)
+    x, y, z = rotation_world.T @ point
+    return [f'torques are those of pushes at ({x:.2f}, {y:.2f}, {z:.2f}) m from the sensor, which '
+            f'is not {"near the tip" if lever is None else "the point"} of the tool'
+            + (f': {" or ".join(causes)}?' if causes else '')]

@@ -1,7 +1,11 @@
 """The push test: what is wrong is always refused and named, what is right passes."""
 
+from contextlib import closing
+
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from multicontact_control.experiment.closed_loop import ClosedLoop
+from multicontact_control.experiment.push_trial import push_setup
 from multicontact_control.sensor.push_test import (
     fit_mounting,
     judge_pushes,
@@ -9,6 +13,7 @@ from multicontact_control.sensor.push_test import (
     PushGate,
     PushTestConfig,
 )
+from multicontact_control.sensor.tool import TareConfig
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -30,7 +35,7 @@ def read(mounting, sensor_rotation, force_world, torque_world):
     return np.concatenate((M @ force_world, M @ torque_world))
 
 
-def pushes(mounting, config, *, sensor=None, rng=None, hand=0.0, noise=0.0, torque_sign=1.0):
+def pushes(mounting, config, *, sensor=None, rng=None, hand=0.0, noise=0.0, about=0.0):
     """Return readings under pushes by a hand off by up to `hand` rad and as much of the force."""
     rng = rng or np.random.default_rng(0)
     sensor = np.eye(3) if sensor is None else sensor
@@ -40,16 +45,16 @@ def pushes(mounting, config, *, sensor=None, rng=None, hand=0.0, noise=0.0, torq
         axis *= hand * rng.uniform() / np.linalg.norm(axis)
         force = -config.force * (1.0 + hand * rng.uniform(-1, 1)) * (
             Rotation.from_rotvec(axis).as_matrix() @ direction)
-        rows.append(read(mounting, sensor, force, torque_sign * np.cross(LEVER, force))
+        rows.append(read(mounting, sensor, force, np.cross(LEVER - about, force))
                     + noise * rng.standard_normal(6))
     return np.array(rows)
 
 
-def judge(mounting, config=None, *, rest=None, lever=LEVER, **changes):
+def judge(mounting, config=None, *, rest=None, lever=LEVER, tips=None, **changes):
     config = config or PushTestConfig()
     return judge_pushes(
         pushes(mounting, config, **changes), np.zeros(6) if rest is None else rest, config,
-        rotation_world=changes.get('sensor', np.eye(3)), lever_world=lever)
+        rotation_world=changes.get('sensor', np.eye(3)), lever_world=lever, tips=tips)
 
 
 @given(rotations, seeds, st.sampled_from([('+x', '+y', '+z'), ('-z', '+y', '-x'), SIX]))
@@ -103,10 +108,61 @@ def test_verdict_names_what_it_found_in_the_sensors_axes(mounting, found):
     assert found in judge(mounting, config, sensor=sensor).message
 
 
-def test_flipped_torque_channels_are_found_where_the_push_has_a_lever():
-    assert 'torque of the push along +' in judge(np.eye(3), torque_sign=-1.0).message
-    assert judge(np.eye(3), torque_sign=-1.0, lever=None).passed
-    assert judge(np.eye(3), lever=0.01 * LEVER).passed
+@pytest.mark.parametrize('lever', [LEVER, None])
+@pytest.mark.parametrize(('about', 'found'), [
+    (0.0, 'moments right'), (LEVER, 'moments about the operational point'),
+    (2.0 * LEVER, 'sign of the torques flipped')])
+def test_moments_tell_about_which_point_they_are(lever, about, found):
+    tips = {'the operational point': LEVER, 'contact table': 0.8 * LEVER}
+    result = judge(np.eye(3), lever=lever, tips=tips, about=about)
+    assert found in result.message
+    assert result.passed is (found == 'moments right')
+
+
+@given(rotations, seeds, st.floats(0.4, 1.2))
+def test_hand_may_push_anywhere_near_the_tip_and_never_with_moments_about_it(
+        sensor, seed, share):
+    tips = {'the operational point': LEVER / share}
+    changes = {'sensor': sensor, 'hand': 0.1, 'noise': 0.02, 'lever': None, 'tips': tips}
+    for about, right in ((0.0, True), (LEVER / share, False)):
+        rng = np.random.default_rng(seed)
+        assert judge(np.eye(3), rng=rng, about=about, **changes).passed is right
+
+
+def test_tool_without_a_lever_passes_and_its_moments_are_called_not_checked():
+    result = judge(np.eye(3), lever=None, tips={'the operational point': 0.1 * LEVER})
+    assert result.passed and 'moments not checked' in result.message
+
+
+def at_tip(loop):
+    """Return a driver that reports a wrench at the tip that is pushed, in sensor axes."""
+    lever = np.array(loop.plant.tool_push_point)
+
+    def corrupt(inputs):
+        force, torque = np.split(inputs.wrench.wrench, 2)
+        return inputs._replace(wrench=inputs.wrench._replace(
+            wrench=np.concatenate([force, torque - np.cross(lever, force)])))
+    return corrupt
+
+
+@pytest.mark.parametrize('driver', [lambda loop: None, at_tip])
+def test_wrench_at_the_tcp_is_refused_without_a_declared_point(driver):
+    config = PushTestConfig(settle_time=0.2, hold_time=0.2)
+    setup = push_setup('rigid', 0, config, np.eye(3))
+    with closing(ClosedLoop(setup)) as loop:
+        loop.advance()
+        corrupt = driver(loop)
+        for _ in range(150):
+            loop.advance(corrupt)
+        tare = tuple(loop.control.tare(TareConfig()).tolist())
+        tool = setup.controller.tool.model_copy(update={'bias_sensor': tare})
+        loop.control.supervisor.reconfigure(setup.controller.model_copy(update={'tool': tool}))
+        loop.control.push_test(config, ())
+        while loop.control.push_gate.running:
+            loop.advance(corrupt)
+    result = loop.control.push_gate.result
+    assert result.passed is (corrupt is None), result.message
+    assert result.passed or 'moments about contact' in result.message
 
 
 def test_force_read_at_rest_is_refused():
