@@ -12,6 +12,7 @@ from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig, validate
 from multicontact_control.dynamics.robot import check_torques, load_model
 from multicontact_control.errors import ConfigError
+from multicontact_control.experiment.parameter_file import write_parameters
 import numpy as np
 import pinocchio as pin
 from sim_bridge.arm import Arm, parse_urdf
@@ -19,7 +20,6 @@ from sim_bridge.posture import condition, limits_of, reach
 from sim_bridge.robot_file import ToolData
 from sim_bridge.robots import find_robot, SCHEME, urdf_name
 from sim_bridge.urdf_arm import ends_of, Mount, read_arm, read_urdf
-import yaml
 
 MARK = 'PLACEHOLDER'
 GUESSED_TOOL = {
@@ -121,13 +121,13 @@ def write_controller(made: NewRobot, out: Path) -> None:
     validate(ControllerConfig, values, str(out))
     out.parent.mkdir(parents=True, exist_ok=True)
     urdf.write_text(source.read_text(encoding='utf-8'), encoding='utf-8')
-    body = yaml.safe_dump({'/**': {'ros__parameters': values}}, sort_keys=False)
     guesses = '\n'.join(f'# - {text}' for text in made.missing)
-    out.write_text(
+    write_parameters(
+        out, {'/**': values},
         f'# Written by `multicontact new-robot` beside {made.path.name}, yours from here on.\n'
         "# Check every contact's normal and point, what hangs on the sensor, the torque limits\n"
         "# and the sensor's frame. Guessed or not known, and yours to replace:\n"
-        f'{guesses}\n{body}', encoding='utf-8')
+        f'{guesses}\n')
 
 
 def _links(root: ElementTree.Element) -> list[str]:

@@ -19,7 +19,6 @@ from multicontact_control.config.base import (
     validate,
     Vector,
     Vector3,
-    write_parameters,
 )
 from multicontact_control.config.contact import ContactConfig
 from multicontact_control.config.controller import (
@@ -47,4 +46,4 @@ __all__ = [
     'MAX_DELAY_PERIODS', 'NoiseEstimatorConfig', 'Real', 'RobotConfig', 'SensorFrontEndConfig',
     'ToolConfig', 'TransitionConfig', 'UnitVector3', 'Vector', 'Vector3', 'WatchdogConfig',
     'cross_check', 'merge', 'parameter', 'read_node_parameters', 'read_parameters', 'read_yaml',
-    'validate', 'write_parameters']
+    'validate']

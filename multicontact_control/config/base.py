@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 import math
 from pathlib import Path
 from typing import Annotated, Any, get_args, TypeVar
@@ -139,15 +139,20 @@ def read_yaml(path: Path) -> dict[str, Any]:
 def read_parameters(path: Path) -> dict[str, Any]:
     """Read a ROS 2 parameter file with one section; ConfigError for any other file."""
     data = read_yaml(path)
-    sections = [*map(_parameters_of, data.values())]
+    sections = [parameters for _, parameters in _sections(data)]
     if len(sections) != 1 or sections[0] is None:
         raise ConfigError(str(path), "one node key holding 'ros__parameters'", list(data))
     return sections[0]
 
 
-def _parameters_of(section: Any) -> dict[str, Any] | None:
-    found = section.get('ros__parameters') if isinstance(section, dict) else None
-    return found if isinstance(found, dict) else None
+def _sections(data: Mapping[str, Any], place: str = '') -> Iterator[tuple[str, Any]]:
+    """Yield full name and parameters of each node, in nested namespaces too; None for none."""
+    for key, entry in data.items():
+        if isinstance(entry, dict) and entry and 'ros__parameters' not in entry:
+            yield from _sections(entry, f'{place}{key}/')
+        else:
+            found = entry['ros__parameters'] if isinstance(entry, dict) and entry else None
+            yield f'{place}{key}', found if isinstance(found, dict) else None
 
 
 def read_node_parameters(path: Path, nodes: Sequence[str]) -> dict[str, dict[str, Any]]:
@@ -158,12 +163,12 @@ def read_node_parameters(path: Path, nodes: Sequence[str]) -> dict[str, dict[str
     the parameters by node; ConfigError for any other section, or two of one node.
     """
     found: dict[str, dict[str, Any]] = {}
-    for key, section in read_yaml(path).items():
-        name, parameters = str(key).rpartition('/')[2], _parameters_of(section)
+    for key, parameters in _sections(read_yaml(path)):
+        name = key.rpartition('/')[2]
         if name not in nodes or parameters is None:
             names = ', '.join(x.replace(EVERY_NODE, f'/{EVERY_NODE}') for x in nodes)
-            raise ConfigError(
-                f'{path}: {key}', f"a section of {names} holding 'ros__parameters'", section)
+            raise ConfigError(f'{path}: {key}', f"a section of {names} holding 'ros__parameters'",
+                              'none' if parameters is None else f"'{name}'")
         if name in found:
             raise ConfigError(f'{path}: {key}', f'one section of {name}', 'another')
         found[name] = parameters
@@ -177,10 +182,3 @@ def merge(base: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, An
         both = isinstance(value, Mapping) and isinstance(merged.get(key), Mapping)
         merged[key] = merge(merged[key], value) if both else value
     return merged
-
-
-def write_parameters(path: Path, config: Config, node_name: str = '') -> None:
-    """Write a configuration as a ROS 2 parameter file, for a node of a name or every node."""
-    values, node = config.model_dump(mode='json'), f'/**/{node_name}'.rstrip('/')
-    text = yaml.safe_dump({node: {'ros__parameters': values}}, sort_keys=False)
-    path.write_text(text, encoding='utf-8')

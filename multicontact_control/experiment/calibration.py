@@ -16,6 +16,7 @@ from multicontact_control.config import (
     Vector,
 )
 from multicontact_control.errors import CalibrationError, ConfigError
+from multicontact_control.experiment.parameter_file import write_parameters
 from multicontact_control.experiment.scenario import plant_source, resolve, Setup
 from multicontact_control.sensor.tool import (
     Identification,
@@ -27,7 +28,6 @@ import numpy as np
 from pydantic import model_validator
 from rich.table import Table
 from sim_bridge.robots import DEFAULT, find_robot
-import yaml
 
 if TYPE_CHECKING:
     from multicontact_control.experiment.position_controlled_plant import ServoedPlant
@@ -143,14 +143,13 @@ def true_tool(setup: Setup) -> ToolConfig:
 def write_tool(folder: Path, calibration: Calibration) -> Path:
     """Write what was found as a parameter file to lay over the controller's, and return it."""
     found = calibration.found
-    values = found.tool().model_dump(mode='json')
-    text = yaml.safe_dump({'/**': {'ros__parameters': {'tool': values}}}, sort_keys=False)
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / TOOL_FILE
-    path.write_text(
+    write_parameters(
+        path, {'/**': {'tool': found.tool().model_dump(mode='json')}},
         f'# Identified from {found.poses} poses: residual {found.force_residual:.3g} N and '
         f'{found.torque_residual:.3g} N m rms, condition {found.condition:.3g}.\n'
-        f'# Give it to the controller after its own parameter file.\n{text}', encoding='utf-8')
+        f'# Give it to the controller after its own parameter file.\n')
     return path
 
 

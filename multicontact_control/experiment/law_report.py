@@ -11,7 +11,7 @@ from typing import Any
 from multicontact_control.arrays import Matrix
 from multicontact_control.config import ForceConfig, validate
 from multicontact_control.errors import ConfigError
-from multicontact_control.files import write_text
+from multicontact_control.experiment.parameter_file import write_parameters
 from multicontact_control.force.laws import LAWS, LinearLaw, LoopModel, steady_law
 from multicontact_control.force.margins import last_stable, spectral_radius
 from multicontact_control.force.observer import steady_gain
@@ -260,6 +260,5 @@ def write_design(found: DesignedLaw, path: Path) -> None:
 
 def write_preset(sections: Mapping[str, Any], path: Path, what: str) -> None:
     """Write values of controller and noise estimator as a parameter file that `--preset` takes."""
-    content = {NODES[section]: {'ros__parameters': values}
-               for section, values in sections.items()}
-    write_text(path, f'# {what}\n{yaml.safe_dump(content, sort_keys=False)}')
+    write_parameters(
+        path, {NODES[section]: values for section, values in sections.items()}, f'# {what}\n')

@@ -21,10 +21,10 @@ from multicontact_control.config import (
     read_yaml,
     Real,
     validate,
-    write_parameters,
 )
 from multicontact_control.control.tasks import ReferenceConfig, ScenarioTask
 from multicontact_control.errors import check_all, ConfigError
+from multicontact_control.experiment.parameter_file import write_parameters
 from multicontact_control.paths import config_dir, named_file
 import numpy as np
 from sim_bridge.config import PlantConfig
@@ -132,7 +132,7 @@ class Setup:
         if self.simulated:
             nodes['sim_node'] = ('plant.yaml', self.plant)
         for node, (name, config) in nodes.items():
-            write_parameters(folder / name, config, node)
+            write_parameters(folder / name, {f'/**/{node}': config.model_dump(mode='json')})
         for name, config in (('reference.yaml', self.scenario.reference),
                              ('scenario.yaml', self.scenario)):
             (folder / name).write_text(

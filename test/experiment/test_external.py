@@ -73,6 +73,16 @@ def test_what_a_file_says_for_every_node_lies_below_the_sections_of_both(file):
     assert resolve_external([file]).setup.noise_estimator.contact_names == ('wall',)
 
 
+@pytest.mark.parametrize('nest', [
+    lambda section: {'/robot1': {'controller_node': section}},
+    lambda section: {'left': {'arm': {'controller_node': section}}},
+    lambda section: {'/left/arm': {'/**': section}}])
+def test_nested_namespaces_are_read_as_ros_reads_them(file, nest):
+    wanted = resolve_external([file]).setup.controller
+    file.write_text(yaml.safe_dump(nest(yaml.safe_load(file.read_text())['controller_node'])))
+    assert resolve_external([file]).setup.controller == wanted
+
+
 @pytest.mark.parametrize(('key', 'message'), [
     ('controler_node', r'controler_node: expected a section of /\*\*, controller_node, '),
     ('/left/controller_node', 'expected one section of controller_node, found another'),

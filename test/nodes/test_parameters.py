@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 
+from arms import seven_joint_urdf
 from multicontact_control.config import (
     Config,
     ControllerConfig,
@@ -13,15 +14,23 @@ from multicontact_control.config import (
     Real,
     validate,
     Vector,
-    write_parameters,
 )
 from multicontact_control.errors import ConfigError
+from multicontact_control.experiment.calibration import Calibration, write_tool
+from multicontact_control.experiment.external import dotted, read_controller_files
+from multicontact_control.experiment.law_report import write_preset
+from multicontact_control.experiment.parameter_file import write_parameters
+from multicontact_control.experiment.scenario import preset_values, resolve
 from multicontact_control.nodes.link import GuestNode
 from multicontact_control.nodes.parameters import load_parameters, LOCKED, ParameterSet
 from multicontact_control.paths import config_dir
+from multicontact_control.sensor.tool import identify_tool, PoseReading
+import numpy as np
 import pytest
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from scipy.spatial.transform import Rotation
+from sim_bridge.new_robot import new_robot, write_controller
 
 CONTROLLER_FILE = config_dir() / 'controller.yaml'
 
@@ -42,10 +51,10 @@ class Whole(Config):
 def make_node(domain_id, tmp_path, monkeypatch):
     monkeypatch.setenv('ROS_LOG_DIR', str(tmp_path / 'ros'))
     with GuestNode('context', domain_id) as guest, contextlib.ExitStack() as nodes:
-        def make(*arguments, file=None):
+        def make(*arguments, file=None, name='parameter_test'):
             files = ['--params-file', str(file)] if file else []
             options = [part for argument in arguments for part in ('-p', argument)]
-            node = Node('parameter_test', context=guest.context, use_global_arguments=False,
+            node = Node(name, context=guest.context, use_global_arguments=False,
                         start_parameter_services=False,
                         cli_args=['--ros-args', *files, *options])
             nodes.callback(node.destroy_node)
@@ -64,9 +73,51 @@ def test_load_parameters_reads_what_a_file_says(make_node, tmp_path):
     name = 'contacts.board.stiffness'
     assert node.get_parameter(name).value == config.contacts['board'].stiffness
     config = NoiseEstimatorConfig(contact_names=('left', 'right'), window=7, fixed_variance=1e-7)
-    write_parameters(tmp_path / 'written.yaml', config)
+    write_parameters(tmp_path / 'written.yaml', {'/**': config.model_dump()})
     assert load_parameters(
         make_node(file=tmp_path / 'written.yaml'), NoiseEstimatorConfig) == [config]
+
+
+def new_robot_file(folder):
+    made = new_robot(seven_joint_urdf(folder), 'wrist', 'wrist', folder / 'mine.yaml')
+    write_controller(made, folder / 'controller.yaml')
+    return folder / 'controller.yaml'
+
+
+def tool_file(folder):
+    turns = Rotation.random(6, rng=0).as_matrix()
+    wrenches = [np.concatenate([force := turn.T @ [0.0, 0.0, 9.81], np.cross([0, 0, 0.1], force)])
+                for turn in turns]
+    found = identify_tool([*map(PoseReading, turns, wrenches)], np.array([0.0, 0.0, -9.81]))
+    return write_tool(folder, Calibration(found, None))
+
+
+def preset_file(folder):
+    """Write what `design` and `tune` do."""
+    write_preset(preset_values('adaptive'), folder / 'preset.yaml', 'tuned')
+    return folder / 'preset.yaml'
+
+
+def gantry_file(folder):
+    """Names and numbers that rcl takes for something else, or not at all."""
+    write_parameters(folder / 'gantry.yaml', {'controller_node': {
+        'watchdog': {}, 'robot': {'joint_names': ['x', 'y', '1e5', 'n']},
+        'tool': {'mass': 1, 'com_sensor': [0, 0.05, 0]}, 'contact_names': []}})
+    return folder / 'gantry.yaml'
+
+
+@pytest.mark.parametrize('write', [
+    new_robot_file, tool_file, preset_file, gantry_file,
+    lambda folder: resolve('quick').write(folder)['controller_node']])
+def test_file_that_a_command_writes_is_read_by_nodes_and_commands_alike(
+        make_node, tmp_path, write):
+    file = write(tmp_path)
+    overrides = make_node(file=file, name='controller_node')._parameter_overrides
+    found = {name: parameter.value for name, parameter in overrides.items()}
+    read = read_controller_files([file])
+    wanted = dotted(read.controller | read.node)
+    assert wanted and {name: list(value or ()) if isinstance(wanted.get(name), list) else value
+                       for name, value in found.items()} == wanted
 
 
 def test_load_parameters_takes_whole_numbers_and_empty_lists(make_node, tmp_path):
