@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable
 from typing import Any
 
 
@@ -77,14 +76,8 @@ class RunError(MulticontactError):
     """A run could not start or did not end as it should."""
 
 
-@contextmanager
-def importing_ros() -> Iterator[None]:
-    """Turn an `ImportError` into a `RunError` that names remedies."""
-    try:
-        yield
-    except ImportError as error:
-        raise RunError(f'ROS 2 (rclpy) cannot be loaded: {error}; install the extra [ros], source '
-                       'a ROS 2 Jazzy or use `multicontact simulate`') from None
+class RosError(RunError, ImportError):
+    """ROS 2 cannot be loaded."""
 
 
 def check_all(*checks: Callable[[], object]) -> list[Any]:

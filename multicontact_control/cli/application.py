@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from copy import copy
+import os
+import sys
 from typing import Annotated, Any
 
 from multicontact_control import __version__
@@ -84,5 +86,8 @@ app.add_typer(_topic, name='topic')
 
 def main() -> None:
     """Run the command line."""
+    if sys.getfilesystemencoding() != 'utf-8' and os.environ.get('PYTHONUTF8') != '1':
+        os.environ['PYTHONUTF8'] = '1'  # in a locale of another encoding begin anew
+        os.execv(sys.executable, sys.orig_argv)
     limit_threads()
     app(prog_name='multicontact')

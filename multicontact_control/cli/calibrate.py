@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, TYPE_CHECKING
 
 from multicontact_control.cli import options
-from multicontact_control.cli.exits import errors_in_one_line, EXIT_FAILED, require_ros
+from multicontact_control.cli.exits import errors_in_one_line, EXIT_FAILED
 from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.terminal import terminal
 import typer
@@ -69,7 +69,6 @@ def calibrate(
 
             weighed = weigh_recording(from_bag, files, namespace)
         elif external:
-            require_ros()
             from multicontact_control.experiment.weighing import weigh_running
 
             weighed = weigh_running(

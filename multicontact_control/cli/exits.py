@@ -8,7 +8,7 @@ import signal
 from types import FrameType
 from typing import Any
 
-from multicontact_control.errors import ConfigError, importing_ros, MulticontactError
+from multicontact_control.errors import ConfigError, MulticontactError
 import typer
 
 EXIT_FAILED = 1
@@ -54,9 +54,3 @@ def end_by_verdict(summary: dict[str, Any]) -> None:
     """Exit with 1 if the run was not stable; what the supervisor held is not, either."""
     if summary['stable'] is False:
         raise typer.Exit(EXIT_FAILED)
-
-
-def require_ros() -> None:
-    """Check that ROS 2 can be loaded; RunError if it cannot."""
-    with importing_ros():
-        import rclpy  # noqa: F401

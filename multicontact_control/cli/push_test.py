@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated
 
 from multicontact_control.cli import options
-from multicontact_control.cli.exits import errors_in_one_line, EXIT_FAILED, require_ros
+from multicontact_control.cli.exits import errors_in_one_line, EXIT_FAILED
 import typer
 
 
@@ -30,7 +30,6 @@ def push_test(
         given = options.given_options(context)
         if external:
             options.refuse_options(given, ('robot', 'plant', 'seed', 'fault'), '--external')
-            require_ros()
             from multicontact_control.experiment.push_running import push_running
 
             if not push_running(namespace=namespace or '', domain_id=domain_id,

@@ -10,7 +10,7 @@ import time
 from typing import Annotated, Any
 
 from multicontact_control.cli import options
-from multicontact_control.cli.exits import errors_in_one_line, require_ros
+from multicontact_control.cli.exits import errors_in_one_line
 from multicontact_control.errors import ConfigError, RunError
 import typer
 import yaml
@@ -29,7 +29,6 @@ def list_topics(
 ) -> None:
     """List the topics of a running graph with their types, like `ros2 topic list -t`."""
     with errors_in_one_line():
-        require_ros()
         from multicontact_control.nodes.link import GuestNode
 
         with GuestNode(NODE, domain_id) as guest:
@@ -56,7 +55,6 @@ def echo(
     1: the topic has no publisher or its type is not installed; 2: there is no such field.
     """
     with errors_in_one_line():
-        require_ros()
         from multicontact_control.nodes.graph import full_topic_name, ignore, take
         from multicontact_control.nodes.link import GuestNode
         from multicontact_control.nodes.runtime import StopFlag

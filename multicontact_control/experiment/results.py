@@ -48,6 +48,8 @@ def prepare_folder(out: Path | None, scenario: str, *, overwrite: bool, now: dat
     `overwrite` a run that is already in `out` is replaced. Raises ConfigError if the folder holds
     something else, or cannot be made.
     """
+    if any('\udc80' <= letter <= '\udcff' for letter in str(out or '')):
+        raise ConfigError('out', 'a name in UTF-8', ascii(str(out)))
     default = Path('runs') / f'{now:%Y%m%d-%H%M%S}-{scenario}'
     # Where a link leads now: `runs/latest` leads elsewhere as soon as another run begins.
     folder = Path(os.path.realpath(out)) if out is not None and out.is_symlink() else out

@@ -9,7 +9,7 @@ from typing import Any, TYPE_CHECKING
 
 from multicontact_control.compiled import compiled_here
 from multicontact_control.config import validate
-from multicontact_control.errors import ConfigError, importing_ros, RunError
+from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.experiment.bag import answered, BagContent, read_bag
 from multicontact_control.experiment.claims import claims_of
 from multicontact_control.experiment.closed_loop import run_in_process
@@ -138,8 +138,8 @@ def run_real_time(
 
     """
     console = console or terminal()
-    with importing_ros():
-        from multicontact_control.experiment.graph.run import GraphSpec
+    from multicontact_control.experiment.graph.run import GraphSpec
+
     config = folder / CONFIG_FOLDER
     refuse_push_test(setup)
     ensure_compiled(console)
@@ -214,11 +214,11 @@ def run_external(
 
     """
     console = console or terminal()
-    with importing_ros():
-        from multicontact_control.experiment.graph.domain import shared_domain
-        from multicontact_control.experiment.graph.external import Robot, run_external_graph
-        from multicontact_control.experiment.graph.spec import CONTROLLER, GraphSpec
-        from multicontact_control.nodes.controller_config import ControllerNodeConfig
+    from multicontact_control.experiment.graph.domain import shared_domain
+    from multicontact_control.experiment.graph.external import Robot, run_external_graph
+    from multicontact_control.experiment.graph.spec import CONTROLLER, GraphSpec
+    from multicontact_control.nodes.controller_config import ControllerNodeConfig
+
     setup, config = external.setup, folder / CONFIG_FOLDER
     if not setup.commanded_by_topic:
         refuse_push_test(setup)

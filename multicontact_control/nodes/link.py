@@ -16,7 +16,7 @@ from lifecycle_msgs.srv import ChangeState, GetState
 from multicontact_control.errors import RunError
 from multicontact_control.nodes import qos, topics
 from multicontact_control.nodes.graph import create_publisher, take
-from multicontact_control.nodes.runtime import prepare_environment
+from multicontact_control.nodes.runtime import start_ros
 from multicontact_control.nodes.status import ControllerStatus, identify, new_identifier, REFUSED
 from multicontact_control.nodes.topics import Topic
 from rclpy.context import Context
@@ -52,9 +52,8 @@ class TransitionError(RunError):
 def _context(domain_id: int) -> Context:
     """Return the context of all guests of a domain: one participant, as long as it has nodes."""
     # Fast DDS 2.14 can wait for itself for ever when one leaves while others come and go.
-    prepare_environment()
     context = Context()
-    context.init(args=[], domain_id=domain_id)
+    start_ros([], context=context, domain_id=domain_id)
     atexit.register(context.try_shutdown)
     return context
 

@@ -8,11 +8,12 @@ import gc
 import os
 import signal
 import sys
+import tempfile
 import time
 import traceback
 from typing import Any
 
-from multicontact_control.errors import ConfigError, MulticontactError
+from multicontact_control.errors import ConfigError, MulticontactError, RunError
 from multicontact_control.paths import config_dir
 from multicontact_control.process import settle_process
 import rclpy
@@ -74,14 +75,6 @@ class Spinner:
             self._executor.shutdown(timeout_sec=0)
 
 
-def prepare_environment() -> None:
-    """Set what rclpy and Fast DDS read from the environment, unless the user has."""
-    os.environ.setdefault('AMENT_PREFIX_PATH', sys.prefix)  # where wheels keep their index
-    # Without it the graph would announce itself to the whole network.
-    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    os.environ.setdefault('FASTRTPS_DEFAULT_PROFILES_FILE', str(config_dir() / 'fastdds.xml'))
-
-
 def make_executor(context: Context | None = None) -> Executor:
     """Return the fastest executor there is; only its `spin_once` with a timeout may be used."""
     try:
@@ -91,14 +84,21 @@ def make_executor(context: Context | None = None) -> Executor:
     return EventsExecutor(context=context)
 
 
-def start_ros(args: Sequence[str] | None) -> None:
+def start_ros(args: Sequence[str] | None, **options: Any) -> None:
     """Initialise rclpy without its signal handlers; ConfigError for unreadable arguments."""
-    prepare_environment()
+    # Without it the graph would announce itself to the whole network.
+    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    os.environ.setdefault('FASTRTPS_DEFAULT_PROFILES_FILE', str(config_dir() / 'fastdds.xml'))
+    if not os.access(os.environ.get('ROS_HOME') or os.environ.get('HOME', ''), os.W_OK):
+        os.environ.setdefault('ROS_LOG_DIR', f'{tempfile.gettempdir()}/ros-{os.getuid()}')
     try:
-        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:
-        hint = 'readable ROS arguments and parameter files, numbers of a list all with a point'
-        raise ConfigError('--ros-args', hint, one_line(error)) from None
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO, **options)
+    except (RuntimeError, UnicodeError) as error:
+        text = one_line(error)
+        if 'parse' not in text and 'failed to' in text:
+            raise RunError(f'ROS 2 cannot be started: {text}') from None
+        hint = 'readable arguments and files in UTF-8, numbers of a list all with a point'
+        raise ConfigError('--ros-args', hint, text) from None
 
 
 def one_line(error: BaseException) -> str:

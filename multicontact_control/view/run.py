@@ -8,7 +8,7 @@ import signal
 import threading
 import webbrowser
 
-from multicontact_control.errors import ConfigError, importing_ros, RunError
+from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.experiment.compilation import ensure_compiled
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.view.source import Source
@@ -102,8 +102,7 @@ def make_source(
         except RunError as error:
             raise ConfigError('recording', 'one that can be read', f'none: {error}') from None
     if graph:
-        with importing_ros():
-            from multicontact_control.view.graph import GraphSource
+        from multicontact_control.view.graph import GraphSource
 
         return GraphSource(setup, namespace=namespace or '', domain_id=domain_id)
     from multicontact_control.view.embedded import EmbeddedSource

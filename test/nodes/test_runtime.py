@@ -1,11 +1,13 @@
 """What a process of ROS does before it starts, and what ends it."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
 
 import pytest
+from ros_graph import ROOT
 
 DESTROYED_END = """
 import rclpy
@@ -70,6 +72,7 @@ def test_process_is_reached_without_shared_memory(domain_id):
 
 STOPPED_LATE = """
 import os
+import re
 import signal
 import sys
 
@@ -107,3 +110,32 @@ def test_node_that_has_closed_is_not_ended_by_a_signal(domain_id, number):
         env={**os.environ, 'ROS_DOMAIN_ID': str(domain_id)})
     assert (script.returncode, script.stdout.splitlines()[-1:]) == (0, ['closed']), (
         script.stdout + script.stderr)
+
+
+NODE = ('multicontact_control.nodes.noise_estimator_node', '--ros-args', '--params-file', 'ä')
+TOPICS = ('multicontact_control.cli', 'topic', 'list', '--wait', '0')
+ASCII = {'LC_ALL': 'C', 'PYTHONUTF8': '0', 'PYTHONCOERCECLOCALE': '0'}
+NO_RMW = {'RMW_IMPLEMENTATION': 'rmw_nothing'}
+OTHER_ROS = {'ROS_DISTRO': 'humble', 'AMENT_PREFIX_PATH': '/opt/ros/humble', 'PYTHONPATH': 'other'}
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize(('command', 'changes', 'code', 'text'), [
+    (TOPICS, {'HOME': ''}, 0, ''), (TOPICS, {'AMENT_PREFIX_PATH': '/opt/ros/humble'}, 0, ''),
+    (TOPICS, {'HOME': '', 'ROS_LOG_DIR': '/proc/x'}, 1, 'cannot be started: .*logging'),
+    (TOPICS, NO_RMW, 1, 'RMW_IMPLEMENTATION'), (NODE, NO_RMW, 1, 'RMW_IMPLEMENTATION'),
+    (TOPICS, OTHER_ROS, 1, 'found: humble'), (NODE, OTHER_ROS, 1, 'found: humble'),
+    (NODE, ASCII, 2, '--ros-args: expected .*UTF-8'),
+    (('multicontact_control.cli', 'run', '--namespace', 'ä'), ASCII, 2, "found 'ä'")])
+def test_odd_environment_does_no_harm_or_is_named_in_one_line(
+        domain_id, tmp_path, command, changes, code, text):
+    (tmp_path / 'rclpy').mkdir()
+    (tmp_path / 'rclpy/__init__.py').touch()  # of another Python: without its library
+    environment = {name: value for name, value in os.environ.items() if name != 'ROS_LOG_DIR'}
+    changes = {name: value.replace('other', str(tmp_path)) for name, value in changes.items()}
+    done = subprocess.run(
+        [sys.executable, '-m', *command], cwd=ROOT, capture_output=True, text=True,
+        encoding='utf-8', env={**environment, 'ROS_DOMAIN_ID': str(domain_id), **changes})
+    assert done.returncode == code, done.stderr
+    lines = [line for line in done.stderr.splitlines() if '[rcl]' not in line]
+    assert len(lines) == (code != 0) and re.search(text, done.stderr)
