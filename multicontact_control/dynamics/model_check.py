@@ -10,11 +10,11 @@ from multicontact_control.errors import ConfigError
 import numpy as np
 
 SHORTEST = 0.05  # m, of a link
-ODD, IMPOSSIBLE = 2.0, 30.0  # link lengths, of a centre of mass and a radius of gyration
+ODD, IMPOSSIBLE = 2.0, 5.0  # link lengths, of a centre of mass and a radius of gyration
 IMBALANCE = 1.5  # of the largest moment to the sum of the others; published arms reach 1.16
 WIDE, ENDLESS = 8.0 * math.pi, 1440.0  # rad, ranges that are rather degrees, and none at all
 DENSEST = 2.3e4  # kg/m^3, osmium
-OVERLOAD = 10.0  # of gravity's torque to the limit: masses in g, or a limit of another unit
+OVERLOAD = 3.0  # of gravity's torque to the limit; published arms reach 1.7
 # Whether it is refused, the element of the URDF, what is expected, and what is there.
 Finding = tuple[bool, str, str, object]
 
@@ -74,6 +74,6 @@ def check_torque(
     if limit == math.inf:
         yield False, f'{name}.effort', 'a torque limit > 0 N m, or torque_limit', 'none'
     if gravity > limit:
-        hint = ': masses in g, lengths in mm?' if gravity > OVERLOAD * limit else ''
+        hint = ': masses in g, lengths in mm?' if gravity > 10.0 * limit else ''
         yield (gravity > OVERLOAD * limit, f'{name}.effort', 'a torque limit above the '
                f'{gravity:.4g} N m of gravity, with {heaviest}', f'{limit:.4g} N m{hint}')
