@@ -44,9 +44,10 @@ class ConfigError(FieldError):
 
     @classmethod
     def of(cls, errors: Iterable[ConfigError], source: str = '') -> ConfigError:
-        """Return one error of one or more, with the first field; `source` is their file."""
-        first, *others = [cls(x.field, x.expected, x.found, source or x.source)
-                          for error in errors for x in error.errors]
+        """Return one error of one or more, each once, with the first field, of a file `source`."""
+        each = [cls(x.field, x.expected, x.found, source or x.source)
+                for error in errors for x in error.errors]
+        first, *others = {str(error): error for error in each}.values()
         if others:
             first._all = (cls(first.field, first.expected, first.found, first.source), *others)
             first.args = ('\n'.join(map(str, first._all)),)
