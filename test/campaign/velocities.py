@@ -28,8 +28,8 @@ from rich.progress import track
 from rich.table import Table
 
 FAULTS = {f'{x.input}:{x.kind}': x for x in faults_of(PROCESS).values() if x.from_start}
-ARMS = {'puma': ('rigid', {}), 'panda': ('panda/rigid', {}),
-        'panda-mujoco': ('panda/rigid', {'engine': 'mujoco'})}
+ARMS = {'puma': (6, 'rigid', {}), 'panda': (7, 'panda/rigid', {}),
+        'panda-mujoco': (7, 'panda/rigid', {'engine': 'mujoco'})}
 LARGEST = {'rad/s beyond': 0.3, 'N': 20.0, 'mm': 5.0}
 FORCE, WAY, BEGIN, SLIDE_TIME = 10.0, 0.05, 150, 1.5  # N, m, tick, s
 TICKS, LONG_TICKS = 1500, 5000  # of speeds and of wrenches
@@ -49,15 +49,15 @@ def command(loop, home):
 
 def run(cell):
     """Return each joint's largest speed, the largest force and way, and the causes named."""
-    (plant, engine), fault = ARMS[cell.arm], FAULTS.get(cell.fault)
+    (_, plant, engine), fault = ARMS[cell.arm], FAULTS.get(cell.fault)
     setup = resolve('quick', plant=plant, plant_overrides=engine, controller={
         'sensor': {'require_push_test': cell.push_test}})
     robot, causes = RobotModel(setup.controller.robot, setup.urdf_dir), set()
     speeds, forces, places, corrupt = [], [0.0], [], None
     with closing(ClosedLoop(setup, commanded=True)) as loop, suppress(RunError):
         if fault:  # the middle of the share that a place has of random numbers, and a sign
-            corruptor, count = Corruptor(fault, fault.random(0), loop), count_of(cell)
-            count //= 1 + ('biased' in cell.fault)
+            corruptor = Corruptor(fault, fault.random(0), loop)
+            count = len(getattr(loop.inputs(), fault.input)[1])
             corruptor.choice = np.array([(cell.place % count + 0.5) / count, cell.place // count])
             corrupt = corruptor.corrupt
         home = robot.update(loop.sample.q, loop.sample.qd).pose
@@ -74,41 +74,32 @@ def run(cell):
     return np.max(speeds, axis=0), max(forces), 1e3 * way, causes - {'recovering', 'latched'}
 
 
-def count_of(cell):
-    """Return how many places and signs a fault has."""
-    if 'biased' in cell.fault:
-        return 12
-    joints = len(resolve('quick', plant=ARMS[cell.arm][0]).controller.robot.joint_names)
-    return joints if cell.fault.endswith('_of_one') else 1
-
-
 def main(arguments=None):
     """Run the cells that were asked for; return the exit code."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--arms', nargs='+', default=list(ARMS), choices=ARMS)
     parser.add_argument('--faults', nargs='+', default=list(FAULTS), choices=FAULTS)
     parser.add_argument('--every', type=int, default=1, help='take only every so many cells')
     options = parser.parse_args(arguments)
-    groups = [Cell(*group) for group in product(
-        options.arms, (False, True), (True, False), options.faults)]
-    todo = [group._replace(place=place) for group in groups if group.fault.startswith('joints') or
-            not group.commanded for place in range(count_of(group))][::options.every]
-    right = sorted({Cell(*cell[:3]) for cell in todo})
-    found = dict(zip((*right, *todo), track(Parallel(2, return_as='generator')(
-        delayed(run)(cell) for cell in (*right, *todo)), total=len(right) + len(todo))))
+    todo = [Cell(arm, commanded, push_test, fault, place) for arm, commanded, push_test, fault in
+            product(options.arms, (False, True), (True, False), options.faults)
+            if fault.startswith('joints') or not commanded for place in range(
+                12 if 'biased' in fault else ARMS[arm][0] if 'of_one' in fault else 1)]
+    todo = [*product(options.arms, (False, True), (True, False)), *todo[::options.every]]
+    found = dict(zip(todo, track(Parallel(2, return_as='generator')(
+        delayed(run)(Cell(*cell)) for cell in todo), total=len(todo))))
     table, bad = Table('', *Cell._fields[:4], 'n', *LARGEST, 'untold', 'causes', box=None), 0
-    for group in groups:
-        cells = [found[x] for x in todo if x[:4] == group[:4]]
-        if not cells:
-            continue
-        figures = [max(float((x[0] - found[Cell(*group[:3])][0]).max()) for x in cells),
+    for group in dict.fromkeys(x[:4] for x in todo if len(x) == len(Cell._fields)):
+        cells, right = [x for cell, x in found.items() if cell[:4] == group], found[group[:3]]
+        figures = [max(float((x[0] - right[0]).max()) for x in cells),
                    *(max(x[i] for x in cells) for i in (1, 2))]
-        judged = 3 if group.fault.startswith('wrench') else 2  # commanded, it is to move
-        wrong = any(x > limit for x, limit in list(zip(figures, LARGEST.values()))[:judged])
+        source = group[3].split(':')[0]
+        limits = [*LARGEST.values()][:3 if source == 'wrench' else 2]  # commanded, it is to move
+        wrong = any(x > limit for x, limit in zip(figures, limits))
         bad += wrong
-        table.add_row('not safe' * wrong, *map(str, group[:4]), str(len(cells)),
-                      *(f'{x:.2f}' for x in figures), str(sum(not x[3] for x in cells)),
+        untold = sum(not any(y.startswith(source) for y in x[3]) for x in cells)
+        table.add_row('not safe' * wrong, *map(str, (*group, len(cells))),
+                      *(f'{x:.2f}' for x in figures), str(untold),
                       ', '.join(sorted(set().union(*(x[3] for x in cells)))))
     Console(width=190).print(table)
     return 1 if bad else 0
