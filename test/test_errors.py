@@ -1,4 +1,4 @@
-from multicontact_control.errors import check_all, ConfigError, importing_ros, RunError
+from multicontact_control.errors import check_all, ConfigError
 import pytest
 
 
@@ -13,8 +13,3 @@ def test_check_all_raises_one_line_for_each_value():
     assert str(error.value) == (
         'a.yaml: a: expected a number, found x\na.yaml: b: expected a number, found x')
     assert (error.value.field, error.value.expected) == ('a', 'a number')
-
-
-def test_importing_ros_names_what_is_missing():
-    with pytest.raises(RunError, match='No module named .no_such_rclpy'), importing_ros():
-        import no_such_rclpy  # noqa: F401
