@@ -37,6 +37,16 @@ LAW = np.dtype([
     ('torque_noise', F),  # the same [N m]
 ], align=True)
 
+# What the residual of a joint has followed; its regressors, as in `REGRESSORS` of `control.arm`,
+# pass the same low-pass. Sums fade with a time constant of 1 s.
+EVIDENCE = np.dtype([
+    ('regressor', F, 4), ('square', F, 4),  # the newest, and the sum of their squares
+    ('product', F, 4),  # sum of each times what the residual is beyond `at_rest`
+    ('power', F),  # sum of the squares of that [N^2 m^2]
+    ('at_rest', F), ('rested', F),  # its mean at rest in the first 0.2 s [N m], and of those [s]
+    ('friction', F), ('moved', F),  # mean along the first 0.5 s of motion [N m], and of those [s]
+], align=True)
+
 # One joint: where it is, its terms of the arm's model, what is set for it, and its torque.
 JOINT = np.dtype([
     ('q', F),  # position [rad]
@@ -55,9 +65,12 @@ JOINT = np.dtype([
     ('priority', F),  # of that, what goes before the rest at a limit: see `finish_torque` [N m]
     ('effort', F),  # torque that acted since the sample before [N m]
     ('last_velocity', F), ('last_bias', F),  # of that sample [rad/s], [N m]
-    ('residual', F),  # what touches the arm before the wrist sensor takes of it [N m]
+    ('residual', F),  # of the torques: what neither model nor wrist sensor explains [N m]
     ('doubt', F),  # by how much the effort may be another [N m]
     ('threshold', F),  # of the residual, from which on it counts, at rest [N m]
+    ('least_threshold', F),  # the same without friction [N m]
+    ('allowance', F), ('learnt_limit', F),  # friction in it, at least and at most [N m]
+    ('evidence', EVIDENCE),
     ('slack', F),  # added to that, as the arm accelerates or the effort is in doubt [N m]
 ], align=True)
 
@@ -86,7 +99,7 @@ MOMENTUM = np.dtype([
     ('dynamic_share', F),  # of what accelerates the arm, added to the thresholds
     ('elapsed', F),  # since the sample before; 0 if it is not known what acted since then [s]
     ('com_velocity', F, 3),  # of what hangs on the sensor, at the sample before [m/s]
-    ('collided', B),  # whether something touches the arm
+    ('collided', B),  # whether a residual is beyond its threshold
     ('is_input', B),  # whether the residual is the wrench of the contacts: there is no sensor
 ], align=True)
 

@@ -1,4 +1,4 @@
-"""Where the arm is, what its model says there, and what touches it before the wrist sensor."""
+"""Where the arm is, what its model says there, and the torques that this leaves unexplained."""
 
 from __future__ import annotations
 
@@ -24,18 +24,26 @@ import numpy as np
 NO_NUMBERS = -1
 OPERATIONAL_SPEED, JOINT_SPEED, AMBIGUOUS, TOUCHED = 1, 2, 4, 8
 RELEASE = 0.5  # share of its threshold that a residual must fall below to count no more
+# What a residual may follow: tanh(v / v_0), v [rad/s], dv/dt [rad/s^2], J_i^T f [N m].
+REGRESSORS = DIRECTION, SPEED, ACCELERATION, WRENCH = range(4)
+FADING_TIME = 1.0  # s, time constant of what is summed up of them
+REST_TIME, LEARNING_TIME = 0.2, 0.5  # s at rest and in motion, after which no more is learnt
+PRIOR_TIME = 0.02  # s of motion without friction that each joint has behind it
+UNPROVEN_THRESHOLD = 3.0  # N m, least threshold of a joint before
 
 
 @compiled
 def observe_momentum(control: Any, joints: Any, mass_matrix: Matrix, jacobian: Matrix) -> bool:
     """
-    Update the residual of every joint; return whether something touches the arm.
+    Update the residual of every joint; return whether one is beyond its threshold.
 
     dr/dt = K (Gamma - M dv/dt - C v - g - F_c tanh(v / v_0) - F_v v - J^T f - r), the
     generalised-momentum observer, one sample at a time. f is the wrench at the wrist sensor (0
     where the residual is the input), so that r is J_i^T f_i of the contacts before it. They count
-    from the threshold of a residual until it falls below half of that. `control.momentum` and
-    `joints` are changed.
+    from the threshold of a residual until it falls below half of that. What the residual follows
+    is summed up; its mean along the first motion of a joint, beyond that at rest, is friction
+    that is not compensated, and raises the threshold. `control.momentum` and `joints` are
+    changed.
     """
     momentum, law, frame, tool = control.momentum, control.law, control.frame, control.tool
     n = joints.shape[0]
@@ -46,7 +54,7 @@ def observe_momentum(control: Any, joints: Any, mass_matrix: Matrix, jacobian: M
             lever[i] += frame.sensor_rotation[i, j] * tool.com_sensor[j]
     velocity_at(frame.twist, lever, velocity)
     if momentum.elapsed > 0.0:
-        wrench, taken, inertial = np.zeros(6), np.empty(n), np.empty(n)
+        wrench, taken, inertial, felt = np.zeros(6), np.empty(n), np.empty(n), np.zeros(n)
         if not momentum.is_input:
             # Of what the sensor feels, the arm's model has the tool's inertia already.
             operational_wrench(control, wrench)
@@ -69,16 +77,43 @@ def observe_momentum(control: Any, joints: Any, mass_matrix: Matrix, jacobian: M
             taken[i] -= joint.coulomb * np.tanh(joint.velocity / law.friction_speed)
             taken[i] -= joint.viscous * joint.velocity
             for k in range(6):
-                taken[i] -= jacobian[k, i] * wrench[k]
+                felt[i] += jacobian[k, i] * wrench[k]
+            taken[i] -= felt[i]
             finite = finite and np.isfinite(taken[i])
         share = 1.0 - np.exp(-momentum.bandwidth * momentum.elapsed)
         touched, factor = False, RELEASE if momentum.collided else 1.0
+        fading = np.exp(-momentum.elapsed / FADING_TIME)
         for i in range(n):
-            joint = joints[i]
+            joint, evidence = joints[i], joints[i].evidence
             if finite:
                 joint.residual += share * (taken[i] - joint.residual)
                 joint.slack += share * (
                     momentum.dynamic_share * abs(inertial[i]) + joint.doubt - joint.slack)
+                direction = np.tanh(joint.velocity / law.friction_speed)
+                moving = direction ** 2 * momentum.elapsed
+                if evidence.rested < REST_TIME:
+                    evidence.rested += momentum.elapsed
+                    evidence.at_rest += (momentum.elapsed - moving) / evidence.rested * (
+                        joint.residual - evidence.at_rest)
+                beyond = joint.residual - evidence.at_rest
+                evidence.power = fading * evidence.power + momentum.elapsed * beyond ** 2
+                for k, value in enumerate((
+                        direction, joint.velocity,
+                        (joint.velocity - joint.last_velocity) / momentum.elapsed, felt[i])):
+                    value = evidence.regressor[k] + share * (value - evidence.regressor[k])
+                    evidence.regressor[k] = value
+                    for sums, other in ((evidence.square, value), (evidence.product, beyond)):
+                        sums[k] = fading * sums[k] + momentum.elapsed * value * other
+                if evidence.moved < LEARNING_TIME and not momentum.collided:
+                    evidence.moved += moving
+                    evidence.friction += moving / (evidence.moved + PRIOR_TIME) * (
+                        beyond * np.sign(direction) - evidence.friction)
+                if joint.learnt_limit > 0.0:
+                    least = joint.least_threshold
+                    if evidence.moved < LEARNING_TIME:
+                        least = max(least, UNPROVEN_THRESHOLD)
+                    joint.threshold = least + max(
+                        joint.allowance, min(evidence.friction, joint.learnt_limit))
             limit = joint.threshold + joint.slack
             touched = touched or abs(joint.residual) > factor * limit
         momentum.collided = touched
@@ -139,7 +174,7 @@ def see_arm(
     int
         NO_NUMBERS if the model gives none, and nothing has changed; otherwise the sum of
         OPERATIONAL_SPEED, JOINT_SPEED, AMBIGUOUS (the contacts depend on each other, and what
-        they bear has not changed) and TOUCHED (by something before the wrist sensor).
+        they bear has not changed) and TOUCHED (a residual is beyond its threshold).
 
     """
     control, frame = controls[0], controls[0].frame

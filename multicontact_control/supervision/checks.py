@@ -101,14 +101,17 @@ def plausibility_limits(config: ControllerConfig) -> Records:
 def watch_arm(config: ControllerConfig, controller: Controller) -> None:
     """Set the speeds beyond which an arm is too fast, and from which torques on it is touched."""
     limits, collision, arm = config.limits, config.collision, controller.arm
-    arm.joints['speed_limit'] = SPEED_EXCESS * np.array(limits.joint_speed or np.inf)
+    momentum, joints = controller.controls['momentum'], arm.joints
+    joints['speed_limit'] = SPEED_EXCESS * np.array(limits.joint_speed or np.inf)
     arm.frames['speed_limit'] = SPEED_EXCESS * limits.operational_speed
     arm.frames['turn_limit'] = SPEED_EXCESS * limits.operational_turn
-    momentum, threshold = controller.controls['momentum'], np.array(collision.threshold)
-    if not collision.threshold:
+    joints['evidence'] = joints['allowance'] = joints['learnt_limit'] = 0
+    least = np.inf if config.wrench_input == 'momentum' else np.array(collision.threshold)
+    if not np.size(least):
         limit = np.array(config.torque_limit or controller.robot.torque_limit)
-        friction = collision.friction_share * np.array(config.friction.coulomb or 0.0)
-        threshold = np.maximum(collision.limit_share * limit, LEAST_THRESHOLD) + friction
-    arm.joints['threshold'] = np.inf if config.wrench_input == 'momentum' else threshold
+        least = np.maximum(collision.limit_share * limit, LEAST_THRESHOLD)
+        joints['allowance'] = collision.friction_share * np.array(config.friction.coulomb or 0.0)
+        joints['learnt_limit'] = collision.learnt_share * limit
+    joints['least_threshold'], joints['threshold'] = least, least + joints['allowance']
     momentum['bandwidth'] = config.momentum_bandwidth
     momentum['dynamic_share'] = collision.dynamic_share

@@ -66,7 +66,7 @@ class EventLog:
         self.reactions: Counter[str] = Counter()  # ticks with each
         self.rejected: Counter[str] = Counter()  # ticks with each
         self.limited: Counter[str] = Counter()  # ticks with each
-        self.collisions: Counter[str] = Counter()  # touches before the wrist sensor, by cause
+        self.collisions: Counter[str] = Counter()  # beginnings of them, by cause
         self.names = (REACTION, *contact_names)  # of what has states
         self._before: tuple[object, ...] = ()
         self._touched = False

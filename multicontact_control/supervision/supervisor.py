@@ -31,6 +31,7 @@ from multicontact_control.supervision.checks import (
     TOO_FAST,
     watch_arm,
 )
+from multicontact_control.supervision.collision_causes import explain_collision
 from multicontact_control.supervision.command_limits import outside_limits
 from multicontact_control.supervision.contact_task import ContactTask
 from multicontact_control.supervision.gate import TorqueGate
@@ -110,14 +111,14 @@ class Supervisor:
         self.gate = TorqueGate(config, self._joints, guarded=guarded)
         self.reactions = Reactions(config, controller)
         self._recovery = Recovery(config.watchdog.recovery_time, config.period)
-        if guarded:
-            watch_arm(config, controller)
         self._adopt(config)
         check_plausibility(*self._answered)  # compiled here, so that no sample waits for it
         self.reset()
 
     def reset(self) -> None:
         """Forget everything measured and commanded; the next tick starts anew."""
+        if self.guarded:
+            watch_arm(self.config, self.controller)
         self._restart_law()
         self.inputs.reset()
         self.gate.reset()
@@ -382,7 +383,9 @@ class Supervisor:
 
     def _explain(self, cause: str) -> str:
         """Return what the readings say about a cause that has just begun; empty if nothing."""
-        return ''
+        return explain_collision(
+            self._joints, self._controls['momentum'][0], self.config.robot.joint_names
+        ) if cause.startswith(COLLISION) else ''
 
     def _unseen(self, causes: tuple[str, ...], reaction: str) -> bool:
         """Return whether the arm floats only because it is not seen, or a part has failed."""

@@ -1,0 +1,84 @@
+"""What speaks for which cause of a residual of the momentum observer, and what to check."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from multicontact_control.control.arm import (
+    DIRECTION,
+    LEARNING_TIME,
+    RELEASE,
+    REST_TIME,
+    SPEED,
+    WRENCH,
+)
+import numpy as np
+
+EXPLAINED = 0.7  # share of the residual's power, from which on what it follows is its cause
+CREEP = 0.05  # of that power, by which the speed must explain more than its sign
+MULTIPLE = 0.95  # the same over the joints at rest, from which on it is a multiple of gravity
+# What to say of a residual that follows each of `REGRESSORS`.
+FOLLOWED = (
+    'follows the sign of the speed: {} N m of friction that friction.coulomb does not declare',
+    'is {} N m s/rad times the speed: check friction.viscous and the scale of the velocities',
+    'is {} kg m^2 times the acceleration: check robot.armature and the scale of the effort',
+    'follows the wrench, of which the torques show {} times: check its sign, unit and frame '
+    '(robot.sensor_frame), and the scale of the effort')
+
+
+def explain_collision(joints: Any, momentum: Any, names: Sequence[str]) -> str:
+    """
+    Return what speaks for the cause of a collision, and what to check.
+
+    Parameters
+    ----------
+    joints, momentum
+        Records of `JOINT`, shape (n,), and one of `MOMENTUM`, when it is noticed.
+    names
+        Of the joints.
+
+    """
+    residual = joints['residual']
+    shares = np.abs(residual) / (joints['threshold'] + joints['slack'])
+    worst, loaded = int(np.argmax(shares)), [
+        name for name, share in zip(names, shares) if share > RELEASE]
+    name, evidence = names[worst], joints['evidence'][worst]
+    if evidence['rested'] < 0.5 * REST_TIME or evidence['at_rest'] / residual[worst] > 0.5:
+        settled = 1.0 - np.exp(-momentum['bandwidth'] * evidence['rested'])
+        return (f'{name}: the residual is there from the first sample on'
+                + _explain_rest(residual / settled, joints['bias_torque'], len(loaded)))
+    squares = np.maximum(evidence['square'], np.finfo(float).tiny)
+    share, slope = evidence['product'] ** 2 / squares, evidence['product'] / squares
+    share[SPEED] -= CREEP * evidence['power']
+    share[:WRENCH][slope[:WRENCH] < 0.0] = 0.0  # what pushes a joint moves it that way, too
+    best = int(np.argmax(share))
+    if share[best] > EXPLAINED * evidence['power']:
+        factor = f'{slope[best] + (best == WRENCH):.2g}' if best != DIRECTION else (
+            f'at least {max(abs(residual[worst]), evidence["friction"]):.2g}')
+        return f'{name}: the residual {FOLLOWED[best].format(factor)}'
+    return (f'the residual grew in {", ".join(loaded)}: something touches the arm at or before '
+            f'the link that {loaded[-1]} moves; if not, check robot.armature and the effort of '
+            f'{name}, and that no other node commands the arm')
+
+
+def _explain_rest(residual: Any, gravity: Any, loaded: int) -> str:
+    product, square = residual @ gravity, gravity @ gravity
+    factor = product / square
+    if product ** 2 > MULTIPLE * square * (residual @ residual) and (
+            abs(factor + 1.0) < 0.2 or abs(factor) > 2.0):
+        return (f', {factor:.2g} times the torque of gravity: check the unit of the effort, and '
+                'whether it is without gravity (robot.adds_gravity)')
+    if loaded == 1:
+        return ', in this joint alone: check scale, sign and offset of its effort'
+    return (': check the masses of tool and links, sign and offset of the wrench, the offsets of '
+            'the effort, and that no other node commands the arm')
+
+
+def undeclared_friction(joints: Any, names: Sequence[str]) -> Iterator[str]:
+    """Yield a sentence for each joint that has shown friction which is not declared."""
+    for joint, name in zip(joints, names):
+        friction = joint['evidence']['friction']
+        if joint['evidence']['moved'] > 0.5 * LEARNING_TIME and (
+                friction > RELEASE * joint['least_threshold']):
+            yield f'{name}: the residual {FOLLOWED[DIRECTION].format(f"{friction:.2g}")}'
