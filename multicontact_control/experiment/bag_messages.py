@@ -5,6 +5,7 @@ from __future__ import annotations
 from array import array
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from io import BufferedReader
 from pathlib import Path
 import re
 import struct
@@ -146,18 +147,28 @@ class BagMessages:
     unreadable: tuple[str, ...] = ()  # what could not be read of these topics, in words
 
 
+def mcap_files(path: Path) -> list[Path]:
+    """Return the MCAP files of a recording, or that file, also those compressed as a whole."""
+    files = [path] if path.is_file() else sorted(path.glob('*.mcap*'), reverse=True)
+    by_stem = {match[1]: file for file in files  # the one that is not compressed comes last
+               if (match := re.fullmatch(r'(.*)\.mcap(\.zstd?)?', file.name))}
+    return [by_stem[stem] for stem in sorted(by_stem, key=_place)]
+
+
+def _place(stem: str) -> tuple[int, str]:
+    """Return the place of a file: rosbag2 counts bag_0, bag_1, ..., bag_10."""
+    number = re.search(r'_(\d+)$', stem)
+    return int(number[1]) if number else -1, stem
+
+
 def bag_files(path: Path) -> list[Path]:
     """Return the MCAP files of a recording in their order, or raise RunError if there is none."""
-    if path.is_file():
-        if path.suffix != '.mcap':
-            raise RunError(f'{path}: expected an .mcap file or a folder with one')
-        return [path]
-    # rosbag2 counts the files of a recording: bag_0, bag_1, ..., bag_10.
-    files = sorted(path.glob('*.mcap'), key=lambda file: (
-        int(number[1]) if (number := re.search(r'_(\d+)$', file.stem)) else -1, file.name))
+    files = mcap_files(path)
     if files:
         return files
-    found = 'a database' if any(path.glob('*.db3')) else 'none' if path.is_dir() else 'nothing'
+    if path.is_file():
+        raise RunError(f'{path}: expected an .mcap file or a folder with one')
+    found = 'a database' if any(path.glob('*.db3*')) else 'none' if path.is_dir() else 'nothing'
     hint = '; `ros2 bag convert` makes MCAP of it' if found == 'a database' else ''
     raise RunError(f'{path}: expected an .mcap file, found {found}{hint}')
 
@@ -201,7 +212,7 @@ class _Reader:
     """Reads files one after the other, as far as they go."""
 
     def __init__(self, wanted: Mapping[str, str]) -> None:
-        self._wanted, self._factory = wanted, DecoderFactory()
+        self._wanted = wanted
         self.columns: dict[tuple[str, str], BagColumns] = {}  # by namespace and topic
         self.counts: dict[str, tuple[int, int, int]] = {}  # by full name; first, last [ns]
         self.unreadable: dict[str, str] = {}  # by full name
@@ -227,9 +238,12 @@ class _Reader:
             stream = path.open('rb')
         except OSError as error:
             raise RunError(f'{path}: {error.strerror}') from None
+        self._factory = DecoderFactory()  # each file of a recording numbers its types anew
         with stream:
             # mcap's seeking reader would hold all messages before it hands out the first.
-            messages = NonSeekingReader(stream).iter_messages(log_time_order=False)
+            whole = stream if path.suffix == '.mcap' else BufferedReader(
+                zstandard.ZstdDecompressor().stream_reader(stream, read_across_frames=True))
+            messages = NonSeekingReader(whole).iter_messages(log_time_order=False)
             try:
                 for schema, channel, record in messages:
                     self._take(schema, channel, record)
@@ -254,7 +268,10 @@ class _Reader:
             if decode is None:
                 raise ValueError(f'{channel.message_encoding} with {schema.encoding}')
             columns = self.columns.get(place) or BagColumns(kind)
-            columns.take(decode(record.data), published)
+            data = record.data
+            if data[:4] == zstandard.FRAME_HEADER:
+                data = zstandard.decompress(data)
+            columns.take(decode(data), published)
         except DAMAGED as error:
             self.unreadable[name] = f'cannot be read: {error}'
             return

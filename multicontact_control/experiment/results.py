@@ -21,6 +21,7 @@ from multicontact_control.config import (
 )
 from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.experiment.bag import answered, content_of, read_bag, read_graph
+from multicontact_control.experiment.bag_messages import mcap_files
 from multicontact_control.experiment.external import setup_of_recording
 from multicontact_control.experiment.judge import RECORDED
 from multicontact_control.experiment.recording import RunData, SERIES_FILE
@@ -213,7 +214,7 @@ def load(path: Path, files: Sequence[Path] = (), namespace: str | None = None) -
                           path)
     if is_whole_run(path):
         return load_run(path)
-    if bag.is_dir() and not any(path.glob('*.mcap')):
+    if bag.is_dir() and not mcap_files(path):
         own = config / 'controller.yaml'  # of a run that did not come to its end
         return load_recording(bag, files or ([own] if own.is_file() else ()), namespace)
     return load_recording(path, files, namespace)

@@ -15,7 +15,7 @@ from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import ControllerConfig, Vector3
 from multicontact_control.errors import CommandError, ConfigError
 from multicontact_control.experiment.bag import answered, CUT_OFF, read_bag
-from multicontact_control.experiment.bag_messages import MARKERS, read_messages
+from multicontact_control.experiment.bag_messages import MARKERS, mcap_files, read_messages
 from multicontact_control.experiment.recording import RunData, SERIES_FILE
 from multicontact_control.experiment.results import (
     BAG_FOLDER,
@@ -219,7 +219,7 @@ def load_replay(path: Path, setup: Setup, namespace: str | None = None) -> Repla
                           path)
     run, of_run = run_of(path)
     # Whatever lies beside a file is another recording.
-    alone = not of_run and path.is_file() and path.suffix == '.mcap'
+    alone = not of_run and path.is_file() and bool(mcap_files(path))
     title = f'recording {(path if alone else run).resolve().name}'
     bag = run / BAG_FOLDER if of_run else path if alone else folder
     events: list[tuple[float, str]] = []
@@ -230,7 +230,7 @@ def load_replay(path: Path, setup: Setup, namespace: str | None = None) -> Repla
             events = [(event['time_s'], event['what']) for event in read_json(
                 run / SUMMARY_FILE).get('events', ())]
         marks = [] if setup.commanded_by_topic else scenario_marks(setup)
-    if alone or any(bag.glob('*.mcap')):
+    if alone or mcap_files(bag):
         content = read_bag(bag, setup.controller, namespace=namespace)
         if of_run and not setup.simulated:
             content = answered(content)  # from when on events and marks are timed

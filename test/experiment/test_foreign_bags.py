@@ -18,6 +18,8 @@ from foreign_bag import (
     TRUTH,
     write_bag,
 )
+from mcap.reader import make_reader
+from mcap.writer import Writer
 from multicontact_control.cli import app
 from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.experiment.bag_messages import BagColumns, JOINT_STATE
@@ -30,6 +32,7 @@ from multicontact_control.files import json_text
 import numpy as np
 import pytest
 from typer.testing import CliRunner
+import zstandard
 
 NAN = np.nan
 
@@ -118,6 +121,41 @@ def test_recording_that_is_cut_off_is_read_up_to_there(bag, tmp_path):
         counts.append(run.data.ticks)
     assert 0 < counts[0] < counts[1] < counts[2] <= load(bag).data.ticks
     assert 'the recording is cut off' not in load(bag).summary['remarks']
+
+
+def rewritten(bag, folder, pack=bytes, parts=1):
+    """Write its messages anew, packed, into files that rosbag2 would number from 9 on."""
+    with bag.open('rb') as source:
+        messages = [*make_reader(source).iter_messages()]
+    for part, rows in enumerate(np.array_split(np.arange(len(messages)), parts)):
+        with (folder / f'bag_{9 + part}.mcap').open('wb') as target:
+            writer, channels = Writer(target), {}
+            writer.start()
+            for schema, channel, message in (messages[row] for row in rows):
+                if channel.id not in channels:
+                    kind = writer.register_schema(schema.name, schema.encoding, schema.data)
+                    channels[channel.id] = writer.register_channel(channel.topic, 'cdr', kind)
+                writer.add_message(channels[channel.id], message.log_time, pack(message.data),
+                                   message.publish_time)
+            writer.finish()
+
+
+@pytest.mark.parametrize(('mode', 'options'), [
+    ('message', {'pack': zstandard.compress}), ('split', {'parts': 3}), ('file', {})])
+def test_recording_that_rosbag2_split_or_compressed_is_read(bag, tmp_path, mode, options):
+    rewritten(bag, tmp_path, **options)
+    file = tmp_path / 'bag_9.mcap'
+    if mode == 'file':
+        packed = zstandard.compress(bag.read_bytes())
+        cut = tmp_path / 'bag_9.mcap.zstd'
+        cut.write_bytes(packed[:-len(packed) // 4])
+        assert load(tmp_path).summary['remarks'] == load(bag).summary['remarks'], 'the whole one'
+        file.unlink()
+        assert 'the recording is cut off' in load(tmp_path).summary['remarks']
+        cut.write_bytes(packed)
+    whole, found = load(bag).data, load(tmp_path).data
+    for field in ('q', 'alpha_meas', 'torque', 'position_des'):
+        np.testing.assert_array_equal(getattr(found, field), getattr(whole, field))
 
 
 def test_parameter_file_that_does_not_fit_is_refused_or_remarked(bag, tmp_path):
