@@ -290,7 +290,7 @@ def arm_of_urdf(text: str) -> Arm:
                _body(elements[TOOL_LINK]), tips, text)
 
 
-def parse_urdf(text: str) -> ElementTree.Element:
+def parse_urdf(text: str | bytes) -> ElementTree.Element:
     """Return the root element of a URDF; ConfigError if it is no XML."""
     try:
         return ElementTree.fromstring(text)

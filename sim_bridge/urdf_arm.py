@@ -87,9 +87,9 @@ def read_arm(
 
 
 def read_urdf(path: Path) -> str:
-    """Return the text of a URDF; ConfigError if it is not readable."""
+    """Return the text of a URDF without comments; ConfigError if it is not readable."""
     try:
-        return path.read_text(encoding='utf-8')
+        return ElementTree.tostring(parse_urdf(path.read_bytes()), encoding='unicode')
     except OSError as error:
         raise ConfigError('urdf', 'a readable URDF file', f'{path} ({error.strerror})') from None
 

@@ -204,7 +204,7 @@ def load_model(
     if isinstance(urdf, Path):
         source = str(urdf)
         try:
-            text = urdf.read_text(encoding='utf-8')
+            text: str | bytes = urdf.read_bytes()  # it declares its encoding
         except OSError as error:
             raise ConfigError('robot.urdf', 'a readable URDF file',
                               f'{source} ({error.strerror})') from None

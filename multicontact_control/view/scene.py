@@ -46,7 +46,7 @@ class SceneView:
         self._scene = scene
         config = scene.config
         self._robot = RobotModel(config.robot, scene.urdf_dir)
-        urdf = (scene.urdf_dir / config.robot.urdf).read_text(encoding='utf-8')
+        urdf = (scene.urdf_dir / config.robot.urdf).read_bytes()
         self._shapes = read_shapes(urdf)
         self._links = list(dict.fromkeys(shape.link for shape in self._shapes))
         self._leaders = list(config.leaders)

@@ -42,7 +42,7 @@ class Shape(NamedTuple):
     colour: tuple[float, float, float]
 
 
-def read_shapes(urdf: str) -> list[Shape]:
+def read_shapes(urdf: str | bytes) -> list[Shape]:
     """
     Return what an arm looks like.
 

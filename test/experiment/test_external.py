@@ -83,6 +83,18 @@ def test_nested_namespaces_are_read_as_ros_reads_them(file, nest):
     assert resolve_external([file]).setup.controller == wanted
 
 
+@pytest.mark.parametrize('change', [
+    lambda text: f'\ufeff# ö\n---\n{text}...\n', lambda text: text.replace('\n', '  # c\r\n'),
+    lambda text: text.replace('    rate:', '    rate: 1.0\n    rate:\t'),
+    lambda text: text.replace('  wall:', '  wall:\n        <<: {stiffness: 1.0}')])
+def test_layout_of_a_parameter_file_does_not_matter(file, change):
+    """Mark of the byte order, comments, ends of lines, tabs, duplicate keys and merged ones."""
+    wanted, text = resolve_external([file]).setup, file.read_text()
+    assert change(text) != text
+    file.write_bytes(change(text).encode())
+    assert resolve_external([file]).setup == wanted
+
+
 @pytest.mark.parametrize(('key', 'message'), [
     ('controler_node', r'controler_node: expected a section of /\*\*, controller_node, '),
     ('/left/controller_node', 'expected one section of controller_node, found another'),

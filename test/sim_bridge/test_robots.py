@@ -21,6 +21,7 @@ from sim_bridge.new_robot import new_robot, write_controller
 from sim_bridge.posture import condition, frame_pose
 from sim_bridge.pushes import HAND
 from sim_bridge.robots import find_robot, urdf_path
+from sim_bridge.urdf_arm import read_urdf
 import yaml
 
 
@@ -179,6 +180,17 @@ WELDED = """<link name="sensor"/><joint name="sensor_joint" type="fixed"><parent
 <joint name="stick_joint" type="fixed"><parent link="sensor"/><child link="stick"/></joint>
 <link name="tip"/><joint name="tip_joint" type="fixed"><parent link="stick"/>
 <child link="tip"/><origin xyz="0 0 0.2"/></joint></robot>"""
+
+
+@pytest.mark.parametrize('encode', [
+    lambda text: text.encode('utf-8-sig'), lambda text: text.encode('utf-16'),
+    lambda text: text.replace('><', '>\r\n\t<!-- > -->\r\n<').encode(),
+    lambda text: f'<?xml version="1.0" encoding="latin-1"?><!-- ö -->{text}'.encode('latin-1')])
+def test_urdf_is_read_in_any_encoding_and_layout(tmp_path, encode):
+    urdf = seven_joint_urdf(tmp_path)
+    wanted = load_model(urdf)
+    urdf.write_bytes(encode(urdf.read_text()))
+    assert load_model(urdf) == load_model(read_urdf(urdf)) == wanted
 
 
 @pytest.mark.parametrize('welded', [True, False])

@@ -98,6 +98,28 @@ def test_gaps_of_the_wrench_are_bridged_and_long_ones_held_with_the_force(plant)
 
 
 @on_both_plants
+@pytest.mark.parametrize('silent', [True, False])
+def test_emergency_stop_in_contact_is_got_over(plant, silent):
+    """Brakes hold the arm for 2 s: nothing comes of it, or its torques have no effect."""
+    def stopped(inputs):
+        return inputs._replace(joints=None, wrench=None) if silent else inputs._replace(
+            joints=inputs.joints._replace(qd=np.zeros(6)),
+            wrench=inputs.wrench._replace(wrench=inputs.wrench.wrench + 1e-3 * np.sin(loop.tick)))
+
+    with pressing(plant) as loop:
+        before = loop.command
+        for _ in range(1000):
+            loop.answer(stopped)
+            loop.tick += 1
+            assert np.abs(loop.command - before).max() < 20.0
+        speeds = []
+        forces, statuses = advance(
+            loop, 2.0, each=lambda time: speeds.append(np.abs(loop.sample.qd).max()))
+    assert forces.max() < 20.0 and max(speeds) < 0.5
+    assert np.abs(forces[-1] - 15.0).max() < 0.5 and statuses[-1].contact_states == HOLDING
+
+
+@on_both_plants
 def test_large_force_step_is_no_escape(plant):
     with pressing(plant, force=3.0) as loop:
         loop.control.set_forces({'table': 25.0, 'board': 25.0})
