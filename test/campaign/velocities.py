@@ -14,6 +14,7 @@ from itertools import product
 import sys
 
 from joblib import delayed, Parallel
+from multicontact_control.config import merge
 from multicontact_control.control.tasks import MotionReading, quintic
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import CommandError, RunError
@@ -50,8 +51,11 @@ def command(loop, home):
 def run(cell):
     """Return each joint's largest speed, the largest force and way, and the causes named."""
     (_, plant, engine), fault = ARMS[cell.arm], FAULTS.get(cell.fault)
-    setup = resolve('quick', plant=plant, plant_overrides=engine, controller={
-        'sensor': {'require_push_test': cell.push_test}})
+    controller = {'sensor': {'require_push_test': cell.push_test}}
+    if cell.fault.startswith('wrench'):  # neither full scale nor a collision tells of it
+        controller = merge(controller, {'sensor': {'full_scale': []}, 'collision': {
+            'reaction': 'none'}})
+    setup = resolve('quick', plant=plant, plant_overrides=engine, controller=controller)
     robot, causes = RobotModel(setup.controller.robot, setup.urdf_dir), set()
     speeds, forces, places, corrupt = [], [0.0], [], None
     with closing(ClosedLoop(setup, commanded=True)) as loop, suppress(RunError):
