@@ -16,12 +16,13 @@ from multicontact_control.nodes.graph import create_publisher
 from multicontact_control.nodes.lifecycle import ACTIVE, INACTIVE, ManagedNode
 from multicontact_control.nodes.status import ACCEPTED, ControllerStatus, REFUSED, STATE
 from multicontact_control.sampling import NANOSECONDS, SampleTiming
+from multicontact_control.supervision.collision_causes import undeclared_friction
 from multicontact_control.supervision.contacts import GIVEN_UP, LOST, NAMES, RETRACTING
 from multicontact_control.supervision.reactions import INFLATE, NONE, SEVERITY
 from multicontact_control.supervision.report import SupervisorStatus
 import numpy as np
 
-REPEAT_TIME = 5_000_000_000  # ns, in which a line is logged once
+REPEAT_TIME, REMINDER_TIME = 5 * NANOSECONDS, 30 * NANOSECONDS  # in which a line is logged once
 STATE_INTERVAL = 20_000_000  # ns, between two messages on a state that changes
 ANSWER_INTERVAL = 100_000_000  # ns, between two equal answers: motions come at the control rate
 TROUBLED = tuple(NAMES[code] for code in (LOST, RETRACTING, GIVEN_UP))
@@ -46,6 +47,8 @@ class ControllerReport:
         inputs: Sequence[topics.Topic],
     ) -> None:
         self._node, self._loop, self._timing = node, loop, timing
+        bare = node.parameter_set.value('effort_output_topic')
+        self._owned = [x.name for x in (*inputs, topics.EFFORT_COMMAND)] + [bare] * bool(bare)
         self.inputs = Inputs(node, loop.config.rate, *inputs)
         self.watch = LoopStatistics(loop.config.rate)
         self._publisher = create_publisher(node, topics.STATUS)
@@ -64,10 +67,8 @@ class ControllerReport:
         if (identifier or error is not None) and (
                 answer != self._answered or now >= self._next_answer):
             self._answered, self._next_answer = answer, now + ANSWER_INTERVAL
-            if error is None:
-                self._publish(ACCEPTED, identifier)
-            else:
-                self._publish(REFUSED, identifier, f'{source}: {error}')
+            self._publish(*((ACCEPTED, identifier) if error is None else (
+                REFUSED, identifier, f'{source}: {error}')))
 
     def look(self) -> None:
         """Tell what has changed with the newest tick, if anything has."""
@@ -87,11 +88,11 @@ class ControllerReport:
         self._next_state = time.monotonic_ns() + STATE_INTERVAL
         self._publish(STATE)
 
-    def _warn(self, kind: str, text: str) -> str:
-        """Log what may happen at every tick, each kind of it once in `REPEAT_TIME`; return it."""
+    def _warn(self, kind: str, text: str, repeat_time: int = REPEAT_TIME) -> str:
+        """Log what may happen at every tick, each kind of it once in a while; return it."""
         now = time.monotonic_ns()
-        if now >= self._log_due.get(kind, 0):
-            self._log_due[kind] = now + REPEAT_TIME
+        if text and now >= self._log_due.get(kind, 0):
+            self._log_due[kind] = now + repeat_time
             self._node.get_logger().warning(text)
         return text
 
@@ -125,7 +126,7 @@ class ControllerReport:
                 'supervised': loop.supervisor.guarded}, '; '.join(warnings)),
             self.inputs.status(
                 needed=active, consequence=': the last R is held' if held else ''),
-            self._contacts(), self._sensor(),
+            self._publishers(), self._contacts(), self._sensor(),
             message_status(self._node.refusals, unpaired=timing.unpaired, slow=slow),
             *([self._supervisor()] if loop.supervisor.guarded else [])]
 
@@ -148,17 +149,29 @@ class ControllerReport:
                 yield self._warn('rate', f'samples come at {rate:.4g} Hz by their stamps: '
                                  f'expected {config.rate:g} Hz')
 
+    def _publishers(self) -> Status:
+        """Return how many publish each input and command; the nodes' names if it is not one."""
+        nodes = {name: sorted(x.node_name for x in self._node.get_publishers_info_by_topic(
+            self._node.resolve_topic_name(name))) for name in self._owned}
+        several = '; '.join(f'{len(names)} nodes publish {name}, expected 1: {", ".join(names)}'
+                            for name, names in nodes.items() if len(names) > 1)
+        return Status('publishers', {name: len(names) for name, names in nodes.items()},
+                      self._warn('publishers', several))
+
     def _supervisor(self) -> Status:
         """Return what the supervisor does, and in how many ticks it did something else."""
         status, log = self._loop.status or QUIET, self._loop.events
         severe = SEVERITY.index(status.reaction) > SEVERITY.index(INFLATE)
+        friction = self._warn('friction', '; '.join(undeclared_friction(
+            self._loop.supervisor.controller.arm.joints, self._loop.config.robot.joint_names)),
+            REMINDER_TIME)
         return Status('supervisor', {
             'reaction': status.reaction, 'causes': ' '.join(status.causes) or 'none',
             'task_time_s': status.task_time, 'events': len(log.events), **log.collisions,
             **{f'{what} {name}': count for what, counts in (
                 ('ticks with', log.reactions), ('rejected', log.rejected),
                 ('limited', log.limited)) for name, count in counts.items() if name != NONE}},
-            **{'error' if severe else 'warning': self._reaction()})
+            **{'error' if severe else 'warning': self._reaction() or friction})
 
     def _reaction(self) -> str:
         """Return what the supervisor does instead of control, and why; empty if nothing."""

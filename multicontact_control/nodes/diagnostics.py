@@ -102,14 +102,13 @@ class LoopStatistics:
 
     def report(self) -> dict[str, float | int | None]:
         """Return what was seen; jitter is the deviation from the period."""
-        now, missed = time.monotonic_ns(), self.missed
-        start, intervals, latencies = self._reported
-        self._reported, self.missed = (now, self.intervals.count, self.latencies.count), 0
-        jitter = self.intervals.percentiles(intervals, 1e6 / self._rate)
-        latency = self.latencies.percentiles(latencies)
-        turns = self.intervals.count - intervals
+        now, turns, missed = time.monotonic_ns(), self.intervals.count, self.missed
+        start, before, answered = self._reported
+        self._reported, self.missed = (now, turns, self.latencies.count), 0
+        jitter = self.intervals.percentiles(before, 1e6 / self._rate)
+        latency = self.latencies.percentiles(answered)
         return {
-            'rate_hz': round(turns * NANOSECONDS / max(1, now - start), 2),
+            'rate_hz': round((turns - before) * NANOSECONDS / max(1, now - start), 2),
             'deadline_misses': missed,
             **{f'jitter_us_{name}': jitter[name] for name in ('p50', 'p99')},
             **{f'latency_us_{name}': latency[name] for name in ('p50', 'p99', 'max')}}
@@ -137,9 +136,9 @@ class Inputs:
         ages = {topic.name: self.age(topic) for topic in self.last}
         stale = [f'no {name} for {age:.3g} s' if age < math.inf else f'no {name} ever'
                  for name, age in ages.items() if age > self.max_age and needed]
-        if missing := [text for topic in self.last for text in self._missing(topic) if needed]:
-            self._node.get_logger().warning(
-                '; '.join(missing), throttle_duration_sec=REMINDER_PERIOD)
+        if missing := '; '.join(text for topic in self.last if needed
+                                for text in self._missing(topic)):
+            self._node.get_logger().warning(missing, throttle_duration_sec=REMINDER_PERIOD)
         return Status('inputs', {
             f'age_s {name}': age if age < math.inf else None for name, age in ages.items()},
             warning=', '.join(stale) + (consequence if stale else ''))

@@ -10,11 +10,14 @@ from fake_arm import EFFORT, FakeArm, PARAMETERS, PERIOD, UNFELT
 from multicontact_control.nodes import messages
 from multicontact_control.nodes.controller_node import ControllerNode
 from multicontact_control.nodes.lifecycle import SUCCESS
+from multicontact_control.nodes.link import GuestNode
 from multicontact_control.paths import config_dir
 import numpy as np
 import pytest
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from ros_graph import wait_for
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
 
 pytestmark = pytest.mark.ros
 
@@ -182,3 +185,22 @@ def test_stamps_that_stand_still_are_named_and_not_answered_for_ever(
     assert set(answers) == {arm.k * PERIOD}
     assert len(answers) > count if supervised else len(answers) == count <= 25
     assert len(arm.step()) == 6  # goes on with the next stamp
+
+
+@pytest.mark.parametrize(('topic', 'message'), [
+    ('joint_states', JointState), ('joint_effort_command', JointState),
+    ('/bare', Float64MultiArray)])
+def test_second_node_that_publishes_joints_or_commands_is_named(
+        host, host_domain, controller, topic, message):
+    controller(*PARAMETERS, 'effort_output_topic:=/bare')
+    arm = FakeArm(host)
+    arm.connect()
+    level, _, counts = arm.diagnostics(lambda x: 'publishers' in x)['publishers']
+    assert (level, counts[topic]) == (0, '1')
+    with GuestNode('intruder', host_domain) as guest:
+        guest.node.create_publisher(message, topic, 1)
+        level, text, _ = report_when(
+            arm, arm.step, lambda x: x['publishers'][2][topic] == '2')['publishers']
+    assert level == 1
+    assert topic in text
+    assert 'intruder' in text
