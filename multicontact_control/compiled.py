@@ -39,12 +39,13 @@ def cache_folder() -> Path | None:
         text = module.read_bytes()
         if b'@compiled' in text:
             digest.update(f'{module}\0{module.stat().st_mtime_ns}\0'.encode() + text)
-    user = os.environ.get('XDG_CACHE_HOME') or Path('~').expanduser() / '.cache'
+    # Where neither the environment nor the system knows a home, ~ stays.
+    user = os.environ.get('XDG_CACHE_HOME') or os.path.expanduser('~/.cache')
     chosen = os.environ.get('NUMBA_CACHE_DIR')
-    for base in [Path(chosen)] if chosen else [
-            HERE / '__pycache__' / 'kernels', Path(user) / HERE.name / 'kernels']:
+    homes = [] if user.startswith('~') else [Path(user) / HERE.name / 'kernels']
+    for base in [Path(chosen)] if chosen else [HERE / '__pycache__' / 'kernels', *homes]:
         folder = base / f'{HERE.name}-{digest.hexdigest()[:16]}'
-        with contextlib.suppress(OSError, RuntimeError):  # the next one, then
+        with contextlib.suppress(OSError):  # the next one, then
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
             tempfile.TemporaryFile(dir=folder).close()
             return folder

@@ -2,10 +2,12 @@
 
 import os
 from pathlib import Path
+import pwd
 import shutil
 import subprocess
 import sys
 
+from multicontact_control.compiled import cache_folder
 import pytest
 
 ROOT = Path(__file__).parents[1]
@@ -63,3 +65,11 @@ def test_installation_that_cannot_be_written_is_compiled_once(tmp_path, variable
     assert run(tmp_path, **environment) == ['2.0', '2']
     assert run(tmp_path, **environment) == ['2.0', '0']
     assert any(cache.rglob('*.nbi'))
+
+
+def test_cache_needs_no_home(monkeypatch):
+    """Of a user that the system does not know, as in a container."""
+    for name in ('HOME', 'XDG_CACHE_HOME'):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(pwd, 'getpwuid', {}.__getitem__)
+    assert cache_folder.__wrapped__() == cache_folder()

@@ -56,6 +56,7 @@ ControllerFiles = Annotated[list[Path] | None, typer.Option(
     '--controller', metavar='FILE', help='Parameter file of your controller; may be repeated, '
     'each laid over those before. A relative URDF is looked for beside the file that names it.')]
 DomainId = Annotated[int | None, typer.Option(
+    envvar='ROS_DOMAIN_ID', min=0, max=232,
     help='ROS_DOMAIN_ID to look at; that of the environment, or 0, if not given.')]
 Namespace = Annotated[str | None, typer.Option(
     help='Namespace of the controller; of a recording, the only one in it if not given.')]

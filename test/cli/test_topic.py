@@ -113,3 +113,10 @@ def test_echo_answers_bad_input_in_one_line(start, arguments, code, message):
     process = start('echo', *arguments)
     _, errors = end_of(process)
     assert process.returncode == code and message in errors and errors.count('\n') == 1
+
+
+@pytest.mark.parametrize('domain', ['abc', '500'])
+def test_domain_that_is_none_is_refused(multicontact, monkeypatch, domain):
+    monkeypatch.setenv('ROS_DOMAIN_ID', domain)
+    done = multicontact('topic', 'list')
+    assert done.returncode == 2 and 'ROS_DOMAIN_ID' in done.stderr
