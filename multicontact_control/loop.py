@@ -147,8 +147,9 @@ class ControlLoop:
     def _push(self, inputs: TickInputs) -> None:
         """Lead on with a push test by a sample with a new wrench, and obey its verdict."""
         joints, wrench, stage = inputs.joints, inputs.wrench, self.supervisor.inputs
+        velocity = self.supervisor.controller.arm.velocity
         if stage.fresh and joints and wrench and joints.stamp == wrench.stamp and (
-                self.push_gate.update(joints.q, joints.qd, stage.raw, self.config.tool)) and (
+                self.push_gate.update(joints.q, velocity, stage.raw, self.config.tool)) and (
                 self.push_gate.open):
             self.supervisor.gate.go_over()
             self.supervisor.task.lock(False)
@@ -277,6 +278,7 @@ class ControlLoop:
         if not fastest <= MAX_JOINT_SPEED:
             raise CommandError('joint speeds', f'at most {MAX_JOINT_SPEED:g} rad/s for a tare',
                                f'{fastest:.3g} rad/s')
-        pose = self.supervisor.controller.robot.update(joints.q, joints.qd).sensor_pose
+        controller = self.supervisor.controller
+        pose = controller.robot.update(joints.q, controller.arm.velocity).sensor_pose
         return tare_bias(readings, pose.rotation_world, self.config.tool,
                          np.array(self.config.robot.gravity_world), config)

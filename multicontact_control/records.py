@@ -262,7 +262,7 @@ CONTACT_STATE = np.dtype([
     ('searches', I),  # in vain, since it held last
     ('left', B),  # whether it is to be left, or was, for its force or for where it leads
     ('again', B),  # whether it is to be sought although it was given up
-    ('wanted', B),  # whether the task asks for it
+    ('wanted', B), ('commanded', B),  # whether the task asks for it, or has asked
     ('asked', F),  # force the task asks for [N]
     ('displacement', F),  # of the reference along the normal, relative to the task [m]
     ('speed', F),  # of that displacement [m/s]
@@ -300,6 +300,7 @@ TASK_LIMITS = np.dtype([
 PLAUSIBILITY = np.dtype([
     ('inertia', F),  # what a lost contact may read more: the tool's inertia [N]
     ('friction_bound', F),  # force across the normals, per force along them
+    ('force_ceiling', F),  # along them, of contacts that were never commanded [N]
     ('box', F, (2, 3)),  # where the operational point may be [m]
 ])
 
@@ -334,6 +335,10 @@ INPUT_STATE = np.dtype([
     ('known', np.uint8, 2),  # whether any joints and any wrench were valid
     ('blind_ticks', I), ('unknown', I),  # in a row without valid joints; without their torques
     ('distrust', I),  # joint states to be refused after a jump
+    # Joint states in a row; those whose velocities agree with positions, at first; that do not.
+    ('states', I), ('agreeing', I), ('contradicted', I),
+    # Velocities: joints move without; agreed at first; were contradicted since they were trusted.
+    ('silent', B), ('proven', B), ('doubted', B),
     ('equal_joints', I), ('equal_wrenches', I),  # readings in a row, the newest counted
     ('fault', I), ('faults', I),  # of the newest wrench; frozen or saturated ones in a row
     ('raw', F, 6), ('last', F, 6),  # the newest wrench and the one before [N, N m]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 import xml.etree.ElementTree as ElementTree
 
-from multicontact_control.arrays import Matrix, require_shape, Vector
+from multicontact_control.arrays import Mask, Matrix, require_shape, Vector
 from multicontact_control.config import RobotConfig
 from multicontact_control.dynamics import model_check
 from multicontact_control.dynamics.rotations import Pose
@@ -87,6 +87,7 @@ class RobotModel:
             self._require_felt(config)
         self._data = self._model.createData()
         self.terms = self._shared_terms()
+        self.endless: Mask = np.isinf(self._model.upperPositionLimit)  # joints without stops
 
     @property
     def joint_count(self) -> int:

@@ -64,9 +64,9 @@ class ControllerNode(ManagedNode):
         self._inputs: dict[topics.Topic, tuple[streams.MessageReader[Any], Any]] = {
             topics.NOISE_VARIANCE: (streams.variance_reader(config.column_names),
                                     lambda found: timing.add_variance(*found)),
-            topics.JOINT_STATES: (streams.named_reader(  # not every robot measures its torques
-                config.robot.joint_names, streams.JOINT_FIELDS, JointInput, 'effort'),
-                timing.add)}
+            topics.JOINT_STATES: (streams.named_reader(  # robots need not measure all of them
+                config.robot.joint_names, streams.JOINT_FIELDS, JointInput,
+                ('velocity', 'effort')), timing.add)}
         if wrench is not None:
             self._inputs[wrench] = streams.wrench_reader(config.robot.sensor_frame), timing.add
         self._outputs = ControllerOutputs(self, config, node_config)

@@ -54,7 +54,7 @@ class ControllerReport:
         self._publisher = create_publisher(node, topics.STATUS)
         self.restarts = self._refused = self._next_state = self._next_answer = 0
         self._log_due: dict[str, int] = {}
-        self._before: tuple[Any, ...] = (NONE, (), '')
+        self._before: tuple[Any, ...] = (NONE, (), (), '')
         self._answered: tuple[Any, ...] = ()
         self._reported_at = (0, -1)  # number and stamp of the newest sample
 
@@ -74,16 +74,17 @@ class ControllerReport:
         """Tell what has changed with the newest tick, if anything has."""
         loop, status = self._loop, self._loop.status or QUIET
         instruction = loop.push_gate.instruction
-        now = (status.reaction, status.causes, instruction, status.contact_states, loop.safe,
-               loop.held, self._node.state, *loop.commanded_forces.values())
+        now = (status.reaction, status.causes, loop.supervisor.findings, instruction,
+               status.contact_states, loop.safe, loop.held, self._node.state,
+               *loop.commanded_forces.values())
         for name in status.rejected:
             self._warn(name, f'a reading is not used: {name}')
         if now == self._before or time.monotonic_ns() < self._next_state:
             return
         before, self._before = self._before, now
-        if now[:2] != before[:2]:
-            self._warn(f'{now[:2]}', self._reaction() or 'control goes on')
-        if instruction not in ('', before[2]):
+        if now[:3] != before[:3]:
+            self._warn(f'{now[:3]}', self._reaction() or 'control goes on')
+        if instruction not in ('', before[3]):
             self._node.get_logger().info(f'push test: {instruction}')
         self._next_state = time.monotonic_ns() + STATE_INTERVAL
         self._publish(STATE)
@@ -117,7 +118,7 @@ class ControllerReport:
         self.watch.missed, timing.skipped = timing.skipped, 0
         warnings = [f'{self.watch.missed} samples without a command'] if self.watch.missed else []
         if active:
-            warnings += self._wrong_stamps()
+            warnings += self._odd_samples()
         held = self.inputs.age(topics.NOISE_VARIANCE) > self.inputs.max_age
         return [
             Status('loop', {
@@ -130,9 +131,12 @@ class ControllerReport:
             message_status(self._node.refusals, unpaired=timing.unpaired, slow=slow),
             *([self._supervisor()] if loop.supervisor.guarded else [])]
 
-    def _wrong_stamps(self) -> Iterator[str]:
-        """Yield that no readings are a pair, and that their rate since the last call is wrong."""
+    def _odd_samples(self) -> Iterator[str]:
+        """Yield what is odd of readings: no velocities, no pairs, the rate since the last call."""
         timing, config, now = self._timing, self._loop.config, time.monotonic_ns()
+        if self._loop.supervisor.inputs.estimates:
+            yield self._warn('estimates', f'{topics.JOINT_STATES.name} has no velocities: those '
+                             'of the positions are used, and collisions are not looked for')
         pair = [topic for topic in self.inputs.last if topic is not topics.NOISE_VARIANCE]
         if timing.apart and now - self.watch.last >= NANOSECONDS and all(
                 self.inputs.age(topic) <= 1.0 for topic in pair):
@@ -209,10 +213,13 @@ class ControllerReport:
 
     def _sensor(self) -> Status:
         """Return the health of the wrist sensor, and what is still to be proved of it."""
-        gate, fault = self._loop.push_gate, self._loop.supervisor.inputs.sensor_fault
+        gate, supervisor = self._loop.push_gate, self._loop.supervisor
+        fault = supervisor.inputs.sensor_fault
+        if stray := '' if gate.running else supervisor.stray_force:
+            self._warn('stray', stray)
         failed = gate.result is not None and not gate.result.passed and not gate.running
         return Status(
             'sensor', {'fault': fault or 'none', 'push_test': gate.instruction or 'none',
                        'force_control': 'allowed' if gate.open else 'disabled'},
-            gate.instruction if gate.running or not gate.open else '',
+            gate.instruction if gate.running or not gate.open else stray,
             f'the readings are {fault}' if fault else gate.instruction if failed else '')

@@ -110,14 +110,14 @@ class MessageReader(Generic[Reading]):
     Frame, names and lengths are checked by way of the message class, again when they change
     (`slow` counts that); stamp and numbers are taken from where they stand. `arrange` returns
     where the vectors called `fields` are, from a message and the runs of its template; `make`
-    makes a reading of the stamp and these vectors, of which the `optional` one is None where it
-    is not finite. Both raise `MessageError` if a message cannot be used.
+    makes a reading of the stamp and these vectors; the `optional` ones are None where they are
+    missing or not finite. Both raise `MessageError` if a message cannot be used.
     """
 
     def __init__(
         self, class_: Any, fields: Sequence[str],
         arrange: Callable[[Any, list[slice]], Sequence[Any]], make: Callable[..., Reading],
-        optional: str = '',
+        optional: Sequence[str] = (),
     ) -> None:
         self._class, self._fields, self._optional = class_, fields, optional
         self._arrange, self._make = arrange, make
@@ -140,9 +140,9 @@ class MessageReader(Generic[Reading]):
         for field, place in zip(self._fields, self._places):
             vector = numbers[place]
             finite = math.isfinite(sum(vector.tolist()))
-            if not finite and field != self._optional:
+            if not finite and field not in self._optional:
                 raise MessageError(field, 'finite numbers', vector.tolist())
-            vectors.append(vector if finite else None)
+            vectors.append(vector if finite and len(vector) else None)
         return self._make(sec * NANOSECONDS + nanosec, *vectors)
 
     def _learn(self, data: bytes) -> tuple[MessageTemplate, bytes]:
@@ -159,7 +159,8 @@ class MessageReader(Generic[Reading]):
 
 
 def named_reader(
-    names: Sequence[str], fields: Sequence[str], make: Callable[..., Reading], optional: str = '',
+    names: Sequence[str], fields: Sequence[str], make: Callable[..., Reading],
+    optional: Sequence[str] = (),
 ) -> MessageReader[Reading]:
     """Return a reader of these fields of a JointState, by name, in the order of `names`."""
     def arrange(message: JointState, runs: list[slice]) -> Sequence[Any]:
@@ -170,10 +171,10 @@ def named_reader(
         chosen = []
         for field in fields:
             length = len(getattr(message, field))
-            if length == len(found):
-                chosen.append(runs[JOINT_FIELDS.index(field)].start + places)
-            elif field != optional:
+            if length != len(found) and field not in optional:
                 raise MessageError(field, counted(len(found), 'values'), f'{length}')
+            place = runs[JOINT_FIELDS.index(field)].start + places
+            chosen.append(place if length == len(found) else place[:0])
         return chosen
 
     return MessageReader(JointState, fields, arrange, make, optional)

@@ -2,9 +2,9 @@
 What an answer of the control law is checked for, and what touches the arm.
 
 Causes of the checks, as those of the inputs in `inputs`, are named `<part>_<what>`: `motion`
-(`operational_speed`, `joint_speed`), `wrench` (`pull`, `sideways`), `law` (`not_finite`, or the
-error it raises), `collision` (the joint that it loads last), `start` (`outside`) and `internal`
-(an error of the supervision itself).
+(`operational_speed`, `joint_speed`), `wrench` (`pull`, `sideways`, `stray`), `law` (`not_finite`,
+or the error it raises), `collision` (the joint that it loads last), `start` (`outside`) and
+`internal` (an error of the supervision itself).
 """
 
 from __future__ import annotations
@@ -20,8 +20,9 @@ from multicontact_control.supervision.contacts import LOST
 import numpy as np
 
 # What `check_plausibility` returns, added up.
-NOT_FINITE, PULL, SIDEWAYS, OUTSIDE = 1, 2, 4, 8
-COLLISION = 'collision'
+NOT_FINITE, PULL, SIDEWAYS, OUTSIDE, STRAY = 1, 2, 4, 8, 16
+WRONG_WRENCH = {PULL: 'wrench_pull', STRAY: 'wrench_stray', SIDEWAYS: 'wrench_sideways'}
+COLLISION, CONTRADICTED = 'collision', 'joints_velocity'
 SPEEDS = (('motion_operational_speed', OPERATIONAL_SPEED), ('motion_joint_speed', JOINT_SPEED))
 TOO_FAST = tuple(tuple(cause for cause, bit in SPEEDS if flags & bit) for flags in range(4))
 
@@ -37,8 +38,8 @@ def reactions_of(config: ControllerConfig) -> dict[str, str]:
     """Return the reaction to each part that has failed, by what the causes begin with."""
     return {
         'joints': config.watchdog.on_joint_fault, 'wrench': config.watchdog.on_wrench_fault,
-        'variance': 'inflate', 'clock': 'hold', 'motion': 'hold', 'law': 'hold', 'start': 'hold',
-        COLLISION: config.collision.reaction}
+        CONTRADICTED: 'hold', 'variance': 'inflate', 'clock': 'hold', 'motion': 'hold',
+        'law': 'hold', 'start': 'hold', COLLISION: config.collision.reaction}
 
 
 @compiled
@@ -49,8 +50,9 @@ def check_plausibility(
     Check the answer of the control law that is in the joints.
 
     Returns the sum of NOT_FINITE, PULL (a surface pulls; after the loss of a contact the inertia
-    of the tool that is braked is allowed for), SIDEWAYS (more than friction can explain) and
-    OUTSIDE (the operational point is out of its box).
+    of the tool that is braked is allowed for), SIDEWAYS (more than friction can explain), STRAY
+    (a contact that was never commanded is beyond the force ceiling) and OUTSIDE (the operational
+    point is out of its box).
     """
     bounds, control = limits[0], controls[0]
     frame, tool = control.frame, control.tool
@@ -71,6 +73,8 @@ def check_plausibility(
         allowance = bounds.inertia if states[i].state == LOST else 0.0
         if contact.alpha_meas < -(PULL_LIMIT + allowance):
             found |= PULL
+        if contact.alpha_meas > bounds.force_ceiling and not states[i].commanded:
+            found |= STRAY
     sideways = 0.0
     for k in range(3):
         force = tool.weight[k]
@@ -91,6 +95,7 @@ def plausibility_limits(config: ControllerConfig) -> Records:
     """Return what an answer must be like as one record of `PLAUSIBILITY`."""
     bounds = np.zeros(1, dtype=PLAUSIBILITY)
     bounds['friction_bound'] = config.watchdog.friction_bound
+    bounds['force_ceiling'] = config.contact_state.force_ceiling
     bounds['inertia'] = config.tool.mass * LOSS_ACCELERATION
     limits = config.limits
     bounds['box'] = (np.array(limits.workspace_lower or [-np.inf] * 3) - BOX_EXCESS,

@@ -6,7 +6,8 @@ law before and after: there the tip advances by a displacement that is ramped, b
 
 free -> approaching -> impact -> holding -> lost -> approaching ..., given up once the tip has
 gone too far without a surface, until it is time for another search. Beyond the force ceiling, and
-where it leads out of the workspace: retracting, then given up until it is commanded again.
+where it leads out of the workspace: retracting, then given up until it is commanded again. One
+that was never commanded stays free: a wrench alone moves no arm, see `checks`.
 Touch and loss have thresholds apart and least times, so that a bounce or a spike changes nothing.
 
 A `contact` is a record of `CONTACT_STATE`, changed, `settings` are one of `CONTACT_SETTINGS`;
@@ -146,8 +147,8 @@ def _switch_state(
     # would press it again, and again.
     stays_away = contact.state == RETRACTING and not (met_before and has_retracted) or (
         contact.state == GIVEN_UP and contact.left and not (met_before or contact.again))
-    if alpha > settings.force_ceiling and contact.state != RETRACTING or (
-            contact.left and is_active(contact)):
+    beyond = contact.commanded and alpha > settings.force_ceiling and contact.state != RETRACTING
+    if beyond or (contact.left and is_active(contact)):
         contact.displacement = place
         contact.speed = speed
         contact.target = place - RETRACT_DISTANCE
@@ -195,6 +196,7 @@ def advance_contact(
     h = settings.period
     contact.in_state += h
     contact.again = contact.again and contact.state == GIVEN_UP
+    contact.commanded = contact.commanded or contact.wanted
     before = contact.state
     _switch_state(contact, settings, alpha, place, speed, escape)
     if contact.state != before:

@@ -31,21 +31,6 @@ FADED = 1e-6  # N m in every joint, below which such a difference counts as gone
 
 
 @compiled
-def _brake(joint: Any, limit: Any, torque: float) -> float:
-    """Bound the torque of a joint such that v <= sqrt(2 a d) at a distance d from its stops."""
-    q, v = joint.q, joint.velocity
-    ahead = np.sqrt(2.0 * JOINT_BRAKING * np.maximum(limit.upper - q, 0.0))
-    behind = np.sqrt(2.0 * JOINT_BRAKING * np.maximum(q - limit.lower, 0.0))
-    fastest, slowest = np.minimum(ahead, limit.speed), -np.minimum(behind, limit.speed)
-    if BRAKING_SHARE * slowest < v < BRAKING_SHARE * fastest:
-        return torque
-    gain = SPEED_GAIN * joint.inertia
-    bounded = np.minimum(np.maximum(torque, joint.bias_torque + gain * (slowest - v)),
-                         joint.bias_torque + gain * (fastest - v))
-    return bounded if np.isfinite(bounded) else 0.0
-
-
-@compiled
 def gate_torque(
     torque: Vector, joints: Any, limits: Any, known: bool, seen: bool, begun: bool,
 ) -> int:
@@ -66,11 +51,19 @@ def gate_torque(
             torque[j] = carried if known and np.isfinite(carried) else 0.0
     for j in range(n):
         joint, limit = joints[j], limits[j]
-        if seen:
-            braked = _brake(joint, limit, torque[j])
-            if braked != torque[j]:
-                enforced |= JOINT_STOP
-            torque[j] = braked
+        if seen:  # v <= sqrt(2 a d) at a distance d from a stop
+            ahead = np.sqrt(2.0 * JOINT_BRAKING * max(limit.upper - joint.q, 0.0))
+            behind = np.sqrt(2.0 * JOINT_BRAKING * max(joint.q - limit.lower, 0.0))
+            fastest, slowest = min(ahead, limit.speed), -min(behind, limit.speed)
+            if not BRAKING_SHARE * slowest < joint.velocity < BRAKING_SHARE * fastest:
+                gain = SPEED_GAIN * joint.inertia
+                braked = min(
+                    max(torque[j], joint.bias_torque + gain * (slowest - joint.velocity)),
+                    joint.bias_torque + gain * (fastest - joint.velocity))
+                braked = braked if np.isfinite(braked) else 0.0
+                if braked != torque[j]:
+                    enforced |= JOINT_STOP
+                torque[j] = braked
         clipped = min(max(torque[j], joint.added - joint.torque_limit),
                       joint.added + joint.torque_limit)
         if clipped != torque[j]:

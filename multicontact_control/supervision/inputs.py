@@ -7,7 +7,8 @@ valid one stands in for it, and calls for a reaction (`checks.reactions_of`) onc
 
 A fault is called ``<part>_<problem>``; the parts are `joints`, `wrench`, `variance` and `clock`:
 `invalid` (no number, or one that no arm, sensor or estimator gives), `jump` (a joint is not where
-its speeds have taken it), `frozen` (identical readings in a row), `saturated` (at full scale),
+its speeds have taken it), `velocity` (positions contradict it, see `velocities`: they make up for
+it), `frozen` (identical readings in a row), `saturated` (at full scale),
 `stamp` (none, or in the future), `order` (before an earlier one), `late` (a wrench more than a
 period old when it comes), `stale` (too old, and nothing newer has come), and of the clock
 `backwards` and `rate` (a wrong period twice in a row, also of a clock that stands).
@@ -25,25 +26,33 @@ from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.config import ControllerConfig
 from multicontact_control.records import INPUT_STAGE, Records
+from multicontact_control.supervision.velocities import (
+    check_velocities,
+    explain_velocities,
+    HISTORY,
+    ROWS,
+    STILL,
+    V_TRACKED,
+)
 import numpy as np
 
 PARTS = ('joints', 'wrench', 'variance', 'clock')
 JOINTS, WRENCH, VARIANCE, CLOCK, TORQUES = range(5)
 # What is wrong; FINE: nothing, ABSENT: no reading has come.
 PROBLEMS = (
-    '', 'invalid', 'jump', 'frozen', 'saturated', 'stamp', 'order', 'late', 'backwards', 'rate')
-FINE, INVALID, JUMP, FROZEN, SATURATED, STAMP, ORDER, LATE, BACKWARDS, RATE = range(10)
+    '', 'invalid', 'jump', 'frozen', 'saturated', 'stamp', 'order', 'late', 'backwards', 'rate',
+    'velocity')
+FINE, INVALID, JUMP, FROZEN, SATURATED, STAMP, ORDER, LATE, BACKWARDS, RATE, VELOCITY = range(11)
 ABSENT = -1
 
 KEPT = 100  # wrenches, for a tare
 LONGEST_GAP = 0.1  # s between two wrenches; after it the low-pass and the tare begin anew
 SATURATED_SHARE = 0.99  # of full scale, from which on a reading is saturated
-FAULTS = 2  # frozen or saturated wrenches in a row, from which on they are not bridged
+FAULTS = 2  # wrong velocities, or frozen or saturated wrenches, in a row that are not bridged
 WRENCH_AGE = 1.501  # periods, up to which a wrench is that of its tick
 HARDEST = 1e6  # N or N m; no wrench is beyond it
 FARTHEST = 1e3  # rad; no joint is beyond it
 SPEED_EXCESS = 3.0  # times the speed limit of a joint; no joint is faster
-STILL = 1e-4  # rad/s; below it a joint state may repeat itself
 POSITION_JUMP = 0.01  # rad between a joint position and the one its speeds lead to
 LONGEST_STEP = 0.1  # s, over which speeds are extrapolated
 VARIANCE_FLOOR, VARIANCE_CEILING = 0.1, 1e3  # N^2; with less the observer outruns the drives
@@ -60,7 +69,7 @@ class JointInput(NamedTuple):
     A joint state as it came in, in the order of `robot.joint_names`.
 
     Sampled at `stamp`: [s] at a tick, whole [ns] before. q [rad], qd [rad/s], and the torques
-    measured over the period before [N m], None for none.
+    measured over the period before [N m]. qd and torques are None where there are none.
     """
 
     stamp: float
@@ -165,40 +174,52 @@ def _check_stamp(part: int, stamp: float, content: int, state: Any, settings: An
 
 @compiled
 def _check_joints(
-    joints: Matrix, motion: Matrix, elapsed: float, state: Any, settings: Any,
+    joints: Matrix, motion: Matrix, history: Matrix, elapsed: float, state: Any, settings: Any,
 ) -> int:
     """
     Check a joint state, `elapsed` after the newest valid one [s]; keep it if it is fine.
 
-    After a jump each is compared with the reading before, and refused for the recovery time.
+    A joint that turns without end goes on where its angle wraps by 2 pi. After a jump each state
+    is compared with the reading before, and refused for the recovery time. Where a velocity is
+    not believed, that of the positions is kept.
     """
     distrusted = state.distrust > 0
     span = settings.period if distrusted else elapsed
     limit = POSITION_JUMP * max(1.0, span / settings.period / 5.0)
-    still, jumped, same_q, same_qd = True, False, True, True
-    for j in range(joints.shape[1]):
-        q, qd = joints[0, j], joints[1, j]
-        if not (abs(q) <= FARTHEST and abs(qd) <= joints[4, j]):
+    still, jumped, same = True, False, True
+    for j in range(motion.shape[1]):
+        if not abs(joints[0, j]) <= FARTHEST:
             return INVALID
-        still = still and abs(qd) <= STILL
-        same_q, same_qd = same_q and q == joints[2, j], same_qd and qd == joints[3, j]
+        if joints[5, j] > 0.0 and state.known[JOINTS]:
+            joints[0, j] += joints[5, j] * np.round((joints[2, j] - joints[0, j]) / joints[5, j])
+        q, qd = joints[0, j], joints[1, j]
+        still, same = still and abs(qd) <= STILL, same and q == joints[2, j]
         before, speed = motion[0, j], motion[1, j]
         if distrusted:
             before, speed = joints[2, j], joints[3, j]
-        change = q - before - 0.5 * (qd + speed) * min(span, LONGEST_STEP)
-        jumped = jumped or abs(change) > limit
-    for j in range(joints.shape[1]):
+        way, step = q - before, min(span, LONGEST_STEP)
+        change = abs(way - joints[V_TRACKED, j] * step)
+        if abs(qd) <= joints[4, j]:
+            change = min(change, abs(way - 0.5 * (qd + speed) * step))
+        jumped = jumped or change > limit
+    known, jumped = state.known[JOINTS], jumped and state.known[JOINTS]
+    contradicted = check_velocities(
+        joints, history, span, known and not jumped, state, settings.period)
+    for j in range(motion.shape[1]):
         joints[2, j], joints[3, j] = joints[0, j], joints[1, j]
-    if distrusted or (jumped and state.known[JOINTS]):
+    if distrusted or jumped:
         state.distrust = settings.recovery_ticks if jumped else state.distrust - 1
         return JUMP
-    same = not still and (same_q or same_qd)
-    state.equal_joints = state.equal_joints + 1 if same else 1
+    # Velocities alone that stand still are contradicted, and those of the beginning not believed.
+    state.equal_joints = state.equal_joints + 1 if same and state.proven and not still else 1
     if 0 < settings.frozen_joint_ticks <= state.equal_joints:
         return FROZEN
-    for j in range(joints.shape[1]):
-        motion[0, j], motion[1, j] = joints[0, j], joints[1, j]
-    return FINE
+    state.contradicted = state.contradicted + 1 if contradicted else 0
+    state.doubted = state.doubted or state.contradicted >= FAULTS
+    estimated = state.silent or state.doubted or contradicted
+    for j in range(motion.shape[1]):
+        motion[0, j], motion[1, j] = joints[0, j], joints[V_TRACKED if estimated else 1, j]
+    return VELOCITY if contradicted else FINE
 
 
 @compiled
@@ -267,7 +288,9 @@ def _supply_torques(
             after = commands[(state.commands + min(2, needed - 1)) % needed, j]
             joint.doubt = max(abs(last - before), abs(after - last))
             joint.effort = last
-    known = known and measured and abs(elapsed - settings.period) < UNEVEN * settings.period
+    estimated = state.doubted or (state.silent and not momentum.is_input)  # some periods late
+    known = known and measured and not estimated and (
+        abs(elapsed - settings.period) < UNEVEN * settings.period)
     momentum.elapsed = elapsed if known else 0.0
     state.unknown = 0 if known else state.unknown + 1
     if state.unknown * settings.period > FORGOTTEN and momentum.collided:
@@ -278,16 +301,16 @@ def _supply_torques(
 
 @compiled
 def check_inputs(
-    stages: Any, readings: Matrix, new_variance: Vector, kept: Matrix, commands: Matrix,
-    motion: Matrix, wrench: Vector, noise_variance: Vector, joints: Any, momenta: Any,
-    last: Vector, commanded: bool, stamps: Any, contents: Any,
+    stages: Any, readings: Matrix, history: Matrix, new_variance: Vector, kept: Matrix,
+    commands: Matrix, motion: Matrix, wrench: Vector, noise_variance: Vector, joints: Any,
+    momenta: Any, last: Vector, commanded: bool, stamps: Any, contents: Any,
 ) -> bool:
     """
     Check the inputs of a tick, and keep what is valid in its places; return whether all is well.
 
-    Arguments are what `Inputs` has; `readings` are q, v, those of the reading before and the
-    largest v, shape (5, n). Stamps [s] and contents (FINE, INVALID if it cannot be read, ABSENT)
-    are of joints, wrench, R, the tick and torques.
+    Arguments are what `Inputs` has; `readings` are rows as in `velocities`. Stamps [s] and
+    contents (FINE, INVALID if it cannot be read, ABSENT) are of joints, wrench, R, the tick and
+    torques.
     """
     stage = stages[0]
     settings, state, verdict = stage.settings, stage.state, stage.verdict
@@ -306,8 +329,8 @@ def check_inputs(
         elapsed = stamps[JOINTS] - valid[JOINTS]
         if np.isnan(elapsed):
             elapsed = h * state.blind_ticks
-        problem[JOINTS] = _check_joints(readings, motion, elapsed, state, settings)
-        if problem[JOINTS] == FINE:
+        problem[JOINTS] = _check_joints(readings, motion, history, elapsed, state, settings)
+        if problem[JOINTS] == FINE or problem[JOINTS] == VELOCITY:
             valid[JOINTS], state.blind_ticks, state.known[JOINTS] = stamps[JOINTS], 0, True
         elif problem[JOINTS] == FROZEN:  # as old as its value
             valid[JOINTS] = stamps[JOINTS] - h * (state.equal_joints - 1)
@@ -333,6 +356,8 @@ def check_inputs(
     for i in range(3):
         age = state.time - valid[i]
         verdict.stale[i] = age > settings.max_age[i] or (np.isnan(age) and i != VARIANCE)
+    if problem[JOINTS] == VELOCITY and state.contradicted >= FAULTS:
+        verdict.stale[JOINTS] = True
     if state.faults >= FAULTS:
         verdict.stale[WRENCH] = True
     verdict.stale[CLOCK] = problem[CLOCK] != FINE
@@ -366,6 +391,8 @@ class Inputs:
         and R, shape (r,) [N^2].
     joints, momenta
         Records of `JOINT`, shape (n,), and one of `MOMENTUM`, for the torques that acted.
+    endless
+        Which joints turn without end, so that their angles may wrap, shape (n,).
 
     Attributes
     ----------
@@ -376,23 +403,28 @@ class Inputs:
 
     def __init__(
         self, config: ControllerConfig, places: tuple[Matrix, Vector, Vector], joints: Any,
-        momenta: Any,
+        momenta: Any, endless: Any = False,
     ) -> None:
         _, self._wrench, self._variance = places
         n, r = len(joints), len(self._variance)
         self._estimated = config.wrench_input == 'momentum'
-        readings = np.full((5, n), math.nan)
+        readings = np.zeros((ROWS, n))
+        readings[2:4] = math.nan
         readings[4] = np.minimum(
             SPEED_EXCESS * np.array(config.limits.joint_speed or np.inf), np.finfo(float).max)
+        readings[5] = np.where(endless, 2.0 * math.pi, 0.0)
         variance = np.clip(config.initial_noise_variance, VARIANCE_FLOOR, VARIANCE_CEILING)
         self._initial: Any = _stage_record(config), readings, variance
         self._stage: Any = np.zeros(1, dtype=INPUT_STAGE)
-        self._readings, self._new_variance = np.zeros((5, n)), np.zeros(r)
+        self._readings, self._new_variance = readings.copy(), np.zeros(r)
+        self._history: Matrix = np.zeros((HISTORY, 2 * n))
+        self._no_velocity: Vector = np.zeros(n)
+        self._names, self._period = config.robot.joint_names, config.period
         self._effort: Vector = joints['effort']
         self._kept: Matrix = np.zeros((KEPT, 6 + n))
         self._commands: Matrix = np.zeros((max(config.collision.command_delay, 0) + 2, n))
-        self._arguments = (self._stage, self._readings, self._new_variance, self._kept,
-                           self._commands, *places, joints, momenta)
+        self._arguments = (self._stage, self._readings, self._history, self._new_variance,
+                           self._kept, self._commands, *places, joints, momenta)
         self._momenta, self._joints = momenta, joints
         self._state, self._verdict = self._stage['state'], self._stage['verdict']
         self.raw: Vector = self._state['raw'][0]
@@ -426,6 +458,21 @@ class Inputs:
         return PROBLEMS[self._state['fault'][0]]
 
     @property
+    def estimates(self) -> bool:
+        """Whether joints move but no velocities come, which positions make up for."""
+        return bool(self._state['silent'][0])
+
+    def trust(self) -> None:
+        """Believe velocities again that were contradicted, as long as they are not anew."""
+        self._state['doubted'] = False
+
+    def explain_velocities(self) -> str:
+        """Return what speaks against the velocities of the last 0.1 s, and what may be why."""
+        return explain_velocities(
+            self._history, int(self._state['states'][0]), self._readings, self._names,
+            self._period)
+
+    @property
     def kept(self) -> tuple[Matrix, Matrix]:
         """
         Return the newest 100 wrenches as they came in, and the posture at each, oldest first.
@@ -445,6 +492,8 @@ class Inputs:
             known = self._state['unknown'][0] <= len(self._commands) + 1
             wrench = WrenchInput(joints.stamp, self._wrench) if joints and known else None
         effort = None if joints is None or joints.effort is None else (0.0, joints.effort)
+        if joints is not None and joints.qd is None:
+            joints = joints._replace(qd=self._no_velocity)
         stamps, contents = [math.nan] * 5, [ABSENT] * 5
         for part, reading in enumerate((joints, wrench, variance, (time,), effort)):
             if reading is None:

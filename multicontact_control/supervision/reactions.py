@@ -29,8 +29,8 @@ RELAPSES = 3  # in a row, of what the arm does or meets, after which control wai
 LONGEST_RECOVERY = 2.0  # s that all must be well, at most
 GROWTH = 3.0  # of the time that all must be well, from relapse to relapse
 # What comes from what the arm does and meets, and not from readings that are missing.
-PHYSICAL = ('motion', 'law', 'internal', 'wrench_pull', 'wrench_sideways', 'wrench_saturated',
-            'collision')
+PHYSICAL = ('motion', 'law', 'internal', 'joints_velocity', 'wrench_pull', 'wrench_stray',
+            'wrench_sideways', 'wrench_saturated', 'collision')
 
 
 class Reactions:

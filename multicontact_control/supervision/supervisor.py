@@ -6,6 +6,7 @@ from typing import Any
 
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
+from multicontact_control.contact.wrench import operational_wrench
 from multicontact_control.control.arm import (
     AMBIGUOUS,
     ArmState,
@@ -22,14 +23,14 @@ from multicontact_control.force.force_law import continue_laws_at
 from multicontact_control.supervision.checks import (
     check_plausibility,
     COLLISION,
+    CONTRADICTED,
     NOT_FINITE,
     OUTSIDE,
     plausibility_limits,
-    PULL,
     reactions_of,
-    SIDEWAYS,
     TOO_FAST,
     watch_arm,
+    WRONG_WRENCH,
 )
 from multicontact_control.supervision.collision_causes import explain_collision
 from multicontact_control.supervision.command_limits import outside_limits
@@ -107,7 +108,8 @@ class Supervisor:
         self._joints, self._controls = controller.arm.joints, controller.controls
         self.task = ContactTask(config, source, controller, guarded=guarded)
         self.inputs = Inputs(
-            config, controller.measured, self._joints, self._controls['momentum'])
+            config, controller.measured, self._joints, self._controls['momentum'],
+            robot.endless)
         self.gate = TorqueGate(config, self._joints, guarded=guarded)
         self.reactions = Reactions(config, controller)
         self._recovery = Recovery(config.watchdog.recovery_time, config.period)
@@ -235,7 +237,9 @@ class Supervisor:
         if joints is None or inputs.wrench is None:
             raise not_supervised()
         (q, qd), wrench, own_variance = self.controller.measured
-        q[:], qd[:], wrench[:] = joints.q, joints.qd, self.inputs.filtered
+        q[:], wrench[:] = joints.q, self.inputs.filtered
+        if joints.qd is not None:
+            qd[:] = joints.qd
         own_variance[:] = (
             self.config.initial_noise_variance if variance is None else variance.variance)
         self._task_ticks = round(inputs.time / self._period)
@@ -283,7 +287,7 @@ class Supervisor:
 
     def _reaction_to(self, causes: tuple[str, ...]) -> str:
         reactions = reactions_of(self.config)
-        called_for = [reactions[cause.split('_')[0]] for cause in causes]
+        called_for = [reactions.get(cause, reactions[cause.split('_')[0]]) for cause in causes]
         return max(called_for, key=SEVERITY.index, default=NONE)
 
     def _resume(self) -> None:
@@ -303,10 +307,10 @@ class Supervisor:
         """Return the cause to refuse the answer of the law, nothing if it may be commanded."""
         if doubts & NOT_FINITE:
             return 'law_not_finite'
-        contradicted = doubts & (PULL | SIDEWAYS) and not self.task.locked
+        contradicted = 0 if self.task.locked else doubts & sum(WRONG_WRENCH)
         self._contradictions = self._contradictions + 1 if contradicted else 0
         if contradicted and (self._contradictions >= CONTRADICTIONS or self._paused):
-            return 'wrench_pull' if doubts & PULL else 'wrench_sideways'
+            return next(cause for bit, cause in WRONG_WRENCH.items() if contradicted & bit)
         if doubts & OUTSIDE:  # the contacts have led there
             self.task.lead_back()
         return ''
@@ -318,6 +322,7 @@ class Supervisor:
         if self._paused:
             self.reactions.end()
             self._causes = self.findings = ()
+            self.inputs.trust()
             if self.started:
                 self._recovery.resumed(self._task_ticks)
         self.started, self._paused = True, False
@@ -360,7 +365,7 @@ class Supervisor:
                 self._waiting_reaction = reaction
             elif not self._paused:
                 self._waiting_reaction = HOLD
-            if causes != self._causes:
+            if causes != self._causes or not self.findings:
                 self._causes = causes
                 self.findings = tuple(filter(None, map(self._explain, causes)))
         if self.started and not self._paused:
@@ -383,9 +388,24 @@ class Supervisor:
 
     def _explain(self, cause: str) -> str:
         """Return what the readings say about a cause that has just begun; empty if nothing."""
-        return explain_collision(
-            self._joints, self._controls['momentum'][0], self.config.robot.joint_names
-        ) if cause.startswith(COLLISION) else ''
+        if cause == CONTRADICTED:
+            return self.inputs.explain_velocities()
+        if cause.startswith(COLLISION):
+            residual = explain_collision(
+                self._joints, self._controls['momentum'][0], self.config.robot.joint_names)
+            return self.inputs.explain_velocities() or '; '.join(
+                filter(None, (residual, self.stray_force)))
+        return self.stray_force if cause in WRONG_WRENCH.values() else ''
+
+    @property
+    def stray_force(self) -> str:
+        """Return what is felt while no contact is sought or held, if it is worth a command."""
+        wrench = np.zeros(6)
+        if self._wrench_known and not self.task.sought_normals().size:
+            operational_wrench(self._controls[0], wrench)
+        force = float(np.linalg.norm(wrench[:3]))
+        return f'{force:.1f} N with nothing touching: bias or tool weight; tare or calibrate' if (
+            force > self.config.contact_state.smallest_force) else ''
 
     def _unseen(self, causes: tuple[str, ...], reaction: str) -> bool:
         """Return whether the arm floats only because it is not seen, or a part has failed."""

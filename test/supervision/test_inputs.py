@@ -24,12 +24,12 @@ FULL_SCALE = (100.0, 100.0, 200.0, 5.0, 5.0, 5.0)
 SOURCES = ('joints', 'wrench', 'variance')
 
 
-def make(config=CONFIG):
+def make(config=CONFIG, endless=False):
     """Return a stage whose places are its attributes."""
     motion, wrench, variance = np.zeros((2, 6)), np.zeros(6), np.zeros(CONTACTS)
     stage = Inputs(config, (motion, wrench, variance), np.zeros(6, dtype=JOINT),
-                   np.zeros(1, dtype=MOMENTUM))
-    stage.q, stage.wrench, stage.variance = motion[0], wrench, variance
+                   np.zeros(1, dtype=MOMENTUM), endless)
+    (stage.q, stage.qd), stage.wrench, stage.variance = motion, wrench, variance
     return stage
 
 
@@ -143,6 +143,70 @@ def test_joints_are_refused_for_the_recovery_time_after_a_jump():
             changed(inputs, 'joints', q=inputs.joints.q + away)).rejected)
     refused = 1 + round(CONFIG.watchdog.recovery_time / H)
     assert rejected == [('joints_jump',)] * refused + [()] * (40 - refused)
+
+
+def swing(k):
+    """Return positions and velocities of joints that swing by 0.02 rad at up to 0.2 rad/s."""
+    return HOME - 0.02 * np.cos(10.0 * k * H), 0.2 * np.sin(10.0 * k * H) + np.zeros(6)
+
+
+@pytest.mark.parametrize(('wrong', 'likely'), [
+    (lambda q, qd, k: np.degrees(qd), 'degrees per second'),
+    (lambda q, qd, k: 0.02 * qd, '0.02 times'),
+    (lambda q, qd, k: -qd, 'opposite sign'),
+    (lambda q, qd, k: q, 'equal to its position'),
+    (lambda q, qd, k: qd + 0.3, 'offset'),
+    (lambda q, qd, k: 0.0 * qd + 0.3, 'frozen'),
+    (lambda q, qd, k: 0.0 * qd + np.inf, 'finite'),
+    (lambda q, qd, k: np.append(0.0, qd[1:]), 'joint1'),
+    (lambda q, qd, k: swing(k - 60)[1], 'delay')])
+@pytest.mark.parametrize('begin', [0, 400])
+def test_velocity_that_positions_contradict_is_a_cause_and_is_not_used(wrong, likely, begin):
+    stage, causes, random = make(), [], np.random.default_rng(0)
+    for k in range(begin + 200):
+        q, qd = swing(k)
+        seen = stage.validate(TickInputs(
+            k * H, JointInput(k * H, q, wrong(q, qd, k) if k >= begin else qd),
+            WrenchInput(k * H, random.normal(size=6))))
+        assert k >= begin or not seen.rejected
+        if 'joints_velocity' in seen.causes:
+            causes.append(stage.explain_velocities())
+            np.testing.assert_allclose(stage.qd, qd, atol=0.02 if k > begin + 20 else 0.2)
+        np.testing.assert_array_equal(stage.q, q)
+    assert any(likely in text for text in causes)
+
+
+def test_velocities_are_believed_again_once_they_are_trusted():
+    stage = make()
+    for k in range(400):
+        q, qd = swing(k)
+        if k == 300:
+            stage.trust()
+        seen = stage.validate(TickInputs(k * H, JointInput(k * H, q, -qd if k < 100 else qd)))
+        assert ('joints_velocity' in seen.causes) == (20 < k < 100) or 0 < k < 200
+        assert k < 200 or np.array_equal(stage.qd, qd) == (k >= 300)
+
+
+@pytest.mark.parametrize('silent', [None, np.zeros(6)])
+def test_positions_make_up_for_velocities_that_do_not_come(silent):
+    stage = make()
+    for k in range(300):
+        q, qd = swing(k)
+        seen = stage.validate(TickInputs(k * H, JointInput(k * H, q, silent)))
+        assert not any(cause.startswith('joints') for cause in seen.causes)
+        np.testing.assert_allclose(stage.qd, swing(k - 2)[1], atol=3e-3 if k > 20 else 0.1)
+    assert stage.estimates
+
+
+def test_angle_of_an_endless_joint_goes_on_where_it_wraps():
+    stage, speed = make(endless=np.arange(6) == 5), 1.0
+    for k in range(4000):
+        q = HOME + speed * k * H * (np.arange(6) == 5)
+        wrapped = np.append(q[:5], np.angle(np.exp(1j * q[5])))
+        seen = stage.validate(TickInputs(k * H, JointInput(
+            k * H, wrapped, speed * (np.arange(6) == 5.0))))
+        assert k < 20 or seen.causes == ('wrench_stale',)
+        np.testing.assert_allclose(stage.q - stage.q[0] - (q - q[0]), 0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize(('times', 'causes'), [

@@ -183,7 +183,7 @@ def _frozen() -> list[Fault]:
     return [
         _edit('joints', 'q qd', 'frozen', None, phases=moving),
         _edit('joints', 'q', 'frozen_q', None, phases=moving, where=IN_PROCESS),
-        _edit('joints', 'qd', 'frozen_qd', None, phases=moving, where=IN_PROCESS),
+        _edit('joints', 'qd', 'frozen_qd', None, told=False, where=IN_PROCESS),
         _edit('wrench', 'wrench', 'frozen', None),
         _edit('variance', 'variance', 'frozen', None, told=False)]
 
