@@ -45,6 +45,7 @@ EVIDENCE = np.dtype([
     ('power', F),  # sum of the squares of that [N^2 m^2]
     ('at_rest', F), ('rested', F),  # its mean at rest in the first 0.2 s [N m], and of those [s]
     ('friction', F), ('moved', F),  # mean along the first 0.5 s of motion [N m], and of those [s]
+    ('mean_square', F),  # along them [N^2 m^2]
 ], align=True)
 
 # One joint: where it is, its terms of the arm's model, what is set for it, and its torque.

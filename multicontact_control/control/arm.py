@@ -28,7 +28,7 @@ RELEASE = 0.5  # share of its threshold that a residual must fall below to count
 REGRESSORS = DIRECTION, SPEED, ACCELERATION, WRENCH = range(4)
 FADING_TIME = 1.0  # s, time constant of what is summed up of them
 REST_TIME, LEARNING_TIME = 0.2, 0.5  # s at rest and in motion, after which no more is learnt
-PRIOR_TIME = 0.02  # s of motion without friction that each joint has behind it
+PRIOR_TIME = 0.01  # s of motion without friction that each joint has behind it
 UNPROVEN_THRESHOLD = 3.0  # N m, least threshold of a joint before
 
 
@@ -42,8 +42,8 @@ def observe_momentum(control: Any, joints: Any, mass_matrix: Matrix, jacobian: M
     where the residual is the input), so that r is J_i^T f_i of the contacts before it. They count
     from the threshold of a residual until it falls below half of that. What the residual follows
     is summed up; its mean along the first motion of a joint, beyond that at rest, is friction
-    that is not compensated, and raises the threshold. `control.momentum` and `joints` are
-    changed.
+    that is not compensated, and raises the threshold, less a standard deviation.
+    `control.momentum` and `joints` are changed.
     """
     momentum, law, frame, tool = control.momentum, control.law, control.frame, control.tool
     n = joints.shape[0]
@@ -106,14 +106,19 @@ def observe_momentum(control: Any, joints: Any, mass_matrix: Matrix, jacobian: M
                         sums[k] = fading * sums[k] + momentum.elapsed * value * other
                 if evidence.moved < LEARNING_TIME and not momentum.collided:
                     evidence.moved += moving
-                    evidence.friction += moving / (evidence.moved + PRIOR_TIME) * (
+                    weight = moving / (evidence.moved + PRIOR_TIME)
+                    evidence.friction += weight * (
                         beyond * np.sign(direction) - evidence.friction)
+                    evidence.mean_square += weight * (beyond ** 2 - evidence.mean_square)
                 if joint.learnt_limit > 0.0:
                     least = joint.least_threshold
                     if evidence.moved < LEARNING_TIME:
                         least = max(least, UNPROVEN_THRESHOLD)
-                    joint.threshold = least + max(
-                        joint.allowance, min(evidence.friction, joint.learnt_limit))
+                    # What touches the arm grows, so that its mean says less than its deviation.
+                    deviation = np.sqrt(
+                        max(evidence.mean_square - evidence.friction ** 2, 0.0))
+                    joint.threshold = least + max(joint.allowance, min(
+                        evidence.friction - deviation, joint.learnt_limit))
             limit = joint.threshold + joint.slack
             touched = touched or abs(joint.residual) > factor * limit
         momentum.collided = touched

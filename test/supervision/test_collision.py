@@ -85,19 +85,23 @@ def test_15_newtons_at_the_elbow_are_seen_within_20_ms_held_against_and_left(
     assert (statuses[-1].reaction, statuses[-1].causes) == ('none', ())
 
 
-@pytest.mark.parametrize(('plant', 'largest'), [('panda/rigid', 20.0), ('panda/flexible', 40.0)])
-def test_what_comes_to_the_elbow_is_told_of_and_not_pressed_hard(plant, largest):
-    """An obstacle of 6000 N/m at 10 cm/s, which stops when it is told of."""
-    with standing(plant) as loop:
+@pytest.mark.parametrize(('plant', 'joint', 'speed', 'state', 'largest'), [
+    ('panda/rigid', 'panda_joint2', 0.1, {}, 20.0),
+    ('panda/flexible', 'panda_joint2', 0.1, {}, 40.0),
+    ('iiwa/rigid', 'lbr_iiwa_joint_2', 0.01, {'ticks': 50, 'commanded': False}, 20.0)])
+def test_what_comes_to_the_elbow_is_told_of_and_not_pressed_hard(
+        plant, joint, speed, state, largest):
+    """An obstacle of 6000 N/m, which stops when it is told of; also as the arm begins to move."""
+    with standing(plant, **state) as loop:
         loop.plant.contacts.put_before_tip(ELBOW_WALL, 1e-3)
         causes, forces = set(), []
         for _ in range(300):
             if not causes:
-                loop.plant.contacts.shift(ELBOW_WALL, -0.1 * loop.setup.controller.period)
+                loop.plant.contacts.shift(ELBOW_WALL, -speed * loop.setup.controller.period)
             (status,), (force,) = advance(loop, 1)
             causes.update(status.causes)
             forces.append(force)
-    assert 'collision_panda_joint2' in causes
+    assert f'collision_{joint}' in causes
     assert 5.0 < max(forces) < largest
 
 
