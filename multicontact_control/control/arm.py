@@ -114,7 +114,7 @@ def observe_momentum(control: Any, joints: Any, mass_matrix: Matrix, jacobian: M
                     least = joint.least_threshold
                     if evidence.moved < LEARNING_TIME:
                         least = max(least, UNPROVEN_THRESHOLD)
-                    # What touches the arm grows, so that its mean says less than its deviation.
+                    # Of what touches the arm, which grows, the deviation is near the mean.
                     deviation = np.sqrt(
                         max(evidence.mean_square - evidence.friction ** 2, 0.0))
                     joint.threshold = least + max(joint.allowance, min(

@@ -1,5 +1,5 @@
 """
-What an answer of the control law is checked for, and what touches the arm.
+What an answer of the control law is checked for, and from which residuals on a joint counts.
 
 Causes of the checks, as those of the inputs in `inputs`, are named `<part>_<what>`: `motion`
 (`operational_speed`, `joint_speed`), `wrench` (`pull`, `sideways`, `stray`), `law` (`not_finite`,
@@ -104,7 +104,7 @@ def plausibility_limits(config: ControllerConfig) -> Records:
 
 
 def watch_arm(config: ControllerConfig, controller: Controller) -> None:
-    """Set the speeds beyond which an arm is too fast, and from which torques on it is touched."""
+    """Set the speeds beyond which an arm is too fast, and the residuals that are a collision."""
     limits, collision, arm = config.limits, config.collision, controller.arm
     momentum, joints = controller.controls['momentum'], arm.joints
     joints['speed_limit'] = SPEED_EXCESS * np.array(limits.joint_speed or np.inf)

@@ -246,7 +246,7 @@ class Supervisor:
         return Seen()
 
     def _touch(self, flags: int) -> tuple[str, ...]:
-        """Name the joint where something touches the arm: the last that it has loaded."""
+        """Name the last joint whose residual has been beyond its threshold since it began."""
         if not flags & TOUCHED:
             self._touched = -1
             return ()
