@@ -66,9 +66,9 @@ def _explain_rest(residual: Any, gravity: Any, loaded: int) -> str:
     product, square = residual @ gravity, gravity @ gravity
     factor = product / square
     if product ** 2 > MULTIPLE * square * (residual @ residual) and (
-            abs(factor + 1.0) < 0.2 or abs(factor) > 2.0):
-        return (f', {factor:.2g} times the torque of gravity: check the unit of the effort, and '
-                'whether it is without gravity (robot.adds_gravity)')
+            abs(factor + 1.0) < 0.2 or abs(factor) > 1.5):
+        return (f', {factor:.2g} times the torque of gravity: check unit and sign of the effort, '
+                'and whether it lacks gravity (robot.adds_gravity)')
     if loaded == 1:
         return ', in this joint alone: check scale, sign and offset of its effort'
     return (': check the masses of tool and links, sign and offset of the wrench, the offsets of '

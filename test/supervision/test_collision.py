@@ -165,7 +165,7 @@ def test_friction_that_is_not_declared_is_learnt_and_named(tmp_path):
 
 
 @pytest.mark.parametrize(('corrupt', 'controller', 'ticks', 'what'), [
-    (with_effort(lambda effort: 1000.0 * effort), {}, 20, 'unit of the effort'),
+    (with_effort(lambda effort: 1000.0 * effort), {}, 20, 'unit and sign'),
     (with_effort(lambda effort: effort * [1, 1, 1, -1, 1, 1, 1]), {}, 20, 'joint alone'),
     (None, {'tool': {'mass': 1.5}}, 20, 'mass'), (half_the_wrench, {}, 1300, 'robot.sensor_frame'),
     (None, {'collision': {'threshold': [4.5, 4.5, 4.5, 1.0, 1.0, 1.0]}}, 220, 'friction.coulomb'),
