@@ -6,6 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 import itertools
 import threading
 
+from geometry_msgs.msg import PoseStamped
 from multicontact_control.client import (
     CommandRefusedError,
     ControllerStatus,
@@ -21,6 +22,7 @@ import numpy as np
 import pytest
 from rclpy.executors import SingleThreadedExecutor
 from ros_graph import get_parameter, obedient_graph, own_domain, PATIENCE, wait_for
+from std_msgs.msg import Header
 
 pytestmark = pytest.mark.ros
 
@@ -206,7 +208,7 @@ def samples_of(stand_in):
     def publish(stamp):
         for topic, publisher in publishers.items():
             publisher.publish(
-                messages.pose_message(stamp, [0.0, 0.5, 0.5], [0.0, 0.0, 0.0, 1.0], 'world')
+                PoseStamped(header=Header(stamp=messages.ns_to_stamp(stamp)))
                 if topic in (topics.POSE, topics.POSE_DESIRED)
                 else messages.joint_state_message(stamp, ['table'], effort=[0.0]))
 

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
-
 from geometry_msgs.msg import Point
-from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import ControllerConfig
-from multicontact_control.dynamics.rotations import Pose
+from multicontact_control.control.controller import ControlOutput
 from multicontact_control.nodes import messages, topics
 import numpy as np
 from rclpy.duration import Duration
@@ -48,17 +44,11 @@ class ContactMarkers:
         """Return whether the sample `tick` is one to show."""
         return tick % self._every == 0
 
-    def message(
-        self, stamp: int, pose: Pose, forces: Sequence[Vector], active: Any,
-        normals_world: Matrix,
-    ) -> MarkerArray:
-        """
-        Return the arrows of a sample at a time [ns]; the next call changes them.
-
-        `forces` are measured, estimated and desired [N], `active` those that are controlled.
-        """
-        normals = normals_world[self._leaders]
+    def message(self, stamp: int, output: ControlOutput) -> MarkerArray:
+        """Return the arrows of a sample at a time [ns]; the next call changes them."""
+        normals, pose = output.contacts['normal'][self._leaders], output.pose
         feet = pose.position_world + self._points_operational @ pose.rotation_world.T
+        forces = output.alpha_meas, output.alpha_est, output.alpha_des
         alpha = np.array(forces)[:, self._leaders, None]
         # Beside each other in the surface: up, or along world -y where it is about level.
         axes = np.where(np.abs(normals[:, 2:]) >= 0.8, (0.0, -1.0, 0.0), (0.0, 0.0, 1.0))
@@ -75,8 +65,8 @@ class ContactMarkers:
             arrow.action = Marker.ADD if force > SMALLEST_FORCE else Marker.DELETE
             for point, values in zip(arrow.points, points):
                 point.x, point.y, point.z = values
-        for arrow, leader in zip(self._arrows, self._leaders):
-            arrow.color = CONTROLLED if active[leader] else FELT
+        for arrow, active in zip(self._arrows, output.active[self._leaders]):
+            arrow.color = CONTROLLED if active else FELT
         return MarkerArray(markers=self._arrows)
 
 

@@ -11,12 +11,7 @@ from typing import Any
 
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
-from multicontact_control.errors import (
-    ContactGeometryError,
-    MessageError,
-    MulticontactError,
-    SingularTaskError,
-)
+from multicontact_control.errors import MessageError, MulticontactError
 from multicontact_control.loop import ControlLoop
 from multicontact_control.nodes import qos, streams, topics
 from multicontact_control.nodes.controller_config import ControllerNodeConfig, SAFE_TIME
@@ -168,7 +163,7 @@ class ControllerNode(ManagedNode):
             self._command = None
             try:
                 torque = loop.step(inputs)
-            except (SingularTaskError, ContactGeometryError) as error:
+            except MulticontactError as error:
                 self.get_logger().error(  # only bare: a supervisor would have answered
                     f'{error}; going over to the safe behaviour, until activated anew')
                 torque = loop.stop()

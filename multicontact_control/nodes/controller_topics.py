@@ -6,6 +6,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+from geometry_msgs.msg import PoseStamped
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.control.controller import ControlOutput
@@ -21,7 +22,7 @@ from multicontact_control.nodes.status import identifier_of
 from multicontact_control.nodes.streams import JOINT_FIELDS, StreamPublisher
 import numpy as np
 from rclpy.node import Node
-from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Float64MultiArray, Header
 from std_srvs.srv import SetBool, Trigger
 
 # What is published of a tick: the fields of a message per contact, or none for a pose, and its
@@ -72,8 +73,9 @@ class ControllerOutputs:
         self._shown: list[tuple[StreamPublisher, Numbers]] = []
         for topic, (fields, numbers) in SHOWN.items():
             values: Any = dict.fromkeys(fields, zeros)
-            publisher = StreamPublisher(node, topic, build(0, contacts, **values) if fields else (
-                messages.pose_message(0, np.zeros(3), np.zeros(4), topics.WORLD_FRAME)))
+            publisher = StreamPublisher(node, topic, build(
+                0, contacts, **values) if fields else PoseStamped(
+                    header=Header(frame_id=topics.WORLD_FRAME)))
             if config.force.stiffness == 'adaptive' or topic not in OF_STIFFNESS:
                 self._shown.append((publisher, numbers))
         self._markers_publisher = create_publisher(node, topics.CONTACT_MARKERS)
@@ -84,9 +86,7 @@ class ControllerOutputs:
         for publisher, numbers in self._shown:
             publisher.send(stamp, *numbers(output))
         if self._markers.due(tick):
-            self._markers_publisher.publish(self._markers.message(
-                stamp, output.pose, (output.alpha_meas, output.alpha_est, output.alpha_des),
-                output.active, output.contacts['normal']))
+            self._markers_publisher.publish(self._markers.message(stamp, output))
 
 
 # The services of the controller's node: class, and content for the reference.

@@ -13,7 +13,7 @@ import math
 from typing import Any
 
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import PoseStamped, Transform, Twist, WrenchStamped
+from geometry_msgs.msg import Transform, Twist, WrenchStamped
 from multicontact_control.arrays import Vector
 from multicontact_control.control.tasks import MotionReading
 from multicontact_control.errors import counted, MessageError
@@ -123,16 +123,6 @@ def wrench_message(stamp: int, wrench: ArrayLike, frame_id: str) -> WrenchStampe
     """Build a wrench, force first."""
     message = WrenchStamped(header=Header(stamp=ns_to_stamp(stamp), frame_id=frame_id))
     _fill(wrench, 'wrench', 'xyz', message.wrench.force, message.wrench.torque)
-    return message
-
-
-def pose_message(
-    stamp: int, position_world: ArrayLike, quaternion_xyzw: ArrayLike, frame_id: str,
-) -> PoseStamped:
-    """Build a pose."""
-    message = PoseStamped(header=Header(stamp=ns_to_stamp(stamp), frame_id=frame_id))
-    _fill(position_world, 'position', 'xyz', message.pose.position)
-    _fill(quaternion_xyzw, 'orientation', 'xyzw', message.pose.orientation)
     return message
 
 

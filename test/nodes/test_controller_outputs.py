@@ -4,6 +4,7 @@ from arms import controller_config
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import MessageError
 from multicontact_control.nodes.contact_markers import ContactMarkers
+from multicontact_control.supervision.report import no_answer
 import numpy as np
 import pytest
 from visualization_msgs.msg import Marker
@@ -19,8 +20,14 @@ def as_array(point):
     return np.array([point.x, point.y, point.z])
 
 
-def arrows_of(*sample):
-    return ContactMarkers(CONFIG).message(*sample)
+def arrows_of(stamp, pose, forces, active, normals, markers=None):
+    output = no_answer(6, len(normals))
+    for array, values in zip(
+            (output.alpha_meas, output.alpha_est, output.alpha_des, output.active,
+             output.contacts['normal'], output.pose.position_world, output.pose.rotation_world),
+            (*forces, active, normals, *pose)):
+        array[:] = values
+    return (markers or ContactMarkers(CONFIG)).message(stamp, output)
 
 
 def test_arrows_end_at_the_tips_and_are_as_long_as_their_force():
@@ -61,7 +68,7 @@ def test_arrows_of_a_sample_owe_nothing_to_those_before():
             (STAMP + 40_000_000, Pose(np.array([0.1, 0.2, 0.3]), QUARTER_TURN),
              [np.array([0.0, -3.0]), np.array([5.0, 6.0]), np.zeros(2)], [False, True], -NORMALS),
             (0, ORIGIN, [np.ones(2)] * 3, [False, False], NORMALS)):
-        found = same.message(*sample)
+        found = arrows_of(*sample, same)
         assert found == arrows_of(*sample)
         assert {(marker.header.stamp.sec, marker.header.stamp.nanosec)
                 for marker in found.markers} == {divmod(sample[0], 10 ** 9)}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from geometry_msgs.msg import Transform, Twist, WrenchStamped
+from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion, Transform, Twist, WrenchStamped
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from multicontact_control.errors import MessageError
@@ -202,8 +202,10 @@ def test_template_writes_what_rclpy_reads(stamp, frame, numbers):
 def test_template_writes_poses_wrenches_and_clocks():
     numbers = np.random.default_rng(0).standard_normal(7)
     for message, expected, runs in (
-            (messages.pose_message(0, np.zeros(3), np.zeros(4), 'world'),
-             messages.pose_message(STAMP, numbers[:3], numbers[3:], 'world'), (numbers,)),
+            (PoseStamped(), PoseStamped(
+                header=Header(stamp=messages.ns_to_stamp(STAMP)), pose=Pose(
+                    position=Point(**dict(zip('xyz', numbers))),
+                    orientation=Quaternion(**dict(zip('xyzw', numbers[3:]))))), (numbers,)),
             (messages.wrench_message(0, np.zeros(6), 'ft_face'),
              messages.wrench_message(STAMP, numbers[:6], 'ft_face'), (numbers[:6],)),
             (Clock(), Clock(clock=messages.ns_to_stamp(STAMP)), ())):
@@ -276,8 +278,7 @@ def test_read_motion_refuses_by_field(spoiled, field):
     (lambda x: messages.joint_state_message(STAMP, NAMES, effort=[0.0, x, 0.0]), 'effort'),
     (lambda x: messages.joint_state_message(STAMP, NAMES, effort=[1.0, 2.0]), 'effort'),
     (lambda x: messages.wrench_message(STAMP, [0.0, 0.0, x, 0.0, 0.0, 0.0], ''), 'wrench'),
-    (lambda x: messages.pose_message(STAMP, [x, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0], ''), 'position'),
-    (lambda x: messages.pose_message(STAMP, np.zeros(3), [x, 0.0, 0.0, 1.0], ''), 'orientation')])
+    (lambda x: messages.motion_message([x] * 3, [0.0] * 4, [0.0] * 6, [0.0] * 6), 'translation')])
 def test_building_refuses_numbers_that_are_not_finite_and_a_wrong_count(build, field):
     for value in (NAN, INF, -INF):
         with pytest.raises(MessageError, match=f'^{field}: expected'):
