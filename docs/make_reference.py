@@ -238,7 +238,7 @@ def graph() -> str:
         'a refusal. Controller and noise estimator also have those of every life-cycle node '
         '(`~/change_state`, `~/get_state`), and every node but the recorder those of parameters.',
         table(['service', 'type', 'what it does'], [
-            [f'`~/{name}`', topics.type_name(kind), _text(content)]
+            [f'`~/{name}`', f'{kind.__module__.split(".")[0]}/srv/{kind.__name__}', _text(content)]
             for name, (kind, content) in SERVICES.items()]),
         '## Quality of service',
         'History is `KEEP_LAST` throughout. An end that cannot be served is logged with its '

@@ -56,7 +56,7 @@ class ControllerNode(ManagedNode):
             feels=config.wrench_input != 'momentum', patience=node_config.patience,
             pair_tolerance=node_config.pair_tolerance)
         wrench = topics.WRENCHES.get(config.wrench_input)
-        self._inputs: dict[topics.Topic, tuple[streams.MessageReader[Any], Any]] = {
+        self._inputs: dict[topics.Topic, tuple[streams.MessageReader, Any]] = {
             topics.NOISE_VARIANCE: (streams.variance_reader(config.column_names),
                                     lambda found: timing.add_variance(*found)),
             topics.JOINT_STATES: (streams.named_reader(  # robots need not measure all of them

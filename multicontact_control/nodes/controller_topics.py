@@ -125,12 +125,6 @@ def serve_commands(
         response.message, response.success = str(found), not isinstance(found, MulticontactError)
         return response
 
-    def forces(message: Any) -> None:
-        loop.set_forces(*messages.read_force_command(message, loop.config.column_names))
-
-    def motion(message: Any) -> None:
-        loop.set_motion(messages.read_motion(message))
-
     def tare(_request: Any) -> str:
         bias = loop.tare(settings().tare).tolist()
         node.parameter_set.assign('tool.bias_sensor', bias)
@@ -140,13 +134,16 @@ def serve_commands(
         loop.hold(request.data)
         return 'held' if request.data else 'released'
 
-    def push_test(_request: Any) -> str:
-        return loop.push_test(settings().push_test, settings().push_point_sensor)
-
-    for topic, command in ((topics.FORCE_COMMAND, forces), (topics.MOTION_COMMAND, motion)):
+    commands: dict[topics.Topic, Callable[[Any], Any]] = {
+        topics.FORCE_COMMAND: lambda message: loop.set_forces(
+            *messages.read_force_command(message, loop.config.column_names)),
+        topics.MOTION_COMMAND: lambda message: loop.set_motion(messages.read_motion(message))}
+    for topic, command in commands.items():
         node.create_subscription(
             topic.message, topic.name, lambda message, source=topic.name, work=command: obey(
-                source, work, message, identifier_of(message)), qos.COMMAND)
-    works = {'tare': tare, 'hold': hold, 'retry': lambda _: loop.retry(), 'push_test': push_test}
+                source, work, message, identifier_of(message)), qos.EVENT)
+    works: dict[str, Callable[[Any], Any]] = {
+        'tare': tare, 'hold': hold, 'retry': lambda _: loop.retry(),
+        'push_test': lambda _: loop.push_test(settings().push_test, settings().push_point_sensor)}
     for name, (kind, _) in SERVICES.items():
         node.create_service(kind, f'~/{name}', partial(serve, f'~/{name}', works[name]))

@@ -176,7 +176,7 @@ class ControllerLink(GuestNode):
             topic: self.node.create_subscription(
                 topic.message, topic.name,
                 lambda message, kept=kept: kept.append(message),  # while a service is waited for
-                qos.QUEUE if kept.maxlen is None
+                qos.STREAM if kept.maxlen is None
                 else qos.LATCHED if topic.profile == qos.LATCHED else qos.GLANCE)
             for topic, kept in self._kept.items()}
         self._publishers = {topic: create_publisher(self.node, topic)

@@ -41,7 +41,7 @@ class NoiseEstimatorNode(ManagedNode):
         self._watch = LoopStatistics(self._config.rate)
         self._publisher = streams.StreamPublisher(self, topics.NOISE_VARIANCE, (
             messages.joint_state_message(0, names, effort=np.zeros(len(names)))))
-        self._readers: dict[topics.Topic, streams.MessageReader[Any]] = {
+        self._readers: dict[topics.Topic, streams.MessageReader] = {
             topics.MEASURED_FORCES: streams.named_reader(names, ('effort',), streams.NamedReading)}
         if self._estimator.uses_innovation:
             self._readers[topics.INNOVATION] = streams.named_reader(

@@ -133,14 +133,13 @@ class ParameterSet:
             name: value for name, value in present.items() if value is not None}})
         known = sorted(key for model in self._models for key in model.model_fields)
 
-        def configuration(model: type[Config]) -> Config:
-            return validate(model, {x: values[x] for x in model.model_fields if x in values})
-
         def refuse(key: str) -> None:
             raise ConfigError(key, f'a known parameter ({", ".join(known)})', f"unknown '{key}'")
 
-        return check_all(*(partial(refuse, key) for key in values if key not in known),
-                         *(partial(configuration, model) for model in self._models))
+        return check_all(
+            *(partial(refuse, key) for key in values if key not in known),
+            *(partial(validate, model, {x: values[x] for x in model.model_fields if x in values})
+              for model in self._models))
 
     def value(self, name: str) -> Any:
         """Return the present value of a parameter, None if it has none."""

@@ -19,7 +19,8 @@ def profile(depth: int, *, reliable: bool = True, latched: bool = False) -> QoSP
 
 
 STREAM = profile(5000)
-"""Publishers at the control rate, and the recorder: 10 s at 500 Hz, for a busy machine."""
+"""Publishers at the control rate, and who may lose nothing however late it looks: the recorder
+(10 s at 500 Hz), and a client of what a controller tells it now and then."""
 
 INPUT = profile(10)
 """Readers at the control rate: 20 ms at 500 Hz; what is older than that is of no use to them."""
@@ -28,17 +29,8 @@ SENSOR = profile(4, reliable=False)
 """The controller's inputs in real time, which drivers often publish best effort: a reader that was
 late goes on with the newest. In lockstep, where a loss would stop everything, they are INPUT."""
 
-COMMAND = profile(10)
-"""What a user sends now and then: no command may be lost, nor an old one be replayed."""
-
-QUEUE = profile(1000)
-"""A client, of what a controller tells it now and then: it may not look for minutes."""
-
-REPORT = profile(10)
-"""Diagnostics: one a second and node; a viewer that is late wants the last few of each."""
-
-RECORDING_LATCHED = profile(10, latched=True)
-"""The recorder, of descriptions: also what was said before it came."""
+EVENT = profile(10)
+"""What is sent now and then, as commands and diagnostics: none may be lost, nor replayed later."""
 
 DISPLAY = profile(25)
 """For viewers: 1 s at 25 Hz, reliable so that the recording has them all."""

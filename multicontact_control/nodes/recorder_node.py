@@ -7,6 +7,7 @@ is killed leaves a bag that `report` and `view` read up to half a second before 
 
 from __future__ import annotations
 
+from collections import Counter
 import contextlib
 from dataclasses import dataclass
 from importlib import import_module
@@ -49,31 +50,32 @@ class RecorderConfig(graph.StartupConfig):
 
 @dataclass
 class _Stream:
-    """One topic being recorded, and how many messages since the first one have not come."""
+    """One topic being recorded."""
 
     topic: Topic
+    connection: interfaces.Connection
     subscription: Subscription
     last_number: int = 0  # of a message in its stream
-    lost: int = 0
 
 
-class Bag:
+class Bag(Writer):
     """One recording, in a folder to create; RunError if it exists, or cannot be written to."""
 
     def __init__(self, folder: Path) -> None:
         self._types = get_typestore(Stores.ROS2_JAZZY)
-        self._connections: dict[str, interfaces.Connection] = {}
         try:
-            self._writer = Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP)
-            self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
-            self._writer.open()
+            super().__init__(folder, version=9, storage_plugin=StoragePlugin.MCAP)
+            self.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+            self.open()
         except WriterError:
             raise RunError(f'{folder}: expected a folder that does not exist yet') from None
         except OSError as error:
             raise RunError(f'{folder}: {error.strerror}') from None
 
-    def add_topic(self, name: str, type_name: str, profile: QoSProfile) -> None:
-        """Announce a topic; RunError if the definition of its type is not known."""
+    def add_topic(
+        self, name: str, type_name: str, profile: QoSProfile,
+    ) -> interfaces.Connection:
+        """Return what messages of a topic are written to; RunError if its type is not known."""
         if type_name not in self._types.fielddefs:
             raise RunError(f'{type_name}: expected a message type of ROS 2 Jazzy')
         offered = interfaces.Qos(
@@ -81,27 +83,15 @@ class Bag:
             interfaces.QosReliability(profile.reliability),
             interfaces.QosDurability(profile.durability), INFINITE, INFINITE,
             interfaces.QosLiveliness(profile.liveliness), INFINITE, False)
-        self._connections[name] = self._writer.add_connection(
+        return self.add_connection(
             name, type_name, typestore=self._types, offered_qos_profiles=[offered])
-
-    def write(self, topic: str, data: bytes, time: int) -> None:
-        """Write a message as CDR with its encapsulation header; `time` in ns since the epoch."""
-        self._writer.write(self._connections[topic], time, data)
 
     def flush(self) -> None:
         """Hand all messages to the operating system: a process that is killed then loses none."""
-        storage: Any = self._writer.storage
+        storage: Any = self.storage
         if storage.chunk.msgs:
             storage.close_chunk()
             storage.bio.flush()
-
-    def counts(self) -> dict[str, int]:
-        """Return the number of messages by topic."""
-        return {name: self._writer.counts[x.id] for name, x in self._connections.items()}
-
-    def close(self) -> None:
-        """Complete the file and write metadata.yaml."""
-        self._writer.close()
 
 
 class RecorderNode(Node):
@@ -113,14 +103,16 @@ class RecorderNode(Node):
         self._config: RecorderConfig = load_parameters(self, RecorderConfig)[0]
         chosen = self._chosen_topics()  # before a folder is made
         self._bag = Bag(Path(self._config.folder))
-        self._streams: dict[str, _Stream] = {}
+        self._streams = []
         for topic in chosen:
-            name = self.resolve_topic_name(topic.name)
-            self._bag.add_topic(name, topic.type_name, topic.profile)
             latched = topic.profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
-            self._streams[name] = _Stream(topic, self.create_subscription(
-                topic.message, topic.name, graph.ignore,
-                qos.RECORDING_LATCHED if latched else qos.STREAM, raw=True))
+            self._streams.append(_Stream(
+                topic, self._bag.add_topic(
+                    self.resolve_topic_name(topic.name), topic.type_name, topic.profile),
+                self.create_subscription(
+                    topic.message, topic.name, graph.ignore,
+                    qos.profile(qos.STREAM.depth, latched=latched), raw=True)))
+        self._lost: Counter[str] = Counter()  # messages by topic, since the first of each
         self._next_flush = 0.0
         self._diagnostics = Diagnostics(self, self._statuses)
         self._gate = graph.StartupGate(self, self._config)
@@ -164,18 +156,18 @@ class RecorderNode(Node):
     def _drain(self) -> bool:
         """Write what has arrived, in the order of publication; return whether anything has."""
         arrived = []
-        for name, stream in self._streams.items():
+        for stream in self._streams:
             while (taken := graph.take(stream.subscription)) is not None:
                 data, info = taken
                 sent = info['source_timestamp'] or info['received_timestamp'] or time.time_ns()
-                arrived.append((sent, name, data))
+                arrived.append((sent, stream.connection, data))
                 number, last = info['publication_sequence_number'], stream.last_number
                 stream.last_number = number
                 if stream.topic.rate == 'control' and 0 < last < number - 1 and (
                         stream.subscription.get_publisher_count() < 2):  # it counts its own
-                    stream.lost += number - last - 1
-        for sent, name, data in sorted(arrived, key=itemgetter(0)):
-            self._bag.write(name, data, sent)
+                    self._lost[stream.connection.topic] += number - last - 1
+        for sent, connection, data in sorted(arrived, key=itemgetter(0)):
+            self._bag.write(connection, sent, data)
         if time.monotonic() >= self._next_flush:
             self._bag.flush()
             self._next_flush = time.monotonic() + FLUSH_PERIOD
@@ -183,8 +175,8 @@ class RecorderNode(Node):
 
     def _meet_publishers(self) -> None:
         """Ask for no more than is given where one of a topic's publishers gives less."""
-        for name, stream in self._streams.items():
-            asked = stream.subscription.qos_profile
+        for stream in self._streams:
+            name, asked = stream.connection.topic, stream.subscription.qos_profile
             if not all(graph.compatible(x.qos_profile, asked)
                        for x in self.get_publishers_info_by_topic(name)):
                 self._drain()
@@ -197,23 +189,19 @@ class RecorderNode(Node):
     def close(self) -> None:
         """Close the bag, and write the counts of this run, if asked to."""
         self._bag.close()
-        counts, lost = self._bag.counts(), self._lost()
+        counts = {x.topic: self._bag.counts[x.id] for x in self._bag.connections}
         self._config.write_counts({
-            'messages': sum(counts.values()), 'counts': counts, 'lost': sum(lost.values()),
-            'lost_by_topic': lost})
-
-    def _lost(self) -> dict[str, int]:
-        return {name: x.lost for name, x in self._streams.items() if x.lost}
+            'messages': sum(counts.values()), 'counts': counts, 'lost': self._lost.total(),
+            'lost_by_topic': self._lost})
 
     def _statuses(self) -> list[Status]:
         if self._gate.open:  # which looks at the ends that there are now
             self._meet_publishers()
-        lost = self._lost()
-        warning = f'messages lost on {", ".join(lost)}' if lost else ''
+        warning = f'messages lost on {", ".join(self._lost)}' if self._lost else ''
         return [
-            Status('loop', {'messages': sum(self._bag.counts().values())}),
-            Status('messages', {'dropped': sum(lost.values()), **{
-                f'dropped {name}': number for name, number in lost.items()}}, warning)]
+            Status('loop', {'messages': sum(self._bag.counts.values())}),
+            Status('messages', {'dropped': self._lost.total(), **{
+                f'dropped {name}': number for name, number in self._lost.items()}}, warning)]
 
 
 def main() -> int:

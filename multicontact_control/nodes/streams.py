@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 import math
 import struct
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 from geometry_msgs.msg import WrenchStamped
 from multicontact_control.arrays import Vector
@@ -28,8 +28,6 @@ from sensor_msgs.msg import JointState
 HEADER = 4  # bytes of the encapsulation: representation, options
 STAMP = struct.Struct('<iI')
 JOINT_FIELDS = ('position', 'velocity', 'effort')
-
-Reading = TypeVar('Reading')
 
 
 class NamedReading(NamedTuple):
@@ -103,7 +101,7 @@ def _lay_out(message: Any) -> tuple[struct.Struct, list[tuple[int, int]]]:
     return struct.Struct(text), runs
 
 
-class MessageReader(Generic[Reading]):
+class MessageReader:
     """
     Reads the messages of one topic from their bytes.
 
@@ -116,7 +114,7 @@ class MessageReader(Generic[Reading]):
 
     def __init__(
         self, class_: Any, fields: Sequence[str],
-        arrange: Callable[[Any, list[slice]], Sequence[Any]], make: Callable[..., Reading],
+        arrange: Callable[[Any, list[slice]], Sequence[Any]], make: Callable[..., Any],
         optional: Sequence[str] = (),
     ) -> None:
         self._class, self._fields, self._optional = class_, fields, optional
@@ -125,7 +123,7 @@ class MessageReader(Generic[Reading]):
         self._places: Sequence[Any] = ()
         self.slow = 0
 
-    def read(self, data: bytes) -> Reading:
+    def read(self, data: bytes) -> Any:
         """Return the reading in a message; MessageError if it is none, or cannot be used."""
         known = self._template
         if known is None or len(data) < known.constants.size or (
@@ -159,9 +157,9 @@ class MessageReader(Generic[Reading]):
 
 
 def named_reader(
-    names: Sequence[str], fields: Sequence[str], make: Callable[..., Reading],
+    names: Sequence[str], fields: Sequence[str], make: Callable[..., Any],
     optional: Sequence[str] = (),
-) -> MessageReader[Reading]:
+) -> MessageReader:
     """Return a reader of these fields of a JointState, by name, in the order of `names`."""
     def arrange(message: JointState, runs: list[slice]) -> Sequence[Any]:
         found = list(message.name)
@@ -180,7 +178,7 @@ def named_reader(
     return MessageReader(JointState, fields, arrange, make, optional)
 
 
-def variance_reader(names: Sequence[str]) -> MessageReader[NamedReading]:
+def variance_reader(names: Sequence[str]) -> MessageReader:
     """Return a reader of one variance above 0 per name [N^2]."""
     def make(stamp: int, values: Vector) -> NamedReading:
         if min(values.tolist()) <= 0.0:
@@ -190,7 +188,7 @@ def variance_reader(names: Sequence[str]) -> MessageReader[NamedReading]:
     return named_reader(names, ('effort',), make)
 
 
-def wrench_reader(frame: str = '') -> MessageReader[WrenchInput]:
+def wrench_reader(frame: str = '') -> MessageReader:
     """Return a reader of wrenches, force first, in a frame or in none; empty for any."""
     def arrange(message: WrenchStamped, runs: list[slice]) -> Sequence[Any]:
         found = message.header.frame_id.lstrip('/')

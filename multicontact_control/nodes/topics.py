@@ -44,7 +44,7 @@ class Topic:
     @property
     def type_name(self) -> str:
         """Return the type as ROS tools write it, e.g. ``sensor_msgs/msg/JointState``."""
-        return type_name(self.message)
+        return '/'.join([*self.message.__module__.split('.')[:2], self.message.__name__])
 
 
 JOINT_STATES = Topic(
@@ -94,17 +94,17 @@ NOISE_VARIANCE = Topic(
     'contact_forces/noise_variance', JointState, ESTIMATOR, (CONTROLLER, RECORDER),
     content='effort = R per contact [N²]; the stamp is that of its newest sample.')
 FORCE_COMMAND = Topic(
-    'contact_forces/command', JointState, USER, (RECORDER,), qos.COMMAND, 'event',
+    'contact_forces/command', JointState, USER, (RECORDER,), qos.EVENT, 'event',
     'name, and effort = desired force per contact, or couple [N]; or position = centre of '
     'pressure for each couple [m]. What is not named stays as it is; a force of 0 lets go. '
     'header.frame_id = identifier that `~/status` answers with, empty for none.')
 MOTION_COMMAND = Topic(
-    'motion/command', MultiDOFJointTrajectoryPoint, USER, (RECORDER,), qos.COMMAND, 'event',
+    'motion/command', MultiDOFJointTrajectoryPoint, USER, (RECORDER,), qos.EVENT, 'event',
     'One transform: pose of the operational point in world axes, with a quaternion of unit '
     'length. Its twist and acceleration may be left empty: 0. time_from_start.sec = a number as '
     'identifier, 0 for none.')
 STATUS = Topic(
-    f'{CONTROLLER}/status', DiagnosticStatus, CONTROLLER, (RECORDER,), qos.COMMAND, 'event',
+    f'{CONTROLLER}/status', DiagnosticStatus, CONTROLLER, (RECORDER,), qos.EVENT, 'event',
     '`~/status` of the controller: whether each command with an identifier is accepted, why one '
     'is refused, each change of its state and of the forces that it obeys.')
 ROBOT_DESCRIPTION = Topic(
@@ -119,7 +119,7 @@ SURFACE_MARKERS = Topic(
     'What can be touched, as only the simulator knows it, also for who comes late; 25 Hz if it '
     'moves.')
 DIAGNOSTICS = Topic(
-    'diagnostics', DiagnosticArray, EVERY_NODE, (RECORDER,), qos.REPORT, 'event',
+    'diagnostics', DiagnosticArray, EVERY_NODE, (RECORDER,), qos.EVENT, 'event',
     'Once a second: rates, jitter, misses, latency, ages of inputs, refusals; of the controller '
     'also reaction and causes, contact states, energies and sensor.')
 CLOCK = Topic(
@@ -127,8 +127,3 @@ CLOCK = Topic(
     'Time of the newest sample.')
 
 TOPICS = tuple(topic for topic in globals().values() if isinstance(topic, Topic))
-
-
-def type_name(kind: Any) -> str:
-    """Return the type of a message or service class as ROS tools write it."""
-    return '/'.join([*kind.__module__.split('.')[:2], kind.__name__])

@@ -39,7 +39,7 @@ def graph(domain_id, tmp_path_factory):
             for publisher in (arm.force_command, arm.motion_command):
                 wait_for(publisher.get_subscription_count, 'commands connected')
             arm.statuses = middleware.node.create_subscription(
-                topics.STATUS.message, topics.STATUS.name, ignore, qos.QUEUE)
+                topics.STATUS.message, topics.STATUS.name, ignore, qos.STREAM)
             wait_for(lambda: take(arm.statuses), 'a status')
             settle(arm)
             yield arm, driver
