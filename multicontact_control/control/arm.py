@@ -115,10 +115,13 @@ def observe_momentum(control: Any, joints: Any, mass_matrix: Matrix, jacobian: M
                     if evidence.moved < LEARNING_TIME:
                         least = max(least, UNPROVEN_THRESHOLD)
                     # Of what touches the arm, which grows, the deviation is near the mean.
-                    deviation = np.sqrt(
+                    learnt = evidence.friction - np.sqrt(
                         max(evidence.mean_square - evidence.friction ** 2, 0.0))
-                    joint.threshold = least + max(joint.allowance, min(
-                        evidence.friction - deviation, joint.learnt_limit))
+                    if learnt > joint.learnt_limit:
+                        learnt = joint.learnt_limit
+                    # No number, as after an impossible effort, is no friction.
+                    joint.threshold = least + (
+                        learnt if learnt > joint.allowance else joint.allowance)
             limit = joint.threshold + joint.slack
             touched = touched or abs(joint.residual) > factor * limit
         momentum.collided = touched

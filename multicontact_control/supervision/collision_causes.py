@@ -27,6 +27,7 @@ FOLLOWED = (
     '(robot.sensor_frame), and the scale of the effort')
 
 
+@np.errstate(all='ignore')  # of impossible efforts
 def explain_collision(joints: Any, momentum: Any, names: Sequence[str]) -> str:
     """
     Return what speaks for the cause of a collision, and what to check.
