@@ -71,9 +71,7 @@ def solve_cholesky(L: Matrix, x: Vector) -> None:
 def gram(X: Matrix, G: Matrix) -> None:
     """Fill G, shape (m, m), with X^T X, X of shape (n, m)."""
     rows, columns = X.shape
-    for i in range(columns):
-        for j in range(columns):
-            G[i, j] = 0.0
+    G[:] = 0.0
     for k in range(rows):
         for i in range(columns):
             factor = X[k, i]
@@ -94,8 +92,7 @@ def multiply(A: Matrix, x: Vector, y: Vector) -> None:
 @compiled
 def multiply_transposed(A: Matrix, x: Vector, y: Vector) -> None:
     """Fill y, shape (n,), with A^T x."""
-    for j in range(A.shape[1]):
-        y[j] = 0.0
+    y[:] = 0.0
     for i in range(A.shape[0]):
         for j in range(A.shape[1]):
             y[j] += A[i, j] * x[i]

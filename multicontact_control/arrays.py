@@ -12,4 +12,4 @@ Mask = NDArray[np.bool_]
 def require_shape(name: str, array: NDArray[np.generic], expected: tuple[int, ...]) -> None:
     """Raise a ShapeError with the name of an array that has another shape."""
     if array.shape != expected:
-        raise ShapeError(name, expected, array.shape)
+        raise ShapeError(name, f'shape {expected}', array.shape)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-import math
 import time
 
 from geometry_msgs.msg import PoseStamped
@@ -159,7 +158,7 @@ class MultiContactClient(ControllerLink):
             If a number is not finite, or the duration is not above 0.
 
         """
-        if not 0.0 < duration < math.inf:
+        if not 0.0 < duration < np.inf:
             raise messages.MessageError('duration', 'above 0 s', f'{duration:g} s')
         goal = messages.finite_array(position_world, 3, 'position_world')
         # All that takes time comes first: the motion runs from the sample that it starts at.

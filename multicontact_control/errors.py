@@ -35,30 +35,23 @@ class MessageError(FieldError):
 class ConfigError(FieldError):
     """One or several values in a configuration are not acceptable: a line for each."""
 
-    _all: tuple[ConfigError, ...] = ()
-
-    @property
-    def errors(self) -> tuple[ConfigError, ...]:
-        """Return the errors, one per value."""
-        return self._all or (self,)
+    def __init__(self, field: str, expected: str, found: object, source: str = '') -> None:
+        super().__init__(field, expected, found, source)
+        self.errors: tuple[ConfigError, ...] = (self,)  # one per value
 
     @classmethod
     def of(cls, errors: Iterable[ConfigError], source: str = '') -> ConfigError:
         """Return one error of one or more, each once, with the first field, of a file `source`."""
         each = [cls(x.field, x.expected, x.found, source or x.source)
                 for error in errors for x in error.errors]
-        first, *others = {str(error): error for error in each}.values()
-        if others:
-            first._all = (cls(first.field, first.expected, first.found, first.source), *others)
-            first.args = ('\n'.join(map(str, first._all)),)
-        return first
+        lines = {str(error): error for error in each}
+        whole = cls(each[0].field, each[0].expected, each[0].found, each[0].source)
+        whole.errors, whole.args = (*lines.values(),), ('\n'.join(lines),)
+        return whole
 
 
-class ShapeError(MulticontactError):
+class ShapeError(FieldError):
     """An array does not have the shape its function documents."""
-
-    def __init__(self, name: str, expected: object, found: object) -> None:
-        super().__init__(f'{name}: expected shape {expected}, found {found}')
 
 
 class SingularTaskError(MulticontactError):

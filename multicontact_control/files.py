@@ -26,14 +26,9 @@ def write_text(path: Path, text: str) -> None:
         partial.write_text(text, encoding='utf-8')
 
 
-def json_text(content: Any) -> str:
-    """Return JSON values as text; ValueError for a number that is not finite."""
-    return json.dumps(content, indent=2, allow_nan=False) + '\n'
-
-
 def write_json(path: Path, content: Any) -> None:
-    """Replace a file by JSON values, see `json_text`."""
-    write_text(path, json_text(content))
+    """Replace a file by JSON values; ValueError for a number that is not finite."""
+    write_text(path, json.dumps(content, indent=2, allow_nan=False) + '\n')
 
 
 def read_json(path: Path) -> Any:

@@ -66,8 +66,6 @@ def claim_processor(
 
 def describe_claim() -> str:
     """Return scheduler and processors of this thread, and whether its memory is locked."""
-    if not hasattr(os, 'sched_getscheduler'):
-        return 'normal priority'
     fifo = os.sched_getscheduler(0) == os.SCHED_FIFO
     priority = f'SCHED_FIFO {os.sched_getparam(0).sched_priority}' if fifo else 'normal priority'
     cpus = ','.join(map(str, sorted(os.sched_getaffinity(0))))

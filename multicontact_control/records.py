@@ -21,8 +21,7 @@ LIMITS = 8  # points of the curve of what stiffness a force loop is stable up to
 
 # What is set for the control law and for taking the measured wrench apart; one.
 LAW = np.dtype([
-    ('k_p', F),  # position gain of the motion law [1/s^2]
-    ('k_v', F),  # velocity gain of the motion law [1/s]
+    ('k_p', F), ('k_v', F),  # position and velocity gain of the motion law [1/s^2], [1/s]
     ('K_2', F),  # damping of the force loops [1/s]
     ('friction_speed', F),  # v_0 of the joints' Coulomb friction [rad/s]
     ('nullspace_damping', F),  # d [1/s]
@@ -33,8 +32,7 @@ LAW = np.dtype([
     ('inertia_metric', B),  # whether motion is kept off the contacts in the metric of Lambda
     ('decoupled', B),  # whether the contact points are driven, or the coordinates along N_i
     ('separated', B),  # whether friction is expected or allowed for in the measured wrench
-    ('force_noise', F),  # of the wrist sensor, per axis [N]
-    ('torque_noise', F),  # the same [N m]
+    ('force_noise', F), ('torque_noise', F),  # of the wrist sensor, per axis [N], [N m]
 ], align=True)
 
 # What the residual of a joint has followed; its regressors, as in `REGRESSORS` of `control.arm`,
@@ -54,8 +52,7 @@ JOINT = np.dtype([
     ('velocity', F),  # [rad/s]
     ('inertia', F),  # diagonal element of M [kg m^2]
     ('bias_torque', F),  # element of C v + g [N m]
-    ('coulomb', F),  # Coulomb friction to compensate [N m]
-    ('viscous', F),  # viscous friction to compensate [N m s/rad]
+    ('coulomb', F), ('viscous', F),  # friction to compensate [N m], [N m s/rad]
     ('lower', F), ('upper', F),  # stops [rad]
     ('posture', F),  # q_0, where the null space takes it [rad]
     ('torque_limit', F),  # of the command [N m]
@@ -82,8 +79,7 @@ FRAME = np.dtype([
     ('twist', F, 6),  # theta = J v [m/s, rad/s]
     ('sensor_position', F, 3),  # [m]
     ('sensor_rotation', F, (3, 3)),  # axes of the sensor as columns
-    ('speed_limit', F),  # beyond which the operational point is too fast [m/s]
-    ('turn_limit', F),  # and the frame turns too fast [rad/s]
+    ('speed_limit', F), ('turn_limit', F),  # beyond which it is too fast [m/s], [rad/s]
 ], align=True)
 
 # What hangs on the wrist sensor; one.
@@ -124,8 +120,7 @@ FORCE_ANSWER = np.dtype([
     ('active', B),  # whether its force is controlled
     ('alpha_des', F),  # desired force [N]
     ('alpha_fed', F),  # force fed forward [N]
-    ('alpha_est', F),  # estimated force [N]
-    ('alpha_rate_est', F),  # its estimated rate [N/s]
+    ('alpha_est', F), ('alpha_rate_est', F),  # estimated force and its rate [N], [N/s]
     ('innovation', F),  # alpha_meas - C x_1, 0 where nothing was predicted [N]
     ('prior_variance', F),  # C P_1 C^T, 0 there as well [N^2]
     ('variance_used', F),  # R the observer worked with, 0 there as well [N^2]
@@ -161,8 +156,7 @@ CONTACT = np.dtype([
     ('surface_speed_est', F),  # what is added to the configured speed, estimated [m/s]
     ('friction', F, 3),  # found, world axes [N]
     ('stiffness', F),  # k of the model in use [N/m]
-    ('stiffness_est', F),  # k estimated on-line, 0 as long as nothing is known [N/m]
-    ('stiffness_std', F),  # its standard error [N/m]
+    ('stiffness_est', F), ('stiffness_std', F),  # estimate of k, 0 for none; its error [N/m]
     ('ratio_bound', F),  # largest likely true stiffness over that of the model in use
     ('margin', F),  # largest ratio at which the force loop is stable, over that one
     ('answer', FORCE_ANSWER),
@@ -170,8 +164,7 @@ CONTACT = np.dtype([
 
 # The active observer of one contact. The first `states` rows and columns of matrices are used.
 OBSERVER = np.dtype([
-    ('states', I),  # n
-    ('order', I),  # how many of them are active states
+    ('states', I), ('order', I),  # n, and how many of them are active states
     ('Phi_c', F, (MAX_STATES, MAX_STATES)),  # transition of the closed loop
     ('Phi_n', F, (MAX_STATES, MAX_STATES)),  # transition of the open loop
     ('Gamma', F, MAX_STATES),  # input vector
@@ -222,8 +215,7 @@ STIFFNESS = np.dtype([
     ('period', F),  # h [s]
     ('lowest', F), ('highest', F),  # k stays within [N/m]
     ('tool_mass', F),  # beyond the sensor [kg]
-    ('fastest_pole', F),  # 1 / tau [1/s]
-    ('pole_ratio', F),  # of the second pole to the first
+    ('fastest_pole', F), ('pole_ratio', F),  # 1 / tau [1/s], and of the second pole to it
     ('transition', F, 2),  # of the undelayed plant: of speed to force over k [s], and of speed
     ('ratio_limit', F, LIMITS),  # k over a model's at which the loop is stable, `lowest` on
     ('delay_gain', F, (MAX_STATES, 2)),  # E_j, what inputs under way add to the state, per k
@@ -266,8 +258,7 @@ CONTACT_STATE = np.dtype([
     ('wanted', B), ('commanded', B),  # whether the task asks for it, or has asked
     ('asked', F),  # force the task asks for [N]
     ('displacement', F),  # of the reference along the normal, relative to the task [m]
-    ('speed', F),  # of that displacement [m/s]
-    ('acceleration', F),  # of that displacement [m/s^2]
+    ('speed', F), ('acceleration', F),  # of that displacement [m/s], [m/s^2]
     ('force_limit', F),  # upper limit of the desired force [N]
     ('in_state', F),  # since when in this state [s]
     ('below', F),  # for how long less is felt than by one that holds; < 0 if thrown back [s]
@@ -292,8 +283,7 @@ TASK_LIMITS = np.dtype([
     ('offset', F, 3),  # of the reference from the task, after a pause [m]
     ('turned', F, 3),  # its rotation from the task's, world axes [rad]
     ('lead', F),  # k_v / k_p: an error of v k_v / k_p makes the motion law move at v [s]
-    ('reach', F),  # largest distance of the reference from the arm [m]
-    ('turn', F),  # largest angle between them [rad]
+    ('reach', F), ('turn', F),  # greatest way and angle of the reference from the arm [m], [rad]
     ('box', F, (2, 3)),  # lower and upper corner of the workspace [m]
 ], align=True)
 

@@ -1,5 +1,6 @@
 """Recordings by others: what they lack is reported, and a sensor alone makes no run stable."""
 
+import json
 import shutil
 
 import foreign_bag
@@ -28,7 +29,6 @@ from multicontact_control.experiment.display import summary_table, verdict_lines
 from multicontact_control.experiment.figures import draw_figures, interactive_figures, run_figures
 from multicontact_control.experiment.judge import verdict_text
 from multicontact_control.experiment.results import load
-from multicontact_control.files import json_text
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -48,7 +48,7 @@ def verdict_shown(run):
     summary_table(run.summary)
     verdict_lines(run.summary, 'here')
     interactive_figures(run.data, run.setup, 0)
-    json_text(run.summary)
+    json.dumps(run.summary, allow_nan=False)
     assert not run.summary['truth'] and run.summary['stable'] is not True
     return verdict_text(run.summary)
 

@@ -38,7 +38,7 @@ def test_inputs_know_what_never_came():
 
 
 @pytest.mark.parametrize('make', [
-    lambda k: ShapeError('q', (6,), (k,)), lambda k: RunError(f'x: expected 1, found {k}'),
+    lambda k: ShapeError('q', 'shape (6,)', (k,)), lambda k: RunError(f'x: expected 1, found {k}'),
     lambda k: MessageError('effort', 'finite numbers', [float(k)])])
 def test_refusals_count_a_cause_as_one_whatever_was_found(make):
     refusals = Refusals(get_logger('test'))

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from multicontact_control.experiment.page import table
-from multicontact_control.files import json_text, replacing
+from multicontact_control.files import replacing, write_json, write_text
 import pyarrow.parquet as pq
 from rich.box import SIMPLE_HEAD
 from rich.markup import escape as plain
@@ -32,13 +32,13 @@ def write_table(content: Any, path: Path) -> Path:
         Its suffix says what is written.
 
     """
-    with replacing(path) as partial:
-        if path.suffix == '.parquet':
+    if path.suffix == '.parquet':
+        with replacing(path) as partial:
             pq.write_table(content, partial, compression='zstd')
-        elif path.suffix == '.yaml':
-            partial.write_text(yaml.safe_dump(content, sort_keys=False), encoding='utf-8')
-        else:
-            partial.write_text(json_text(content), encoding='utf-8')
+    elif path.suffix == '.yaml':
+        write_text(path, yaml.safe_dump(content, sort_keys=False))
+    else:
+        write_json(path, content)
     return path
 
 
