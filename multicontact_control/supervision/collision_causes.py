@@ -51,7 +51,8 @@ def explain_collision(joints: Any, momentum: Any, names: Sequence[str]) -> str:
                 + _explain_rest(residual / settled, joints['bias_torque'], len(loaded)))
     squares = np.maximum(evidence['square'], np.finfo(float).tiny)
     share, slope = evidence['product'] ** 2 / squares, evidence['product'] / squares
-    share[SPEED] -= CREEP * evidence['power']
+    faster = share[SPEED] > share[DIRECTION] + CREEP * evidence['power']
+    share[DIRECTION if faster else SPEED] = 0.0
     share[:WRENCH][slope[:WRENCH] < 0.0] = 0.0  # what pushes a joint moves it that way, too
     best = int(np.argmax(share))
     if share[best] > EXPLAINED * evidence['power']:
@@ -60,7 +61,7 @@ def explain_collision(joints: Any, momentum: Any, names: Sequence[str]) -> str:
         return f'{name}: the residual {FOLLOWED[best].format(factor)}'
     return (f'the residual grew in {", ".join(loaded)}: something touches the arm at or before '
             f'the link that {loaded[-1]} moves; if not, check robot.armature and the effort of '
-            f'{name}, and that no other node commands the arm')
+            f'{name}, the frame of the wrench, and that no other node commands the arm')
 
 
 def _explain_rest(residual: Any, gravity: Any, loaded: int) -> str:
