@@ -7,6 +7,7 @@ benchmark step a `ControlLoop`.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping
 import math
 from pathlib import Path
@@ -31,6 +32,7 @@ from multicontact_control.supervision.supervisor import not_supervised, Supervis
 import numpy as np
 
 STREAM_TIME = 1.0  # s; commands that come more often than this are a stream
+TARE_READINGS = 100  # of a tare, at most, and the periods in which they have come
 
 
 class ControlLoop:
@@ -107,8 +109,9 @@ class ControlLoop:
         self.push_gate.restart()
         self.output: ControlOutput | None = None
         self.status: SupervisorStatus | None = None
-        self.events = EventLog(self.config.contact_names)
+        self.events = EventLog()
         self._inputs, self.time, self._commanded_at = TickInputs(0.0), 0.0, -math.inf
+        self._readings: deque[tuple[float, Vector, Vector]] = deque(maxlen=TARE_READINGS)
 
     def step(self, inputs: TickInputs) -> Vector:
         """
@@ -135,6 +138,9 @@ class ControlLoop:
         self.output = None if self.supervisor.safe else output
         if self.status is not None:
             self.events.note(inputs.time, self.status)
+        stage, arm = self.supervisor.inputs, self.supervisor.controller.arm
+        if stage.fresh:
+            self._readings.append((self.time, stage.raw.copy(), arm.q.copy()))
         if self.push_gate.phase and self.output is not None:
             self._push(inputs)
         return output.torque
@@ -147,9 +153,8 @@ class ControlLoop:
     def _push(self, inputs: TickInputs) -> None:
         """Lead on with a push test by a sample with a new wrench, and obey its verdict."""
         joints, wrench, stage = inputs.joints, inputs.wrench, self.supervisor.inputs
-        velocity = self.supervisor.controller.arm.velocity
         if stage.fresh and joints and wrench and joints.stamp == wrench.stamp and (
-                self.push_gate.update(joints.q, velocity, stage.raw, self.config.tool)) and (
+                self.push_gate.update(joints.q, stage.raw, self.config.tool)) and (
                 self.push_gate.open):
             self.supervisor.gate.go_over()
             self.supervisor.task.lock(False)
@@ -269,16 +274,14 @@ class ControlLoop:
             (cause for cause in rejected if cause.startswith('wrench')), '')
         if fault:
             raise CommandError('wrench', 'nothing wrong with it, for a tare', fault)
-        joints = self._inputs.joints
-        if joints is None:
-            raise CommandError('samples', 'some, for a tare', 'none')
-        readings, postures = self.supervisor.inputs.kept
+        oldest = self.time - (TARE_READINGS - 0.5) * self.config.period
+        recent = [row for row in self._readings if row[0] >= oldest]
+        readings, postures = (np.array([row[i] for row in recent]) for i in (1, 2))
         way = float(np.abs(postures[-1:] - postures[:1]).max(initial=0.0))
         fastest = way / (max(len(postures) - 1, 1) * self.config.period)
         if not fastest <= MAX_JOINT_SPEED:
             raise CommandError('joint speeds', f'at most {MAX_JOINT_SPEED:g} rad/s for a tare',
                                f'{fastest:.3g} rad/s')
-        controller = self.supervisor.controller
-        pose = controller.robot.update(joints.q, controller.arm.velocity).sensor_pose
-        return tare_bias(readings, pose.rotation_world, self.config.tool,
+        rotation_world = self.supervisor.controller.arm.frames['sensor_rotation'][0]
+        return tare_bias(readings, rotation_world, self.config.tool,
                          np.array(self.config.robot.gravity_world), config)

@@ -326,16 +326,14 @@ INPUT_STATE = np.dtype([
     ('known', np.uint8, 2),  # whether any joints and any wrench were valid
     ('blind_ticks', I), ('unknown', I),  # in a row without valid joints; without their torques
     ('distrust', I),  # joint states to be refused after a jump
-    # Joint states in a row; those whose velocities agree with positions, at first; that do not.
-    ('states', I), ('agreeing', I), ('contradicted', I),
-    # Velocities: joints move without; agreed at first; were contradicted since they were trusted.
-    ('silent', B), ('proven', B), ('doubted', B),
+    # Joint states in a row; those whose velocities positions contradict; of moving joints, since.
+    ('states', I), ('contradicted', I), ('agreeing', I),
+    ('silent', B), ('doubted', B),  # no velocities come; they are not believed
     ('equal_joints', I), ('equal_wrenches', I),  # readings in a row, the newest counted
     ('fault', I), ('faults', I),  # of the newest wrench; frozen or saturated ones in a row
     ('raw', F, 6), ('last', F, 6),  # the newest wrench and the one before [N, N m]
     ('filtered', F, 6),  # behind the low-pass [N, N m]
     ('memory', F, (2, 6)),  # of the low-pass, NaN before its first wrench [N, N m]
-    ('kept', I),  # wrenches kept for a tare since the last gap
 ], align=True)
 
 # What the input stage finds at a tick; one.

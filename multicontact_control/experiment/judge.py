@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 from multicontact_control.arrays import Mask, Vector
 from multicontact_control.experiment.metrics import (
@@ -46,8 +46,9 @@ from multicontact_control.supervision.contacts import (
     NAMES,
     RETRACTING,
 )
+from multicontact_control.supervision.gate import NAMES as TORQUE_LIMITS
 from multicontact_control.supervision.reactions import INFLATE, NONE
-from multicontact_control.supervision.report import CAPACITY, Event
+from multicontact_control.supervision.report import CAPACITY
 import numpy as np
 
 STABLE, HELD, NOT_STABLE, UNJUDGED = (
@@ -88,6 +89,27 @@ WITH_DEADLINES = (REAL_TIME, EXTERNAL_RUN, RECORDED)
 LARGEST_MISS = 0.01  # share of deadlines missed, or samples unanswered, that is still real time
 # Share of the time under load, for which every force is known in a run called stable.
 LEAST_JUDGED = 0.5
+
+LIMITS = ('reference', *(name for name, _ in TORQUE_LIMITS))
+
+
+class Event(NamedTuple):
+    """A line of the supervisor's log: its time [s], and the fields of `SupervisorStatus`."""
+
+    time: float
+    reaction: str
+    causes: tuple[str, ...]
+    limits: tuple[str, ...]
+    contact_states: tuple[str, ...]
+
+
+def read_event(time: float, what: str) -> Event:
+    """Return what a line of the log says."""
+    reaction, reasons, states = what.split(' | ')
+    names = reasons.split()
+    return Event(
+        time, reaction, tuple(name for name in names if name not in LIMITS),
+        tuple(name for name in names if name in LIMITS), tuple(states.split(', ')))
 
 
 @dataclass(frozen=True)

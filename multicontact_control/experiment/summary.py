@@ -8,6 +8,7 @@ from typing import Any
 from multicontact_control.experiment.judge import (
     judge,
     MEASURED,
+    read_event,
     STABLE,
     TRUE,
     UNKNOWN,
@@ -21,7 +22,6 @@ from multicontact_control.experiment.metrics import (
 )
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.scenario import Setup
-from multicontact_control.supervision.report import read_event
 import numpy as np
 
 

@@ -168,14 +168,14 @@ class PushGate:
             self._tips: dict[str, Vector] = {}
             self._enter('rest')
 
-    def update(self, q: Vector, qd: Vector, wrench_sensor: Vector, tool: ToolConfig) -> bool:
+    def update(self, q: Vector, wrench_sensor: Vector, tool: ToolConfig) -> bool:
         """
         Take the next sample of a test that is under way; return whether it has come to its end.
 
-        Joint positions [rad] and velocities [rad/s], shape (n,), and the reading in sensor axes,
-        force first, shape (6,) [N, N m].
+        Joint positions, shape (n,) [rad], and the reading in sensor axes, force first, shape (6,)
+        [N, N m].
         """
-        state = self._robot.update(q, qd)
+        state = self._robot.update(q, np.zeros(len(q)))
         sensor, pose = state.sensor_pose, state.pose
         self._rotation, origin = sensor.rotation_world, sensor.position_world
         self._lever = self._rotation @ self._point if self._point else None

@@ -179,14 +179,6 @@ class TorqueGate:
         self.begun = True
         return torque, ENFORCED[enforced | TORQUE if limited else enforced]
 
-    def carry(self, torque: Vector | None, known: bool) -> Vector:
-        """Bring a torque, or for None what carries the arm, within limits, without a blend."""
-        self._end_blend()
-        carrying = np.full(len(self._joints), np.nan) if torque is None else torque
-        gate_torque(carrying, self._joints, self._limits, known, False, self.begun)
-        self.begun = True
-        return carrying
-
     def _blend(self, law: object, torque: Vector) -> Vector:
         """Return a torque with what is left of the differences from the ones before."""
         if not np.isfinite(torque).all():

@@ -30,6 +30,8 @@ from multicontact_control.supervision.velocities import (
     check_velocities,
     explain_velocities,
     HISTORY,
+    OFFSET,
+    PROOF,
     ROWS,
     STILL,
     V_TRACKED,
@@ -45,8 +47,7 @@ PROBLEMS = (
 FINE, INVALID, JUMP, FROZEN, SATURATED, STAMP, ORDER, LATE, BACKWARDS, RATE, VELOCITY = range(11)
 ABSENT = -1
 
-KEPT = 100  # wrenches, for a tare
-LONGEST_GAP = 0.1  # s between two wrenches; after it the low-pass and the tare begin anew
+LONGEST_GAP = 0.1  # s between two wrenches, after which the low-pass begins anew
 SATURATED_SHARE = 0.99  # of full scale, from which on a reading is saturated
 FAULTS = 2  # wrong velocities, or frozen or saturated wrenches, in a row that are not bridged
 WRENCH_AGE = 1.501  # periods, up to which a wrench is that of its tick
@@ -165,7 +166,6 @@ def _check_stamp(part: int, stamp: float, content: int, state: Any, settings: An
     state.seen[part] = stamp
     if part == WRENCH:
         if not stamp - before <= LONGEST_GAP:
-            state.kept = 0
             state.memory[0, 0] = np.nan
         if content == FINE and state.time - stamp > WRENCH_AGE * settings.period:
             return LATE
@@ -186,7 +186,7 @@ def _check_joints(
     distrusted = state.distrust > 0
     span = settings.period if distrusted else elapsed
     limit = POSITION_JUMP * max(1.0, span / settings.period / 5.0)
-    still, jumped, same = True, False, True
+    still, moves, jumped, same = True, False, False, True
     for j in range(motion.shape[1]):
         if not abs(joints[0, j]) <= FARTHEST:
             return INVALID
@@ -194,6 +194,7 @@ def _check_joints(
             joints[0, j] += joints[5, j] * np.round((joints[2, j] - joints[0, j]) / joints[5, j])
         q, qd = joints[0, j], joints[1, j]
         still, same = still and abs(qd) <= STILL, same and q == joints[2, j]
+        moves = moves or abs(qd) > OFFSET
         before, speed = motion[0, j], motion[1, j]
         if distrusted:
             before, speed = joints[2, j], joints[3, j]
@@ -210,22 +211,26 @@ def _check_joints(
     if distrusted or jumped:
         state.distrust = settings.recovery_ticks if jumped else state.distrust - 1
         return JUMP
-    # Velocities alone that stand still are contradicted, and those of the beginning not believed.
-    state.equal_joints = state.equal_joints + 1 if same and state.proven and not still else 1
+    # Velocities that are not believed say nothing of positions that stand still.
+    believed = state.states > PROOF and not state.doubted
+    state.equal_joints = state.equal_joints + 1 if same and believed and not still else 1
     if 0 < settings.frozen_joint_ticks <= state.equal_joints:
         return FROZEN
     state.contradicted = state.contradicted + 1 if contradicted else 0
-    state.doubted = state.doubted or state.contradicted >= FAULTS
-    estimated = state.silent or state.doubted or contradicted
+    if contradicted:
+        state.agreeing = 0
+    state.doubted = state.contradicted >= FAULTS or (state.doubted and state.agreeing <= PROOF)
+    begins = moves and state.states <= PROOF
+    estimated = state.silent or state.doubted or contradicted or begins
     for j in range(motion.shape[1]):
         motion[0, j], motion[1, j] = joints[0, j], joints[V_TRACKED if estimated else 1, j]
     return VELOCITY if contradicted else FINE
 
 
 @compiled
-def _take_wrench(joints: Matrix, kept: Matrix, state: Any, settings: Any) -> int:
+def _take_wrench(state: Any, settings: Any) -> int:
     """
-    Check a wrench, low-pass it, and keep it with the posture as a row of a ring for a tare.
+    Check a wrench, and low-pass it.
 
     The low-pass (transposed direct form II, gain 1 at rest) begins settled on its first wrench.
     """
@@ -240,11 +245,11 @@ def _take_wrench(joints: Matrix, kept: Matrix, state: Any, settings: Any) -> int
         for i in range(6):
             state.filtered[i] = state.raw[i]  # without guards the law finds it
         return SATURATED if saturated else INVALID
-    a, b, memory, row = settings.a, settings.b, state.memory, kept[state.kept % kept.shape[0]]
+    a, b, memory = settings.a, settings.b, state.memory
     begins = np.isnan(memory[0, 0])
     for i in range(6):
         raw = filtered = state.raw[i]
-        row[i] = state.last[i] = raw
+        state.last[i] = raw
         if settings.order > 0:
             if begins:
                 memory[0, i] = raw * ((b[1] + b[2]) - (a[1] + a[2]))
@@ -253,9 +258,6 @@ def _take_wrench(joints: Matrix, kept: Matrix, state: Any, settings: Any) -> int
             memory[0, i] = b[1] * raw - a[1] * filtered + memory[1, i]
             memory[1, i] = b[2] * raw - a[2] * filtered
         state.filtered[i] = filtered
-    for j in range(joints.shape[1]):
-        row[6 + j] = joints[0, j]
-    state.kept += 1
     state.equal_wrenches = state.equal_wrenches + 1 if equal else 1
     if 0 < settings.frozen_ticks <= state.equal_wrenches and not saturated:
         state.fault = FROZEN
@@ -301,7 +303,7 @@ def _supply_torques(
 
 @compiled
 def check_inputs(
-    stages: Any, readings: Matrix, history: Matrix, new_variance: Vector, kept: Matrix,
+    stages: Any, readings: Matrix, history: Matrix, new_variance: Vector,
     commands: Matrix, motion: Matrix, wrench: Vector, noise_variance: Vector, joints: Any,
     momenta: Any, last: Vector, commanded: bool, stamps: Any, contents: Any,
 ) -> bool:
@@ -336,7 +338,7 @@ def check_inputs(
             valid[JOINTS] = stamps[JOINTS] - h * (state.equal_joints - 1)
     verdict.fresh = problem[WRENCH] == FINE or problem[WRENCH] == LATE
     if verdict.fresh:
-        fault = _take_wrench(readings, kept, state, settings)
+        fault = _take_wrench(state, settings)
         if fault != FINE:
             problem[WRENCH] = fault
         if problem[WRENCH] == FINE:
@@ -421,10 +423,9 @@ class Inputs:
         self._no_velocity: Vector = np.zeros(n)
         self._names, self._period = config.robot.joint_names, config.period
         self._effort: Vector = joints['effort']
-        self._kept: Matrix = np.zeros((KEPT, 6 + n))
         self._commands: Matrix = np.zeros((max(config.collision.command_delay, 0) + 2, n))
         self._arguments = (self._stage, self._readings, self._history, self._new_variance,
-                           self._kept, self._commands, *places, joints, momenta)
+                           self._commands, *places, joints, momenta)
         self._momenta, self._joints = momenta, joints
         self._state, self._verdict = self._stage['state'], self._stage['verdict']
         self.raw: Vector = self._state['raw'][0]
@@ -462,28 +463,11 @@ class Inputs:
         """Whether joints move but no velocities come, which positions make up for."""
         return bool(self._state['silent'][0])
 
-    def trust(self) -> None:
-        """Believe velocities again that were contradicted, as long as they are not anew."""
-        self._state['doubted'] = False
-
     def explain_velocities(self) -> str:
         """Return what speaks against the velocities of the last 0.1 s, and what may be why."""
         return explain_velocities(
             self._history, int(self._state['states'][0]), self._readings, self._names,
             self._period)
-
-    @property
-    def kept(self) -> tuple[Matrix, Matrix]:
-        """
-        Return the newest 100 wrenches as they came in, and the posture at each, oldest first.
-
-        Sensor axes, shape (k, 6) [N, N m], and (k, n) [rad]; none once the newest is 0.1 s old.
-        """
-        count = int(self._state['kept'][0])
-        if not self._state['time'][0] - self._state['seen'][0, WRENCH] <= LONGEST_GAP:
-            count = 0
-        rows = np.roll(self._kept, -count, axis=0) if count > KEPT else self._kept[:count]
-        return rows[:, :6].copy(), rows[:, 6:].copy()
 
     def validate(self, inputs: TickInputs, command: Vector | None = None) -> Seen:
         """Take in what came at a tick, and the command before it [N m]; say what is valid."""

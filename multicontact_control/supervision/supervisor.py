@@ -20,18 +20,7 @@ from multicontact_control.control.tick import ControlOutput
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import CommandError, ConfigError, SingularTaskError
 from multicontact_control.force.force_law import continue_laws_at
-from multicontact_control.supervision.checks import (
-    check_plausibility,
-    COLLISION,
-    CONTRADICTED,
-    NOT_FINITE,
-    OUTSIDE,
-    plausibility_limits,
-    reactions_of,
-    TOO_FAST,
-    watch_arm,
-    WRONG_WRENCH,
-)
+from multicontact_control.supervision import checks
 from multicontact_control.supervision.collision_causes import explain_collision
 from multicontact_control.supervision.command_limits import outside_limits
 from multicontact_control.supervision.contact_task import ContactTask
@@ -114,13 +103,13 @@ class Supervisor:
         self.reactions = Reactions(config, controller)
         self._recovery = Recovery(config.watchdog.recovery_time, config.period)
         self._adopt(config)
-        check_plausibility(*self._answered)  # compiled here, so that no sample waits for it
+        checks.check_plausibility(*self._answered)  # compiled here: no sample waits for it
         self.reset()
 
     def reset(self) -> None:
         """Forget everything measured and commanded; the next tick starts anew."""
         if self.guarded:
-            watch_arm(self.config, self.controller)
+            checks.watch_arm(self.config, self.controller)
         self._restart_law()
         self.inputs.reset()
         self.gate.reset()
@@ -134,7 +123,6 @@ class Supervisor:
         self._alarms: tuple[str, ...] = ()
         self._seen, self._wrench_known = Seen(), False
         self._reaction = NONE
-        self._fallback: Vector | None = None  # torque of a reaction, if the gate fails
         self._output = no_answer(self._robot.joint_count, len(self.config.columns))
 
     def _restart_law(self) -> None:
@@ -190,7 +178,7 @@ class Supervisor:
             self.task.ask(self._task_ticks * self._period)
             limited = self.controller.answer()
             part = 'internal'
-            doubts = self.guarded and check_plausibility(*self._answered)
+            doubts = self.guarded and checks.check_plausibility(*self._answered)
             if not doubts:
                 self._contradictions = 0
             elif refused := self._weigh(doubts):
@@ -221,7 +209,7 @@ class Supervisor:
         if seen.joints and arm.refresh():
             self._arm = arm
             if arm.flags or self._flags:
-                self._alarms = TOO_FAST[arm.flags & (OPERATIONAL_SPEED | JOINT_SPEED)]
+                self._alarms = checks.TOO_FAST[arm.flags & (OPERATIONAL_SPEED | JOINT_SPEED)]
                 self._alarms += self._touch(arm.flags)
             if self._adds_gravity:
                 self.gate.allow_for(self._own_weight())
@@ -254,7 +242,7 @@ class Supervisor:
         self._touched = max(self._touched, *beyond.tolist(), 0)
         # The wrench is not to be believed before the pushes that prove it.
         return () if self.task.locked else (
-            f'{COLLISION}_{self.config.robot.joint_names[self._touched]}',)
+            f'{checks.COLLISION}_{self.config.robot.joint_names[self._touched]}',)
 
     def _own_weight(self) -> Vector:
         """Return the torque by which the drives carry the arm where it is seen, shape (n,)."""
@@ -286,7 +274,7 @@ class Supervisor:
         return reaction, causes
 
     def _reaction_to(self, causes: tuple[str, ...]) -> str:
-        reactions = reactions_of(self.config)
+        reactions = checks.reactions_of(self.config)
         called_for = [reactions.get(cause, reactions[cause.split('_')[0]]) for cause in causes]
         return max(called_for, key=SEVERITY.index, default=NONE)
 
@@ -305,13 +293,13 @@ class Supervisor:
 
     def _weigh(self, doubts: int) -> str:
         """Return the cause to refuse the answer of the law, nothing if it may be commanded."""
-        if doubts & NOT_FINITE:
+        if doubts & checks.NOT_FINITE:
             return 'law_not_finite'
-        contradicted = 0 if self.task.locked else doubts & sum(WRONG_WRENCH)
+        contradicted = 0 if self.task.locked else doubts & sum(checks.WRONG_WRENCH)
         self._contradictions = self._contradictions + 1 if contradicted else 0
         if contradicted and (self._contradictions >= CONTRADICTIONS or self._paused):
-            return next(cause for bit, cause in WRONG_WRENCH.items() if contradicted & bit)
-        if doubts & OUTSIDE:  # the contacts have led there
+            return next(cause for bit, cause in checks.WRONG_WRENCH.items() if contradicted & bit)
+        if doubts & checks.OUTSIDE:  # the contacts have led there
             self.task.lead_back()
         return ''
 
@@ -322,7 +310,6 @@ class Supervisor:
         if self._paused:
             self.reactions.end()
             self._causes = self.findings = ()
-            self.inputs.trust()
             if self.started:
                 self._recovery.resumed(self._task_ticks)
         self.started, self._paused = True, False
@@ -378,24 +365,24 @@ class Supervisor:
             self.gate.hurry()
         with np.errstate(all='ignore'):  # the gate finds numbers that are not finite
             # What blocks the arm may be what the contacts' forces press it against: they fade.
-            felt = self._wrench_known and not any(x.startswith(COLLISION) for x in self._alarms)
-            wanted = self._fallback = self.reactions.torque(reaction, arm, felt)
+            felt = self._wrench_known and not any(
+                x.startswith(checks.COLLISION) for x in self._alarms)
             torque, limits = self.gate.apply(
-                reaction, wanted.copy(), known=arm is not None,
+                reaction, self.reactions.torque(reaction, arm, felt).copy(), known=arm is not None,
                 seen=arm is not None and not blind)
         return self._report(
             torque, NONE if reaction == SAFE else reaction, causes, limits, controlled=False)
 
     def _explain(self, cause: str) -> str:
         """Return what the readings say about a cause that has just begun; empty if nothing."""
-        if cause == CONTRADICTED:
+        if cause == checks.CONTRADICTED:
             return self.inputs.explain_velocities()
-        if cause.startswith(COLLISION):
+        if cause.startswith(checks.COLLISION):
             residual = explain_collision(
                 self._joints, self._controls['momentum'][0], self.config.robot.joint_names)
             return self.inputs.explain_velocities() or '; '.join(
                 filter(None, (residual, self.stray_force)))
-        return self.stray_force if cause in WRONG_WRENCH.values() else ''
+        return self.stray_force if cause in checks.WRONG_WRENCH.values() else ''
 
     @property
     def stray_force(self) -> str:
@@ -425,13 +412,12 @@ class Supervisor:
         self._alarms, self._wrench_known, self._seen = (), False, Seen(blind=True)
         reaction, causes = DAMP if self._arm is None else FLOAT, (
             f'internal_{type(error).__name__}',)
-        self._fallback = None
         try:
             return self._react(reaction, causes)
-        except Exception:  # its torque, or gravity where the arm was seen last, without a blend
+        except Exception:  # the torque that acts goes on
             self._paused, self._good_ticks = True, 0
-            return self._report(self.gate.carry(self._fallback, self._arm is not None), reaction,
-                                causes, (), controlled=False)
+            return self._report(
+                self.gate.last.copy(), reaction, causes, (), controlled=False)
 
     def _report(
         self, torque: Vector, reaction: str, causes: tuple[str, ...], limits: tuple[str, ...], *,
@@ -454,12 +440,10 @@ class Supervisor:
     def check(self, config: ControllerConfig) -> None:
         """Raise a ConfigError if `reconfigure` would refuse a configuration."""
         if self.guarded:
-            now, then = _fixed_values(self.config), _fixed_values(config)
-            for name in now:
-                if then.get(name) != now[name]:
-                    live = ', but for ' + ', '.join(sorted(LIVE_OF_CONTACTS)) if (
-                        name.startswith('contacts.')) else ''
-                    raise ConfigError(name, f'what it is while in use{live}', 'another value')
+            then = _fixed_values(config)
+            for name, value in _fixed_values(self.config).items():
+                if then.get(name) != value:
+                    raise ConfigError(name, 'what it is while in use', 'another value')
         self.controller.check(config)
 
     def reconfigure(self, config: ControllerConfig) -> None:
@@ -476,8 +460,8 @@ class Supervisor:
         self.reactions.adopt(config)
         self.task.retune(config)
         self._answered = (  # what an answer is checked by
-            plausibility_limits(config), self._controls, self._joints, self.controller.contacts,
-            self.task.states)
+            checks.plausibility_limits(config), self._controls, self._joints,
+            self.controller.contacts, self.task.states)
 
     def try_again(self) -> bool:
         """Resume control that is latched, seek contacts given up; return if there was any."""

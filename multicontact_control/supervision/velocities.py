@@ -25,8 +25,8 @@ HISTORY = 50  # joint states that are kept for an explanation
 MEMORY = 0.05  # s, in which evidence is forgotten
 OFFSET = 0.05  # rad/s by which a velocity may be wrong...
 SHARE = 0.25  # ...beside this share of it, which is that of a driver's low-pass, too
-LARGEST_UNREST = 15.0  # rad/s that velocities go up and down within `MEMORY`
-PROOF = 10  # joint states that prove the velocities of an arm that moves when it is first seen
+LARGEST_UNREST = 5.0  # rad/s that velocities go up and down within `MEMORY`
+PROOF = 10  # joint states of an arm that moves, before velocities are believed (again)
 POLE = 0.5  # of the tracking filter, per period
 UNITS = {180.0 / np.pi: 'degrees per second', 30.0 / np.pi: 'revolutions per minute',
          0.5 / np.pi: 'revolutions per second'}
@@ -45,16 +45,15 @@ def check_velocities(
     Track positions, and return whether they contradict the velocities of a joint state.
 
     `joints` are rows as above; `span` is the time since the state before [s], which this one
-    `follows` unless it is the first or has jumped. Of `state`, `silent` says whether joints move
-    without velocities, and `proven` whether these were in order when the arm was first seen.
+    `follows` unless it is the first or has jumped. `state.silent` says whether joints move without
+    velocities, `agreeing` counts states of joints that move.
     """
     n, evident = joints.shape[1], follows and span < EVEN * period
     if not follows:
         state.states = 0
     row = history[state.states % history.shape[0]]
     state.states += 1
-    keep, moves, contradicted = np.exp(-span / MEMORY), False, False
-    silent, moved = True, False
+    keep, contradicted, silent, fastest = np.exp(-span / MEMORY), False, True, 0.0
     for j in range(n):
         q, v = joints[0, j], joints[1, j]
         row[j], row[n + j] = q, v
@@ -62,7 +61,6 @@ def check_velocities(
         if not abs(v) <= joints[4, j]:
             contradicted = True
             joints[1, j] = v = 0.0
-        moves = moves or abs(v) > OFFSET
         way = q - joints[2, j]
         if evident:
             predicted = joints[Q_TRACKED, j] + span * joints[V_TRACKED, j]
@@ -76,17 +74,15 @@ def check_velocities(
             if follows:
                 joints[V_TRACKED, j] = way / span
             joints[MISSED, j] = joints[WAY, j] = joints[UNREST, j] = 0.0
-        moved = moved or abs(joints[V_TRACKED, j]) > STILL
-    state.silent = silent and moved
+        fastest = max(fastest, abs(joints[V_TRACKED, j]))
+    state.silent = silent and fastest > STILL
+    if fastest > OFFSET:
+        state.agreeing += 1
     for j in range(n):
         if state.silent:
             joints[MISSED, j] = joints[UNREST, j] = 0.0
         contradicted = contradicted or joints[UNREST, j] > LARGEST_UNREST or (
             abs(joints[MISSED, j]) > OFFSET * MEMORY + SHARE * joints[WAY, j])
-    if not state.proven:
-        state.agreeing = 0 if contradicted else state.agreeing + 1
-        state.proven = state.agreeing > PROOF or (state.agreeing > 0 and not moves)
-        contradicted = not state.proven
     return bool(contradicted)
 
 

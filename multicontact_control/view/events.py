@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from multicontact_control.supervision.report import read_event
+from multicontact_control.experiment.judge import read_event
 
 NONE = 'none'
 

@@ -16,6 +16,7 @@ from multicontact_control.config import ControllerConfig, Vector3
 from multicontact_control.errors import CommandError, ConfigError
 from multicontact_control.experiment.bag import answered, CUT_OFF, read_bag
 from multicontact_control.experiment.bag_messages import MARKERS, mcap_files, read_messages
+from multicontact_control.experiment.judge import read_event
 from multicontact_control.experiment.recording import RunData, SERIES_FILE
 from multicontact_control.experiment.results import (
     BAG_FOLDER,
@@ -25,7 +26,6 @@ from multicontact_control.experiment.results import (
 )
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.files import read_json
-from multicontact_control.supervision.report import read_event
 from multicontact_control.view import source
 from multicontact_control.view.events import EventReader
 from multicontact_control.view.source import (

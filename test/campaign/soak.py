@@ -9,8 +9,9 @@ Each seed has a file of JSON lines, one per episode; the same command goes on wi
 """
 
 import argparse
+from collections import deque
 import contextlib
-from itertools import count
+from itertools import count, pairwise
 import json
 import math
 from pathlib import Path
@@ -41,6 +42,7 @@ PAUSE = (2.2, 4.0)  # s between episodes; an oscillation shows within 2
 EPISODES = {'forces': 0.35, 'motion': 0.3, 'hold': 0.05, 'fault': 0.24, 'two faults': 0.06}
 SETTLE_TIME, ATTEMPTS = 15.0, 4  # s, and how often: from the second on with the operator's help
 OFF = 0.15  # of the command, and 1 N: mean error over 0.5 s that is as commanded
+CHANGES_TIME, MOST_CHANGES = 5.0, 10  # s, and changes in it beyond which a state alternates
 WARM_UP, LARGEST_GROWTH = 600.0, 2.0  # s before which memory is not looked at; MB per hour
 
 
@@ -55,6 +57,7 @@ class ProcessSoak:
             isinstance(x.action, PlantEdit) and x.action.end is None))]  # the world is as before
         config = self.setup.controller
         self._rate, self._period = config.rate, config.period
+        self._states = deque(maxlen=round(CHANGES_TIME * config.rate))
         normals = np.array([config.contacts[name].normal_world for name in config.contact_names])
         directions, sizes, _ = np.linalg.svd(np.eye(3) - np.linalg.pinv(normals) @ normals)
         self._free = directions[:, sizes > 0.5].T  # directions in which no contact is
@@ -163,10 +166,12 @@ class ProcessSoak:
         self._torques.append(loop.command.copy())
         self._forces.append(float(loop.true_forces.max()))
         self._met.append(float(loop.obstacle_forces.max(initial=0.0)))
+        self._states.append((loop.status.reaction, *loop.status.contact_states))
         if loop.tick % round(self._rate) == 0:
             self._problems.update(
-                f'{name} alternates' for name in loop.control.events.alternating(
-                    loop.control.time))
+                f'{name} alternates' for name, states in zip(
+                    ('reaction', *self.wanted), zip(*self._states))
+                if sum(a != b for a, b in pairwise(states)) > MOST_CHANGES)
 
 
 def line_of(seconds, kind, problems, memory, error=0.0):

@@ -9,12 +9,12 @@ from multicontact_control.experiment.judge import (
     kept_real_time,
     LOCKSTEP,
     NOT_STABLE,
+    read_event,
     REAL_TIME,
     STABLE,
     UNJUDGED,
 )
 from multicontact_control.experiment.scenario import resolve
-from multicontact_control.supervision.report import read_event
 import numpy as np
 import pytest
 from runs import run_of

@@ -1,12 +1,7 @@
 """What the log writes can be read again."""
 
-from multicontact_control.supervision.report import (
-    CAPACITY,
-    EventLog,
-    read_event,
-    SupervisorStatus,
-)
-import pytest
+from multicontact_control.experiment.judge import read_event
+from multicontact_control.supervision.report import CAPACITY, EventLog, SupervisorStatus
 
 
 def status(reaction='none', causes=(), limits=(), states=('holding', 'given up')):
@@ -23,19 +18,8 @@ def test_an_event_is_read_as_it_was_written():
     assert second == (2.0, 'none', (), ('reference',), ('holding', 'given up'))
 
 
-def test_log_that_is_full_counts_what_it_drops():
+def test_log_keeps_the_first_events():
     log = EventLog()
     for k in range(CAPACITY + 7):
         log.note(0.002 * k, status(states=(str(k),)))
-    assert (len(log.events), log.dropped) == (CAPACITY, 7)
-
-
-def test_what_changes_more_than_twice_a_second_alternates():
-    log = EventLog(['table', 'board'])
-    for k in range(100):
-        held = 'lost' if k % 3 == 0 else 'holding'
-        log.note(0.1 * k, status('hold' if k % 20 == 0 else 'none', states=(held, 'holding')))
-    rates = log.alternating(9.9)
-    assert list(rates) == ['table']
-    assert rates['table'] == pytest.approx(6.7, abs=0.3)
-    assert log.alternating(30.0) == {}
+    assert len(log.events) == CAPACITY and read_event(*log.events[0]).contact_states == ('0',)
