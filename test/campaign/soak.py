@@ -53,8 +53,8 @@ class ProcessSoak:
         self.setup = with_obstacles('quick', plant, seed)
         self.loop = ClosedLoop(self.setup, commanded=True)
         self._random = np.random.default_rng(seed)
-        self._faults = [x for x in faults_of(PROCESS).values() if not (x.from_start or (
-            isinstance(x.action, PlantEdit) and x.action.end is None))]  # the world is as before
+        self._faults = [x for x in faults_of(PROCESS).values() if not (
+            isinstance(x.action, PlantEdit) and x.action.end is None)]  # the world is as before
         config = self.setup.controller
         self._rate, self._period = config.rate, config.period
         self._states = deque(maxlen=round(CHANGES_TIME * config.rate))

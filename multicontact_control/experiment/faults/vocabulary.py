@@ -33,6 +33,7 @@ from multicontact_control.experiment.faults.fault import (
     PROCESS,
     REST,
     SLIDING,
+    START,
 )
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -321,8 +322,10 @@ def _velocities() -> list[Fault]:
         'like_position': Edit(('qd',), _scale(1.0), source='q'),
         'constant': Edit(('qd',), lambda values, choice: np.full(len(values), 0.5)),
         'delayed': Edit(('qd',), None, age=25), 'frozen': Edit(('qd',), None)}
-    return [Fault(f'{kind}_{which}', 'joints', replace(edit, single=which == 'qd_of_one'),
-                  where=IN_PROCESS, ticks=LASTING, from_start=True)
+    told = ('constant_qd', 'like_position_qd')  # also of an arm that stands
+    return [Fault(name := f'{kind}_{which}', 'joints', replace(edit, single=which == 'qd_of_one'),
+                  STOPPED if name in told else (), (START, *PHASES), IN_PROCESS, ticks=LASTING,
+                  from_start=True)
             for kind, edit in edits.items() for which in ('qd', 'qd_of_one')
             if (kind, which) != ('frozen', 'qd')]
 
